@@ -75,5 +75,5 @@ VERBS: dict[str, Verb] = {
     "evaluate": Verb(
         "stage: makes metrics.json, accuracy.csv, evaluate; or a point cloud against a reference cloud", "evaluate"
     ),
-    "report": Verb("stage: makes report.html", "run", "report"),
+    "report": Verb("stage: makes report.html, report.json; --pdf, --language ja", "report"),
 }

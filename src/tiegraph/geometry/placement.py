@@ -19,6 +19,17 @@ class PlacementError:
 
         The model's own errors (of poses, of the dense matching) come on top.
         """
+        jacobian = self._jacobian(points)
+        variance = np.einsum("nij,jk,nik->ni", jacobian, self.covariance, jacobian)
+        return np.sqrt(np.clip(variance, 0, None))
+
+    def covariances(self, points: np.ndarray) -> np.ndarray:
+        """(N, 3, 3) covariances of places in the world (N, 3), east, north, up, square metres."""
+        jacobian = self._jacobian(points)
+        return np.einsum("nij,jk,nlk->nil", jacobian, self.covariance, jacobian)
+
+    def _jacobian(self, points: np.ndarray) -> np.ndarray:
+        """(N, 3, 7): how places (N, 3) move with turn, shift and log scale."""
         from_middle = np.asarray(points, float).reshape(-1, 3) - self.middle
         jacobian = np.zeros((len(from_middle), 3, 7))
         x, y, z = from_middle.T
@@ -27,8 +38,7 @@ class PlacementError:
         jacobian[:, 2, 0], jacobian[:, 2, 1] = y, -x
         jacobian[:, :, 3:6] = np.eye(3)
         jacobian[:, :, 6] = from_middle
-        variance = np.einsum("nij,jk,nik->ni", jacobian, self.covariance, jacobian)
-        return np.sqrt(np.clip(variance, 0, None))
+        return jacobian
 
     def widened_to(self, sigma: dict[str, float]) -> PlacementError:
         """The same with sigmas at least those of ``sigma`` (position_m, height_m, yaw_deg, tilt_deg, scale)."""

@@ -69,7 +69,7 @@ STAGES = (
            tuned=("evaluate",)),
     _stage("evaluate", ("filter", "georef", "refine", "dense", "cloud"), ("metrics.json", "accuracy.csv", "evaluate"),
            version=4, scratch=("evaluate/.tiles",), tuned=("scene",)),
-    _stage("report", ("evaluate",), ("report.html",), version=3),
+    _stage("report", ("evaluate",), ("report.html", "report.json"), version=4),
 )
 # fmt: on
 

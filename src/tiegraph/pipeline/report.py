@@ -1,4 +1,4 @@
-"""Glue of report: receipts and artefacts become one page."""
+"""Glue of report: receipts and artefacts become one page, and one file for programs."""
 
 from __future__ import annotations
 

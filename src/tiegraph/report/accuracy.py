@@ -8,15 +8,28 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
 from tiegraph.report import formatting
 from tiegraph.report.formatting import marked
+from tiegraph.report.texts import said, t
 from tiegraph.scene.accuracy import LAYERS, MEASURED, PREDICTED, Accuracy, Figure
 from tiegraph.text import known_to
 
+_MEANS = {
+    "world": "how far a point may be from its true coordinates",
+    "shape": "how far the cameras may be off each other, wherever the whole stands",
+    "point": "how far a point may be off its neighbours",
+}
+_WITHOUT = {
+    "world.check_points": "No check points: whether coordinates are right is the positions' word alone.",
+    "world.held_out": "No positions held back from the fit: whether the model bends between them is not tested.",
+    "shape.rig": "No rig of several cameras was tested: whether a camera moved is not known.",
+    "point.reference_cloud": "No reference cloud: noise and ghosts of the cloud were not measured.",
+}
 _DISTANCES = (("10m", "over 10 m"), ("100m", "over 100 m"), ("whole", "over the whole"))
 _PLACEMENT = {  # name -> (words, unit, factor, where nothing is known)
     "position_m": ("position", "m", 1.0, 0.0), "height_m": ("height", "m", 1.0, 0.0),
@@ -25,7 +38,7 @@ _PLACEMENT = {  # name -> (words, unit, factor, where nothing is known)
 }  # fmt: skip
 
 
-def sentences(accuracy: Accuracy) -> list[Markup]:
+def sentences(accuracy: Accuracy) -> list[str]:
     """The answer to the tolerance, then the three layers, one sentence each or two."""
     return [*_answer(accuracy), _world(accuracy), _shape(accuracy), _point(accuracy)]
 
@@ -36,15 +49,53 @@ def terminal_lines(metrics_file: Path) -> list[str]:
         accuracy = Accuracy.from_dict(json.loads(metrics_file.read_text(encoding="utf-8"))["accuracy"])
     except (OSError, ValueError, KeyError, TypeError):
         return []
-    return [str(line.striptags()) for line in sentences(accuracy)]
+    return [str(escape(line).striptags()) for line in sentences(accuracy)]
 
 
-def tiles(accuracy: Accuracy) -> Iterator[tuple[Markup, Markup]]:
+@dataclass(frozen=True)
+class Layer:
+    """A layer for one who has not read of layers: what it is, predicted and measured, by what."""
+
+    name: str
+    means: str
+    predicted: str
+    measured: str
+    by: str
+
+
+def layers(accuracy: Accuracy) -> list[Layer]:
+    """The three layers in short. Measured stands with what was predicted of the same thing, which is not always what
+    stands for the layer."""
+    out = []
+    for key, means in _MEANS.items():
+        best, head = _best(accuracy.of(key)), accuracy.head(key)
+        shown, by = Markup(formatting.NONE), t("nothing independent")
+        if best is not None:
+            shown = _value(accuracy, best, MEASURED)
+            by = t("{} ({}); predicted {}", said(best.by), said(best.of), _value(accuracy, best, PREDICTED))
+        out.append(
+            Layer(
+                name=t(LAYERS[key]),
+                means=t(means),
+                predicted=_value(accuracy, head, PREDICTED),
+                measured=shown,
+                by=by,
+            )
+        )
+    return out
+
+
+def holding(accuracy: Accuracy) -> str:
+    """What holds the run in the world."""
+    return t("Held in the world by {}.", said(accuracy.held_by))
+
+
+def tiles(accuracy: Accuracy) -> Iterator[tuple[Markup, str]]:
     """(figure, label) of each layer."""
     for layer, name in LAYERS.items():
         best = _best(accuracy.of(layer))
-        told = Markup("; measured {} ({})").format(_value(accuracy, best, MEASURED), best.of) if best else ""
-        yield _value(accuracy, accuracy.head(layer), PREDICTED), Markup("{}, predicted{}").format(name, told)
+        told = t("; measured {} ({})", _value(accuracy, best, MEASURED), said(best.of)) if best else ""
+        yield _value(accuracy, accuracy.head(layer), PREDICTED), t("{}, predicted{}", t(name), told)
 
 
 def table(accuracy: Accuracy) -> formatting.Table:
@@ -54,83 +105,99 @@ def table(accuracy: Accuracy) -> formatting.Table:
         values = (_value(accuracy, f, PREDICTED), _value(accuracy, f, MEASURED))
         known = f"{f.key}.ratio" in accuracy.values()
         ratio = marked(f"{f.key}.ratio", formatting.number(f.ratio, 2)) if known else formatting.NONE
-        rows.append((LAYERS[f.layer], f.of, *values, ratio, f.by or formatting.NONE, f.proves_not))
-    columns = ("layer", "of", "predicted", "measured", "measured / predicted", "measured by", "does not prove")
-    return formatting.Table(columns, tuple(rows), (False, False, True, True, True, False, False))
+        by = said(f.by) if f.by else formatting.NONE
+        rows.append((t(LAYERS[f.layer]), said(f.of), *values, ratio, by, said(f.proves_not)))
+    columns = tuple(map(t, ("layer", "of", "predicted", "measured", "measured / predicted", "measured by")))
+    numeric = (False, False, True, True, True, False, False)
+    return formatting.Table((*columns, t("does not prove")), tuple(rows), numeric)
 
 
-def placement(accuracy: Accuracy) -> Markup:
+def without(accuracy: Accuracy) -> list[str]:
+    """What could have measured the run and did not, and what therefore is not known."""
+    keys = {f.key for f in accuracy.figures if formatting.is_number(f.measured)}
+    return [t(text) for key, text in _WITHOUT.items() if key not in keys]
+
+
+def placement(accuracy: Accuracy) -> str:
     """How the model as a whole is known to stand; "" where it is not placed."""
     parts = [part for name in _PLACEMENT if (part := placement_part(accuracy, name))]
-    text = "The model as a whole is placed, at its middle, with standard deviations of: {}."
-    return Markup(text).format(Markup("; ").join(parts)) if parts else Markup()
+    if not parts:
+        return ""
+    return t(
+        "The model as a whole is placed, at its middle, with standard deviations of: {}.", Markup("; ").join(parts)
+    )
 
 
-def placement_part(accuracy: Accuracy, name: str) -> Markup:
+def placement_part(accuracy: Accuracy, name: str) -> str:
     """One of them in words: "tilt 1.4°"; "" if it is not known."""
     value, (words, unit, factor, most) = accuracy.placement.get(name), _PLACEMENT[name]
     if value is None or not formatting.is_number(value):
-        return Markup()
+        return ""
     text = formatting.length(value) if unit == "m" else formatting.number(factor * value, 2) + unit
     if unit != "m" and known_to(factor * value, most, "") == "not known":
-        return Markup("{} not known").format(words)
-    return Markup("{} {}").format(words, marked(f"placement.{name}", text))
+        return t("{} not known", t(words))
+    return t("{} {}", t(words), marked(f"placement.{name}", text))
 
 
-def _answer(accuracy: Accuracy) -> Iterator[Markup]:
-    answer = accuracy.answer
-    if answer is None:
+def answer(accuracy: Accuracy) -> dict[str, str] | None:
+    """The answer to the tolerance in parts: asked, said, why, remedy; None where none was given."""
+    given = accuracy.answer
+    if given is None:
+        return None
+    asked = marked("tolerance", formatting.length(given.tolerance_m))
+    return {"level": given.said, "asked": asked, "said": said(given.said), "why": said(given.why),
+            "remedy": said(given.remedy) if given.remedy else ""}  # fmt: skip
+
+
+def _answer(accuracy: Accuracy) -> Iterator[str]:
+    found = answer(accuracy)
+    if found is None:
         return
-    asked = marked("tolerance", formatting.length(answer.tolerance_m))
-    remedy = f" What would make it yes: {answer.remedy}." if answer.remedy else ""
-    yield Markup("Tolerance of {} in the world: {}. Reason: {}.{}").format(asked, answer.said, answer.why, remedy)
+    remedy = t(" What would make it yes: {}.", found["remedy"]) if found["remedy"] else ""
+    yield t("Tolerance of {} in the world: {}. Reason: {}.{}", found["asked"], found["said"], found["why"], remedy)
 
 
-def _world(accuracy: Accuracy) -> Markup:
+def _world(accuracy: Accuracy) -> str:
     first, most = accuracy.figure("world"), accuracy.figure("world.nine_in_ten")
     if not accuracy.of("world"):
-        return Markup("In the world: not known, for nothing holds it there.")
+        return t("In the world: not known, for nothing holds it there.")
     known = [_value(accuracy, f, PREDICTED) for f in (first, most)]
-    text = Markup("In the world: {} predicted of a point of the cloud (median), {} of nine in ten; held by {}.")
-    return text.format(*known, accuracy.held_by) + _measured(accuracy, accuracy.of("world"))
+    text = "In the world: {} predicted of a point of the cloud (median), {} of nine in ten; held by {}.{}"
+    return t(text, *known, said(accuracy.held_by), _measured(accuracy, accuracy.of("world")))
 
 
-def _shape(accuracy: Accuracy) -> Markup:
+def _shape(accuracy: Accuracy) -> str:
     figures = {name: accuracy.figure(f"shape.{name}") for name, _ in _DISTANCES}
-    said = []
+    parts: dict[str, Markup] = {}
     for what in (PREDICTED, MEASURED):
         keys = accuracy.values()
-        parts = [
-            Markup("{} {}").format(_value(accuracy, figures[name], what), words)
+        found = [
+            t("{} {}", _value(accuracy, figures[name], what), t(words))
             for name, words in _DISTANCES
             if f"shape.{name}.{what}" in keys
         ]
-        said.append(Markup(", ").join(parts))
-    by = figures["whole"].by
-    text = Markup("In shape (of the cameras): {} predicted. ").format(said[0] or "nothing")
-    told = Markup("Measured {} by {}.").format(said[1], by) if said[1] else Markup("Nothing independent measured it.")
-    return text + told
+        parts[what] = Markup(", ").join(found)
+    by = said(figures["whole"].by)
+    told = t(" Measured {} by {}.", parts[MEASURED], by) if parts[MEASURED] else t(" Nothing independent measured it.")
+    return t("In shape (of the cameras): {} predicted.{}", parts[PREDICTED] or t("nothing"), told)
 
 
-def _point(accuracy: Accuracy) -> Markup:
-    text = Markup("Of a point, against its neighbours: {} predicted (median).")
-    known = text.format(_value(accuracy, accuracy.figure("point"), PREDICTED))
-    return known + _measured(accuracy, accuracy.of("point"))
+def _point(accuracy: Accuracy) -> str:
+    text = "Of a point, against its neighbours: {} predicted (median).{}"
+    return t(text, _value(accuracy, accuracy.figure("point"), PREDICTED), _measured(accuracy, accuracy.of("point")))
 
 
-def _measured(accuracy: Accuracy, figures: Sequence[Figure]) -> Markup:
+def _measured(accuracy: Accuracy, figures: Sequence[Figure]) -> str:
     """What the best evidence of a layer says."""
     best = _best(figures)
     if best is not None:
-        text = Markup(" Measured {} ({}) by {}, predicted {}.")
-        values = (_value(accuracy, best, what) for what in (MEASURED, PREDICTED))
-        measured, predicted = values
-        return text.format(measured, best.of, best.by, predicted)
+        measured, predicted = (_value(accuracy, best, what) for what in (MEASURED, PREDICTED))
+        return t(" Measured {} ({}) by {}, predicted {}.", measured, said(best.of), said(best.by), predicted)
     held = accuracy.figure("world.held_out")
     if held in figures:
-        text = Markup(" Nothing independent measured it; {} are met within {}, which an error of all does not show in.")
-        return text.format(held.by, _value(accuracy, held, MEASURED))
-    return Markup(" Nothing independent measured it.")
+        text = " Nothing independent measured it; {} are met within {}, which an error of all does not show in."
+        return t(text, said(held.by), _value(accuracy, held, MEASURED))
+    return t(" Nothing independent measured it.")
 
 
 def _best(figures: Sequence[Figure]) -> Figure | None:

@@ -6,6 +6,7 @@ from textwrap import shorten
 
 from tiegraph.report import formatting
 from tiegraph.report.runfolder import STAGES, RunFolder
+from tiegraph.report.texts import t
 from tiegraph.scene.evidence import figures
 
 EVIDENCE = "evidence"  # the table that has a section of its own
@@ -15,21 +16,23 @@ _HEAD, _HEADS = 70, 3  # letters and number of contradictions in the headline
 
 def contradictions(run: RunFolder) -> tuple[str, ...]:
     """What contradicts what, of every stage that has finished."""
-    every = (str(t) for stage in STAGES for t in run.receipts.get(stage, {}).get("contradictions") or [])
+    every = (str(c) for stage in STAGES for c in run.receipts.get(stage, {}).get("contradictions") or [])
     return tuple(dict.fromkeys(every))
 
 
-def about(said: tuple[str, ...]) -> str:
+def about(found: tuple[str, ...]) -> str:
     """What contradictions are about, for a headline: the words before their first colon or figure; "" if none."""
-    heads = dict.fromkeys(shorten(t.split(":")[0].split(" differ by")[0], _HEAD, placeholder=" ...") for t in said)
+    heads = dict.fromkeys(
+        shorten(text.split(":")[0].split(" differ by")[0], _HEAD, placeholder=" ...") for text in found
+    )
     short = list(heads)[:_HEADS]
-    return "; ".join(short) + (f" and {len(heads) - len(short)} more" if len(heads) > len(short) else "")
+    return "; ".join(short) + (t(" and {} more", len(heads) - len(short)) if len(heads) > len(short) else "")
 
 
 def evidence_table(run: RunFolder) -> formatting.Table | None:
     """The statements of all stages, those of one quantity one below the other; None without any."""
     found = {s: (run.receipts.get(s, {}).get("tables") or {}).get(EVIDENCE) for s in STAGES}
-    parts = {s: t for s, t in found.items() if isinstance(t, dict) and len(t.get("columns") or []) == _COLUMNS}
+    parts = {s: d for s, d in found.items() if isinstance(d, dict) and len(d.get("columns") or []) == _COLUMNS}
     rows = []
     for stage, data in parts.items():
         for k, row in enumerate(data.get("rows") or []):

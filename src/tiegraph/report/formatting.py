@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 from typing import Any
 
 from markupsafe import Markup
 
+from tiegraph.report.texts import said, t
+
+# An absolute path of two names or more, on Linux, macOS or Windows; ends where a space, a quote or a comma does.
+_FOLDERS = re.compile(r"(?<![\w.:/\\])(?:/[^\s/:,;'\"()]+)+/(?=[^\s/:,;'\"()])|\b[A-Za-z]:\\(?:[^\s\\:,;'\"]+\\)+")
 NONE = "–"  # an en dash: not known
 _NOTHING = 1e-7  # smaller numbers are rounding errors
 
@@ -91,7 +96,7 @@ def table(data: Any, title: str = "", key: str = "") -> Table | None:
     if not isinstance(data, dict) or not data.get("rows") or not data.get("columns"):
         return None
     rows = [list(row) if isinstance(row, (list, tuple)) else [row] for row in data["rows"]]
-    columns = [str(c).replace("_", " ") for c in data["columns"]]
+    columns = [said(str(c).replace("_", " ")) for c in data["columns"]]
     rows = [(row + [None] * len(columns))[: len(columns)] for row in rows]
     numeric = tuple(all(v is None or _is_number(v) for v in column) for column in zip(*rows))
     printed = [_column(list(column)) if n else [cell(v) for v in column] for column, n in zip(zip(*rows), numeric)]
@@ -122,13 +127,18 @@ def _column(values: list[Any]) -> list[str]:
     return [f"{v:,.{digits}f}".replace(",", "\u202f") if is_number(v) else NONE for v in values]
 
 
+def without_folders(text: str) -> str:
+    """A text with absolute paths by their last name: where a file lies on the maker's machine is nobody's."""
+    return _FOLDERS.sub("", text)
+
+
 def cell(value: Any) -> str:
     """A value of a table as text."""
     value = value.item() if hasattr(value, "item") else value
     if value is None:
         return NONE
     if isinstance(value, bool):
-        return "yes" if value else "no"
+        return t("yes") if value else t("no")
     if isinstance(value, int) or (isinstance(value, float) and value.is_integer() and abs(value) < 1e15):
         return count(value)
     if isinstance(value, float):

@@ -1,138 +1,209 @@
-"""report.html: one self-contained file made of receipts and artefacts only."""
+"""report.html: one self-contained file made of receipts and artefacts only, for the client first, then the engineer."""
 
 from __future__ import annotations
 
-import json
-import re
+from collections.abc import Iterator
+from dataclasses import dataclass
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
 import jinja2
 import numpy as np
+from markupsafe import Markup
 
-from tiegraph.report import accuracy, charts, formatting, plan, summary, viewer, warnings
-from tiegraph.report.cloudview import standard_views, with_scale_bar
-from tiegraph.report.contradictions import EVIDENCE, evidence_table
-from tiegraph.report.formatting import marked
+from tiegraph.report import accuracy, formatting, images, spatial, summary, warnings
+from tiegraph.report.client.page import client_page
+from tiegraph.report.contradictions import evidence_table
+from tiegraph.report.effort import effort
+from tiegraph.report.evaluation import evaluation
+from tiegraph.report.glossary import glossary
 from tiegraph.report.networkpart import network_part
+from tiegraph.report.reportjson import json_text
 from tiegraph.report.rigdiagnostics import rig_diagnostics, rig_table
-from tiegraph.report.runfolder import STAGES, RunFolder, read_run
+from tiegraph.report.runfolder import RunFolder, read_run
 from tiegraph.report.settings import ReportSettings
-from tiegraph.report.thumbnails import CLASSES, file_uri, jpeg, mask_share, thumbnail
+from tiegraph.report.svg.charts import arrows, residuals
+from tiegraph.report.tables import receipt_notes, receipt_tables
+from tiegraph.report.texts import current, language, said, t
+from tiegraph.report.thumbnails import CLASSES, mask_share, thumbnail
 from tiegraph.scene.atomic import replacing
 from tiegraph.scene.figures import plain_text
-from tiegraph.scene.registered import BY_RIG
 from tiegraph.scene.scene import Scene
 from tiegraph.text import printable
 
+VIEW_POINTS = 4_000_000  # of the cloud, drawn in the static views
 _MASKS_READ = 25  # masks opened for a camera's mean share
 _DROPPED_SHOWN = 200
+_IMAGES_SHOWN = 5000
+_RIGS_SHOWN = 8
+_ARROW_SHARE = 0.05  # of the width of an image: the longest residual of a lens as drawn
+
+
+@dataclass(frozen=True)
+class Section:
+    """A section of the engineer's part: where the contents list leads, and its name."""
+
+    key: str
+    title: str
 
 
 def write_report(folder: Path, settings: ReportSettings, planned: formatting.Table | None = None) -> Path:
-    """Write ``folder/report.html`` from what the folder holds; stages that have not run are left out.
+    """Write ``folder/report.html`` and ``report.json`` from what the folder holds; stages that have not run are left
+    out.
 
     ``planned``: what was planned beside what was reached. Raises InputError if the folder holds no run, TiegraphError
     if the disk is full.
     """
-    run = read_run(folder, settings.view_points)
-    text = render(run, settings, planned)
+    run = read_run(folder, VIEW_POINTS)
     target = folder / "report.html"
-    with replacing(target) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    for path, text in ((target, render(run, settings, planned)), (folder / "report.json", json_text(run, settings))):
+        with replacing(path) as temporary:
+            temporary.write_text(text, encoding="utf-8")
     return target
 
 
 @plain_text()
 def render(run: RunFolder, settings: ReportSettings, planned: formatting.Table | None = None) -> str:
     """The page as text."""
-    context = {
-        "title": settings.title or run.path.resolve().name,
-        "made": datetime.now(timezone.utc).strftime("%d %B %Y, %H:%M UTC"),
-        "verdict": summary.verdict(run),
-        "tiles": summary.tiles(run),
-        "sure": _how_sure(run),
-        "scan": _scan(run),
-        "masks": _masks(run, settings),
-        "network": network_part(run),
-        "model": _model(run),
-        "planned": planned,
-        "evaluation": _evaluation(run),
-        "effort": _effort(run),
-        **_three_d(run, settings),
-    }
-    return environment().get_template("template.html.jinja").render(context)
+    with language(settings.language):
+        seen = spatial.scenery(run)
+        verdict = summary.verdict(run)
+        made = datetime.now(timezone.utc).strftime("%Y-%m-%d %H:%M UTC")
+        context = {
+            "language": current(),
+            "client": client_page(run, settings, seen, verdict),
+            "title": settings.title or run.path.resolve().name,
+            "made": made,
+            "verdict": verdict,
+            "tiles": summary.tiles(run),
+            "sure": _how_sure(run),
+            "scan": _scan(run),
+            "images": _images(run),
+            "masks": _masks(run, settings),
+            "network": network_part(run),
+            "model": _model(run),
+            "planned": planned,
+            "evaluation": evaluation(run),
+            "effort": effort(run),
+            "glossary": glossary(),
+            **_space(run, seen, settings),
+        }
+        context["contents"] = list(_contents(context))
+        return environment().get_template("template.html.jinja").render(context)
 
 
 def environment() -> jinja2.Environment:
-    """Templates of this package, everything escaped, also what acts without being seen (``text.printable``)."""
+    """Templates of this package, everything escaped, also what acts without being seen (``text.printable``), and paths
+    of the maker's machine by their last name."""
     loader = jinja2.PackageLoader("tiegraph.report", ".")
-    return jinja2.Environment(
+    made = jinja2.Environment(
         loader=loader,
         autoescape=True,
-        finalize=lambda value: printable(value) if type(value) is str else value,  # not of Markup, which is ours
+        finalize=lambda value: _shown(value) if type(value) is str else value,  # not of Markup, which is ours
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    made.globals.update(t=t, said=said)
+    return made
+
+
+def _shown(value: str) -> str:
+    return printable(formatting.without_folders(value))
+
+
+def _contents(context: dict[str, Any]) -> Iterator[Section]:
+    """The sections that the page has, in its order."""
+    scan, network, model = context["scan"], context["network"], context["model"]
+    there = (
+        ("result", t("The result in words"), True),
+        ("sure", t("How sure are we"), context["sure"]["table"] or context["sure"]["evidence"]),
+        ("found", t("What was found"), scan["facts"] or scan["notes"] or scan["dropped"]),
+        ("images", t("Every image"), context["images"]["rows"]),
+        ("masks", t("Masks") if context["masks"]["any"] else t("Images"), context["masks"]["strips"]),
+        ("network", t("Which images tie to which"), network["there"]),
+        ("model", t("Camera positions and model"), model["there"] or model["notes"]),
+        ("cloud", t("Point cloud"), context["viewer"] or context["views"]),
+        ("evaluation", t("Evaluation"), context["evaluation"]["there"]),
+        ("effort", t("Time and memory"), context["effort"]["charts"]),
+        ("settings", t("Settings and versions"), context["effort"]["settings"] or context["effort"]["software"]),
+        ("glossary", t("Glossary"), True),
+    )
+    return (Section(key, title) for key, title, shown in there if shown)
 
 
 def _how_sure(run: RunFolder) -> dict[str, Any]:
-    """Every accuracy with what it does not prove, and what each source says by itself."""
-    out: dict[str, Any] = {"table": None, "placement": "", "evidence": evidence_table(run)}
+    """Every accuracy with what it does not prove, what each source says by itself, and what nothing tells."""
+    out: dict[str, Any] = {"table": None, "placement": "", "evidence": evidence_table(run), "without": []}
     if run.accuracy is not None:
         out |= {"table": accuracy.table(run.accuracy), "placement": accuracy.placement(run.accuracy)}
+        out["without"] = accuracy.without(run.accuracy)
     return out
 
 
 def _scan(run: RunFolder) -> dict[str, Any]:
-    scene, receipt = run.scene, run.receipts.get("scan", {})
-    notes = list(dict.fromkeys([*(scene.notes if scene else ()), *map(str, receipt.get("notes") or [])]))
+    scene = run.scene
+    notes = list(dict.fromkeys([*(scene.notes if scene else ()), *receipt_notes(run, "scan")]))
     dropped = warnings.dropped_images(run)
     facts_ = []
     if scene is not None:
-        rigs = ", ".join(f"{r.name} ({len(r.sensors)} cameras)" if len(r.sensors) > 1 else r.name for r in scene.rigs)
+        rigs = [t("{} ({} cameras)", r.name, len(r.sensors)) if len(r.sensors) > 1 else r.name for r in scene.rigs]
         facts_ = [
-            ("images", formatting.count(len(scene))),
-            ("frames", formatting.count(scene.frames)),
-            ("rig", rigs[:200] + (" …" if len(rigs) > 200 else "")),
-            ("passes", ", ".join(scene.sequences[:12]) or "none: loose photographs"),
-            ("prior poses", _prior(scene)),
+            (t("images"), formatting.count(len(scene))),
+            (t("frames"), formatting.count(scene.frames)),
+            (t("rig"), Markup(", ").join(rigs[:_RIGS_SHOWN]) + (" …" if len(rigs) > _RIGS_SHOWN else "")),
+            (t("passes"), ", ".join(scene.sequences[:12]) or t("none: loose photographs")),
+            (t("prior poses"), _prior(scene)),
         ]
-    return {
-        "facts": facts_,
-        "notes": notes,
-        "dropped": dropped[:_DROPPED_SHOWN],
-        "more": max(0, len(dropped) - _DROPPED_SHOWN),
-        "tables": _tables(receipt),
-    }
+    more = max(0, len(dropped) - _DROPPED_SHOWN)
+    tables = receipt_tables(run, "scan")
+    return {"facts": facts_, "notes": notes, "dropped": dropped[:_DROPPED_SHOWN], "more": more, "tables": tables}
+
+
+def _images(run: RunFolder) -> dict[str, Any]:
+    rows = images.image_rows(run)
+    unit = "m" if run.metric else t("units")
+    body = [
+        (
+            row.name,
+            said(row.state),
+            images.reason_text(row),
+            *(formatting.count(n) for n in (row.points, row.ties)),
+            formatting.length(row.gsd, unit) if np.isfinite(row.gsd) else formatting.NONE,
+        )
+        for row in rows[:_IMAGES_SHOWN]
+    ]
+    names = tuple(map(t, ("image", "state", "reason", "points seen", "verified pairs", "pixel on the surface")))
+    table = formatting.Table(names, tuple(body), (False, False, False, True, True, True)) if body else None
+    counts = [(name, formatting.count(n)) for name, n in images.counts(rows)]
+    return {"rows": table, "counts": counts, "more": max(0, len(rows) - _IMAGES_SHOWN)}
 
 
 def _masks(run: RunFolder, settings: ReportSettings) -> dict[str, Any]:
-    receipt, final = run.receipts.get("masks", {}), run.receipts.get("refine", {})
     strips: list[dict[str, Any]] = []
     if run.scene is not None and (run.path / "images").is_dir():
         for key, sensor in enumerate(run.scene.all_sensors[:24]):
             strips.extend(_mask_strip(run, run.scene, key, sensor.name, settings.mask_images))
+    classes = CLASSES[1:] if any((run.path / "classes").rglob("*.png")) else ()
     return {
         "strips": strips,
         "any": any(s["share"] is not None for s in strips),
-        "classes": CLASSES[1:] if any((run.path / "classes").rglob("*.png")) else [],
-        "notes": [*(receipt.get("notes") or []), *(final.get("notes") or [])],
-        "tables": [*_tables(receipt), *_tables(final)],
+        "classes": [(t(name), colour) for name, colour in classes],
+        "notes": receipt_notes(run, "masks", "refine"),
+        "tables": receipt_tables(run, "masks", "refine"),
     }
 
 
 def _mask_strip(run: RunFolder, scene: Scene, key: int, name: str, shown: int) -> list[dict[str, Any]]:
-    images = np.flatnonzero(scene.sensor_key == key)
-    if not len(images) or not shown:
+    chosen = np.flatnonzero(scene.sensor_key == key)
+    if not len(chosen) or not shown:
         return []
-    spread = images[np.unique(np.linspace(0, len(images) - 1, _MASKS_READ).astype(int))]
+    spread = chosen[np.unique(np.linspace(0, len(chosen) - 1, _MASKS_READ).astype(int))]
     shares = [s for k in spread if (s := mask_share(_mask_path(run, scene.names[k]))) is not None]
     out = []
     for place in (np.arange(shown) + 0.3) / shown:
-        image = scene.names[images[int(place * len(images))]]
+        image = scene.names[chosen[int(place * len(chosen))]]
         mask = _mask_path(run, image)
         classes = mask.parents[len(Path(image).parts)] / "classes" / f"{image}.png"
         made = thumbnail(run.path / "images" / image, mask, classes)
@@ -150,39 +221,60 @@ def _mask_path(run: RunFolder, image: str) -> Path:
 
 
 def _model(run: RunFolder) -> dict[str, Any]:
-    out: dict[str, Any] = {"there": run.model is not None, "facts": [], "tables": [], "notes": [], "residuals": None}
-    out["more"], out["rig_diagnostics"] = [], rig_diagnostics(run)
-    for stage, place in (("sparse", "more"), ("georef", "tables")):
-        receipt = run.receipts.get(stage, {})
-        out[place] += _tables(receipt)
-        out["notes"] += [str(n) for n in receipt.get("notes") or []]
-    out["notes"] = list(dict.fromkeys([*out["notes"], *map(str, (run.world or {}).get("notes") or [])]))
+    notes = [*receipt_notes(run, "sparse", "georef"), *map(str, (run.world or {}).get("notes") or [])]
+    out: dict[str, Any] = {"there": run.model is not None, "facts": [], "residuals": None, "lenses": []}
+    out |= {"notes": list(dict.fromkeys(notes)), "rig_diagnostics": rig_diagnostics(run)}
+    out |= {"tables": receipt_tables(run, "georef"), "more": receipt_tables(run, "sparse")}
     if run.model is None:
         return out
-    m = run.model
+    m, unit = run.model, "m" if run.metric else t("units")
+    registered = formatting.count(int(m.registered.sum())), formatting.count(len(m.registered))
     out["facts"] = [
-        ("registered images", f"{formatting.count(int(m.registered.sum()))} of {formatting.count(len(m.registered))}"),
-        ("images " + BY_RIG, formatting.count(int(m.by_rig.sum()))),
-        ("sparse points", formatting.count(m.figures.points)),
-        ("observations of an image", formatting.number(m.figures.observations)),
-        ("images of a point (track length)", formatting.number(m.figures.track_length)),
-        ("mean reprojection error", f"{formatting.number(m.figures.reprojection_px)} px"),
-        ("models", formatting.count(1 + len(m.others))),
+        (t("registered images"), t("{} of {}", *registered)),
+        (t("images placed by the rig"), formatting.count(int(m.by_rig.sum()))),
+        (t("sparse points"), formatting.count(m.figures.points)),
+        (t("observations of an image"), formatting.number(m.figures.observations)),
+        (t("images of a point (track length)"), formatting.number(m.figures.track_length)),
+        (t("mean reprojection error"), f"{formatting.number(m.figures.reprojection_px)} px"),
+        (t("models"), formatting.count(1 + len(m.others))),
     ]
+    sizes = spatial.gsd(run)
+    if sizes is not None:
+        texts = [formatting.length(v, unit) for v in sizes]
+        out["facts"].append((t("a pixel on the surface (nearest tenth, half, nine in ten images)"), ", ".join(texts)))
     rig = rig_table(run)
     out["tables"] = [*out["tables"], *summary.registered_tables(run), *([rig] if rig else [])]
     out["residuals"] = _residuals(run)
+    out["lenses"] = _lenses(run)
     return out
 
 
-def _residuals(run: RunFolder) -> str | None:
+def _lenses(run: RunFolder) -> list[tuple[Markup, str]]:
+    """(chart, caption) of each camera's residuals over its image; all enlarged alike."""
+    assert run.model is not None and run.scene is not None
+    known = {k: lens for k, lens in run.model.observed.lenses.items() if len(lens.at)}
+    if not known:
+        return []
+    longest = max(float(np.linalg.norm(lens.moved, axis=1).max()) for lens in known.values())
+    factor = _ARROW_SHARE * max(lens.size[0] for lens in known.values()) / max(longest, 1e-9)
+    names = [s.name for s in run.scene.all_sensors]
+    out = []
+    for key, lens in list(known.items())[:24]:
+        at = formatting.number(float(np.linalg.norm(lens.moved, axis=1).max()), 2)
+        seen = formatting.count(lens.observations)
+        caption = t("{}: the longest arrow is {} px; {} observations", names[key], at, seen)
+        out.append((arrows(lens.size, lens.at, lens.moved, factor, names[key]), caption))
+    return out
+
+
+def _residuals(run: RunFolder) -> Markup | None:
     rows = [r for r in (run.world or {}).get("frames") or [] if isinstance(r, dict) and _three(r.get("residual_m"))]
     if run.scene is None or len(rows) < 2:
         return None
     frames = np.array([int(r.get("frame", k)) for k, r in enumerate(rows)])
     track = np.array([run.scene.sequence[f] if 0 <= f < run.scene.frames else -1 for f in frames])
     used = np.array([bool(r.get("inlier", True)) for r in rows])
-    return charts.residuals(frames, np.array([r["residual_m"] for r in rows], float), used, track, run.scene.sequences)
+    return residuals(frames, np.array([r["residual_m"] for r in rows], float), used, track, run.scene.sequences)
 
 
 def _three(value: Any) -> bool:
@@ -190,161 +282,17 @@ def _three(value: Any) -> bool:
 
 
 def _prior(scene: Scene) -> str:
+    given = said(scene.prior)
     if not scene.started:
-        return scene.prior
-    return "start model" if scene.prior == "trajectory" else f"{scene.prior}, start model"
+        return given
+    return t("start model") if scene.prior == "trajectory" else t("{}, start model", given)
 
 
-def _three_d(run: RunFolder, settings: ReportSettings) -> dict[str, Any]:
-    """The plan, the static views and the interactive view."""
-    out: dict[str, Any] = {"plan": None, "views": [], "viewer": None, "viewer_script": "", "cloud": None}
-    if run.scene is None or run.model is None or not run.model.placed.any():
+def _space(run: RunFolder, seen: spatial.Scenery | None, settings: ReportSettings) -> dict[str, Any]:
+    """The maps, the static views and the interactive view."""
+    out: dict[str, Any] = {"overlap": None, "ellipses": None, "views": [], "viewer": None, "viewer_script": ""}
+    out["cloud"] = spatial.cloud_facts(run)
+    if seen is None:
         return out
-    upright = np.eye(3) if run.world else _upright(run.model.world_from_camera)
-    unit = "m" if run.metric else "units"
-    placed = run.georeferenced or bool((run.world or {}).get("placed"))
-    seen = run.cloud or run.model.sample
-    xyz, rgb = seen.xyz, seen.rgb
-    xyz = xyz @ upright.T
-    found = plan.tracks(run.scene, plan.frame_positions(run.scene, run.model.centres @ upright.T))
-    prior = run.scene.world_from_rig[:, :3, 3]
-    gnss = prior[np.isfinite(prior[:, 0])] if placed else np.zeros((0, 3))
-    axes = ("east", "north") if run.georeferenced else ("x", "y")
-    if not placed:  # prior positions are in another frame than the model
-        found = [plan.Track(t.name, t.positions, t.missing[:0]) for t in found]
-    out["plan"] = plan.plan_chart(found, gnss, xyz, unit, axes)
-    if run.cloud is not None:
-        path = run.model.centres[run.model.placed] @ upright.T
-        views = standard_views(xyz, rgb, path, settings.view_px, run.georeferenced)
-        out["views"] = [(v.name, jpeg(with_scale_bar(v, unit))) for v in views]
-        out["cloud"] = _cloud_facts(run)
-    data = viewer.viewer_data(xyz, rgb, found, settings.viewer_points, unit)
-    if data is not None:
-        out["viewer"] = json.dumps(data).replace("<", "\\u003c")
-        out["viewer_script"] = viewer.viewer_script()
-    return out
-
-
-def _upright(world_from_camera: np.ndarray) -> np.ndarray:
-    """Rotation (3, 3) that stands a free model up: images are taken upright on the whole, so "up" is their mean -y."""
-    up = -np.nanmean(world_from_camera[:, :3, 1], axis=0)
-    up = up / max(float(np.linalg.norm(up)), 1e-9)
-    side = np.cross(up, [1.0, 0, 0] if abs(up[0]) < 0.9 else [0, 1.0, 0])
-    side /= np.linalg.norm(side)
-    return np.stack([side, np.cross(up, side), up])
-
-
-def _cloud_facts(run: RunFolder) -> dict[str, Any]:
-    c = run.cloud
-    assert c is not None
-    rows = [("file", f"{c.name}, {formatting.size(c.bytes)}"), ("points", formatting.count(c.count))]
-    if c.views.any():
-        rows.append(("images that saw a point, median", formatting.number(float(np.median(c.views)), 2)))
-    tables, notes = [], []
-    for stage in ("dense", "cloud"):
-        receipt = run.receipts.get(stage, {})
-        tables += _tables(receipt)
-        notes += [str(n) for n in receipt.get("notes") or []]
-    return {"facts": rows, "tables": tables, "notes": notes}
-
-
-def _evaluation(run: RunFolder) -> dict[str, Any]:
-    data = run.metrics or {}
-    out: dict[str, Any] = {"there": bool(data), "metrics": None, "tables": [], "notes": data.get("notes") or []}
-    rows = [
-        [
-            metric_text(str(m["name"])),
-            marked(f"metrics.{m['name']}", formatting.cell(m.get("value"))),
-            m.get("unit") or "",
-        ]
-        for m in data.get("metrics") or []
-        if isinstance(m, dict) and "name" in m
-    ]
-    if rows:
-        out["metrics"] = formatting.Table(("figure", "value", "unit"), tuple(map(tuple, rows)), (False, True, False))
-    tables = data.get("tables") or {}
-    # who is registered stands in the model section
-    shown = {n: d for n, d in tables.items() if not n.startswith("registered by")}
-    named = ((n, formatting.table(d, n.capitalize(), f"tables.{n}")) for n, d in shown.items())
-    out["tables"] = [t for _, t in named if t is not None]
-    against = (tables.get("cloud against reference") or {}).get("rows")
-    out["shares"] = charts.shares(against) if against else None
-    out["map"] = file_uri(run.path / "evaluate" / "m3c2.png") if against else None
-    return out
-
-
-_METRICS = {
-    "registered_images": "registered images",
-    "images_by_rig": "images " + BY_RIG,
-    "backprojection_rmse": "back-projection RMSE (round trip, see the note)",
-    "backprojection_rounding": "... of which rounding to the pixel alone",
-    "ate_sim3_rmse": "camera positions after similarity alignment, RMSE (ATE Sim3)",
-    "ate_sim3_median": "... median",
-    "ate_sim3_max": "... largest",
-    "ate_se3_rmse": "camera positions after rigid alignment, RMSE (ATE SE3)",
-    "absolute_rmse": "camera positions without alignment, RMSE",
-    "scale_error": "scale error",
-    "yaw_drift": "heading drift",
-    "cloud_to_cloud_median": "cloud to reference cloud, median distance",
-    "cloud_to_cloud_90": "cloud to reference cloud, 90 % of points within",
-    "ghosts": "ghost points",
-}
-
-
-def metric_text(name: str) -> str:
-    """A figure of merit in words."""
-    if name in _METRICS:
-        return _METRICS[name]
-    text = name.replace("_", " ")
-    for short, full in (("rpe ", "relative pose error over "), ("fscore ", "F-score at ")):
-        text = text.replace(short, full)
-    text = re.sub(r"(\d)m\b", r"\1 m", text)
-    return text.replace(" m translation", " m, translation").replace(" m rotation", " m, rotation")
-
-
-def _effort(run: RunFolder) -> dict[str, Any]:
-    rows = summary.stage_rows(run)
-    body = []
-    for stage, wall, cpu, peak in rows:
-        counts = run.counts(stage)
-        whole = {k: v for k, v in counts.items() if isinstance(v, int)}  # what is no number of things stands elsewhere
-        text = ", ".join(f"{formatting.count(v)} {str(k).replace('_', ' ')}" for k, v in whole.items())
-        body.append((stage, formatting.seconds(wall), formatting.seconds(cpu), formatting.count(peak), text))
-    columns = ("stage", "wall time", "CPU time", "peak MiB", "counts")
-    table = formatting.Table(columns, tuple(body), (False, True, True, True, False)) if body else None
-    receipts = {s: run.receipts[s] for s in STAGES if run.receipts.get(s, {}).get("settings")}
-    settings = [(s, {**r["settings"], **_flat("tuning", r.get("tuning") or {})}) for s, r in receipts.items()]
-    software: dict[str, str] = {}
-    for s in STAGES:
-        software.update(run.receipts.get(s, {}).get("software") or {})
-    return {
-        "chart": charts.stage_times(rows) if rows else None,
-        "table": table,
-        "settings": [(s, [(k, formatting.cell(_named(v))) for k, v in values.items()]) for s, values in settings],
-        "software": sorted(software.items()),
-    }
-
-
-def _named(value: Any) -> Any:
-    """A setting that is a path by the name of what it names: where it lies on the maker's machine is nobody's."""
-    return Path(value).name if isinstance(value, str) and Path(value).is_absolute() else value
-
-
-def _flat(name: str, values: dict) -> dict[str, Any]:
-    """Nested tables as one, names joined by points."""
-    out: dict[str, Any] = {}
-    for key, value in values.items():
-        out |= _flat(f"{name}.{key}", value) if isinstance(value, dict) else {f"{name}.{key}": value}
-    return out
-
-
-def _tables(receipt: dict, prefix: str = "") -> list[formatting.Table]:
-    found = receipt.get("tables")
-    if not isinstance(found, dict):
-        return []
-    found = {n: t for n, t in found.items() if n != EVIDENCE}
-    # the funnel is drawn and printed from the pair table, up to the verified pairs
-    named = {n: f"{prefix}: {n}" if prefix else n.capitalize() for n in found if n != "funnel"}
-    key = f"receipts.{receipt.get('stage')}"
-    tables = (formatting.table(found[n], title.replace("_", " "), f"{key}.{n}") for n, title in named.items())
-    return [t for t in tables if t is not None]
+    out |= {"overlap": spatial.overlap_map(seen), "ellipses": spatial.ellipse_map(run, seen)}
+    return out | {"views": spatial.views(run, seen), **spatial.viewer_part(run, seen, settings)}

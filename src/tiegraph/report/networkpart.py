@@ -6,7 +6,9 @@ from typing import Any
 
 from tiegraph.report import charts, formatting
 from tiegraph.report.runfolder import RunFolder
+from tiegraph.report.texts import said, t
 from tiegraph.report.thumbnails import file_uri
+from tiegraph.report.warnings import FEW_TIES
 
 STAGES = ("preview", "candidates", "coarse", "network", "design", "features", "match", "filter")
 TITLES = {
@@ -36,23 +38,24 @@ _SOUND = "No weak links: no place hangs on a single tie or frame."
 
 def network_part(run: RunFolder) -> dict[str, Any]:
     """Pictures, funnel, tables and remarks of the stages from preview to view-graph filtering."""
-    out: dict[str, Any] = {"matrix": None, "funnel": None, "degrees": None, "table": None, "sound": None}
+    out: dict[str, Any] = {"matrices": None, "funnel": None, "degrees": None, "table": None, "sound": None}
     pairs = run.pairs if run.pairs is not None else run.network
     if pairs is not None and run.scene is not None and len(pairs):
         before = run.network if run.network is not None else pairs
-        out["matrix"] = charts.matrices(before, pairs, run.scene)
+        out["matrices"] = [charts.looked_at(before, run.scene), charts.holding(pairs, run.scene)]
         rows = charts.funnel_rows(pairs, run.network)
         out["funnel"] = charts.funnel(rows)
         out["table"] = _funnel_table(rows, len(run.scene))
-        out["degrees"] = charts.degrees(pairs, len(run.scene))
+        out["degrees"] = charts.degrees(pairs, len(run.scene), FEW_TIES)
     notes = {stage: [str(n) for n in run.receipts.get(stage, {}).get("notes") or []] for stage in STAGES}
     out["model"] = [_sentence(n) for n in notes.pop("coarse")]
-    out["notes"] = [(TITLES.get(s, s.capitalize()), lines) for s, lines in notes.items() if lines]
-    out["pictures"] = _pictures(run, drawn=out["matrix"] is not None)
+    out["notes"] = [(t(TITLES.get(s, s.capitalize())), lines) for s, lines in notes.items() if lines]
+    out["pictures"] = _pictures(run, drawn=out["matrices"] is not None)
     out["links"], out["tables"] = [], []
     for stage in STAGES:
-        _sort_tables(run.receipts.get(stage, {}), TITLES.get(stage, stage.capitalize()), out)
-    return out
+        _sort_tables(run.receipts.get(stage, {}), t(TITLES.get(stage, stage.capitalize())), out)
+    parts = ("matrices", "pictures", "tables", "links", "notes")
+    return {**out, "there": any(out[name] for name in parts)}
 
 
 def _sort_tables(receipt: dict, title: str, out: dict[str, Any]) -> None:
@@ -63,8 +66,8 @@ def _sort_tables(receipt: dict, title: str, out: dict[str, Any]) -> None:
         if plain == "funnel":
             continue  # drawn and printed from the pair table, up to the verified pairs
         if plain == "weak links" and isinstance(data, dict) and not data.get("rows"):
-            out["sound"] = _SOUND
-        table = formatting.table(data, f"{title}: {plain}")
+            out["sound"] = t(_SOUND)
+        table = formatting.table(data, f"{title}: {said(plain)}")
         if table is None:
             continue
         sentence = {"section links": _SECTION_LINKS, "weak links": _WEAK_LINKS}.get(plain)
@@ -72,7 +75,7 @@ def _sort_tables(receipt: dict, title: str, out: dict[str, Any]) -> None:
             out["tables"].append(table)
         else:
             out["links"].append(
-                formatting.Table(columns=table.columns, rows=table.rows, numeric=table.numeric, title=sentence)
+                formatting.Table(columns=table.columns, rows=table.rows, numeric=table.numeric, title=t(sentence))
             )
 
 
@@ -90,7 +93,7 @@ def _pictures(run: RunFolder, drawn: bool) -> list[tuple[str, str]]:
             continue  # drawn above, with what was verified beside it
         uri = file_uri(path)
         if uri:
-            caption = CAPTIONS.get(kind, path.stem.replace("_", " "))
+            caption = t(CAPTIONS.get(kind, path.stem.replace("_", " ")))
             found.append((order.index(kind) if kind else len(order), uri, caption))
     return [(uri, caption) for _, uri, caption in sorted(found, key=lambda f: f[0])]
 
@@ -98,7 +101,7 @@ def _pictures(run: RunFolder, drawn: bool) -> list[tuple[str, str]]:
 def _funnel_table(rows: list[tuple[str, int, str]], images: int) -> formatting.Table | None:
     every = images * (images - 1) / 2
     body = [
-        [name, value if charts.is_loss(name) else None, left, 100 * left / every if every else None]
+        [charts.step_name(name), value if charts.is_loss(name) else None, left, 100 * left / every if every else None]
         for (name, value, _), left in zip(rows, charts.pairs_left(rows))
     ]
     return formatting.table({"columns": ["step", "dropped", "pairs left", "% of all possible"], "rows": body})

@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.ticker import MaxNLocator
 
 from tiegraph.geometry import transforms
 from tiegraph.report import formatting
-from tiegraph.report.charts import PASSES, figure_axes, saved
 from tiegraph.report.formatting import Table
 from tiegraph.report.runfolder import RunFolder
+from tiegraph.report.svg.charts import along
+from tiegraph.report.texts import t
 
 FILE = ("sparse", "0", "rig_diagnostics.csv")
 CAPTION = (
@@ -51,15 +51,20 @@ def rig_table(run: RunFolder) -> Table | None:
     columns += [f"moved from nominal {unit}", "turned from it °"]
     filled = [c for c in range(len(columns)) if any(r[c] is not None for r in rows)]
     data = {"columns": [columns[c] for c in filled], "rows": [[r[c] for c in filled] for r in rows]}
-    return formatting.table(data, "Cameras as adjusted")
+    return formatting.table(data, t("Cameras as adjusted"))
 
 
 def rig_diagnostics(run: RunFolder) -> dict[str, Any] | None:
-    """Chart and caption, None without a file of at least two rows."""
+    """Charts and caption, None without a file of at least two rows."""
     rows = _read(run.path.joinpath(*FILE))
     if len(rows) < 2:
         return None
-    return {"chart": _chart(rows), "caption": CAPTION}
+    kinds = (
+        (("right_m", "down_m", "forward_m"), "sigma_m", t("place, m")),
+        (("turn_x_deg", "turn_y_deg", "turn_z_deg"), "sigma_deg", t("rotation, degrees")),
+    )
+    drawn = [along(_series(rows, names, sigma), label, t("Rig diagnostics")) for names, sigma, label in kinds]
+    return {"charts": drawn, "caption": t(CAPTION)}
 
 
 def _read(path: Path) -> list[dict[str, Any]]:
@@ -70,29 +75,16 @@ def _read(path: Path) -> list[dict[str, Any]]:
         return []
 
 
-def _chart(rows: list[dict[str, Any]]) -> str:
-    figure, axes = figure_axes(3.6, 2)
-    cameras = list(dict.fromkeys(r["camera"] for r in rows))
-    kinds = (
-        (("right_m", "down_m", "forward_m"), "sigma_m", "place, m"),
-        (("turn_x_deg", "turn_y_deg", "turn_z_deg"), "sigma_deg", "rotation, degrees"),
-    )
-    for ax, (names, sigma, label) in zip(axes, kinds):
-        for n, camera in enumerate(cameras):
-            own = sorted((r for r in rows if r["camera"] == camera), key=lambda r: r["frame"])
-            frame = np.array([r["frame"] for r in own])
-            off = np.array([[r[k] for k in names] for r in own])
-            # of the three directions, the one that this camera is off most in
-            worst = off[:, int(np.argmax(np.median(np.abs(off), axis=0)))]
-            colour = PASSES[n % len(PASSES)]
-            ax.plot(frame, worst, ".-", ms=4, lw=0.9, color=colour, label=camera)
-            band = 2 * float(np.median([r[sigma] for r in own]))
-            ax.axhspan(-band, band, color=colour, alpha=0.05, lw=0)
-        ax.axhline(0, color="#8b949e", lw=0.8)
-        ax.set_xlabel("frame")
-        ax.set_ylabel(label)
-        ax.xaxis.set_major_locator(MaxNLocator(integer=True))
-        most = float(np.percentile([abs(r[k]) for r in rows for k in names], 98))
-        ax.set_ylim(-1.3 * most - 1e-6, 1.3 * most + 1e-6)
-    axes[0].legend(frameon=False, ncols=3, loc="lower left", bbox_to_anchor=(0, 1.0), fontsize=8)
-    return saved(figure)
+def _series(
+    rows: list[dict[str, Any]], names: tuple[str, ...], sigma: str
+) -> list[tuple[str, np.ndarray, np.ndarray, float]]:
+    """(camera, frames, how far it is off, half width of its band) of each camera."""
+    out = []
+    for camera in dict.fromkeys(r["camera"] for r in rows):
+        own = sorted((r for r in rows if r["camera"] == camera), key=lambda r: r["frame"])
+        off = np.array([[r[k] for k in names] for r in own])
+        # of the three directions, the one that this camera is off most in
+        worst = off[:, int(np.argmax(np.median(np.abs(off), axis=0)))]
+        frames = np.array([r["frame"] for r in own])
+        out.append((camera, frames, worst, 2 * float(np.median([r[sigma] for r in own]))))
+    return out

@@ -16,6 +16,7 @@ from pydantic import ValidationError
 
 from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
+from tiegraph.report.observed import Observed, observed
 from tiegraph.scene.accuracy import Accuracy
 from tiegraph.scene.colmapmodel import is_model, matrix
 from tiegraph.scene.colmapmodel import read_model as read_reconstruction
@@ -64,6 +65,7 @@ class Model:
     cameras: dict[int, dict]  # scene sensor_key -> {"model", "size", "focal_px", "params", "names"}
     sensor_from_rig: dict[int, np.ndarray]  # scene sensor_key -> (4, 4)
     sample: PointSample
+    observed: Observed
     others: tuple[int, ...] = ()  # registered images of the further models
 
     @property
@@ -257,6 +259,7 @@ def _model_facts(model: Any, scene: Scene, images: Registration, folder: str, ot
         cameras=cameras,
         sensor_from_rig=sensor_from_rig,
         sample=_sparse_points(model),
+        observed=observed(model, scene),
         others=others,
     )
 

@@ -11,6 +11,7 @@ from tiegraph.report import accuracy, formatting, georeference
 from tiegraph.report.contradictions import about, contradictions
 from tiegraph.report.formatting import Table, is_number
 from tiegraph.report.runfolder import STAGES, RunFolder
+from tiegraph.report.texts import said, t
 from tiegraph.report.warnings import warnings, weak_placement
 from tiegraph.scene.registered import BY_RIG
 
@@ -38,16 +39,16 @@ class Tile:
 
 def verdict(run: RunFolder) -> Verdict:
     """The result in plain words, from what is there."""
-    said = contradictions(run)
+    found = contradictions(run)
     if run.model is None or run.scene is None:
         last = [s for s in STAGES if run.done(s) and s != "report"]
-        stop = f"The run has finished the stage {last[-1]}." if last else "No stage has finished."
+        stop = t("The run has finished the stage {}.", last[-1]) if last else t("No stage has finished.")
         return Verdict(
             level="open",
-            headline="No model yet",
+            headline=t("No model yet"),
             sentences=(stop, *_pairs_sentence(run)),
             warnings=tuple(warnings(run)),
-            contradictions=said,
+            contradictions=found,
         )
     registered, total = int(run.model.registered.sum()), len(run.scene)
     share = registered / max(total, 1)
@@ -56,12 +57,12 @@ def verdict(run: RunFolder) -> Verdict:
     open_question = answer is not None and answer.said != "yes"
     serious = any((run.model.others, unplaced, weak_placement(run), open_question))
     level = "poor" if share < POOR_SHARE else "check" if share < GOOD_SHARE or serious else "good"
-    level = "doubtful" if said and level != "poor" else level
+    level = "doubtful" if found and level != "poor" else level
     headline = {
-        "doubtful": f"The survey contradicts itself: {about(said)}",
-        "good": "The survey is complete",
-        "check": "The survey is usable with care",
-        "poor": "A large part of the survey is missing",
+        "doubtful": t("The survey contradicts itself: {}", about(found)),
+        "good": t("The survey is complete"),
+        "check": t("The survey is usable with care"),
+        "poor": t("A large part of the survey is missing"),
     }[level]
     of_world = georeference.sentences(run.world or {})
     said_of_model = (_registered_sentence(run, registered, total), _world_sentence(run), *of_world)
@@ -71,7 +72,7 @@ def verdict(run: RunFolder) -> Verdict:
         headline=headline,
         sentences=tuple(s for s in sentences if s),
         warnings=tuple(warnings(run)),
-        contradictions=said,
+        contradictions=found,
     )
 
 
@@ -80,59 +81,56 @@ def _pairs_sentence(run: RunFolder) -> tuple[str, ...]:
         return ()
     kept, n = int(np.sum(run.pairs.dropped == 0)), len(run.scene)
     every = n * (n - 1) // 2
-    text = (
-        f"{formatting.count(kept)} of {formatting.count(every)} possible pairs of {formatting.count(n)} images are to "
-        f"be matched."
-    )
-    return (text,) if every else ()
+    text = "{} of {} possible pairs of {} images are to be matched."
+    return (t(text, *map(formatting.count, (kept, every, n))),) if every else ()
 
 
 def _registered_sentence(run: RunFolder, registered: int, total: int) -> str:
     assert run.model is not None
-    share = formatting.percent(registered / max(total, 1))
-    text = (
-        f"{formatting.count(registered)} of {formatting.count(total)} images ({share}) are registered in one "
-        f"connected model"
-    )
+    figures = formatting.count(registered), formatting.count(total), formatting.percent(registered / max(total, 1))
     by_rig = int(run.model.by_rig.sum())
+    more = rest = ""
     if by_rig:
-        text += (
-            f"; the place of {formatting.count(by_rig)} more rests on the rig, for fewer than "
-            f"{run.model.images.min_points} points are seen"
-        )
-    if not run.model.others:
-        return text + "."
-    rest = ", ".join(map(formatting.count, run.model.others[:4])) + (" ..." if len(run.model.others) > 4 else "")
-    several = len(run.model.others) + 1
-    return text + f", the largest of {several}; the others have {rest} images and are not in the products."
+        text = "; the place of {} more rests on the rig, for fewer than {} points are seen"
+        more = t(text, formatting.count(by_rig), run.model.images.min_points)
+    if run.model.others:
+        others = ", ".join(map(formatting.count, run.model.others[:4])) + (" ..." if len(run.model.others) > 4 else "")
+        text = ", the largest of {}; the others have {} images and are not in the products"
+        rest = t(text, len(run.model.others) + 1, others)
+    return t("{} of {} images ({}) are registered in one connected model{}{}.", *figures, more, rest)
 
 
 def _world_sentence(run: RunFolder) -> str:
     world = run.world or {}
     scale = source_text(world.get("scale_from"))
     if not run.georeferenced and world.get("placed"):
-        return f"It lies in the frame of {scale or 'the given positions'}, which is not tied to the Earth."
+        text = "It lies in the frame of {}, which is not tied to the Earth."
+        return t(text, scale or t("the given positions"))
     if not run.georeferenced:
-        based = f", with the scale from {scale}" if scale else " and without scale"
-        return f"It is not georeferenced: coordinates are in the model's own frame{based}."
-    text = f"It is georeferenced in {crs_text(world.get('crs'), world.get('origin'))}"
+        based = t(", with the scale from {}", scale) if scale else t(" and without scale")
+        return t("It is not georeferenced: coordinates are in the model's own frame{}.", based)
     prior = source_text(run.scene.prior) if run.scene is not None else ""
+    come = ""
     if prior and scale and prior != scale:
-        text += f"; the position comes from {prior}, the scale from {scale}."
-    else:
-        text += f"; position and scale come from {scale}." if scale else "."
+        come = t("; the position comes from {}, the scale from {}", prior, scale)
+    elif scale:
+        come = t("; position and scale come from {}", scale)
+    text = t("It is georeferenced in {}{}.", crs_text(world.get("crs"), world.get("origin")), come)
     shift = world.get("shift_m") or [0, 0, 0]
     if any(shift):
-        east, north, up = (f"{v:.0f}" for v in shift)
-        text += " The files of the cloud are in its coordinates; those of the model, to keep numbers short, in these "
-        text += f"minus ({east}, {north}, {up}) m."
+        text += t(
+            " The files of the cloud are in its coordinates; those of the model, to keep numbers short, in these minus "
+            "({}, {}, {}) m.",
+            *(f"{v:.0f}" for v in shift),
+        )
     return text
 
 
 def source_text(source: Any) -> str:
     """Where scale or position come from, in words; "" if from nowhere."""
-    names = {"gnss": "the GNSS positions", "exif": "the GPS positions in the images", "trajectory": "the trajectory"}
-    names["rig baseline"] = names["rig"] = "the distances between the rig's cameras"
+    names = {"gnss": t("the GNSS positions"), "exif": t("the GPS positions in the images")}
+    names["trajectory"] = t("the trajectory")
+    names["rig baseline"] = names["rig"] = t("the distances between the rig's cameras")
     return "" if source in (None, "", "none") else names.get(str(source).lower(), str(source))
 
 
@@ -140,10 +138,11 @@ def crs_text(crs: Any, origin: Any = None) -> str:
     """Code and name of a CRS; of a local frame its origin."""
     if str(crs).upper() == "ENU":
         at = [(origin or {}).get(k) for k in ("lat_deg", "lon_deg", "height_m")]
-        place = "its origin"
+        place = t("its origin")
         if all(map(is_number, at)):
-            place = f"latitude {at[0]:.6f}°, longitude {at[1]:.6f}°, height {at[2]:.2f} m"
-        return f"a local east-north-up frame about {place} (WGS 84)"
+            figures = (f"{at[0]:.6f}", f"{at[1]:.6f}", f"{at[2]:.2f}")
+            place = t("latitude {}°, longitude {}°, height {} m", *figures)
+        return t("a local east-north-up frame about {} (WGS 84)", place)
     try:
         import pyproj
 
@@ -155,7 +154,21 @@ def crs_text(crs: Any, origin: Any = None) -> str:
 def _accuracy_sentences(run: RunFolder) -> list[str]:
     if run.accuracy is not None:
         return [*accuracy.sentences(run.accuracy)]
-    return ["How good it is has not been evaluated yet: `tiegraph evaluate` says so."] if run.done("georef") else []
+    return [t("How good it is has not been evaluated yet: `tiegraph evaluate` says so.")] if run.done("georef") else []
+
+
+def what_was_done(run: RunFolder) -> list[str]:
+    """What was surveyed and what came of it, in one or two sentences."""
+    if run.scene is None:
+        return []
+    figures = formatting.count(len(run.scene)), formatting.count(run.scene.frames), max(len(run.scene.sequences), 1)
+    out = [t("{} images of {} frames in {} passes", *figures)]
+    if run.model is not None:
+        share = formatting.percent(float(np.mean(run.model.registered)))
+        out.append(t("{} of them used in the model", share))
+    if run.cloud is not None:
+        out.append(t("a cloud of {} points", formatting.count(run.cloud.count)))
+    return out
 
 
 def tiles(run: RunFolder) -> list[Tile]:
@@ -164,21 +177,22 @@ def tiles(run: RunFolder) -> list[Tile]:
     if run.scene is not None:
         n = len(run.scene)
         used = f"{int(run.model.registered.sum())} / {n}" if run.model is not None else formatting.count(n)
-        out.append(Tile(used, "registered images" if run.model is not None else "images"))
+        out.append(Tile(used, t("registered images") if run.model is not None else t("images")))
     if run.pairs is not None:
         kept = run.pairs.kept()
         matched = bool(np.any(kept.inliers >= 0))
         amount = int(np.sum(kept.inliers > 0)) if matched else len(kept)
-        out.append(Tile(formatting.count(amount), "verified pairs" if matched else "pairs to match"))
+        out.append(Tile(formatting.count(amount), t("verified pairs") if matched else t("pairs to match")))
     if run.model is not None:
-        out.append(Tile(formatting.count(run.model.figures.points), "sparse points"))
+        out.append(Tile(formatting.count(run.model.figures.points), t("sparse points")))
         if run.model.figures.reprojection_px > 0:
-            out.append(Tile(f"{formatting.number(run.model.figures.reprojection_px, 2)} px", "mean reprojection error"))
+            error = formatting.number(run.model.figures.reprojection_px, 2)
+            out.append(Tile(f"{error} px", t("mean reprojection error")))
     if run.cloud is not None:
-        out.append(Tile(formatting.count(run.cloud.count), "points in the cloud"))
+        out.append(Tile(formatting.count(run.cloud.count), t("points in the cloud")))
     total = sum(r.get("seconds") or 0 for r in run.receipts.values())
     if total:
-        out.append(Tile(formatting.seconds(total), "computing time"))
+        out.append(Tile(formatting.seconds(total), t("computing time")))
     return out
 
 
@@ -199,24 +213,25 @@ def registered_tables(run: RunFolder) -> list[Table]:
     names = np.array(labels).reshape(-1, 2)
     rows = []
     for camera in [*cameras, None]:
-        row: list[Any] = [camera if camera is not None else "all cameras"]
+        row: list[Any] = [camera if camera is not None else t("all cameras")]
         for track in [*passes, None] if len(passes) > 1 else [None]:
             of = np.ones(len(scene), bool)
             of &= names[:, 1] == camera if camera is not None else True
             of &= names[:, 0] == track if track is not None else True
-            row.append(f"{int(registered[of].sum())} of {int(of.sum())}" if of.any() else formatting.NONE)
+            figures = int(registered[of].sum()), int(of.sum())
+            row.append(t("{} of {}", *figures) if of.any() else formatting.NONE)
         rows.append(row)
     for row, camera in zip(rows, [*cameras, None]):
         of = run.model.by_rig & (names[:, 1] == camera if camera is not None else True)
         row.append(formatting.count(int(of.sum())))
-    columns = ["camera", *([p or "(loose)" for p in passes] if len(passes) > 1 else []), "all images"]
-    columns.append(BY_RIG)
+    columns = [t("camera"), *([p or t("(loose)") for p in passes] if len(passes) > 1 else []), t("all images")]
+    columns.append(said(BY_RIG))
     out = [
         Table(
             columns=tuple(columns),
             rows=tuple(map(tuple, rows)),
             numeric=(False, *[True] * (len(columns) - 1)),
-            title="Registered images",
+            title=t("Registered images"),
         )
     ]
     sections = scene.section[scene.frame]
@@ -226,10 +241,10 @@ def registered_tables(run: RunFolder) -> list[Table]:
             of = sections == s
             count = formatting.count(int(of.sum()))
             by_rig = formatting.count(int(run.model.by_rig[of].sum()))
-            body.append((str(s) if s >= 0 else "(none)", formatting.count(int(registered[of].sum())), by_rig, count))
-        columns = ["section", "registered", BY_RIG, "images"]
+            body.append((str(s) if s >= 0 else t("(none)"), formatting.count(int(registered[of].sum())), by_rig, count))
+        columns = [t("section"), t("registered"), said(BY_RIG), t("images")]
         numeric = False, True, True, True
-        out.append(Table(columns=tuple(columns), rows=tuple(body), numeric=numeric, title="By section"))
+        out.append(Table(columns=tuple(columns), rows=tuple(body), numeric=numeric, title=t("By section")))
     return out
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from markupsafe import Markup
 
 from tiegraph.scene.images import read_pixels
 
@@ -20,14 +21,21 @@ CLASSES = (  # by number, as the masks stage writes them: name, colour
 )
 
 
-def data_uri(data: bytes, kind: str) -> str:
-    """data: URI of an encoded picture; kind is png, jpeg or svg+xml."""
-    return f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
+def data_uri(data: bytes, kind: str) -> Markup:
+    """data: URI of an encoded picture; kind is png or jpeg. Not to be escaped: it may look like a path."""
+    return Markup(f"data:image/{kind};base64,{base64.b64encode(data).decode()}")
 
 
 def png(rgb: np.ndarray) -> str:
     """An (H, W, 3) or (H, W) u1 picture as a PNG data URI."""
     return _encoded(rgb, ".png", "png", [cv2.IMWRITE_PNG_COMPRESSION, 9])
+
+
+def png_alpha(rgba: np.ndarray) -> str:
+    """An (H, W, 4) u1 picture with alpha as a PNG data URI."""
+    bgra = rgba[..., [2, 1, 0, 3]]
+    data = cv2.imencode(".png", np.ascontiguousarray(bgra), [cv2.IMWRITE_PNG_COMPRESSION, 9])[1].tobytes()
+    return data_uri(data, "png")
 
 
 def jpeg(rgb: np.ndarray, quality: int = 82) -> str:

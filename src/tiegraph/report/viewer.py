@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from tiegraph.report.charts import PASSES
 from tiegraph.report.cloudview import brightened, by_height, inliers
 from tiegraph.report.plan import Track
 
+# Okabe and Ito 2008: told apart by colour-blind readers too; as --pass0 ... of the style sheet
+PASSES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7a5c99", "#5b6770")
 _STEPS = 65535  # positions are stored as 16-bit steps of the box
 
 

@@ -2,53 +2,60 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterator
 
 import numpy as np
 from markupsafe import Markup
 
-from tiegraph.report import formatting
 from tiegraph.report.accuracy import placement_part
-from tiegraph.report.formatting import is_number
+from tiegraph.report.charts import ties
+from tiegraph.report.formatting import count, is_number
 from tiegraph.report.runfolder import RunFolder
+from tiegraph.report.texts import many, t
 
 _WEAK = {"yaw_deg": 1.0, "tilt_deg": 1.0, "scale": 0.01}
-_FEW_TIES = 3  # an image with fewer ties hangs loosely
+FEW_TIES = 3  # an image with fewer ties hangs loosely
 _HELDOUT_FACTOR = 2.0  # held-out positions this much worse than those used: the model bends to its control
 
 
-def warnings(run: RunFolder) -> Iterable[str]:
-    """What a user should look at before using the products."""
+def warnings(run: RunFolder) -> list[str]:
+    """What a user should look at before using the products, the worst first."""
+    return [text for _, text in sorted(_ranked(run), key=lambda row: row[0])]
+
+
+def _ranked(run: RunFolder) -> Iterator[tuple[int, str]]:
+    """(rank, sentence): 0 the products are not whole, 1 they may be wrong as a whole, 2 in parts, 3 something lacks."""
     for stage, receipt in run.receipts.items():
         if "key" not in receipt and stage != "report":
-            yield f"The stage {stage} was interrupted; run the same command again to finish it."
-    dropped = dropped_images(run)
+            yield 0, t("The stage {} was interrupted; run the same command again to finish it.", stage)
+    dropped = len(dropped_images(run))
     if dropped:
-        yield f"{formatting.plural(len(dropped), 'image file')} could not be used; the reasons are listed below."
+        one = "{} image file could not be used; the reasons are listed below."
+        yield 3, many(dropped, one, "{} image files could not be used; the reasons are listed below.", count(dropped))
     if run.scene is not None and run.model is not None:
         yield from _coverage_warnings(run)
     untied = _untied_borders(run)
     if untied:
-        borders = formatting.plural(untied, "border") + " between sections " + ("is" if untied == 1 else "are")
-        yield f"{borders} not tied by two independent pairs: the model may bend or part there."
+        one = "{} border between sections is not tied by two independent pairs: the model may bend or part there."
+        several = "{} borders between sections are not tied by two independent pairs: the model may bend or part there."
+        yield 2, many(untied, one, several, count(untied))
     if run.pairs is not None and run.scene is not None and np.any(run.pairs.inliers >= 0):
-        kept = run.pairs.kept()
-        ties = kept.where(kept.inliers > 0).degree(len(run.scene))
-        few = int(np.sum(ties < _FEW_TIES))
+        few = int(np.sum(ties(run.pairs, len(run.scene)) < FEW_TIES))
         if few:
-            verb = "has" if few == 1 else "have"
-            yield f"{formatting.plural(few, 'image')} {verb} fewer than {_FEW_TIES} verified ties to other images."
+            one = "{} image has fewer than {} verified ties to other images."
+            yield 3, many(few, one, "{} images have fewer than {} verified ties to other images.", count(few), FEW_TIES)
     world = run.world or {}
     if run.done("georef") and not run.georeferenced and not world.get("placed"):
-        yield "The model is not georeferenced: give --gnss (or images with GPS) for coordinates on the Earth."
+        text = "The model is not georeferenced: give --gnss (or images with GPS) for coordinates on the Earth."
+        yield 1, t(text)
     weak = weak_placement(run)
     if weak:
-        text = "The placement in the world is weak: {}. More or better positions along the way help."
-        yield Markup(text).format(weak)
+        yield 1, t("The placement in the world is weak: {}. More or better positions along the way help.", weak)
     if run.accuracy is not None:
         held, fit = (run.accuracy.figure(f"world.{name}").measured for name in ("held_out", "positions"))
         if held > _HELDOUT_FACTOR * fit:
-            yield "Positions held back from the fit are met far worse than those used: the model bends to its control."
+            text = "Positions held back from the fit are met far worse than those used: the model bends to its control."
+            yield 1, t(text)
 
 
 def _untied_borders(run: RunFolder) -> int:
@@ -61,33 +68,37 @@ def _untied_borders(run: RunFolder) -> int:
     return sum(row[place] is False for row in table.get("rows") or [] if len(row) > place)
 
 
-def _coverage_warnings(run: RunFolder) -> Iterable[str]:
+def _coverage_warnings(run: RunFolder) -> Iterator[tuple[int, str]]:
     assert run.scene is not None and run.model is not None
     if run.model.others:
-        parts = len(run.model.others) + 1
-        yield f"The images fell into {parts} separate models: the parts do not share enough ties."
+        text = "The images fell into {} separate models: the parts do not share enough ties."
+        yield 0, t(text, len(run.model.others) + 1)
     few = run.counts("sparse").get("on_few_points")
     if is_number(few) and few:
-        verb = "rests" if few == 1 else "rest"
-        yield (
-            f"The place of {formatting.plural(few, 'frame')} {verb} on few points (named in the remarks of sparse): "
-            "these images may be off by more than is stated."
+        one = (
+            "The place of {} frame rests on few points (named in the remarks of sparse): these images may be off by "
+            "more than is stated."
         )
+        several = (
+            "The places of {} frames rest on few points (named in the remarks of sparse): these images may be off by "
+            "more than is stated."
+        )
+        yield 2, many(few, one, several, count(few))
     registered = run.model.registered
     labels = np.array([" ".join(x).strip() for x in run.scene.image_label()])
     for label in dict.fromkeys(labels):
         of = labels == label
         if label and np.mean(registered[of]) < 0.5:
-            more = int(run.model.by_rig[of].sum())
-            yield f"Of {label} only {int(registered[of].sum())} of {int(of.sum())} images are registered" + (
-                f"; {more} more stand where their rig places them." if more else "."
-            )
+            by_rig = int(run.model.by_rig[of].sum())
+            more = t("; {} more stand where their rig places them.", by_rig) if by_rig else t(".")
+            text = "Of {} only {} of {} images are registered{}"
+            yield 2, t(text, str(label), int(registered[of].sum()), int(of.sum()), more)
 
 
-def weak_placement(run: RunFolder) -> Markup:
+def weak_placement(run: RunFolder) -> str:
     """What of the placement in the world is poorly known, in words; "" if nothing."""
     if run.accuracy is None:
-        return Markup()
+        return ""
     weak = [name for name, limit in _WEAK.items() if run.accuracy.placement.get(name, 0.0) > limit]
     return Markup(", ").join(placement_part(run.accuracy, name) for name in weak)
 

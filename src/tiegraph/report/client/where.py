@@ -1,0 +1,85 @@
+"""Where and when a survey was made, as far as the run knows."""
+
+from __future__ import annotations
+
+from datetime import datetime, timezone
+
+import numpy as np
+
+from tiegraph.geometry.geodesy import Origin, geodetic_from_world
+from tiegraph.report import formatting, summary
+from tiegraph.report.runfolder import RunFolder
+from tiegraph.report.spatial import Scenery
+from tiegraph.report.texts import t
+
+_EPOCH_S = 3e8  # a time beyond is counted from 1970, one below from a start of its own
+
+
+def middle(run: RunFolder, seen: Scenery | None) -> tuple[float, float, float] | None:
+    """Latitude and longitude in degrees and height in metres of the middle of the images; None if not on the Earth."""
+    origin = (run.world or {}).get("origin")
+    if seen is None or not run.georeferenced or origin is None:
+        return None
+    found = geodetic_from_world(np.median(seen.path, axis=0)[None], Origin.from_dict(origin))[0]
+    lat, lon, height = (float(v) for v in found)
+    return lat, lon, height
+
+
+def where(run: RunFolder, seen: Scenery | None) -> list[tuple[str, str]]:
+    """(name, value): middle, system of coordinates, extent, length of the passes."""
+    if seen is None:
+        return []
+    out = []
+    at = middle(run, seen)
+    if at is not None:
+        out.append((t("middle"), f"{at[0]:.5f}°, {at[1]:.5f}°"))
+    if run.world is not None and run.georeferenced:
+        out.append((t("coordinates"), summary.crs_text(run.world.get("crs"), run.world.get("origin"))))
+    else:
+        out.append((t("coordinates"), t("of its own, not on the Earth")))
+    low, high = np.min(seen.path, axis=0), np.max(seen.path, axis=0)
+    size = [formatting.number(v) for v in (high - low)[:2]]
+    out.append((t("extent of the camera positions"), f"{size[0]} \N{MULTIPLICATION SIGN} {size[1]} {seen.unit}"))
+    ways = [_length(track.positions) for track in seen.tracks if track.name != "images"]
+    if ways:
+        out.append((t("length of the passes"), f"{formatting.number(sum(ways))} {seen.unit} ({len(ways)})"))
+    return out
+
+
+def times(run: RunFolder) -> tuple[str | None, str | None, float | None]:
+    """First and last exposure (ISO 8601, UTC; None if the clock has no date) and the seconds between them."""
+    known = run.scene.time_s[np.isfinite(run.scene.time_s)] if run.scene is not None else np.zeros(0)
+    if not len(known):
+        return None, None, None
+    low, high = float(known.min()), float(known.max())
+    if low < _EPOCH_S:
+        return None, None, high - low
+    first, last = (datetime.fromtimestamp(v, timezone.utc).isoformat(timespec="seconds") for v in (low, high))
+    return first, last, high - low
+
+
+def when(run: RunFolder) -> list[tuple[str, str]]:
+    """(name, value): when the images were taken, how long that took, when they were processed."""
+    first, last, length = times(run)
+    out = []
+    if first and last:
+        out.append(
+            (t("images taken"), f"{_date(first)} – {_date(last)[-9:] if first[:10] == last[:10] else _date(last)}")
+        )
+    elif length is not None:
+        out.append((t("images taken"), t("over {}; the clock has no date", formatting.seconds(length))))
+    else:
+        out.append((t("images taken"), t("not known: the images carry no times")))
+    finished = sorted(str(r["finished"]) for s, r in run.receipts.items() if r.get("finished") and s != "report")
+    if finished:
+        out.append((t("processed"), finished[-1][:10]))
+    return out
+
+
+def _date(iso: str) -> str:
+    return iso[:16].replace("T", " ") + " UTC"
+
+
+def _length(positions: np.ndarray) -> float:
+    seen = positions[np.isfinite(positions[:, 0])]
+    return float(np.sum(np.linalg.norm(np.diff(seen, axis=0), axis=1)))

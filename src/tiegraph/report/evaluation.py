@@ -1,0 +1,70 @@
+"""The part of the report on references: figures of merit, tables, shares of the cloud, the map of differences."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+from tiegraph.report import formatting
+from tiegraph.report.formatting import marked
+from tiegraph.report.runfolder import RunFolder
+from tiegraph.report.svg.charts import shares
+from tiegraph.report.texts import said, t
+from tiegraph.report.thumbnails import file_uri
+from tiegraph.scene.registered import BY_RIG
+
+
+def evaluation(run: RunFolder) -> dict[str, Any]:
+    """What metrics.json holds beside the layers of accuracy."""
+    data = run.metrics or {}
+    notes = [str(n) for n in data.get("notes") or []]
+    out: dict[str, Any] = {"there": bool(data), "metrics": None, "tables": [], "notes": notes}
+    rows = [
+        (
+            t(metric_text(str(m["name"]))),
+            marked(f"metrics.{m['name']}", formatting.cell(m.get("value"))),
+            m.get("unit") or "",
+        )
+        for m in data.get("metrics") or []
+        if isinstance(m, dict) and "name" in m
+    ]
+    if rows:
+        out["metrics"] = formatting.Table((t("figure"), t("value"), t("unit")), tuple(rows), (False, True, False))
+    tables = data.get("tables") or {}
+    # who is registered stands in the model section
+    shown = {n: d for n, d in tables.items() if not n.startswith("registered by")}
+    named = (formatting.table(d, said(n)[:1].upper() + said(n)[1:], f"tables.{n}") for n, d in shown.items())
+    out["tables"] = [table for table in named if table is not None]
+    against = (tables.get("cloud against reference") or {}).get("rows")
+    out["shares"] = shares(against) if against else None
+    out["map"] = file_uri(run.path / "evaluate" / "m3c2.png") if against else None
+    return out
+
+
+_METRICS = {
+    "registered_images": "registered images",
+    "images_by_rig": "images " + BY_RIG,
+    "backprojection_rmse": "back-projection RMSE (round trip, see the note)",
+    "backprojection_rounding": "... of which rounding to the pixel alone",
+    "ate_sim3_rmse": "camera positions after similarity alignment, RMSE (ATE Sim3)",
+    "ate_sim3_median": "... median",
+    "ate_sim3_max": "... largest",
+    "ate_se3_rmse": "camera positions after rigid alignment, RMSE (ATE SE3)",
+    "absolute_rmse": "camera positions without alignment, RMSE",
+    "scale_error": "scale error",
+    "yaw_drift": "heading drift",
+    "cloud_to_cloud_median": "cloud to reference cloud, median distance",
+    "cloud_to_cloud_90": "cloud to reference cloud, 90 % of points within",
+    "ghosts": "ghost points",
+}
+
+
+def metric_text(name: str) -> str:
+    """A figure of merit in words."""
+    if name in _METRICS:
+        return _METRICS[name]
+    text = name.replace("_", " ")
+    for short, full in (("rpe ", "relative pose error over "), ("fscore ", "F-score at ")):
+        text = text.replace(short, full)
+    text = re.sub(r"(\d)m\b", r"\1 m", text)
+    return text.replace(" m translation", " m, translation").replace(" m rotation", " m, rotation")

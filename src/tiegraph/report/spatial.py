@@ -1,0 +1,169 @@
+"""Everything of the report that lies in space: maps, static views of the cloud, the interactive view."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from markupsafe import Markup
+
+from tiegraph.geometry.placement import PlacementError
+from tiegraph.report import formatting, plan, viewer
+from tiegraph.report.cloudview import brightened, by_height, inliers, standard_views, with_scale_bar
+from tiegraph.report.runfolder import RunFolder
+from tiegraph.report.settings import ReportSettings
+from tiegraph.report.svg import map as maps
+from tiegraph.report.tables import receipt_notes, receipt_tables
+from tiegraph.report.texts import t
+from tiegraph.report.thumbnails import jpeg
+
+VIEW_PX = 1400  # width of the static views
+_BACKDROP = 400_000  # points of the map
+_CELLS = 84  # of the overlap map, across
+_ELLIPSES = 12  # places with an error ellipse
+_OVERLAP = ((2, "#c8442b"), (3, "#e69f00"), (4, "#f0e08c"), (6, "#7fb8d0"), (10, "#0b4f6c"))  # from so many images
+
+
+@dataclass(frozen=True, eq=False)
+class Scenery:
+    """What all maps and views are drawn from, upright: passes, given positions (K, 3), points (N, 3) with colours, and
+    how many images see each (0 = not known)."""
+
+    tracks: list[plan.Track]
+    given: np.ndarray
+    xyz: np.ndarray
+    rgb: np.ndarray
+    views: np.ndarray
+    path: np.ndarray  # (K, 3) places of the images
+    unit: str
+    north: bool  # +y is north
+
+    @property
+    def place(self) -> maps.Place:
+        """What the maps show."""
+        return maps.place_of(self.tracks, self.given, self.unit)
+
+
+def scenery(run: RunFolder) -> Scenery | None:
+    """None without a model."""
+    if run.scene is None or run.model is None or not run.model.placed.any():
+        return None
+    upright = np.eye(3) if run.world else _upright(run.model.world_from_camera)
+    placed = run.georeferenced or bool((run.world or {}).get("placed"))
+    found = plan.tracks(run.scene, plan.frame_positions(run.scene, run.model.centres @ upright.T))
+    prior = run.scene.world_from_rig[:, :3, 3]
+    if not placed:  # prior positions are in another frame than the model
+        found = [plan.Track(track.name, track.positions, track.missing[:0]) for track in found]
+    xyz, rgb = (run.cloud or run.model.sample).xyz, (run.cloud or run.model.sample).rgb
+    return Scenery(
+        tracks=found,
+        given=prior[np.isfinite(prior[:, 0])] if placed else np.zeros((0, 3)),
+        xyz=xyz @ upright.T,
+        rgb=rgb,
+        views=run.cloud.views if run.cloud is not None else np.zeros(len(xyz)),
+        path=run.model.centres[run.model.placed] @ upright.T,
+        unit="m" if run.metric else t("units"),
+        north=run.georeferenced,
+    )
+
+
+def _upright(world_from_camera: np.ndarray) -> np.ndarray:
+    """Rotation (3, 3) that stands a free model up: images are taken upright on the whole, so "up" is their mean -y."""
+    up = -np.nanmean(world_from_camera[:, :3, 1], axis=0)
+    up = up / max(float(np.linalg.norm(up)), 1e-9)
+    side = np.cross(up, [1.0, 0, 0] if abs(up[0]) < 0.9 else [0, 1.0, 0])
+    side /= np.linalg.norm(side)
+    return np.stack([side, np.cross(up, side), up])
+
+
+def survey_map(seen: Scenery) -> Markup:
+    """Where the survey is: the passes over the cloud from above."""
+    place, step = seen.place, max(1, len(seen.xyz) // _BACKDROP)
+    xyz, rgb = seen.xyz[::step], seen.rgb[::step]
+    rgb = brightened(rgb) if len(rgb) and np.ptp(rgb) > 8 else by_height(xyz[:, 2])
+    rising = np.argsort(xyz[:, 2], kind="stable") if len(xyz) else np.zeros(0, int)
+    backdrop = maps.raster(place, xyz[rising], rgb[rising]) if len(xyz) else ""
+    return maps.survey_map(place, seen.tracks, seen.given, backdrop, seen.north)
+
+
+def overlap_map(seen: Scenery) -> Markup | None:
+    """By how many images the surface is seen, cell by cell; None where the cloud does not say."""
+    if not (seen.views > 0).any():
+        return None
+    place = seen.place
+    middle, value = maps.median_cells(place, seen.xyz, seen.views, _CELLS)
+    low = [k for k, _ in _OVERLAP]
+    colours = np.array([[int(c[k : k + 2], 16) for k in (1, 3, 5)] for _, c in _OVERLAP], np.uint8)
+    step = np.clip(np.searchsorted(low, value, side="right") - 1, 0, None)
+    key = [(t("{} images", f"{a}–{b - 1}" if b - a > 1 else a), c) for (a, c), (b, _) in zip(_OVERLAP, _OVERLAP[1:])]
+    key.append((t("{} and more", _OVERLAP[-1][0]), _OVERLAP[-1][1]))
+    picture = maps.raster(place, middle, colours[step], _CELLS)
+    return maps.cells_map(place, picture, key, t("Overlap: images that see the surface"), seen.north)
+
+
+def ellipse_map(run: RunFolder, seen: Scenery) -> tuple[Markup, str] | None:
+    """Error ellipses of the placement along the way and how much they are enlarged; None where nothing is known."""
+    told = (run.world or {}).get("placement_error")
+    if told is None or not len(seen.path):
+        return None
+    error, place = PlacementError.from_dict(told), seen.place
+    rows = np.unique(np.linspace(0, len(seen.path) - 1, _ELLIPSES).round().astype(int))
+    at = seen.path[np.argsort(seen.path @ _main_axis(seen.path))][rows]
+    flat = error.covariances(at)[:, :2, :2]
+    largest = max(float(np.sqrt(np.linalg.eigvalsh(c)[-1])) for c in flat)
+    if not largest > 0:
+        return None
+    exact = 0.06 * float(place.high[0] - place.low[0]) / largest
+    power = 10.0 ** np.floor(np.log10(exact))
+    factor = float(max(k * power for k in (1, 2, 5) if k * power <= exact * 1.0001))
+    drawn = [maps.ellipse(place, p, c, factor) for p, c in zip(at, flat)]
+    return maps.survey_map(place, seen.tracks, seen.given[:0], "", seen.north, drawn), f"{factor:g}"
+
+
+def _main_axis(path: np.ndarray) -> np.ndarray:
+    return np.linalg.svd(path - path.mean(axis=0), full_matrices=False)[2][0]
+
+
+def views(run: RunFolder, seen: Scenery) -> list[tuple[str, str]]:
+    """(name, data URI) of the static views of the cloud."""
+    if run.cloud is None:
+        return []
+    drawn = standard_views(seen.xyz, seen.rgb, seen.path, VIEW_PX, seen.north)
+    return [(t(v.name), jpeg(with_scale_bar(v, seen.unit))) for v in drawn]
+
+
+def viewer_part(run: RunFolder, seen: Scenery, settings: ReportSettings) -> dict[str, Any]:
+    """Data and script of the interactive view."""
+    data = viewer.viewer_data(seen.xyz, seen.rgb, seen.tracks, settings.viewer_points, seen.unit)
+    if data is None:
+        return {"viewer": None, "viewer_script": ""}
+    return {"viewer": json.dumps(data).replace("<", "\\u003c"), "viewer_script": viewer.viewer_script()}
+
+
+def cloud_facts(run: RunFolder) -> dict[str, Any] | None:
+    """What the cloud is."""
+    c = run.cloud
+    if c is None:
+        return None
+    rows = [(t("file"), f"{c.name}, {formatting.size(c.bytes)}"), (t("points"), formatting.count(c.count))]
+    if c.views.any():
+        rows.append((t("images that saw a point, median"), formatting.number(float(np.median(c.views)), 2)))
+    tables = receipt_tables(run, "dense", "cloud")
+    return {"facts": rows, "tables": tables, "notes": receipt_notes(run, "dense", "cloud")}
+
+
+def gsd(run: RunFolder) -> tuple[float, float, float] | None:
+    """Size of a pixel on the surface, in units of the world: of the nearest tenth of the images, half, nine in ten."""
+    known = run.model.observed.gsd[np.isfinite(run.model.observed.gsd)] if run.model is not None else np.zeros(0)
+    if not len(known):
+        return None
+    low, middle, high = (float(v) for v in np.quantile(known, [0.1, 0.5, 0.9]))
+    return low, middle, high
+
+
+def points_inside(seen: Scenery) -> np.ndarray:
+    """Size (3,) of the box of the points but a few strays."""
+    kept = seen.xyz[inliers(seen.xyz)]
+    return np.ptp(kept, axis=0) if len(kept) else np.zeros(3)

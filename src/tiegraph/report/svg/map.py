@@ -1,0 +1,149 @@
+"""Maps: where the cameras went over the cloud from above, with scale bar and north; overlap; error ellipses."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from markupsafe import Markup
+
+from tiegraph.report.plan import Track, extent
+from tiegraph.report.svg.drawing import WIDTH, dots, legend, line, pass_colour, svg, text
+from tiegraph.report.texts import t
+from tiegraph.report.thumbnails import png_alpha
+
+_PIXELS = 560  # of the backdrop's width
+_TALLEST, _FLATTEST = 1.15, 0.45  # height over width of a map
+
+
+@dataclass(frozen=True)
+class Place:
+    """The part of the world that a map shows: lower left and upper right corner (2,), and its unit."""
+
+    low: np.ndarray
+    high: np.ndarray
+    unit: str
+
+    @property
+    def zoom(self) -> float:
+        """Units of the drawing for one of the world."""
+        return WIDTH / float(self.high[0] - self.low[0])
+
+    @property
+    def height(self) -> float:
+        """Of the drawing."""
+        return self.zoom * float(self.high[1] - self.low[1])
+
+    def at(self, xy: np.ndarray) -> np.ndarray:
+        """(K, 2) places of the drawing of places of the world (K, 2+)."""
+        return np.column_stack([xy[:, 0] - self.low[0], self.high[1] - xy[:, 1]]) * self.zoom
+
+
+def place_of(tracks: Sequence[Track], gnss: np.ndarray, unit: str) -> Place:
+    """What a map of these passes shows: them and their surroundings, neither too tall nor too flat."""
+    low, high = extent(tracks, gnss)
+    size = high - low
+    wanted = np.array([max(size[0], size[1] / _TALLEST), max(size[1], _FLATTEST * size[0])])
+    pad = (wanted - size) / 2
+    return Place(low - pad, high + pad, unit)
+
+
+def survey_map(
+    place: Place, tracks: Sequence[Track], gnss: np.ndarray, backdrop: str, north: bool, ellipses: Sequence[str] = ()
+) -> Markup:
+    """The passes over a backdrop (data URI, "" for none), missing frames and given positions, scale bar, north arrow
+    (``north``: up is north), and what else is drawn on it."""
+    parts = [_picture(place, backdrop)]
+    if len(gnss):
+        parts.append(dots(place.at(gnss), "var(--soft)", 2.5))
+    for k, track in enumerate(tracks):
+        at = place.at(track.positions[:, :2])
+        if track.name != "images":
+            parts.append(line(at, pass_colour(k), "way"))
+        parts.append(dots(at, pass_colour(k), 4))
+    missing = np.concatenate([t_.missing for t_ in tracks]) if tracks else np.zeros((0, 3))
+    for x, y in place.at(missing):
+        parts.append(line([(x - 4, y - 4), (x + 4, y + 4)], "var(--alert)"))
+        parts.append(line([(x - 4, y + 4), (x + 4, y - 4)], "var(--alert)"))
+    parts += ellipses
+    parts += [scale_bar(place), north_arrow() if north else ""]
+    entries = [(t_.name if t_.name != "images" else t("images"), pass_colour(k)) for k, t_ in enumerate(tracks[:8])]
+    entries += [(t("given position"), "var(--soft)")] if len(gnss) else []
+    entries += [(t("frame not registered"), "var(--alert)")] if len(missing) else []
+    drawn, height = legend(entries, place.height + 18)
+    return svg(height, [*parts, drawn], t("Map of the survey"))
+
+
+def cells_map(place: Place, picture: str, key: Sequence[tuple[str, str]], label: str, north: bool) -> Markup:
+    """A picture of cells with its key, scale bar and north arrow."""
+    drawn, height = legend(key, place.height + 18)
+    parts = [_picture(place, picture), scale_bar(place), north_arrow() if north else "", drawn]
+    return svg(height, parts, label)
+
+
+def raster(place: Place, xy: np.ndarray, rgb: np.ndarray, pixels: int = _PIXELS) -> str:
+    """Points (K, 2+) with colours (K, 3) u1 from above as a PNG data URI, clear where there are none; the last point of
+    a pixel is seen."""
+    column, row, size = _cells(place, xy, pixels)
+    inside = (column >= 0) & (column < size[0]) & (row >= 0) & (row < size[1])
+    out = np.zeros((size[1], size[0], 4), np.uint8)
+    out[row[inside], column[inside], :3] = rgb[inside]
+    out[row[inside], column[inside], 3] = 255
+    return png_alpha(out)
+
+
+def median_cells(place: Place, xy: np.ndarray, values: np.ndarray, pixels: int) -> tuple[np.ndarray, np.ndarray]:
+    """(K, 2) middles in the world of the cells, ``pixels`` across, that points lie in, and their median values (K,)."""
+    column, row, size = _cells(place, xy, pixels)
+    inside = (column >= 0) & (column < size[0]) & (row >= 0) & (row < size[1])
+    cell, values = (row * size[0] + column)[inside], values[inside]
+    order = np.lexsort((values, cell))
+    cell, values = cell[order], values[order]
+    found, start, count = np.unique(cell, return_index=True, return_counts=True)
+    middle = np.column_stack([found % size[0] + 0.5, found // size[0] + 0.5]) * (WIDTH / pixels) / place.zoom
+    xy = np.column_stack([place.low[0] + middle[:, 0], place.high[1] - middle[:, 1]])
+    return xy, values[start + count // 2]
+
+
+def _cells(place: Place, xy: np.ndarray, pixels: int) -> tuple[np.ndarray, np.ndarray, tuple[int, int]]:
+    at = np.floor(place.at(xy) * (pixels / WIDTH)).astype(int)
+    return at[:, 0], at[:, 1], (pixels, max(1, round(place.height * pixels / WIDTH)))
+
+
+def ellipse(place: Place, centre: np.ndarray, covariance: np.ndarray, factor: float) -> str:
+    """One standard deviation of a place, covariance (2, 2) in the plane, enlarged."""
+    values, axes = np.linalg.eigh(covariance)
+    (x, y), (a, b) = place.at(centre[None, :2])[0], np.sqrt(np.clip(values, 0, None)) * place.zoom * factor
+    turn = -math.degrees(math.atan2(axes[1, 1], axes[0, 1]))
+    at = f'cx="{x:.1f}" cy="{y:.1f}" rx="{b:.1f}" ry="{a:.1f}" transform="rotate({turn:.1f} {x:.1f} {y:.1f})"'
+    return f'<ellipse {at} fill="none" style="stroke:var(--alert)" class="thin"/>'
+
+
+def scale_bar(place: Place) -> str:
+    """A round length at the lower left."""
+    target = 0.25 * WIDTH / place.zoom
+    power = 10.0 ** math.floor(math.log10(target))
+    length = max(k * power for k in (1, 2, 5) if k * power <= target * 1.0001)
+    x, y, end = 12.0, place.height - 12, 12 + length * place.zoom
+    bar = line([(x, y - 5), (x, y), (end, y), (end, y - 5)], look="bar")
+    return _halo(12, place.height - 42, max(end, 70) - 6, 36) + bar + text(x, y - 9, f"{length:g} {place.unit}")
+
+
+def north_arrow() -> str:
+    """At the upper right; up is north."""
+    x = WIDTH - 20
+    arrow = f'<path d="M{x} 8l7 20l-7 -5l-7 5z" class="solid"/>'
+    return _halo(x - 12, 4, 24, 42) + arrow + text(x, 42, "N", "middle")
+
+
+def _halo(x: float, y: float, width: float, height: float) -> str:
+    return f'<rect x="{x - 6:.1f}" y="{y:.1f}" width="{width:.1f}" height="{height:.1f}" rx="3" class="halo"/>'
+
+
+def _picture(place: Place, uri: str) -> str:
+    frame = f'<rect x="0" y="0" width="{WIDTH:g}" height="{place.height:.1f}" style="fill:var(--field)"/>'
+    if not uri:
+        return frame
+    return f'{frame}<image x="0" y="0" width="{WIDTH:g}" height="{place.height:.1f}" href="{uri}" class="pixels"/>'
