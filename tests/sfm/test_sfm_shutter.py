@@ -82,7 +82,9 @@ def finished(
     source.mkdir(parents=True)
     model.write(source)
     held = Held(cameras=(1,), readout_ms=given_ms)
-    request = FinishRequest(source, folder / "0", scene.to_json(), tuning, held, covariance_frames=0 if given_ms == 0 else 100)
+    request = FinishRequest(
+        source, folder / "0", scene.to_json(), tuning, held, covariance_frames=0 if given_ms == 0 else 100
+    )
     return finish_model(request, lambda _: None)
 
 
