@@ -14,7 +14,8 @@ ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "tiegraph"
 PAGES = {"DESIGN.md": "design.md", "CONTRIBUTING.md": "contributing.md"}
 CHAPTERS = ("project", "pipeline", "scan", "masks", "network", "design", "features", "filter", "sfm", "dense", "cloud")
-CHAPTERS += ("evaluate", "report", "calibrate", "plan", "lidar", "odometry", "scene", "geometry", "papers", "cli")
+CHAPTERS += ("evaluate", "report", "calibrate", "plan", "lidar", "odometry", "targets", "scene", "geometry")
+CHAPTERS += ("papers", "cli")
 
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from tiegraph.pipeline.foundrig import rig_of_run
-from tiegraph.pipeline.inputs import check_against
+from tiegraph.pipeline.inputs import check_against, control_file
+from tiegraph.pipeline.targets import target_marks
 from tiegraph.pipeline.videos import photographs
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, write_atomic
@@ -54,6 +55,9 @@ def scan(run: Run) -> Outcome:
         todo.setdefault(file_of[scene.source_name(k)], []).append((name, scene.sensor_of(k)))
     run.map(_prepare_item, list(todo.items()), root, run.path("images"), settings, tuning.pictures)
     write_atomic(run.path("scene.json"), scene.to_json())
+    file = control_file(run)
+    if file is not None:
+        told = (*told, *target_marks(run, scene, file, most=run.settings.tuning.targets.looked_at).notes)
     counts = {"found": len(names), "images": len(scene), "frames": scene.frames, "passes": len(scene.sequences)}
     return Outcome(
         {**counts, "cameras": len(scene.all_sensors), "positions": _placed(scene.world_from_rig)},
