@@ -60,7 +60,9 @@ def marks_of(
             best = min(found, key=lambda s: s.sigma_px)
             x, y = centre_of(best.corners, camera_of(k))
             if np.isfinite([x, y, best.sigma_px]).all():
-                marks.append(TargetMark(name, k, (float(x), float(y)), float(best.sigma_px / np.sqrt(2))))
+                marks.append(
+                    TargetMark(name=name, image=k, xy=(float(x), float(y)), sigma_px=float(best.sigma_px / np.sqrt(2)))
+                )
     notes += _not_named(by_target)
     return TargetMarks(tuple(marks), len(seen), tuple(notes))
 

@@ -63,7 +63,8 @@ def read_bars(table: Table, tuning: ControlTuning) -> list[FileBar]:
         said = table.cell(row, role).lower()
         if said not in ("", "bar", *_CHECK):
             raise InputError(f"{where}: role {said!r} is neither bar nor check")
-        out.append(FileBar(ends, known, spread, said in _CHECK, table.line(row)))
+        check, line = said in _CHECK, table.line(row)
+        out.append(FileBar(ends=ends, length_m=known, sigma_m=spread, check=check, line=line))
         _refuse_other_length(out, where)
     return out
 

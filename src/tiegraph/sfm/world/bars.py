@@ -88,7 +88,7 @@ def bars_in(
             length[k] = np.linalg.norm(way)
             unit = way / max(length[k], 1e-12)
             sigma[k] = np.sqrt(max(unit @ (ends[a].covariance + ends[b].covariance) @ unit, 0.0))
-    found = BarsFound(bars, tuple(ends), length, sigma, tuple(why), None)
+    found = BarsFound(bars=bars, ends=tuple(ends), length=length, sigma=sigma, why_not=tuple(why), scale=None)
     return _judged(found)
 
 

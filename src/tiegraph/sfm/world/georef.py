@@ -257,7 +257,9 @@ def _placed(placing: SimilarityFit, view: Model, scene: Scene, given: Measuremen
         findings=Findings((*placing.notes, *_remarks(placing, scene), *lines)),
         uncertainty=Uncertainty(sigma, fit.error.widened_to(sigma)),
         receiver=applied_receiver(fit.arm.place, fit.clock.offset_s),
-        control=PointsFound(given.control, tuple(points), sums, bar_rows(view.bars, fit.similarity.scale)),
+        control=PointsFound(
+            given=given.control, rows=tuple(points), accuracy=sums, bars=bar_rows(view.bars, fit.similarity.scale)
+        ),
         placing=placing,
     )
 

@@ -46,7 +46,7 @@ def targets(model: pycolmap.Reconstruction, scene: Scene, marks: Marks, count: i
     out = []
     for point in range(count):
         rows = np.array([r for r in np.flatnonzero(marks.point == point) if marks.image[r] in views], int)
-        seen = [_Ray(*views[marks.image[r]], marks.xy_px[r], float(sigma[r])) for r in rows]
+        seen = [_Ray(view=views[marks.image[r]], xy=marks.xy_px[r], sigma_px=float(sigma[r])) for r in rows]
         out.append(_target(seen, rows, tuning))
     return out
 
@@ -61,10 +61,19 @@ def mark_sigma(marks: Marks, tuning: MarkTuning) -> np.ndarray:
 class _Ray:
     """One mark: cam_from_world (4, 4) and camera of its image, pixel (2,), sigma."""
 
-    pose: np.ndarray
-    camera: Any
+    view: tuple[np.ndarray, Any]
     xy: np.ndarray
     sigma_px: float
+
+    @property
+    def pose(self) -> np.ndarray:
+        """cam_from_world (4, 4)."""
+        return self.view[0]
+
+    @property
+    def camera(self) -> Any:
+        """Of the image, COLMAP's."""
+        return self.view[1]
 
 
 def without_blunders(found: list[Target], control: Control, tuning: MarkTuning) -> list[Target]:

@@ -243,7 +243,8 @@ def _add_points(
         if control is None or control.check[row] or target.why_not:
             continue
         place = places[control.names[row]] = np.array(control.world_m[row], float)
-        kept += _add_marks(problem, model, scene, given, (place, control.marks, target, sigma_px))
+        seen = _Sighting(place=place, marks=control.marks, rows=target.marks, sigma_px=sigma_px)
+        kept += _add_marks(problem, model, scene, given, seen)
         prior = costs.PriorCost(place, control.sigma_m[row] * given.point_factor / sigma_px)
         problem.add_residual_block(prior, None, [place])
         kept += [prior, place]
@@ -255,34 +256,38 @@ def _add_points(
             name, target = bars.names[row], given.lengths.ends[row]
             if name not in places:
                 place = places[name] = np.array(target.place, float)
-                kept += [place, *_add_marks(problem, model, scene, given, (place, bars.marks, target, sigma_px))]
+                seen = _Sighting(place=place, marks=bars.marks, rows=target.marks, sigma_px=sigma_px)
+                kept += [place, *_add_marks(problem, model, scene, given, seen)]
         length = costs.LengthCost(float(bars.length_m[bar]), float(bars.sigma_m[bar]) / sigma_px)
         problem.add_residual_block(length, None, [places[bars.names[row]] for row in bars.ends[bar]])
         kept.append(length)
     return kept
 
 
-def _add_marks(
-    problem: Any,
-    model: pycolmap.Reconstruction,
-    scene: Scene,
-    given: Constraints,
-    of: tuple[np.ndarray, Marks, Target, float],
-) -> list:
-    """Residuals of the marks of one point: its place (3,), an unknown, all marks, its own, and the sigma of a pixel."""
+@dataclass(frozen=True)
+class _Sighting:
+    """A marked point: its place (3,), an unknown, all marks, the rows of its own, and the sigma of a pixel."""
+
+    place: np.ndarray
+    marks: Marks
+    rows: np.ndarray
+    sigma_px: float
+
+
+def _add_marks(problem: Any, model: pycolmap.Reconstruction, scene: Scene, given: Constraints, seen: _Sighting) -> list:
+    """Residuals of the marks of one point."""
     from pycolmap import cost_functions
 
-    place, marks, target, sigma_px = of
-    world, kept = given.tuning.world, []
+    world, kept, marks, sigma_px = given.tuning.world, [], seen.marks, seen.sigma_px
     sigma = mark_sigma(marks, world.marks)
-    for mark in target.marks:
+    for mark in seen.rows:
         image = model.find_image_with_name(scene.names[marks.image[mark]])
         blocks = _blocks_of(model, image)
         kind = cost_functions.ReprojErrorCost if len(blocks) == 2 else cost_functions.RigReprojErrorCost
         weight = (sigma[mark] / sigma_px) ** 2 * np.eye(2)
         cost = kind(model.cameras[image.camera_id].model, weight, marks.xy_px[mark])
         loss = costs.pyceres.CauchyLoss(world.fit.inlier_sigmas * sigma_px)
-        _add(problem, cost, loss, blocks, [place], new_first=True)
+        _add(problem, cost, loss, blocks, [seen.place], new_first=True)
         kept += [cost, loss]
     return kept
 
