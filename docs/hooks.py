@@ -22,6 +22,7 @@ CHAPTERS += (
     "lidar",
     "odometry",
     "watch",
+    "targets",
     "scene",
     "geometry",
     "papers",

@@ -98,3 +98,37 @@ def test_marks_without_points_are_refused_before_anything_is_made(tmp_path: Path
     assert main(["run", "--help-all"]) == 0
     said = " ".join(capsys.readouterr().out.replace("│", " ").split())
     assert "points (name, x, y, z or name, lat, lon, height)" in said and "--marks" in said
+
+
+def test_targets_need_no_marks_and_bars_stand_in_a_table_of_their_own(tmp_path: Path) -> None:
+    text = "name,x,y,z\ntag36h11:3,10,20,3\n[scale bars]\nfrom,to,length (mm),sigma (mm),role\n"
+    text += "tag36h11:3,4x4_50:7,1200.5,0.05,\ntag36h11:3,4x4_50:8,800,,check\n"
+    found = read_gcps(_written(tmp_path, "gcp.csv", text), ControlTuning())
+    assert [p.name for p in found.points] == ["tag36h11:3"] and not found.marks and len(found.targets) == 3
+    first, second = found.bars
+    assert first.ends == ("tag36h11:3", "4x4_50:7")
+    assert (first.length_m, first.sigma_m) == pytest.approx((1.2005, 5e-5))
+    assert second.check and second.sigma_m == ControlTuning().bar_sigma_m and second.line == 6
+    bars = "from,to,length\nA,B,1.5\nname,image,px,py\nA,1.jpg,5,6\nB,1.jpg,7,6\n"
+    alone = read_gcps(_written(tmp_path, "bars.csv", bars), ControlTuning())
+    assert not alone.points and alone.bars[0].length_m == 1.5 and len(alone.marks) == 2
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("name,x,y,z\ntag16h5:30,1,2,3\n", r"gcp.csv, line 2: target 'tag16h5:30': that family has 30 targets"),
+        ("name,x,y,z\ntag36h11:1,1,2,3\napriltag_36h11:01,1,2,4\n", "are one target: name it in one way only"),
+        ("name,x,y,z\ntag36h12:1,1,2,3\n", "no marks with a pixel in an image.* such as tag36h11:12"),
+        ("from,to,length\ntag36h11:1,A,1\n", r"line 2: the end 'A' of this bar is neither marked nor a coded target"),
+        ("from,to,length\ntag36h11:1,tag36h11:2,1200.5\n", r"line 2: length = 1200.5: .* length \(mm\)"),
+        ("from,to,length\ntag36h11:1,tag36h11:2,long\n", "line 2: length = long"),
+        ("from,to,length,sigma\ntag36h11:1,tag36h11:2,1,2\n", "line 2: sigma = 2: .* below the length"),
+        ("from,to,length\ntag36h11:1,tag36h11:1,1\n", "line 2: a scale bar needs two names that differ"),
+        ("from,to,length (ft)\ntag36h11:1,tag36h11:2,1\n", "lengths in 'ft': give m, cm or mm"),
+        ("from,to,length\ntag36h11:1,tag36h11:2,1\ntag36h11:2,tag36h11:1,2\n", "line 3: the bar .* line 2 already"),
+    ],
+)
+def test_wrong_targets_and_bars_say_where(tmp_path: Path, text: str, said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        read_gcps(_written(tmp_path, "gcp.csv", text), ControlTuning())

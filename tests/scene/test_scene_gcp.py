@@ -46,7 +46,7 @@ def test_odm_list_with_and_without_names(tmp_path) -> None:
     assert [p.name for p in found.points] == ["point 1", "point 2"] and len(found.marks) == 3
     control = locate(found, _scene())
     np.testing.assert_allclose(control.world_m[1] - control.world_m[0], [5, 0, 1], atol=1e-6)
-    np.testing.assert_array_equal(control.image, [0, 1, 2])
+    np.testing.assert_array_equal(control.marks.image, [0, 1, 2])
     assert any("EPSG:32654" in n and "ellipsoid" in n for n in control.notes)
 
 
@@ -61,7 +61,7 @@ def test_csv_of_points_and_marks_with_roles(tmp_path) -> None:
     assert control.names == ("A", "B")
     np.testing.assert_array_equal(control.check, [False, True])
     np.testing.assert_allclose(control.sigma_m, [[0.01, 0.01, 0.02], [0.02, 0.02, 0.03]])
-    np.testing.assert_allclose(control.xy_px, [[5, 6], [7, 8]])
+    np.testing.assert_allclose(control.marks.xy_px, [[5, 6], [7, 8]])
 
 
 def test_geographic_points_and_a_world_of_their_own(tmp_path) -> None:
@@ -167,7 +167,7 @@ def test_points_and_marks_that_cannot_be_meant(tmp_path, rows: str, message: str
 def test_odd_points_are_said(tmp_path) -> None:
     rows = f"{A}000.jpg,5,6\n{A}000.jpg,5,6\n{A}001.jpg,5,6\nB,{EAST},{NORTH},1,,,check,002.jpg,100.5,6\n"
     control = locate(read_gcps(_csv(tmp_path, HEAD + rows), ControlTuning()), _with_camera())
-    assert len(control.image) == 3
+    assert len(control.marks.image) == 3
     said = "\n".join(control.notes)
     assert "1 marks are given twice" in said
     assert "line 6: point 'B' is at the very place of 'A' in line 3" in said
@@ -177,7 +177,7 @@ def test_odd_points_are_said(tmp_path) -> None:
 def test_a_mark_that_was_cropped_away_is_left_out_and_said(tmp_path) -> None:
     found = read_gcps(_csv(tmp_path, HEAD + f"{A}000.jpg,5,6\n{A}001.jpg,50,40\n{A}002.jpg,50,40\n"), ControlTuning())
     control = locate(found, _with_camera((20, 0, 0, 0)))
-    assert control.image.tolist() == [1, 2] and control.line.tolist() == [4, 5]
+    assert control.marks.image.tolist() == [1, 2] and control.marks.line.tolist() == [4, 5]
     assert any("line 3: 1 marks lie where the images were cropped" in n for n in control.notes)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tiegraph.sfm.world.costs import PositionCost, PriorCost, UpCost, back_rotated
+from tiegraph.sfm.world.costs import LengthCost, PositionCost, PriorCost, UpCost, back_rotated
 
 _STEP = 1e-6
 
@@ -79,3 +79,9 @@ def test_prior_and_upward_direction() -> None:
     leaning[:4] = (Rotation.from_quat(pose[:4]) * Rotation.from_rotvec([np.radians(3), 0, 0])).as_quat()
     assert np.linalg.norm(_value(cost, [leaning], 2)) == pytest.approx(1, rel=0.01)
     _check(cost, [leaning], 2)
+
+
+def test_a_length_is_the_distance_of_its_ends() -> None:
+    a, b = np.array([1.0, 2.0, 3.0]), np.array([1.3, 2.0, 3.4])
+    np.testing.assert_allclose(_value(LengthCost(0.4, 0.05), [a, b], 1), [2.0], atol=1e-9)
+    _check(LengthCost(0.4, 0.05), [a, b], 1)

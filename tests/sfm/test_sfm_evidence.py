@@ -10,7 +10,7 @@ from sfm_worlds import with_positions
 
 from tiegraph.geometry import transforms
 from tiegraph.geometry.geodesy import Origin
-from tiegraph.scene.control import Control
+from tiegraph.scene.control import Control, Marks
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
 from tiegraph.sfm.settings import GeorefSettings
@@ -68,8 +68,8 @@ def control(poses: np.ndarray, sigma: float = 0.02, count: int = 6, seed: int = 
     empty = np.zeros(0, int)
     names = tuple(f"P{k}" for k in range(count))
     return Control(
-        names, surveyed, np.full((count, 3), sigma), np.zeros(count, bool), empty, empty, np.zeros((0, 2)), empty,
-        Origin(35.0, 139.0, 40.0),
+        names, surveyed, np.full((count, 3), sigma), np.zeros(count, bool),
+        Marks(empty, empty, np.zeros((0, 2)), empty, np.zeros(0)), Origin(35.0, 139.0, 40.0),
     ), true  # fmt: skip
 
 

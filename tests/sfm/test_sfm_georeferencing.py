@@ -13,7 +13,7 @@ from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
 from tiegraph.geometry.geodesy import Origin
 from tiegraph.scene.colmapmodel import matrix
-from tiegraph.scene.control import Control
+from tiegraph.scene.control import Control, Marks
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
 from tiegraph.sfm.model import frame_poses, image_poses
@@ -69,10 +69,13 @@ def _control(truth, scene, count: int = 6, sigma: float = 0.005, checks: int = 2
         world_m=place,
         sigma_m=np.full((count, 3), sigma),
         check=np.arange(count) >= count - checks,
-        point=np.array([r[0] for r in rows]),
-        image=np.array([r[1] for r in rows]),
-        xy_px=np.array([r[2] for r in rows]),
-        line=np.arange(len(rows)) + 2,
+        marks=Marks(
+            point=np.array([r[0] for r in rows]),
+            image=np.array([r[1] for r in rows]),
+            xy_px=np.array([r[2] for r in rows]),
+            line=np.arange(len(rows)) + 2,
+            sigma_px=np.full(len(rows), np.nan),
+        ),
         origin=Origin(35.0, 139.0, 40.0),
     )
 
@@ -96,8 +99,9 @@ def test_control_points_alone_place_and_check_points_stay_out(world) -> None:
 def test_a_point_with_one_mark_is_said_with_its_line(world) -> None:
     truth, scene = world
     control = _control(truth, scene)
-    rows = (control.point != 1) | (np.arange(len(control.point)) == np.flatnonzero(control.point == 1)[0])
-    few = replace(control, **{n: getattr(control, n)[rows] for n in ("point", "image", "xy_px", "line")})
+    marks = control.marks
+    rows = (marks.point != 1) | (np.arange(len(marks)) == np.flatnonzero(marks.point == 1)[0])
+    few = replace(control, marks=Marks(**{n: getattr(marks, n)[rows] for n in Marks.__dataclass_fields__}))
     found = georeference(_moved(truth), scene, GeorefSettings(), WORLD, Measurements(control=few))
     assert found.control.rows[1]["off_m"] is None
     assert any("'P1' is not used: 1 marks in registered images" in n and "line 8" in n for n in found.findings.notes)

@@ -10,11 +10,10 @@ from scipy.spatial import cKDTree
 
 from tiegraph.calibrate.board import APRILGRID, CHARUCO, Board
 from tiegraph.calibrate.tuning import BoardTuning
+from tiegraph.scene.targets.corners import CENTRE, refined
 
-CENTRE = 0.5  # OpenCV counts pixels from the centre of the first one, COLMAP from its corner
 _KALIBR_BORDER_BITS = 2
 _KALIBR_BITS = 10  # along the side of a tag, with its borders
-_REFINED = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 50, 0.001)
 Corners = tuple[np.ndarray, np.ndarray]
 """Numbers (K,) of corners of the board, and where they are, (K, 2) COLMAP's pixels."""
 
@@ -86,9 +85,7 @@ def _nearest(xy: np.ndarray) -> float:
 
 def _refined(pixels: np.ndarray, xy: np.ndarray, free_px: float, tuning: BoardTuning) -> np.ndarray:
     """Corners (K, 2), each where black and white meet like on a checkerboard; about each so much is free of others."""
-    half = int(np.clip(round(tuning.refine_share * free_px), *tuning.refine_px))
-    places = np.array(xy, np.float32).reshape(-1, 1, 2)
-    return cv2.cornerSubPix(pixels, places, (half, half), (-1, -1), _REFINED).reshape(-1, 2)
+    return refined(pixels, xy, free_px, tuning.refine_share, tuning.refine_px)
 
 
 @lru_cache

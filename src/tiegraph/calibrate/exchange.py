@@ -13,8 +13,8 @@ import cv2
 import numpy as np
 import pycolmap
 
-from tiegraph.calibrate.detect import CENTRE
 from tiegraph.geometry.transforms import invert
+from tiegraph.scene.targets.corners import CENTRE
 
 _RADTAN_TERMS = 4  # of Kalibr: k1 k2 p1 p2
 

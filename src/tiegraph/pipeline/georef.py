@@ -6,12 +6,14 @@ import numpy as np
 
 from tiegraph.child import run_in_child
 from tiegraph.geometry.geodesy import world_from_geodetic
-from tiegraph.pipeline.files import checked, load_json, refused_pairs
-from tiegraph.pipeline.inputs import control_points
+from tiegraph.pipeline.files import checked, load_json, load_model, refused_pairs
+from tiegraph.pipeline.inputs import control_file
+from tiegraph.pipeline.targets import target_marks
 from tiegraph.project.run import Run, save_json
 from tiegraph.project.stages import Outcome, remove
 from tiegraph.scene import evidence
 from tiegraph.scene.atomic import claim
+from tiegraph.scene.control import Control, ScaleBars, locate, locate_bars
 from tiegraph.scene.gnss import on_clock_of, read_gnss
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.covariance import MOUNTING
@@ -29,9 +31,11 @@ def georef(run: Run) -> Outcome:
     scene = checked(run).measured()
     receipt = run.receipts.read("sparse")
     sigma = receipt.get("counts", {})
+    control, bars, said = _measured_in_images(run, scene)
     given = Measurements(
         rows=_rows(run, scene),
-        control=control_points(run, scene),
+        control=control,
+        bars=bars,
         covered=covered_frames(run, scene),
         model_sigma=sigma.get("position_sigma_median", float("nan")),
         model_scale_sigma=sigma.get("scale_sigma", float("nan")),
@@ -57,7 +61,7 @@ def georef(run: Run) -> Outcome:
         refused=refused_pairs(run) if len(folders) > 1 else (),
     )
     found = run_in_child(georeference_folders, request, log=run.log, task="georeferencing")
-    main, notes = found.first, found.notes()
+    main, notes = found.first, [*found.notes(), *said]
     world = main.to_dict()
     if "position_sigma_median" in sigma:
         # Of the bundle adjustment, in the model's units: the shape of the survey, not its place on the Earth.
@@ -77,6 +81,18 @@ def georef(run: Run) -> Outcome:
         "contradictions": len(contradictions),
     }
     return Outcome(counts, notes=tuple(notes), tables=tables, contradictions=contradictions)
+
+
+def _measured_in_images(run: Run, scene: Scene) -> tuple[Control | None, ScaleBars | None, tuple[str, ...]]:
+    """Control points and scale bars of the settings with their marks, those of coded targets found by the cameras of
+    the largest model; and what is to be said of the search."""
+    file = control_file(run)
+    if file is None:
+        return None, None, ()
+    model = load_model(run.path("sparse", "0")) if file.targets else None
+    seen = target_marks(run, scene, file, model)
+    control = locate(file, scene, run.settings.scan.crs, seen.marks) if file.points else None
+    return control, locate_bars(file, scene, seen.marks), seen.notes
 
 
 def _rows(run: Run, scene: Scene) -> PositionRows | None:
@@ -102,6 +118,9 @@ def covered_frames(run: Run, scene: Scene) -> np.ndarray | None:
 def _tables(placed: Georeference) -> dict[str, dict]:
     """What says what; control and check points, one a row, and their accuracy."""
     said = {"evidence": evidence.table(placed.findings.statements)} if placed.findings.statements else {}
+    if placed.control.bars:
+        columns = ["from", "to", "role", "length m", "model m", "off mm", "sigma mm", "not used because"]
+        said["scale bars"] = {"columns": columns, "rows": [list(row.values()) for row in placed.control.bars]}
     if not placed.control.rows:
         return said
     rows = []

@@ -30,8 +30,8 @@ from tiegraph.scan.rigfiles.rigfile import read_rig_file
 from tiegraph.scan.rigfiles.rigspec import preset_sizes
 from tiegraph.scene.bags.topics import is_bag, source_of
 from tiegraph.scene.cloudchunks import check_cloud
-from tiegraph.scene.control import Control, locate
-from tiegraph.scene.gcp import read_gcps
+from tiegraph.scene.control import locate, locate_bars
+from tiegraph.scene.gcp import GcpFile, read_gcps
 from tiegraph.scene.gnss import read_gnss
 from tiegraph.scene.namedposes import has_named_poses
 from tiegraph.scene.pairlist import pair_lines, read_pair_list
@@ -115,18 +115,22 @@ def _read_inputs(run: Run) -> None:
 
 def check_against(run: Run, scene: Scene) -> tuple[str, ...]:
     """What control points and the pair list say of the images of a scan. Raises InputError if they do not fit."""
-    control = control_points(run, scene)
-    notes = () if control is None else control.notes
+    file = control_file(run)
+    notes: tuple[str, ...] = ()
+    if file is not None and file.points:
+        notes = locate(file, scene, run.settings.scan.crs).notes
+    elif file is not None:
+        locate_bars(file, scene)
     path = run.settings.candidates.pairs_file
     return notes if path is None else (*notes, *read_pair_list(path, scene)[1])
 
 
-def control_points(run: Run, scene: Scene) -> Control | None:
-    """The control points of the settings in the scene's world; None without a file."""
+def control_file(run: Run) -> GcpFile | None:
+    """The control point file of the settings, as it stands there; None without one."""
     settings = run.settings
     path = settings.georef.gcp
     if path is None:
         return None
     if not path.exists():
         raise InputError(f"--gcp {path}: no such file")
-    return locate(read_gcps(path, settings.tuning.scene.control, settings.georef.marks), scene, settings.scan.crs)
+    return read_gcps(path, settings.tuning.scene.control, settings.georef.marks)

@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from tiegraph.pipeline.foundrig import rig_of_run
-from tiegraph.pipeline.inputs import check_against
+from tiegraph.pipeline.inputs import check_against, control_file
 from tiegraph.pipeline.odometry import followed
+from tiegraph.pipeline.targets import target_marks
 from tiegraph.pipeline.videos import photographs
 from tiegraph.project.inputs import FOLLOW
 from tiegraph.project.run import Run
@@ -61,6 +62,9 @@ def scan(run: Run) -> Outcome:
         scene = build_scene(replace(inputs, trajectory=found_path), names, probes, settings, tuning)
         told = (*told, *said)
     write_atomic(run.path("scene.json"), scene.to_json())
+    file = control_file(run)
+    if file is not None:
+        told = (*told, *target_marks(run, scene, file, most=run.settings.tuning.targets.looked_at).notes)
     counts = {"found": len(names), "images": len(scene), "frames": scene.frames, "passes": len(scene.sequences)}
     return Outcome(
         {**counts, "cameras": len(scene.all_sensors), "positions": _placed(scene.world_from_rig)},

@@ -37,6 +37,7 @@ from tiegraph.scene.tuning import Tuning as SceneTuning
 from tiegraph.settings import Section
 from tiegraph.sfm.settings import GeorefSettings, SparseSettings
 from tiegraph.sfm.tuning import Tuning as SfmTuning
+from tiegraph.targets.tuning import Tuning as TargetsTuning
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -74,6 +75,7 @@ class Tunings(Section):
     dense: DenseTuning = DenseTuning()
     cloud: CloudTuning = CloudTuning()
     evaluate: EvaluateTuning = EvaluateTuning()
+    targets: TargetsTuning = TargetsTuning()
 
 
 class Settings(Section):

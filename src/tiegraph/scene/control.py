@@ -25,18 +25,56 @@ _SHOWN = 3
 
 
 @dataclass(frozen=True)
+class TargetMark:
+    """Where a coded target was found: the name that the file has for it, scene index, pixel of the prepared image."""
+
+    name: str
+    image: int
+    xy: tuple[float, float]
+    sigma_px: float
+
+
+@dataclass(frozen=True)
+class Marks:
+    """M marks: rows of their points and scene indices of their images (M,), xy_px (M, 2) in COLMAP's pixels of the
+    prepared image, line (M,) in the file, 0 = found by itself, sigma_px (M,), NaN = as of one set by hand."""
+
+    point: np.ndarray
+    image: np.ndarray
+    xy_px: np.ndarray
+    line: np.ndarray
+    sigma_px: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.point)
+
+
+@dataclass(frozen=True)
+class ScaleBars:
+    """B scale bars between marked points: the points' names and marks, rows of their ends (B, 2), length_m, sigma_m
+    (B,), check (B,) bool, line (B,) in the file."""
+
+    names: tuple[str, ...]
+    marks: Marks
+    ends: np.ndarray
+    length_m: np.ndarray
+    sigma_m: np.ndarray
+    check: np.ndarray
+    line: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.ends)
+
+
+@dataclass(frozen=True)
 class Control:
-    """P surveyed points and M marks. Arrays: world_m (P, 3), sigma_m (P, 3), check (P,) bool; point, image (M,), xy_px
-    (M, 2) in COLMAP's pixels of the prepared image; line (M,) in the file."""
+    """P surveyed points and their marks. Arrays: world_m (P, 3), sigma_m (P, 3), check (P,) bool."""
 
     names: tuple[str, ...]
     world_m: np.ndarray
     sigma_m: np.ndarray
     check: np.ndarray
-    point: np.ndarray
-    image: np.ndarray
-    xy_px: np.ndarray
-    line: np.ndarray
+    marks: Marks
     origin: Origin | None = None
     notes: tuple[str, ...] = field(default_factory=tuple)
 
@@ -44,36 +82,66 @@ class Control:
         return len(self.names)
 
 
-def locate(file: GcpFile, scene: Scene, crs: str = "auto") -> Control:
+def locate(file: GcpFile, scene: Scene, crs: str = "auto", found: Sequence[TargetMark] = ()) -> Control:
     """The points of a file in the scene's world and their marks in its images.
 
     Without positions in the scene the world is made from the points, in ``crs`` ("auto": the file's own if it is
-    projected, else the UTM zone). Marks in images that are not here, or where the images were cropped, are left out and
-    said with file and line, and so are points that keep less than two. Raises InputError if no mark is in an image of
-    the survey, if one lies outside its image, if one image has two marks of a point, if coordinates lie outside their
-    CRS, or far from the survey.
+    projected, else the UTM zone). ``found``: coded targets; a mark in the file goes before one found. Marks in images
+    that are not here, or where the images were cropped, are left out and said with file and line, and so are points
+    that keep less than two. Raises InputError if no mark is in an image of the survey, if one lies outside its image,
+    if one image has two marks of a point, if coordinates lie outside their CRS, or far from the survey.
     """
     notes = list(file.notes)
-    marks, image, xy = _marks_in(file, scene, notes)
+    marks = _marks_of(file, scene, [p.name for p in file.points], found, notes)
     origin = scene.origin or _origin_of_points(file, crs)
     world = _world(file, scene, origin)
     _check_place(file, world, scene)
     vertical = vertical_note(file.crs or origin.crs)
     notes.append(f"{file.path.name}: {len(file.points)} points in {file.crs or origin.crs}; {vertical}")
-    rows = {p.name: k for k, p in enumerate(file.points)}
-    point = np.array([rows[m.name] for m in marks], int)
-    _few_marks(file, np.bincount(point, minlength=len(rows)), notes)
+    _few_marks(file, np.bincount(marks.point, minlength=len(file.points)), notes)
     return Control(
         names=tuple(p.name for p in file.points),
         world_m=world,
         sigma_m=np.array([p.sigma_m for p in file.points], float).reshape(-1, 3),
         check=np.array([p.check for p in file.points], bool),
-        point=point,
-        image=image,
-        xy_px=xy,
-        line=np.array([m.line for m in marks], int),
+        marks=marks,
         origin=origin,
         notes=tuple(notes),
+    )
+
+
+def locate_bars(file: GcpFile, scene: Scene, found: Sequence[TargetMark] = ()) -> ScaleBars | None:
+    """The scale bars of a file with the marks of their ends; None without any. Raises what ``locate`` raises of marks.
+
+    What there is to say of marks is said by ``locate`` where the file has points too.
+    """
+    if not file.bars:
+        return None
+    names = list(dict.fromkeys(n for b in file.bars for n in b.ends))
+    return ScaleBars(
+        names=tuple(names),
+        marks=_marks_of(file, scene, names, found, []),
+        ends=np.array([[names.index(n) for n in b.ends] for b in file.bars], int),
+        length_m=np.array([b.length_m for b in file.bars]),
+        sigma_m=np.array([b.sigma_m for b in file.bars]),
+        check=np.array([b.check for b in file.bars], bool),
+        line=np.array([b.line for b in file.bars], int),
+    )
+
+
+def _marks_of(file: GcpFile, scene: Scene, names: list[str], found: Sequence[TargetMark], notes: list[str]) -> Marks:
+    """The marks of some names: those of the file, and targets found in images where the file marks none."""
+    rows = {name: k for k, name in enumerate(names)}
+    marks, images, pixels = _marks_in(file, scene, notes) if file.marks else ([], np.zeros(0, int), np.zeros((0, 2)))
+    own = [k for k, m in enumerate(marks) if m.name in rows]
+    taken = {(marks[k].name, int(images[k])) for k in own}
+    more = [m for m in found if m.name in rows and (m.name, m.image) not in taken]
+    return Marks(
+        point=np.array([rows[n] for n in [*(marks[k].name for k in own), *(m.name for m in more)]], int),
+        image=np.array([*images[own], *(m.image for m in more)], int),
+        xy_px=np.array([*pixels[own], *(m.xy for m in more)], float).reshape(-1, 2),
+        line=np.array([*(marks[k].line for k in own), *(0 for _ in more)], int),
+        sigma_px=np.array([*(np.nan for _ in own), *(m.sigma_px for m in more)], float),
     )
 
 
@@ -152,7 +220,8 @@ def _inside(xy: Sequence[float], camera: pycolmap.Camera) -> bool:
 
 
 def _few_marks(file: GcpFile, count: np.ndarray, notes: list[str]) -> None:
-    few = np.flatnonzero(count < MIN_MARKS)
+    own = [p.name not in file.targets for p in file.points]  # of targets it is said where they are searched for
+    few = np.flatnonzero((count < MIN_MARKS) & own)
     if not len(few):
         return
     first = file.points[few[0]]

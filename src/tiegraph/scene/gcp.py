@@ -3,7 +3,8 @@
 Two forms are read. OpenDroneMap's ``gcp_list.txt``: first line the CRS, then ``x y z px py image [name] [more]``. And
 CSV with a header: points (name, x, y, z or lat, lon, height; sigma_xy, sigma_z, role) and marks (name, image, px, py),
 in one table with rows of either kind or of both at once, in two tables of one file, or in two files. Pixels count from
-the outer corner of the upright image's first pixel: its centre is (0.5, 0.5).
+the outer corner of the upright image's first pixel: its centre is (0.5, 0.5). A point named as a coded target
+(``targets/names.py``) needs no marks. A CSV may hold scale bars (``targets/bars.py``) too, or nothing else.
 """
 
 from __future__ import annotations
@@ -19,6 +20,9 @@ from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import utm_by_name
 from tiegraph.scene.regular import regular
 from tiegraph.scene.table import Table, table_of, text_lines
+from tiegraph.scene.targets.bars import FORM as BARS_FORM
+from tiegraph.scene.targets.bars import FileBar, names_bars, read_bars
+from tiegraph.scene.targets.names import FORM, Target, count_of, target_of
 from tiegraph.scene.tuning import ControlTuning
 
 MAX_SIGMA_M = 100.0  # no survey of a point is worse: another unit, or a typing error
@@ -31,12 +35,14 @@ _LAT, _LON = ("lat", "latitude", "lat_deg"), ("lon", "long", "lng", "longitude",
 _HEIGHT = ("height", "h", "alt", "altitude", "elevation", "height_m", *_Z)
 _PX = ("px", "im_x", "pixel_x", "x_px", "image_x", "u", "col", "column")
 _PY = ("py", "im_y", "pixel_y", "y_px", "image_y", "v", "row")
-_TITLE = re.compile(r"(?i)\[?\s*(points|marks|gcps?|control points|check points|observations)\s*\]?\s*:?[,;\s]*")
+_TITLE = re.compile(
+    r"(?i)\[?\s*(points|marks|gcps?|control points|check points|observations|(?:scale )?bars)\s*\]?\s*:?[,;\s]*"
+)
 FORMS = (
     "points need the columns name, x, y, z (or name, lat, lon, height; if known sigma_xy, sigma_z, role: gcp or "
     "check), marks name, image, px, py, in one table, in two tables of one file with a header each, or in two files "
     "(--gcp POINTS --marks MARKS); '# crs: EPSG:n' in the first line says the CRS of x, y, z; or give ODM's "
-    "gcp_list.txt"
+    f"gcp_list.txt. Points named as coded targets need no marks: {FORM}. {BARS_FORM[0].upper()}{BARS_FORM[1:]}"
 )
 _SIGMA, _SIGMA_XY, _SIGMA_Z = ("sigma", "sigma_m"), ("sigma_xy", "sigma_h", "sigma_xy_m"), ("sigma_z", "sigma_v")
 
@@ -73,11 +79,18 @@ class GcpFile:
     marks: tuple[FileMark, ...]
     notes: tuple[str, ...] = ()
     marks_path: Path | None = None  # of a file that holds the marks alone
+    bars: tuple[FileBar, ...] = ()
 
     @property
     def of_marks(self) -> Path:
         """The file the marks stand in."""
         return self.marks_path or self.path
+
+    @property
+    def targets(self) -> dict[str, Target]:
+        """The coded targets among the points and the ends of the bars, by the names that the file has for them."""
+        named = {p.name: target_of(p.name) for p in self.points} | {n: target_of(n) for b in self.bars for n in b.ends}
+        return {name: target for name, target in named.items() if target is not None}
 
 
 def read_gcps(path: Path, tuning: ControlTuning, marks: Path | None = None) -> GcpFile:
@@ -89,10 +102,11 @@ def read_gcps(path: Path, tuning: ControlTuning, marks: Path | None = None) -> G
     found = _read(Path(path), "--gcp", tuning)
     if marks is not None:
         found = _joined(found, _read(Path(marks), "--marks", tuning))
-    if not found.points or not found.marks:
-        there, lacking = ("marks", "points") if not found.points else ("points", "marks")
+    if not (found.points or found.bars) or not (found.marks or found.targets):
+        there, lacking = ("marks", "points") if not (found.points or found.bars) else ("points", "marks")
         raise InputError(f"--gcp {path}: {there}, but no {lacking} with {_NEED[lacking]}; {FORMS}")
-    names = {p.name for p in found.points}
+    _check_targets(found)
+    names = {p.name for p in found.points} | {n for b in found.bars for n in b.ends}
     lost = next((m for m in found.marks if m.name not in names), None)
     if lost is not None:
         where = f"{found.of_marks}, line {lost.line}"
@@ -101,12 +115,33 @@ def read_gcps(path: Path, tuning: ControlTuning, marks: Path | None = None) -> G
     return replace(found, marks=_once_each(found), notes=(*found.notes, *_doubtful(found)))
 
 
+def _check_targets(found: GcpFile) -> None:
+    """Raise InputError for numbers a family has not, a target by two names, and ends of bars nothing is known of."""
+    lines = {n: b.line for b in found.bars for n in b.ends} | {p.name: p.line for p in found.points}
+    names: dict[Target, str] = {}
+    for name, target in found.targets.items():
+        where = f"{found.path}, line {lines[name]}"
+        most = count_of(target.family)
+        if target.number >= most:
+            raise InputError(f"{where}: target {name!r}: that family has {most} targets, numbered 0 to {most - 1}")
+        if names.setdefault(target, name) != name:
+            raise InputError(f"{where}: {name!r} and {names[target]!r} are one target: name it in one way only")
+    marked = {m.name for m in found.marks}
+    for bar in found.bars:
+        lost = next((n for n in bar.ends if n not in marked and n not in found.targets), None)
+        if lost is not None:
+            raise InputError(
+                f"{found.path}, line {bar.line}: the end {lost!r} of this bar is neither marked nor a coded target; "
+                f"{FORM} (--marks gives marks of others)"
+            )
+
+
 _NEED = {"points": "coordinates", "marks": "a pixel in an image"}
 
 
 def _joined(one: GcpFile, other: GcpFile) -> GcpFile:
     """Points of the one file with the marks of the other, whichever is which."""
-    points, marks = (one, other) if one.points else (other, one)
+    points, marks = (one, other) if one.points or one.bars else (other, one)
     if marks.points or points.marks:
         both = "points" if marks.points else "marks"
         raise InputError(
@@ -165,7 +200,11 @@ def _doubtful(found: GcpFile) -> list[str]:
 
 def _has_header(lines: list[tuple[int, str]]) -> bool:
     """Whether the first line that is no comment names columns; the CRS in the first line of the other form does not."""
-    return _names_columns(next((line for _, line in lines if line[0] not in "#%"), ""))
+    return _is_header(next((line for _, line in lines if line[0] not in "#%"), ""))
+
+
+def _is_header(line: str) -> bool:
+    return _names_columns(line) or names_bars(line)
 
 
 def _names_columns(line: str) -> bool:
@@ -234,7 +273,7 @@ def _number(text: str, path: Path, line: int) -> float:
 
 def _read_csv(path: Path, lines: list[tuple[int, str]], tuning: ControlTuning) -> GcpFile:
     """The points and marks of one table or several, each begun by its header."""
-    heads = [k for k, (_, line) in enumerate(lines) if line[0] not in "#%" and _names_columns(line)]
+    heads = [k for k, (_, line) in enumerate(lines) if line[0] not in "#%" and _is_header(line)]
     cuts = [0, *heads[1:], len(lines)]
     tables = [
         table_of(path, "control point file", lines[a:b])
@@ -243,9 +282,13 @@ def _read_csv(path: Path, lines: list[tuple[int, str]], tuning: ControlTuning) -
     ]
     points: dict[str, FilePoint] = {}
     marks: list[FileMark] = []
+    bars: list[FileBar] = []
     geographic = set()
     for table in tables:
-        geographic |= _read_table(table, points, marks, tuning)
+        if names_bars(" ".join(table.columns)):
+            bars += read_bars(table, tuning)
+        else:
+            geographic |= _read_table(table, points, marks, tuning)
     if len(geographic) > 1:
         raise InputError(f"{path}: points by x, y, z in one table and by lat, lon, height in another: give one kind")
     degrees = True in geographic
@@ -257,6 +300,7 @@ def _read_csv(path: Path, lines: list[tuple[int, str]], tuning: ControlTuning) -
         points=tuple(points.values()),
         marks=tuple(marks),
         notes=notes,
+        bars=tuple(bars),
     )
 
 

@@ -89,6 +89,10 @@ class ControlTuning(Section):
 
     sigma_m: tuple[float, float, float] = (0.02, 0.02, 0.03)
     """East, north and up of a surveyed point whose file says nothing: network RTK with a pole."""
+    bar_sigma_m: float = Field(0.001, gt=0)
+    """Of the length of a scale bar whose file says nothing: measured with a tape."""
+    longest_bar_m: float = Field(100.0, gt=0)
+    """More are millimetres."""
 
 
 class TrendTuning(Section):

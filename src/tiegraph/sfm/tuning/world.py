@@ -72,6 +72,9 @@ class MarkTuning(Section):
 
     mark_sigma_px: float = Field(1.0, gt=0)
     """Of a mark set by hand."""
+    pose_sigma_px: float = Field(0.2, ge=0)
+    """What pose and lens of an image add to the sigma of a mark that was found by itself: as much as feature points
+    are off in a good model."""
     min_angle_deg: float = Field(1.0, ge=0)
     """Between rays, to believe where they meet."""
     max_mark_px: float = Field(20.0, gt=0)

@@ -1,4 +1,4 @@
-"""Own residuals for COLMAP's Ceres problem: positions with lever arm and clock, priors of vectors, an upward direction.
+"""Own residuals for COLMAP's Ceres problem: positions with lever arm and clock, priors of vectors, lengths, an upright.
 
 pycolmap hands out its problem and its own cost functions; the classes to extend them are in the package pyceres. Python
 residuals need the interpreter's lock, so such a problem is solved with one thread (more wait for each other for ever).
@@ -98,6 +98,27 @@ class PriorCost(_Base):
         residuals[:] = self.weight * (parameters[0] - self.value)
         if jacobians is not None and jacobians[0] is not None:
             jacobians[0][:] = np.diag(self.weight).ravel()
+        return True
+
+
+class LengthCost(_Base):
+    """The distance of two points minus its measured length, over its sigma. Blocks: the points (3 each)."""
+
+    def __init__(self, length: float, sigma: float) -> None:
+        super().__init__()
+        self.length, self.sigma = length, sigma
+        if pyceres is not None:
+            self.set_num_residuals(1)
+            self.set_parameter_block_sizes([3, 3])
+
+    def Evaluate(self, parameters: Any, residuals: Any, jacobians: Any) -> bool:
+        """Residual and Jacobians."""
+        way = np.asarray(parameters[0]) - np.asarray(parameters[1])
+        distance = float(np.linalg.norm(way))
+        residuals[:] = (distance - self.length) / self.sigma
+        for k, sign in enumerate((1.0, -1.0)):
+            if jacobians is not None and jacobians[k] is not None:
+                jacobians[k][:] = sign * way / (max(distance, 1e-12) * self.sigma)
         return True
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tiegraph.scene.control import Control
+from tiegraph.scene.control import Control, ScaleBars
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import held_out_frames
 from tiegraph.sfm.tuning.world import FixTuning
@@ -25,13 +25,15 @@ class PositionRows:
 
 @dataclass(frozen=True)
 class Measurements:
-    """Known beyond the scene: the receiver's rows, control points, frames (F,) under bridges; a model's sigmas."""
+    """Known beyond the scene: the receiver's rows, control points, scale bars, frames (F,) under bridges; a model's
+    sigmas."""
 
     rows: PositionRows | None = None
     control: Control | None = None
     covered: np.ndarray | None = None
     model_sigma: float = float("nan")  # of a camera inside the model, model units
     model_scale_sigma: float = float("nan")  # of all its lengths together, relative; NaN = its adjustment holds none
+    bars: ScaleBars | None = None
 
 
 @dataclass(frozen=True)

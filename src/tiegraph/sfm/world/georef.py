@@ -12,18 +12,19 @@ from tiegraph.geometry.align import Similarity
 from tiegraph.geometry.geodesy import Origin, vertical_note
 from tiegraph.geometry.placement import PlacementError
 from tiegraph.scene.control import Control
-from tiegraph.scene.evidence import Statement, table
+from tiegraph.scene.evidence import Statement, contradictions, table
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import image_poses
 from tiegraph.sfm.settings import GeorefSettings
 from tiegraph.sfm.tiedmodels import moved
 from tiegraph.sfm.tuning.world import WorldTuning
 from tiegraph.sfm.world.antenna import RIGHT_ANGLE_DEG
+from tiegraph.sfm.world.bars import BarsFound, bars_in
 from tiegraph.sfm.world.fit import Fit, jackknife_sigma
 from tiegraph.sfm.world.fixes import Fixes, Measurements
-from tiegraph.sfm.world.gravity import Up, up_vector
+from tiegraph.sfm.world.gravity import up_vector
 from tiegraph.sfm.world.marks import point_table, targets, without_blunders
-from tiegraph.sfm.world.scale import RigScale, rig_scale
+from tiegraph.sfm.world.scale import RIG, rig_scale
 from tiegraph.sfm.world.similarityfit import Model, SimilarityFit, fit_to_world
 from tiegraph.sfm.world.sources import rig_statement, up_statements
 from tiegraph.text import known_to
@@ -87,6 +88,7 @@ class PointsFound:
     given: Control | None = None
     rows: tuple[dict, ...] = ()  # one a point: off_m east, north, up (model minus survey), rms_px
     accuracy: dict[str, dict[str, float]] = field(default_factory=dict)  # gcp, check: RMSE, CE90, LE90
+    bars: tuple[dict, ...] = ()  # one a scale bar: lengths, off_mm (model minus measured), sigma_mm
 
 
 @dataclass(frozen=True)
@@ -168,6 +170,7 @@ class Georeference:
             "placement_error": None if error is None else error.to_dict(),
             "control": list(self.control.rows),
             "accuracy": self.control.accuracy,
+            "scale_bars": list(self.control.bars),
             "frames": rows,
             "notes": list(self.findings.notes),
             "evidence": table(self.findings.statements),
@@ -197,10 +200,21 @@ def georeference(
     images = image_poses(model, scene)
     found = []
     if given.control is not None:
-        found = targets(model, scene, given.control, tuning.marks)
+        found = targets(model, scene, given.control.marks, len(given.control), tuning.marks)
         found = without_blunders(found, given.control, tuning.marks)
-    scale = rig_scale(model, images, scene, tuning.scale, given.model_scale_sigma)
-    view = Model(images=images, up=up_vector(images, scene, tuning.up), scale=scale, targets=found, names=scene.names)
+    rig = rig_scale(model, images, scene, tuning.scale, given.model_scale_sigma)
+    bars = bars_in(model, scene, given.bars, tuning.marks)
+    by_bars = None if bars is None else bars.scale
+    up = up_vector(images, scene, tuning.up)
+    view = Model(
+        images=images,
+        up=up,
+        scale=by_bars or rig,
+        targets=found,
+        names=scene.names,
+        bars=bars,
+        rig=rig if by_bars else None,
+    )
     placing = fit_to_world(view, scene, settings, given, tuning)
     if placing is None:
         frames = np.isfinite(view.frames(scene)).all(axis=(1, 2))
@@ -209,7 +223,7 @@ def georeference(
         few = f"{here.sum()} registered frames have a prior position"
         few += f" ({places} different ones)" if places < here.sum() else ""
         few += f", {tuning.similarity_fit.min_positions} are needed"
-        return _levelled(scene, view.up, view.scale, few)
+        return _levelled(scene, view, few)
     return _placed(placing, view, scene, given)
 
 
@@ -243,7 +257,9 @@ def _placed(placing: SimilarityFit, view: Model, scene: Scene, given: Measuremen
         findings=Findings((*placing.notes, *_remarks(placing, scene), *lines)),
         uncertainty=Uncertainty(sigma, fit.error.widened_to(sigma)),
         receiver=applied_receiver(fit.arm.place, fit.clock.offset_s),
-        control=PointsFound(given.control, tuple(points), sums),
+        control=PointsFound(
+            given=given.control, rows=tuple(points), accuracy=sums, bars=bar_rows(view.bars, fit.similarity.scale)
+        ),
         placing=placing,
     )
 
@@ -292,7 +308,7 @@ def _points(view: Model, given: Measurements, fit: Fit) -> tuple[list[dict], dic
     lines = list(control.notes)
     for k, target in enumerate(view.targets):
         if target.why_not:
-            where = control.line[control.point == k]
+            where = control.marks.line[(control.marks.point == k) & (control.marks.line > 0)]
             line = f" (marks in line {', '.join(map(str, where[:4]))})" if len(where) else ""
             lines.append(f"point {control.names[k]!r} is not used: {target.why_not}{line}")
     return rows, sums, lines
@@ -302,7 +318,7 @@ def _scale_source(placing: SimilarityFit, scene: Scene, view: Model, fixes: int)
     held = view.scale is not None and placing.evidence.log_scale is not None
     limit = placing.tuning.statements.rig_tells * placing.fit.sigma_positions_scale
     if held and view.scale is not None and view.scale.sigma < limit:
-        return "rig baseline"
+        return view.scale.name
     if not fixes:
         return "control points"
     return scene.prior if scene.prior != "none" else "positions"
@@ -334,22 +350,32 @@ def _passes_without(placing: SimilarityFit, scene: Scene) -> list[str]:
     return [f"pass {name!r} has no position: its place rests on its ties to the others" for name in lost]
 
 
-def _levelled(scene: Scene, up: Up | None, scale: RigScale | None, why: str) -> Georeference:
-    """No placement: turned so that up is up, scaled by the rig where that can be trusted."""
+def bar_rows(bars: BarsFound | None, metres_per_unit: float) -> tuple[dict, ...]:
+    """The rows of the scale bars, none without any."""
+    return () if bars is None else bars.rows(metres_per_unit)
+
+
+def _levelled(scene: Scene, view: Model, why: str) -> Georeference:
+    """No placement: turned so that up is up, scaled by scale bars or the rig where that can be trusted."""
+    up, scale, bars = view.up, view.scale, view.bars
     notes = [f"not georeferenced: {why}"]
     rotation, factor, source = np.eye(3), 1.0, "none"
     if up is not None:
         rotation = Rotation.align_vectors([[0.0, 0.0, 1.0]], [up.direction])[0].as_matrix()
         notes.append(f"levelled by the upward direction of {up.cameras}, to about {up.sigma_deg:.0f} deg")
     if scale is not None and scale.trusted:
-        factor, source = scale.metres_per_unit, "rig baseline"
-        notes.append(f"metric by the rig's baselines (scale good to {scale.sigma:.1%})")
+        factor, source = scale.metres_per_unit, scale.name
+        by = "the rig's baselines" if scale.source == RIG else f"the {scale.source}"
+        notes.append(f"metric by {by} (scale good to {scale.sigma:.{1 if scale.source == RIG else 3}%})")
     elif scale is not None:
         notes.append(f"no scale taken from the rig: {scale.why_not}")
     else:
         notes.append("nothing fixes the scale: lengths are in units of the model")
     empty = np.full((scene.frames, 3), np.nan)
     here = Similarity(factor, rotation, np.zeros(3))
+    said = [*rig_statement(scale, here, True), *rig_statement(view.rig, here, False), *up_statements(up, here, True)]
+    rows = bar_rows(bars, factor if source != "none" else float("nan"))
+    against = bars.told(rows, scale.sigma) if bars is not None and scale is not None else ()
     return Georeference(
         world_from_model=here,
         scale_source=source,
@@ -357,7 +383,8 @@ def _levelled(scene: Scene, up: Up | None, scale: RigScale | None, why: str) -> 
         residuals=Residuals(
             empty, np.zeros(scene.frames, bool), held_out_m=empty, fixes_m=np.zeros((0, 3)), held=HeldOut()
         ),
-        findings=Findings(tuple(notes), (*rig_statement(scale, here, True), *up_statements(up, here, True))),
+        findings=Findings(tuple(notes), tuple(said), (*(c.text() for c in contradictions(said)), *against)),
+        control=PointsFound(bars=rows),
     )
 
 

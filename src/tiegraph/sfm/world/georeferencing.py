@@ -16,15 +16,25 @@ from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import image_poses, sim3d
 from tiegraph.sfm.settings import GeorefSettings
 from tiegraph.sfm.tuning import Tuning
+from tiegraph.sfm.tuning.world import WorldTuning
 from tiegraph.sfm.verified import VerifiedMatches, read_verified
 from tiegraph.sfm.world import worldadjust
+from tiegraph.sfm.world.bars import bars_in
 from tiegraph.sfm.world.fixes import Fixes, Measurements
-from tiegraph.sfm.world.georef import Georeference, HeldOut, applied_receiver, georeference, row_of_frames
-from tiegraph.sfm.world.marks import marked, point_table, targets
+from tiegraph.sfm.world.georef import Georeference, HeldOut, applied_receiver, bar_rows, georeference, row_of_frames
+from tiegraph.sfm.world.marks import Target, marked, point_table, targets
 from tiegraph.sfm.world.oneworld import ByPositions, OneWorld, one_world
+from tiegraph.sfm.world.scale import BARS
 from tiegraph.sfm.world.similarityfit import SimilarityFit
 from tiegraph.sfm.world.statements import with_statements
-from tiegraph.sfm.world.worldadjust import AdjustmentResult, ConstantParameters, Constraints, Receiver, adjust_in_world
+from tiegraph.sfm.world.worldadjust import (
+    AdjustmentResult,
+    ConstantParameters,
+    Constraints,
+    Lengths,
+    Receiver,
+    adjust_in_world,
+)
 
 
 def georeference_model(
@@ -38,7 +48,7 @@ def georeference_model(
     """The georeference of a model, judged (``statements.py``), and the model in the world; see ``_grounded``."""
     given, held = given or Measurements(), held or ConstantParameters()
     found, world = _georeferenced(model, scene, settings, tuning, given, held)
-    points = targets(world, scene, given.control, tuning.world.marks) if given.control is not None else []
+    points = _points(world, scene, given, tuning.world) if given.control is not None else []
     return with_statements(found, scene, given.model_sigma * found.world_from_model.scale, points), world
 
 
@@ -131,7 +141,7 @@ def _constraints(
         up = replace(up, direction=np.array([0.0, 0.0, 1.0]))  # it was brought there by the similarity
     stretch, found = 1.0, []
     if control is not None:
-        found = marked(targets(world, scene, control, tuning.world.marks), first.control.rows)
+        found = marked(_points(world, scene, given, tuning.world), first.control.rows)
     if control is not None and len(placing.points):
         stretch = float(np.median(evidence.sigma[len(placing.fixes) :] / control.sigma_m[placing.points]))
     return Constraints(
@@ -149,7 +159,26 @@ def _constraints(
         targets=found,
         point_factor=stretch,
         up=up,
+        lengths=_lengths(world, scene, placing, given, tuning.world),
     )
+
+
+def _points(model: pycolmap.Reconstruction, scene: Scene, given: Measurements, tuning: WorldTuning) -> list[Target]:
+    """The control points in a model."""
+    assert given.control is not None
+    return targets(model, scene, given.control.marks, len(given.control), tuning.marks)
+
+
+def _lengths(
+    world: pycolmap.Reconstruction, scene: Scene, placing: SimilarityFit, given: Measurements, tuning: WorldTuning
+) -> Lengths | None:
+    """The scale bars that hold lengths in the adjustment: those that the similarity believed, where it used them."""
+    found = placing.model.bars
+    if given.bars is None or found is None or BARS not in placing.weighed.scale_used:
+        return None
+    ends = targets(world, scene, given.bars.marks, len(given.bars.names), tuning.marks)
+    there = np.array([not (ends[a].why_not or ends[b].why_not) for a, b in given.bars.ends], bool)
+    return Lengths(given.bars, ends, found.used & there)
 
 
 @dataclass(frozen=True)
@@ -225,10 +254,12 @@ def _adjusted(
     inlier[has] = np.linalg.norm(made.residual / sigma, axis=1)[at[has]] < tuning.fit.inlier_sigmas * np.sqrt(3)
     control = first.control
     if given.control is not None:
-        found = marked(targets(made.model, scene, given.control, tuning.marks), control.rows)
+        found = marked(_points(made.model, scene, given, tuning), control.rows)
         off = np.array([t.place for t in found]).reshape(-1, 3) - given.control.world_m
         rows, accuracy = point_table(given.control, found, off, scene.names)
         control = replace(control, rows=tuple(rows), accuracy=accuracy)
+    bars = bars_in(made.model, scene, given.bars, tuning.marks)
+    control = replace(control, bars=bar_rows(bars, 1.0))
     moved = np.linalg.norm(_centres(world, scene) - _centres(made.model, scene), axis=1)
     note = (
         f"adjusted with the positions: frames moved by {np.nanmedian(moved):.3f} m (at most {np.nanmax(moved):.3f} m), "

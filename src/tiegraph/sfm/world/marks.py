@@ -12,7 +12,7 @@ from scipy.optimize import least_squares
 
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity, umeyama
-from tiegraph.scene.control import Control
+from tiegraph.scene.control import Control, Marks
 from tiegraph.scene.evidence import LIMIT
 from tiegraph.scene.rays import on_plane
 from tiegraph.scene.scene import Scene
@@ -36,17 +36,44 @@ class Target:
     blunder: bool = False
 
 
-def targets(model: pycolmap.Reconstruction, scene: Scene, control: Control, tuning: MarkTuning) -> list[Target]:
-    """The points of a control file in the model, in its order.
+def targets(model: pycolmap.Reconstruction, scene: Scene, marks: Marks, count: int, tuning: MarkTuning) -> list[Target]:
+    """The ``count`` points of some marks in the model, in their order.
 
     A mark farther than 20 px from where the others put the point is left out where three or more remain.
     """
-    views = {k: v for k in np.unique(control.image) if (v := _view(model, scene.names[k])) is not None}
+    views = {k: v for k in np.unique(marks.image) if (v := _view(model, scene.names[k])) is not None}
+    sigma = mark_sigma(marks, tuning)
     out = []
-    for point in range(len(control)):
-        rows = np.array([r for r in np.flatnonzero(control.point == point) if control.image[r] in views], int)
-        out.append(_target([views[k] for k in control.image[rows]], control.xy_px[rows], rows, tuning))
+    for point in range(count):
+        rows = np.array([r for r in np.flatnonzero(marks.point == point) if marks.image[r] in views], int)
+        seen = [_Ray(view=views[marks.image[r]], xy=marks.xy_px[r], sigma_px=float(sigma[r])) for r in rows]
+        out.append(_target(seen, rows, tuning))
     return out
+
+
+def mark_sigma(marks: Marks, tuning: MarkTuning) -> np.ndarray:
+    """(M,) sigmas of marks, pixels."""
+    own = np.hypot(marks.sigma_px, tuning.pose_sigma_px)
+    return np.where(np.isfinite(own), own, tuning.mark_sigma_px)
+
+
+@dataclass(frozen=True)
+class _Ray:
+    """One mark: cam_from_world (4, 4) and camera of its image, pixel (2,), sigma."""
+
+    view: tuple[np.ndarray, Any]
+    xy: np.ndarray
+    sigma_px: float
+
+    @property
+    def pose(self) -> np.ndarray:
+        """cam_from_world (4, 4)."""
+        return self.view[0]
+
+    @property
+    def camera(self) -> Any:
+        """Of the image, COLMAP's."""
+        return self.view[1]
 
 
 def without_blunders(found: list[Target], control: Control, tuning: MarkTuning) -> list[Target]:
@@ -95,7 +122,7 @@ def _view(model: pycolmap.Reconstruction, name: str) -> tuple[np.ndarray, Any] |
     return matrix(image.cam_from_world()), image.camera
 
 
-def _target(views: list, xy: np.ndarray, rows: np.ndarray, tuning: MarkTuning) -> Target:
+def _target(seen: list[_Ray], rows: np.ndarray, tuning: MarkTuning) -> Target:
     nowhere = Target(
         place=np.full(3, np.nan),
         covariance=np.full((3, 3), np.nan),
@@ -104,18 +131,18 @@ def _target(views: list, xy: np.ndarray, rows: np.ndarray, tuning: MarkTuning) -
     )
     if len(rows) < 2:
         return Target(**{**nowhere.__dict__, "why_not": f"{len(rows)} marks in registered images, 2 are needed"})
-    solution = _meet(views, xy, tuning.soft_px)
+    solution = _meet(seen, tuning)
+    residual = solution.fun.reshape(-1, 2) * np.array([[s.sigma_px] for s in seen])
     if len(rows) > 2:
-        off = np.linalg.norm(solution.fun.reshape(-1, 2), axis=1)
+        off = np.linalg.norm(residual, axis=1)
         worst = int(np.argmax(off))
         if off[worst] > tuning.max_mark_px:
             keep = np.arange(len(rows)) != worst
-            return _target([v for k, v in enumerate(views) if keep[k]], xy[keep], rows[keep], tuning)
+            return _target([s for k, s in enumerate(seen) if keep[k]], rows[keep], tuning)
     place = solution.x
-    rays = np.array([place - transforms.centre(pose) for pose, _ in views])
+    rays = np.array([place - transforms.centre(s.pose) for s in seen])
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     angle = float(np.degrees(np.arccos(np.clip((rays @ rays.T).min(), -1, 1))))
-    residual = solution.fun.reshape(-1, 2)
     if angle < tuning.min_angle_deg:
         return Target(
             place=place,
@@ -133,28 +160,30 @@ def _target(views: list, xy: np.ndarray, rows: np.ndarray, tuning: MarkTuning) -
             residual_px=residual,
             why_not=f"its rays miss each other by {worst_px:.0f} px",
         )
-    covariance = tuning.mark_sigma_px**2 * np.linalg.pinv(solution.jac.T @ solution.jac)
+    covariance = np.linalg.pinv(solution.jac.T @ solution.jac)
     return Target(place=place, covariance=covariance, marks=rows, residual_px=residual)
 
 
-def _meet(views: list, xy: np.ndarray, soft_px: float) -> Any:
-    """Least squares over pixels from the linear meeting point of the rays."""
+def _meet(rays: list[_Ray], tuning: MarkTuning) -> Any:
+    """Least squares over pixels in sigmas of the marks, from the linear meeting point of the rays."""
     normal, right = np.zeros((3, 3)), np.zeros(3)
-    for (pose, camera), mark in zip(views, xy):
-        ray = np.append(on_plane(camera, mark[None])[0], 1.0) @ pose[:3, :3]
+    for one in rays:
+        ray = np.append(on_plane(one.camera, one.xy[None])[0], 1.0) @ one.pose[:3, :3]
         across = np.eye(3) - np.outer(ray, ray) / (ray @ ray)
         normal += across
-        right += across @ transforms.centre(pose)
+        right += across @ transforms.centre(one.pose)
 
     def residuals(x: np.ndarray) -> np.ndarray:
         parts = []
-        for (pose, camera), mark in zip(views, xy):
-            seen = pose[:3, :3] @ x + pose[:3, 3]
-            found = camera.img_from_cam(seen) if seen[2] > 0 else None
-            parts.append(np.full(2, 1e4) if found is None else np.nan_to_num(np.ravel(found) - mark, nan=1e4))
+        for one in rays:
+            there = one.pose[:3, :3] @ x + one.pose[:3, 3]
+            found = one.camera.img_from_cam(there) if there[2] > 0 else None
+            off = np.full(2, 1e4) if found is None else np.nan_to_num(np.ravel(found) - one.xy, nan=1e4)
+            parts.append(off / one.sigma_px)
         return np.concatenate(parts)
 
-    return least_squares(residuals, np.linalg.pinv(normal) @ right, loss="soft_l1", f_scale=soft_px, x_scale="jac")
+    scale = tuning.soft_px / tuning.mark_sigma_px
+    return least_squares(residuals, np.linalg.pinv(normal) @ right, loss="soft_l1", f_scale=scale, x_scale="jac")
 
 
 def point_table(
@@ -173,7 +202,7 @@ def point_table(
         row: dict[str, Any] = {"name": name, "role": "check" if control.check[k] else "gcp", "marks": len(target.marks)}
         row["off_m"] = [round(float(v), 4) for v in off_m[k]] if np.isfinite(off_m[k]).all() else None
         row["rms_px"] = round(float(np.sqrt(np.mean(px**2))), 3) if len(px) and np.isfinite(px).all() else None
-        row["worst_image"] = images[int(control.image[target.marks[int(np.argmax(px))]])] if len(px) else None
+        row["worst_image"] = images[int(control.marks.image[target.marks[int(np.argmax(px))]])] if len(px) else None
         row["why_not"], row["blunder"] = target.why_not, target.blunder
         rows.append(row)
     sums = {}

@@ -11,15 +11,23 @@ from tiegraph.geometry import transforms
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.tuning.world import ScaleTuning
 
+RIG, BARS = "rig as given", "scale bars"
+
 
 @dataclass(frozen=True)
 class RigScale:
-    """Scale by the rig, its relative sigma, and whether to believe it."""
+    """Scale by known lengths, those of the rig or of scale bars, its relative sigma, and whether to believe it."""
 
     metres_per_unit: float
     sigma: float
     trusted: bool
     why_not: str = ""
+    source: str = RIG
+
+    @property
+    def name(self) -> str:
+        """What holds the scale, in world.json."""
+        return "rig baseline" if self.source == RIG else self.source
 
 
 def rig_scale(

@@ -24,6 +24,7 @@ from tiegraph.sfm.world.antenna import (
     up_to_use,
     with_lever_arm,
 )
+from tiegraph.sfm.world.bars import BarsFound
 from tiegraph.sfm.world.fit import Evidence, Fit, fit_similarity
 from tiegraph.sfm.world.fixes import Fixes, Measurements, make_fixes
 from tiegraph.sfm.world.gravity import Up
@@ -48,9 +49,11 @@ class Model:
 
     images: np.ndarray  # cam_from_world (N, 4, 4)
     up: Up | None
-    scale: RigScale | None
+    scale: RigScale | None  # by known lengths: scale bars where there are some, else the rig's baselines
     targets: list[Target]
     names: tuple[str, ...] = ()  # of the images
+    bars: BarsFound | None = None
+    rig: RigScale | None = None  # by the rig, where bars hold the scale
 
     def frames(self, scene: Scene, metres_per_unit: float | None = None) -> np.ndarray:
         """world_from_rig (F, 4, 4), by the rig's scale if none is given."""
@@ -164,7 +167,7 @@ def _weighed(about: _Given, stated: Fixes, arm: _Arm) -> tuple[EvidenceWeights, 
             weighed = weigh(_question(evidence, stated, about, arm))
         fixes = fixes.blurred(weighed.extra_m)
         blurred = np.concatenate([fixes.sigma, evidence.sigma[len(fixes) :]])
-        evidence = replace(evidence, sigma=blurred, log_scale=evidence.log_scale if weighed.rig_used else None)
+        evidence = replace(evidence, sigma=blurred, log_scale=evidence.log_scale if weighed.lengths_used else None)
         fit = fit_similarity(evidence, up_to_use(evidence, model.up, [], tuning), tuning.fit)
         metres = fit.similarity.scale
         frames = model.frames(scene, metres)

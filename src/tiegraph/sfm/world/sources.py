@@ -22,7 +22,7 @@ from tiegraph.sfm.world.gravity import Up
 from tiegraph.sfm.world.scale import RigScale
 
 POSITIONS = {"gnss": "GNSS positions", "exif": "EXIF positions", "trajectory": "trajectory positions"}
-CONTROL, RIG, ORIENTATIONS = "control points", "rig as given", "given orientations"
+CONTROL, ORIENTATIONS = "control points", "given orientations"
 SCALE, HEADING, TILTS = "scale", "heading", ("tilt towards north", "tilt towards east")
 PLACES = ("place east", "place north", "height")
 _THREE = 3  # places, for a similarity
@@ -158,11 +158,11 @@ def common_of(sigma: np.ndarray, floor_m: float, antenna_m: float) -> np.ndarray
 
 
 def rig_statement(scale: RigScale | None, result: Similarity, used: bool) -> list[Statement]:
-    """The rig's baselines of the scale, where they tell it."""
+    """Known lengths, those of the rig or of scale bars, of the scale, where they tell it."""
     if scale is None or not scale.trusted:
         return []
     ratio = scale.metres_per_unit / result.scale
-    return [Statement(quantity=SCALE, source=RIG, value=ratio, sigma=ratio * scale.sigma, unit="", used=used)]
+    return [Statement(quantity=SCALE, source=scale.source, value=ratio, sigma=ratio * scale.sigma, unit="", used=used)]
 
 
 def up_statements(up: Up | None, result: Similarity, used: bool) -> list[Statement]:

@@ -11,11 +11,11 @@ from tiegraph.scene.evidence import LIMIT, Contradiction, Statement, contradicti
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.world.georef import Findings, Georeference, Uncertainty
 from tiegraph.sfm.world.marks import Target
+from tiegraph.sfm.world.scale import RIG
 from tiegraph.sfm.world.similarityfit import time_order
 from tiegraph.sfm.world.sources import (
     CONTROL,
     ORIENTATIONS,
-    RIG,
     SCALE,
     orientation_statements,
     rig_statement,
@@ -58,6 +58,8 @@ def with_statements(found: Georeference, scene: Scene, model_sigma_m: float, tar
     error = known.error.widened_to(sigma) if known.error is not None else None
     found = _with_predicted(replace(found, uncertainty=Uncertainty(sigma, error)), model_sigma_m, targets)
     sentences += _check_points(found, model_sigma_m, targets)
+    bars = found.placing.model.bars if found.placing is not None else None
+    sentences += bars.told(found.control.bars, sigma["scale"]) if bars is not None else ()
     findings = Findings(
         notes=(*found.findings.notes, *_rests_on(found, scene)),
         statements=tuple(said),
@@ -77,7 +79,8 @@ def statements(found: Georeference) -> list[Statement]:
         if source.name in weighed.places_used:
             used += ["heading", "tilt towards north", "tilt towards east", "place east", "place north", "height"]
         out += source.statements(result, weighed.at, used, placing.tuning.sources)
-    out += rig_statement(placing.model.scale, result, weighed.rig_used and placing.evidence.log_scale is not None)
+    out += rig_statement(placing.model.scale, result, weighed.lengths_used and placing.evidence.log_scale is not None)
+    out += rig_statement(placing.model.rig, result, False)
     out += up_statements(placing.model.up, result, placing.up is not None)
     out += orientation_statements(placing.evidence, result, placing.tuning.sources)
     if np.isfinite(placing.clock.sigma_s):
@@ -185,22 +188,24 @@ def _rests_on(found: Georeference, scene: Scene) -> list[str]:
     placing = found.placing
     assert placing is not None
     rig = placing.model.scale
-    if rig is None or not placing.weighed.rig_used:
+    if rig is None or not placing.weighed.lengths_used:
         return []
     most = placing.tuning.sources.told_scale
     told = [s for s in placing.weighed.sources if np.isfinite(s.scale_sigma) and s.scale_sigma < most]
     checked = " and ".join(f"the {s.name} tell it to {s.scale_sigma:.1%}" for s in told)
     levers = ", ".join(s.name for r in scene.rigs if not r.nominal for s in r.sensors[1:])
+    on = f"lever arms of the rig as given ({levers})" if rig.source == RIG else rig.source
     return [
-        f"the scale rests on the lever arms of the rig as given ({levers}), by which the images tell it to "
-        f"{rig.sigma:.1%}; {checked or 'nothing else tells it'}"
+        f"the scale rests on the {on}, by which the images tell it to {rig.sigma:.1%}; "
+        f"{checked or 'nothing else tells it'}"
     ]
 
 
 def _trend_text(axis: str, text: str, form: str, sigma: float, found: Georeference) -> str:
     where = axis if axis == _ALONG else f"towards {axis}" if axis != "up" else "in height"
     assert found.placing is not None
-    holds = f"the {RIG}" if found.placing.weighed.rig_used else "something else"
+    lengths = found.placing.model.scale if found.placing.weighed.lengths_used else None
+    holds = "something else" if lengths is None else f"the {lengths.source}"
     causes = {
         "line": f"positions that drift, or a scale that {holds} holds",
         "curve": "a model that bends, or positions that drift",

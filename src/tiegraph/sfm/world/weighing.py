@@ -10,8 +10,8 @@ from tiegraph.geometry.align import Similarity
 from tiegraph.scene.evidence import LIMIT, Trend, trend
 from tiegraph.sfm.tuning.world import SourceTuning, WorldTuning
 from tiegraph.sfm.world.fit import Evidence, fit_similarity
-from tiegraph.sfm.world.scale import RigScale
-from tiegraph.sfm.world.sources import CONTROL, RIG, Source, alone
+from tiegraph.sfm.world.scale import BARS, RIG, RigScale
+from tiegraph.sfm.world.sources import CONTROL, Source, alone
 from tiegraph.sfm.world.unknowns import LogScale
 
 TWO_ENDS = LIMIT / np.sqrt(2)  # half a trend's size in sigmas of a position, when its ends contradict each other
@@ -37,15 +37,16 @@ class EvidenceWeights:
     name: str = "positions"
 
     @property
-    def rig_used(self) -> bool:
-        """Whether the rig's baselines may hold the scale."""
-        return RIG in self.scale_used
+    def lengths_used(self) -> bool:
+        """Whether the rig's baselines, or scale bars, may hold the scale."""
+        return RIG in self.scale_used or BARS in self.scale_used
 
 
 @dataclass(frozen=True)
 class Question:
     """What is weighed: ``count`` fixes before the control points in the evidence, their times (K,) or order, the
-    positions' name, what they share (``common_of``), the rig's scale, and whether the lever arm is unknown."""
+    positions' name, what they share (``common_of``), the scale by known lengths, and whether the lever arm is
+    unknown."""
 
     evidence: Evidence
     count: int
@@ -61,8 +62,9 @@ def weigh(asked: Question) -> EvidenceWeights:
     """Ask each source alone, compare, and decide what is used of scale and places.
 
     A rig's baseline that the positions (or control points) contradict gives way to them if they fit without a trend of
-    their own, for a wrong scale leaves one; where nothing else says who is right, the scale's sigma covers both. Of
-    positions and control points that contradict each other the control points are used.
+    their own, for a wrong scale leaves one (scale bars do not give way to one source alone); where nothing else says
+    who is right, the scale's sigma covers both. Of positions and control points that contradict each other the control
+    points are used.
     """
     evidence, tuning = asked.evidence, asked.tuning
     rows = np.arange(len(evidence.frame)) < asked.count
@@ -128,7 +130,7 @@ def _scale(asked: Question, found: dict[str, Source]) -> _Scale:
     most = asked.tuning.sources.any_scale
     told = {n: s for n, s in found.items() if np.isfinite(s.scale_sigma) and s.scale_sigma < most}
     rig = asked.scale if asked.scale is not None and asked.scale.trusted else None
-    names = (*told, *((RIG,) if rig is not None else ()))
+    names = (*told, *((rig.source,) if rig is not None else ()))
     apart = {n: abs(np.log(s.similarity.scale / rig.metres_per_unit)) for n, s in told.items()} if rig else {}
     against = [n for n in apart if rig and apart[n] > LIMIT * np.hypot(told[n].scale_sigma, rig.sigma)]
     if rig is None or not against:
@@ -137,15 +139,18 @@ def _scale(asked: Question, found: dict[str, Source]) -> _Scale:
     if agreeing and asked.name in against:
         extra = apart[asked.name] * _spread(asked) * np.ones(3)
         return _Scale(
-            (RIG, *agreeing),
+            (rig.source, *agreeing),
             0.0,
             extra_m=extra,
             why=f"{asked.name} stand alone against the others and are not used for it",
         )
     if agreeing or len(against) > 1:
-        why = "the rig as given stands alone against the others and is not used for it"
+        verbs = ("stands", "is") if rig.source == RIG else ("stand", "are")
+        why = f"the {rig.source} {verbs[0]} alone against the others and {verbs[1]} not used for it"
         return _Scale(tuple(told), 0.0, nothing, why=why)
     name, wide = against[0], float(apart[against[0]])
+    if rig.source == BARS:  # they are there for the scale and nothing else
+        return _Scale((BARS,), wide, wide * _spread(asked) * np.ones(3), why=f"that of the {BARS} is used")
     own = _own_trend(asked, told[name]) if name == asked.name else None
     with_rig = _with_scale(asked, rig, told[name]) if name == asked.name else ""
     if own is None:

@@ -11,7 +11,7 @@ import pycolmap
 
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity, umeyama
-from tiegraph.scene.control import Control
+from tiegraph.scene.control import Control, Marks, ScaleBars
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjustment.adjust import free_cameras
 from tiegraph.sfm.adjustment.constraints import RelativePosePrior
@@ -24,7 +24,7 @@ from tiegraph.sfm.tuning.world import AdjustmentTuning
 from tiegraph.sfm.world import costs, noise
 from tiegraph.sfm.world.fixes import Fixes
 from tiegraph.sfm.world.gravity import Up
-from tiegraph.sfm.world.marks import Target
+from tiegraph.sfm.world.marks import Target, mark_sigma
 
 
 @dataclass(frozen=True)
@@ -48,6 +48,15 @@ class Receiver:
 
 
 @dataclass(frozen=True)
+class Lengths:
+    """Scale bars and their ends in the model; ``used`` (B,) those that are believed."""
+
+    bars: ScaleBars
+    ends: Sequence[Target]
+    used: np.ndarray
+
+
+@dataclass(frozen=True)
 class Constraints:
     """What holds a model in the world besides its images; lengths in metres."""
 
@@ -60,6 +69,7 @@ class Constraints:
     targets: Sequence[Target] = ()
     point_factor: float = 1.0
     up: Up | None = None  # in the world: holds the tilt where positions do not
+    lengths: Lengths | None = None
 
 
 @dataclass(frozen=True)
@@ -232,26 +242,59 @@ def _add(problem: Any, cost: Any, loss: Any, old: list, new: list, new_first: bo
 def _add_points(
     problem: Any, model: pycolmap.Reconstruction, scene: Scene, given: Constraints, sigma_px: float
 ) -> list:
-    """Marks of the control points (check points never), each point held at its survey."""
-    from pycolmap import cost_functions
-
-    control, kept, world = given.control, [], given.tuning.world
+    """Marks of the control points (check points never), each point held at its survey, and of the ends of scale bars,
+    held at their distance. An end that is a control point too is one point."""
+    control, kept, places = given.control, [], {}
     for row, target in enumerate(given.targets):
         if control is None or control.check[row] or target.why_not:
             continue
-        place = np.array(control.world_m[row], float)
-        weight = (world.marks.mark_sigma_px / sigma_px) ** 2 * np.eye(2)
-        for mark in target.marks:
-            image = model.find_image_with_name(scene.names[control.image[mark]])
-            blocks = _blocks_of(model, image)
-            kind = cost_functions.ReprojErrorCost if len(blocks) == 2 else cost_functions.RigReprojErrorCost
-            cost = kind(model.cameras[image.camera_id].model, weight, control.xy_px[mark])
-            loss = costs.pyceres.CauchyLoss(world.fit.inlier_sigmas * sigma_px)
-            _add(problem, cost, loss, blocks, [place], new_first=True)
-            kept += [cost, loss]
+        place = places[control.names[row]] = np.array(control.world_m[row], float)
+        seen = _Sighting(place=place, marks=control.marks, rows=target.marks, sigma_px=sigma_px)
+        kept += _add_marks(problem, model, scene, given, seen)
         prior = costs.PriorCost(place, control.sigma_m[row] * given.point_factor / sigma_px)
         problem.add_residual_block(prior, None, [place])
         kept += [prior, place]
+    if given.lengths is None:
+        return kept
+    bars = given.lengths.bars
+    for bar in np.flatnonzero(given.lengths.used):
+        for row in bars.ends[bar]:
+            name, target = bars.names[row], given.lengths.ends[row]
+            if name not in places:
+                place = places[name] = np.array(target.place, float)
+                seen = _Sighting(place=place, marks=bars.marks, rows=target.marks, sigma_px=sigma_px)
+                kept += [place, *_add_marks(problem, model, scene, given, seen)]
+        length = costs.LengthCost(float(bars.length_m[bar]), float(bars.sigma_m[bar]) / sigma_px)
+        problem.add_residual_block(length, None, [places[bars.names[row]] for row in bars.ends[bar]])
+        kept.append(length)
+    return kept
+
+
+@dataclass(frozen=True)
+class _Sighting:
+    """A marked point: its place (3,), an unknown, all marks, the rows of its own, and the sigma of a pixel."""
+
+    place: np.ndarray
+    marks: Marks
+    rows: np.ndarray
+    sigma_px: float
+
+
+def _add_marks(problem: Any, model: pycolmap.Reconstruction, scene: Scene, given: Constraints, seen: _Sighting) -> list:
+    """Residuals of the marks of one point."""
+    from pycolmap import cost_functions
+
+    world, kept, marks, sigma_px = given.tuning.world, [], seen.marks, seen.sigma_px
+    sigma = mark_sigma(marks, world.marks)
+    for mark in seen.rows:
+        image = model.find_image_with_name(scene.names[marks.image[mark]])
+        blocks = _blocks_of(model, image)
+        kind = cost_functions.ReprojErrorCost if len(blocks) == 2 else cost_functions.RigReprojErrorCost
+        weight = (sigma[mark] / sigma_px) ** 2 * np.eye(2)
+        cost = kind(model.cameras[image.camera_id].model, weight, marks.xy_px[mark])
+        loss = costs.pyceres.CauchyLoss(world.fit.inlier_sigmas * sigma_px)
+        _add(problem, cost, loss, blocks, [seen.place], new_first=True)
+        kept += [cost, loss]
     return kept
 
 

@@ -1,0 +1,88 @@
+"""Scale bars in a control point file: a table of two names, a length and its sigma.
+
+The header has the columns from, to, length and, if known, sigma and role (bar or check); lengths are in metres, or as
+the header says in brackets: ``from,to,length (mm),sigma (mm)``.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+
+from tiegraph.errors import InputError
+from tiegraph.scene.table import Table, number
+from tiegraph.scene.tuning import ControlTuning
+
+_FROM = ("from", "first", "target_1", "target1", "point_1", "point1")
+_TO = ("to", "second", "target_2", "target2", "point_2", "point2")
+_LENGTH = ("length", "length_m", "distance", "distance_m")
+_SIGMA = ("sigma", "sigma_m")
+_CHECK = ("check", "checkbar", "check_bar")
+_UNIT_M = {"": 1.0, "m": 1.0, "cm": 1e-2, "mm": 1e-3}
+FORM = "scale bars need the columns from, to, length (metres; if known sigma, role: bar or check) in a table of theirs"
+
+
+@dataclass(frozen=True)
+class FileBar:
+    """A scale bar as its file gives it: names of its ends, length and sigma in metres, line."""
+
+    ends: tuple[str, str]
+    length_m: float
+    sigma_m: float
+    check: bool
+    line: int
+
+
+def names_bars(line: str) -> bool:
+    """Whether a line is the header of a table of scale bars."""
+    words = {re.sub(r"[^a-z0-9_]+", "", w) for w in re.split(r"[,;\t ]+", line.lower())}
+    return all(words & set(names) for names in (_FROM, _TO, _LENGTH))
+
+
+def read_bars(table: Table, tuning: ControlTuning) -> list[FileBar]:
+    """The bars of a table. Raises InputError, naming file and line, for lengths and sigmas that are none."""
+    first, second, length, sigma = (table.find(a) for a in (_FROM, _TO, _LENGTH, _SIGMA))
+    role = table.find(("role", "type", "kind"))
+    out: list[FileBar] = []
+    for row in range(len(table.rows)):
+        where = f"{table.path}, line {table.line(row)}"
+        ends = (table.cell(row, first), table.cell(row, second))
+        if not all(ends) or ends[0] == ends[1]:
+            raise InputError(f"{where}: a scale bar needs two names that differ, got {ends[0]!r} and {ends[1]!r}")
+        known = _metres(table, row, length)
+        if not 0 < known <= tuning.longest_bar_m:
+            raise InputError(
+                f"{where}: length = {table.cell(row, length)}: above 0 and at most {tuning.longest_bar_m:g} m; "
+                "millimetres are said in the header, length (mm)"
+            )
+        spread = _metres(table, row, sigma) if table.cell(row, sigma) else tuning.bar_sigma_m
+        if not 0 < spread < known:
+            raise InputError(f"{where}: sigma = {table.cell(row, sigma)}: above 0 and below the length of the bar")
+        said = table.cell(row, role).lower()
+        if said not in ("", "bar", *_CHECK):
+            raise InputError(f"{where}: role {said!r} is neither bar nor check")
+        check, line = said in _CHECK, table.line(row)
+        out.append(FileBar(ends=ends, length_m=known, sigma_m=spread, check=check, line=line))
+        _refuse_other_length(out, where)
+    return out
+
+
+def _metres(table: Table, row: int, column: int | None) -> float:
+    """A length of the table in metres, NaN for what is no number."""
+    unit = table.unit(column)
+    if unit not in _UNIT_M:
+        raise InputError(f"{table.path}: lengths in {unit!r}: give m, cm or mm")
+    value = number(table.cell(row, column)) * _UNIT_M[unit]
+    return value if np.isfinite(value) else float("nan")
+
+
+def _refuse_other_length(bars: list[FileBar], where: str) -> None:
+    new = bars[-1]
+    for known in bars[:-1]:
+        if set(known.ends) == set(new.ends):
+            raise InputError(
+                f"{where}: the bar from {new.ends[0]!r} to {new.ends[1]!r} stands in line {known.line} already "
+                f"({known.length_m:g} m there, {new.length_m:g} m here): leave one"
+            )

@@ -1,0 +1,106 @@
+"""From targets seen in images to marks of the points of a control point file, and what is odd about them."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import pycolmap
+
+from tiegraph.scene.control import TargetMark
+from tiegraph.scene.targets.names import Target, count_of, families
+from tiegraph.targets.detect import Seen, centre_of
+from tiegraph.targets.tuning import Tuning
+
+_SHOWN = 4
+OTHERS = (
+    "apriltag_16h5", "apriltag_25h9", "apriltag_36h10", "apriltag_36h11",
+    "4x4_1000", "5x5_1000", "6x6_1000", "7x7_1000", "aruco_original", "aruco_mip_36h12",
+)  # fmt: skip
+"""Families that hold all others."""
+
+
+@dataclass(frozen=True)
+class TargetMarks:
+    """The marks of named targets, how many images were searched, and what is to be said."""
+
+    marks: tuple[TargetMark, ...] = ()
+    images: int = 0
+    notes: tuple[str, ...] = field(default_factory=tuple)
+
+
+def marks_of(
+    seen: Mapping[int, Sequence[Seen]],
+    named: Mapping[str, Target],
+    camera_of: Callable[[int], pycolmap.Camera | None],
+    names: Sequence[str],
+    tuning: Tuning,
+) -> TargetMarks:
+    """Marks of the targets ``named`` in a file, of what was ``seen`` by scene index; ``names`` of the images.
+
+    A target at two places of one image was printed twice: it is not used at all.
+    """
+    by_target: dict[Target, dict[int, list[Seen]]] = defaultdict(lambda: defaultdict(list))
+    for image, found in seen.items():
+        for one in found:
+            by_target[one.target][image].append(one)
+    marks, notes = [], []
+    for name, target in named.items():
+        places = by_target.pop(target, {})
+        twice = [k for k, found in places.items() if _apart(found, tuning)]
+        if twice:
+            more = f" and of {len(twice) - 1} more" if len(twice) > 1 else ""
+            text = f"target {name} is seen at two places of {names[twice[0]]}{more}: printed twice? It is not used"
+            notes.append(text)
+            continue
+        notes += _seen_little(name, places, names, len(seen))
+        for k, found in places.items():
+            best = min(found, key=lambda s: s.sigma_px)
+            x, y = centre_of(best.corners, camera_of(k))
+            if np.isfinite([x, y, best.sigma_px]).all():
+                marks.append(
+                    TargetMark(name=name, image=k, xy=(float(x), float(y)), sigma_px=float(best.sigma_px / np.sqrt(2)))
+                )
+    notes += _not_named(by_target)
+    return TargetMarks(tuple(marks), len(seen), tuple(notes))
+
+
+def _apart(found: Sequence[Seen], tuning: Tuning) -> bool:
+    """Whether a target is at two places, and not at one with two outlines."""
+    first = found[0].corners
+    side = float(np.linalg.norm(first[1] - first[0]))
+    return any(np.linalg.norm((s.corners - first).mean(axis=0)) > tuning.apart_sides * side for s in found[1:])
+
+
+def _seen_little(name: str, places: Mapping[int, Sequence[Seen]], names: Sequence[str], images: int) -> list[str]:
+    if not places:
+        return [f"target {name} is seen in none of {images} images"]
+    if len(places) == 1:
+        return [f"target {name} is seen in one image only, {names[next(iter(places))]}: two are needed for a place"]
+    return []
+
+
+def _not_named(by_target: Mapping[Target, Mapping[int, Sequence[Seen]]]) -> list[str]:
+    """Targets that the file does not name, seen in two images at least: one may be gravel."""
+    others = {t: len(places) for t, places in by_target.items() if len(places) > 1}
+    if not others:
+        return []
+    shown = ", ".join(f"{t.name} ({count} images)" for t, count in sorted(others.items())[:_SHOWN])
+    more = f" and {len(others) - _SHOWN} more" if len(others) > _SHOWN else ""
+    return [f"targets that are seen and not named in the file: {shown}{more}"]
+
+
+def likely_family(seen: Sequence[Seen]) -> str:
+    """What was seen of other families, in words; "" if nothing twice."""
+    count = Counter(s.target.family for s in seen)
+    family, number = count.most_common(1)[0] if count else ("", 0)
+    if number < 2:
+        return ""
+    largest = max(s.target.number for s in seen if s.target.family == family)
+    size = family.partition("_")[0]
+    if family.endswith("_1000"):
+        fits = [n for n in families() if n.startswith(f"{size}_") and count_of(n) > largest]
+        family = min(fits, key=count_of)
+    return f"{Target(family, largest).name.partition(':')[0]} (seen {number} times)"

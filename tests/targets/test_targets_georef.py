@@ -1,0 +1,121 @@
+"""Coded targets as control and scale bars through georef's glue, rendered, with truth."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from targets.targets_world import EAST, NORTH, PLACES, Table, survey
+from tiegraph.errors import InputError
+from tiegraph.pipeline.georef import georef
+from tiegraph.project.stages import Outcome
+from tiegraph.scene.colmapmodel import image_poses
+from tiegraph.scene.scene import Scene
+
+import pycolmap  # isort: skip
+
+NAMES = list(PLACES)
+HEAD = "# crs: EPSG:32654\nname,x,y,z,sigma_xy,sigma_z,role\n"
+BARS = "from,to,length (mm),sigma (mm),role\n"
+
+
+def surveyed(names: list[str], check: str = "", off: dict[str, float] | None = None) -> str:
+    """Rows of points at their true places, some ``off`` in height."""
+    rows = []
+    for name in names:
+        x, y, z = PLACES[name]
+        z += (off or {}).get(name, 0.0)
+        role = "check" if name == check else "gcp"
+        rows.append(f"{name},{EAST + x:.6f},{NORTH + y:.6f},{z:.6f},0.001,0.001,{role}\n")
+    return HEAD + "".join(rows)
+
+
+def bar(a: str, b: str, factor: float = 1.0, sigma_mm: float = 0.1, role: str = "bar") -> str:
+    length = 1000 * float(np.linalg.norm(np.subtract(PLACES[a], PLACES[b]))) * factor
+    return f"{a},{b},{length:.4f},{sigma_mm},{role}\n"
+
+
+def made(folder: Path, control: str) -> tuple[Outcome, dict, Table]:
+    run, world = survey(folder, control)
+    outcome = georef(run)
+    return outcome, json.loads((folder / "world.json").read_text()), world
+
+
+def camera_error_m(folder: Path, world: Table) -> np.ndarray:
+    """(N, 3) centres of the cameras in the world minus the truth, metres."""
+    model = pycolmap.Reconstruction(str(folder / "sparse/world"))
+    scene = Scene.from_json((folder / "network/scene.json").read_text())
+    told = json.loads((folder / "world.json").read_text())
+    shift = np.zeros(3) if told["origin"] is None else np.array(told["origin"]["shift_m"]) - (EAST, NORTH, 0)
+    out = []
+    for here, true in zip(image_poses(model, scene), world.poses):
+        out.append(-here[:3, :3].T @ here[:3, 3] + shift + true[:3, :3].T @ true[:3, 3])
+    return np.array(out)
+
+
+@pytest.mark.slow
+def test_targets_place_a_model_that_nobody_marked(tmp_path: Path) -> None:
+    outcome, told, world = made(tmp_path, surveyed(NAMES, check=NAMES[4]))
+    assert told["placed"] and told["scale_source"] == "control points" and told["adjusted"]
+    rows = {row["name"]: row for row in told["control"]}
+    assert [rows[n]["marks"] for n in NAMES] == [8] * 5 and rows[NAMES[4]]["role"] == "check"
+    assert all(0.001 < row["rms_px"] < 0.4 for row in rows.values())
+    assert 1e-5 < np.linalg.norm(rows[NAMES[4]]["off_m"]) < 0.002
+    assert 1e-5 < np.sqrt(np.mean(camera_error_m(tmp_path, world) ** 2)) < 0.002
+    assert outcome.contradictions == ()
+
+
+@pytest.mark.slow
+def test_scale_bars_hold_the_scale_where_nothing_else_does(tmp_path: Path) -> None:
+    bars = BARS + bar(NAMES[0], NAMES[2]) + bar(NAMES[1], NAMES[3]) + bar(NAMES[0], NAMES[1], role="check")
+    outcome, told, world = made(tmp_path, bars)
+    assert not told["placed"] and told["scale_source"] == "scale bars" and told["origin"] is None
+    assert told["scale"] == pytest.approx(1 / 0.3, rel=5e-4) and told["scale"] != pytest.approx(1 / 0.3, rel=1e-8)
+    off, sigma = (np.array([row[n] for row in told["scale_bars"]]) for n in ("off_mm", "sigma_mm"))
+    assert (0.05 < sigma).all() and (sigma < 0.5).all() and (np.abs(off) < 3 * sigma).all() and (off != 0).any()
+    assert outcome.tables["scale bars"]["rows"][2][:3] == [NAMES[0], NAMES[1], "check"]
+    assert outcome.contradictions == ()
+
+
+@pytest.mark.slow
+def test_bars_that_contradict_each_other_or_the_points_are_told(tmp_path: Path) -> None:
+    folders = [tmp_path / n for n in ("two", "three", "points")]
+    for folder in folders:
+        folder.mkdir()
+    wrong = bar(NAMES[1], NAMES[3], 1.02)
+    outcome, told, _ = made(folders[0], BARS + bar(NAMES[0], NAMES[2]) + wrong)
+    (said,) = outcome.contradictions
+    assert re.search(r"contradict each other by (1\.9|2\.0)", said) and "nothing tells which is wrong" in said
+    assert told["scale"] * 0.3 == pytest.approx(1.01, abs=0.003)
+
+    outcome, told, _ = made(folders[1], BARS + bar(NAMES[0], NAMES[2]) + wrong + bar(NAMES[0], NAMES[1]))
+    (said,) = outcome.contradictions
+    assert f"scale bar '{NAMES[1]}' to '{NAMES[3]}' is not used" in said and re.search(r"\+(1\.9|2\.0)", said)
+    assert told["scale"] * 0.3 == pytest.approx(1, abs=5e-4) and told["scale_bars"][1]["why_not"]
+
+    grown = bar(NAMES[0], NAMES[2], 1.02) + bar(NAMES[1], NAMES[3], 1.02)
+    outcome, told, world = made(folders[2], surveyed(NAMES) + BARS + grown)
+    assert any("scale" in c and "scale bars" in c and "control points" in c for c in outcome.contradictions)
+    assert told["placed"] and told["sigma"]["scale"] > 0.005
+
+
+@pytest.mark.slow
+def test_bars_and_points_together_and_a_target_that_is_not_there(tmp_path: Path) -> None:
+    text = surveyed(NAMES[:3]) + f"tag36h11:77,{EAST},{NORTH},0,0.01,0.01,gcp\n" + BARS + bar(NAMES[3], NAMES[4])
+    outcome, told, world = made(tmp_path, text)
+    assert told["placed"] and told["adjusted"] and told["scale_bars"][0]["off_mm"] == pytest.approx(0, abs=0.5)
+    assert 1e-5 < np.sqrt(np.mean(camera_error_m(tmp_path, world) ** 2)) < 0.003
+    assert "target tag36h11:77 is seen in none of 8 images" in outcome.notes
+    assert next(r for r in told["control"] if r["name"] == "tag36h11:77")["why_not"]
+
+
+@pytest.mark.slow
+def test_the_wrong_family_is_named(tmp_path: Path) -> None:
+    text = surveyed(NAMES).replace("tag36h11:", "tag25h9:")
+    run, _ = survey(tmp_path, text)
+    with pytest.raises(InputError, match=r"none of its 5 coded targets, such as tag25h9:3, .* but of tag36h11 \(seen"):
+        georef(run)
