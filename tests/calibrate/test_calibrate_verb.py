@@ -30,7 +30,7 @@ def truth() -> State:
         for k in range(3)
     ]
     sensors = [np.eye(4), rig_pose((1, 25, -2), (0.12, 0.005, 0.01)), rig_pose((-2, 50, 1), (0.23, -0.004, -0.03))]
-    boards = boards_of_rig(BOARD, cameras, sensors, count=40, seed=1, depth_m=(0.3, 0.5))
+    boards = boards_of_rig(BOARD, cameras, sensors, count=30, seed=1, depth_m=(0.3, 0.5))
     return State(tuple(cameras), np.stack(sensors), boards)
 
 

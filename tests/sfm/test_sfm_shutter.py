@@ -82,9 +82,8 @@ def finished(
     source.mkdir(parents=True)
     model.write(source)
     held = Held(cameras=(1,), readout_ms=given_ms)
-    request = FinishRequest(
-        source, folder / "0", scene.to_json(), tuning, held, covariance_frames=0 if given_ms == 0 else 100
-    )
+    sigmas = 0 if given_ms == 0 else 100  # of frames: they tell that of the shutter
+    request = FinishRequest(source, folder / "0", scene.to_json(), tuning, held, covariance_frames=sigmas)
     return finish_model(request, lambda _: None)
 
 
