@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -213,15 +212,17 @@ def _reference(block: Block) -> tuple[Reference, str]:
     return Reference(model.world_from_camera[:, :3, 3], False, tuning.within_m), said
 
 
-def lost_note(name: str, error: ReconstructionError) -> str:
-    """What to say of a method that made no model."""
-    return f"{name} made no model: {one_line(str(error))}"
+def lost_note(block: Block, name: str, error: ReconstructionError) -> str:
+    """What to say of a method that made no model; kept, so that its run is not taken for one that was interrupted."""
+    said = f"{name} made no model: {one_line(str(error))}"
+    (block.folder / f"{name}.lost").write_text(said + "\n")
+    return said
 
 
 def interrupted_note(block: Block, name: str, stages: tuple[Stage, ...]) -> str:
     """A sentence if the run of a method was begun before and goes on: its stage under way has lost its first part."""
     mark, run = block.folder / f"{name}.interrupted", Run(block.side(name), block.run.inputs, block.run.settings)
-    begun = run.folder.is_dir() and not (block.whole and name == _OWN)
+    begun = run.folder.is_dir() and run.folder != block.run.folder and not (block.folder / f"{name}.lost").exists()
     if begun and "finished" not in run.receipts.read(needed(stages, UNTIL)[-1].name):
-        mark.write_text(json.dumps(True))
+        mark.touch()
     return f"{name} was interrupted: its times are too short" if mark.exists() else ""

@@ -1,0 +1,41 @@
+"""The folder of a comparison with another method: what was interrupted is said; what made no model was not."""
+
+from pathlib import Path
+
+import numpy as np
+
+from tiegraph.errors import ReconstructionError
+from tiegraph.pipeline import STAGES
+from tiegraph.pipeline.baseline import Block, interrupted_note, lost_note, run_side
+from tiegraph.project.run import Inputs, Run
+from tiegraph.project.settings import merged
+from tiegraph.scene.rig import Rig, Sensor
+from tiegraph.scene.scene import simple_scene
+
+
+def block(folder: Path, whole: bool) -> Block:
+    scene = simple_scene(Rig("one", (Sensor("a", None),)), ["0.jpg", "1.jpg"], np.arange(2), np.zeros(2, int))
+    run = Run(folder / "survey", Inputs(folder / "images"), merged())
+    (folder / "block").mkdir()
+    return Block(folder=folder / "block", run=run, scene=scene, whole=whole)
+
+
+def test_a_run_that_goes_on_is_said_to_have_been_interrupted(tmp_path: Path) -> None:
+    made = block(tmp_path, whole=False)
+    assert interrupted_note(made, "conventional", STAGES) == ""  # not begun
+    made.side("conventional").mkdir()
+    for _ in range(2):  # also when it has gone on since
+        assert "times are too short" in interrupted_note(made, "conventional", STAGES)
+    made.side("meguro2024").mkdir()
+    assert lost_note(made, "meguro2024", ReconstructionError("no pair verified")).endswith("no pair verified")
+    assert interrupted_note(made, "meguro2024", STAGES) == ""
+    side = run_side(made, "meguro2024", STAGES)
+    assert side.count == 0 and side.cpu_s == 0 and np.isnan(side.centres).all()
+
+
+def test_a_whole_survey_is_its_own_side(tmp_path: Path) -> None:
+    made = block(tmp_path, whole=True)
+    assert made.side("tiegraph") == tmp_path / "survey" and made.images == tmp_path / "images"
+    assert made.side("colmap") == tmp_path / "block" / "colmap"
+    made.run.folder.mkdir()
+    assert interrupted_note(made, "tiegraph", STAGES) == ""
