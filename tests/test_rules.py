@@ -96,6 +96,7 @@ def test_every_setting_is_documented():
     from tiegraph.plan.tuning import Tuning as PlanTuning
     from tiegraph.project.settings import STAGED, Settings, Tunings
     from tiegraph.settings import Section
+    from tiegraph.watch.tuning import Tuning as WatchTuning
 
     def check(where: str, section: Section) -> None:
         told = documented(type(section))
@@ -115,6 +116,7 @@ def test_every_setting_is_documented():
     check("lidar", LidarSettings())
     check("tuning.lidar", LidarTuning())
     check("tuning.odometry", OdometryTuning())
+    check("tuning.watch", WatchTuning())
 
 
 def test_stages_settings_and_verbs_have_one_name():

@@ -6,6 +6,7 @@ from functools import partial
 import numpy as np
 import pycolmap
 import pytest
+from scipy.spatial.transform import Rotation
 
 from boat_world import photos
 from tiegraph.geometry import transforms
@@ -66,9 +67,9 @@ def test_points_without_base_and_ties_of_another_wall_place_nothing():
 def test_the_plan_is_level_whatever_the_frame_of_the_model():
     rng = np.random.default_rng(3)
     heading = np.linspace(0, 2, 9)
-    upright = [transforms.rigid(transforms.turn_by_vector(np.array([0, h, 0])), [0.3 * h, 0.01, 1]) for h in heading]
-    turn = transforms.rigid(transforms.turn_by_vector(rng.normal(size=3)), rng.normal(size=3))
-    poses = np.stack(upright) @ turn
+    turns = Rotation.from_rotvec(np.outer(heading, [0, 1, 0])).as_matrix()
+    upright = transforms.rigid(turns, np.column_stack([0.3 * heading, np.full(9, 0.01), np.ones(9)]))
+    poses = upright @ transforms.rigid(Rotation.from_rotvec(rng.normal(size=3)).as_matrix(), rng.normal(size=3))
     plan = levelled(poses)
     down = plan[:3, :3] @ np.mean(poses[:, 1, :3], axis=0)
     assert down[2] == pytest.approx(-1, abs=1e-3)

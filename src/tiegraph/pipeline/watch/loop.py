@@ -253,6 +253,8 @@ class Watched:
             or any(n not in self._digest for n in scene.names)
         ):
             return
+        if self.arrivals.waiting() > max(_BATCH, len(scene) // 4):  # a folder that was full already: that first
+            return
         new = len(scene) - self._models.images
         idle = now - self._last > tuning.idle_s
         if new >= max(1, tuning.more * self._models.images) or (idle and (new or self._models.ties < len(self._ties))):

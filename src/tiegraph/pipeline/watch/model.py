@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import os
 import threading
 import time
 from collections.abc import Callable
@@ -30,8 +29,6 @@ from tiegraph.scene.rig import rig_from_dict, rig_to_dict
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.strongest import strongest_pairs
 from tiegraph.watch.tuning import ModelTuning
-
-_GIVES_WAY = 4  # of "nice": new images come first
 
 log = logging.getLogger(__name__)
 
@@ -64,8 +61,6 @@ def make_model(wanted: Wanted, send: Callable[[Any], None]) -> Modelled:
 
     Runs in a child process (``run_in_child``).
     """
-    if hasattr(os, "nice"):
-        os.nice(_GIVES_WAY)
     scene, settings = Scene.from_json(wanted.scene), wanted.settings
     ties = _with_look_alikes(wanted, scene, PreviewMatches.from_npz(wanted.ties))
     least, network = settings.candidates.min_matches, settings.tuning.network
