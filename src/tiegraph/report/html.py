@@ -37,7 +37,7 @@ _MASKS_READ = 25  # masks opened for a camera's mean share
 _DROPPED_SHOWN = 200
 _IMAGES_SHOWN = 5000
 _RIGS_SHOWN = 8
-_ARROW_SHARE = 0.05  # of the width of an image: the longest residual of a lens as drawn
+_ARROW_SHARE = 0.1  # of the width of an image: the longest residual of a lens as drawn
 
 
 @dataclass(frozen=True)
