@@ -89,7 +89,7 @@ def test_report_is_one_offline_page(project):
     text = project.report().read_text()
     assert "16 of 16 images" in text
     assert not re.search(r'(?:src|href)="(?!data:|#)', text), "everything is inside the page"
-    heads = re.findall(r"<h2>([^<]*)", text)
+    heads = re.findall(r"<h2[^>]*>([^<]*)", text)
     assert heads[0].startswith("The survey is")
     for head in ("What was found", "Masks", "Which images tie to which", "Camera positions and model", "Point cloud"):
         assert head in heads
@@ -116,7 +116,7 @@ def test_every_accuracy_has_one_source(project):
 
 
 def test_the_report_names_no_folder_of_this_machine(project):
-    for name in ("report.html", "metrics.json", "accuracy.csv"):
+    for name in ("report.html", "report.json", "metrics.json", "accuracy.csv"):
         text = (project.folder / name).read_text()
         assert str(project.folder.parent) not in text and str(Path.home()) not in text, name
     assert "rig.toml" in project.report().read_text()

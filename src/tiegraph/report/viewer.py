@@ -17,7 +17,7 @@ from tiegraph.report.texts import t
 # Okabe and Ito 2008: told apart by colour-blind readers too; as --pass0 ... of the style sheet
 PASSES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7a5c99", "#5b6770")
 _STEPS = 65535  # positions are stored as 16-bit steps of the box
-_SHARE = 0.98  # of the values of a scale that its colours span
+_SHARE = 0.94  # of the values of a scale that its colours span
 
 
 @dataclass(frozen=True, eq=False)
