@@ -13,6 +13,7 @@ import pytest
 import tiegraph
 import worlds
 from accuracy_marks import check, unmarked
+from tiegraph.cli.main import main
 from tiegraph.evaluate.reference import model_poses
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import umeyama
@@ -167,3 +168,14 @@ def test_first_claim_of_paper_000(project, survey, tmp_path):
     brute = tiegraph.open(made.images, tmp_path / "brute", preset="conventional", pool="serial").run("design")
     assert len(brute.pairs().kept()) == n * (n - 1) // 2
     assert len(project.pairs().kept()) < 0.8 * n * (n - 1) / 2
+
+
+def test_another_language_and_client_make_only_the_report_anew(project):
+    """Last, for the report of the project is another one then."""
+    before = (project.folder / "receipts" / "evaluate.json").read_text()
+    asked = ["report", str(project.folder), "--pool", "serial", "--quiet", "--language", "ja"]
+    assert main([*asked, "--report.about.client", "Port & Co"]) == 0
+    page = project.report().read_text()
+    assert "測量報告書" in page and "Port &amp; Co" in page
+    assert (project.folder / "receipts" / "evaluate.json").read_text() == before
+    assert tiegraph.open(out=project.folder).settings.report.about.client == "Port & Co"

@@ -139,6 +139,9 @@ def _how_sure(run: RunFolder) -> dict[str, Any]:
     if run.accuracy is not None:
         out |= {"table": accuracy.table(run.accuracy), "placement": accuracy.placement(run.accuracy)}
         out["without"] = accuracy.without(run.accuracy)
+        if run.scene is not None and len(run.scene.sequences) > 1:
+            text = "The clouds of the passes were not compared with each other: an error of one pass may be hidden."
+            out["without"].append(t(text))
     return out
 
 
