@@ -33,10 +33,9 @@ def options(text: str) -> set[str]:
 
 def settings(*only: str) -> set[str]:
     """The options of the settings of some stages, or of all."""
-    names = {
-        (s, name) for s, named in sections() if not only or s in only for f, field in named.items()
-        for name in ([f"{f}.{n}" for n in type(field.default).model_fields] if isinstance(field.default, Section) else [f])
-    }  # fmt: skip
+    chosen = [(s, f, field.default) for s, named in sections() if not only or s in only for f, field in named.items()]
+    tables = {(s, f"{f}.{n}") for s, f, table in chosen if isinstance(table, Section) for n in type(table).model_fields}
+    names = {(s, f) for s, f, value in chosen if not isinstance(value, Section)} | tables
     return {f"--{section}.{name.replace('_', '-')}" for section, name in names}
 
 
