@@ -3,7 +3,7 @@
 from pathlib import Path
 
 # Tell when and how long, or which pool: different by nature. ``images`` are links.
-_OF_THE_RUN = ("receipts", "log.txt", "report.html", ".lock", "tiegraph.toml", "images")
+_OF_THE_RUN = ("receipts", "log.txt", "report.html", "report.json", ".lock", "tiegraph.toml", "images")
 
 
 def artefacts(out: Path) -> dict[str, bytes]:

@@ -10,6 +10,7 @@ from tiegraph.cli.page import RUN
 from tiegraph.cli.run import RunOptions
 from tiegraph.cli.verbs import VERBS
 from tiegraph.project.settings import PRESETS, sections
+from tiegraph.settings import Section
 
 SCREEN = (24, 80)
 
@@ -32,7 +33,9 @@ def options(text: str) -> set[str]:
 
 def settings(*only: str) -> set[str]:
     """The options of the settings of some stages, or of all."""
-    names = {(s, f) for s, named in sections() for f in named if not only or s in only}
+    chosen = [(s, f, field.default) for s, named in sections() if not only or s in only for f, field in named.items()]
+    tables = {(s, f"{f}.{n}") for s, f, table in chosen if isinstance(table, Section) for n in type(table).model_fields}
+    names = {(s, f) for s, f, value in chosen if not isinstance(value, Section)} | tables
     return {f"--{section}.{name.replace('_', '-')}" for section, name in names}
 
 

@@ -94,7 +94,7 @@ def test_report_is_one_offline_page(project):
     text = project.report().read_text()
     assert "16 of 16 images" in text
     assert not re.search(r'(?:src|href)="(?!data:|#)', text), "everything is inside the page"
-    heads = re.findall(r"<h2>([^<]*)", text)
+    heads = re.findall(r"<h2[^>]*>([^<]*)", text)
     assert heads[0].startswith("The survey is")
     for head in ("What was found", "Masks", "Which images tie to which", "Camera positions and model", "Point cloud"):
         assert head in heads
@@ -121,7 +121,7 @@ def test_every_accuracy_has_one_source(project):
 
 
 def test_the_report_names_no_folder_of_this_machine(project):
-    for name in ("report.html", "metrics.json", "accuracy.csv"):
+    for name in ("report.html", "report.json", "metrics.json", "accuracy.csv"):
         text = (project.folder / name).read_text()
         assert str(project.folder.parent) not in text and str(Path.home()) not in text, name
     assert "rig.toml" in project.report().read_text()
@@ -206,3 +206,14 @@ def test_a_block_is_a_folder_of_links(project, survey, tmp_path):
         lay_out(run, 12, tmp_path / "mine")
     with pytest.raises(SettingsError, match="unknown baseline 'colmp'"):
         project.baseline("colmp", 12)
+
+
+def test_another_language_and_client_make_only_the_report_anew(project):
+    """Last, for the report of the project is another one then."""
+    before = (project.folder / "receipts" / "evaluate.json").read_text()
+    asked = ["report", str(project.folder), "--pool", "serial", "--quiet", "--language", "ja"]
+    assert main([*asked, "--report.about.client", "Port & Co"]) == 0
+    page = project.report().read_text()
+    assert "測量報告書" in page and "Port &amp; Co" in page
+    assert (project.folder / "receipts" / "evaluate.json").read_text() == before
+    assert tiegraph.open(out=project.folder).settings.report.about.client == "Port & Co"

@@ -264,7 +264,9 @@ def make_accuracy() -> Accuracy:
         Figure("point", "a point of the cloud (median)", 0.036),
     )
     placement = {"position_m": 0.06, "height_m": 0.11, "yaw_deg": 0.12, "tilt_deg": 0.3, "scale": 0.002}
-    answer = Answer(0.05, "no", "3 check points measured more", "more control points")
+    answer = Answer(
+        0.05, "no", "3 check points measured more", "more control points, to the sides and at the ends of the way"
+    )
     return Accuracy("m", "3 control points", figures, placement, answer)
 
 

@@ -6,7 +6,7 @@ from textwrap import shorten
 
 from tiegraph.report import formatting
 from tiegraph.report.runfolder import STAGES, RunFolder
-from tiegraph.report.texts import t
+from tiegraph.report.texts import said, t
 from tiegraph.scene.evidence import figures
 
 EVIDENCE = "evidence"  # the table that has a section of its own
@@ -29,6 +29,10 @@ def about(found: tuple[str, ...]) -> str:
     return "; ".join(short) + (t(" and {} more", len(heads) - len(short)) if len(heads) > len(short) else "")
 
 
+def _said(value: object) -> object:
+    return said(value) if isinstance(value, str) else value
+
+
 def evidence_table(run: RunFolder) -> formatting.Table | None:
     """The statements of all stages, those of one quantity one below the other; None without any."""
     found = {s: (run.receipts.get(s, {}).get("tables") or {}).get(EVIDENCE) for s in STAGES}
@@ -39,7 +43,8 @@ def evidence_table(run: RunFolder) -> formatting.Table | None:
             key = f"receipts.{stage}.{EVIDENCE}.{k}"
             value = formatting.marked(f"{key}.2", figures(row[2], row[3]))
             sigma = formatting.marked(f"{key}.3", formatting.number(row[3], 2))
-            rows.append([*row[:2], value, sigma, *row[4:]])
+            named = [said(str(name)) for name in row[:2]]
+            rows.append([*named, value, sigma, *map(_said, row[4:])])
     order = {q: k for k, q in enumerate(dict.fromkeys(r[0] for r in rows))}
     rows.sort(key=lambda r: order[r[0]])
     return formatting.table({"columns": next(iter(parts.values()))["columns"], "rows": rows}) if rows else None

@@ -21,7 +21,7 @@ def evaluation(run: RunFolder) -> dict[str, Any]:
     out: dict[str, Any] = {"there": bool(data), "metrics": None, "tables": [], "notes": notes}
     rows = [
         (
-            t(metric_text(str(m["name"]))),
+            said(t(metric_text(str(m["name"])))),
             marked(f"metrics.{m['name']}", formatting.cell(m.get("value"))),
             m.get("unit") or "",
         )

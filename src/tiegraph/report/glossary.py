@@ -40,6 +40,11 @@ _WORDS = {
 }
 
 
+def words() -> list[tuple[str, str]]:
+    """(word, meaning) in English."""
+    return list(_WORDS.items())
+
+
 def glossary() -> list[tuple[str, str]]:
     """(word, meaning) in the language of the page."""
-    return [(t(word), t(meaning)) for word, meaning in _WORDS.items()]
+    return [(t(word), t(meaning)) for word, meaning in words()]

@@ -37,7 +37,7 @@ _MASKS_READ = 25  # masks opened for a camera's mean share
 _DROPPED_SHOWN = 200
 _IMAGES_SHOWN = 5000
 _RIGS_SHOWN = 8
-_ARROW_SHARE = 0.05  # of the width of an image: the longest residual of a lens as drawn
+_ARROW_SHARE = 0.1  # of the width of an image: the longest residual of a lens as drawn
 
 
 @dataclass(frozen=True)
@@ -120,7 +120,7 @@ def _contents(context: dict[str, Any]) -> Iterator[Section]:
         ("result", t("The result in words"), True),
         ("sure", t("How sure are we"), context["sure"]["table"] or context["sure"]["evidence"]),
         ("found", t("What was found"), scan["facts"] or scan["notes"] or scan["dropped"]),
-        ("images", t("Every image"), context["images"]["rows"]),
+        ("images", t("Every image"), context["images"]["there"]),
         ("masks", t("Masks") if context["masks"]["any"] else t("Images"), context["masks"]["strips"]),
         ("network", t("Which images tie to which"), network["there"]),
         ("model", t("Camera positions and model"), model["there"] or model["notes"]),
@@ -139,6 +139,9 @@ def _how_sure(run: RunFolder) -> dict[str, Any]:
     if run.accuracy is not None:
         out |= {"table": accuracy.table(run.accuracy), "placement": accuracy.placement(run.accuracy)}
         out["without"] = accuracy.without(run.accuracy)
+        if run.scene is not None and len(run.scene.sequences) > 1:
+            text = "The clouds of the passes were not compared with each other: an error of one pass may be hidden."
+            out["without"].append(t(text))
     return out
 
 
@@ -162,7 +165,17 @@ def _scan(run: RunFolder) -> dict[str, Any]:
 
 
 def _images(run: RunFolder) -> dict[str, Any]:
+    """Every image: those that are not used or give no depth map, then the others."""
     rows = images.image_rows(run)
+    shown = rows[:_IMAGES_SHOWN]
+    odd, used = ([row for row in shown if bool(row.reason) == wanted] for wanted in (True, False))
+    counts = [(name, formatting.count(n)) for name, n in images.counts(rows)]
+    more = max(0, len(rows) - _IMAGES_SHOWN)
+    tables = {"odd": _image_table(run, odd), "used": _image_table(run, used)}
+    return {"there": bool(rows), "counts": counts, "more": more, **tables}
+
+
+def _image_table(run: RunFolder, rows: list[images.ImageRow]) -> formatting.Table | None:
     unit = "m" if run.metric else t("units")
     body = [
         (
@@ -172,12 +185,10 @@ def _images(run: RunFolder) -> dict[str, Any]:
             *(formatting.count(n) for n in (row.points, row.ties)),
             formatting.length(row.gsd, unit) if np.isfinite(row.gsd) else formatting.NONE,
         )
-        for row in rows[:_IMAGES_SHOWN]
+        for row in rows
     ]
     names = tuple(map(t, ("image", "state", "reason", "points seen", "verified pairs", "pixel on the surface")))
-    table = formatting.Table(names, tuple(body), (False, False, False, True, True, True)) if body else None
-    counts = [(name, formatting.count(n)) for name, n in images.counts(rows)]
-    return {"rows": table, "counts": counts, "more": max(0, len(rows) - _IMAGES_SHOWN)}
+    return formatting.Table(names, tuple(body), (False, False, False, True, True, True)) if body else None
 
 
 def _masks(run: RunFolder, settings: ReportSettings) -> dict[str, Any]:

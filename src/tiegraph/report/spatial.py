@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,10 +18,11 @@ from tiegraph.report.settings import ReportSettings
 from tiegraph.report.svg import map as maps
 from tiegraph.report.tables import receipt_notes, receipt_tables
 from tiegraph.report.texts import t
-from tiegraph.report.thumbnails import jpeg
+from tiegraph.report.thumbnails import jpeg, thumbnail
 
 VIEW_PX = 1400  # width of the static views
 _BACKDROP = 400_000  # points of the map
+_IMAGES, _PICTURES = 5000, 90  # that the interactive view names, and shows
 _CELLS = 84  # of the overlap map, across
 _ELLIPSES = 12  # places with an error ellipse
 _OVERLAP = ((2, "#c8442b"), (3, "#e69f00"), (4, "#f0e08c"), (6, "#7fb8d0"), (10, "#0b4f6c"))  # from so many images
@@ -136,10 +138,27 @@ def views(run: RunFolder, seen: Scenery) -> list[tuple[str, str]]:
 
 def viewer_part(run: RunFolder, seen: Scenery, settings: ReportSettings) -> dict[str, Any]:
     """Data and script of the interactive view."""
-    data = viewer.viewer_data(seen.xyz, seen.rgb, seen.tracks, settings.viewer_points, seen.unit)
+    data = viewer.viewer_data(
+        seen.xyz, seen.rgb, seen.tracks, settings.viewer_points, seen.unit, viewer_extras(run, seen)
+    )
     if data is None:
         return {"viewer": None, "viewer_script": ""}
     return {"viewer": json.dumps(data).replace("<", "\\u003c"), "viewer_script": viewer.viewer_script()}
+
+
+def viewer_extras(run: RunFolder, seen: Scenery) -> viewer.ViewerExtras:
+    """Sigma of the points, coordinates of the CRS, and the images: an even part of them with a small picture."""
+    assert run.scene is not None and run.model is not None
+    placed = np.flatnonzero(run.model.placed)[:_IMAGES]
+    pictured = set(placed[np.linspace(0, len(placed) - 1, min(len(placed), _PICTURES)).astype(int)].tolist())
+    shown = []
+    for at, k in zip(seen.path, placed):
+        made = thumbnail(run.path / "images" / run.scene.names[k], Path(), width=200) if int(k) in pictured else None
+        shown.append((run.scene.names[k], at, str(made[0]) if made else ""))
+    scales = {t("sigma of a point"): run.cloud.sigma_m} if run.cloud is not None else {}
+    shift = (run.world or {}).get("shift_m") or (0.0, 0.0, 0.0)
+    axes = ("E", "N", "H") if seen.north else ("x", "y", "z")
+    return viewer.ViewerExtras(scales=scales, offset=shift, axes=axes, images=shown, north=seen.north)
 
 
 def cloud_facts(run: RunFolder) -> dict[str, Any] | None:

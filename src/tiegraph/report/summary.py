@@ -11,7 +11,7 @@ from tiegraph.report import accuracy, formatting, georeference
 from tiegraph.report.contradictions import about, contradictions
 from tiegraph.report.formatting import Table, is_number
 from tiegraph.report.runfolder import STAGES, RunFolder
-from tiegraph.report.texts import said, t
+from tiegraph.report.texts import many, said, t
 from tiegraph.report.warnings import warnings, weak_placement
 from tiegraph.scene.registered import BY_RIG
 
@@ -161,8 +161,9 @@ def what_was_done(run: RunFolder) -> list[str]:
     """What was surveyed and what came of it, in one or two sentences."""
     if run.scene is None:
         return []
-    figures = formatting.count(len(run.scene)), formatting.count(run.scene.frames), max(len(run.scene.sequences), 1)
-    out = [t("{} images of {} frames in {} passes", *figures)]
+    passes = max(len(run.scene.sequences), 1)
+    figures = formatting.count(len(run.scene)), formatting.count(run.scene.frames), passes
+    out = [many(passes, "{} images of {} frames in {} pass", "{} images of {} frames in {} passes", *figures)]
     if run.model is not None:
         share = formatting.percent(float(np.mean(run.model.registered)))
         out.append(t("{} of them used in the model", share))

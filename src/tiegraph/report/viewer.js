@@ -1,4 +1,5 @@
-// Point cloud and camera paths on plain WebGL: orbit, pan, zoom, read a coordinate, measure a distance. No libraries.
+// Point cloud, camera paths and images on plain WebGL: orbit, pan, zoom, read a coordinate, measure a distance, colour
+// by a scale, show the image of a camera. No libraries. The page scrolls over it until it is clicked (or focused).
 (function () {
   "use strict";
   const holder = document.getElementById("viewer"), canvas = holder && holder.querySelector("canvas");
@@ -18,9 +19,9 @@
   // positions relative to the middle of the box keep 32-bit floats exact enough
   const xyz = new Float32Array(3 * n);
   for (let k = 0; k < 3 * n; k++) xyz[k] = steps[k] * data.step - half[k % 3];
-  const world = (p) => [0, 1, 2].map((c) => p[c] + low[c] + half[c]);
+  const world = (p) => [0, 1, 2].map((c) => p[c] + low[c] + half[c] + data.offset[c]);
+  const local = (p) => p.map((v, c) => v - low[c] - half[c]);
   const radius = Math.hypot(half[0], half[1], half[2]) || 1;
-  const heights = colourByHeight();
 
   const program = link(
     "attribute vec3 p; attribute vec3 c; uniform mat4 m; uniform float s; uniform float k; varying vec3 v;" +
@@ -29,8 +30,9 @@
     "void main() { vec2 d = gl_PointCoord - 0.5; if (round > 0.5 && dot(d, d) > 0.25) discard; gl_FragColor = vec4(v, 1.0); }");
   const at = (name) => gl.getUniformLocation(program, name);
   const uniform = { m: at("m"), s: at("s"), k: at("k"), round: at("round") };
-  const cloud = { p: buffer(xyz), c: buffer(colours), n: n };
-  const heightBuffer = buffer(heights);
+  const cloud = { p: buffer(xyz), n: n };
+  const looks = [{ name: data.text.colour, buffer: buffer(colours) }].concat(data.scales);
+  const images = data.images.map((k) => ({ name: k.name, picture: k.picture, at: local(k.at) }));
   const paths = data.tracks.map((t) => {
     const p = new Float32Array(t.xyz.map((value, k) => value - low[k % 3] - half[k % 3]));
     const rgb = [1, 3, 5].map((k) => parseInt(t.colour.substr(k, 2), 16));
@@ -40,7 +42,7 @@
 
   const middle = data.middle.map((v, c) => v - low[c] - half[c]);
   const start = { azimuth: -2.2, elevation: 0.6, distance: 2.4 * data.reach, target: middle };
-  let view = copy(start), size = 1, byHeight = false, showPaths = true, marks = [], queued = false;
+  let view = copy(start), size = 1, look = 0, showPaths = true, marks = [], queued = false;
 
   function copy(v) { return { azimuth: v.azimuth, elevation: v.elevation, distance: v.distance, target: v.target.slice() }; }
   function axes() {
@@ -70,7 +72,8 @@
     const w = Math.round(canvas.clientWidth * ratio), h = Math.round(canvas.clientHeight * ratio);
     if (canvas.width !== w || canvas.height !== h) { canvas.width = w; canvas.height = h; }
     gl.viewport(0, 0, w, h);
-    gl.clearColor(0.968, 0.968, 0.972, 1);
+    const field = (getComputedStyle(canvas).backgroundColor.match(/\d+/g) || [247, 247, 248]).map((v) => v / 255);
+    gl.clearColor(field[0], field[1], field[2], 1);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
     gl.enable(gl.DEPTH_TEST);
     gl.useProgram(program);
@@ -79,11 +82,12 @@
     gl.uniform1f(uniform.k, h * focal * spacing);
     gl.uniform1f(uniform.round, 0);
     gl.uniform1f(uniform.s, size);
-    set(cloud.p, byHeight ? heightBuffer : cloud.c);
+    set(cloud.p, looks[look].buffer || (looks[look].buffer = buffer(scaleColours(looks[look]))));
     gl.drawArrays(gl.POINTS, 0, cloud.n);
     if (showPaths) paths.forEach(drawPath);
     if (marks.length) drawMarks();
     scaleBar(h);
+    northArrow();
   }
   function drawPath(t) {
     set(t.p, t.c);
@@ -129,18 +133,61 @@
     gl.linkProgram(p);
     return p;
   }
-  function colourByHeight() {
-    const stops = [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]], out = new Uint8Array(3 * n);
-    const z = Float32Array.from({ length: n }, (_, k) => xyz[3 * k + 2]).sort();
-    const a = z[Math.floor(0.02 * (n - 1))], b = z[Math.floor(0.98 * (n - 1))] || 1;
+  const stops = [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]]; // viridis
+  function scaleColours(scale) {
+    const values = bytes(scale.values), out = new Uint8Array(3 * n);
     for (let k = 0; k < n; k++) {
-      const u = Math.min(Math.max((xyz[3 * k + 2] - a) / (b - a || 1), 0), 1) * 4, i = Math.min(Math.floor(u), 3);
-      for (let c = 0; c < 3; c++) out[3 * k + c] = stops[i][c] + (u - i) * (stops[i + 1][c] - stops[i][c]);
+      const u = values[k] / 254 * 4, i = Math.min(Math.floor(u), 3);
+      for (let c = 0; c < 3; c++) out[3 * k + c] = values[k] === 255 ? 150 : stops[i][c] + (u - i) * (stops[i + 1][c] - stops[i][c]);
     }
     return out;
   }
+  function legend() {
+    const out = holder.querySelector(".legend"), scale = looks[look];
+    if (!out) return;
+    out.textContent = scale.name;
+    if (scale.values === undefined) return;
+    const bar = document.createElement("i"), digits = scale.high - scale.low < 1 ? 3 : 1;
+    bar.style.background = "linear-gradient(to right," + stops.map((k) => "rgb(" + k.join(",") + ")").join(",") + ")";
+    out.append("  " + scale.low.toFixed(digits) + " ", bar, " " + scale.high.toFixed(digits) + " " + scale.unit);
+  }
+  function northArrow() {
+    const out = holder.querySelector(".north");
+    if (!out) return;
+    const a = axes();
+    out.hidden = !data.north;
+    out.style.transform = "rotate(" + Math.atan2(a.right[1], a.up[1]) + "rad)";
+  }
 
   // the point under the cursor: the nearest to the eye within a few pixels
+  function near(m, p, box, x, y) { // pixels away from the cursor, and depth
+    const w = m[3] * p[0] + m[7] * p[1] + m[11] * p[2] + m[15];
+    const u = ((m[0] * p[0] + m[4] * p[1] + m[8] * p[2] + m[12]) / w + 1) / 2 * box.width - x;
+    const v = (1 - (m[1] * p[0] + m[5] * p[1] + m[9] * p[2] + m[13]) / w) / 2 * box.height - y;
+    return w > 0 ? Math.hypot(u, v) : Infinity;
+  }
+  function pickImage(event) {
+    const box = canvas.getBoundingClientRect(), m = matrix(), x = event.clientX - box.left, y = event.clientY - box.top;
+    let best = null, score = 8;
+    images.forEach(function (k) {
+      const away = showPaths ? near(m, k.at, box, x, y) - (k.picture ? 1 : 0) : Infinity; // of several at one place, one that can be shown
+      if (away < score) { score = away; best = k; }
+    });
+    return best;
+  }
+  function showImage(k) {
+    const out = holder.querySelector(".image");
+    if (!out) return;
+    out.replaceChildren();
+    if (!k) return;
+    if (k.picture) {
+      const shown = document.createElement("img");
+      shown.src = k.picture;
+      shown.alt = k.name;
+      out.append(shown);
+    }
+    out.append(k.name);
+  }
   function pick(event) {
     const box = canvas.getBoundingClientRect(), m = matrix();
     const x = event.clientX - box.left, y = event.clientY - box.top;
@@ -158,13 +205,13 @@
   }
   function say() {
     const out = holder.querySelector(".readout");
-    if (!marks.length) { out.textContent = "Click a point to read its coordinates, a second one to measure."; return; }
-    const text = (p) => world(p).map((v) => v.toFixed(2)).join(", ");
-    out.textContent = marks.map((p) => "(" + text(p) + ")").join("  to  ") + " " + data.unit;
+    if (!marks.length) { out.textContent = data.text.hint; return; }
+    const text = (p) => world(p).map((v, c) => data.axes[c] + " " + v.toFixed(2)).join("  ");
+    out.textContent = marks.map(text).join("  \u2192  ") + " " + data.unit;
     if (marks.length === 2) {
       const d = [0, 1, 2].map((c) => marks[1][c] - marks[0][c]);
-      out.textContent += ";  distance " + Math.hypot(d[0], d[1], d[2]).toFixed(3) + " " + data.unit +
-        ", height difference " + d[2].toFixed(3) + " " + data.unit;
+      out.textContent += ";  " + data.text.distance + " " + Math.hypot(d[0], d[1], d[2]).toFixed(3) + " " + data.unit +
+        ", " + data.text.difference + " " + d[2].toFixed(3) + " " + data.unit;
     }
   }
   function scaleBar(h) {
@@ -179,6 +226,7 @@
   const held = new Map();
   let travelled = 0, pinch = 0;
   canvas.addEventListener("pointerdown", function (e) {
+    if (e.pointerType === "mouse") canvas.focus({ preventScroll: true });
     canvas.setPointerCapture(e.pointerId);
     held.set(e.pointerId, [e.clientX, e.clientY]);
     travelled = 0;
@@ -199,14 +247,16 @@
       move(dx, dy);
     } else {
       view.azimuth -= 0.006 * dx;
-      view.elevation = Math.min(Math.max(view.elevation + 0.006 * dy, -1.5707), 1.5707);
+      tilt(0.006 * dy);
     }
     redraw();
   });
   function release(e) {
     held.delete(e.pointerId);
     if (e.type !== "pointerup" || travelled > 4 || held.size) return;
-    const found = pick(e);
+    canvas.focus({ preventScroll: true });
+    const image = pickImage(e), found = image ? null : pick(e);
+    showImage(image);
     marks = found ? (marks.length === 1 ? [marks[0], found] : [found]) : [];
     say();
     redraw();
@@ -219,10 +269,32 @@
     if (found) { view.target = found; view.distance *= 0.6; redraw(); }
   });
   canvas.addEventListener("wheel", function (e) {
+    if (document.activeElement !== canvas) return; // the page scrolls
     e.preventDefault();
-    view.distance = Math.min(Math.max(view.distance * Math.exp(0.0012 * e.deltaY), radius / 2000), 12 * radius);
-    redraw();
+    zoom(Math.exp(0.0012 * e.deltaY));
   }, { passive: false });
+  canvas.addEventListener("focus", () => { canvas.style.touchAction = "none"; });
+  canvas.addEventListener("blur", () => { canvas.style.touchAction = "pan-y"; });
+  canvas.style.touchAction = "pan-y";
+  function zoom(factor) {
+    view.distance = Math.min(Math.max(view.distance * factor, radius / 2000), 12 * radius);
+    redraw();
+  }
+  const turns = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
+  canvas.addEventListener("keydown", function (e) {
+    const turn = turns[e.key], act = { Home: "reset", t: "top", c: "colour", p: "paths" }[e.key];
+    if (e.ctrlKey || e.metaKey || e.altKey) return;
+    if (turn && e.shiftKey) move(-40 * turn[0], -40 * turn[1]);
+    else if (turn) { view.azimuth += 0.1 * turn[0]; tilt(-0.1 * turn[1]); }
+    else if (e.key === "+" || e.key === "=") zoom(0.8);
+    else if (e.key === "-") zoom(1.25);
+    else if (e.key === "Escape") canvas.blur();
+    else if (act) actions[act]();
+    else return;
+    e.preventDefault();
+    redraw();
+  });
+  function tilt(by) { view.elevation = Math.min(Math.max(view.elevation + by, -1.5707), 1.5707); }
   function move(dx, dy) {
     const a = axes(), unit = 2 * view.distance / focal / canvas.clientHeight;
     for (let c = 0; c < 3; c++) view.target[c] += unit * (-dx * a.right[c] + dy * a.up[c]);
@@ -232,11 +304,13 @@
     top: () => { view.azimuth = -Math.PI / 2; view.elevation = Math.PI / 2; },
     bigger: () => { size = Math.min(size * 1.4, 20); },
     smaller: () => { size = Math.max(size / 1.4, 0.2); },
-    colour: () => { byHeight = !byHeight; },
+    colour: () => { look = (look + 1) % looks.length; legend(); },
     paths: () => { showPaths = !showPaths; },
   };
   holder.querySelectorAll("button").forEach((b) => b.addEventListener("click", () => { actions[b.dataset.do](); redraw(); }));
   window.addEventListener("resize", redraw);
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
   say();
+  legend();
   draw();
 })();

@@ -1,8 +1,10 @@
-"""Data of the interactive 3-D view: a thinned cloud and the cameras' paths, packed for viewer.js."""
+"""Data of the interactive 3-D view: a thinned cloud, the cameras' paths and images, packed for viewer.js."""
 
 from __future__ import annotations
 
 import base64
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from importlib.resources import files
 from typing import Any
 
@@ -10,17 +12,34 @@ import numpy as np
 
 from tiegraph.report.cloudview import brightened, by_height, inliers
 from tiegraph.report.plan import Track
+from tiegraph.report.texts import t
 
 # Okabe and Ito 2008: told apart by colour-blind readers too; as --pass0 ... of the style sheet
 PASSES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7a5c99", "#5b6770")
 _STEPS = 65535  # positions are stored as 16-bit steps of the box
+_SHARE = 0.94  # of the values of a scale that its colours span
 
 
-def viewer_data(xyz: np.ndarray, rgb: np.ndarray, tracks: list[Track], most: int, unit: str) -> dict[str, Any] | None:
+@dataclass(frozen=True, eq=False)
+class ViewerExtras:
+    """What a view may show besides points and paths: values of the points by name (N,), what is added to coordinates
+    that are read off (3,), the names of the axes, images (name, place (3,), picture as data URI or ""), north."""
+
+    scales: dict[str, np.ndarray] = field(default_factory=dict)
+    offset: Sequence[float] = (0.0, 0.0, 0.0)
+    axes: Sequence[str] = ("x", "y", "z")
+    images: Sequence[tuple[str, np.ndarray, str]] = ()
+    north: bool = False
+
+
+def viewer_data(
+    xyz: np.ndarray, rgb: np.ndarray, tracks: list[Track], most: int, unit: str, extras: ViewerExtras | None = None
+) -> dict[str, Any] | None:
     """JSON-ready data of the view; None without points. Points far outside the others are left out and counted.
 
-    A point takes nine bytes: three 16-bit coordinates within the box, three of colour.
+    A point takes nine bytes, three 16-bit coordinates within the box, three of colour, and one more for each scale.
     """
+    extras = extras or ViewerExtras()
     keep = np.flatnonzero(inliers(xyz, 0.998, 0.3))
     if not len(keep) or most < 1:
         return None
@@ -31,16 +50,46 @@ def viewer_data(xyz: np.ndarray, rgb: np.ndarray, tracks: list[Track], most: int
     step = np.maximum((high - low).max(), 1e-9) / _STEPS
     packed = np.round((points - low) / step).astype("<u2")
     colour = brightened(rgb[keep]) if np.ptp(rgb[keep]) > 8 else by_height(points[:, 2])
+    scales = {t("height"): points[:, 2] + extras.offset[2], **{n: v[keep] for n, v in extras.scales.items()}}
     return {
         "count": len(points),
         "low": low.tolist(),
         "step": float(step),
-        "xyz": base64.b64encode(packed.tobytes()).decode(),
-        "rgb": base64.b64encode(np.ascontiguousarray(colour, np.uint8).tobytes()).decode(),
-        "tracks": [_track(t, PASSES[k % len(PASSES)]) for k, t in enumerate(tracks)],
+        "xyz": _text(packed),
+        "rgb": _text(np.ascontiguousarray(colour, np.uint8)),
+        "scales": [_scale(name, values, unit) for name, values in scales.items() if np.isfinite(values).any()],
+        "tracks": [_track(track, PASSES[k % len(PASSES)]) for k, track in enumerate(tracks)],
+        "images": [{"name": n, "at": np.round(at, 3).tolist(), "picture": p} for n, at, p in extras.images],
+        "offset": [float(v) for v in extras.offset],
+        "axes": list(extras.axes),
+        "north": extras.north,
         "unit": unit,
+        "text": _texts(),
         **_focus(points),
     }
+
+
+def _texts() -> dict[str, str]:
+    """What the script says."""
+    return {
+        "hint": t("Click a point to read its coordinates, a second one to measure; click a camera to see its image."),
+        "distance": t("distance"),
+        "difference": t("height difference"),
+        "colour": t("colour of the images"),
+    }
+
+
+def _text(array: np.ndarray) -> str:
+    return base64.b64encode(array.tobytes()).decode()
+
+
+def _scale(name: str, values: np.ndarray, unit: str) -> dict[str, Any]:
+    """Values of the points as one byte each between the ends of the scale; 255 = not known."""
+    known = values[np.isfinite(values)]
+    low, high = (float(v) for v in np.quantile(known, [(1 - _SHARE) / 2, (1 + _SHARE) / 2]))
+    share = np.clip((values - low) / max(high - low, 1e-12), 0, 1)
+    packed = np.where(np.isfinite(share), np.round(254 * np.nan_to_num(share)), 255).astype(np.uint8)
+    return {"name": name, "low": low, "high": high, "unit": unit, "values": _text(packed)}
 
 
 def _focus(points: np.ndarray) -> dict[str, Any]:

@@ -1,7 +1,7 @@
 """The words of a report in the reader's language: every text of the page is English in the code, and translated here.
 
 ``ja.toml`` is the one table of Japanese: ``[page]`` what this package writes, ``[said]`` what other stages write into
-receipts and ``metrics.json``, where ``{}`` stands for a number or for a part that is looked up in its turn. What
+receipts and ``metrics.json``, where ``#`` stands for a number and ``{}`` for a part that is looked up in its turn. What
 neither holds stays English: names, remarks and warnings of receipts.
 """
 
@@ -23,6 +23,7 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
+_NUMBER = r"(\d[\d.,]*)"
 LANGUAGES = ("en", "ja")
 _CURRENT: ContextVar[str] = ContextVar("language", default="en")
 
@@ -74,4 +75,9 @@ def said(text: str) -> str:
 def _patterns(name: str) -> list[tuple[re.Pattern[str], str]]:
     """The table ``said`` as patterns, the longest text first: what says more of a text decides."""
     rows = sorted(table(name)["said"].items(), key=lambda row: -len(row[0].replace("{}", "")))
-    return [(re.compile("(.+?)".join(map(re.escape, english.split("{}")))), form) for english, form in rows]
+    return [(re.compile(_pattern(english)), form) for english, form in rows]
+
+
+def _pattern(english: str) -> str:
+    """The regular expression of a text with ``#`` for numbers and ``{}`` for parts."""
+    return re.escape(english).replace(r"\#", _NUMBER).replace(r"\{\}", "(.+?)")

@@ -1,0 +1,174 @@
+"""Page one, the file for programs, the languages, the images that are not used, and what a report never shows."""
+
+import json
+import re
+from pathlib import Path
+
+import jsonschema
+import numpy as np
+import pytest
+from fake_survey_run import make_run
+from jinja2 import nodes
+
+from accuracy_marks import check, unmarked
+from tiegraph.errors import EngineMissing, InputError
+from tiegraph.report import glossary, pdf, spatial, texts
+from tiegraph.report.formatting import without_folders
+from tiegraph.report.html import environment, write_report
+from tiegraph.report.images import ABSENT, LEFT_OUT, REGISTERED, image_rows
+from tiegraph.report.reportjson import schema
+from tiegraph.report.runfolder import read_run
+from tiegraph.report.settings import ReportSettings
+
+ABOUT = {"client": "Port & <script>alert(1)</script>", "project": "Quay 7", "surveyor": "A. Surveyor"}
+JAPANESE = ReportSettings(viewer_points=500, language="ja", title="岸壁", about=ABOUT)
+REASON = "no verified pair"
+
+
+@pytest.fixture(scope="module")
+def full(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = make_run(tmp_path_factory.mktemp("run") / "quay")
+    path = folder / "receipts" / "sparse.json"
+    scene = json.loads((folder / "scene.json").read_text())
+    missing = [[n, REASON] for n, f in zip(scene["names"], scene["frame"]) if f == 4]
+    notes = ["read /home/somebody/survey/rig.toml"]
+    path.write_text(json.dumps({**json.loads(path.read_text()), "dropped": missing, "notes": notes}))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def page(full: Path) -> str:
+    return write_report(full, ReportSettings(viewer_points=500, about=ABOUT)).read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def japanese(full: Path) -> str:
+    return write_report(full, JAPANESE).read_text(encoding="utf-8")
+
+
+def test_page_one_says_what_a_client_asks(page: str) -> None:
+    one = page[page.index('<div class="client">') : page.index('<div class="engineer">')]
+    order = ["Quay 7", "usable with care", 'class="answer no"', "in the world", "in shape", "of a point"]
+    order += ["Where and when", "35.69", "Worst problems", "cloud.laz", "Surveyor, signature"]
+    places = [one.index(text) for text in order]
+    assert places == sorted(places)
+    assert one.count("<svg") == 1 and ">N</text>" in one and re.search(r">\d+ m</text>", one), "map, north, scale bar"
+    assert 1 <= len(re.findall(r"<li>", one[one.index('class="problems"') : one.index("</ol>")])) <= 3
+    assert "A. Surveyor" in one and "60 images of 20 frames in 2 passes" in one
+
+
+def test_names_are_text_and_folders_are_nobodys(page: str, full: Path) -> None:
+    assert "<script>alert" not in page and "&lt;script&gt;alert(1)&lt;/script&gt;" in page
+    assert page.count("<script") == 2, "the viewer and its data"
+    data = (full / "report.json").read_text(encoding="utf-8")
+    assert "rig.toml" in page and "somebody" not in page and "somebody" not in data
+    assert without_folders("from /a/b/c.toml, C:\\d\\e.csv and up/cam0/1.jpg at 3 m/s") == (
+        "from c.toml, e.csv and up/cam0/1.jpg at 3 m/s"
+    )
+
+
+def test_the_contents_lead_to_every_section(page: str) -> None:
+    links = re.findall(r'<a href="#(\w+)">([^<]+)</a>', page)
+    assert links == re.findall(r'<h2 id="(\w+)">([^<]+)</h2>', page)
+    assert {"sure", "images", "model", "cloud", "glossary"} <= {key for key, _ in links}
+    for word in ("registered", "lever arm", "M3C2"):
+        assert f"<dt>{word}</dt>" in page
+
+
+def test_every_image_has_a_state_and_what_is_not_used_a_reason(full: Path, page: str) -> None:
+    rows = image_rows(read_run(full, 1000))
+    assert len(rows) == 61 and rows[0].state == LEFT_OUT
+    assert all(bool(row.reason) == (row.state != REGISTERED) for row in rows)
+    absent = [row for row in rows if row.state == ABSENT]
+    assert len(absent) == 6 and sum(row.reason == REASON for row in absent) == 3
+    gsd = np.array([row.gsd for row in rows if row.state == REGISTERED])
+    assert np.all((gsd > 0.01) & (gsd < 0.2)), "walls 3 to 40 m away, focal length 200 px"
+    assert page.count(f"<td>{REASON}</td>") == 3 and "<details" in page
+
+
+def test_the_file_for_programs_is_as_its_schema_says(full: Path, page: str, tmp_path: Path) -> None:
+    validator = jsonschema.Draft202012Validator(schema())
+    validator.check_schema(schema())
+    data = json.loads((full / "report.json").read_text(encoding="utf-8"))
+    validator.validate(data)
+    assert data["accuracy"] == json.loads((full / "metrics.json").read_text())["accuracy"]
+    assert data["counts"]["registered"] == 49 and data["verdict"]["level"] == "check"
+    assert data["about"]["client"] == ABOUT["client"] and abs(data["where"]["middle"]["lat_deg"] - 35.6965) < 0.001
+    assert "<data" not in json.dumps(data) and "&lt;" not in json.dumps(data)
+    for until in ("scan", "sparse"):
+        folder = make_run(tmp_path / until, until)
+        write_report(folder, ReportSettings(viewer_points=0))
+        validator.validate(json.loads((folder / "report.json").read_text(encoding="utf-8")))
+    with pytest.raises(jsonschema.ValidationError):
+        validator.validate({**data, "counts": {}})
+
+
+def test_the_japanese_page_has_the_same_figures(japanese: str, page: str, full: Path) -> None:
+    assert check(full, japanese) == check(full, page) and unmarked(japanese) == []
+    assert (
+        '<html lang="ja">' in japanese
+        and "測量報告書" in japanese
+        and "世界座標で" in japanese
+        and "いいえ" in japanese
+    )
+    one = japanese[japanese.index("<main>") : japanese.index('<div class="engineer">')]
+    words = re.sub(r"<[^>]+>|&\w+;|alert|script", " ", one)
+    left = set(re.findall(r"[A-Za-z]{4,}", words))
+    names = {"Port", "Quay", "Surveyor", "zone", "EPSG", "down", "cloud", "copc", "COPC", "sparse", "world", "COLMAP"}
+    names |= {"metrics", "json", "accuracy", "tiegraph", "GNSS", "tolerance"}
+    assert left <= names, "page one is Japanese but for names"
+    headings = re.findall(r"<h2 id=[^>]*>([^<]+)", japanese)
+    assert headings and not any(h.isascii() for h in headings)
+
+
+def test_every_text_of_the_page_is_in_the_table(japanese: str, monkeypatch: pytest.MonkeyPatch, full: Path) -> None:
+    known = texts.table("ja")["page"]
+    template = environment().loader.get_source(environment(), "template.html.jinja")[0]  # type: ignore[union-attr]
+    calls = environment().parse(template).find_all(nodes.Call)
+    asked = {c.args[0].value for c in calls if getattr(c.node, "name", "") == "t" and hasattr(c.args[0], "value")}
+    assert len(asked) > 60 and asked <= set(known)
+    assert {text for row in glossary.words() for text in row} <= set(known)
+    for english, form in known.items():
+        assert english.count("{}") == len(set(re.findall(r"\{\d?\}", form))) or english.count("{}") == form.count("{}")
+    with texts.language("ja"):
+        assert texts.said("GNSS positions of 10 of 20 frames and 3 control points").endswith("標定点 3 点")
+        assert texts.said("a name that no table holds") == "a name that no table holds"
+        assert texts.t("{} usable", "<b>") == "使用可 &lt;b&gt;"
+    assert texts.t("Glossary") == "Glossary"
+
+
+def test_maps_and_overlap_are_drawn_where_the_data_are(full: Path) -> None:
+    seen = spatial.scenery(read_run(full, 5000))
+    assert seen is not None and seen.north
+    place = seen.place
+    at = place.at(np.array([[place.low[0], place.high[1]], [place.high[0], place.low[1]]]))
+    assert np.allclose(at, [[0, 0], [420, place.height]])
+    overlap = spatial.overlap_map(seen)
+    assert overlap is not None and "4–5 images" in overlap
+    assert spatial.ellipse_map(read_run(full, 5000), seen) is None, "the run says nothing of its placement's covariance"
+
+
+def test_without_a_browser_the_remedy_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(EngineMissing, match="chromium.*open report.html in any browser and print it"):
+        pdf.print_pdf(tmp_path / "report.html", tmp_path / "report.pdf")
+    browser = tmp_path / "chromium"
+    browser.write_text("#!/bin/sh\nexit 3\n")
+    browser.chmod(0o755)
+    with pytest.raises(EngineMissing, match=r"did not print report.html \(exit code 3\)"):
+        pdf.print_pdf(tmp_path / "report.html", tmp_path / "report.pdf")
+    (tmp_path / "report.pdf").write_text("my own")
+    with pytest.raises(InputError, match="is no PDF"):
+        pdf.print_pdf(tmp_path / "report.html", tmp_path / "report.pdf")
+    assert (tmp_path / "report.pdf").read_text() == "my own"
+
+
+@pytest.mark.slow
+def test_the_page_prints(page: str, full: Path, tmp_path: Path) -> None:
+    try:
+        pdf.find_browser()
+    except EngineMissing:
+        pytest.skip("no browser")
+    pdf.print_pdf(full / "report.html", tmp_path / "report.pdf")
+    data = (tmp_path / "report.pdf").read_bytes()
+    assert data[:4] == b"%PDF" and 20_000 < len(data) < 10e6
