@@ -98,7 +98,12 @@ class Marking:
                 "and start again"
             )
         marks = [
-            FileMark(self.file.points[p].name, self._image_name(k), source_pixel(xy, self.scene.sensor_of(k)), 0)
+            FileMark(
+                name=self.file.points[p].name,
+                image=self._image_name(k),
+                xy=source_pixel(xy, self.scene.sensor_of(k)),
+                line=0,
+            )
             for (p, k), xy in sorted(self.marks.items())
         ]
         make = csv_text if self.target.suffix.lower() == ".csv" else odm_text
@@ -114,8 +119,14 @@ class Marking:
         """The points in the model by their marks."""
         count, rows = len(self.file.points), sorted(self.marks)
         if self.model is None:
-            none = Target(np.full(3, np.nan), np.full((3, 3), np.nan), np.zeros(0, int), np.zeros((0, 2)), "no poses")
-            return [none] * count
+            nowhere = Target(
+                place=np.full(3, np.nan),
+                covariance=np.full((3, 3), np.nan),
+                marks=np.zeros(0, int),
+                residual_px=np.zeros((0, 2)),
+                why_not="no image has a pose",
+            )
+            return [nowhere] * count
         marks = Marks(
             point=np.array([p for p, _ in rows], int),
             image=np.array([k for _, k in rows], int),
