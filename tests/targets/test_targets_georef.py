@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from targets.targets_world import EAST, NORTH, PLACES, Table, survey
+from tiegraph.cli.main import main
 from tiegraph.errors import InputError
 from tiegraph.pipeline.georef import georef
 from tiegraph.project.stages import Outcome
@@ -119,3 +120,18 @@ def test_the_wrong_family_is_named(tmp_path: Path) -> None:
     run, _ = survey(tmp_path, text)
     with pytest.raises(InputError, match=r"none of its 5 coded targets, such as tag25h9:3, .* but of tag36h11 \(seen"):
         georef(run)
+
+
+@pytest.mark.slow
+def test_scan_says_before_hours_of_work_which_targets_are_not_there(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    survey(tmp_path, surveyed(NAMES).replace("tag36h11:", "tag25h9:"))
+    run = ["run", str(tmp_path / "images"), "-o", str(tmp_path / "out"), "--pool", "serial", "--until", "scan"]
+    assert main([*run, "--gcp", str(tmp_path / "control.csv")]) == 2
+    said = "".join(capsys.readouterr())
+    assert "such as tag25h9:3" in said and "but of tag36h11" in said
+    assert not (tmp_path / "out/scene.json").exists() and not (tmp_path / "out/tiegraph.toml").exists()
+    (tmp_path / "bars.csv").write_text(BARS + bar(NAMES[0], NAMES[1]) + "tag36h11:3,tag36h11:99,100,1,bar\n")
+    assert main([*run, "--gcp", str(tmp_path / "bars.csv")]) == 0
+    assert "target tag36h11:99 is seen in none of 8 images" in "".join(capsys.readouterr())

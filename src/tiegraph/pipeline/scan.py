@@ -54,10 +54,10 @@ def scan(run: Run) -> Outcome:
     for k, name in enumerate(scene.names):
         todo.setdefault(file_of[scene.source_name(k)], []).append((name, scene.sensor_of(k)))
     run.map(_prepare_item, list(todo.items()), root, run.path("images"), settings, tuning.pictures)
-    write_atomic(run.path("scene.json"), scene.to_json())
     file = control_file(run)
     if file is not None:
         told = (*told, *target_marks(run, scene, file, most=run.settings.tuning.targets.looked_at).notes)
+    write_atomic(run.path("scene.json"), scene.to_json())
     counts = {"found": len(names), "images": len(scene), "frames": scene.frames, "passes": len(scene.sequences)}
     return Outcome(
         {**counts, "cameras": len(scene.all_sensors), "positions": _placed(scene.world_from_rig)},
