@@ -115,6 +115,16 @@ def test_bars_and_points_together_and_a_target_that_is_not_there(tmp_path: Path)
 
 
 @pytest.mark.slow
+def test_a_bar_holds_its_length_in_the_adjustment_against_poorer_points(tmp_path: Path) -> None:
+    """Points of 2 mm whose survey is 0.3 % too large: that would make the bar 2.6 mm too long."""
+    rows = [f"{n},{EAST + 1.003 * x:.6f},{NORTH + 1.003 * y:.6f},{1.003 * z:.6f},0.002,0.002,gcp\n"
+            for n, (x, y, z) in PLACES.items()]  # fmt: skip
+    outcome, told, _ = made(tmp_path, HEAD + "".join(rows) + BARS + bar(NAMES[0], NAMES[2]))
+    assert told["adjusted"] and 0 < abs(told["scale_bars"][0]["off_mm"]) < 0.6
+    assert outcome.contradictions == ()
+
+
+@pytest.mark.slow
 def test_the_wrong_family_is_named(tmp_path: Path) -> None:
     text = surveyed(NAMES).replace("tag36h11:", "tag25h9:")
     run, _ = survey(tmp_path, text)
