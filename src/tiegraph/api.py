@@ -102,6 +102,13 @@ class Project:
 
         return [cloud_path(self.folder, scene, frame) for frame in range(scene.frames)]
 
+    def posed_shots(self, folder: str | Path) -> list[Path]:
+        """The clouds of ``shots`` whose frames have a pose, as LAZ in the world of the georeferenced model: a new
+        folder. Raises InputError without shots or a metric model, and for a folder that holds something."""
+        from tiegraph.pipeline.posedshots import posed_shots  # loads the engine
+
+        return posed_shots(Run(self.folder, self.inputs, self.settings), Path(folder))
+
     def odometry(self, out: str | Path, reporter: Reporter | None = None) -> tuple[Any, ...]:
         """The path of the cameras from the images alone: a TUM file ``out`` and a CSV beside it, or a folder with a
         pair a pass; what was made of each (``pipeline.odometry.Made``). Masks are used if the settings name a folder.

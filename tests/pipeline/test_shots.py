@@ -1,5 +1,6 @@
 """Single shots from folder to clouds: `Project.shots` and what it refuses."""
 
+import json
 from pathlib import Path
 
 import cv2
@@ -9,10 +10,11 @@ import pytest
 
 import tiegraph
 from tiegraph.errors import InputError
-from tiegraph.geometry.transforms import rigid
+from tiegraph.geometry.transforms import invert, rigid
 from tiegraph.scan.rigfiles.rigwrite import write_rig_toml
 from tiegraph.scene.cloudfile import read_cloud
 from tiegraph.scene.rig import Rig, Sensor
+from tiegraph.scene.scene import Scene
 
 SIZE, FOCAL = (240, 180), 220.0
 PLACES = {"a": (0.0, 0, 0), "b": (0.075, 0, 0), "c": (0, 0.075, 0)}
@@ -79,3 +81,50 @@ def test_a_workspace_needs_depth_maps_and_an_empty_folder(tmp_path):
     (tmp_path / "out" / "depth").mkdir(parents=True)
     with pytest.raises(InputError, match="not empty"):
         project.export(tmp_path / "images")
+
+
+def world_of(out: Path, shots: int, turn: np.ndarray, metric: bool = True) -> None:
+    """What georef leaves: the shots ``turn``-ed and moved by 0.1 m each, without a CRS."""
+    scene = Scene.from_json((out / "scene.json").read_text())
+    model = pycolmap.Reconstruction()
+    params = [FOCAL, FOCAL, SIZE[0] / 2, SIZE[1] / 2]
+    for camera_id in range(1, 1 + len(PLACES)):
+        camera = pycolmap.Camera(model="PINHOLE", width=SIZE[0], height=SIZE[1], params=params, camera_id=camera_id)
+        model.add_camera_with_trivial_rig(camera)
+    for k, name in enumerate(scene.names):
+        frame = int(scene.frame[k])
+        if frame >= shots:
+            continue
+        world_from_rig = rigid(turn, np.array([0.1 * frame, 2.0, 3.0]))
+        pose = np.asarray(scene.sensor_of(k).sensor_from_rig) @ invert(world_from_rig)
+        image = pycolmap.Image(name=name, camera_id=1 + int(scene.sensor[k]), image_id=k + 1)
+        model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(pose[:3]))
+    (out / "sparse/world").mkdir(parents=True, exist_ok=True)
+    model.write(str(out / "sparse/world"))
+    world = {"scale_source": "rig baseline" if metric else "none", "origin": None}
+    (out / "world.json").write_text(json.dumps(world))
+
+
+@pytest.mark.slow
+def test_shots_with_a_pose_become_laz_in_the_world(tmp_path):
+    plane(tmp_path / "images", 2)
+    rig = rig_file(tmp_path / "rig.toml")
+    project = tiegraph.open(tmp_path / "images", tmp_path / "out", rig=rig, pool="serial")
+    own = read_cloud(project.shots(0.5, 1.2)[0])
+    with pytest.raises(InputError, match="no poses in the world yet"):
+        project.posed_shots(tmp_path / "posed")
+    turn = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    world_of(tmp_path / "out", 2, turn, metric=False)
+    with pytest.raises(InputError, match="has no scale, and shots are in metres"):
+        project.posed_shots(tmp_path / "posed")
+    world_of(tmp_path / "out", 1, turn)
+    (file,) = project.posed_shots(tmp_path / "posed")
+    cloud = read_cloud(file)
+    assert len(cloud) == len(own) and file.suffix == ".laz"
+    off = cloud.xyz_m - (own.xyz_m @ turn.T + (0, 2, 3))
+    assert 0 < np.abs(off).max() < 1e-3
+    np.testing.assert_allclose(cloud.normal, own.normal @ turn.T, atol=1e-5)
+    np.testing.assert_allclose(cloud.sigma_m, own.sigma_m)
+    np.testing.assert_array_equal(cloud.views, own.views)
+    with pytest.raises(InputError, match="give a new folder"):
+        project.posed_shots(tmp_path / "posed")

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from targets.targets_world import EAST, NORTH, PLACES, Table, survey
+from tiegraph.cli.main import main
 from tiegraph.errors import InputError
 from tiegraph.pipeline.georef import georef
 from tiegraph.project.stages import Outcome
@@ -114,8 +115,33 @@ def test_bars_and_points_together_and_a_target_that_is_not_there(tmp_path: Path)
 
 
 @pytest.mark.slow
+def test_a_bar_holds_its_length_in_the_adjustment_against_poorer_points(tmp_path: Path) -> None:
+    """Points of 2 mm whose survey is 0.3 % too large: that would make the bar 2.6 mm too long."""
+    rows = [f"{n},{EAST + 1.003 * x:.6f},{NORTH + 1.003 * y:.6f},{1.003 * z:.6f},0.002,0.002,gcp\n"
+            for n, (x, y, z) in PLACES.items()]  # fmt: skip
+    outcome, told, _ = made(tmp_path, HEAD + "".join(rows) + BARS + bar(NAMES[0], NAMES[2]))
+    assert told["adjusted"] and 0 < abs(told["scale_bars"][0]["off_mm"]) < 0.6
+    assert outcome.contradictions == ()
+
+
+@pytest.mark.slow
 def test_the_wrong_family_is_named(tmp_path: Path) -> None:
     text = surveyed(NAMES).replace("tag36h11:", "tag25h9:")
     run, _ = survey(tmp_path, text)
     with pytest.raises(InputError, match=r"none of its 5 coded targets, such as tag25h9:3, .* but of tag36h11 \(seen"):
         georef(run)
+
+
+@pytest.mark.slow
+def test_scan_says_before_hours_of_work_which_targets_are_not_there(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    survey(tmp_path, surveyed(NAMES).replace("tag36h11:", "tag25h9:"))
+    run = ["run", str(tmp_path / "images"), "-o", str(tmp_path / "out"), "--pool", "serial", "--until", "scan"]
+    assert main([*run, "--gcp", str(tmp_path / "control.csv")]) == 2
+    said = "".join(capsys.readouterr())
+    assert "such as tag25h9:3" in said and "but of tag36h11" in said
+    assert not (tmp_path / "out/scene.json").exists() and not (tmp_path / "out/tiegraph.toml").exists()
+    (tmp_path / "bars.csv").write_text(BARS + bar(NAMES[0], NAMES[1]) + "tag36h11:3,tag36h11:99,100,1,bar\n")
+    assert main([*run, "--gcp", str(tmp_path / "bars.csv")]) == 0
+    assert "target tag36h11:99 is seen in none of 8 images" in "".join(capsys.readouterr())

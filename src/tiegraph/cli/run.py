@@ -67,7 +67,8 @@ class RunOptions(Common):
     start where none is given; its unit and place are not taken over. Not together with --trajectory."""
     gcp: Path | None = None
     """Ground control and check points: ODM's gcp_list.txt, or a CSV of points (name, x, y, z or name, lat, lon, height)
-    and marks (name, image, px, py), as one table or two in one file (sets georef.gcp)."""
+    and marks (name, image, px, py), as one table or two in one file (sets georef.gcp). Points named as coded targets
+    (tag36h11:12) are found; scale bars are a table from, to, length."""
     marks: Path | None = None
     """CSV of the points' marks (name, image, px, py), if they are not in the file of the points (sets georef.marks)."""
     times: Path | None = None

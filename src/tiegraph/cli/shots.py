@@ -26,6 +26,9 @@ class ShotOptions(Common):
     """Nearest distance of the object in metres (default: 5 times the longest baseline)."""
     far: float | None = None
     """Farthest distance of the object in metres (default: 100 times the longest baseline)."""
+    posed: Path | None = None
+    """A new folder for the clouds as LAZ in the world, with sigma, views and CRS: needs the poses of `tiegraph run`
+    over the same images and run folder."""
     preset: str | None = None
     """A named way of working; close-range keeps the full resolution."""
 
@@ -49,4 +52,7 @@ def main(arguments: list[str]) -> int:
     reporter = options.reporter()
     made = project.shots(options.near, options.far, reporter)
     reporter.say(f"{len(made)} clouds: {project.folder / 'shots'}")
+    if options.posed is not None:
+        posed = project.posed_shots(options.posed)
+        reporter.say(f"{len(posed)} of {len(made)} clouds in the world: {options.posed}")
     return 0

@@ -48,6 +48,7 @@ VERBS: dict[str, Verb] = {
     "shots": Verb("a point cloud for each shot of a calibrated rig, without a sparse model", "shots"),
     "calibrate": Verb("cameras and rig from images of a board (ChArUco, checkerboard, AprilGrid)", "calibrate"),
     "plan": Verb("what a survey will give: precision by distance, accuracy of a whole path, effort", "plan"),
+    "mark": Verb("a page in the browser to mark control points in the images", "mark"),
     "lidar": Verb("trajectory and map of a LiDAR by its scans, and a run beside them", "lidar"),
     "watch": Verb("on site: previews, ties, path and surface coverage of images while they arrive", "watch"),
     "odometry": Verb("the path of a stereo camera, a rig or a single camera from the images alone", "odometry"),

@@ -61,10 +61,10 @@ def scan(run: Run) -> Outcome:
         found_path, said = followed(run, scene)
         scene = build_scene(replace(inputs, trajectory=found_path), names, probes, settings, tuning)
         told = (*told, *said)
-    write_atomic(run.path("scene.json"), scene.to_json())
     file = control_file(run)
     if file is not None:
         told = (*told, *target_marks(run, scene, file, most=run.settings.tuning.targets.looked_at).notes)
+    write_atomic(run.path("scene.json"), scene.to_json())
     counts = {"found": len(names), "images": len(scene), "frames": scene.frames, "passes": len(scene.sequences)}
     return Outcome(
         {**counts, "cameras": len(scene.all_sensors), "positions": _placed(scene.world_from_rig)},

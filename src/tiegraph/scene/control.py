@@ -94,7 +94,7 @@ def locate(file: GcpFile, scene: Scene, crs: str = "auto", found: Sequence[Targe
     notes = list(file.notes)
     marks = _marks_of(file, scene, [p.name for p in file.points], found, notes)
     origin = scene.origin or _origin_of_points(file, crs)
-    world = _world(file, scene, origin)
+    world = surveyed_world(file, origin)
     _check_place(file, world, scene)
     vertical = vertical_note(file.crs or origin.crs)
     notes.append(f"{file.path.name}: {len(file.points)} points in {file.crs or origin.crs}; {vertical}")
@@ -215,6 +215,20 @@ def _check_inside(file: GcpFile, mark: FileMark, sensor: Sensor, image: str) -> 
     )
 
 
+def source_pixel(xy: tuple[float, float], sensor: Sensor) -> tuple[float, float]:
+    """Pixel in the user's upright image of a pixel of the prepared one: the inverse of ``prepared_pixel``."""
+    source = sensor.source or Source()
+    if source.view is not None:
+        return xy
+    left, top, _, _ = source.crop_px
+    if source.camera is not None and sensor.camera is not None and _resampled(source.camera, sensor.camera):
+        place = on_plane(sensor.camera, np.array([xy]))[0]
+        moved = source.camera.img_from_cam(np.append(place, 1.0)) if np.isfinite(place).all() else None
+        if moved is not None:
+            return float(moved[0]), float(moved[1])
+    return xy[0] + left, xy[1] + top
+
+
 def _inside(xy: Sequence[float], camera: pycolmap.Camera) -> bool:
     return -EDGE_PX <= xy[0] <= camera.width + EDGE_PX and -EDGE_PX <= xy[1] <= camera.height + EDGE_PX
 
@@ -287,7 +301,8 @@ def _geodetic(xyz: np.ndarray, crs: str, file: GcpFile) -> np.ndarray:
     return out[:, [1, 0, 2]]
 
 
-def _world(file: GcpFile, scene: Scene, origin: Origin) -> np.ndarray:
+def surveyed_world(file: GcpFile, origin: Origin) -> np.ndarray:
+    """(P, 3) a file's points in the world of an origin. Raises InputError for coordinates outside their CRS."""
     xyz = np.array([p.xyz for p in file.points], float).reshape(-1, 3)
     crs = file.crs or origin.crs
     if crs == origin.crs:
@@ -310,7 +325,7 @@ def _check_place(file: GcpFile, world: np.ndarray, scene: Scene) -> None:
     swapped = (point.xyz[1], point.xyz[0], point.xyz[2])
     hint = ": wrong CRS in the file?"
     try:
-        turned = _world(
+        turned = surveyed_world(
             GcpFile(
                 path=file.path,
                 crs=file.crs,
@@ -318,7 +333,6 @@ def _check_place(file: GcpFile, world: np.ndarray, scene: Scene) -> None:
                 points=(replace(point, xyz=swapped),),
                 marks=(),
             ),
-            scene,
             scene.origin,
         )
         if np.linalg.norm(turned[0, :2] - middle[:2]) < FAR_M:

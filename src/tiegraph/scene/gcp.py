@@ -115,6 +115,14 @@ def read_gcps(path: Path, tuning: ControlTuning, marks: Path | None = None) -> G
     return replace(found, marks=_once_each(found), notes=(*found.notes, *_doubtful(found)))
 
 
+def read_points(path: Path, tuning: ControlTuning) -> GcpFile:
+    """Points of a file of either form, marked or not. Raises what ``read_gcps`` raises, but for lacking marks."""
+    found = _read(Path(path), "--points", tuning)
+    if not found.points:
+        raise InputError(f"--points {path}: no points with {_NEED['points']}; {FORMS}")
+    return found
+
+
 def _check_targets(found: GcpFile) -> None:
     """Raise InputError for numbers a family has not, a target by two names, and ends of bars nothing is known of."""
     lines = {n: b.line for b in found.bars for n in b.ends} | {p.name: p.line for p in found.points}

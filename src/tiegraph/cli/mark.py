@@ -1,0 +1,71 @@
+"""`tiegraph mark OUT --points FILE`: a page in the browser to mark control points in the images."""
+
+from __future__ import annotations
+
+import webbrowser
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from tiegraph.api import open_project
+from tiegraph.cli.options import options_of
+from tiegraph.cli.output import say
+from tiegraph.errors import InputError
+
+
+@dataclass(frozen=True)
+class MarkOptions:
+    """Options of `tiegraph mark`."""
+
+    points: Path | None = None
+    """The points: a CSV with name, x, y, z (or name, lat, lon, height), '# crs: EPSG:n' in the first line, or a file of
+    --gcp (default: that of the run)."""
+    out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
+    """The file of marks: ODM's gcp_list.txt, or a CSV by its ending, which keeps the sigmas (default: gcp_list.txt
+    beside the points). One that is there is gone on with."""
+    port: int = 0
+    """Port on 127.0.0.1 (0 = any that is free)."""
+    browser: bool = True
+    """Open the page in the browser."""
+
+
+def main(arguments: list[str]) -> int:
+    """`tiegraph mark`."""
+
+    def mark(
+        folder: tyro.conf.Positional[Path], options: Annotated[MarkOptions, tyro.conf.arg(name="")] = MarkOptions()
+    ) -> tuple[Path, MarkOptions]:
+        """Mark control points in a page of the browser: predicted places, zoomed patches of all images that see them.
+
+        Args:
+            folder: A run folder, scanned at least. With a model (sparse, georef) places are predicted.
+        """
+        return folder, options
+
+    folder, options = options_of(mark, "tiegraph mark", arguments)
+    from tiegraph.pipeline.mark import open_marking  # loads the engines
+    from tiegraph.pipeline.markserver import MarkServer
+    from tiegraph.project.run import Run
+
+    project = open_project(None, folder)
+    given = options.points or project.settings.georef.gcp
+    target = options.out or (Path("gcp_list.txt") if given is None else given.with_name("gcp_list.txt"))
+    session = open_marking(Run(project.folder, project.inputs, project.settings), options.points, target)
+    try:
+        server = MarkServer(session, options.port)
+    except (OSError, OverflowError) as error:
+        raise InputError(f"--port {options.port}: cannot be opened ({error}); 0 takes any that is free") from None
+    say(f"{len(session.file.points)} points; marks go to {target}")
+    say(f"{server.url}  (ends with Ctrl-C)")
+    if options.browser:
+        webbrowser.open(server.url)
+    try:
+        server.serve_forever()
+    except KeyboardInterrupt:
+        pass
+    finally:
+        server.server_close()
+    say(f"{len(session.marks)} marks: {target}")
+    return 0
