@@ -18,7 +18,8 @@ from tiegraph.text import acts, one_line
 class Section(BaseModel):
     """One section of ``tiegraph.toml`` = one stage. Unknown names and values out of range, NaN and inf are refused."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True, allow_inf_nan=False)
+    # Validators are built at first use: a child or a worker of a pool needs a few of some hundred classes.
+    model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True, allow_inf_nan=False, defer_build=True)
 
     @model_validator(mode="before")
     @classmethod
