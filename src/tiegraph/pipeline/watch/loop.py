@@ -125,8 +125,10 @@ class Watched:
         seconds = time.monotonic() - self.arrivals.came(source)
         self.times.append(seconds)
         waiting = self.arrivals.waiting()
-        self.run.reporter.event("image", name=source, seconds=round(seconds, 3), waiting=waiting,
-                                pose=name in self.poses)  # fmt: skip
+        self.run.reporter.event(
+            "image", name=source, seconds=round(seconds, 3), waiting=waiting, pose=name in self.poses,
+            cpu_s=round(time.process_time(), 3),
+        )  # fmt: skip
 
     def _taken_in(self, files: list[str], now: float) -> list[str]:
         """Open files, sort all that are known into the scene, and make the previews; names of the new images."""
