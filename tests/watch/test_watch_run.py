@@ -89,7 +89,7 @@ def test_images_get_ties_poses_and_a_surface_and_a_second_run_goes_on(site):
     assert sorted(p.name for p in site.iterdir()) == ["card", "out", "rig.toml"]
 
 
-def _until(watch, there, limit_s=400.0):
+def _until(watch, there, limit_s=300.0):
     until = time.monotonic() + limit_s
     while time.monotonic() < until:
         if watch.step(time.monotonic()) and there():

@@ -59,6 +59,7 @@ def watch(run: Run, port: int) -> None:
     try:
         with working_in(run.folder):
             watched = Watched(run, Tuning())
+            server.show(watched.state())
             run.reporter.say(f"watching {run.inputs.images}: {server.address} shows what arrives; Ctrl-C ends it")
             run.reporter.event("watching", page=server.address, folder=str(run.inputs.images))
             try:
@@ -93,14 +94,14 @@ class Watched:
         self._rig_text = rig_of_run(run.inputs.rig)
         self._tried: dict[str, int] = {}  # frame -> matches to images with a pose when it could not be placed
         self._models = CoarseModels(run)
-        self._changed, self._last, self._saved = True, 0.0, 0.0
+        self._unsaved, self._last, self._saved = True, 0.0, 0.0
         self._recall()
 
     # --- a step -----------------------------------------------------------------------------------------------------
 
     def step(self, now: float) -> bool:
         """Take in what has arrived and what the model says; whether anything is new."""
-        before = self.arrivals.trouble, self._trouble
+        before, was_busy = (self.arrivals.trouble, self._trouble), self._models.busy
         names = self.arrivals.look(now)[:_BATCH]
         new = self._taken_in(names, now) if names else []
         made = self._models.result()
@@ -113,11 +114,12 @@ class Watched:
         for name in new:
             self._report(name, now)
         self._model_if_due(now)
-        self._changed = self._changed or bool(names) or made is not None
-        if self._changed and now - self._saved > self.tuning.save_s:
+        news = bool(names) or made is not None or before != (self.arrivals.trouble, self._trouble)
+        self._unsaved = self._unsaved or news
+        if self._unsaved and now - self._saved > self.tuning.save_s:
             self.keep()
             self._saved = now
-        return self._changed or before != (self.arrivals.trouble, self._trouble) or now == self._last
+        return news or was_busy != self._models.busy
 
     def _report(self, name: str, now: float) -> None:
         assert self.scene is not None
@@ -282,7 +284,6 @@ class Watched:
 
     def state(self) -> dict[str, Any]:
         """What the page shows."""
-        self._changed = False
         scene, trouble, making = self.scene, self.arrivals.trouble or self._trouble, self._models.busy
         now = f"watching; making a model of {self._models.images} images" if making else "watching"
         broken = {f: p.reason for f, p in sorted(self._probes.items()) if p.reason}
@@ -305,6 +306,7 @@ class Watched:
 
     def keep(self) -> None:
         """Write ties, digests and the page."""
+        self._unsaved = False
         pairs = list(self._ties)
         numbers = {name: k for k, name in enumerate(sorted(self._digest))}
         there = [(numbers[a], numbers[b], self._ties[a, b]) for a, b in pairs if a in numbers and b in numbers]
