@@ -7,6 +7,7 @@ import logging
 import statistics
 import time
 from collections import deque
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -235,7 +236,7 @@ class Watched:
                 return
             self._tried.update({scene.frame_names[f]: int(weight[f]) for f in todo})
             poses = place_frames(scene, ties, known, todo, how, self.tuning.frames)
-            known = Known(poses, known.cameras, known.keypoints, known.rigs)
+            known = replace(known, poses=poses)
             self.poses.update({n: poses[k] for k, n in enumerate(scene.names) if np.isfinite(poses[k]).all()})
 
     def _known(self, scene: Scene) -> Known:
@@ -244,7 +245,7 @@ class Watched:
         nowhere = np.full((4, 4), np.nan)
         poses = np.array([self.poses.get(name, nowhere) for name in scene.names]).reshape(-1, 4, 4)
         cameras = [rigs[scene.rig[f]].sensors[s].camera for f, s in zip(scene.frame, scene.sensor)]
-        return Known(poses, cameras, lambda k: preview_of(self.run.folder, scene.names[k]).xy, rigs)
+        return Known(poses, cameras, keypoints=lambda k: preview_of(self.run.folder, scene.names[k]).xy, rigs=rigs)
 
     # --- the model --------------------------------------------------------------------------------------------------
 
