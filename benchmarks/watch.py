@@ -5,7 +5,9 @@
 The first images of a set, in the order in which a boat with its rig would write them (pass, frame, camera), are copied
 one by one into a folder that is watched by a process of its own. Latency: from the end of a copy to the line that says
 the image's preview and ties are made and its pose was tried; it holds the time that a file must rest before it is
-opened (`watch/tuning.py`). Backlog: images not done when the last one was copied.
+opened (`watch/tuning.py`). Backlog: images not done when the last one was copied. On a machine that is busy with other
+work these say how busy it is; so the CPU time of each image is taken too, and what the latencies of a queue would be
+that is served by a core of its own (``own_core``).
 """
 
 from __future__ import annotations
@@ -28,6 +30,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.datasets import data_root
+from tiegraph.watch.tuning import ArrivalsTuning
 
 _RIGS = {"canal": "ladybug5", "canal_demo": "ladybug5"}
 _PATIENCE_S = 300.0  # after the last copy
@@ -75,16 +78,32 @@ def measured(name: str, images: int, rate: float, work: Path, page: Path | None 
     if page is not None:
         shutil.copy(work / "card_watch" / "watch.html", page)
     latency = np.array([done[n]["at"] - copied[n] for n in done])
+    cpu = np.diff(sorted(d["cpu_s"] for d in done.values()), prepend=0.0)
+    cpu[0] = np.median(cpu)  # the libraries were loaded before
     return {
         "set": name, "images": len(files), "rate": rate, "done": len(done), "exit_code": code,
         "latency_s": {"median": _round(np.median(latency)), "p95": _round(np.percentile(latency, 95)),
                       "max": _round(latency.max())},
+        "cpu_s_an_image": _round(cpu.mean(), 3), "own_core": _queue(cpu, rate),
         "backlog_at_last_copy": sum(d["at"] > last for d in done.values()),
         "last_done_after_last_copy_s": _round(max(d["at"] for d in done.values()) - last),
         "pose_at_once": sum(d["pose"] for d in done.values()), "posed_at_end": state["counts"]["posed"],
         "models": models, "cpu_s": _round(used.ru_utime + used.ru_stime), "load_average": [_round(load),
         _round(os.getloadavg()[0])], "cores": len(os.sched_getaffinity(0)),
     }  # fmt: skip
+
+
+def _queue(cpu: np.ndarray, rate: float) -> dict[str, float]:
+    """Latencies of images that need so much CPU time each (s) and arrive at a rate, one after another on one core."""
+    rest = ArrivalsTuning()
+    came = np.arange(len(cpu)) / rate
+    free, out = 0.0, []
+    for at, need in zip(came + rest.settled_s + rest.look_s, cpu):
+        free = max(free, at) + need
+        out.append(free)
+    latency = np.array(out) - came
+    late = int(np.sum(np.array(out) > came[-1] + rest.settled_s + rest.look_s + 1 / rate))
+    return {"median": _round(np.median(latency)), "p95": _round(np.percentile(latency, 95)), "behind": late}
 
 
 def _copy(files: list[Path], source: Path, card: Path, rate: float) -> dict[str, float]:
@@ -122,8 +141,8 @@ def _read(process: subprocess.Popen, lines: queue.Queue) -> None:
         lines.put((time.time(), json.loads(line)))
 
 
-def _round(value: float) -> float:
-    return round(float(value), 2)
+def _round(value: float, digits: int = 2) -> float:
+    return round(float(value), digits)
 
 
 if __name__ == "__main__":

@@ -74,8 +74,16 @@ def test_the_plan_is_level_whatever_the_frame_of_the_model():
     down = plan[:3, :3] @ np.mean(poses[:, 1, :3], axis=0)
     assert down[2] == pytest.approx(-1, abs=1e-3)
     assert np.linalg.det(plan[:3, :3]) == pytest.approx(1)
-    looking_down = np.stack([transforms.rigid(np.diag([1.0, -1, -1]), [-x, y, 30]) for x in range(4) for y in (0, 5)])
-    assert levelled(looking_down)[2, :3] == pytest.approx([0, 0, 1], abs=1e-6)
+
+
+def test_positions_tell_what_is_up_where_cameras_look_down():
+    poses = np.stack([transforms.rigid(np.diag([1.0, -1, -1]), [-x, y, 30]) for x in range(4) for y in (0, 5)])
+    scene = photos(len(poses))
+    there = np.tile(np.eye(4), (len(poses), 1, 1))
+    there[:, :3, 3] = 2 * transforms.centre(poses)
+    known = scene.with_(world_from_rig=there, position_sigma_m=np.full((len(poses), 3), 0.1), prior="exif")
+    plan, scale = plan_from_world(poses, known)
+    assert scale == pytest.approx(2) and plan[2, :3] == pytest.approx([0, 0, 2], abs=1e-6)
 
 
 def test_positions_turn_and_scale_the_plan():

@@ -89,7 +89,7 @@ def test_images_get_ties_poses_and_a_surface_and_a_second_run_goes_on(site):
     assert sorted(p.name for p in site.iterdir()) == ["card", "out", "rig.toml"]
 
 
-def _until(watch, there, limit_s=400.0):
+def _until(watch, there, limit_s=300.0):
     until = time.monotonic() + limit_s
     while time.monotonic() < until:
         if watch.step(time.monotonic()) and there():
@@ -98,6 +98,7 @@ def _until(watch, there, limit_s=400.0):
     raise AssertionError("no model came")
 
 
+@pytest.mark.slow
 def test_broken_images_and_doubles_are_named_and_stop_nothing(site):
     watch = watched(site)
     copy(site, range(2))
@@ -114,6 +115,7 @@ def test_broken_images_and_doubles_are_named_and_stop_nothing(site):
     assert [name for name, _ in state["broken"]] == ["left/000003.png"] and state["counts"]["images"] == 5
 
 
+@pytest.mark.slow
 def test_a_card_that_is_pulled_out_leaves_what_is_known(site):
     watch = watched(site)
     copy(site, range(2))
@@ -152,6 +154,7 @@ def test_wrong_inputs_are_refused_before_anything_is_written(site, capsys):
     assert sorted(p.name for p in site.iterdir()) == ["bad.toml", "card", "rig.toml"]
 
 
+@pytest.mark.slow
 def test_interrupting_ends_with_what_is_known(site, capsys, monkeypatch):
     copy(site, range(2))
     step = Watched.step

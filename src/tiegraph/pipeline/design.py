@@ -12,6 +12,7 @@ from tiegraph.design.coverage import Coverage, coverage, on_few_points, unknown_
 from tiegraph.design.design import METHODS, DesignResult, takes_all, with_coverage
 from tiegraph.design.design import design as select_pairs
 from tiegraph.design.surface import CoveredSurface, surface_map, weak_places
+from tiegraph.design.surfaceplot import surface_png
 from tiegraph.network.plots import map_png, weak_pairs
 from tiegraph.pipeline.accuracy import with_accuracy
 from tiegraph.pipeline.files import checked, load_npz, pairs_of, reading, save_npz, sights_of, ties_of
@@ -58,16 +59,9 @@ def design(run: Run) -> Outcome:
     weak = weak_pairs(made.tables.get("weak links", {}), scene)
     picture = map_png(pairs, positions if np.isfinite(positions).any() else None, scene, weak=weak)
     write_atomic(run.path("design", "map.png"), picture)
-    tables, said = dict(made.tables), ()
-    surface = surface_of(run)
-    if surface is not None:
-        from tiegraph.design.surfaceplot import surface_png  # loads matplotlib
-
-        tables["where to go again"], said = surface.table(), surface.lines()
-        poses = load_npz(run.path("coarse", "model.npz"))["cam_from_world"]
-        write_atomic(run.path("design", "surface.png"), surface_png(surface.cells, surface.places, poses))
+    tables, said = _surface_drawn(run)
     looked = (f"{previews} pairs of which nothing was known were previewed first",) if previews else ()
-    return Outcome(counts, notes=(*looked, *made.notes, *said), tables=tables)
+    return Outcome(counts, notes=(*looked, *made.notes, *said), tables={**made.tables, **tables})
 
 
 def coverage_of(run: Run, chosen: bool) -> Coverage:
@@ -88,6 +82,16 @@ def surface_of(run: Run) -> CoveredSurface | None:
     focal = np.array([np.nan if s.camera is None else s.camera.mean_focal_length() for s in scene.all_sensors])
     cells = surface_map(seen, focal[scene.sensor_key], tuning)
     return CoveredSurface(cells, weak_places(cells, tuning), scene.names) if len(cells) else None
+
+
+def _surface_drawn(run: Run) -> tuple[dict[str, dict], tuple[str, ...]]:
+    """Draw how the surface is covered; the table of places to go to again, and what to say of it."""
+    surface = surface_of(run)
+    if surface is None:
+        return {}, ()
+    poses = load_npz(run.path("coarse", "model.npz"))["cam_from_world"]
+    write_atomic(run.path("design", "surface.png"), surface_png(surface.cells, surface.places, poses))
+    return {"where to go again": surface.table()}, surface.lines()
 
 
 def _covered(run: Run, made: DesignResult, scene: Scene, ties: PreviewMatches) -> tuple[DesignResult, PreviewMatches]:

@@ -4,11 +4,10 @@
 images that have a pose. ``view`` makes of poses, ties and the map of the surface what ``page.html`` draws, and
 ``server`` hands both to browsers of this machine.
 
-Of the engines that exist, measured on ``canal`` (640 x 480, six cameras, CPU of one core): a preview costs 40 to 80 ms
-and a tie 4 ms, so that an image with its ten ties is done in a tenth of a second. Odometry follows frames one by one
-but needs a calibrated rig and small steps (``canal`` is not followed), the coarse model needs neither but is made of
-all ties at once, 5 s of 60 images and 20 s of 200. So the coarse model is made again and again in a process of its own
-(the second core), each time of all that has arrived, and in between new frames are resected: points are intersected
-from the images that have a pose, and a frame takes its pose from them. An error of a resection lasts until the next
-model. Nothing is adjusted here.
+Of the engines that exist, measured on ``canal`` (640 x 480, six cameras, CPU of one core): an image with its preview
+and ten ties costs 0.12 s. Odometry follows frames one by one but needs a calibrated rig and small steps (``canal`` is
+not followed); the coarse model needs neither but is made of all ties at once, 5 s of 60 images and 14 s of 200 even
+where few tracks are taken. So the coarse model is made again and again in a process of its own (the second core), each
+time of all that has arrived. In between new frames are resected: points are intersected from the images that have a
+pose, and a frame takes its pose from them. An error of a resection lasts until the next model.
 """

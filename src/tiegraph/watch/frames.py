@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pycolmap
@@ -43,7 +43,7 @@ def place_frames(
     Images of a frame of which another has a pose already are placed by the rig.
     """
     poses = known.poses.copy()
-    now = Known(poses, known.cameras, known.keypoints, known.rigs)
+    now = replace(known, poses=poses)
     for frame in frames:
         own = np.flatnonzero(scene.frame == frame)
         rig = known.rigs[scene.rig[frame]]

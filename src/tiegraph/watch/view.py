@@ -8,10 +8,12 @@ from typing import Any
 import numpy as np
 
 from tiegraph.geometry import transforms
+from tiegraph.geometry.align import robust_umeyama
 from tiegraph.geometry.levelled import levelled
 from tiegraph.scene.matches import PreviewMatches
 from tiegraph.scene.scene import Scene
 
+_WIDE = 0.2  # of the length of the positions' extent: from this width on they tell all seven unknowns
 _LEAST_POSITIONS = 3  # a similarity in the plan has four unknowns, and one is to contradict
 
 
@@ -19,13 +21,18 @@ def plan_from_world(cam_from_world: np.ndarray, scene: Scene) -> tuple[np.ndarra
     """(4, 4) rotation, scale and shift into the plan (x right, y up the page, z height), and its scale.
 
     With measured positions of three frames and more, in metres and with north up; else the path lies along x and the
-    unit stays.
+    unit stays. Positions that lie along a line do not tell its roll: there the cameras say what is up.
     """
     plan = levelled(cam_from_world)
     placed = np.isfinite(cam_from_world).all(axis=(1, 2))
     frames, centre = scene.frame[placed], transforms.centre(cam_from_world[placed])
     known = scene.measured_positions()[frames] & scene.metric_positions()
-    return _onto_positions(plan, transforms.apply(plan, centre)[known], scene.world_from_rig[frames[known], :3, 3])
+    here, there = transforms.apply(plan, centre)[known], scene.world_from_rig[frames[known], :3, 3]
+    spread = np.linalg.svd(there - there.mean(axis=0), compute_uv=False) if len(there) > _LEAST_POSITIONS else [0, 0]
+    if spread[1] > _WIDE * spread[0]:
+        fit, _ = robust_umeyama(here, there, np.linalg.norm(scene.position_sigma_m[frames[known]], axis=1))
+        return fit.matrix @ plan, fit.scale
+    return _onto_positions(plan, here, there)
 
 
 def _onto_positions(plan: np.ndarray, here: np.ndarray, there: np.ndarray) -> tuple[np.ndarray, float]:

@@ -7,6 +7,7 @@ import logging
 import statistics
 import time
 from collections import deque
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -59,6 +60,7 @@ def watch(run: Run, port: int) -> None:
     try:
         with working_in(run.folder):
             watched = Watched(run, Tuning())
+            server.show(watched.state())
             run.reporter.say(f"watching {run.inputs.images}: {server.address} shows what arrives; Ctrl-C ends it")
             run.reporter.event("watching", page=server.address, folder=str(run.inputs.images))
             try:
@@ -93,14 +95,14 @@ class Watched:
         self._rig_text = rig_of_run(run.inputs.rig)
         self._tried: dict[str, int] = {}  # frame -> matches to images with a pose when it could not be placed
         self._models = CoarseModels(run)
-        self._changed, self._last, self._saved = True, 0.0, 0.0
+        self._unsaved, self._last, self._saved = True, 0.0, 0.0
         self._recall()
 
     # --- a step -----------------------------------------------------------------------------------------------------
 
     def step(self, now: float) -> bool:
         """Take in what has arrived and what the model says; whether anything is new."""
-        before = self.arrivals.trouble, self._trouble
+        before, was_busy = (self.arrivals.trouble, self._trouble), self._models.busy
         names = self.arrivals.look(now)[:_BATCH]
         new = self._taken_in(names, now) if names else []
         made = self._models.result()
@@ -113,11 +115,12 @@ class Watched:
         for name in new:
             self._report(name, now)
         self._model_if_due(now)
-        self._changed = self._changed or bool(names) or made is not None
-        if self._changed and now - self._saved > self.tuning.save_s:
+        news = bool(names) or made is not None or before != (self.arrivals.trouble, self._trouble)
+        self._unsaved = self._unsaved or news
+        if self._unsaved and now - self._saved > self.tuning.save_s:
             self.keep()
             self._saved = now
-        return self._changed or before != (self.arrivals.trouble, self._trouble) or now == self._last
+        return news or was_busy != self._models.busy
 
     def _report(self, name: str, now: float) -> None:
         assert self.scene is not None
@@ -125,8 +128,10 @@ class Watched:
         seconds = time.monotonic() - self.arrivals.came(source)
         self.times.append(seconds)
         waiting = self.arrivals.waiting()
-        self.run.reporter.event("image", name=source, seconds=round(seconds, 3), waiting=waiting,
-                                pose=name in self.poses)  # fmt: skip
+        self.run.reporter.event(
+            "image", name=source, seconds=round(seconds, 3), waiting=waiting, pose=name in self.poses,
+            cpu_s=round(time.process_time(), 3),
+        )  # fmt: skip
 
     def _taken_in(self, files: list[str], now: float) -> list[str]:
         """Open files, sort all that are known into the scene, and make the previews; names of the new images."""
@@ -231,7 +236,7 @@ class Watched:
                 return
             self._tried.update({scene.frame_names[f]: int(weight[f]) for f in todo})
             poses = place_frames(scene, ties, known, todo, how, self.tuning.frames)
-            known = Known(poses, known.cameras, known.keypoints, known.rigs)
+            known = replace(known, poses=poses)
             self.poses.update({n: poses[k] for k, n in enumerate(scene.names) if np.isfinite(poses[k]).all()})
 
     def _known(self, scene: Scene) -> Known:
@@ -240,7 +245,7 @@ class Watched:
         nowhere = np.full((4, 4), np.nan)
         poses = np.array([self.poses.get(name, nowhere) for name in scene.names]).reshape(-1, 4, 4)
         cameras = [rigs[scene.rig[f]].sensors[s].camera for f, s in zip(scene.frame, scene.sensor)]
-        return Known(poses, cameras, lambda k: preview_of(self.run.folder, scene.names[k]).xy, rigs)
+        return Known(poses, cameras, keypoints=lambda k: preview_of(self.run.folder, scene.names[k]).xy, rigs=rigs)
 
     # --- the model --------------------------------------------------------------------------------------------------
 
@@ -280,7 +285,6 @@ class Watched:
 
     def state(self) -> dict[str, Any]:
         """What the page shows."""
-        self._changed = False
         scene, trouble, making = self.scene, self.arrivals.trouble or self._trouble, self._models.busy
         now = f"watching; making a model of {self._models.images} images" if making else "watching"
         broken = {f: p.reason for f, p in sorted(self._probes.items()) if p.reason}
@@ -303,6 +307,7 @@ class Watched:
 
     def keep(self) -> None:
         """Write ties, digests and the page."""
+        self._unsaved = False
         pairs = list(self._ties)
         numbers = {name: k for k, name in enumerate(sorted(self._digest))}
         there = [(numbers[a], numbers[b], self._ties[a, b]) for a, b in pairs if a in numbers and b in numbers]
