@@ -35,7 +35,7 @@ _MORE = (
     ("oppaiyama", "Oppaiyama: phone photographs with EXIF GPS (the truth is that GPS)"),
 )
 _OTHERS = (
-    ("colmap_sequential", "COLMAP sequential"),
+    ("colmap_sequential", "COLMAP sequential, defaults"),
     ("colmap_rig", "COLMAP exhaustive with the rig"),
     ("openmvg", "openMVG"),
 )
@@ -45,7 +45,7 @@ _DOCUMENTS = {"README.md": (_SHOWN, ()), "docs/benchmarks.md": ((*_SHOWN, *_MORE
 def figures(sets: Sequence[tuple[str, str]], others: Sequence[tuple[str, str]] = ()) -> str:
     """The table of figures: a row a set; tiegraph, exhaustive COLMAP with its defaults, and ``others``."""
     rows = [r for f in _FILES for r in json.loads((_ROOT / "benchmarks" / "results" / f"{f}.json").read_text())["runs"]]
-    competitors = (("tiegraph", "tiegraph"), ("colmap_exhaustive", "COLMAP exhaustive"), *others)
+    competitors = (("tiegraph", "tiegraph"), ("colmap_exhaustive", "COLMAP exhaustive, defaults"), *others)
     head = ["images", *(f"{title}: in its largest model, ATE, CPU s" if k == 0 else title
                         for k, (_, title) in enumerate(competitors))]  # fmt: skip
     lines = [line(head), line(["---"] * len(head))]

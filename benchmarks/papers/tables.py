@@ -192,7 +192,10 @@ def _paper002(found: Mapping[tuple[str, str], Row]) -> list[str]:
         columns = ["", "X", "sd", "Y", "sd", "Z", "sd"]
         out.append(_table(f"{title}, mean and median standard deviation, m along the truth's axes", columns, cells))
     more = _by(rows, (*_SIZES[1:4], ("CPU s of matching and mapping", lambda r: _cpu(r, "match", "sparse")), _ATE))
-    return [*out, _table("what it costs", _titled(rows), more)]
+    said = (
+        "Each model has points of its own: means differ by which they are, and a far point by little parallax counts."
+    )
+    return [*out, _table("what it costs", _titled(rows), more), said]
 
 
 def _paper003(found: Mapping[tuple[str, str], Row]) -> list[str]:

@@ -154,7 +154,8 @@ class Project:
 
     def _of_block(self, block: Any, side: str, preset: str, settings: Any) -> Project:
         """The survey of a block's images with the same inputs; a model to start from is the survey's own method's."""
-        given = {n: getattr(self.inputs, n) for n in (*_NAMED, *_PATHS) if n != "start" or side == "tiegraph"}
+        names = [n for n in (*_NAMED, *_PATHS) if n not in block.silent and (n != "start" or side == "tiegraph")]
+        given = {n: getattr(self.inputs, n) for n in names}
         return open_project(block.images, block.side(side), preset=preset, settings=settings, pool=self.pool, **given)
 
     def export(self, folder: str | Path) -> int:

@@ -1,5 +1,6 @@
 """The folder of a comparison with another method: what was interrupted is said; what made no model was not."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +32,16 @@ def test_a_run_that_goes_on_is_said_to_have_been_interrupted(tmp_path: Path) -> 
     assert interrupted_note(made, "meguro2024", STAGES) == ""
     side = run_side(made, "meguro2024", STAGES)
     assert side.count == 0 and side.cpu_s == 0 and np.isnan(side.centres).all()
+
+
+def test_a_block_in_an_outage_is_given_no_gnss(tmp_path: Path) -> None:
+    made = block(tmp_path, whole=False)
+    assert made.silent == ()  # the survey has none either
+    run = Run(made.run.folder, replace(made.run.inputs, gnss=tmp_path / "gnss.csv"), made.run.settings)
+    assert replace(made, run=run).silent == ("gnss",)
+    poses, sigma = np.tile(np.eye(4), (2, 1, 1)), np.array([[0.1, 0.1, 0.1], [np.nan] * 3])
+    fixed = made.scene.with_(prior="gnss", world_from_rig=poses, position_sigma_m=sigma)
+    assert replace(made, run=run, scene=fixed).silent == ()
 
 
 def test_a_whole_survey_is_its_own_side(tmp_path: Path) -> None:

@@ -49,6 +49,11 @@ class Block:
         """The images, as the user's folder has them; of a whole survey that folder."""
         return self.run.inputs.images if self.whole else self.folder / "images"
 
+    @property
+    def silent(self) -> tuple[str, ...]:
+        """Inputs that tell nothing of these images: GNSS where all of them lie in an outage."""
+        return () if self.run.inputs.gnss is None or self.scene.measured_positions().any() else ("gnss",)
+
     def side(self, name: str) -> Path:
         """Where the run of a method is."""
         return self.run.folder if name == _OWN and self.whole else self.folder / name
@@ -189,6 +194,7 @@ def judged(block: Block, name: str, stages: tuple[Stage, ...], notes: list[str])
         f"{len(block.scene)} images, a stretch of the path of {block.run.folder.name}"
         + (": all of it" if block.whole else f" of {len(checked(block.run))}; both methods ran on these alone"),
         said,
+        *(["no frame of the block has a GNSS position: neither method was given any"] if block.silent else []),
         *notes,
     ]
     save_json(block.folder / f"{name}.json", result)
