@@ -73,9 +73,9 @@ def test_each_part_of_a_wall_gets_its_verdict():
 def test_the_two_faces_of_a_wall_are_covered_apart():
     """Five images on one side, one on the other: not six views at 150 degrees."""
     front = wall(3.0)
-    back = front + [0, 0.2, 0]
+    back = front + [0, 0.02, 0]  # in the same box
     xyz = np.concatenate([front, back])
-    centres = np.concatenate([row(np.linspace(0, 3, 5)), [[1.5, 20.2, 2.0]]])
+    centres = np.concatenate([row(np.linspace(0, 3, 5)), [[1.5, 20.02, 2.0]]])
     which = np.zeros((6, len(xyz)), bool)
     which[:5, : len(front)] = which[5, len(front) :] = True
     found = surface_map(sees(xyz, centres, which), np.full(6, FOCAL), TUNING)

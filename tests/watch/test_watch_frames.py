@@ -22,11 +22,11 @@ IMAGES, POINTS = 5, 300
 CAMERA = pycolmap.Camera(model="SIMPLE_PINHOLE", width=640, height=480, params=[500, 320, 240])
 
 
-def world(noise_px=0.5):
+def world(noise_px=0.5, step=0.7):
     """A row of photographs of a wall: poses, key points of each (a feature a point), ties of all with all."""
     rng = np.random.default_rng(1)
     points = np.column_stack([rng.uniform(-3, 6, POINTS), rng.uniform(-2, 2, POINTS), rng.uniform(8, 12, POINTS)])
-    poses = np.stack([transforms.rigid(np.eye(3), [-0.7 * k, 0, 0]) for k in range(IMAGES)])
+    poses = np.stack([transforms.rigid(np.eye(3), [-step * k, 0, 0]) for k in range(IMAGES)])
     seen = [np.asarray(CAMERA.img_from_cam(transforms.apply(p, points))) for p in poses]
     seen = [xy + rng.normal(0, noise_px, xy.shape) for xy in seen]
     i, j = np.triu_indices(IMAGES, 1)
@@ -59,6 +59,8 @@ def test_frames_are_placed_one_by_one_from_those_before():
 def test_points_without_base_and_ties_of_another_wall_place_nothing():
     poses, seen, ties = world()
     assert np.isnan(placed(poses, seen, ties, known=[0])[1:]).all(), "one image tells no point"
+    near, seen_near, _ = world(step=0.03)
+    assert np.isnan(placed(near, seen_near, ties, known=[0, 1])[2:]).all(), "nor do two at one place"
     rng = np.random.default_rng(2)
     wrong = [xy if k < 2 else rng.uniform(0, 480, xy.shape) for k, xy in enumerate(seen)]
     assert np.isnan(placed(poses, wrong, ties, known=[0, 1])[2:]).all()
