@@ -75,9 +75,8 @@ def _difference(a: Calibration, b: Calibration, base: tuple[Calibration, Calibra
         lens = _lens_px(a.camera, other)
         sigma = _both(a.focal_sigma_px, b.focal_sigma_px)
         focal_sigmas = abs(focal) * a.camera.mean_focal_length() / sigma if sigma else nan
-    poses = [c.sensor_from_rig for c in (a, base[0], b, base[1])]
-    if a.name != base[0].name and all(p is not None for p in poses):
-        one, two = (p @ transforms.invert(q) for p, q in (poses[:2], poses[2:]))
+    one, two = _from_first(a, base[0]), _from_first(b, base[1])
+    if a.name != base[0].name and one is not None and two is not None:
         turn = float(transforms.angle_deg(one[:3, :3], two[:3, :3]))
         place = float(np.linalg.norm(transforms.centre(one) - transforms.centre(two)))
         turns, places = _both(a.sigma_deg, b.sigma_deg), _both(a.sigma_m, b.sigma_m)
@@ -93,6 +92,12 @@ def _difference(a: Calibration, b: Calibration, base: tuple[Calibration, Calibra
         turn_sigmas=turn_sigmas,
         place_sigmas=place_sigmas,
     )
+
+
+def _from_first(camera: Calibration, first: Calibration) -> np.ndarray | None:
+    if camera.sensor_from_rig is None or first.sensor_from_rig is None:
+        return None
+    return np.asarray(camera.sensor_from_rig @ transforms.invert(first.sensor_from_rig))
 
 
 def _both(a: float | None, b: float | None) -> float:

@@ -53,9 +53,14 @@ def relaxed_frames(
             continue
         reference = model.image(first.setdefault(int(scene.frame[index]), image.image_id))
         if reference.frame_id != image.frame_id:
-            a, b = (matrix(model.frame(i.frame_id).rig_from_world) for i in (reference, image))
-            relative = b @ transforms.invert(a)
-            tied[image.frame_id] = RelativePosePrior(reference.image_id, image.image_id, relative, covariance)
+            poses = (model.frame(i.frame_id).rig_from_world for i in (reference, image))
+            a, b = (matrix(p) for p in poses if p is not None)
+            tied[image.frame_id] = RelativePosePrior(
+                first=reference.image_id,
+                second=image.image_id,
+                second_from_first=b @ transforms.invert(a),
+                covariance=covariance,
+            )
     return tuple(tied.values())
 
 
