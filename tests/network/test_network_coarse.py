@@ -84,6 +84,7 @@ def test_the_model_finds_what_previews_miss(world) -> None:
     assert found.trusted.all()
 
 
+@pytest.mark.slow
 def test_pairs_that_share_nothing_are_dropped_with_their_reason(world) -> None:
     found, _ = network_of(world, true_model(world))
     gone = found.pairs.where(found.pairs.overlap < SETTINGS.min_overlap)

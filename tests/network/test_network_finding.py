@@ -196,6 +196,7 @@ def test_a_rig_file_with_cameras_in_another_order_loses_few_ties(order) -> None:
     assert recall > 0.85 and across > 0.85 and precision > 0.4
 
 
+@pytest.mark.slow
 def test_photographs_on_a_ring() -> None:
     world = shuffled_ring(300)
     network = estimate_network(photos(300), np.zeros(300), world.match, CandidatesSettings(), Tuning())

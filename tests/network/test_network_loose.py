@@ -63,6 +63,7 @@ def test_two_unrelated_groups_stay_two() -> None:
     assert len({(a, b) for a, b in zip(parts.tolist(), (order < 75).tolist())}) == 2
 
 
+@pytest.mark.slow
 def test_photographs_are_tied_to_the_frames_of_a_pass() -> None:
     world = Places(np.r_[np.arange(200) * 12.0, np.arange(40) * 60.0 + 6])
     clip = video(200)

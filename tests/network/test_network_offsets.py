@@ -147,6 +147,7 @@ def test_single_pass_and_unknown_rig_work() -> None:
     assert not any("runs back" in n for n in network.notes)
 
 
+@pytest.mark.slow
 def test_missing_images_and_frames_are_no_obstacle() -> None:
     world = boat((16, 16), (1.5, 1.5))
     keep = np.random.default_rng(0).random(len(world.scene)) > 0.15

@@ -207,6 +207,7 @@ def test_a_vehicle_that_mostly_stands_is_given_the_range_of_its_drive() -> None:
     assert assumed_range(scene.with_(world_from_rig=poses), passes, TUNING.poses) == pytest.approx(steady, rel=0.1)
 
 
+@pytest.mark.slow
 def test_an_unsure_prior_refuses_little_by_sight() -> None:
     world = boat((8, 8), (2.0, 2.0))
     scene = with_priors(world)

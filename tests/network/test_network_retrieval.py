@@ -114,6 +114,7 @@ def test_known_loops_are_not_looked_at_again() -> None:
     assert not (overlap >= 0.15).any()
 
 
+@pytest.mark.slow
 def test_budget_of_previews_is_kept_and_said() -> None:
     looks = TUNING.retrieval.model_copy(update={"loops": LoopSearchTuning(previews_an_image=4)})
     world = Places(np.arange(200) * 12.0, around=600)

@@ -47,6 +47,7 @@ def test_bridge_is_found_and_joined_over_both_passes() -> None:
     assert set(network.scene.section) == {0, 1, 2}
 
 
+@pytest.mark.slow
 def test_paper_001_cuts_between_sections_and_link_does_not() -> None:
     world, brightness, _ = survey()
     linked = estimate_network(world.scene, brightness, world.match, CandidatesSettings(), Tuning())

@@ -84,6 +84,7 @@ def test_a_run_follows_its_own_images(survey, tmp_path):
     assert plain.scene().prior == "none" and not (tmp_path / "out" / "odometry").exists()
 
 
+@pytest.mark.slow
 def test_a_run_that_is_to_follow_its_images_needs_a_calibrated_rig(survey, tmp_path):
     project = open_project(survey / "images", tmp_path / "out", pool="serial", trajectory="auto")
     with pytest.raises(InputError, match="calibrat"):

@@ -98,6 +98,7 @@ def test_a_shift_of_the_whole_survey_is_within_its_sigma_or_registered(tmp_path:
     assert abs(found["differences"]["median m"]) < 0.005 and found["changes"]["rows"] == []
 
 
+@pytest.mark.slow
 def test_what_cannot_be_compared_is_said_and_nothing_written(tmp_path: Path) -> None:
     first = survey(tmp_path / "a", ground(500, 0))
     (tmp_path / "none").mkdir()

@@ -44,6 +44,7 @@ def test_a_worker_lost_at_work_is_named_by_its_signal(number, said):
     assert signal.Signals(number).name in str(error.value) and "finished work is kept" in str(error.value)
 
 
+@pytest.mark.slow
 def test_a_worker_lost_while_idle_is_named_too():
     executor, workers = open_pool("local:1")
     with executor:
@@ -93,6 +94,7 @@ def test_a_worker_that_starts_while_another_is_lost_is_not_waited_for(monkeypatc
     assert not hung
 
 
+@pytest.mark.slow
 def test_workers_do_not_hear_what_a_terminal_sends_to_all():
     executor, workers = open_pool("local:1")
     with executor:
@@ -124,6 +126,7 @@ def cut_short(item: int) -> int:
     return item
 
 
+@pytest.mark.slow
 def test_a_worker_ended_while_it_sends_a_result_is_reported_and_the_pool_can_be_left():
     executor, workers = open_pool("local:2")
     with pytest.raises(ProcessLost, match="SIGKILL"):

@@ -58,6 +58,7 @@ def test_a_colmap_model_is_a_trajectory() -> None:
     assert not any("body frame" in n for n in scene.notes)
 
 
+@pytest.mark.slow
 def test_a_transforms_json_gives_the_same_poses(tmp_path: Path) -> None:
     poses = truth()
     (tmp_path / "transforms.json").write_text(transforms(poses))

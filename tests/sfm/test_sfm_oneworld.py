@@ -160,6 +160,7 @@ def test_positions_place_what_no_match_joins(survey) -> None:
     assert 1e-4 < np.median(off) < 0.06
 
 
+@pytest.mark.slow
 def test_without_matches_and_positions_a_model_stays_out_and_says_why(survey) -> None:
     for scene in (survey[0], _with_positions(survey).with_(prior="gnss")):
         poses = scene.world_from_rig.copy()
@@ -169,6 +170,7 @@ def test_without_matches_and_positions_a_model_stays_out_and_says_why(survey) ->
         assert found.model.num_reg_images() == 2 * FIRST
 
 
+@pytest.mark.slow
 def test_one_place_for_all_frames_is_no_position(survey) -> None:
     """Phones write one place into all photographs of an object; the fit ended with an error."""
     scene = _with_positions(survey)

@@ -94,6 +94,7 @@ def _without_shared_points(model: pycolmap.Reconstruction, camera: int) -> pycol
     return out
 
 
+@pytest.mark.slow
 def test_what_one_step_cannot_tell_is_said_without_figures() -> None:
     """A model 128 times too long (PandaSet, standing): cameras "turned by 4522 deg" and "829 m off"."""
     model, scene = _rigid("turned")
@@ -103,6 +104,7 @@ def test_what_one_step_cannot_tell_is_said_without_figures() -> None:
     assert said.statements == () and len(said.contradictions) == 1 and "(cam2)" in said.contradictions[0]
 
 
+@pytest.mark.slow
 def test_a_camera_that_stands_elsewhere_widens_the_scale_of_its_rig() -> None:
     """A file whose right camera is 40 mm too low; as given nothing is widened."""
     model, scene = _rigid("as given")

@@ -128,6 +128,7 @@ def test_a_camera_that_comes_off_is_named_and_let_go() -> None:
     assert found.moving == (0,) and 2 in found.unstable
 
 
+@pytest.mark.slow
 def test_resection_finds_the_lateness_of_one_camera() -> None:
     """Of three cameras one is late: in the true model it stands off by its offset times the speed."""
     model, scene = moving_world(late_s=(0, 0, LATE_S))

@@ -115,6 +115,7 @@ def test_velocity_and_turn_are_those_of_the_way_and_not_across_a_gap() -> None:
     assert image_motion(model, scene.with_(rigs=(views,)), TUNING) == {}  # their rows are not the camera's
 
 
+@pytest.mark.slow
 def test_key_points_go_to_where_the_middle_row_sees_them() -> None:
     model, scene = walk(READOUT_S)
     assert 0.8 < model.compute_mean_reprojection_error()

@@ -175,6 +175,7 @@ def test_sizes_of_two_effects_are_found() -> None:
     assert place < 0.1 and turn < 0.1
 
 
+@pytest.mark.slow
 def test_a_part_of_many_frames_is_looked_at(world) -> None:
     """Places of the frames looked at are those of all; a long model names which."""
     truth, _ = world
