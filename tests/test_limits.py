@@ -96,6 +96,7 @@ def starved(send: Callable[[Any], None]) -> None:
     np.zeros(1 << 50)
 
 
+@pytest.mark.slow
 def test_a_child_without_memory(tmp_path: Path) -> None:
     with pytest.raises(TiegraphError, match="not enough memory"):
         run_in_child(starved, log=tmp_path / "log.txt")

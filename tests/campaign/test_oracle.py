@@ -78,6 +78,7 @@ REFUSALS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("script, verdict", REFUSALS.items(), ids=range(len(REFUSALS)))
 def test_refusals(run, script: str, verdict: str) -> None:
     assert oracle.refusal(run(script, 1.0 if verdict == oracle.HANG else 20.0), _WORDS).name == verdict
@@ -115,6 +116,7 @@ SIGNALS = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("script, number, verdict", SIGNALS, ids=range(len(SIGNALS)))
 def test_signals(server: Server, tmp_path: Path, monkeypatch, script: str, number: int, verdict: str) -> None:
     monkeypatch.setattr(process, "_LEFT_S", 0.3)

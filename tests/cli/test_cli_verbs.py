@@ -64,6 +64,7 @@ def test_every_verb_can_be_loaded(name):
     assert VERBS[name].stage in ("", name)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(signal, "SIGTERM"), reason="no such signal")
 def test_a_verb_is_stopped_in_one_line_after_pycolmap_is_loaded():
     """pycolmap has handlers of its own that print stack traces: the signals are taken back after a verb is loaded."""

@@ -120,6 +120,7 @@ def test_paper_001_masks_in_a_fraction_of_a_second_an_image(tmp_path):
     assert (time.process_time() - began) / 5 < 0.18
 
 
+@pytest.mark.slow
 def test_paper_001_table_2_on_the_example_survey(canal, tmp_path):
     # The paper reports an accuracy of 91 % on its own images; the same method on the rendered survey, with its light
     # changing between first and last frame, reaches about 73 %. Paper 000's method is worse.

@@ -95,6 +95,7 @@ def test_constant_offsets_stay_in_their_range() -> None:
         assert [float(r["votes"]) for r in own] == pytest.approx(curve.votes.tolist(), rel=1e-5)
 
 
+@pytest.mark.slow
 def test_paper_000_keeps_the_best_partner_of_each_camera() -> None:
     world = boat((16, 16), (1.5, 1.5))
     settings = CandidatesSettings(sources=("offsets",), offsets="constant", axes_deg=90, offset_range=4, offset_best=1)

@@ -44,6 +44,7 @@ def recall(world: World, pairs: Pairs) -> tuple[float, float]:
     return (found & useful).sum() / useful.sum(), (found & useful).sum() / max(found.sum(), 1)
 
 
+@pytest.mark.slow
 def test_full_poses_find_what_overlaps() -> None:
     world = boat((10, 10), (2.0, 2.0))
     result = pose_pairs(with_priors(world), find_passes(world.scene), SETTINGS, TUNING)

@@ -42,6 +42,7 @@ def same(one: Assembled, other: Assembled) -> bool:
     return len(one.models) == len(other.models) == 1 and all(alike) and one.notes == other.notes
 
 
+@pytest.mark.slow
 def test_blocks_that_were_mapped_before_a_kill_stay(world, tmp_path, monkeypatch) -> None:
     scene, truth, ties = world
     mapper = Mapper(scene, truth)

@@ -20,6 +20,7 @@ def test_always_sorted_unique_and_without_self_pairs(pairs):
     assert list(zip(made.i.tolist(), made.j.tolist())) == want
 
 
+@pytest.mark.slow
 @given(rows, rows)
 def test_union_keeps_every_pair_and_both_sources(a, b):
     both = table(a) | table(b, "offsets")

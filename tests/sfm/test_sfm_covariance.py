@@ -132,6 +132,7 @@ def test_ties_hold_frames_that_nothing_else_holds() -> None:
     assert tied[at, at] == pytest.approx(1e4) and tied[at + 3, at + 3] == pytest.approx(1e6)
 
 
+@pytest.mark.slow
 def test_interior_orientation_tells_sigmas_and_correlations(world) -> None:
     truth, _ = world
     found = position_sigma(_drawn(truth, 3), tuning=TUNING)

@@ -169,6 +169,7 @@ def test_a_rig_said_to_be_synchronised_keeps_that_in_its_file() -> None:
     assert not rig_from_dict({k: v for k, v in rig_to_dict(scene.rigs[0]).items() if k != "synchronised"}).synchronised
 
 
+@pytest.mark.slow
 def test_a_lever_arm_that_a_model_found_is_not_known_along_the_way() -> None:
     """Place and time of a camera are one unknown at constant speed; said to be synchronised, the place is known."""
     model, scene = _rigid("as given")

@@ -25,6 +25,7 @@ def test_names_of_targets_and_of_none():
     assert count_of("4x4_50") == 50 and count_of(FAMILY) == 587
 
 
+@pytest.mark.slow
 def test_middles_are_found_to_hundredths_of_a_pixel_and_their_sigma_says_so():
     world, off, sigmas = table(4), [], []
     for k in range(4):
