@@ -85,6 +85,7 @@ def test_no_process_matches_on_two_threads():
     assert matchblocks.colmap_options(SETTINGS)[0].num_threads == 1
 
 
+@pytest.mark.slow
 def test_lost_pairs_are_listed_with_the_reason(done):
     _, pairs, report, _ = done
     name = scene().names[EMPTY]
@@ -92,6 +93,7 @@ def test_lost_pairs_are_listed_with_the_reason(done):
     assert all(name in both and f"no features in {name}" in reason for both, reason in report.lost)
 
 
+@pytest.mark.slow
 def test_inliers_tie_the_same_points_and_the_database_opens_in_colmap(done):
     folder, pairs, _, _ = done
     descriptors = {k: d for k, _, d in features(empty=(EMPTY,))}
@@ -102,6 +104,7 @@ def test_inliers_tie_the_same_points_and_the_database_opens_in_colmap(done):
     assert len(a) == pairs.inliers[(pairs.i == 0) & (pairs.j == 2)][0]
 
 
+@pytest.mark.slow
 def test_a_second_run_does_nothing_and_gives_the_same(done, monkeypatch):
     folder, pairs, report, _ = done
     monkeypatch.setattr(matchblocks, "run_in_children", lambda *a, **k: pytest.fail("matched again"))
