@@ -51,3 +51,9 @@ def test_what_is_there_already_counts(images, capsys):
     assert forecast._size(run) == 10**6
     (run / "link").symlink_to(run / "database.db")
     assert forecast._size(run) == 10**6
+
+
+def test_frames_of_videos_are_counted_by_scan(images, capsys):
+    (images / "drive.mp4").write_bytes(b"none is looked at")
+    code, said = plan(images, capsys)
+    assert code == 0 and "counted by the stage scan" in said and not (images.parent / "out").exists()

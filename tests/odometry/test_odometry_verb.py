@@ -89,6 +89,7 @@ def test_a_run_that_is_to_follow_its_images_needs_a_calibrated_rig(survey, tmp_p
     project = open_project(survey / "images", tmp_path / "out", pool="serial", trajectory="auto")
     with pytest.raises(InputError, match="calibrat"):
         project.run("scan")
+    assert not (tmp_path / "out" / "images").exists()  # said before any is prepared
 
 
 @pytest.mark.slow

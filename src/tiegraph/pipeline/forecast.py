@@ -9,7 +9,8 @@ from pathlib import Path
 from tiegraph.plan.effort import Effort, effort
 from tiegraph.plan.tuning import EffortTuning
 from tiegraph.project.run import Run
-from tiegraph.scene.bags.topics import is_bag, source_of, split_topics
+from tiegraph.scan.videos.video import find_videos
+from tiegraph.scene.bags.topics import is_bag, source_of
 from tiegraph.scene.images import probe_image, search_images
 
 _PROBED = 40  # images whose size stands for all
@@ -40,7 +41,7 @@ class Forecast:
         return [
             f"images: {cost.images}",
             f"disk: about {_gb(cost.model_bytes)} to georef, {_gb(cost.dense_bytes)} more with depth maps and cloud "
-            f"(within a factor of two), and {_gb(cost.scratch_bytes)} for a while during sparse; "
+            f"(0.7 to 2.1 times what five sets took), and {_gb(cost.scratch_bytes)} for a while during sparse; "
             f"{_gb(self.there_bytes)} are there, {_gb(self.free_bytes)} free at {folder}: {verdict}",
             f"CPU time: about {cpu[0]:.2g} h to georef, {cpu[1]:.2g} h more with depth maps and cloud, of one core of "
             "an AMD EPYC (the larger part runs on all cores)",
@@ -50,10 +51,10 @@ class Forecast:
 def forecast(run: Run) -> Forecast | None:
     """The cost of a run by the sizes of some of its images; None where they are frames of videos or bags, which only
     `scan` counts. Nothing is written. Raises InputError for folders without images."""
-    source = split_topics(run.inputs.images)[0]
-    if is_bag(source):
+    source = source_of(run.inputs.images)
+    if is_bag(source) or find_videos(source):
         return None
-    found = search_images(source_of(run.inputs.images))
+    found = search_images(source)
     some = found.names[:: max(len(found.names) // _PROBED, 1)]
     probes = [probe_image(source / name, run.settings.tuning.scene.images) for name in some]
     sizes = [(p.width, p.height) for p in probes if not p.reason]

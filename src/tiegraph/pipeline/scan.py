@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tiegraph.odometry.cameras import cameras_of
 from tiegraph.pipeline.foundrig import rig_of_run
 from tiegraph.pipeline.inputs import check_against, control_file
 from tiegraph.pipeline.odometry import followed
@@ -52,6 +53,8 @@ def scan(run: Run) -> Outcome:
     )
     scene = build_scene(inputs, names, probes, settings, tuning)
     told = check_against(run, scene)  # wrong files are better said now than after hours
+    if given.trajectory == FOLLOW:
+        cameras_of(scene.rigs)  # so is a rig that cannot be followed
     file_of = dict(zip(names, files))
     todo: dict[str, list[tuple[str, Sensor]]] = {}  # a panorama is read once for all its views
     for k, name in enumerate(scene.names):

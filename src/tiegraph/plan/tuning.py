@@ -27,8 +27,8 @@ class EffortTuning(Section):
     feature_bytes: float = Field(250.0, gt=0)
     """... of each of its features, in the database and the model."""
     features_a_megapixel: float = Field(5600.0, gt=0)
-    """Features, up to `most_features`. Of ten sets the room up to `georef` is met within a factor of 2: kB an image
-    canal_demo 323 measured, 348 so, canal 523 and 544, KITTI 1025 and 740, PandaSet 395 and 838, P8 1004 and 1134."""
+    """Features, up to `most_features`. The room up to `georef`, as `du` has it, kB an image: canal_demo 323
+    measured, 348 so, canal 523 and 544, KITTI 1025 and 740, PandaSet 395 and 838, Herz-Jesus-P8 1004 and 1134."""
     copied_bytes: float = Field(160.0, gt=0)
     """Of a feature, in the copy of the database that `sparse` works on."""
     most_features: int = Field(4096, gt=0)
