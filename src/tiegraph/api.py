@@ -97,17 +97,22 @@ class Project:
         sought = project_settings.merged({"shots": {"near_m": near_m, "far_m": far_m}}).shots
         self.settings = self.settings.model_copy(update={"shots": sought})
         self._run((*STAGES, SHOTS), SHOTS.name, reporter)
-        scene = self.scene()
+        from tiegraph.pipeline.files import whole
         from tiegraph.pipeline.shots import cloud_path  # loads the dense engine
 
+        scene = whole(Run(self.folder, self.inputs, self.settings))
         return [cloud_path(self.folder, scene, frame) for frame in range(scene.frames)]
 
-    def posed_shots(self, folder: str | Path) -> list[Path]:
+    def posed_shots(self, folder: str | Path, reporter: Reporter | None = None) -> list[Path]:
         """The clouds of ``shots`` whose frames have a pose, as LAZ in the world of the georeferenced model: a new
-        folder. Raises InputError without shots or a metric model, and for a folder that holds something."""
+        folder. A model without scale gets that of the shots. Raises InputError without shots or metres, and for a
+        folder that holds something."""
         from tiegraph.pipeline.posedshots import posed_shots  # loads the engine
 
-        return posed_shots(Run(self.folder, self.inputs, self.settings), Path(folder))
+        files, said = posed_shots(Run(self.folder, self.inputs, self.settings), Path(folder))
+        if reporter is not None and said:
+            reporter.say(said)
+        return files
 
     def odometry(self, out: str | Path, reporter: Reporter | None = None) -> tuple[Any, ...]:
         """The path of the cameras from the images alone: a TUM file ``out`` and a CSV beside it, or a folder with a

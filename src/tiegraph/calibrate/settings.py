@@ -19,5 +19,7 @@ class CalibrateSettings(Section):
     frames: Literal["auto", "name", "number", "order"] = "auto"
     """Which images were taken at one instant: equal file names, equal last numbers in the names, or equal places in the
     order of names, which is never guessed."""
+    wide: tuple[str, ...] = ()
+    """Cameras that get role = "wide" in the rig file: in a survey they alone carry structure from motion."""
     board_sigma: float = Field(0.0, ge=0, le=0.1)
     """How far a corner of the board may be from its place on a flat one, metres (0 = flat): its bend is estimated."""

@@ -53,6 +53,6 @@ def main(arguments: list[str]) -> int:
     made = project.shots(options.near, options.far, reporter)
     reporter.say(f"{len(made)} clouds: {project.folder / 'shots'}")
     if options.posed is not None:
-        posed = project.posed_shots(options.posed)
+        posed = project.posed_shots(options.posed, reporter)
         reporter.say(f"{len(posed)} of {len(made)} clouds in the world: {options.posed}")
     return 0

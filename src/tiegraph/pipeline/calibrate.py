@@ -39,6 +39,7 @@ from tiegraph.scan.rigfiles.rigreader import nearest
 from tiegraph.scan.rigfiles.rigwrite import rig_config, rig_toml
 from tiegraph.scan.tuning import Tuning as ScanTuning
 from tiegraph.scan.usable import usable_images
+from tiegraph.scene.hanging import WIDE
 from tiegraph.scene.images import Probe, probe_image, search_images
 from tiegraph.scene.names import clean_names
 from tiegraph.scene.rig import Rig, Sensor
@@ -66,11 +67,12 @@ def calibrate(
     made = Outputs.beside(out)
     pattern = read_board(board, tuning.board)
     survey = _read_folder(images, settings, pool, reporter)
+    check_wide(settings.wide, [c.name for c in survey.cameras])
     seen = _detect(survey, pattern, tuning.board, pool, reporter)
     check_views(seen, tuning.start)
     done = adjust_robustly(seen, start(seen, tuning), tuning.adjust, settings.board_sigma)
     verdict = judge(done, tuning)
-    _write(made, done, verdict, (board, *survey.notes), tuning)
+    _write(made, done, verdict, (board, *survey.notes), _rig(done, verdict, settings.wide))
     left_out = (f"left out: {name}: {why}" for name, why in done.left_out)
     for text in (*left_out, *verdict.advice, _LENGTHS, *made.said()):
         reporter.say(text)
@@ -264,10 +266,9 @@ class Outputs:
         return f"written: {self.rig}", f"summary: {self.folder / 'summary.md'}"
 
 
-def _write(made: Outputs, done: Adjusted, verdict: Verdict, said: Sequence[str], tuning: Tuning) -> None:
+def _write(made: Outputs, done: Adjusted, verdict: Verdict, said: Sequence[str], rig: Rig) -> None:
     board, *notes = said
     names = [c.name for c in done.seen.cameras]
-    rig = _rig(done, verdict)
     files = [f"camera{k}" for k in range(len(names))]  # folders may have several levels
     for k, stem in enumerate(files):
         text = opencv_yaml(done.state.cameras[k])
@@ -275,7 +276,7 @@ def _write(made: Outputs, done: Adjusted, verdict: Verdict, said: Sequence[str],
             notes.append(f"no OpenCV YAML of {names[k]}: OpenCV has no model {done.state.cameras[k].model.name}")
         else:
             write_atomic(made.folder / f"{stem}.yaml", text)
-        write_atomic(made.folder / f"{stem}_residuals.png", residual_picture(done, k, tuning.judge))
+        write_atomic(made.folder / f"{stem}_residuals.png", residual_picture(done, k, Tuning().judge))
     chain = kalibr_yaml(done.state.cameras, done.state.sensor_from_rig)
     if chain is None:
         notes.append("no camchain.yaml: Kalibr has no such camera model")
@@ -290,8 +291,17 @@ def _write(made: Outputs, done: Adjusted, verdict: Verdict, said: Sequence[str],
     write_atomic(made.rig, rig_toml(rig, comment))
 
 
-def _rig(done: Adjusted, verdict: Verdict) -> Rig:
-    """The rig with its sigmas."""
+def check_wide(wide: Sequence[str], cameras: Sequence[str]) -> None:
+    """Raise InputError for a wide camera that is none of the rig's, or for a rig of no other."""
+    for name in wide:
+        if name not in cameras:
+            raise InputError(f"--wide {name}: no such camera; there are {', '.join(cameras)}")
+    if wide and set(wide) == set(cameras):
+        raise InputError(f"--wide {' '.join(wide)}: that is every camera: leave --wide away, then all carry alike")
+
+
+def _rig(done: Adjusted, verdict: Verdict, wide: Sequence[str]) -> Rig:
+    """The rig with its sigmas and roles."""
     sensors = []
     for k, (images, camera) in enumerate(zip(done.seen.cameras, done.state.cameras)):
         turn, place = rig_sigmas(verdict.precision, k) if k else (None, None)
@@ -300,6 +310,7 @@ def _rig(done: Adjusted, verdict: Verdict) -> Rig:
                 name=images.name,
                 camera=camera,
                 sensor_from_rig=done.state.sensor_from_rig[k],
+                role=WIDE if images.name in wide else "side",
                 folder=images.folder,
                 sigma_deg=turn,
                 sigma_m=place,

@@ -80,6 +80,12 @@ def scanned(run: Run) -> Scene:
     return load_scene(run.path("scene.json"))
 
 
+def whole(run: Run) -> Scene:
+    """The same with the images that hang on their rigs, which take no part in structure from motion."""
+    path = run.path("whole.json")
+    return load_scene(path) if path.exists() else scanned(run)
+
+
 def checked(run: Run) -> Scene:
     """The scene after `network`: rig checked against the images, sections cut."""
     return load_scene(run.path("network", "scene.json"))

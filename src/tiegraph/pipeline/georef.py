@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 
 from tiegraph.child import run_in_child
 from tiegraph.geometry.geodesy import world_from_geodetic
-from tiegraph.pipeline.files import checked, load_json, load_model, refused_pairs
+from tiegraph.pipeline.files import checked, load_json, load_model, refused_pairs, whole
 from tiegraph.pipeline.inputs import control_file
 from tiegraph.pipeline.targets import target_marks
 from tiegraph.project.run import Run, save_json
@@ -15,6 +17,7 @@ from tiegraph.scene import evidence
 from tiegraph.scene.atomic import claim
 from tiegraph.scene.control import Control, ScaleBars, locate, locate_bars
 from tiegraph.scene.gnss import on_clock_of, read_gnss
+from tiegraph.scene.hanging import carries, with_hanging
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.covariance import MOUNTING
 from tiegraph.sfm.mapping import believed_cameras
@@ -69,6 +72,8 @@ def georef(run: Run) -> Outcome:
         world["model_sigma"] = {n: scale * sigma[f"position_sigma_{n}"] for n in ("median", "p90")}
         between = receipt.get("tables", {}).get(BETWEEN, {}).get("rows", [])
         world["between_frames"] = [[scale * apart, scale * s] for apart, s, _ in between]  # apart, sigma
+    hanging, said_of_them = _hang(run, scratch, main.scale_source)
+    notes += said_of_them
     remove(run.path("sparse", "world"))
     claim(run.path("sparse", "world"))
     scratch.rename(run.path("sparse", "world"))
@@ -79,8 +84,27 @@ def georef(run: Run) -> Outcome:
         **main.counts(),
         "models": 1 + sum(bool(o.by) for o in found.others),
         "contradictions": len(contradictions),
+        **({"hanging": hanging} if said_of_them else {}),
     }
     return Outcome(counts, notes=tuple(notes), tables=tables, contradictions=contradictions)
+
+
+def _hang(run: Run, folder: Path, scale_source: str) -> tuple[int, list[str]]:
+    """Add the images that hang on their rig to the model in a folder; how many have a pose now, and what to say."""
+    survey = whole(run)
+    count = int((~carries(survey)).sum())
+    if not count:
+        return 0, []
+    if scale_source == "none":
+        return 0, [
+            f"{count} images hang on their rig and have no pose in the model, for nothing tells its metres (positions, "
+            "control points, scale bars, a second wide camera); `tiegraph shots --posed` takes them from the shots"
+        ]
+    model = load_model(folder)
+    hung = with_hanging(model, survey)
+    hung.write(folder)
+    more = hung.num_reg_images() - model.num_reg_images()
+    return more, [f"{more} of {count} images that hang on their rig stand where it places them"]
 
 
 def _measured_in_images(run: Run, scene: Scene) -> tuple[Control | None, ScaleBars | None, tuple[str, ...]]:

@@ -4,25 +4,31 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from tiegraph.dense.shotscale import ShotScale, first_guess, in_camera, points_scale, shot_scale
 from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
-from tiegraph.pipeline.files import load_model, scanned
+from tiegraph.pipeline.files import load_map, load_model, whole
 from tiegraph.pipeline.placed import world_origin, world_unit
-from tiegraph.pipeline.shots import cloud_path
+from tiegraph.pipeline.shots import cloud_path, depth_path, shot_views
 from tiegraph.project.run import Run
 from tiegraph.scene.cloudfile import read_cloud, write_cloud
-from tiegraph.sfm.model import frame_poses, image_poses
+from tiegraph.scene.colmapmodel import tracks
+from tiegraph.scene.hanging import carries
+from tiegraph.scene.scene import Scene
+from tiegraph.sfm.model import frame_poses, image_poses, rig_from_sensor
 
 
-def posed_shots(run: Run, folder: Path) -> list[Path]:
-    """Write the clouds of the shots whose frames have a pose to ``folder`` as LAZ; their files.
+def posed_shots(run: Run, folder: Path) -> tuple[list[Path], str]:
+    """Write the clouds of the shots whose frames have a pose to ``folder`` as LAZ; their files, and what is to be said.
 
-    Raises InputError without shots, poses or metres, and for a folder that is there and not empty.
+    A model without scale gets that of the shots. Raises InputError without shots, poses or metres, and for a folder
+    that is there and not empty.
     """
-    scene = scanned(run)
+    scene = whole(run)
     frames = [f for f in range(scene.frames) if cloud_path(run.folder, scene, f).exists()]
     if not frames:
         raise InputError(f"{run.folder} has no shots: run `tiegraph shots` first")
@@ -31,17 +37,35 @@ def posed_shots(run: Run, folder: Path) -> list[Path]:
             f"--posed {folder}: {run.folder} has no poses in the world yet: `tiegraph run IMAGES -o {run.folder} "
             "--rig RIG --until georef` makes them"
         )
-    if world_unit(run) != "m":
-        raise InputError(
-            f"--posed {folder}: the model of {run.folder} has no scale, and shots are in metres: fix it by the rig, "
-            "positions, control points or scale bars"
-        )
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InputError(f"--posed {folder} is there already: give a new folder")
-    world_from_rig = frame_poses(image_poses(load_model(run.path("sparse", "world")), scene), scene)
+    model = load_model(run.path("sparse", "world"))
+    poses = np.where(carries(scene)[:, None, None], image_poses(model, scene), np.nan)
+    unit, said = 1.0, ""
+    if world_unit(run) != "m":
+        found = _scale_by_shots(run, scene, model, poses)
+        if found is None:
+            raise InputError(
+                f"--posed {folder}: the model of {run.folder} has no scale, and shots are in metres: fix it by the "
+                "rig, positions, control points or scale bars; its own points do not fall onto the shots either"
+            )
+        unit = found.metres_per_unit
+        said = (
+            f"the model had no scale: {unit:.6g} m a unit by {found.points} of its points on the depth maps of "
+            f"{found.shots} shots (relative sigma {found.sigma:.2g})"
+        )
+    world_from_rig = frame_poses(poses, scene, unit)
+    world_from_rig[:, :3, 3] *= unit
+    written = _write(run, folder, {f: world_from_rig[f] for f in frames}, scene)
+    if not written:
+        raise InputError(f"--posed {folder}: none of the {len(frames)} shots has a pose in {run.folder}")
+    return written, said
+
+
+def _write(run: Run, folder: Path, poses: dict[int, np.ndarray], scene: Scene) -> list[Path]:
+    """The clouds of the frames that have a pose."""
     origin, written = world_origin(run), []
-    for frame in frames:
-        pose = world_from_rig[frame]
+    for frame, pose in poses.items():
         if not np.isfinite(pose).all():
             continue
         source = cloud_path(run.folder, scene, frame)
@@ -51,6 +75,22 @@ def posed_shots(run: Run, folder: Path) -> list[Path]:
         target = folder / f"{source.stem}.laz"
         write_cloud(moved, target, float(np.nanmedian(cloud.sigma_m)))
         written.append(target)
-    if not written:
-        raise InputError(f"--posed {folder}: none of the {len(frames)} shots has a pose in {run.folder}")
     return written
+
+
+def _scale_by_shots(run: Run, scene: Scene, model: Any, poses: np.ndarray) -> ShotScale | None:
+    """Metres in a unit of a model by the depth maps of its shots; None where it has no points on them."""
+    xyz, image, point = tracks(model, scene)
+    mounted, tuning = rig_from_sensor(scene), run.settings.tuning.dense.shot_scale
+    by_shot: dict[int, list[np.ndarray]] = {}
+    start = float("nan")
+    for k in np.flatnonzero(np.isfinite(poses).all(axis=(1, 2))):
+        rays = in_camera(poses[k], xyz[point[image == k]])
+        for view in shot_views(scene, int(scene.frame[k])):
+            path = depth_path(run.folder, view.name)
+            if path.exists() and len(rays):
+                depth = load_map(path)
+                start = first_guess(depth, rays) if np.isnan(start) else start
+                found = points_scale(rays, mounted[k], depth, start, tuning)
+                by_shot.setdefault(int(scene.frame[k]), []).append(found)
+    return shot_scale([np.concatenate(parts) for parts in by_shot.values()], tuning)

@@ -23,6 +23,7 @@ from tiegraph.scan.scan import ScanInputs, build_scene, prepare_image, probe_ima
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scene.bags.topics import source_of
+from tiegraph.scene.hanging import carrying
 from tiegraph.scene.images import search_images
 from tiegraph.scene.names import clean_names
 from tiegraph.scene.rig import Sensor
@@ -52,6 +53,7 @@ def scan(run: Run) -> Outcome:
         cameras=start_cameras(root, taken.cameras, names),
     )
     scene = build_scene(inputs, names, probes, settings, tuning)
+    carrying(scene)
     told = check_against(run, scene)  # wrong files are better said now than after hours
     if given.trajectory == FOLLOW:
         cameras_of(scene.rigs)  # so is a rig that cannot be followed
@@ -67,10 +69,14 @@ def scan(run: Run) -> Outcome:
     file = control_file(run)
     if file is not None:
         told = (*told, *target_marks(run, scene, file, most=run.settings.tuning.targets.looked_at).notes)
+    whole, scene = scene, carrying(scene)
+    if whole is not scene:
+        write_atomic(run.path("whole.json"), whole.to_json())
     write_atomic(run.path("scene.json"), scene.to_json())
     counts = {"found": len(names), "images": len(scene), "frames": scene.frames, "passes": len(scene.sequences)}
+    hanging = {} if whole is scene else {"hanging": len(whole) - len(scene)}
     return Outcome(
-        {**counts, "cameras": len(scene.all_sensors), "positions": _placed(scene.world_from_rig)},
+        {**counts, "cameras": len(whole.all_sensors), "positions": _placed(scene.world_from_rig), **hanging},
         dropped=tuple((d.name, d.reason) for d in scene.dropped),
         notes=(
             *taken.notes,

@@ -16,13 +16,14 @@ from tiegraph.dense.plan import CameraModel, DepthRange, ViewPlan
 from tiegraph.dense.shot import depth_range, plan_shot
 from tiegraph.errors import InputError, ReconstructionError
 from tiegraph.pipeline.dense import coloured
-from tiegraph.pipeline.files import load_map, scanned
+from tiegraph.pipeline.files import load_map, whole
 from tiegraph.project.run import Run
 from tiegraph.project.settings import Settings
 from tiegraph.project.stages import Outcome, remove
 from tiegraph.scene.atomic import replacing
 from tiegraph.scene.cloudfile import write_cloud
 from tiegraph.scene.depthfile import save_depth
+from tiegraph.scene.hanging import carries
 from tiegraph.scene.names import shortened
 from tiegraph.scene.scene import Scene
 
@@ -34,7 +35,7 @@ def shots(run: Run) -> Outcome:
 
     Finished shots are skipped. Raises InputError for a rig whose cameras are not all calibrated.
     """
-    scene, sought, tuning = scanned(run), run.settings.shots, run.settings.tuning.dense.shots
+    scene, sought, tuning = whole(run), run.settings.shots, run.settings.tuning.dense.shots
     items = []
     for frame in range(scene.frames):
         views = shot_views(scene, frame)
@@ -48,12 +49,12 @@ def shots(run: Run) -> Outcome:
 
 
 def shot_views(scene: Scene, frame: int) -> list[ViewPlan]:
-    """The images of one frame with the poses of their sensors in the rig's frame.
+    """The images of one frame with the poses of their sensors in the rig's frame: those that hang, if any do.
 
     Raises InputError for a sensor without intrinsics or place in the rig.
     """
-    views = []
-    for image in np.flatnonzero(scene.frame == frame):
+    views, own = [], carries(scene)
+    for image in np.flatnonzero((scene.frame == frame) & (own.all() | ~own)):
         sensor = scene.sensor_of(int(image))
         if sensor.sensor_from_rig is None or not np.isfinite(sensor.sensor_from_rig).all():
             raise InputError(f"sensor {sensor.name}: its place in the rig is unknown; a shot needs it (rig.toml)")
@@ -87,9 +88,9 @@ def _shot(item: _Shot, folder: Path, settings: Settings) -> None:
     masks = folder / "masks" if (folder / "masks").is_dir() else None
     first = {n: depth_map(p, images, masks, dense, tuning, cv2.getNumThreads()) for n, p in plan.images.items()}
     for name, image in plan.images.items():
-        save_depth(confirmed_map(image, first[name], first.get, dense, tuning)[0], _depth_path(folder, name))
+        save_depth(confirmed_map(image, first[name], first.get, dense, tuning)[0], depth_path(folder, name))
     colours = coloured(plan.images, images, dense, tuning.views)
-    maps = Maps(lambda name: load_map(_depth_path(folder, name)), colours)
+    maps = Maps(lambda name: load_map(depth_path(folder, name)), colours)
     tiles = folder / _FOLDER / ".tiles"
     tiles.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=tiles) as scratch:
@@ -101,5 +102,6 @@ def _shot(item: _Shot, folder: Path, settings: Settings) -> None:
             write_cloud(fused.clouds(), temporary)
 
 
-def _depth_path(folder: Path, name: str) -> Path:
+def depth_path(folder: Path, name: str) -> Path:
+    """Where the depth map of an image of a shot is."""
     return folder / _FOLDER / "depth" / f"{name}.npz"

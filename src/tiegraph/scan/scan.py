@@ -28,6 +28,7 @@ from tiegraph.scan.tuning import FramesTuning, Tuning
 from tiegraph.scan.twolenses import two_lenses
 from tiegraph.scan.usable import need_two, usable_images
 from tiegraph.scene.exif import Exif
+from tiegraph.scene.hanging import WIDE
 from tiegraph.scene.images import IMAGES_FOLDER, Probe, find_images, probe_image
 from tiegraph.scene.names import clean, shortened
 from tiegraph.scene.rig import Rig, Sensor
@@ -188,6 +189,7 @@ def _rigs(
     renumber: dict[tuple[int, int], tuple[int, int]] = {}
     for r, spec in enumerate(survey.specs):
         present = [k for k in range(len(spec.sensors)) if (r, k) in groups]
+        present.sort(key=lambda k: spec.sensors[k].role != WIDE)  # the reference is a camera that has poses
         if not present:
             continue
         sensors: list[Sensor] = []

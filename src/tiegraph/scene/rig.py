@@ -9,7 +9,7 @@ import pycolmap
 
 from tiegraph.geometry import transforms
 
-ROLES = ("side", "up")
+ROLES = ("side", "up", "wide")
 
 
 Circle = tuple[float, float, float]
@@ -56,7 +56,7 @@ class Sensor:
     name: str
     camera: pycolmap.Camera | None = None  # None until scan has seen an image of it
     sensor_from_rig: np.ndarray | None = None  # (4, 4); None = unknown
-    role: str = "side"  # "up": looks at the sky or the bridge above; sections are cut by its brightness
+    role: str = "side"  # "up": looks at the sky or the bridge above; "wide": carries structure from motion alone
     folder: str = ""  # its folder below each pass
     source: Source | None = None  # None: the files are the images
     sigma_deg: float | None = None  # of each axis of the given rotation; None = not said

@@ -19,7 +19,8 @@ rig.toml::
     name = "cam0"
     folder = "cam0"          # optional, default = name; "" = every image that no other sensor takes; "*_GRE" = the
                              # images whose names end so, for cameras that write into one folder
-    role = "side"            # side or up (looks at the sky, or the bridge above)
+    role = "side"            # side; up (looks at the sky, or the bridge above); wide: the wide cameras of a rig alone
+                             # carry structure from motion, the others hang on the rig, which must be calibrated
     position_m = [0, 0, 0.06]                # projection centre in the body frame
     yaw_pitch_roll_deg = [0, 0, 0]           # yaw to the right, pitch up, roll clockwise as the camera sees it
     # or body_from_sensor_wxyz = [1, 0, 0, 0], or body_from_sensor = 3 rows of 3 (rotation) or 4 numbers (with position)

@@ -1,0 +1,147 @@
+"""Rigs with wide cameras (paper 004, sections 2 and 4): these alone carry structure from motion, the others hang on the
+calibrated rig.
+
+The cameras that make the clouds stand close together, see little at a time, and a projector's pattern that they see
+moves with them: ties between their shots are few or false. A wide camera without the pattern ties all shots; the place
+of the others follows from its pose and the rig.
+
+``scan`` is the one place that decides: it keeps the images that hang out of ``scene.json``, so that no stage of the
+network sees them, and writes the whole survey to ``whole.json``. ``georef`` hangs them on the model again.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tiegraph.errors import InputError
+from tiegraph.scene.colmapmodel import rigid3d
+from tiegraph.scene.rig import Rig
+from tiegraph.scene.scene import Scene
+
+if TYPE_CHECKING:
+    import pycolmap
+
+WIDE = "wide"
+
+
+def carries(scene: Scene) -> np.ndarray:
+    """(N,) bool: the image takes part in structure from motion: of a wide camera, or of a rig without one."""
+    wide = np.array([any(s.role == WIDE for s in r.sensors) for r in scene.rigs], bool)[scene.rig[scene.frame]]
+    own = np.array([s.role == WIDE for s in scene.all_sensors], bool)[scene.sensor_key]
+    return own | ~wide
+
+
+def carrying(scene: Scene) -> Scene:
+    """The survey without the images that hang, and without their cameras; frames without a wide image go too.
+
+    Raises InputError for a survey whose hanging cameras cannot be placed: with another rig beside, or with cameras that
+    are not calibrated.
+    """
+    own = carries(scene)
+    if own.all():
+        return scene
+    if len(scene.rigs) > 1:
+        raise InputError(
+            f"rig {scene.rigs[0].name!r} has a camera with role = 'wide', and the survey has {len(scene.rigs)} rigs or "
+            "cameras of other kinds: run them apart, or leave the role away"
+        )
+    rig = scene.rigs[0]
+    _check(rig)
+    sensors = tuple(s for s in rig.sensors if s.role == WIDE)
+    names = {s.name for s in sensors}
+    pairs = tuple(p for p in rig.pairs if set(p.sensors) <= names)
+    part = scene.only(np.flatnonzero(own))
+    lost = scene.frames - part.frames
+    said = f"{sum(~own)} images of {', '.join(s.name for s in rig.sensors if s.role != WIDE)} hang on the rig: "
+    said += f"structure from motion is left to {', '.join(s.name for s in sensors)} (role wide)"
+    said += f"; {lost} frames lack a wide image and get no pose" if lost else ""
+    return part.with_(rigs=(replace(rig, sensors=sensors, pairs=pairs),), notes=(*scene.notes, said))
+
+
+def _check(rig: Rig) -> None:
+    """Raise InputError for a rig on which nothing can hang."""
+    wide = next(s.name for s in rig.sensors if s.role == WIDE)
+    if rig.sensors[0].role != WIDE:
+        raise ValueError("a rig's wide cameras come first")
+    remedy = "calibrate the rig (`tiegraph calibrate`), or leave role = 'wide' away"
+    if rig.nominal:
+        raise InputError(
+            f"rig {rig.name!r}: {wide} is wide, so that the others hang on the rig, but it is nominal: {remedy}"
+        )
+    for sensor in rig.sensors:
+        if sensor.sensor_from_rig is None or not np.isfinite(sensor.sensor_from_rig).all():
+            raise InputError(
+                f"rig {rig.name!r}: {wide} is wide, so that {sensor.name} hangs on the rig, but its place against "
+                f"{wide} is unknown: {remedy}"
+            )
+        if sensor.role != WIDE and (sensor.camera is None or not sensor.camera.has_prior_focal_length):
+            raise InputError(
+                f"rig {rig.name!r}: {wide} is wide, so that {sensor.name} hangs on the rig, but its lens is not "
+                f"calibrated: {remedy}"
+            )
+
+
+def with_hanging(model: pycolmap.Reconstruction, whole: Scene) -> pycolmap.Reconstruction:
+    """A metric model of the images that carry, with those that hang on their frames: as the rig places them, without
+    observations. Ids of the model's cameras, images and frames stay; those of its points are new."""
+    import pycolmap
+
+    out, cameras = pycolmap.Reconstruction(), {}
+    for camera in model.cameras.values():
+        out.add_camera(camera)
+    for number, old in sorted(model.rigs.items()):
+        copy = pycolmap.Rig(rig_id=number)
+        copy.add_ref_sensor(old.ref_sensor_id)
+        for sensor_id, pose in old.non_ref_sensors.items():
+            copy.add_sensor(sensor_id, pose)
+        for key, sensor in enumerate(whole.rigs[0].sensors):
+            if sensor.role != WIDE:
+                made = pycolmap.Camera(**{**sensor.camera.todict(), "camera_id": max(out.cameras) + 1})  # type: ignore[union-attr]
+                out.add_camera(made)
+                copy.add_sensor(made.sensor_id, rigid3d(np.asarray(sensor.sensor_from_rig)))
+                cameras[number, key] = made
+        out.add_rig(copy)
+    _add_images(out, model, whole, cameras)
+    for _, point in sorted(model.points3D.items()):
+        number = out.add_point3D(point.xyz, point.track, point.color)
+        out.points3D[number].error = point.error
+    return out
+
+
+def _add_images(
+    out: pycolmap.Reconstruction,
+    model: pycolmap.Reconstruction,
+    whole: Scene,
+    cameras: dict[tuple[int, int], pycolmap.Camera],
+) -> None:
+    """The frames of a model with all their images; ``cameras``: by rig and sensor those of the images that hang."""
+    import pycolmap
+
+    carry, free = carries(whole), max(model.images) + 1
+    for number, old in model.frames.items():
+        frame = pycolmap.Frame(frame_id=number, rig_id=old.rig_id)
+        own = [model.image(d.id) for d in old.data_ids if d.id in model.images]
+        of = {int(whole.frame[whole.image_index[i.name]]) for i in own}
+        for image in own:
+            frame.add_data_id(image.data_id)
+        hung = [int(k) for k in np.flatnonzero(np.isin(whole.frame, list(of)) & ~carry)]
+        images = [
+            pycolmap.Image(
+                name=i.name, camera_id=i.camera_id, image_id=i.image_id, keypoints=[p.xy for p in i.points2D]
+            )
+            for i in own
+        ]
+        for k in hung:
+            camera = cameras[old.rig_id, int(whole.sensor[k])]
+            frame.add_data_id(pycolmap.data_t(camera.sensor_id, free))
+            images.append(pycolmap.Image(name=whole.names[k], camera_id=camera.camera_id, image_id=free))
+            free += 1
+        frame.rig_from_world = old.rig_from_world
+        out.add_frame(frame)
+        for image in images:
+            image.frame_id = number
+            out.add_image(image)
+        out.register_frame(number)
