@@ -1,9 +1,8 @@
 """The unit of a model by the depth maps of shots."""
 
 import numpy as np
-import pytest
 
-from tiegraph.dense.shotscale import first_guess, in_camera, points_scale, shot_scale
+from tiegraph.dense.shotscale import Seen, in_camera, shot_scale
 from tiegraph.dense.tuning import ShotScaleTuning
 from tiegraph.geometry.transforms import apply, invert, rigid
 from tiegraph.scene.results import DepthMap
@@ -29,27 +28,32 @@ def depth_of(camera: np.ndarray, noise: float = 0.0) -> DepthMap:
     return DepthMap("a", z.astype(np.float32), z, np.ones(z.shape, np.uint8), K, camera)
 
 
-def test_points_on_the_surface_tell_the_unit():
-    rng = np.random.default_rng(0)
+def seen(shot: int, far: int = 300, noise: float = 3e-4) -> Seen:
+    """Points of the surface in a wide camera, and more behind it that no depth map has."""
+    rng = np.random.default_rng(shot)
     rig_from_wide = rigid(np.eye(3), np.array([0.04, 0.07, -0.005]))
-    x, y = rng.uniform(-0.2, 0.2, (2, 400))
-    on_surface = np.column_stack([x, y, wavy(x, y)])
-    rays = apply(invert(rig_from_wide), on_surface) / UNIT
-    depth = depth_of(rigid(np.eye(3), np.array([-0.05, 0.0, 0])), noise=3e-4)
-    found = points_scale(rays, rig_from_wide, depth, first_guess(depth, rays), TUNING)
-    known = np.isfinite(found)
-    assert 200 < known.sum() < 400  # not those that fall outside, or where the map has no depth
-    np.testing.assert_allclose(found[known], UNIT, rtol=6e-3)
-    total = shot_scale([found, found * 1.0002, np.full(5, 3.0)], TUNING)
-    assert abs(total.metres_per_unit / UNIT - 1) < 4e-4 and total.shots == 2 and total.points == 2 * known.sum() + 5
-    assert 5e-5 < total.sigma < 2e-4
+    x, y = rng.uniform(-0.2, 0.2, (2, 300))
+    points = np.column_stack([x, y, wavy(x, y)])
+    behind = rng.uniform((-1, -1, 1.5), (1, 1, 3), (far, 3))
+    depth = depth_of(rigid(np.eye(3), np.array([-0.05, 0.0, 0])), noise)
+    return Seen(shot, apply(invert(rig_from_wide), np.concatenate([points, behind])) / UNIT, rig_from_wide, depth)
 
 
-def test_points_off_the_surface_are_outvoted_and_few_tell_nothing():
-    assert shot_scale([np.full(TUNING.least_points - 1, 1.0)], TUNING) is None
-    assert np.isnan(first_guess(depth_of(np.eye(4)), np.zeros((0, 3))))
-    mixed = np.r_[np.full(100, UNIT), np.full(40, 2.0)]
-    assert shot_scale([mixed], TUNING).metres_per_unit == pytest.approx(UNIT)
+def test_points_on_the_surface_tell_the_unit():
+    found = shot_scale([seen(0), seen(1), seen(2)], TUNING)
+    assert found.shots == 3 and 450 < found.points < 900  # not those that fall outside, or where the map has no depth
+    assert 0 < abs(found.metres_per_unit / UNIT - 1) < 4e-4
+    assert 0 < found.sigma < 3e-4
+    each = seen(0).scales(UNIT * 1.01, TUNING)
+    np.testing.assert_allclose(each[np.isfinite(each)], UNIT, rtol=0.05)
+
+
+def test_points_that_lie_on_no_map_tell_nothing():
+    one = seen(0)
+    off = Seen(0, one.points[300:], one.rig_from_camera, one.depth)
+    assert shot_scale([off], TUNING) is None
+    few = Seen(0, one.points[: TUNING.least_points - 1], one.rig_from_camera, one.depth)
+    assert shot_scale([few], TUNING) is None and shot_scale([], TUNING) is None
 
 
 def test_points_behind_the_camera_are_none():

@@ -24,47 +24,84 @@ class ShotScale:
     shots: int
 
 
-def points_scale(
-    rays: np.ndarray, rig_from_camera: np.ndarray, depth: DepthMap, start: float, tuning: ShotScaleTuning
-) -> np.ndarray:
-    """Metres per unit (P,) by which each point seen by a camera of the rig falls onto a depth map, NaN = by none.
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """Points of the model (P, 3) in the frame of a camera that sees them, model units; where that camera is in the rig,
+    metres; and a depth map of another camera of the same shot, whose ``cam_from_world`` is from the rig's frame."""
 
-    ``rays`` (P, 3): points in that camera's frame, model units; ``depth.cam_from_world``: from the rig's frame, metres.
-    A point runs along its ray with the scale: in steps, its scale is the one that gives it the depth read where it
-    falls. On a surface without jumps each step shrinks the error by the parallax times the slope.
-    """
-    camera = depth.cam_from_world @ rig_from_camera
-    along, origin = rays @ camera[:3, :3].T, camera[:3, 3]
-    scale, step = np.full(len(rays), start), np.full(len(rays), np.inf)
-    height, width = depth.depth_m.shape
-    for _ in range(tuning.rounds):
-        at = scale[:, None] * along + origin
+    shot: int
+    points: np.ndarray
+    rig_from_camera: np.ndarray
+    depth: DepthMap
+
+    def read(self, scale: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Depths of the points at scales (..., 1) or (..., P), and those that the map has where they fall, NaN = none;
+        both (..., P)."""
+        camera = self.depth.cam_from_world @ self.rig_from_camera
+        at = scale[..., None] * (self.points @ camera[:3, :3].T) + camera[:3, 3]
+        height, width = self.depth.depth_m.shape
         with np.errstate(divide="ignore", invalid="ignore"):
-            place = at[:, :2] / at[:, 2:] * depth.K[[0, 1], [0, 1]] + depth.K[:2, 2]
-            inside = (at[:, 2] > 0) & (place >= 0).all(axis=1) & (place < (width, height)).all(axis=1)
-            column, row = np.where(inside[:, None], place, 0).astype(int).T
-            read = np.where(inside, depth.depth_m[row, column], np.nan)
-            found = (read - origin[2]) / along[:, 2]
-        step = np.abs(found / scale - 1)
-        scale = np.where(np.isfinite(found) & (found > 0), found, np.nan)
-    return np.where(step < tuning.settled, scale, np.nan)
+            place = at[..., :2] / at[..., 2:] * self.depth.K[[0, 1], [0, 1]] + self.depth.K[:2, 2]
+            inside = (at[..., 2] > 0) & (place >= 0).all(axis=-1) & (place < (width, height)).all(axis=-1)
+        column, row = np.moveaxis(np.where(inside[..., None], place, 0).astype(int), -1, 0)
+        return at[..., 2], np.where(inside, self.depth.depth_m[row, column], np.nan)
+
+    def scales(self, start: float, tuning: ShotScaleTuning) -> np.ndarray:
+        """Metres per unit (P,) by which each point falls onto the map, sought from ``start``; NaN = none.
+
+        A point runs along its ray with the scale: in steps, its scale is the one that gives it the depth read where it
+        falls. On a surface without jumps each step shrinks the error by the parallax times the slope.
+        """
+        camera = self.depth.cam_from_world @ self.rig_from_camera
+        along = self.points @ camera[2, :3]
+        scale, step = np.full(len(self.points), start), np.full(len(self.points), np.inf)
+        for _ in range(tuning.rounds):
+            with np.errstate(divide="ignore", invalid="ignore"):
+                found = (self.read(scale)[1] - camera[2, 3]) / along
+                step = np.abs(found / scale - 1)
+            scale = np.where(found > 0, found, np.nan)
+        near = np.abs(scale / start - 1) < tuning.grid
+        return np.where((step < tuning.settled) & near, scale, np.nan)
 
 
-def shot_scale(by_shot: Sequence[np.ndarray], tuning: ShotScaleTuning) -> ShotScale | None:
-    """The median over shots of the median of their points (P,); None where too few tell."""
-    good = [s[np.isfinite(s)] for s in by_shot]
-    medians = np.array([np.median(s) for s in good if len(s) >= tuning.least_points])
-    if not len(medians):
+def shot_scale(seen: Sequence[Seen], tuning: ShotScaleTuning) -> ShotScale | None:
+    """The unit at which most points lie on the depth maps, then the median over shots of the median of their points;
+    None where too few tell."""
+    start = _most_agree([s for s in seen if len(s.points)], tuning)
+    if start is None:
         return None
+    by_shot: dict[int, list[np.ndarray]] = {}
+    for one in seen:
+        by_shot.setdefault(one.shot, []).append(one.scales(start, tuning))
+    every = [np.concatenate(parts) for parts in by_shot.values()]
+    good = [s for scales in every if len(s := scales[np.isfinite(scales)]) >= tuning.least_points]
+    if not good:
+        return None
+    medians = np.array([np.median(s) for s in good])
     scale = float(np.median(medians))
     scatter = 1.4826 * float(np.median(np.abs(medians / scale - 1)))
     return ShotScale(scale, scatter / np.sqrt(len(medians)), sum(map(len, good)), len(medians))
 
 
-def first_guess(depth: DepthMap, rays: np.ndarray) -> float:
-    """Metres per unit to begin with: depths of the map over those of the points, medians; NaN without either."""
-    known = depth.depth_m[np.isfinite(depth.depth_m)]
-    return float(np.median(known) / np.median(rays[:, 2])) if len(known) and len(rays) else float("nan")
+def _most_agree(seen: Sequence[Seen], tuning: ShotScaleTuning) -> float | None:
+    """Of units over a wide range the one at which most points have the depth of the maps where they fall.
+
+    Depths alone do not tell: a wide camera sees much that the maps do not reach.
+    """
+    mapped = [s for s in seen if np.isfinite(s.depth.depth_m).any()]
+    ratios = [np.nanmedian(s.depth.depth_m) / np.median(s.points[:, 2]) for s in mapped]
+    if not ratios:
+        return None
+    count = int(np.ceil(np.log(tuning.widest) / np.log1p(tuning.grid)))
+    tried = float(np.median(ratios)) * (1 + tuning.grid) ** np.arange(-count, count + 1)
+    agree = np.zeros(len(tried), int)
+    for one in seen:
+        depth, read = one.read(tried[:, None])
+        with np.errstate(invalid="ignore"):
+            agree += (np.abs(read / depth - 1) < tuning.grid / 2).sum(axis=1)
+    best = int(agree.argmax())
+    rival = max(agree[: max(0, best - tuning.beside)].max(initial=0), agree[best + tuning.beside + 1 :].max(initial=0))
+    return float(tried[best]) if agree[best] > max(tuning.least_points, tuning.clearly * rival) else None
 
 
 def in_camera(cam_from_world: np.ndarray, points: np.ndarray) -> np.ndarray:

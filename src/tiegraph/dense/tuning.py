@@ -84,8 +84,17 @@ class ShotScaleTuning(Section):
     """Steps of a point along its ray; at a parallax of 6 degrees each shrinks the error ten times on slopes of 45."""
     settled: float = Field(1e-3, gt=0)
     """Relative change of a point's scale in the last step, at most: 0.7 mm at 0.7 m; over a jump it changes by more."""
-    least_points: int = Field(30, gt=0)
-    """Points that must fall onto the depth maps of a shot, so that its median is better than a point by five."""
+    least_points: int = Field(10, gt=0)
+    """Points that must fall onto the depth maps of a shot, so that its median is better than a point by three."""
+    grid: float = Field(0.04, gt=0)
+    """Relative step of the units that are tried first; half of it is how well a depth must agree there: more than the
+    error of a depth, less than that of a wrong unit."""
+    beside: int = Field(2, ge=0)
+    """So many units on either side of the best one share its points."""
+    clearly: float = Field(1.5, ge=1)
+    """The best unit has so many times the points of any other: points off the maps agree with any unit alike."""
+    widest: float = Field(16.0, gt=1)
+    """They reach from the ratio of the median depths over this to this ratio times this."""
 
 
 class PairTuning(Section):

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from tiegraph.dense.shotscale import ShotScale, first_guess, in_camera, points_scale, shot_scale
+from tiegraph.dense.shotscale import Seen, ShotScale, in_camera, shot_scale
 from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
 from tiegraph.pipeline.files import load_map, load_model, whole
@@ -82,15 +82,11 @@ def _scale_by_shots(run: Run, scene: Scene, model: Any, poses: np.ndarray) -> Sh
     """Metres in a unit of a model by the depth maps of its shots; None where it has no points on them."""
     xyz, image, point = tracks(model, scene)
     mounted, tuning = rig_from_sensor(scene), run.settings.tuning.dense.shot_scale
-    by_shot: dict[int, list[np.ndarray]] = {}
-    start = float("nan")
+    seen = []
     for k in np.flatnonzero(np.isfinite(poses).all(axis=(1, 2))):
-        rays = in_camera(poses[k], xyz[point[image == k]])
-        for view in shot_views(scene, int(scene.frame[k])):
+        frame, local = int(scene.frame[k]), in_camera(poses[k], xyz[point[image == k]])
+        for view in shot_views(scene, frame):
             path = depth_path(run.folder, view.name)
-            if path.exists() and len(rays):
-                depth = load_map(path)
-                start = first_guess(depth, rays) if np.isnan(start) else start
-                found = points_scale(rays, mounted[k], depth, start, tuning)
-                by_shot.setdefault(int(scene.frame[k]), []).append(found)
-    return shot_scale([np.concatenate(parts) for parts in by_shot.values()], tuning)
+            if path.exists():
+                seen.append(Seen(frame, local, mounted[k], load_map(path)))
+    return shot_scale(seen, tuning)

@@ -242,7 +242,7 @@ def _model(run: RunFolder) -> dict[str, Any]:
     registered = formatting.count(int(m.registered.sum())), formatting.count(len(m.registered))
     out["facts"] = [
         (t("registered images"), t("{} of {}", *registered)),
-        (t("images placed by the rig"), formatting.count(int(m.by_rig.sum()))),
+        (t("images placed by the rig"), formatting.count(int(m.by_rig.sum()) + run.hanging[1])),
         (t("sparse points"), formatting.count(m.figures.points)),
         (t("observations of an image"), formatting.number(m.figures.observations)),
         (t("images of a point (track length)"), formatting.number(m.figures.track_length)),

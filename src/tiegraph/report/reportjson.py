@@ -78,10 +78,10 @@ def _counts(run: RunFolder) -> dict[str, Any]:
     m, c, scene = run.model, run.cloud, run.scene
     gsd = spatial.gsd(run)
     return {
-        "images": None if scene is None else len(scene),
+        "images": None if scene is None else len(scene) + run.hanging[0],
         "frames": None if scene is None else scene.frames,
         "registered": None if m is None else int(m.registered.sum()),
-        "placed_by_rig": None if m is None else int(m.by_rig.sum()),
+        "placed_by_rig": None if m is None else int(m.by_rig.sum()) + run.hanging[1],
         "models": 0 if m is None else 1 + len(m.others),
         "sparse_points": None if m is None else m.figures.points,
         "cloud_points": None if c is None else c.count,

@@ -121,6 +121,11 @@ class RunFolder:
         """The counts of a stage's receipt."""
         return self.receipts.get(stage, {}).get("counts") or {}
 
+    @property
+    def hanging(self) -> tuple[int, int]:
+        """Images that take no part in structure from motion (``scene.hanging``), and those of them that have a pose."""
+        return int(self.counts("scan").get("hanging", 0)), int(self.counts("georef").get("hanging", 0))
+
     def done(self, stage: str) -> bool:
         """Whether a stage has finished."""
         return "key" in self.receipts.get(stage, {})

@@ -93,6 +93,13 @@ def _registered_sentence(run: RunFolder, registered: int, total: int) -> str:
     if by_rig:
         text = "; the place of {} more rests on the rig, for fewer than {} points are seen"
         more = t(text, formatting.count(by_rig), run.model.images.min_points)
+    hanging, posed = run.hanging
+    if hanging and posed:
+        text = "; {} images of other cameras hang on the rig and stand where it places them"
+        more += t(text, formatting.count(posed))
+    elif hanging:
+        text = "; {} images of other cameras hang on the rig and have no place, for nothing tells the scale"
+        more += t(text, formatting.count(hanging))
     if run.model.others:
         others = ", ".join(map(formatting.count, run.model.others[:4])) + (" ..." if len(run.model.others) > 4 else "")
         text = ", the largest of {}; the others have {} images and are not in the products"
