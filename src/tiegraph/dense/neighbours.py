@@ -67,7 +67,7 @@ def plan_images(reconstruction: pycolmap.Reconstruction, settings: DenseSettings
             view=view,
             partners=tuple(p.view for p in used),
             witnesses=_witnesses(candidates, tuning.witnesses),
-            depth_range=_depth_range(table.depths(k, common), tuning),
+            depth_range=range_of(table.depths(k, common), tuning),
         )
     if not images:
         raise ReconstructionError(_no_partners(dropped))
@@ -222,7 +222,8 @@ def _in_common(table: _Table, image: int, partners: list[int]) -> np.ndarray:
     return np.intersect1d(table.points[image], np.concatenate([table.points[k] for k in partners]))
 
 
-def _depth_range(depths: np.ndarray, tuning: PartnerTuning) -> DepthRange:
+def range_of(depths: np.ndarray, tuning: PartnerTuning) -> DepthRange:
+    """Where a surface is sought by the depths (P,) of sparse points on it."""
     inverse = 1.0 / depths[depths > 0]
     low, high = np.percentile(inverse, [tuning.range_percent, 100 - tuning.range_percent])
     return DepthRange(near=float(1 / (high * tuning.near_margin)), far=float(tuning.far_margin / low))

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
+import pycolmap
 
-from tiegraph.dense.neighbours import angle_weight, refusal
-from tiegraph.dense.plan import DensePlan, DepthRange, ImagePlan, Partner, ViewPlan
+from tiegraph.dense.neighbours import angle_weight, range_of, refusal
+from tiegraph.dense.plan import CameraModel, DensePlan, DepthRange, ImagePlan, Partner, ViewPlan
 from tiegraph.dense.settings import DenseSettings
 from tiegraph.dense.tuning import ShotTuning, Tuning
 from tiegraph.dense.undistort import pinhole
 from tiegraph.errors import InputError
 from tiegraph.geometry.stereo import Pinhole, rectifying_rotation, usable_rays
 from tiegraph.geometry.transforms import apply, centre, invert
+from tiegraph.scene.colmapmodel import matrix
 
 NO_OVERLAP = "the images share no part at this distance"
 
@@ -62,6 +64,44 @@ def plan_shot(views: Sequence[ViewPlan], sought: DepthRange, settings: DenseSett
             f"{'; '.join(dict.fromkeys(r for _, r in dropped))}. Give --near and --far, and look at the rig file"
         )
     return DensePlan(images=images, dropped=tuple(dropped), notes=(), refused=dict(refused))
+
+
+def plan_hanging(
+    model: pycolmap.Reconstruction, names: Collection[str], settings: DenseSettings, tuning: Tuning
+) -> DensePlan:
+    """Partners of the images of a metric model that hang on their rigs: those of the same frame, by geometry alone,
+    between the depths at which the frame's other images see points."""
+    images: dict[str, ImagePlan] = {}
+    dropped: list[tuple[str, str]] = []
+    refused: Counter[str] = Counter()
+    for frame in model.frames.values():
+        members = [model.image(d.id) for d in frame.data_ids]
+        hanging = sorted((i for i in members if i.name in names), key=lambda i: i.name)
+        depths = [_point_depths(model, i) for i in members if i.name not in names]
+        if not hanging:
+            continue
+        views = [
+            ViewPlan(i.name, CameraModel.of(model.camera(i.camera_id)), matrix(i.cam_from_world())) for i in hanging
+        ]
+        seen = np.concatenate([d[d > 0] for d in depths] or [np.zeros(0)])
+        try:
+            if len(seen) < tuning.partners.min_shared:
+                raise InputError(f"the wide images of its frame see {len(seen)} points: too few to tell where to look")
+            found = plan_shot(views, range_of(seen, tuning.partners), settings, tuning)
+        except InputError as error:
+            dropped += [(v.name, str(error)) for v in views]
+            continue
+        images |= found.images
+        dropped += found.dropped
+        refused.update(found.refused)
+    return DensePlan(images=images, dropped=tuple(dropped), refused=dict(refused))
+
+
+def _point_depths(model: pycolmap.Reconstruction, image: pycolmap.Image) -> np.ndarray:
+    """(P,) depths of the points that an image sees."""
+    pose = matrix(image.cam_from_world())
+    xyz = np.array([model.points3D[p.point3D_id].xyz for p in image.get_observation_points2D()]).reshape(-1, 3)
+    return np.asarray(xyz @ pose[2, :3] + pose[2, 3])
 
 
 def _look(

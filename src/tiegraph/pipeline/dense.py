@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import logging
+from collections import Counter
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -14,17 +14,19 @@ import numpy as np
 from tiegraph.dense.depth import confirmed_map, depth_map
 from tiegraph.dense.engine import installed, most_volume_bytes
 from tiegraph.dense.neighbours import plan_images
-from tiegraph.dense.plan import ImagePlan
+from tiegraph.dense.plan import DensePlan, ImagePlan
 from tiegraph.dense.settings import DenseSettings
+from tiegraph.dense.shot import plan_hanging
 from tiegraph.dense.tuning import Tuning, ViewTuning
 from tiegraph.dense.undistort import load_view, pinhole
 from tiegraph.dense.workspace import write_workspace
-from tiegraph.errors import InputError, TiegraphError
+from tiegraph.errors import InputError, ReconstructionError, TiegraphError
 from tiegraph.limits import explained
-from tiegraph.pipeline.files import FINAL, load_map, load_model
+from tiegraph.pipeline.files import FINAL, load_map, load_model, whole
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, remove
 from tiegraph.scene.depthfile import save_depth
+from tiegraph.scene.hanging import carries
 from tiegraph.scene.names import inside
 from tiegraph.scene.results import DepthMap
 
@@ -60,10 +62,27 @@ def dense(run: Run) -> Outcome:
     return Outcome(counts=counts, dropped=plan.dropped, notes=notes, tables={"refused stereo pairs": refused})
 
 
-def plan_of(run: Run) -> Any:
-    """Which images are matched with which, by the model in the world."""
-    settings, tuning = run.settings.dense, run.settings.tuning.dense.partners
-    return plan_images(load_model(run.path("sparse", "world")), settings, tuning)
+def plan_of(run: Run) -> DensePlan:
+    """Which images are matched with which, by the model in the world; those that hang on their rig, which see none of
+    its points, within their frame."""
+    settings, tuning, model = run.settings.dense, run.settings.tuning.dense, load_model(run.path("sparse", "world"))
+    survey = whole(run)
+    hanging = {survey.names[k] for k in np.flatnonzero(~carries(survey))}
+    if not hanging:
+        return plan_images(model, settings, tuning.partners)
+    within = plan_hanging(model, hanging, settings, tuning)
+    try:
+        plan = plan_images(model, settings, tuning.partners)
+    except ReconstructionError:
+        if not within.images:
+            raise
+        plan = DensePlan({})  # what cannot be matched from station to station is matched within each
+    return DensePlan(
+        images=plan.images | within.images,
+        dropped=(*(row for row in plan.dropped if row[0] not in hanging), *within.dropped),
+        notes=(*plan.notes, f"{len(within.images)} images that hang on their rig are matched within their frame"),
+        refused=dict(Counter(plan.refused) + Counter(within.refused)),
+    )
 
 
 def _volumes(plans: dict[str, ImagePlan], settings: DenseSettings, tuning: Tuning) -> str:

@@ -37,7 +37,7 @@ def compare_passes(run: Run, out: Path, depth_m: float | None = None) -> dict[st
     scene = checked(run)
     plans = {n: p for n, p in plan_of(run).images.items() if depth_path(run.folder, n).exists()}
     by_pass: dict[str, list[str]] = {name: [] for name in scene.sequences}
-    for name in sorted(plans):
+    for name in sorted(n for n in plans if n in scene.image_index):
         sequence = scene.sequence[scene.frame[scene.image_index[name]]]
         if sequence >= 0:
             by_pass[scene.sequences[sequence]].append(name)
