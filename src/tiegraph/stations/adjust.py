@@ -86,9 +86,7 @@ def _off(pair: Pair, poses: np.ndarray) -> np.ndarray:
     return np.r_[turn, transforms.apply(error, pair.middle[None])[0] - pair.middle]
 
 
-def _covariances(
-    jacobian: np.ndarray, residual: np.ndarray, free: dict[int, int], held: int, count: int
-) -> np.ndarray:
+def _covariances(jacobian: np.ndarray, residual: np.ndarray, free: dict[int, int], held: int, count: int) -> np.ndarray:
     """(count, 6, 6), scaled by what the loops say of the pairs' own sigmas where that is more."""
     out = np.full((count, 6, 6), np.nan)
     out[held] = 0

@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import small_gicp
 
 from tiegraph.geometry import transforms
-from tiegraph.stations.station import Level
+from tiegraph.stations.station import Level, engine
 from tiegraph.stations.tuning import PairTuning
 
 _TURN, _SHIFT = 1e-6, 1e-5  # rad and voxels: GICP has converged
@@ -34,7 +33,7 @@ def refined(target: Level, source: Level, start: np.ndarray, tuning: PairTuning)
     """target_from_source (4, 4) after GICP from a start."""
     scaled = start.copy()
     scaled[:3, 3] /= target.side
-    found = small_gicp.align(
+    found = engine().align(
         target.gicp,
         source.gicp,
         target.gicp_tree,

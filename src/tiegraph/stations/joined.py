@@ -59,7 +59,9 @@ def prepared(shots: Sequence[Shot], tuning: Tuning) -> tuple[list[Station], dict
     return out, why
 
 
-def join(stations: Sequence[Station], tuning: Tuning, told: Callable[[int, int], None] = lambda done, most: None) -> Joined:
+def join(
+    stations: Sequence[Station], tuning: Tuning, told: Callable[[int, int], None] = lambda done, most: None
+) -> Joined:
     """Put stations into one frame; ``told`` hears how many pairs of how many are done.
 
     The frame is that of the known poses, if there are some; else that of the first station of the largest part that
@@ -76,7 +78,8 @@ def join(stations: Sequence[Station], tuning: Tuning, told: Callable[[int, int],
         pairs = contradicted(pairs + more, points, close, tuning.loops)
         found = _adjusted_parts(pairs, len(stations), tuning)
     poses, left_out = _in_world(stations, found)
-    sigma, loops = np.full(len(stations), np.nan), {}
+    sigma = np.full(len(stations), np.nan)
+    loops: dict[tuple[int, int], np.ndarray] = {}
     for part in found:
         loops |= {(p.first, p.second): row for p, row in zip(part.pairs, part.loop_m)}
         for k in part.members:
@@ -165,7 +168,8 @@ def _in_world(stations: Sequence[Station], found: list[Part]) -> tuple[np.ndarra
     largest = found[0]
     if not held and len(largest.members) < 2:
         raise ValueError("no two clouds could be laid on each other")
-    poses, left_out = np.full((len(stations), 4, 4), np.nan), {}
+    poses = np.full((len(stations), 4, 4), np.nan)
+    left_out: dict[int, str] = {}
     for part in found:
         if held and part not in held:
             why = "hangs on no cloud with a known pose"
@@ -177,7 +181,9 @@ def _in_world(stations: Sequence[Station], found: list[Part]) -> tuple[np.ndarra
                 poses[k] = world @ part.poses[k] @ stations[k].shift
             continue
         alone = len(part.members) == 1
-        left_out |= {k: why if alone else f"{why} (only on {len(part.members) - 1} that do not either)" for k in part.members}
+        left_out |= {
+            k: why if alone else f"{why} (only on {len(part.members) - 1} that do not either)" for k in part.members
+        }
     return poses, left_out
 
 

@@ -31,9 +31,9 @@ def contradicted(pairs: Sequence[Pair], points: Sequence[np.ndarray], close_m: f
     while True:
         good = dict.fromkeys(by_ends, 0)
         bad = dict.fromkeys(by_ends, 0)
-        for ends, off in loops:
-            if not any(e in refused for e in ends):
-                for e in ends:
+        for around, off in loops:
+            if not any(e in refused for e in around):
+                for e in around:
                     (good if off <= close_m else bad)[e] += 1
         worst = max(by_ends, key=lambda e: (bad[e] - good[e], bad[e], e), default=None)
         if worst is None or bad[worst] <= good[worst]:

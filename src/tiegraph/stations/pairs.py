@@ -103,7 +103,9 @@ def from_start(first: int, second: int, stations: Sequence[Station], start: np.n
     pair = replace(pair, middle=fine.middle, information=fine.information)
     coarse = held(a.coarse, b.coarse, fit, met(a.coarse, b.coarse, fit, limits), limits)
     if coarse.open_share < limits.open_share:
-        return pair.refused(f"the surfaces slide along each other (held to {coarse.open_share:.1g} of what a corner holds)")
+        return pair.refused(
+            f"the surfaces slide along each other (held to {coarse.open_share:.1g} of what a corner holds)"
+        )
     if pair.sigma_m > limits.systematic * pair.residual_m:
         return pair.refused("the distances between the surfaces are no noise: they are not the same surface")
     return pair

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-import small_gicp
 from scipy.spatial import cKDTree
 
+from tiegraph.errors import EngineMissing
 from tiegraph.geometry import transforms
 from tiegraph.geometry.coarse.shape import Shape, normals, shape_of, side_for, thinned
 from tiegraph.stations.tuning import Tuning
@@ -16,13 +17,26 @@ from tiegraph.stations.tuning import Tuning
 
 @dataclass(frozen=True)
 class Shot:
-    """Points (N, 3) of a shot as measured, and the normals (N, 3) of its file, None = it has none. ``known``: its pose
-    (4, 4) in the world, None = unknown."""
+    """Points (N, 3) of a shot; normals (N, 3) of its file, None = it has none; the sigma (N,) that it states, NaN =
+    none. ``known``: its pose (4, 4) in the world, None = unknown. ``own_frame``: its points are in the frame of what
+    took it, so that their distance from there is known."""
 
     name: str
     xyz: np.ndarray
     normal: np.ndarray | None = None
+    sigma_m: np.ndarray | None = None
     known: np.ndarray | None = None
+    own_frame: bool = True
+
+
+@dataclass(frozen=True)
+class Sample:
+    """Some points as measured (M, 3), about the middle of the cloud, with their distance from what took them and the
+    sigma they state (M,), metres, NaN = unknown."""
+
+    xyz: np.ndarray
+    distance_m: np.ndarray
+    sigma_m: np.ndarray
 
 
 class Level:
@@ -36,9 +50,10 @@ class Level:
         off = np.einsum("nki,ni->nk", near, self.normal)
         self.rough = 1.4826 * float(np.median(np.abs(off - off.mean(axis=1, keepdims=True))))
         # In voxels, because small_gicp's covariances and limits are absolute numbers.
-        self.gicp = small_gicp.PointCloud(xyz / side)
-        self.gicp_tree = small_gicp.KdTree(self.gicp)
-        small_gicp.estimate_covariances(self.gicp, self.gicp_tree, neighbours)
+        gicp = engine()
+        self.gicp = gicp.PointCloud(xyz / side)
+        self.gicp_tree = gicp.KdTree(self.gicp)
+        gicp.estimate_covariances(self.gicp, self.gicp_tree, neighbours)
 
 
 @dataclass(frozen=True)
@@ -50,8 +65,8 @@ class Station:
     middle: np.ndarray
     shape: Shape
     levels: list[Level]
+    sample: Sample
     known: np.ndarray | None = None
-    distance_m: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     @property
     def coarse(self) -> Level:
@@ -93,4 +108,27 @@ def station_of(shot: Shot, side: float, tuning: Tuning) -> Station:
     if shot.known is not None:
         known = shot.known.copy()
         known[:3, 3] += shot.known[:3, :3] @ middle
-    return Station(shot.name, middle, shape, levels, known, np.linalg.norm(levels[-1].xyz + middle, axis=1))
+    return Station(
+        name=shot.name,
+        middle=middle,
+        shape=shape,
+        levels=levels,
+        sample=_sample(shot, middle, tuning.precision.asked),
+        known=known,
+    )
+
+
+def _sample(shot: Shot, middle: np.ndarray, most: int) -> Sample:
+    some = slice(None, None, max(1, len(shot.xyz) // most))
+    xyz, unknown = shot.xyz[some], np.full(len(shot.xyz), np.nan)
+    distance = np.linalg.norm(xyz, axis=1) if shot.own_frame else unknown[some]
+    return Sample(xyz - middle, distance, (unknown if shot.sigma_m is None else shot.sigma_m)[some])
+
+
+def engine() -> Any:
+    """The module small_gicp. Raises EngineMissing without it."""
+    try:
+        import small_gicp
+    except ImportError:
+        raise EngineMissing("clouds are laid on each other by small_gicp: pip install tiegraph[stations]") from None
+    return small_gicp

@@ -57,10 +57,21 @@ class LoopTuning(Section):
 class PrecisionTuning(Section):
     """How far points lie from other stations' surfaces, by distance (`precision.py`)."""
 
+    asked: int = Field(20_000, gt=0)
+    """Points of a shot that are asked, as they were measured."""
     bands: int = Field(6, ge=1)
     """Of distance, at most ..."""
     least_points: int = Field(200, ge=10)
     """... with so many points each."""
+
+
+class SpacingTuning(Section):
+    """How far the points of a shot stand apart (`spacing.py`)."""
+
+    asked: int = Field(10_000, gt=0)
+    """Points of a shot that are asked, ..."""
+    bands: int = Field(20, ge=1)
+    """... in so many bands of distance, with equally many points."""
 
 
 class Tuning(Section):
@@ -74,6 +85,10 @@ class Tuning(Section):
     """Loops."""
     precision: PrecisionTuning = PrecisionTuning()
     """Precision by distance."""
+    spacing: SpacingTuning = SpacingTuning()
+    """Spacing of points."""
+    read: int = Field(400_000, ge=1000)
+    """Points of a cloud that the poses are made of, at most: the finest voxels are 40 000."""
     all_pairs: int = Field(40, ge=2)
     """Clouds of which all pairs are tried; of more, those ..."""
     alike: int = Field(12, ge=1)

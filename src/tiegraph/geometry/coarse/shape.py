@@ -65,9 +65,7 @@ def normals(xyz: np.ndarray, neighbours: int) -> np.ndarray:
     return out
 
 
-def shape_of(
-    xyz: np.ndarray, side: float, tuning: CoarseTuning, towards: np.ndarray | None = None
-) -> Shape:
+def shape_of(xyz: np.ndarray, side: float, tuning: CoarseTuning, towards: np.ndarray | None = None) -> Shape:
     """Describe a cloud (N, 3) thinned to voxels of a side; ``towards`` (N, 3): directions in which the surface was seen
     from, such as the normals of the cloud's file."""
     places, seen_from = thinned(xyz, side, towards)
