@@ -46,6 +46,7 @@ VERBS: dict[str, Verb] = {
     "status": Verb("which stages of a run folder are up to date, and why not", "status"),
     "compare": Verb("two or more run folders side by side; --epochs: what has changed between two surveys", "compare"),
     "shots": Verb("a point cloud for each shot of a calibrated rig, without a sparse model", "shots"),
+    "stations": Verb("clouds of single shots without poses put into one frame and merged to one cloud", "stations"),
     "calibrate": Verb("cameras and rig from images of a board (ChArUco, checkerboard, AprilGrid)", "calibrate"),
     "plan": Verb("what a survey will give: precision by distance, accuracy of a whole path, effort", "plan"),
     "mark": Verb("a page in the browser to mark control points in the images", "mark"),

@@ -8,7 +8,7 @@ some hundred depth maps at a time, which bounds the files.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -38,6 +38,7 @@ from tiegraph.scene.results import Cloud, DepthMap
 from tiegraph.scene.sorting import order_of, row_numbers, run_starts
 
 Tile = tuple[int, int, int]
+MapPoints = tuple[Cloud, np.ndarray, int]  # world points, the spacing (M,) each justifies, number left out
 Run = Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[Any]]  # map over items, results in their order
 
 _MERGE_ROWS = 2_000_000  # points read before they are added up: about 0.3 GB
@@ -93,7 +94,28 @@ def fuse(
     """Fuse the depth maps of ``names`` (``maps`` must be picklable if ``run`` uses processes). ``scratch`` is an empty
     folder for tile files, the result among them. Raises ReconstructionError if no depth map has a point."""
     voxel = settings.voxel_size or automatic_voxel(names, maps.depth, tuning.sampled_maps, run)
-    scatter = partial(_scatter_one, maps=maps, scratch=scratch, voxel=voxel, settings=settings, levels=tuning.levels)
+    settings = settings.model_copy(update={"voxel_size": voxel})
+    fused = fuse_points(names, partial(_points_of_map, maps=maps, settings=settings), scratch, settings, tuning, run)
+    if fused is None:
+        raise ReconstructionError(
+            "no depth map has a point that enough images agree on: lower --dense.min-views, "
+            "raise --dense.tolerance-px, or look at the poses in the report"
+        )
+    return replace(fused, origin=origin)
+
+
+def fuse_points(
+    names: Sequence[str],
+    points: Callable[[str], MapPoints],
+    scratch: Path,
+    settings: CloudSettings,
+    tuning: Tuning,
+    run: Run = map,
+) -> FusionResult | None:
+    """Fuse the points of ``names``, of depth maps or clouds; None if there are none. As ``fuse``; ``settings`` say the
+    size of the voxels."""
+    voxel = settings.voxel_size
+    scatter = partial(_scatter_one, points=points, scratch=scratch, voxel=voxel, levels=tuning.levels)
     scattered: list[_Scattered] = []
     merged: dict[Tile, int] = {}
     for begin in range(0, len(names), _MAPS_AT_ONCE):
@@ -102,10 +124,7 @@ def fuse(
         merged |= _merge(dict(zip([k for k, _ in numbered], found, strict=True)), scratch, voxel, tuning.levels, run)
         scattered += found
     if not merged:
-        raise ReconstructionError(
-            "no depth map has a point that enough images agree on: lower --dense.min-views, "
-            "raise --dense.tolerance-px, or look at the poses in the report"
-        )
+        return None
     tiles = sorted(merged)
     keep = partial(_filter_one, scratch=scratch, voxel=voxel, settings=settings, tuning=tuning)
     filtered = list(run(keep, tiles))
@@ -118,10 +137,10 @@ def fuse(
         "points": sum(n for n, _, _ in filtered),
     }
     files = ((tile, _tile_path(scratch, tile, "final")) for tile, (n, _, _) in zip(tiles, filtered, strict=True) if n)
-    return FusionResult(tiles=tuple(files), voxel=voxel, counts=counts, origin=origin)
+    return FusionResult(tiles=tuple(files), voxel=voxel, counts=counts, origin=None)
 
 
-def map_points(depth: DepthMap, rgb: np.ndarray, settings: CloudSettings) -> tuple[Cloud, np.ndarray, int]:
+def map_points(depth: DepthMap, rgb: np.ndarray, settings: CloudSettings) -> MapPoints:
     """World points of a depth map, the spacing (M,) each justifies, and the number left out as too uncertain."""
     known = np.isfinite(depth.depth_m)
     sure = known & (depth.sigma_m <= settings.max_relative_sigma * np.where(known, depth.depth_m, 1))
@@ -178,15 +197,19 @@ def _focal(depth: DepthMap) -> float:
     return float(np.sqrt(depth.K[0, 0] * depth.K[1, 1]))
 
 
-def _scatter_one(
-    item: tuple[int, str], maps: Maps, scratch: Path, voxel: float, settings: CloudSettings, levels: int
-) -> _Scattered:
-    """Write the points of one depth map, sorted by tile."""
-    number, name = item
+def _points_of_map(name: str, maps: Maps, settings: CloudSettings) -> MapPoints:
     depth = maps.depth(name)
     if depth is None:
-        return _Scattered()
-    cloud, justified, uncertain = map_points(depth, maps.colours(name), settings)
+        return Cloud.empty(), np.zeros(0), 0
+    return map_points(depth, maps.colours(name), settings)
+
+
+def _scatter_one(
+    item: tuple[int, str], points: Callable[[str], MapPoints], scratch: Path, voxel: float, levels: int
+) -> _Scattered:
+    """Write the points of one depth map or cloud, sorted by tile."""
+    number, name = item
+    cloud, justified, uncertain = points(name)
     if len(cloud) == 0:
         return _Scattered(uncertain=uncertain)
     tile, rows = rows_of(cloud, justified, voxel, levels)

@@ -1,0 +1,279 @@
+"""Glue of stations: clouds of single shots -> poses -> one filtered cloud, in a folder of its own."""
+
+from __future__ import annotations
+
+import re
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tiegraph.cloud.fuse import FusionResult, MapPoints, fuse_points
+from tiegraph.cloud.settings import CloudSettings
+from tiegraph.cloud.tuning import Tuning as CloudTuning
+from tiegraph.errors import InputError, ReconstructionError
+from tiegraph.geometry import transforms
+from tiegraph.geometry.geodesy import ENU, Origin
+from tiegraph.lidar.tables import finite
+from tiegraph.pipeline.clouds import new_folder
+from tiegraph.project.progress import Reporter
+from tiegraph.project.run import save_json
+from tiegraph.scan.priors.trajectory import write_tum
+from tiegraph.scene.cloudfile import read_cloud, shift_of, write_cloud
+from tiegraph.scene.posefile import read_poses
+from tiegraph.stations.joined import Joined, join, prepared
+from tiegraph.stations.pairs import Pair
+from tiegraph.stations.precision import Band, by_distance
+from tiegraph.stations.spacing import spacing_of
+from tiegraph.stations.station import Shot, Station
+from tiegraph.stations.tuning import Tuning
+
+ENDINGS = (".ply", ".las", ".laz")
+CLOUD, POSES, SUMMARY = "cloud.laz", "stations.tum", "stations.json"
+
+
+@dataclass(frozen=True)
+class StationOptions:
+    """What may be said beside the clouds: a TUM file of prior poses, and the spacing of the cloud (0 = by the
+    shots)."""
+
+    poses: Path | None = None
+    voxel_m: float = 0.0
+
+
+def stations(
+    sources: Sequence[Path], out: Path, options: StationOptions, reporter: Reporter | None = None
+) -> dict[str, Any]:
+    """Join clouds of shots and write poses, one cloud and stations.json to the new folder ``out``; the content of the
+    latter.
+
+    Raises InputError for clouds and poses that cannot be used; ReconstructionError if nothing joins.
+    """
+    reporter, tuning = reporter or Reporter("quiet"), Tuning()
+    if not 0 <= options.voxel_m < np.inf:
+        raise InputError(f"--voxel-m {options.voxel_m:g}: give metres above 0, or 0 for the spacing of the shots")
+    files = cloud_files(sources)
+    with new_folder(out) as folder:
+        assert folder is not None
+        with reporter.stage("read"):
+            read = _read(files, tuning)
+            shots = read.shots if options.poses is None else _with_poses(read.shots, options.poses)
+        try:
+            with reporter.stage("join"):
+                ready, unfit = prepared(shots, tuning)
+                joined = join(ready, tuning, partial(_told, reporter))
+        except ValueError as error:
+            raise ReconstructionError(f"{error}: nothing is written; stations must share surface with shape, 30 % at "
+                                      "least") from None  # fmt: skip
+        told = _told_of(files, ready, joined, unfit, by_distance(ready, joined.poses, joined.believed, tuning))
+        with reporter.stage("merge"), tempfile.TemporaryDirectory(dir=folder) as scratch:
+            path = {s.name: p for s, p in zip(ready, joined.poses) if np.isfinite(p).all()}
+            known = {file.stem: file for file in files}
+            voxel = options.voxel_m or read.spacing_m
+            merged = _merged(known, path, voxel, _noise(ready, joined), Path(scratch))
+            notes = write_cloud((replace(c, origin=read.origin) for c in merged.clouds()), folder / CLOUD, voxel)
+        result = {
+            **told,
+            "frame": _frame(read.origin, options, ready, joined),
+            "voxel_m": voxel,
+            "cloud": merged.counts,
+        }
+        result["notes"] = list(notes)
+        numbers = pose_numbers([s.name for s in ready])
+        write_tum(folder / POSES, np.array(numbers, float), joined.poses)
+        save_json(folder / SUMMARY, result)
+    return result
+
+
+# --- what is read ----------------------------------------------------------------------------------------------------
+
+
+def cloud_files(sources: Sequence[Path]) -> list[Path]:
+    """Files of clouds: those named, and of a folder (of a run: its ``shots``) all there are, by name.
+
+    Raises InputError if there are fewer than two, or two of one name.
+    """
+    files: list[Path] = []
+    for source in sources:
+        if source.is_dir():
+            folder = source / "shots" if (source / "shots").is_dir() else source
+            there = sorted(f for f in folder.iterdir() if f.suffix.lower() in ENDINGS)
+            if not there:
+                raise InputError(f"{folder}: no clouds in it ({', '.join(ENDINGS)}): `tiegraph shots` makes them")
+            files += there
+        elif source.suffix.lower() in ENDINGS and source.exists():
+            files.append(source)
+        else:
+            raise InputError(f"{source}: give a folder of clouds, or files that end in {', '.join(ENDINGS)}")
+    names = [f.stem for f in files]
+    again = next((n for n in names if names.count(n) > 1), None)
+    if again is not None:
+        raise InputError(f"{again}: two clouds have this name: give each its own")
+    if len(files) < 2:
+        raise InputError(f"{files[0]}: the only cloud; there is nothing to lay it on: give two at least")
+    return files
+
+
+def pose_numbers(names: Sequence[str]) -> list[int]:
+    """What stands for the time of each cloud in a TUM file: the last number in its name; its place in the order,
+    from 0, where these numbers do not tell the clouds apart."""
+    found = [re.findall(r"\d+", name) for name in names]
+    numbers = {int(digits[-1]): None for digits in found if digits}
+    return list(numbers) if len(numbers) == len(names) else list(range(len(names)))
+
+
+@dataclass(frozen=True)
+class _Read:
+    """The shots, the world that some are in (None = none is), and the spacing of the usual point, two digits."""
+
+    shots: list[Shot]
+    origin: Origin | None
+    spacing_m: float
+
+
+def _read(files: Sequence[Path], tuning: Tuning) -> _Read:
+    shots, spacings, origin, first = [], [], None, files[0]
+    for file in files:
+        cloud = read_cloud(file)
+        if not len(cloud):
+            raise InputError(f"{file}: it has no points: leave it out, or make it again")
+        lost = int(np.count_nonzero(~np.isfinite(cloud.xyz_m).all(axis=1)))
+        if lost:
+            raise InputError(f"{file}: {lost} points are at no place (NaN or infinite): take them out")
+        known = None
+        if cloud.origin is not None:
+            if origin is None:
+                origin, first = cloud.origin, file
+            if not _one_world(origin, cloud.origin):
+                raise InputError(
+                    f"{file} is in {_called(cloud.origin)} and {first} in {_called(origin)}: bring all into one CRS"
+                )
+            known = transforms.rigid(np.eye(3), shift_of(cloud.origin) - shift_of(origin))
+        spacings.append(float(np.median(spacing_of(cloud.xyz_m, known is None, tuning.spacing))))
+        some = slice(None, None, -(-len(cloud) // tuning.read))
+        normal = cloud.normal[some].astype(float)
+        shots.append(
+            Shot(
+                name=file.stem,
+                xyz=cloud.xyz_m[some],
+                normal=normal if np.isfinite(normal).all(axis=1).mean() > 0.5 else None,
+                sigma_m=cloud.sigma_m[some].astype(float),
+                known=known,
+                own_frame=known is None,
+            )
+        )
+    return _Read(shots, origin, float(f"{max(np.median(spacings), 1e-9):.2g}"))
+
+
+def _one_world(a: Origin, b: Origin) -> bool:
+    places = [(o.lat_deg, o.lon_deg, o.height_m) if o.crs == ENU else () for o in (a, b)]
+    return a.crs == b.crs and places[0] == places[1]
+
+
+def _called(origin: Origin) -> str:
+    return f"ENU about {origin.lat_deg:.6f}, {origin.lon_deg:.6f}" if origin.crs == ENU else origin.crs
+
+
+def _with_poses(shots: list[Shot], path: Path) -> list[Shot]:
+    """Shots with the prior poses of a file, by their numbers. Raises InputError for rows that belong to none."""
+    posed = next((s for s in shots if s.known is not None), None)
+    if posed is not None:
+        raise InputError(f"--poses {path}: {posed.name} is in a world already (it names a CRS): leave --poses away")
+    found = read_poses(path)
+    numbers = {n: k for k, n in enumerate(pose_numbers([s.name for s in shots]))}
+    times = found.time_s if np.isfinite(found.time_s).all() else np.arange(len(found.poses))
+    out = list(shots)
+    for time, pose in zip(times, found.poses):
+        if round(time) not in numbers or abs(time - round(time)) > 1e-6:
+            known = ", ".join(map(str, sorted(numbers)[:5]))
+            raise InputError(f"--poses {path}: no cloud has the number {time:g}: the clouds are numbered {known}, ...")
+        k = numbers[round(time)]
+        out[k] = replace(shots[k], known=pose)
+    return out
+
+
+# --- one cloud -------------------------------------------------------------------------------------------------------
+
+
+def _noise(ready: Sequence[Station], joined: Joined) -> float:
+    """Sigma of points that state none."""
+    found = [p.residual_m / np.sqrt(2) for p in joined.believed] or [s.levels[-1].rough for s in ready]
+    return float(np.median(found))
+
+
+def _merged(
+    files: dict[str, Path], poses: dict[str, np.ndarray], voxel: float, noise: float, scratch: Path
+) -> FusionResult:
+    """The clouds added up by voxel, weighted by their sigmas, and filtered (SOR and radius) as those of a run."""
+    settings = CloudSettings(voxel_size=voxel)
+    points = partial(_points, files=files, poses=poses, noise=noise, voxel=voxel)
+    found = fuse_points(sorted(poses), points, scratch, settings, CloudTuning())
+    assert found is not None  # no cloud is empty
+    return found
+
+
+def _points(name: str, files: dict[str, Path], poses: dict[str, np.ndarray], noise: float, voxel: float) -> MapPoints:
+    cloud, pose = read_cloud(files[name]), poses[name]
+    sigma = np.where(np.isfinite(cloud.sigma_m) & (cloud.sigma_m > 0), cloud.sigma_m, noise).astype(np.float32)
+    moved = replace(
+        cloud,
+        xyz_m=transforms.apply(pose, cloud.xyz_m),
+        normal=(cloud.normal @ pose[:3, :3].T).astype(np.float32),
+        sigma_m=sigma,
+        views=np.maximum(cloud.views, 1),
+    )
+    return moved, np.maximum(spacing_of(cloud.xyz_m, cloud.origin is None, Tuning().spacing), voxel), 0
+
+
+# --- what is told ----------------------------------------------------------------------------------------------------
+
+
+def _told(reporter: Reporter, done: int, most: int) -> None:
+    reporter.total(most, done)
+
+
+def _frame(origin: Origin | None, options: StationOptions, ready: Sequence[Station], joined: Joined) -> str:
+    if origin is not None:
+        return f"the world: {_called(origin)}"
+    if options.poses is not None:
+        return f"the world of {options.poses.name}"
+    here = np.flatnonzero(np.isfinite(joined.poses[:, 0, 0]))
+    return f"that of {ready[here[0]].name}"
+
+
+def _told_of(
+    files: Sequence[Path], ready: Sequence[Station], joined: Joined, unfit: dict[str, str], bands: Sequence[Band]
+) -> dict[str, Any]:
+    """What stations.json says of clouds, pairs and precision."""
+    number = {s.name: k for k, s in enumerate(ready)}
+    loops = {(p.first, p.second): row for p, row in zip(joined.believed, joined.loop_m)}
+    return {
+        "clouds": [_cloud_told(f.stem, number.get(f.stem), joined, unfit) for f in files],
+        "pairs": [_pair_told(p, ready, loops.get((p.first, p.second), (None, None))) for p in joined.pairs],
+        "precision": [finite(b.__dict__) for b in bands],
+    }
+
+
+def _cloud_told(name: str, k: int | None, joined: Joined, unfit: dict[str, str]) -> dict[str, Any]:
+    why = unfit[name] if k is None else joined.left_out.get(k, "")
+    pairs = sum(k in (p.first, p.second) for p in joined.believed)
+    sigma = np.nan if k is None else float(joined.sigma_m[k])
+    return finite({"name": name, "joined": not why, "why_not": why, "pairs": pairs, "sigma_m": sigma})
+
+
+def _pair_told(pair: Pair, ready: Sequence[Station], loop: Sequence[float | None]) -> dict[str, Any]:
+    return {
+        "first": ready[pair.first].name,
+        "second": ready[pair.second].name,
+        "believed": not pair.why_not,
+        "why_not": pair.why_not,
+        "overlap": pair.overlap,
+        "residual_m": pair.residual_m,
+        "sigma_m": None if pair.why_not else pair.sigma_m,
+        "loop_before_m": loop[0],
+        "loop_after_m": loop[1],
+    }

@@ -1,0 +1,196 @@
+"""All stations in one frame: pairs, loops, adjustment, further pairs by the poses, and the frame of the world."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from tiegraph.geometry import transforms
+from tiegraph.stations.adjust import Part, adjusted
+from tiegraph.stations.fine import met
+from tiegraph.stations.loops import contradicted, motion, parts
+from tiegraph.stations.pairs import Pair, from_shapes, from_start
+from tiegraph.stations.station import Shot, Station, common_side, station_of
+from tiegraph.stations.tuning import Tuning
+
+_SHOWN = 200  # points of a station that say how far an error moves it
+
+
+@dataclass(frozen=True)
+class Joined:
+    """K stations in one frame. ``poses`` (K, 4, 4) world_from_shot, in the frames that the shots came in; NaN = left
+    out, with the reason in ``left_out``; ``sigma_m`` (K,) of the middle of each cloud against the first of its part,
+    NaN = no pair holds it; all ``pairs`` that have a place; ``loop_m`` (P, 2) of those believed, in their order: by
+    what their loop does not close before and after the adjustment."""
+
+    poses: np.ndarray
+    sigma_m: np.ndarray
+    pairs: list[Pair]
+    loop_m: np.ndarray
+    left_out: dict[int, str]
+
+    @property
+    def believed(self) -> list[Pair]:
+        """The pairs that the poses were made of."""
+        return [p for p in self.pairs if not p.why_not]
+
+
+def prepared(shots: Sequence[Shot], tuning: Tuning) -> tuple[list[Station], dict[str, str]]:
+    """Shots ready to be joined, and why others are not, by name.
+
+    Raises ValueError if fewer than two can be.
+    """
+    side = common_side(shots, tuning)
+    if not side > 0:
+        raise ValueError("the points of the clouds stand in one place: no surface")
+    out: list[Station] = []
+    why: dict[str, str] = {}
+    for shot in shots:
+        try:
+            out.append(station_of(shot, side, tuning))
+        except ValueError as error:
+            why[shot.name] = str(error)
+    if len(out) < 2:
+        raise ValueError("; ".join(f"{n}: {w}" for n, w in why.items()))
+    return out, why
+
+
+def join(
+    stations: Sequence[Station], tuning: Tuning, told: Callable[[int, int], None] = lambda done, most: None
+) -> Joined:
+    """Put stations into one frame; ``told`` hears how many pairs of how many are done.
+
+    The frame is that of the known poses, if there are some; else that of the first station of the largest part that
+    hangs together. Raises ValueError if no two join and no pose is known.
+    """
+    pairs = _first_pairs(stations, tuning, told)
+    close, points = tuning.loops.close * stations[0].coarse.side, [_some(s.coarse.xyz) for s in stations]
+    pairs = contradicted(pairs, points, close, tuning.loops)
+    found = _adjusted_parts(pairs, len(stations), tuning)
+    for _ in range(tuning.loops.rounds):
+        more = _further(stations, pairs, found, tuning)
+        if not more:
+            break
+        pairs = contradicted(pairs + more, points, close, tuning.loops)
+        found = _adjusted_parts(pairs, len(stations), tuning)
+    poses, left_out = _in_world(stations, found)
+    sigma = np.full(len(stations), np.nan)
+    loops: dict[tuple[int, int], np.ndarray] = {}
+    for part in found:
+        loops |= {(p.first, p.second): row for p, row in zip(part.pairs, part.loop_m)}
+        for k in part.members:
+            sigma[k] = np.sqrt(np.trace(part.covariance[k, 3:, 3:]) / 3) if len(part.members) > 1 else np.nan
+    rows = [loops[p.first, p.second] for p in pairs if not p.why_not]
+    return Joined(poses=poses, sigma_m=sigma, pairs=pairs, loop_m=np.array(rows).reshape(-1, 2), left_out=left_out)
+
+
+def _some(xyz: np.ndarray) -> np.ndarray:
+    return xyz[:: max(1, len(xyz) // _SHOWN)]
+
+
+# --- pairs -----------------------------------------------------------------------------------------------------------
+
+
+def _first_pairs(stations: Sequence[Station], tuning: Tuning, told: Callable[[int, int], None]) -> list[Pair]:
+    """Pairs of stations by their known poses where both have one, else by their shapes."""
+    asked = _asked(stations, tuning)
+    out = []
+    for done, (i, j) in enumerate(asked, 1):
+        known, other = stations[i].known, stations[j].known
+        if known is not None and other is not None:
+            pair = _by_poses(stations, i, j, transforms.invert(known) @ other, tuning)
+        else:
+            pair = from_shapes(i, j, stations, tuning)
+        if pair is not None:
+            out.append(pair)
+        told(done, len(asked))
+    return out
+
+
+def _asked(stations: Sequence[Station], tuning: Tuning) -> list[tuple[int, int]]:
+    """Which pairs are tried: all, or of many stations those that look alike or follow each other."""
+    count = len(stations)
+    every = list(combinations(range(count), 2))
+    if count <= tuning.all_pairs:
+        return every
+    usual = np.array([s.shape.described.mean(axis=0) for s in stations])
+    off = np.linalg.norm(usual[:, None] - usual, axis=2)
+    rank = np.argsort(np.argsort(off, axis=1, kind="stable"), axis=1)
+    return [(i, j) for i, j in every if min(rank[i, j], rank[j, i]) <= tuning.alike or j - i <= tuning.following]
+
+
+def _by_poses(stations: Sequence[Station], i: int, j: int, start: np.ndarray, tuning: Tuning) -> Pair | None:
+    """A pair from poses; None if these say that the clouds do not overlap."""
+    a, b, limits = stations[i], stations[j], tuning.pair
+    if met(a.coarse, b.coarse, start, limits).overlap < limits.least_overlap / 2:
+        return None
+    return from_start(i, j, stations, start, tuning)
+
+
+def _further(stations: Sequence[Station], pairs: list[Pair], found: list[Part], tuning: Tuning) -> list[Pair]:
+    """Pairs that overlap by the adjusted poses and have not been believed yet, laid on each other from there."""
+    close = tuning.loops.close * stations[0].coarse.side
+    believed = {(p.first, p.second) for p in pairs if not p.why_not}
+    out = []
+    for part in found:
+        for i, j in combinations(sorted(part.members), 2):
+            if (i, j) in believed:
+                continue
+            start = transforms.invert(part.poses[i]) @ part.poses[j]
+            pair = _by_poses(stations, i, j, start, tuning)
+            if pair is None or pair.why_not:
+                continue
+            if motion(pair.first_from_second @ transforms.invert(start), _some(stations[i].coarse.xyz)) <= close:
+                out.append(pair)
+    ends = {(p.first, p.second) for p in out}
+    pairs[:] = [p for p in pairs if (p.first, p.second) not in ends]
+    return out
+
+
+# --- one frame -------------------------------------------------------------------------------------------------------
+
+
+def _adjusted_parts(pairs: list[Pair], count: int, tuning: Tuning) -> list[Part]:
+    """The parts that hang together, largest first, each adjusted in the frame of its first station."""
+    label = parts(count, pairs)
+    members = [np.flatnonzero(label == k).tolist() for k in range(label.max() + 1)]
+    members.sort(key=lambda m: (-len(m), m[0]))
+    return [adjusted(m, [p for p in pairs if not p.why_not and p.first in m], count, tuning.loops) for m in members]
+
+
+def _in_world(stations: Sequence[Station], found: list[Part]) -> tuple[np.ndarray, dict[int, str]]:
+    """world_from_shot (K, 4, 4), and why some have none. Raises ValueError if none can be joined."""
+    held = [part for part in found if any(stations[k].known is not None for k in part.members)]
+    largest = found[0]
+    if not held and len(largest.members) < 2:
+        raise ValueError("no two clouds could be laid on each other")
+    poses = np.full((len(stations), 4, 4), np.nan)
+    left_out: dict[int, str] = {}
+    for part in found:
+        if held and part not in held:
+            why = "hangs on no cloud with a known pose"
+        elif not held and part is not largest:
+            why = "hangs on none of the others"
+        else:
+            world = _laid_on_known(stations, part) if held else stations[part.members[0]].shift_back
+            for k in part.members:
+                poses[k] = world @ part.poses[k] @ stations[k].shift
+            continue
+        alone = len(part.members) == 1
+        left_out |= {
+            k: why if alone else f"{why} (only on {len(part.members) - 1} that do not either)" for k in part.members
+        }
+    return poses, left_out
+
+
+def _laid_on_known(stations: Sequence[Station], part: Part) -> np.ndarray:
+    """world_from_part (4, 4): one motion that leaves the known poses of its stations on the average."""
+    known = {k: stations[k].known for k in part.members}
+    single = [pose @ transforms.invert(part.poses[k]) for k, pose in known.items() if pose is not None]
+    turn = Rotation.from_matrix([m[:3, :3] for m in single]).mean().as_matrix()
+    places = [(pose[:3, 3], part.poses[k, :3, 3]) for k, pose in known.items() if pose is not None]
+    return transforms.rigid(turn, np.mean([there - turn @ here for there, here in places], axis=0))

@@ -1,0 +1,119 @@
+"""Two stations laid on each other, and why that is believed or not."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tiegraph.geometry import transforms
+from tiegraph.geometry.coarse.consistent import motions
+from tiegraph.stations.fine import Met, held, met, refined
+from tiegraph.stations.station import Station
+from tiegraph.stations.tuning import PairTuning, Tuning
+
+
+@dataclass(frozen=True)
+class Pair:
+    """``first_from_second`` (4, 4) of stations about their middles; share that overlaps, robust sigma of the distance
+    between the surfaces and their own roughness, metres; ``information`` (6, 6) of turn and shift about ``middle`` (3,)
+    in the first's frame. ``why_not``: why it is not believed, "" = it is."""
+
+    first: int
+    second: int
+    first_from_second: np.ndarray
+    overlap: float
+    residual_m: float
+    rough_m: float
+    middle: np.ndarray
+    information: np.ndarray
+    why_not: str = ""
+
+    @property
+    def sigma_m(self) -> float:
+        """Of the shift in the middle of the overlap, the largest of any direction."""
+        return float(np.sqrt(np.linalg.eigvalsh(np.linalg.inv(self.information)[3:, 3:])[-1]))
+
+    def refused(self, why: str) -> Pair:
+        """The pair, not believed."""
+        return replace(self, why_not=why)
+
+
+@dataclass(frozen=True)
+class _Place:
+    fit: np.ndarray
+    overlap: float
+    residual_m: float
+
+
+def from_shapes(first: int, second: int, stations: Sequence[Station], tuning: Tuning) -> Pair | None:
+    """Two stations without a start; None if no place shows at all."""
+    a, b = stations[first], stations[second]
+    places = []
+    for motion in motions(b.shape, a.shape, a.coarse.side, tuning.coarse):
+        fit = refined(a.coarse, b.coarse, motion.target_from_source, tuning.pair)
+        found = met(a.coarse, b.coarse, fit, tuning.pair)
+        places.append(_Place(fit, found.overlap, found.sigma_m))
+    if not places:
+        return None
+    places.sort(key=lambda p: -p.overlap)
+    pair = from_start(first, second, stations, places[0].fit, tuning)
+    if pair.why_not:
+        return pair
+    for place in places[1:]:
+        as_good = place.overlap > tuning.pair.rival * places[0].overlap
+        as_good &= place.residual_m < tuning.pair.rival_residual * places[0].residual_m
+        if as_good and _apart(place.fit, places[0].fit, b.coarse.xyz) > tuning.coarse.apart * a.coarse.side:
+            return pair.refused(
+                f"fits in another place too, overlapping by {place.overlap:.0%} against {places[0].overlap:.0%}"
+            )
+    return pair
+
+
+def _apart(fit: np.ndarray, other: np.ndarray, xyz: np.ndarray) -> float:
+    """The largest distance between points (N, 3) moved by one and the other fit (4, 4)."""
+    return float(np.linalg.norm(transforms.apply(fit, xyz) - transforms.apply(other, xyz), axis=1).max())
+
+
+def from_start(first: int, second: int, stations: Sequence[Station], start: np.ndarray, tuning: Tuning) -> Pair:
+    """Two stations from a start (4, 4), refined level by level and judged at each."""
+    a, b, limits, fit = stations[first], stations[second], tuning.pair, np.asarray(start, float)
+    for target, source in zip(a.levels, b.levels):
+        fit = refined(target, source, fit, limits)
+        found = met(target, source, fit, limits)
+        rough = float(np.hypot(target.rough, source.rough))
+        why = _not_the_same(found, rough, limits)
+        if why:
+            break
+    pair = Pair(
+        first=first,
+        second=second,
+        first_from_second=fit,
+        overlap=found.overlap,
+        residual_m=found.sigma_m,
+        rough_m=rough,
+        middle=np.zeros(3),
+        information=np.eye(6),
+        why_not=why,
+    )
+    if why:
+        return pair
+    fine = held(target, source, fit, found, limits)
+    pair = replace(pair, middle=fine.middle, information=fine.information)
+    coarse = held(a.coarse, b.coarse, fit, met(a.coarse, b.coarse, fit, limits), limits)
+    if coarse.open_share < limits.open_share:
+        return pair.refused(
+            f"the surfaces slide along each other (held to {coarse.open_share:.1g} of what a corner holds)"
+        )
+    if pair.sigma_m > limits.systematic * pair.residual_m:
+        return pair.refused("the distances between the surfaces are no noise: they are not the same surface")
+    return pair
+
+
+def _not_the_same(found: Met, rough: float, limits: PairTuning) -> str:
+    if found.overlap < limits.least_overlap or len(found.source) < limits.least_points:
+        return f"only {found.overlap:.0%} overlap at best"
+    if found.sigma_m > limits.residual * rough:
+        return f"the surfaces differ by {found.sigma_m:.2g} m where they are rough to {rough:.2g} m"
+    return ""

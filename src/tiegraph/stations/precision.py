@@ -1,0 +1,68 @@
+"""How precise points are by their distance: how far they lie from the surfaces that other stations saw."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tiegraph.geometry import transforms
+from tiegraph.stations.pairs import Pair
+from tiegraph.stations.station import Level, Sample, Station
+from tiegraph.stations.tuning import PairTuning, PrecisionTuning, Tuning
+
+
+@dataclass(frozen=True)
+class Band:
+    """Points at some distance from what took them: robust sigma of their distance from the others' surfaces, and the
+    median of the sigma that the shots state (NaN = none), metres."""
+
+    from_m: float
+    to_m: float
+    points: int
+    sigma_m: float
+    stated_m: float
+
+
+def by_distance(stations: Sequence[Station], poses: np.ndarray, pairs: Sequence[Pair], tuning: Tuning) -> list[Band]:
+    """Precision by distance, of the points as measured against the means of many points of another cloud.
+
+    ``poses`` (K, 4, 4) of the shots; [] where no distance is known.
+    """
+    found = [np.zeros((0, 3))]
+    for pair in pairs:
+        for own, other in ((pair.first, pair.second), (pair.second, pair.first)):
+            a, b = stations[own], stations[other]
+            fit = b.shift @ transforms.invert(poses[other]) @ poses[own] @ a.shift_back
+            found.append(_off(a.sample, b.levels[-1], fit, tuning.pair))
+    rows = np.concatenate(found)
+    return _bands(rows[np.isfinite(rows[:, 0])], tuning.precision)
+
+
+def _off(sample: Sample, level: Level, fit: np.ndarray, tuning: PairTuning) -> np.ndarray:
+    """(M, 3) distance from the station, from the other's surface, and sigma stated, of the points that lie on it."""
+    moved = transforms.apply(fit, sample.xyz)
+    away, at = level.tree.query(moved, distance_upper_bound=tuning.meet * level.side)
+    near = np.isfinite(away)
+    off = np.einsum("ij,ij->i", level.normal[at[near]], moved[near] - level.xyz[at[near]])
+    return np.column_stack([sample.distance_m[near], off, sample.sigma_m[near]])
+
+
+def _bands(rows: np.ndarray, tuning: PrecisionTuning) -> list[Band]:
+    """Bands of equal width over what 98 % of the points are in, those with enough of them."""
+    if len(rows) < tuning.least_points:
+        return []
+    low, high = np.percentile(rows[:, 0], [1, 99])
+    edges = np.linspace(low, high, tuning.bands + 1)
+    out = []
+    for low, high in zip(edges, edges[1:]):
+        inside = rows[(rows[:, 0] >= low) & (rows[:, 0] < high)]
+        if len(inside) < tuning.least_points:
+            continue
+        stated = inside[np.isfinite(inside[:, 2]), 2]
+        sigma = 1.4826 * float(np.median(np.abs(inside[:, 1] - np.median(inside[:, 1]))))
+        out.append(
+            Band(float(low), float(high), len(inside), sigma, float(np.median(stated)) if len(stated) else np.nan)
+        )
+    return out

@@ -1,0 +1,97 @@
+"""What stations are joined by: each constant with unit, meaning and origin. Measured on synthetic stations round an
+object, `rgbd_250` and `pandaset` (docs/stations.md)."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from tiegraph.geometry.coarse.tuning import CoarseTuning
+from tiegraph.settings import Section
+
+
+class PairTuning(Section):
+    """Two clouds laid on each other (`pairs.py`, `fine.py`). Lengths are in sides of the coarse voxels."""
+
+    levels: tuple[float, ...] = (1.0, 0.5, 0.25)
+    """Voxels of the refinement, one after another: the last has some 40 000 points a cloud."""
+    reach: float = Field(2.5, gt=0)
+    """To the nearest point at most, in voxels of the level, while it is refined ..."""
+    meet: float = Field(1.2, gt=0)
+    """... and to be counted as overlap: the means of two grids on one surface are at most so far apart."""
+    normal_deg: float = Field(30.0, gt=0, lt=90)
+    """Between the normals of points that meet."""
+    iterations: int = Field(40, ge=1)
+    """Of GICP, a level."""
+    least_overlap: float = Field(0.2, gt=0, lt=1)
+    """Share of the points of the cloud that overlaps more. Stations are planned for 30 to 60 %."""
+    least_points: int = Field(200, ge=20)
+    """Of a thinned cloud that lie on the other, and of a cloud altogether."""
+    residual: float = Field(2.0, gt=1)
+    """Robust sigma of the distances between surfaces over their own roughness, at most."""
+    systematic: float = Field(0.4, gt=0)
+    """Sigma of the shift over that of a residual, at most: where surfaces are not the same, residuals of a whole cell
+    have one sign, and tens of thousands of points hold no better than one."""
+    open_share: float = Field(0.002, gt=0)
+    """Smallest to largest eigenvalue of the equations at the coarse level, below which surfaces slide."""
+    rival: float = Field(0.9, gt=0, le=1)
+    """Overlap of the next best place over that of the best, beyond which a pair fits in two places ..."""
+    rival_residual: float = Field(1.5, ge=1)
+    """... if its residual is no more than so many times the best's."""
+    cells: int = Field(6, ge=2)
+    """Along the longest side of an overlap: points in one cell are taken to err together."""
+
+
+class LoopTuning(Section):
+    """Pairs judged together and adjusted (`loops.py`, `adjust.py`)."""
+
+    close: float = Field(1.0, gt=0)
+    """Loops of three close to this many coarse voxels, as mean motion of the points of a cloud."""
+    alone_overlap: float = Field(0.3, gt=0, lt=1)
+    """Of a pair in no loop, at least."""
+    robust: float = Field(3.0, gt=0)
+    """Sigmas from which on residuals of pairs count less (Cauchy)."""
+    rounds: int = Field(3, ge=1)
+    """Of looking for further overlapping pairs by the poses."""
+
+
+class PrecisionTuning(Section):
+    """How far points lie from other stations' surfaces, by distance (`precision.py`)."""
+
+    asked: int = Field(20_000, gt=0)
+    """Points of a shot that are asked, as they were measured."""
+    bands: int = Field(6, ge=1)
+    """Of distance, at most ..."""
+    least_points: int = Field(200, ge=10)
+    """... with so many points each."""
+
+
+class SpacingTuning(Section):
+    """How far the points of a shot stand apart (`spacing.py`)."""
+
+    asked: int = Field(10_000, gt=0)
+    """Points of a shot that are asked, ..."""
+    bands: int = Field(20, ge=1)
+    """... in so many bands of distance, with equally many points."""
+
+
+class Tuning(Section):
+    """Constants of the engine that are the same for every user."""
+
+    coarse: CoarseTuning = CoarseTuning()
+    """Starts."""
+    pair: PairTuning = PairTuning()
+    """Pairs."""
+    loops: LoopTuning = LoopTuning()
+    """Loops."""
+    precision: PrecisionTuning = PrecisionTuning()
+    """Precision by distance."""
+    spacing: SpacingTuning = SpacingTuning()
+    """Spacing of points."""
+    read: int = Field(400_000, ge=1000)
+    """Points of a cloud that the poses are made of, at most: the finest voxels are 40 000."""
+    all_pairs: int = Field(40, ge=2)
+    """Clouds of which all pairs are tried; of more, those ..."""
+    alike: int = Field(12, ge=1)
+    """... with so many whose shapes are most alike, ..."""
+    following: int = Field(3, ge=0)
+    """... and so many that follow by name."""
