@@ -32,9 +32,10 @@ from tiegraph.geometry import transforms
 from tiegraph.scan.rigfiles.rigfile import read_rig_file
 from tiegraph.scan.tuning import Tuning as ScanTuning
 from tiegraph.scene.cloudfile import read_cloud
+from tiegraph.scene.posefile import read_poses
 
 BOARD = "charuco:12x9:0.025:0.018"
-_INSTANTS, _BOARD_SEED = 60, 2
+_INSTANTS, _BOARD_SEED = 50, 2
 _BLUNDER_MM = 5.0
 _WIDE = world.NAMES.index("wide")
 
@@ -62,10 +63,12 @@ def commands(store: Path, surface: str) -> list[tuple[str, list[str]]]:
     images, out, rig = store / surface / "images", store / surface / "out", store / "rig.toml"
     here = [str(images), "-o", str(out), "--rig", str(rig)]
     depths = ["--near", str(world.NEAR_M), "--far", str(world.FAR_M), "--preset", "close-range"]
+    posed, joined = store / surface / "posed", store / surface / "joined"
     return [
         ("shots", ["shots", *here, *depths]),
         ("poses", ["run", *here, "--until", "georef", "--preset", "close-range"]),
-        ("posed", ["shots", *here, *depths, "--posed", str(store / surface / "posed")]),
+        ("posed", ["shots", *here, *depths, "--posed", str(posed)]),
+        ("stations", ["stations", str(out), "-o", str(joined), "--poses", str(posed / "poses.tum")]),
     ]
 
 
@@ -128,29 +131,40 @@ def truth_of_frames() -> np.ndarray:
 
 
 def judged(store: Path, surface: str) -> dict[str, Any]:
-    """The clouds of a surface against the truth: by themselves, and posed."""
-    shots = {int(p.stem.split("_")[-1]): p for p in sorted((store / surface / "out" / "shots").glob("*.ply"))}
-    own = {k: read_cloud(p).xyz_m for k, p in shots.items()}
-    truth = truth_of_frames()
-    alone = np.concatenate([transforms.apply(truth[k], xyz) for k, xyz in own.items()])
-    out: dict[str, Any] = {"shots": len(own), "shots with true poses": surface_error(alone)}
-    files = {int(p.stem.split("_")[-1]): p for p in sorted((store / surface / "posed").glob("*.laz"))}
-    if len(files) < 3:
-        return {**out, "posed": len(files)}
-    posed = {k: read_cloud(p).xyz_m for k, p in files.items()}
-    poses = np.array([rigid_between(own[k][::50], posed[k][::50]) for k in posed])
-    true = truth[list(posed)]
-    world_from_run = _by_places(poses, true)
-    moved = world_from_run @ poses
+    """The clouds of a surface against the truth: by themselves, posed, and joined."""
+    folder, truth = store / surface, truth_of_frames()
+    shots = {_number(p): read_cloud(p).xyz_m for p in sorted((folder / "out" / "shots").glob("*.ply"))}
+    out: dict[str, Any] = {"shots": len(shots)}
+    if shots:
+        own = np.concatenate([transforms.apply(truth[k], xyz) for k, xyz in shots.items()])
+        out["shots with true poses"] = surface_error(own)
+    for step, poses, clouds in (
+        ("posed", folder / "posed" / "poses.tum", sorted((folder / "posed").glob("*.laz"))),
+        ("joined", folder / "joined" / "stations.tum", [folder / "joined" / "cloud.laz"]),
+    ):
+        out[step] = _placed(poses, clouds) if poses.exists() else None
+    return out
+
+
+def _number(path: Path) -> int:
+    return int(path.stem.split("_")[-1])
+
+
+def _placed(poses: Path, clouds: list[Path]) -> dict[str, Any]:
+    """Poses of shots against the true ones, and clouds in their frame against the surface, both after the rotation and
+    shift that bring the poses to the truth."""
+    found = read_poses(poses)
+    true = truth_of_frames()[found.time_s.round().astype(int)]
+    truth_from_run = _by_places(found.poses, true)
+    moved = truth_from_run @ found.poses
     turned = transforms.angle_deg(moved[:, :3, :3], true[:, :3, :3])
-    together = np.concatenate([transforms.apply(world_from_run, xyz) for xyz in posed.values()])
+    points = np.concatenate([read_cloud(c).xyz_m for c in clouds])
     return {
-        **out,
-        "posed": len(posed),
-        "stations_mm": round(1000 * float(np.sqrt(np.mean((moved[:, :3, 3] - true[:, :3, 3]) ** 2) * 3)), 3),
-        "stations_deg": round(float(np.sqrt(np.mean(turned**2))), 4),
-        "scale_off_%": round(100 * (_size(poses) / _size(true) - 1), 4),
-        "posed shots": surface_error(together),
+        "stations": len(true),
+        "place_rms_mm": round(1000 * float(np.sqrt(np.sum((moved - true)[:, :3, 3] ** 2, axis=1).mean())), 3),
+        "turn_rms_deg": round(float(np.sqrt(np.mean(turned**2))), 4),
+        "scale_off_%": round(100 * (_size(found.poses) / _size(true) - 1), 4),
+        **surface_error(transforms.apply(truth_from_run, points)),
     }
 
 
@@ -185,9 +199,13 @@ def run(store: Path) -> dict[str, Any]:
     spent, _ = said_by(["calibrate", boards, "--board", BOARD, "--wide", "wide", "-o", rig])
     results: dict[str, Any] = {"calibration": {"cpu_s": spent, **calibration(store / "rig.toml")}}
     for surface in world.SURFACES:
-        for folder in ("out", "posed"):
+        for folder in ("out", "posed", "joined"):
             shutil.rmtree(store / surface / folder, ignore_errors=True)
-        steps = {step: said_by(arguments) for step, arguments in commands(store, surface)}
+        steps = {}
+        for step, arguments in commands(store, surface):
+            if step == "stations" and not Path(arguments[-1]).exists():
+                arguments = arguments[:-2]  # no poses: the clouds alone must tell
+            steps[step] = said_by(arguments)
         results[surface] = {
             **registered(store, surface),
             **judged(store, surface),

@@ -13,7 +13,9 @@ from tiegraph.calibrate.board import read_board
 from tiegraph.calibrate.state import State
 from tiegraph.calibrate.tuning import Tuning
 from tiegraph.cli.main import main
+from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
+from tiegraph.pipeline.calibrate import check_wide
 from tiegraph.scan.rigfiles.rigfile import read_rig_file
 from tiegraph.scan.tuning import Tuning as ScanTuning
 
@@ -154,3 +156,11 @@ def test_a_file_that_is_there_is_kept(capsys, tmp_path):
     assert (tmp_path / "rig.toml").read_text() == "mine"
     assert main(["calibrate", str(tmp_path), "--board", WORDS, "-o", str(tmp_path / "rig.yaml")]) == 2
     assert "ends in .toml" in capsys.readouterr().err
+
+
+def test_wide_cameras_must_be_there_and_not_all():
+    check_wide(["cam1"], NAMES)
+    with pytest.raises(InputError, match="--wide fish: no such camera; there are cam0, cam1, cam2"):
+        check_wide(["fish"], NAMES)
+    with pytest.raises(InputError, match="that is every camera"):
+        check_wide(NAMES, NAMES)

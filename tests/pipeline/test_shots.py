@@ -11,6 +11,7 @@ import pytest
 import tiegraph
 from tiegraph.errors import InputError
 from tiegraph.geometry.transforms import invert, rigid
+from tiegraph.pipeline.shots import shot_views
 from tiegraph.scan.rigfiles.rigwrite import write_rig_toml
 from tiegraph.scene.cloudfile import read_cloud
 from tiegraph.scene.rig import Rig, Sensor
@@ -36,12 +37,19 @@ def plane(folder: Path, shots: int) -> None:
             cv2.imwrite(str(folder / name / f"{k:03d}.png"), np.clip(image, 0, 255).astype(np.uint8))
 
 
-def rig_file(path: Path, calibrated: bool = True) -> Path:
+def rig_file(path: Path, calibrated: bool = True, wide: str = "") -> Path:
     params = [FOCAL, FOCAL, SIZE[0] / 2, SIZE[1] / 2]
     camera = pycolmap.Camera(model="PINHOLE", width=SIZE[0], height=SIZE[1], params=params)
     camera.has_prior_focal_length = True
     sensors = tuple(
-        Sensor(n, camera if calibrated else None, rigid(np.eye(3), -np.array(p)), folder=n) for n, p in PLACES.items()
+        Sensor(
+            n,
+            camera if calibrated else None,
+            rigid(np.eye(3), -np.array(p)),
+            role="wide" if n == wide else "side",
+            folder=n,
+        )
+        for n, p in PLACES.items()
     )
     write_rig_toml(Rig("head", sensors, fixed=True), path)
     return path
@@ -128,3 +136,28 @@ def test_shots_with_a_pose_become_laz_in_the_world(tmp_path):
     np.testing.assert_array_equal(cloud.views, own.views)
     with pytest.raises(InputError, match="give a new folder"):
         project.posed_shots(tmp_path / "posed")
+
+
+def test_only_a_wide_camera_is_in_the_scene_and_only_the_others_in_a_shot(tmp_path):
+    plane(tmp_path / "images", 2)
+    rig = rig_file(tmp_path / "rig.toml", wide="b")
+    project = tiegraph.open(tmp_path / "images", tmp_path / "out", rig=rig, pool="serial")
+    project.run("scan")
+    assert project.scene().names == ("b/000.png", "b/001.png")
+    every = Scene.from_json((tmp_path / "out" / "whole.json").read_text())
+    assert len(every) == 6 and [s.name for s in every.rigs[0].sensors] == ["b", "a", "c"]
+    assert all((tmp_path / "out" / "images" / name).exists() for name in every.names)
+    np.testing.assert_array_equal(every.rigs[0].sensors[0].sensor_from_rig, np.eye(4))
+    views = shot_views(every, 1)
+    assert [v.name for v in views] == ["a/001.png", "c/001.png"]
+    np.testing.assert_allclose([invert(v.cam_from_world)[:3, 3] for v in views], [(-0.075, 0, 0), (-0.075, 0.075, 0)])
+    assert project.receipt("scan")["counts"]["hanging"] == 4
+
+
+def test_a_wide_camera_needs_a_calibrated_rig(tmp_path):
+    plane(tmp_path / "images", 1)
+    rig = rig_file(tmp_path / "rig.toml", calibrated=False, wide="b")
+    project = tiegraph.open(tmp_path / "images", tmp_path / "out", rig=rig, pool="serial")
+    with pytest.raises(InputError, match="a hangs on the rig, but its lens is not calibrated"):
+        project.run("scan")
+    assert not (tmp_path / "out" / "scene.json").exists()

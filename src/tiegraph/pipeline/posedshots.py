@@ -15,15 +15,19 @@ from tiegraph.pipeline.files import load_map, load_model, whole
 from tiegraph.pipeline.placed import world_origin, world_unit
 from tiegraph.pipeline.shots import cloud_path, depth_path, shot_views
 from tiegraph.project.run import Run
+from tiegraph.scan.priors.trajectory import write_tum
 from tiegraph.scene.cloudfile import read_cloud, write_cloud
 from tiegraph.scene.colmapmodel import tracks
 from tiegraph.scene.hanging import carries
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import frame_poses, image_poses, rig_from_sensor
 
+POSES = "poses.tum"
+
 
 def posed_shots(run: Run, folder: Path) -> tuple[list[Path], str]:
-    """Write the clouds of the shots whose frames have a pose to ``folder`` as LAZ; their files, and what is to be said.
+    """Write the clouds of the shots whose frames have a pose to ``folder`` as LAZ, and the poses as ``poses.tum`` (time
+    = number of the shot, metres), from which `tiegraph stations` starts; the clouds, and what is to be said.
 
     A model without scale gets that of the shots. Raises InputError without shots, poses or metres, and for a folder
     that is there and not empty.
@@ -59,6 +63,7 @@ def posed_shots(run: Run, folder: Path) -> tuple[list[Path], str]:
     written = _write(run, folder, {f: world_from_rig[f] for f in frames}, scene)
     if not written:
         raise InputError(f"--posed {folder}: none of the {len(frames)} shots has a pose in {run.folder}")
+    write_tum(folder / POSES, np.array(frames, float), world_from_rig[frames])
     return written, said
 
 
