@@ -107,8 +107,8 @@ def body(points: np.ndarray) -> np.ndarray:
     return far - _RADIUS_M - np.sin((points / far[:, None]) @ wave.T + phase) @ height
 
 
-def _normals(points: np.ndarray) -> np.ndarray:
-    """Gradient (P, 3) of the body's function, by differences."""
+def normals(points: np.ndarray) -> np.ndarray:
+    """Gradient (P, 3) of the body's function, by differences: outward, of length about 1."""
     step = 1e-4
     sides = [body(points + step * axis) - body(points - step * axis) for axis in np.eye(3, dtype=points.dtype)]
     return np.stack(sides, axis=1) / (2 * step)
@@ -116,7 +116,7 @@ def _normals(points: np.ndarray) -> np.ndarray:
 
 def distance_m(points: np.ndarray) -> np.ndarray:
     """(P,) signed distance of points (P, 3) to the true surface, positive outside; to first order."""
-    to_body = body(points) / np.linalg.norm(_normals(points), axis=1)
+    to_body = body(points) / np.linalg.norm(normals(points), axis=1)
     others = points[:, 2] - _FLOOR_M, _ROOM_M - np.linalg.norm(points, axis=1)
     each = np.stack([to_body, *others])
     return each[np.abs(each).argmin(axis=0), np.arange(len(points))]
@@ -202,7 +202,7 @@ def images(station: int, camera: int) -> dict[str, np.ndarray]:
     ranges, is_body = hit(start, rays)
     points = start + rays * ranges[:, None]
     normal = np.where((points[:, 2] < _FLOOR_M + 1e-6)[:, None], [0.0, 0, 1], -points / _ROOM_M)
-    normal[is_body] = _normals(points[is_body])
+    normal[is_body] = normals(points[is_body])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     light = 0.55 + 0.35 * np.clip(normal @ (np.array([0.3, 0.5, 0.8]) / np.linalg.norm([0.3, 0.5, 0.8])), 0, 1)
     stone, out = _stone(points.astype(np.float32)), {}
