@@ -80,7 +80,8 @@ def shot_scale(seen: Sequence[Seen], tuning: ShotScaleTuning) -> ShotScale | Non
     medians = np.array([np.median(s) for s in good])
     scale = float(np.median(medians))
     scatter = 1.4826 * float(np.median(np.abs(medians / scale - 1)))
-    return ShotScale(scale, scatter / np.sqrt(len(medians)), sum(map(len, good)), len(medians))
+    sigma = scatter / float(np.sqrt(len(medians)))
+    return ShotScale(metres_per_unit=scale, sigma=sigma, points=sum(map(len, good)), shots=len(medians))
 
 
 def _most_agree(seen: Sequence[Seen], tuning: ShotScaleTuning) -> float | None:

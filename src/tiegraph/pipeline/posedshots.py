@@ -93,5 +93,5 @@ def _scale_by_shots(run: Run, scene: Scene, model: Any, poses: np.ndarray) -> Sh
         for view in shot_views(scene, frame):
             path = depth_path(run.folder, view.name)
             if path.exists():
-                seen.append(Seen(frame, local, mounted[k], load_map(path)))
+                seen.append(Seen(shot=frame, points=local, rig_from_camera=mounted[k], depth=load_map(path)))
     return shot_scale(seen, tuning)

@@ -28,7 +28,7 @@ from tiegraph.scan.tuning import FramesTuning, Tuning
 from tiegraph.scan.twolenses import two_lenses
 from tiegraph.scan.usable import need_two, usable_images
 from tiegraph.scene.exif import Exif
-from tiegraph.scene.hanging import WIDE
+from tiegraph.scene.hanging import wide_first
 from tiegraph.scene.images import IMAGES_FOLDER, Probe, find_images, probe_image
 from tiegraph.scene.names import clean, shortened
 from tiegraph.scene.rig import Rig, Sensor
@@ -188,8 +188,7 @@ def _rigs(
     rigs: list[Rig] = []
     renumber: dict[tuple[int, int], tuple[int, int]] = {}
     for r, spec in enumerate(survey.specs):
-        present = [k for k in range(len(spec.sensors)) if (r, k) in groups]
-        present.sort(key=lambda k: spec.sensors[k].role != WIDE)  # the reference is a camera that has poses
+        present = [k for k in wide_first([s.role for s in spec.sensors]) if (r, k) in groups]
         if not present:
             continue
         sensors: list[Sensor] = []
@@ -211,8 +210,7 @@ def _rigs(
             made = with_lit_circle(made, [probes[s.image] for s in groups[r, k]], tuning.lens_views)
             made = replace(made, sigma_deg=sensor.sigma_deg, sigma_m=sensor.sigma_m)
             sensors.append(replace(made, camera_sigma_px=sensor.camera_sigma_px))
-        there = {s.name for s in sensors}
-        pairs = tuple(p for p in spec.pairs if set(p.sensors) <= there)
+        pairs = tuple(p for p in spec.pairs if set(p.sensors) <= {s.name for s in sensors})
         arm = _antenna(spec, present[0])
         rigs.append(
             Rig(

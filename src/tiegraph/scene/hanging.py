@@ -11,6 +11,7 @@ network sees them, and writes the whole survey to ``whole.json``. ``georef`` han
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -25,6 +26,11 @@ if TYPE_CHECKING:
     import pycolmap
 
 WIDE = "wide"
+
+
+def wide_first(roles: Sequence[str]) -> list[int]:
+    """The order of the sensors of a rig: the wide ones first, for the reference must be one that gets poses."""
+    return sorted(range(len(roles)), key=lambda k: roles[k] != WIDE)
 
 
 def carries(scene: Scene) -> np.ndarray:
