@@ -14,6 +14,8 @@ from tiegraph.geometry import transforms
 from tiegraph.geometry.coarse.shape import Shape, normals, shape_of, side_for, thinned
 from tiegraph.stations.tuning import Tuning
 
+_UPWARDS = np.array([0.36, 0.48, 0.8])  # walls have a side too
+
 
 @dataclass(frozen=True)
 class Shot:
@@ -27,6 +29,13 @@ class Shot:
     sigma_m: np.ndarray | None = None
     known: np.ndarray | None = None
     own_frame: bool = True
+
+    def seen_from(self) -> tuple[np.ndarray, bool]:
+        """(N, 3) directions in which the surface was seen from, and whether that is sure: else towards the origin of
+        the shot's own frame, or in a world upwards."""
+        if self.normal is not None:
+            return self.normal, True
+        return -self.xyz if self.own_frame else np.broadcast_to(_UPWARDS, self.xyz.shape), False
 
 
 @dataclass(frozen=True)
@@ -95,7 +104,7 @@ def station_of(shot: Shot, side: float, tuning: Tuning) -> Station:
     """Make a shot ready. Raises ValueError if too few points are left of it."""
     middle = np.median(shot.xyz, axis=0)
     xyz = shot.xyz - middle
-    shape = shape_of(xyz, side, tuning.coarse, shot.normal)
+    shape = shape_of(xyz, side, tuning.coarse, *shot.seen_from())
     if len(shape.xyz) < tuning.pair.least_points:
         raise ValueError(
             f"only {len(shape.xyz)} voxels of {side:.3g} m have points: its surface is too small beside the others'"
