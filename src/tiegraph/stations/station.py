@@ -40,10 +40,11 @@ class Shot:
 
 @dataclass(frozen=True)
 class Sample:
-    """Some points as measured (M, 3), about the middle of the cloud, with their distance from what took them and the
-    sigma they state (M,), metres, NaN = unknown."""
+    """Some points as measured (M, 3), about the middle of the cloud; their lines of sight (M, 3), distance from what
+    took them and the sigma they state (M,), metres; NaN = unknown."""
 
     xyz: np.ndarray
+    ray: np.ndarray
     distance_m: np.ndarray
     sigma_m: np.ndarray
 
@@ -129,9 +130,15 @@ def station_of(shot: Shot, side: float, tuning: Tuning) -> Station:
 
 def _sample(shot: Shot, middle: np.ndarray, most: int) -> Sample:
     some = slice(None, None, max(1, len(shot.xyz) // most))
-    xyz, unknown = shot.xyz[some], np.full(len(shot.xyz), np.nan)
-    distance = np.linalg.norm(xyz, axis=1) if shot.own_frame else unknown[some]
-    return Sample(xyz - middle, distance, (unknown if shot.sigma_m is None else shot.sigma_m)[some])
+    xyz = shot.xyz[some]
+    unknown = np.full(len(xyz), np.nan)
+    distance = np.linalg.norm(xyz, axis=1) if shot.own_frame else unknown
+    return Sample(
+        xyz=xyz - middle,
+        ray=xyz / np.maximum(distance, 1e-12)[:, None],
+        distance_m=distance,
+        sigma_m=unknown if shot.sigma_m is None else shot.sigma_m[some],
+    )
 
 
 def engine() -> Any:

@@ -59,6 +59,8 @@ class PrecisionTuning(Section):
 
     asked: int = Field(20_000, gt=0)
     """Points of a shot that are asked, as they were measured."""
+    oblique_deg: float = Field(60.0, gt=0, lt=90)
+    """Between line of sight and surface normal, at most."""
     bands: int = Field(6, ge=1)
     """Of distance, at most ..."""
     least_points: int = Field(200, ge=10)
