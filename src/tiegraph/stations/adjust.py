@@ -33,7 +33,8 @@ def adjusted(members: list[int], pairs: list[Pair], count: int, tuning: LoopTuni
     """Adjust the stations that hang together; the first of ``members`` is held at its own frame."""
     start = _along_tree(members, pairs, count)
     if len(members) == 1:
-        return Part(members, [], start, np.full((count, 6, 6), np.nan), np.zeros((0, 2)))
+        unknown = np.full((count, 6, 6), np.nan)
+        return Part(members=members, pairs=[], poses=start, covariance=unknown, loop_m=np.zeros((0, 2)))
     free = {station: 6 * k for k, station in enumerate(members[1:])}
     roots = [np.linalg.cholesky(p.information).T for p in pairs]
     poses = start

@@ -68,7 +68,7 @@ def met(target: Level, source: Level, fit: np.ndarray, tuning: PairTuning) -> Me
     other = float(np.isfinite(source.tree.query(back, distance_upper_bound=reach)[0]).mean()) if len(rows) else 0.0
     share = len(rows) / len(source.xyz)
     overlap = max(share, min(other, share * len(source.xyz) / len(target.xyz)))
-    return Met(rows, planes, residual, overlap)
+    return Met(source=rows, target=planes, residual_m=residual, overlap=overlap)
 
 
 @dataclass(frozen=True)

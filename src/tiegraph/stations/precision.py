@@ -68,6 +68,12 @@ def _bands(rows: np.ndarray, tuning: PrecisionTuning) -> list[Band]:
         stated = inside[np.isfinite(inside[:, 2]), 2]
         sigma = 1.4826 * float(np.median(np.abs(inside[:, 1] - np.median(inside[:, 1]))))
         out.append(
-            Band(float(low), float(high), len(inside), sigma, float(np.median(stated)) if len(stated) else np.nan)
+            Band(
+                from_m=float(low),
+                to_m=float(high),
+                points=len(inside),
+                sigma_m=sigma,
+                stated_m=float(np.median(stated)) if len(stated) else np.nan,
+            )
         )
     return out

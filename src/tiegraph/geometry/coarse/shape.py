@@ -71,7 +71,8 @@ def shape_of(xyz: np.ndarray, side: float, tuning: CoarseTuning, towards: np.nda
     places, side_meant = thinned(xyz, side, towards)
     normal = normals(places, tuning.normal_neighbours)
     normal *= np.where(_dot(normal, np.asarray(side_meant)) < 0, -1.0, 1.0)[:, None]
-    return Shape(places, normal, _fpfh(places, normal, side * tuning.radius, tuning.neighbours), oriented)
+    described = _fpfh(places, normal, side * tuning.radius, tuning.neighbours)
+    return Shape(xyz=places, normal=normal, described=described, oriented=oriented)
 
 
 def _fpfh(xyz: np.ndarray, normal: np.ndarray, radius: float, neighbours: int) -> np.ndarray:
