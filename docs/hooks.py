@@ -23,6 +23,7 @@ CHAPTERS += (
     "odometry",
     "watch",
     "targets",
+    "stations",
     "scene",
     "geometry",
     "papers",

@@ -96,6 +96,7 @@ def test_every_setting_is_documented():
     from tiegraph.plan.tuning import Tuning as PlanTuning
     from tiegraph.project.settings import STAGED, Settings, Tunings
     from tiegraph.settings import Section
+    from tiegraph.stations.tuning import Tuning as StationsTuning
     from tiegraph.watch.tuning import Tuning as WatchTuning
 
     def check(where: str, section: Section) -> None:
@@ -117,6 +118,7 @@ def test_every_setting_is_documented():
     check("tuning.lidar", LidarTuning())
     check("tuning.odometry", OdometryTuning())
     check("tuning.watch", WatchTuning())
+    check("tuning.stations", StationsTuning())
 
 
 def test_stages_settings_and_verbs_have_one_name():

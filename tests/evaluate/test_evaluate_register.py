@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 from tiegraph.evaluate.clouds.register import register
 from tiegraph.evaluate.tuning import RegistrationTuning
 from tiegraph.geometry.align import Similarity
+from tiegraph.geometry.coarse.start import start_of
 
 TUNING = RegistrationTuning(rounds=10)
 
@@ -48,3 +49,24 @@ def test_what_slides_or_does_not_meet_is_refused() -> None:
         register(three[three[:, 0] < 29], three, TUNING, with_scale=True)
     with pytest.raises(ValueError, match="0 of .* too far apart for a fine registration"):
         register(wall + 100, wall, TUNING)
+
+
+@pytest.mark.slow
+def test_a_cloud_far_off_comes_back_from_a_coarse_start() -> None:
+    """Turned by 130 degrees and 50 m off; a part of the reference only."""
+    rng = np.random.default_rng(3)
+    boxes = [room(1) * size + place for size, place in (((1, 1, 1), (0, 0, 0)), ((0.2, 0.3, 0.5), (9, 4, 0)),
+                                                        ((0.15, 0.2, 0.9), (20, 6, 0)))]  # fmt: skip
+    reference = np.vstack(boxes)
+    cloud = reference[(reference[:, 0] < 24) & (rng.random(len(reference)) < 0.7)]
+    true = Similarity(1.0, Rotation.from_rotvec([0.2, 0.1, 2.25]).as_matrix(), np.array([50.0, -20.0, 3.0]))
+    moved = (cloud - true.translation) @ true.rotation
+    start = start_of(moved, reference, TUNING.coarse)
+    found = register(moved, reference, TUNING, start=start)
+    off = np.linalg.norm(found.fit(moved) - cloud, axis=1)
+    assert off.max() < 0.01 < 0.1 < np.linalg.norm(moved - cloud, axis=1).min()
+    assert 0.9 < start.share > start.rival + 0.02 and start.matches > 10
+    rows = {name: value for name, value, _ in found.table()["rows"]}
+    assert rows["coarse start: consistent matches"] == start.matches
+    with pytest.raises(ValueError, match="stand in one place"):
+        start_of(np.ones((9, 3)), reference, TUNING.coarse)

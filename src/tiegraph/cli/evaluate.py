@@ -31,6 +31,7 @@ def _clouds(arguments: list[str]) -> int:
         reference: tyro.conf.Positional[Path],
         distances_m: tuple[float, ...] = (),
         register: Register = "none",
+        coarse: bool = False,
         out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
     ) -> tuple[tuple[Path, Path], Path | None, Question]:
         """How near a point cloud is to a reference cloud; of any size, tile by tile.
@@ -42,9 +43,10 @@ def _clouds(arguments: list[str]) -> int:
                 fit the cloud's spacing).
             register: Lay the cloud on the reference first, by ICP: as a rigid motion or with its scale. What was
                 found is part of the result.
+            coarse: The cloud is far off or turned: start the registration by the shapes of both.
             out: Folder for metrics.json, the map of differences and both clouds with their distances.
         """
-        return (cloud, reference), out, Question(distances_m=distances_m, register=register)
+        return (cloud, reference), out, Question(distances_m=distances_m, register=register, coarse=coarse)
 
     files, out, question = options_of(evaluate, "tiegraph evaluate", arguments)
     result = evaluate_clouds(files, out, question)

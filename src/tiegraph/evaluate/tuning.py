@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
+from tiegraph.geometry.coarse.tuning import CoarseTuning
 from tiegraph.settings import Section
 
 
@@ -68,6 +69,8 @@ class M3c2Tuning(Section):
 class RegistrationTuning(Section):
     """A cloud laid on another by ICP (`clouds/register.py`)."""
 
+    coarse: CoarseTuning = CoarseTuning()
+    """A start by the clouds' shapes."""
     points: int = Field(200_000, gt=0)
     """Of either cloud that take part, at most."""
     normal_neighbours: int = Field(20, ge=3)

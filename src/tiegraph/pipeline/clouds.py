@@ -31,6 +31,8 @@ def evaluate_clouds(files: tuple[Path, Path], out: Path | None, question: Questi
     for distance in question.distances_m:
         if not 0 < distance < np.inf:
             raise InputError(f"--distances-m {distance:g}: give metres above 0")
+    if question.coarse and question.register == "none":
+        raise InputError("--coarse starts a registration: add --register rigid or --register similarity")
     own, truth = (open_cloud(path) for path in files)
     notes = [] if out is None else [f"written: {out}"]
     if own.crs and truth.crs and own.crs != truth.crs:

@@ -6,13 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import least_squares
-from scipy.sparse import lil_matrix
 from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import transforms
 from tiegraph.stations.pairs import Pair
 from tiegraph.stations.tuning import LoopTuning
+
+_ITERATIONS, _STILL = 50, 1e-9  # rad and metres
+_DIFFERENCE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -32,34 +33,51 @@ def adjusted(members: list[int], pairs: list[Pair], count: int, tuning: LoopTuni
     """Adjust the stations that hang together; the first of ``members`` is held at its own frame."""
     start = _along_tree(members, pairs, count)
     if len(members) == 1:
-        return Part(members, [], start, np.full((count, 6, 6), np.nan), np.zeros((0, 2)))
-    free = {station: k for k, station in enumerate(members[1:])}
+        unknown = np.full((count, 6, 6), np.nan)
+        return Part(members=members, pairs=[], poses=start, covariance=unknown, loop_m=np.zeros((0, 2)))
+    free = {station: 6 * k for k, station in enumerate(members[1:])}
     roots = [np.linalg.cholesky(p.information).T for p in pairs]
+    poses = start
+    for _ in range(_ITERATIONS):
+        jacobian, residual = _equations(pairs, roots, poses, free)
+        # Cauchy's weight, of all six of a pair together.
+        far = np.sum(residual.reshape(-1, 6) ** 2, axis=1) / (6 * tuning.robust**2)
+        weight = np.repeat(1 / (1 + far), 6)
+        step = -np.linalg.lstsq(jacobian * np.sqrt(weight)[:, None], residual * np.sqrt(weight), rcond=None)[0]
+        poses = _moved(poses, free, step)
+        if np.abs(step).max() < _STILL:
+            break
+    jacobian, residual = _equations(pairs, roots, poses, free)
+    loops = np.array([[np.linalg.norm(_off(p, q)[3:]) for q in (start, poses)] for p in pairs])
+    covariance = _covariances(jacobian, residual, free, members[0], count)
+    return Part(members=members, pairs=pairs, poses=poses, covariance=covariance, loop_m=loops)
 
-    def poses_of(x: np.ndarray) -> np.ndarray:
-        out = start.copy()
-        for station, k in free.items():
-            out[station, :3, :3] = Rotation.from_rotvec(x[6 * k : 6 * k + 3]).as_matrix() @ start[station, :3, :3]
-            out[station, :3, 3] += x[6 * k + 3 : 6 * k + 6]
-        return out
 
-    def residuals(x: np.ndarray) -> np.ndarray:
-        poses = poses_of(x)
-        return np.concatenate([root @ _off(p, poses) for p, root in zip(pairs, roots)])
-
-    x = np.zeros(6 * len(free))
-    shape = lil_matrix((6 * len(pairs), len(x)), dtype=np.int8)
-    for n, pair in enumerate(pairs):
+def _equations(
+    pairs: Sequence[Pair], roots: Sequence[np.ndarray], poses: np.ndarray, free: dict[int, int]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Jacobian (6 P, 6 F), by differences, and residuals (6 P,) of the pairs, in sigmas."""
+    jacobian = np.zeros((6 * len(pairs), 6 * len(free)))
+    residual = np.empty(6 * len(pairs))
+    for n, (pair, root) in enumerate(zip(pairs, roots)):
+        rows = slice(6 * n, 6 * n + 6)
+        here = _off(pair, poses)
+        residual[rows] = root @ here
         for station in (pair.first, pair.second):
             if station in free:
-                shape[6 * n : 6 * n + 6, 6 * free[station] : 6 * free[station] + 6] = 1
-    found = least_squares(
-        residuals, x, jac_sparsity=shape, loss="cauchy", f_scale=tuning.robust, x_scale="jac", method="trf"
-    )
-    poses = poses_of(found.x)
-    loops = np.array([[np.linalg.norm(_off(p, q)[3:]) for q in (start, poses)] for p in pairs])
-    covariance = _covariances(found.jac.toarray(), residuals(found.x), free, members[0], count)
-    return Part(members=members, pairs=pairs, poses=poses, covariance=covariance, loop_m=loops)
+                for k in range(6):
+                    there = _off(pair, _moved(poses, {station: 0}, _DIFFERENCE * np.eye(6)[k]))
+                    jacobian[rows, free[station] + k] = root @ (there - here) / _DIFFERENCE
+    return jacobian, residual
+
+
+def _moved(poses: np.ndarray, free: dict[int, int], step: np.ndarray) -> np.ndarray:
+    """Poses turned about their stations' middles and shifted by steps (6 F,)."""
+    out = poses.copy()
+    for station, k in free.items():
+        out[station, :3, :3] = Rotation.from_rotvec(step[k : k + 3]).as_matrix() @ poses[station, :3, :3]
+        out[station, :3, 3] += step[k + 3 : k + 6]
+    return out
 
 
 def _along_tree(members: Sequence[int], pairs: Sequence[Pair], count: int) -> np.ndarray:
@@ -94,5 +112,5 @@ def _covariances(jacobian: np.ndarray, residual: np.ndarray, free: dict[int, int
     factor = max(1.0, float(residual @ residual) / more) if more > 0 else 1.0
     every = factor * np.linalg.pinv(jacobian.T @ jacobian)
     for station, k in free.items():
-        out[station] = every[6 * k : 6 * k + 6, 6 * k : 6 * k + 6]
+        out[station] = every[k : k + 6, k : k + 6]
     return out

@@ -28,6 +28,10 @@ class Met:
         """Robust sigma of the residuals."""
         return 1.4826 * float(np.median(np.abs(self.residual_m))) if len(self.residual_m) else np.inf
 
+    def agree(self, limit_m: float) -> float:
+        """The overlap that agrees to within a limit."""
+        return self.overlap * float(np.mean(np.abs(self.residual_m) < limit_m)) if len(self.residual_m) else 0.0
+
 
 def refined(target: Level, source: Level, start: np.ndarray, tuning: PairTuning) -> np.ndarray:
     """target_from_source (4, 4) after GICP from a start."""
@@ -64,7 +68,7 @@ def met(target: Level, source: Level, fit: np.ndarray, tuning: PairTuning) -> Me
     other = float(np.isfinite(source.tree.query(back, distance_upper_bound=reach)[0]).mean()) if len(rows) else 0.0
     share = len(rows) / len(source.xyz)
     overlap = max(share, min(other, share * len(source.xyz) / len(target.xyz)))
-    return Met(rows, planes, residual, overlap)
+    return Met(source=rows, target=planes, residual_m=residual, overlap=overlap)
 
 
 @dataclass(frozen=True)

@@ -40,34 +40,25 @@ class Pair:
         return replace(self, why_not=why)
 
 
-@dataclass(frozen=True)
-class _Place:
-    fit: np.ndarray
-    overlap: float
-    residual_m: float
-
-
 def from_shapes(first: int, second: int, stations: Sequence[Station], tuning: Tuning) -> Pair | None:
     """Two stations without a start; None if no place shows at all."""
     a, b = stations[first], stations[second]
+    limit = tuning.pair.residual * float(np.hypot(a.coarse.rough, b.coarse.rough))
     places = []
     for motion in motions(b.shape, a.shape, a.coarse.side, tuning.coarse):
         fit = refined(a.coarse, b.coarse, motion.target_from_source, tuning.pair)
-        found = met(a.coarse, b.coarse, fit, tuning.pair)
-        places.append(_Place(fit, found.overlap, found.sigma_m))
+        places.append((met(a.coarse, b.coarse, fit, tuning.pair).agree(limit), fit))
     if not places:
         return None
-    places.sort(key=lambda p: -p.overlap)
-    pair = from_start(first, second, stations, places[0].fit, tuning)
+    places.sort(key=lambda p: -p[0])
+    (agree, best), others = places[0], places[1:]
+    pair = from_start(first, second, stations, best, tuning)
     if pair.why_not:
         return pair
-    for place in places[1:]:
-        as_good = place.overlap > tuning.pair.rival * places[0].overlap
-        as_good &= place.residual_m < tuning.pair.rival_residual * places[0].residual_m
-        if as_good and _apart(place.fit, places[0].fit, b.coarse.xyz) > tuning.coarse.apart * a.coarse.side:
-            return pair.refused(
-                f"fits in another place too, overlapping by {place.overlap:.0%} against {places[0].overlap:.0%}"
-            )
+    apart = tuning.coarse.apart * a.coarse.side
+    rival = max((share for share, fit in others if _apart(fit, best, b.coarse.xyz) > apart), default=0.0)
+    if rival > tuning.pair.rival * agree:
+        return pair.refused(f"fits in another place too: {agree:.0%} of the surface agree here, {rival:.0%} there")
     return pair
 
 

@@ -1,4 +1,4 @@
-"""How precise points are by their distance: how far they lie from the surfaces that other stations saw."""
+"""How precise points are by their distance: how far, along the line of sight, from surfaces that others saw."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ import numpy as np
 from tiegraph.geometry import transforms
 from tiegraph.stations.pairs import Pair
 from tiegraph.stations.station import Level, Sample, Station
-from tiegraph.stations.tuning import PairTuning, PrecisionTuning, Tuning
+from tiegraph.stations.tuning import PrecisionTuning, Tuning
 
 
 @dataclass(frozen=True)
 class Band:
-    """Points at some distance from what took them: robust sigma of their distance from the others' surfaces, and the
-    median of the sigma that the shots state (NaN = none), metres."""
+    """Points at some distance from what took them: robust sigma of their distance along the line of sight from the
+    others' surfaces, and the median of the sigma that the shots state (NaN = none), metres."""
 
     from_m: float
     to_m: float
@@ -35,18 +35,23 @@ def by_distance(stations: Sequence[Station], poses: np.ndarray, pairs: Sequence[
         for own, other in ((pair.first, pair.second), (pair.second, pair.first)):
             a, b = stations[own], stations[other]
             fit = b.shift @ transforms.invert(poses[other]) @ poses[own] @ a.shift_back
-            found.append(_off(a.sample, b.levels[-1], fit, tuning.pair))
+            found.append(_off(a.sample, b.levels[-1], fit, tuning))
     rows = np.concatenate(found)
     return _bands(rows[np.isfinite(rows[:, 0])], tuning.precision)
 
 
-def _off(sample: Sample, level: Level, fit: np.ndarray, tuning: PairTuning) -> np.ndarray:
-    """(M, 3) distance from the station, from the other's surface, and sigma stated, of the points that lie on it."""
+def _off(sample: Sample, level: Level, fit: np.ndarray, tuning: Tuning) -> np.ndarray:
+    """(M, 3) distance from the station, along the line of sight from the other's surface, and sigma stated, of the
+    points that lie on it and see it not too obliquely."""
     moved = transforms.apply(fit, sample.xyz)
-    away, at = level.tree.query(moved, distance_upper_bound=tuning.meet * level.side)
-    near = np.isfinite(away)
-    off = np.einsum("ij,ij->i", level.normal[at[near]], moved[near] - level.xyz[at[near]])
-    return np.column_stack([sample.distance_m[near], off, sample.sigma_m[near]])
+    away, at = level.tree.query(moved, distance_upper_bound=tuning.pair.meet * level.side)
+    near = np.flatnonzero(np.isfinite(away))
+    normal = level.normal[at[near]]
+    sight = sample.ray[near] @ fit[:3, :3].T
+    straight = np.abs(np.einsum("ij,ij->i", normal, sight))
+    off = np.einsum("ij,ij->i", normal, moved[near] - level.xyz[at[near]])
+    seen = straight > np.cos(np.radians(tuning.precision.oblique_deg))
+    return np.column_stack([sample.distance_m[near], off / np.maximum(straight, 1e-3), sample.sigma_m[near]])[seen]
 
 
 def _bands(rows: np.ndarray, tuning: PrecisionTuning) -> list[Band]:
@@ -63,6 +68,12 @@ def _bands(rows: np.ndarray, tuning: PrecisionTuning) -> list[Band]:
         stated = inside[np.isfinite(inside[:, 2]), 2]
         sigma = 1.4826 * float(np.median(np.abs(inside[:, 1] - np.median(inside[:, 1]))))
         out.append(
-            Band(float(low), float(high), len(inside), sigma, float(np.median(stated)) if len(stated) else np.nan)
+            Band(
+                from_m=float(low),
+                to_m=float(high),
+                points=len(inside),
+                sigma_m=sigma,
+                stated_m=float(np.median(stated)) if len(stated) else np.nan,
+            )
         )
     return out

@@ -14,6 +14,8 @@ from tiegraph.geometry import transforms
 from tiegraph.geometry.coarse.shape import Shape, normals, shape_of, side_for, thinned
 from tiegraph.stations.tuning import Tuning
 
+_UPWARDS = np.array([0.36, 0.48, 0.8])  # walls have a side too
+
 
 @dataclass(frozen=True)
 class Shot:
@@ -28,13 +30,21 @@ class Shot:
     known: np.ndarray | None = None
     own_frame: bool = True
 
+    def seen_from(self) -> tuple[np.ndarray, bool]:
+        """(N, 3) directions in which the surface was seen from, and whether that is sure: else towards the origin of
+        the shot's own frame, or in a world upwards."""
+        if self.normal is not None:
+            return self.normal, True
+        return -self.xyz if self.own_frame else np.broadcast_to(_UPWARDS, self.xyz.shape), False
+
 
 @dataclass(frozen=True)
 class Sample:
-    """Some points as measured (M, 3), about the middle of the cloud, with their distance from what took them and the
-    sigma they state (M,), metres, NaN = unknown."""
+    """Some points as measured (M, 3), about the middle of the cloud; their lines of sight (M, 3), distance from what
+    took them and the sigma they state (M,), metres; NaN = unknown."""
 
     xyz: np.ndarray
+    ray: np.ndarray
     distance_m: np.ndarray
     sigma_m: np.ndarray
 
@@ -95,7 +105,7 @@ def station_of(shot: Shot, side: float, tuning: Tuning) -> Station:
     """Make a shot ready. Raises ValueError if too few points are left of it."""
     middle = np.median(shot.xyz, axis=0)
     xyz = shot.xyz - middle
-    shape = shape_of(xyz, side, tuning.coarse, shot.normal)
+    shape = shape_of(xyz, side, tuning.coarse, *shot.seen_from())
     if len(shape.xyz) < tuning.pair.least_points:
         raise ValueError(
             f"only {len(shape.xyz)} voxels of {side:.3g} m have points: its surface is too small beside the others'"
@@ -120,9 +130,15 @@ def station_of(shot: Shot, side: float, tuning: Tuning) -> Station:
 
 def _sample(shot: Shot, middle: np.ndarray, most: int) -> Sample:
     some = slice(None, None, max(1, len(shot.xyz) // most))
-    xyz, unknown = shot.xyz[some], np.full(len(shot.xyz), np.nan)
-    distance = np.linalg.norm(xyz, axis=1) if shot.own_frame else unknown[some]
-    return Sample(xyz - middle, distance, (unknown if shot.sigma_m is None else shot.sigma_m)[some])
+    xyz = shot.xyz[some]
+    unknown = np.full(len(xyz), np.nan)
+    distance = np.linalg.norm(xyz, axis=1) if shot.own_frame else unknown
+    return Sample(
+        xyz=xyz - middle,
+        ray=xyz / np.maximum(distance, 1e-12)[:, None],
+        distance_m=distance,
+        sigma_m=unknown if shot.sigma_m is None else shot.sigma_m[some],
+    )
 
 
 def engine() -> Any:

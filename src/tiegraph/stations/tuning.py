@@ -31,12 +31,12 @@ class PairTuning(Section):
     systematic: float = Field(0.4, gt=0)
     """Sigma of the shift over that of a residual, at most: where surfaces are not the same, residuals of a whole cell
     have one sign, and tens of thousands of points hold no better than one."""
-    open_share: float = Field(0.002, gt=0)
-    """Smallest to largest eigenvalue of the equations at the coarse level, below which surfaces slide."""
-    rival: float = Field(0.9, gt=0, le=1)
-    """Overlap of the next best place over that of the best, beyond which a pair fits in two places ..."""
-    rival_residual: float = Field(1.5, ge=1)
-    """... if its residual is no more than so many times the best's."""
+    open_share: float = Field(0.001, gt=0)
+    """Smallest to largest eigenvalue of the equations at the coarse level, below which surfaces slide: a plane, a
+    sphere, a cylinder and an edge have 0.00007 to 0.0004, a relief of 10 mm on 0.4 m has 0.0024, objects 0.007."""
+    rival: float = Field(0.7, gt=0, le=1)
+    """Share of the surface that agrees in the next best place over that in the best, beyond which a pair fits in
+    two: a surface of eight equal waves, shifted by one, has 0.75 to 0.85, other places of bumpy objects 0.5."""
     cells: int = Field(6, ge=2)
     """Along the longest side of an overlap: points in one cell are taken to err together."""
 
@@ -59,6 +59,8 @@ class PrecisionTuning(Section):
 
     asked: int = Field(20_000, gt=0)
     """Points of a shot that are asked, as they were measured."""
+    oblique_deg: float = Field(60.0, gt=0, lt=90)
+    """Between line of sight and surface normal, at most."""
     bands: int = Field(6, ge=1)
     """Of distance, at most ..."""
     least_points: int = Field(200, ge=10)

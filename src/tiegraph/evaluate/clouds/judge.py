@@ -14,6 +14,7 @@ from tiegraph.evaluate.clouds.nearest import Cameras, CloudComparison, cloud_to_
 from tiegraph.evaluate.clouds.register import Registration, register
 from tiegraph.evaluate.clouds.tiles import tile_clouds
 from tiegraph.evaluate.tuning import Tuning
+from tiegraph.geometry.coarse.start import start_of
 from tiegraph.scene.cloudchunks import PointSource
 from tiegraph.scene.results import Metric
 
@@ -23,13 +24,15 @@ Register = Literal["none", "rigid", "similarity"]
 @dataclass(frozen=True)
 class Question:
     """What is asked: distances (none: by ``gsd_m``, else by the cloud's spacing), cameras in the reference's frame with
-    the range in which they count, and how the cloud is registered first."""
+    the range in which they count, how the cloud is registered first, and whether from a start by shapes (``coarse``)
+    because it is far off."""
 
     distances_m: tuple[float, ...] = ()
     gsd_m: float | None = None
     cameras: Cameras | None = None
     range_m: float | None = None
     register: Register = "none"
+    coarse: bool = False
 
 
 @dataclass(frozen=True)
@@ -77,7 +80,8 @@ def judge_cloud(
     try:
         if question.register != "none":
             some = [source.sample(tuning.registration.points) for source in (cloud, reference)]
-            fitted = register(some[0], some[1], tuning.registration, question.register == "similarity")
+            start = start_of(some[0], some[1], tuning.registration.coarse) if question.coarse else None
+            fitted = register(some[0], some[1], tuning.registration, question.register == "similarity", start)
             cloud = cloud.moved(fitted.fit, cloud.crs)
             cameras = cameras and Cameras(fitted.fit(cameras.centres), cameras.section)
         clouds = tile_clouds(cloud, reference, scratch, tuning.cloud)

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from tiegraph.evaluate.tuning import RegistrationTuning
 from tiegraph.geometry.align import Similarity
+from tiegraph.geometry.coarse.start import Start
 from tiegraph.geometry.placement import PlacementError
 
 _PARTS, _CELLS = 10, 20  # of the jackknife: each a tenth of the cells, of which the survey's length has so many
@@ -23,12 +24,13 @@ _NAMES = ("turn about x", "turn about y", "turn about z", "x", "y", "z", "scale"
 @dataclass(frozen=True)
 class Registration:
     """``fit`` takes the cloud to the reference; ``error`` its covariance; ``residual_m`` robust sigma of a point's
-    distance from the surface; ``used`` the share of the points that has a partner."""
+    distance from the surface; ``used`` the share of the points that has a partner; ``start`` by shapes, if any."""
 
     fit: Similarity
     error: PlacementError
     residual_m: float
     used: float
+    start: Start | None = None
 
     def sigma_along(self, xyz: np.ndarray, normal: np.ndarray) -> np.ndarray:
         """(N,) what the fit leaves uncertain at points (N, 3) along normals (N, 3), metres."""
@@ -46,6 +48,12 @@ class Registration:
             ["residual (robust sigma), m", self.residual_m, None],
             ["points with a partner, %", 100 * self.used, None],
         ]
+        if self.start is not None:
+            rows += [
+                ["coarse start: consistent matches", self.start.matches, None],
+                ["coarse start: points near the reference, %", 100 * self.start.share, None],
+                ["coarse start: the same in the next best place, %", 100 * self.start.rival, None],
+            ]
         return {"columns": ["of the registration", "value", "sigma"], "rows": rows}
 
 
@@ -54,13 +62,15 @@ def register(
     reference: np.ndarray,
     tuning: RegistrationTuning,
     with_scale: bool = False,
-    start: Similarity | None = None,
+    start: Start | None = None,
 ) -> Registration:
-    """Lay a cloud (N, 3) on a reference (M, 3) from a start (None: as they are).
+    """Lay a cloud (N, 3) on a reference (M, 3) from a start by their shapes (None: as they are).
 
     Raises ValueError if too few points meet, or their surfaces leave a direction open (a plane slides in itself).
     """
-    fit = start or Similarity(1.0, np.eye(3), np.zeros(3))
+    fit = Similarity(1.0, np.eye(3), np.zeros(3))
+    if start is not None:
+        fit = Similarity(1.0, start.target_from_source[:3, :3], start.target_from_source[:3, 3])
     tree = cKDTree(reference)
     normal = _normals(reference, tree, tuning.normal_neighbours)
     spacing = float(np.median(tree.query(reference[:: max(1, len(reference) // 5000)], k=2)[0][:, 1]))
@@ -78,7 +88,9 @@ def register(
     pairs = _meet(fit(cloud), tree, normal, tuning.reach_spacings[-1] * spacing, tuning, middle, unit)
     covariance = np.zeros((7, 7))
     covariance[:unknowns, :unknowns] = pairs.covariance() * np.outer(unit, unit)
-    return Registration(fit=fit, error=PlacementError(middle, covariance), residual_m=pairs.sigma, used=pairs.share)
+    return Registration(
+        fit=fit, error=PlacementError(middle, covariance), residual_m=pairs.sigma, used=pairs.share, start=start
+    )
 
 
 @dataclass(frozen=True)

@@ -65,16 +65,14 @@ def normals(xyz: np.ndarray, neighbours: int) -> np.ndarray:
     return out
 
 
-def shape_of(xyz: np.ndarray, side: float, tuning: CoarseTuning, towards: np.ndarray | None = None) -> Shape:
-    """Describe a cloud (N, 3) thinned to voxels of a side; ``towards`` (N, 3): directions in which the surface was seen
-    from, such as the normals of the cloud's file."""
-    places, seen_from = thinned(xyz, side, towards)
+def shape_of(xyz: np.ndarray, side: float, tuning: CoarseTuning, towards: np.ndarray, oriented: bool) -> Shape:
+    """Describe a cloud (N, 3) thinned to voxels of a side; ``towards`` (N, 3): the side of the surface that is meant,
+    at least the same for neighbours; ``oriented``: that from which it was seen."""
+    places, side_meant = thinned(xyz, side, towards)
     normal = normals(places, tuning.normal_neighbours)
-    oriented = seen_from is not None and bool(np.any(seen_from))
-    # Without knowledge: away from the middle, which is at least the same for neighbours of a surface.
-    outwards = seen_from if oriented and seen_from is not None else places - places.mean(axis=0)
-    normal *= np.where(np.einsum("ij,ij->i", normal, outwards) < 0, -1.0, 1.0)[:, None]
-    return Shape(places, normal, _fpfh(places, normal, side * tuning.radius, tuning.neighbours), oriented)
+    normal *= np.where(_dot(normal, np.asarray(side_meant)) < 0, -1.0, 1.0)[:, None]
+    described = _fpfh(places, normal, side * tuning.radius, tuning.neighbours)
+    return Shape(xyz=places, normal=normal, described=described, oriented=oriented)
 
 
 def _fpfh(xyz: np.ndarray, normal: np.ndarray, radius: float, neighbours: int) -> np.ndarray:
@@ -119,9 +117,13 @@ def _histograms(
     rows = np.broadcast_to(np.arange(len(xyz))[:, None], known.shape)[known]
     out = []
     for angle in angles:
-        at = np.clip((angle[known] * _BINS).astype(int), 0, _BINS - 1)
-        counts = np.bincount(rows * _BINS + at, minlength=len(xyz) * _BINS).reshape(-1, _BINS)
-        out.append(counts / np.maximum(known.sum(axis=1), 1)[:, None])
+        # Shared between two bins by nearness: angles of a gentle relief would else all fall into one.
+        place = np.clip(angle[known] * (_BINS - 1), 0, _BINS - 1 - 1e-9)
+        at = place.astype(int)
+        counts = np.zeros(len(xyz) * _BINS)
+        for step, part in ((0, at + 1 - place), (1, place - at)):
+            counts += np.bincount(rows * _BINS + at + step, part, minlength=len(counts))
+        out.append(counts.reshape(-1, _BINS) / np.maximum(known.sum(axis=1), 1)[:, None])
     return np.concatenate(out, axis=1)
 
 

@@ -34,7 +34,7 @@ class CoarseTuning(Section):
     """Of a seed, by the number of matches that bear out both."""
     least_matches: int = Field(6, ge=3)
     """Consistent matches, for a motion to be told at all."""
-    hypotheses: int = Field(4, ge=1)
+    hypotheses: int = Field(6, ge=1)
     """Motions told, the one that most matches agree with first."""
     apart: float = Field(4.0, gt=0)
     """Two motions that move no point of the cloud further apart than this are one."""

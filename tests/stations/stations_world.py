@@ -1,0 +1,86 @@
+"""Clouds of shots round a bumpy object, each in the frame of its own camera, with truth."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from tiegraph.geometry import transforms
+from tiegraph.scene.cloudfile import write_cloud
+from tiegraph.scene.results import Cloud
+
+
+@dataclass(frozen=True)
+class View:
+    """What one station measured (N, 3) and without its noise (N, 3), in its own frame; normals; world_from_station."""
+
+    xyz: np.ndarray
+    true: np.ndarray
+    normal: np.ndarray
+    sigma_m: np.ndarray
+    world_from_station: np.ndarray
+
+
+def bumpy(direction, seed):
+    """(N, 3) points of an object of 0.4 m with 40 bumps and dents of some centimetres."""
+    rng = np.random.default_rng(seed)
+    middle = rng.normal(size=(40, 3))
+    middle /= np.linalg.norm(middle, axis=1, keepdims=True)
+    high, sharp = 0.02 * rng.normal(size=40), rng.uniform(15, 80, 40)
+    direction = direction / np.linalg.norm(direction, axis=1, keepdims=True)
+    return direction * (0.2 + np.exp(sharp * (direction @ middle.T - 1)) @ high)[:, None]
+
+
+def views(angles_deg, seed=0, points=30_000, noise_m=(0.0003, 0.0008), distance_m=0.7):
+    """Stations round the object, at random turns; noise along the ray grows with the distance from 0.45 to 0.75 m."""
+    rng = np.random.default_rng(seed)
+    direction = rng.normal(size=(10 * points, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    xyz, normal = bumpy(direction, seed), _normals(direction, seed)
+    out = []
+    for k, angle in enumerate(np.radians(angles_deg)):
+        eye = distance_m * np.array([np.cos(angle), np.sin(angle), 0.15 * np.sin(3 * angle)])
+        away = np.linalg.norm(xyz - eye, axis=1)
+        ray = (xyz - eye) / away[:, None]
+        seen = (np.einsum("ij,ij->i", normal, -ray) > 0.35) & (ray @ -eye > 0.9 * np.linalg.norm(eye))
+        rows = rng.permutation(np.flatnonzero(seen))[:points]
+        pose = transforms.rigid(Rotation.random(random_state=100 * seed + k).as_matrix(), eye)
+        sigma = np.interp(away[rows], [0.45, 0.75], noise_m)
+        true = transforms.apply(transforms.invert(pose), xyz[rows])
+        noisy = true * (1 + rng.normal(size=len(rows)) * sigma / away[rows])[:, None]
+        out.append(View(noisy, true, normal[rows] @ pose[:3, :3], sigma, pose))
+    return out
+
+
+def _normals(direction, seed):
+    along = np.cross(direction, [0.36, 0.48, 0.8])
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    across, step = np.cross(direction, along), 1e-4
+    a, b = (bumpy(direction + step * t, seed) - bumpy(direction - step * t, seed) for t in (along, across))
+    out = np.cross(a, b)
+    out /= np.linalg.norm(out, axis=1, keepdims=True)
+    return out * np.sign(np.einsum("ij,ij->i", out, direction))[:, None]
+
+
+def write_view(view, path, origin=None):
+    """A cloud file as `tiegraph shots` leaves it."""
+    count = len(view.xyz)
+    cloud = Cloud(
+        xyz_m=view.xyz,
+        rgb=np.full((count, 3), 128, np.uint8),
+        normal=view.normal.astype(np.float32),
+        sigma_m=view.sigma_m.astype(np.float32),
+        views=np.full(count, 2, np.uint8),
+        origin=origin,
+    )
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_cloud(cloud, path)
+
+
+def error_m(world_from_shot, some):
+    """RMS of the true points of views by their poses, after one rigid motion of all."""
+    from tiegraph.geometry.align import umeyama
+
+    here = np.concatenate([transforms.apply(p, v.true) for p, v in zip(world_from_shot, some)])
+    there = np.concatenate([transforms.apply(v.world_from_station, v.true) for v in some])
+    return float(np.sqrt(np.mean(np.sum((umeyama(here, there, with_scale=False)(here) - there) ** 2, axis=1))))

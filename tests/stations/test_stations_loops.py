@@ -1,0 +1,62 @@
+"""Pairs judged by loops, and loops distributed: with made-up pairs, whose truth is known."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from tiegraph.geometry import transforms
+from tiegraph.stations.adjust import adjusted
+from tiegraph.stations.loops import contradicted, parts
+from tiegraph.stations.pairs import Pair
+from tiegraph.stations.tuning import LoopTuning
+
+TUNING = LoopTuning()
+POSES = [
+    transforms.rigid(Rotation.random(random_state=k).as_matrix(), np.random.default_rng(k).normal(size=3))
+    for k in range(5)
+]
+POINTS = [np.random.default_rng(9).normal(size=(50, 3))] * 5
+
+
+def pair(i, j, off_m=0.0, overlap=0.5, sigma_m=0.001):
+    """A pair that is right but for a shift."""
+    true = transforms.invert(POSES[i]) @ POSES[j]
+    true[:3, 3] += off_m * np.array([0.6, 0.0, 0.8])
+    information = np.eye(6) / sigma_m**2
+    return Pair(
+        first=i,
+        second=j,
+        first_from_second=true,
+        overlap=overlap,
+        residual_m=0.001,
+        rough_m=0.001,
+        middle=np.zeros(3),
+        information=information,
+    )
+
+
+def test_the_one_wrong_pair_is_found():
+    pairs = [pair(i, j, off_m=0.5 * ((i, j) == (1, 3))) for i in range(5) for j in range(i + 1, 5)]
+    judged = contradicted(pairs, POINTS, 0.05, TUNING)
+    wrong = [p for p in judged if p.why_not]
+    assert [(p.first, p.second) for p in wrong] == [(1, 3)]
+    assert wrong[0].why_not == "3 loops of three contradict it and 0 bear it out"
+
+
+def test_a_pair_without_loops_needs_more_overlap():
+    judged = contradicted([pair(0, 1, overlap=0.25), pair(1, 2, overlap=0.4)], POINTS, 0.05, TUNING)
+    assert "no loop bears it out, and 25% overlap" in judged[0].why_not and not judged[1].why_not
+    assert parts(5, judged)[1] == parts(5, judged)[2] != parts(5, judged)[0]
+
+
+@pytest.mark.slow
+def test_the_error_of_a_loop_is_distributed_by_what_is_known():
+    """A ring that does not close by 40 mm: the pair known ten times worse takes nearly all of it."""
+    ring = [pair(0, 1), pair(1, 2), pair(2, 3), pair(3, 4, sigma_m=0.01), pair(0, 4, off_m=0.04)]
+    part = adjusted([0, 1, 2, 3, 4], ring, 5, TUNING)
+    np.testing.assert_allclose(part.poses[0], np.eye(4))
+    before, after = part.loop_m.T
+    assert before.max() == pytest.approx(0.04, abs=1e-6)
+    assert after[3] > 0.03 and after[[0, 1, 2, 4]].max() < 0.003
+    sigma = np.sqrt(np.trace(part.covariance[:, 3:, 3:], axis1=1, axis2=2) / 3)
+    assert sigma[0] == 0 and sigma[1] < sigma[2] < sigma[3]
