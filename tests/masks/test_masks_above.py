@@ -1,5 +1,7 @@
 """Sky lies above the rest: pale roads seen straight from above are used, a sky of the same looks is masked."""
 
+from functools import cache
+
 import cv2
 import numpy as np
 import pytest
@@ -24,8 +26,14 @@ def _noise(seed, shape, cells):
     return cv2.resize(coarse, shape[::-1], interpolation=cv2.INTER_CUBIC)
 
 
-GROUND = _noise(1, (1000, 1400), (250, 350))[..., None] * np.float32([0.7, 1.0, 0.8])
-HEDGE = _noise(2, (1, 1400), (1, 9))[0]
+@cache
+def _ground():
+    return _noise(1, (1000, 1400), (250, 350))[..., None] * np.float32([0.7, 1.0, 0.8])
+
+
+@cache
+def _hedge():
+    return _noise(2, (1, 1400), (1, 9))[0]
 
 
 def _taken(scene, seed):
@@ -35,7 +43,7 @@ def _taken(scene, seed):
 
 def _field():
     """The ground from above, (1000, 1400, 3) f4, with roads of one pale grey."""
-    field = 20 + 130 * GROUND
+    field = 20 + 130 * _ground()
     for x in range(100, 1400, 330):
         cv2.line(field, (x, 0), (x + 60, 1000), PALE_BGR, 70)
     return field
@@ -54,9 +62,9 @@ def from_above(k):
 def straight_ahead(k):
     """Image k of a walk along a hedge, dark at its top, below an overcast sky, (240, 320, 3) u1; the sky (240, 320)."""
     x = 14 * k
-    tops = HORIZON + (40 * (HEDGE[x : x + SIZE[1]] - 0.5)).astype(int)
+    tops = HORIZON + (40 * (_hedge()[x : x + SIZE[1]] - 0.5)).astype(int)
     below = np.arange(SIZE[0])[:, None] - tops
-    scene = 20 + 130 * GROUND[: SIZE[0], x : x + SIZE[1]] * np.clip(below / 25, 0, 1)[..., None]
+    scene = 20 + 130 * _ground()[: SIZE[0], x : x + SIZE[1]] * np.clip(below / 25, 0, 1)[..., None]
     sky = below < 0
     scene[sky] = PALE_BGR
     return _taken(scene, k), sky

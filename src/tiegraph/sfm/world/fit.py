@@ -197,8 +197,16 @@ class _Problem:
         self.oriented = np.flatnonzero(known)
         spread = np.sqrt(max(1.0, known.sum() / tuning.orientation_freedom))
         self.orientation_sigma = np.radians(tuning.orientation_sigma_deg) * spread
+        self._unpacked: tuple[bytes, tuple[Similarity, np.ndarray]] | None = None
 
     def unpack(self, x: np.ndarray) -> tuple[Similarity, np.ndarray]:
+        """The similarity and the antenna; kept for the next call, which mostly is about the same unknowns."""
+        key = x.tobytes()
+        if self._unpacked is None or self._unpacked[0] != key:
+            self._unpacked = key, self._unpack(x)
+        return self._unpacked[1]
+
+    def _unpack(self, x: np.ndarray) -> tuple[Similarity, np.ndarray]:
         rotation = Rotation.from_rotvec(x[:3]).as_matrix() @ self.start.rotation
         scale = self.start.scale * np.exp(np.clip(x[6], -_MAX_LOG_SCALE, _MAX_LOG_SCALE))
         middle_world = self.start(self.middle) + x[3:6]
