@@ -18,7 +18,6 @@ import multiprocessing
 import os
 import signal
 import sys
-import tempfile
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from multiprocessing import forkserver, resource_tracker
@@ -39,7 +38,6 @@ _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 # What nearly every process of a run imports, 0.7 CPU s; the rest takes each a tenth or four.
 _LIBRARIES = ["tiegraph.child", "numpy", "scipy.spatial.transform", "scipy.optimize", "scipy.sparse.linalg", "cv2",
               "pycolmap", "pyproj", "pydantic"]  # fmt: skip
-_LONGEST_FOLDER = 70  # bytes of a temporary folder in which the fork server's socket has room
 _SERVER_LOST = 255  # multiprocessing's exit code of a process whose fork server was killed
 _LOOKING = threading.Lock()  # two threads at once: one of them would not learn how a process ended
 
@@ -67,7 +65,6 @@ class Helper(_Process):
     def start(self) -> None:
         """Start it deaf to the signals that stop a run: a terminal sends them to every process at once."""
         with _deaf():
-            _shorten_address()
             super().start()
 
     def run(self) -> None:
@@ -152,14 +149,6 @@ def end_helpers() -> None:
 def cores() -> int:
     """How many cores this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def _shorten_address() -> None:
-    """The fork server is asked by a socket in the temporary folder, whose name the system limits to 107 bytes."""
-    config: dict[str, Any] = multiprocessing.current_process()._config  # type: ignore[attr-defined]
-    here = len(os.fsencode(tempfile.gettempdir()))
-    if sys.platform == "linux" and config.get("tempdir") is None and here > _LONGEST_FOLDER:
-        config["tempdir"] = tempfile.mkdtemp(prefix="pymp-", dir="/tmp")
 
 
 def _leave_server() -> None:
