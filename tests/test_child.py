@@ -63,55 +63,6 @@ def test_a_child_ended_from_outside_is_told_from_one_whose_library_gave_up(tmp_p
         run_in_child(kill_itself, log=tmp_path / "log.txt", task="mapping")
 
 
-def loaded(name, send):
-    return name in sys.modules
-
-
-def end_server(send):
-    os.kill(os.getppid(), signal.SIGKILL)
-    time.sleep(60)
-
-
-linux = pytest.mark.skipif(sys.platform != "linux", reason="processes are forked off a server on Linux only")
-
-
-@linux
-def test_the_libraries_are_there_before_a_child_begins(tmp_path):
-    assert run_in_child(loaded, "pycolmap", log=tmp_path / "log.txt")
-
-
-@linux
-def test_a_lost_fork_server_is_said_and_the_next_child_has_another(tmp_path):
-    with pytest.raises(ProcessLost, match="ended from outside .signal SIGKILL"):
-        run_in_child(end_server, log=tmp_path / "log.txt")
-    assert run_in_child(add_loudly, 2, 3, log=tmp_path / "log.txt") == 5
-
-
-@linux
-def test_a_forked_process_has_children_of_its_own(tmp_path):
-    assert run_in_child(add_loudly, 2, 3, log=tmp_path / "log.txt") == 5  # the fork server is another's
-    context = multiprocessing.get_context("fork")
-    receiver, sender = context.Pipe(duplex=False)
-    process = context.Process(target=in_child, args=(tmp_path / "log.txt", sender))
-    process.start()
-    assert receiver.poll(60) and receiver.recv() == 5
-    process.join(20)
-
-
-@linux
-def test_nothing_is_left_in_the_temporary_folder_by_a_process_that_was_killed(tmp_path):
-    (tmp_path / "tmp").mkdir()
-    script = f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
-    script += f"from test_child import *\nrun_in_child(sleep_long, {str(tmp_path / 'pid')!r}, log=Path("
-    script += f"{str(tmp_path / 'log.txt')!r}), on_message=lambda m: os.kill(os.getpid(), 9))"
-    subprocess.run([sys.executable, "-c", script], env={**os.environ, "TMPDIR": str(tmp_path / "tmp")}, check=False)
-    assert _gone(int((tmp_path / "pid").read_text()))
-    end = time.monotonic() + 10
-    while list((tmp_path / "tmp").iterdir()) and time.monotonic() < end:
-        time.sleep(0.05)
-    assert list((tmp_path / "tmp").iterdir()) == []
-
-
 def test_ctrl_c_ends_a_child_that_hears_nothing(tmp_path):
     pid_file = tmp_path / "pid"
 

@@ -20,7 +20,7 @@ def one_thread() -> None:
     os.environ.update(dict.fromkeys(_VARIABLES, "1"))
     if "numpy" not in sys.modules:
         return
-    for path in loaded("openblas"):
+    for path in _loaded():
         try:
             library = ctypes.CDLL(path)
         except OSError:
@@ -30,12 +30,12 @@ def one_thread() -> None:
                 getattr(library, name)(1)
 
 
-def loaded(word: str) -> set[str]:
-    """Paths of this process' libraries with a word in their names; none where the system does not tell (not Linux)."""
+def _loaded() -> set[str]:
+    """Paths of the OpenBLAS libraries of this process; none where the system does not tell (not Linux)."""
     try:
         with open("/proc/self/maps", encoding="utf-8", errors="surrogateescape") as maps:
             paths = (line.split(maxsplit=5)[5].strip() for line in maps if line.count("/"))
-            return {p for p in paths if word in os.path.basename(p)}
+            return {p for p in paths if "openblas" in os.path.basename(p)}
     except OSError:
         return set()
 

@@ -4,15 +4,10 @@ COLMAP's worker threads end the interpreter when they meet an error (std::termin
 A run's processes (``Helper``: pool workers and children) leave the decision to stop to the process that started them:
 they hear no signal of a terminal, end with it whatever ends it, and are ended by SIGKILL, for pycolmap's own handler of
 SIGTERM can hang. They write every file whole or not at all, so that nothing is lost by it.
-
-On Linux they are forked off multiprocessing's fork server, a process without threads that has imported the libraries
-once: each starts in a tenth of a second instead of one, and none knows anything of those before it. The server is
-started with the first of them and ends with the process that started it.
 """
 
 from __future__ import annotations
 
-import atexit
 import contextlib
 import multiprocessing
 import os
@@ -20,8 +15,9 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from multiprocessing import forkserver, resource_tracker
+from multiprocessing import resource_tracker
 from multiprocessing.connection import wait
+from multiprocessing.context import SpawnContext, SpawnProcess
 from pathlib import Path
 from typing import Any
 
@@ -35,22 +31,10 @@ STOPPING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP
 _OUTSIDE = ("SIGKILL", "SIGTERM", "SIGINT", "SIGHUP", "SIGXCPU")  # no library ends its own process by these
 _NO_WARNING = "ignore:resource_tracker"
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
-# What nearly every process of a run imports, 0.7 CPU s; the rest takes each a tenth or four.
-_LIBRARIES = ["tiegraph.child", "numpy", "scipy.spatial.transform", "scipy.optimize", "scipy.sparse.linalg", "cv2",
-              "pycolmap", "pyproj", "pydantic"]  # fmt: skip
-_SERVER_LOST = 255  # multiprocessing's exit code of a process whose fork server was killed
 _LOOKING = threading.Lock()  # two threads at once: one of them would not learn how a process ended
 
 
-if sys.platform == "linux":  # elsewhere there is no fork, or the system's libraries do not bear it
-    from multiprocessing.context import ForkServerContext as _Context
-    from multiprocessing.context import ForkServerProcess as _Process
-else:
-    from multiprocessing.context import SpawnContext as _Context
-    from multiprocessing.context import SpawnProcess as _Process
-
-
-class Helper(_Process):
+class Helper(SpawnProcess):
     """A process of a run; see the module."""
 
     ended = False  # by us
@@ -59,8 +43,7 @@ class Helper(_Process):
     def exitcode(self) -> int | None:
         """None while it runs."""
         with _LOOKING:
-            code = super().exitcode
-        return -signal.SIGKILL if code == _SERVER_LOST else code
+            return super().exitcode
 
     def start(self) -> None:
         """Start it deaf to the signals that stop a run: a terminal sends them to every process at once."""
@@ -69,7 +52,6 @@ class Helper(_Process):
 
     def run(self) -> None:
         """What the process does (in itself)."""
-        _leave_server()
         die_with_parent()
         super().run()
 
@@ -89,13 +71,12 @@ class Helper(_Process):
             self.join(_PATIENCE_S)  # not for ever: a process within a dead network drive does not even die
 
 
-class Helpers(_Context):
+class Helpers(SpawnContext):
     """A multiprocessing context whose processes are helpers; it remembers those it made."""
 
     def __init__(self) -> None:
         super().__init__()
         self.made: list[Helper] = []
-        self.set_forkserver_preload(_LIBRARIES)
         with _deaf():  # multiprocessing's own helper too, which its queues and locks start
             pass
 
@@ -151,34 +132,6 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def _leave_server() -> None:
-    """Let the fork server end with the process that started it: it would wait for this one too, and this one for it."""
-    server: Any = forkserver._forkserver  # type: ignore[attr-defined]
-    if forkserver.get_inherited_fds() is not None and server._forkserver_alive_fd is not None:
-        os.close(server._forkserver_alive_fd)
-        server._forkserver_alive_fd = None
-
-
-@atexit.register
-def _remove_address() -> None:
-    """In the fork server: remove the socket it was asked by, for the process that started it may have been killed."""
-    server: Any = forkserver._forkserver  # type: ignore[attr-defined]
-    if server._forkserver_address and server._forkserver_pid is None:
-        with contextlib.suppress(OSError):
-            os.unlink(server._forkserver_address)
-            os.rmdir(os.path.dirname(server._forkserver_address))
-
-
-def _forget_server() -> None:
-    """A forked process is not the parent of the fork server it knows, and could not ask whether it runs."""
-    server: Any = forkserver._forkserver  # type: ignore[attr-defined]
-    server.__init__()
-
-
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_forget_server)
-
-
 def die_with_parent() -> None:
     """End this process when the one that started it has gone (also after its SIGKILL): no orphan keeps writing."""
     parent = multiprocessing.parent_process()
@@ -193,10 +146,9 @@ def die_with_parent() -> None:
     if sys.platform == "linux":  # also while native code keeps the thread above from running
         import ctypes
 
-        # Sent when the fork server ends, which ends with the process that started it; without one when the thread that
-        # started this process ends: it waits for its helpers, so it ends with its process.
+        # Sent when the thread that started this process ends: it waits for its helpers, so it ends with its process.
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, int(signal.SIGKILL), 0, 0, 0)
-        if forkserver.get_inherited_fds() is None and os.getppid() != parent.pid:  # gone before that
+        if os.getppid() != parent.pid:  # gone before that
             os._exit(1)
 
 

@@ -145,8 +145,7 @@ class Running:
         found = []
         for process in self.family():
             try:
-                below = self.pid not in (process.pid, process.ppid())  # the fork server, which is below it, is none
-                if below and any("forkserver" in word for word in process.cmdline()):
+                if process.pid != self.pid and any("spawn_main" in word for word in process.cmdline()):
                     found.append(process)
             except psutil.Error:
                 continue

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -12,7 +11,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tiegraph.blas import loaded
 from tiegraph.child import Helpers, cores, from_outside, how_ended
 from tiegraph.errors import ProcessLost, SettingsError
 from tiegraph.project.progress import Elsewhere
@@ -110,11 +108,9 @@ def _start_worker(threads: int) -> None:
 
 
 def limit_threads(threads: int) -> None:
-    """How many threads the libraries take in this process, for several of them share the machine: OpenMP, loaded
-    (a worker is forked from a process that has imported it) or not yet. Linear algebra has one (``tiegraph.blas``)."""
+    """How many threads the libraries take in this process, for several of them share the machine. OpenMP hears of it
+    only if it is not loaded yet; linear algebra has one anyway (``tiegraph.blas``)."""
     os.environ["OMP_NUM_THREADS"] = str(threads)
-    for path in loaded("libgomp"):
-        ctypes.CDLL(path).omp_set_num_threads(threads)
     import cv2
 
     cv2.setNumThreads(threads)
