@@ -98,9 +98,7 @@ def _way(frames: int) -> np.ndarray:
     turn = 2 * np.pi * np.arange(frames) / frames
     radius = frames * STEP_M / (2 * np.pi)
     waves = 6.0 * np.sin(max(1, round(frames * STEP_M / WAVE_M)) * turn)
-    xyz = np.stack(
-        [(radius + waves) * np.cos(turn), (radius + waves) * np.sin(turn), 1.5 * np.sin(7 * turn)], axis=1
-    )
+    xyz = np.stack([(radius + waves) * np.cos(turn), (radius + waves) * np.sin(turn), 1.5 * np.sin(7 * turn)], axis=1)
     ahead = np.roll(xyz, -1, axis=0) - np.roll(xyz, 1, axis=0)
     ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
     right = np.cross(ahead, (0, 0, 1.0))
@@ -108,9 +106,7 @@ def _way(frames: int) -> np.ndarray:
     return transforms.rigid(np.stack([right, np.cross(ahead, right), ahead], axis=2), xyz)
 
 
-def _landmarks(
-    world_from_rig: np.ndarray, rng: np.random.Generator
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _landmarks(world_from_rig: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Points (P, 3), the frame each is seen from first, and over how many it is followed."""
     first = np.repeat(np.arange(len(world_from_rig)), POINTS)
     side = rng.choice([-1.0, 1.0], len(first)) * rng.uniform(7, 15, len(first))
