@@ -27,6 +27,7 @@ import pycolmap  # isort: skip
 
 from benchmarks.scale.joints import adjusted_joints, bent, frame_centres, pieces_of, sigma_of
 from benchmarks.scale.loop import LEAST, Loop, camera, links, loop, sensor_from_rig
+from benchmarks.scale.results import save
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity, umeyama
 from tiegraph.scene.blocks import Block, blocks_of
@@ -194,6 +195,7 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--frames", type=int, default=10_000)
     parser.add_argument("--seeds", type=int, nargs="+", default=[0])
+    parser.add_argument("--note", default="")
     parser.add_argument("-o", "--output", type=Path, help="JSON file")
     given = parser.parse_args(argv)
     rows = []
@@ -201,10 +203,7 @@ def main(argv: list[str] | None = None) -> int:
         rows.append({"seed": seed, **measured(given.frames, seed)})
         sys.stdout.write(json.dumps(rows[-1]) + "\n")
         if given.output is not None:
-            from benchmarks import run
-
-            head = {"format": 1, "machine": run._machine(), "software": run._software()}
-            given.output.write_text(json.dumps(run._rounded({**head, "runs": rows}), indent=1) + "\n")
+            save(given.output, rows, given.note)
     return 0
 
 

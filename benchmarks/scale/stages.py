@@ -27,6 +27,7 @@ import numpy as np
 
 import tiegraph  # noqa: F401  before pycolmap
 from benchmarks.network.canalworld import CanalWorld, _visible
+from benchmarks.scale.results import save
 from benchmarks.scale.standin import without_pixels
 from benchmarks.scale.survey import read_survey, write_survey
 from tiegraph.features.match import BLOCK_PAIRS
@@ -222,10 +223,7 @@ def main(argv: list[str] | None = None) -> int:
         with tempfile.TemporaryDirectory(prefix="tiegraph-scale-", dir=given.folder) as folder:
             rows += survey(images, Path(folder), given)
         if given.output is not None:
-            from benchmarks import run
-
-            head = {"format": 1, "machine": run._machine(), "software": run._software(), "note": given.note}
-            given.output.write_text(json.dumps(run._rounded({**head, "runs": rows}), indent=1) + "\n")
+            save(given.output, rows, given.note)
     sys.stdout.write(markdown(rows) + "\n")
     return 0
 
