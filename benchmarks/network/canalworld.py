@@ -237,9 +237,7 @@ def _walls(length_m: float, rng: np.random.Generator) -> tuple[np.ndarray, np.nd
     return np.concatenate(parts), side, start, texture
 
 
-def _visible(
-    pose: np.ndarray, points: np.ndarray, start_m: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _visible(pose: np.ndarray, points: np.ndarray, start_m: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Points in a field of view: ids (K,), xy (K, 2), distance (K,). ``start_m`` (C,): where the sections begin."""
     centre = transforms.centre(pose)
     each = len(points) // len(start_m)

@@ -147,11 +147,12 @@ class ScoreMatrix:
             surface = np.where(np.isfinite(smooth[c, d]), smooth[c, d], low)
             # The count between an image and itself is not known: as high as any of its neighbours'.
             counts = np.where(np.isfinite(self.inliers[c, d]), self.inliers[c, d], surface)
-            hot = surface >= threshold
-            take = np.flatnonzero(_reach(hot.any(axis=1))[row])
+            hot = np.asarray(surface >= threshold)
+            take = np.flatnonzero(_reach(np.any(hot, axis=1))[row])
             for some in np.split(take, range(_ROWS, len(take), _ROWS)):  # a long pass has its evidence along a line
                 if len(some):
-                    across = np.flatnonzero(_reach(hot[row[some[0]] : row[some[-1]] + 2].any(axis=0))[column])
+                    above = np.any(hot[row[some[0]] : row[some[-1]] + 2], axis=0)
+                    across = np.flatnonzero(_reach(above)[column])
                     places = row[some], row_share[some], column[across], column_share[across]
                     k, n = np.nonzero(_bilinear(surface, *places) >= threshold)
                     ranks = fine_rows[some[k]], fine_columns[across[n]]

@@ -61,7 +61,8 @@ class PreviewMatches:
         count = np.concatenate([self.counts(), other.counts()])[order]
         start = np.concatenate([[0], np.cumsum(count)])
         rows = np.repeat(first - start[:-1], count) + np.arange(start[-1])
-        return PreviewMatches(i[order], j[order], start, np.concatenate([self.matches, other.matches])[rows])
+        matches = np.concatenate([self.matches, other.matches])[rows]
+        return PreviewMatches(i=i[order], j=j[order], start=start, matches=matches)
 
     def counts(self) -> np.ndarray:
         """(T,) matches of each pair."""
@@ -75,7 +76,8 @@ class PreviewMatches:
         """The pairs of a mask (T,) bool."""
         mask, count = np.asarray(mask, bool), self.counts()
         start = np.concatenate([[0], np.cumsum(count[mask])])
-        return PreviewMatches(self.i[mask], self.j[mask], start, self.matches[np.repeat(mask, count)])
+        matches = self.matches[np.repeat(mask, count)]
+        return PreviewMatches(i=self.i[mask], j=self.j[mask], start=start, matches=matches)
 
     def observations(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(K,) each: track, image and feature (row of the image's preview) of every feature that has a match; what
