@@ -8,6 +8,7 @@ two walls with one texture.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -59,7 +60,7 @@ class CanalWorld:
     start_m: np.ndarray  # (C,) where along the canal
     texture: np.ndarray  # (C,)
     brightness: np.ndarray  # (N,)
-    images: list[Image] = field(repr=False)
+    images: Sequence[Image] = field(repr=False)
     rng: int = 0
 
     def __len__(self) -> int:
@@ -132,7 +133,7 @@ class CanalWorld:
         """(N, N) f2 larger share of the points in one field of view that are in the other, from every so many-th."""
         from scipy.sparse import csr_array
 
-        seen = [_visible(pose, self.points[::every])[0] for pose in self.cam_from_world]
+        seen = [_visible(pose, self.points[::every], self.start_m)[0] for pose in self.cam_from_world]
         row = np.repeat(np.arange(len(seen)), [len(s) for s in seen])
         table = csr_array(
             (np.ones(len(row), np.float32), (row, np.concatenate(seen))), shape=(len(seen), len(self.points))
@@ -173,7 +174,7 @@ def canal_world(images: int, seed: int = 0) -> CanalWorld:
         body[None, :, 0, 3] < start[side == CEILING, None] + SECTION_M
     )
     light = np.where(dark.any(axis=0), 60.0, 210.0)[frame]
-    found = [_image(pose, points, np.random.default_rng((seed, k))) for k, pose in enumerate(cam_from_world)]
+    found = [_image(pose, points, start, np.random.default_rng((seed, k))) for k, pose in enumerate(cam_from_world)]
     return CanalWorld(scene, cam_from_world, points, side, start, texture, light, found, seed)
 
 
@@ -236,10 +237,13 @@ def _walls(length_m: float, rng: np.random.Generator) -> tuple[np.ndarray, np.nd
     return np.concatenate(parts), side, start, texture
 
 
-def _visible(pose: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points in a field of view: ids (K,), xy (K, 2), distance (K,)."""
+def _visible(pose: np.ndarray, points: np.ndarray, start_m: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points in a field of view: ids (K,), xy (K, 2), distance (K,). ``start_m`` (C,): where the sections begin."""
     centre = transforms.centre(pose)
-    near = np.flatnonzero(np.abs(points[:, 0] - centre[0]) < RANGE_M)
+    each = len(points) // len(start_m)
+    sections = np.flatnonzero((start_m > centre[0] - RANGE_M - SECTION_M) & (start_m < centre[0] + RANGE_M))
+    near = (sections[:, None] * each + np.arange(each)).ravel()
+    near = near[np.abs(points[near, 0] - centre[0]) < RANGE_M]
     local = points[near] @ pose[:3, :3].T + pose[:3, 3]
     far = np.linalg.norm(local, axis=1)
     front = (local[:, 2] > 0.5) & (far < RANGE_M)
@@ -249,8 +253,8 @@ def _visible(pose: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarr
     return near[inside], xy[inside], far[inside]
 
 
-def _image(pose: np.ndarray, points: np.ndarray, rng: np.random.Generator) -> Image:
-    seen, xy, far = _visible(pose, points)
+def _image(pose: np.ndarray, points: np.ndarray, start_m: np.ndarray, rng: np.random.Generator) -> Image:
+    seen, xy, far = _visible(pose, points, start_m)
     found = np.flatnonzero(rng.random(len(seen)) < DETECTED * np.exp(-((far / FAR_M) ** 2)))
     found = np.sort(rng.permutation(found)[:FEATURES])
     ray = points[seen[found]] - transforms.centre(pose)

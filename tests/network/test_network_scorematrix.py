@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+from scipy.ndimage import gaussian_filter
 
 from boat_world import Result, boat
 from tiegraph.network.passes import MatchCache, find_passes
@@ -68,6 +69,32 @@ def test_interpolation_is_bilinear_between_nodes() -> None:
     assert np.allclose(count, 2 * (5 + m / 2 + n / 2))
     expected = {(a, b) for a in range(11) for b in range(9) if 5 + a / 2 + b / 2 >= 10}
     assert set(zip(m.tolist(), n.tolist())) == expected
+
+
+def test_a_band_of_evidence_is_smoothed_and_interpolated_as_the_whole_lattice() -> None:
+    """Long passes are gone through in parts that hold evidence; the definition knows no parts."""
+    rng = np.random.default_rng(2)
+    frames = np.arange(400)
+    p, q = (replace(x, frames=frames, images=frames[None] + 400 * k) for k, x in enumerate(find_passes(boat().scene)))
+    band = score_matrix(p, q, 2, np.ones((1, 1), bool), TUNING.offsets.scores)
+    a, b = np.ogrid[: len(band.rows), : len(band.columns)]
+    known = (np.abs(a + b - len(band.columns)) < 9) | (rng.random((len(band.rows), len(band.columns))) < 0.001)
+    counts = rng.integers(0, 60, known.shape).astype(np.float32)
+    band = replace(band, inliers=np.where(known, counts, np.nan).astype(np.float32)[None, None])
+    low, high = TUNING.counts.floor * 12, TUNING.counts.ceiling * 12
+    kernel = {"mode": "constant", "truncate": TUNING.offsets.scores.kernel_cut_sigmas}
+    sums = [np.where(known, np.clip(counts, low, high) - low, 0), known]
+    sums = [gaussian_filter(x.astype(np.float32), TUNING.counts.sigma_nodes, **kernel) for x in sums]
+    smooth = band.smoothed(12, TUNING)
+    assert np.array_equal(
+        smooth[0, 0], np.where(known, low + sums[0] / np.maximum(sums[1], 1e-6), np.nan), equal_nan=True
+    )
+    fine = band.rows[:-1], band.columns[:-1]  # every node: there the interpolation is the node itself
+    _, _, m, n, count = band.interpolated(smooth, 12.0, TUNING.counts)
+    at = np.isin(m, fine[0]) & np.isin(n, fine[1])
+    expected = np.argwhere(np.nan_to_num(smooth[0, 0, : len(fine[0]), : len(fine[1])]) >= 12)
+    assert np.array_equal(np.stack([m[at], n[at]], axis=1), 2 * expected)
+    assert np.array_equal(count[at], counts[tuple(expected.T)])
 
 
 def test_one_pass_is_symmetric_and_never_asks_twice() -> None:

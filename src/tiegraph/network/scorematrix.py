@@ -7,6 +7,7 @@ rendered images, the same recall at 0.8 instead of 0.5 precision, from a ninth o
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,6 +16,8 @@ from scipy.ndimage import gaussian_filter, label, maximum
 from tiegraph.network.passes import MatchCache, Pass
 from tiegraph.network.tuning import CountsTuning, Tuning
 from tiegraph.network.tuning.offsets import ScoreMatrixTuning
+
+_ROWS = 64  # of a lattice smoothed together, or frames interpolated together: bounds the memory
 
 
 @dataclass(frozen=True)
@@ -87,19 +90,24 @@ class ScoreMatrix:
         unrelated frames; NaN where the node was not measured. An image counts as tied to itself, which carries
         evidence to its neighbours in time."""
         low, high = tuning.counts.floor * min_matches, tuning.counts.ceiling * min_matches
-        inliers = self.inliers
-        if self.same:
-            left = self.p.images[:, None, self.rows, None]
-            right = self.q.images[None, :, None, self.columns]
-            inliers = np.where((left == right) & (left >= 0), high, inliers)
-        known = np.isfinite(inliers)
-        excess = np.where(known, np.clip(inliers, low, high) - low, 0)
-        kernel = tuning.counts.sigma_nodes, tuning.offsets.scores.kernel_cut_sigmas
-        mean = _blurred(excess, *kernel) / np.maximum(_blurred(known, *kernel), 1e-6)
-        mean = low + mean
-        if self.level is not None:
-            mean = self.level.above(mean, np.index_exp[:, :, None, None])
-        return np.where(known, mean, np.nan).astype(np.float32)
+        sigma, cut = tuning.counts.sigma_nodes, tuning.offsets.scores.kernel_cut_sigmas
+        out = np.full(self.inliers.shape, np.nan, np.float32)
+        for c, d in np.ndindex(self.inliers.shape[:2]):
+            inliers = self.inliers[c, d]
+            if self.same:
+                left, right = self.p.images[c, self.rows, None], self.q.images[None, d, self.columns]
+                inliers = np.where((left == right) & (left >= 0), high, inliers)
+            known = np.isfinite(inliers)
+            for inside, box in _boxes(known, int(cut * sigma + 0.5)):
+                seen = known[box]
+                excess = np.where(seen, np.clip(inliers[box], low, high) - low, 0)
+                mean = _blurred(excess, sigma, cut) / np.maximum(_blurred(seen, sigma, cut), 1e-6)
+                mean = low + mean
+                if self.level is not None:
+                    mean = self.level.above(mean, (c, d))
+                rows = slice(box[0].start + inside.start, box[0].start + inside.stop)
+                out[c, d, rows, box[1]] = np.where(seen, mean, np.nan)[inside]
+        return out
 
     def sure(self, min_matches: int, tuning: CountsTuning) -> float:
         """Matches by which a pair is believed whatever its neighbours say."""
@@ -130,21 +138,25 @@ class ScoreMatrix:
         """Frame pairs between the nodes whose bilinear ``smooth`` reaches ``threshold``: c, d, rank in p, rank in q and
         bilinear preview matches, all (K,). Unmeasured corners count as unrelated."""
         low = tuning.floor * threshold
-        surface = np.where(np.isfinite(smooth), smooth, low)
-        # The count between an image and itself is not known: as high as any of its neighbours'.
-        counts = np.where(np.isfinite(self.inliers), self.inliers, np.where(np.isfinite(smooth), smooth, low))
         fine_rows, row, row_share = _between(self.rows)
         fine_columns, column, column_share = _between(self.columns)
         out = [(np.zeros(0, int),) * 4 + (np.zeros(0),)]
         for c, d in np.argwhere(self.allowed):
-            hot = _reach(surface[c, d].max(axis=1) >= threshold)
-            take = np.flatnonzero(hot[row])
-            if (self.same and c > d) or not len(take):
+            if self.same and c > d:
                 continue
-            places = row[take], row_share[take], column, column_share
-            k, n = np.nonzero(_bilinear(surface[c, d], *places) >= threshold)
-            value = _bilinear(counts[c, d], *places)[k, n]
-            out.append((np.full(len(k), c), np.full(len(k), d), fine_rows[take[k]], fine_columns[n], value))
+            surface = np.where(np.isfinite(smooth[c, d]), smooth[c, d], low)
+            # The count between an image and itself is not known: as high as any of its neighbours'.
+            counts = np.where(np.isfinite(self.inliers[c, d]), self.inliers[c, d], surface)
+            hot = np.asarray(surface >= threshold)
+            take = np.flatnonzero(_reach(np.any(hot, axis=1))[row])
+            for some in np.split(take, range(_ROWS, len(take), _ROWS)):  # a long pass has its evidence along a line
+                if len(some):
+                    above = np.any(hot[row[some[0]] : row[some[-1]] + 2], axis=0)
+                    across = np.flatnonzero(_reach(above)[column])
+                    places = row[some], row_share[some], column[across], column_share[across]
+                    k, n = np.nonzero(_bilinear(surface, *places) >= threshold)
+                    ranks = fine_rows[some[k]], fine_columns[across[n]]
+                    out.append((np.full(len(k), c), np.full(len(k), d), *ranks, _bilinear(counts, *places)[k, n]))
         return tuple(np.concatenate(part) for part in zip(*out))
 
 
@@ -157,9 +169,21 @@ def score_matrix(
     return ScoreMatrix(p=p, q=q, rows=rows, columns=columns, allowed=allowed, inliers=inliers, level=level)
 
 
+def _boxes(known: np.ndarray, radius: int) -> Iterator[tuple[slice, tuple[slice, slice]]]:
+    """Parts of a lattice (A, B) that hold what is ``known``, some rows after the other: the rows of a box that are its
+    own, and the box, which has as many rows more on either side as a kernel reaches. Between two long passes only a
+    band is known: the time to smooth it grows with their length, not with its square."""
+    for first in range(0, len(known), _ROWS):
+        last = min(first + _ROWS, len(known))
+        above, below = max(first - radius, 0), min(last + radius, len(known))
+        columns = np.flatnonzero(known[above:below].any(axis=0))
+        if len(columns):
+            yield slice(first - above, last - above), np.index_exp[above:below, columns[0] : columns[-1] + 1]
+
+
 def _blurred(grid: np.ndarray, sigma: float, cut: float) -> np.ndarray:
-    """(S, T, A, B) f4 Gaussian over the last two axes, cut after so many sigmas, zero outside."""
-    return gaussian_filter(grid.astype(np.float32), (0, 0, sigma, sigma), mode="constant", truncate=cut)
+    """(A, B) f4 Gaussian, cut after so many sigmas, zero outside."""
+    return gaussian_filter(grid.astype(np.float32), sigma, mode="constant", truncate=cut)
 
 
 def _bilinear(

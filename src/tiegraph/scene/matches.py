@@ -55,8 +55,14 @@ class PreviewMatches:
 
     def __or__(self, other: PreviewMatches) -> PreviewMatches:
         """The pairs of both; of a pair in both, the matches of the first."""
-        matches = [*map(self.of, range(len(self))), *map(other.of, range(len(other)))]
-        return PreviewMatches.make(np.concatenate([self.i, other.i]), np.concatenate([self.j, other.j]), matches)
+        i, j = np.concatenate([self.i, other.i]), np.concatenate([self.j, other.j])
+        order = np.unique(i.astype(np.int64) << 32 | j, return_index=True)[1]
+        first = np.concatenate([self.start[:-1], len(self.matches) + other.start[:-1]])[order]
+        count = np.concatenate([self.counts(), other.counts()])[order]
+        start = np.concatenate([[0], np.cumsum(count)])
+        rows = np.repeat(first - start[:-1], count) + np.arange(start[-1])
+        matches = np.concatenate([self.matches, other.matches])[rows]
+        return PreviewMatches(i=i[order], j=j[order], start=start, matches=matches)
 
     def counts(self) -> np.ndarray:
         """(T,) matches of each pair."""
@@ -68,8 +74,10 @@ class PreviewMatches:
 
     def where(self, mask: np.ndarray) -> PreviewMatches:
         """The pairs of a mask (T,) bool."""
-        rows = np.flatnonzero(mask)
-        return PreviewMatches.make(self.i[rows], self.j[rows], [self.of(int(t)) for t in rows])
+        mask, count = np.asarray(mask, bool), self.counts()
+        start = np.concatenate([[0], np.cumsum(count[mask])])
+        matches = self.matches[np.repeat(mask, count)]
+        return PreviewMatches(i=self.i[mask], j=self.j[mask], start=start, matches=matches)
 
     def observations(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(K,) each: track, image and feature (row of the image's preview) of every feature that has a match; what

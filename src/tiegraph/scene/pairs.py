@@ -28,6 +28,7 @@ REASON_LOOKS = {
 }
 REASONS = tuple(REASON_LOOKS)
 AFTER_MATCHING = ("match", "repeat")  # pairs dropped for these were matched at full resolution
+_LINES = 100_000  # of a CSV file, written together
 NUMBERS = ("score", "overlap", "baseline_m", "angle_deg", "h_over_b", "sigma_m")
 
 
@@ -162,10 +163,11 @@ class Pairs:
         out = io.StringIO()
         writer = csv.writer(out, lineterminator="\n")
         writer.writerow(["image1", "image2", "source", "dropped", *NUMBERS, "inliers"])
-        for k in range(len(self)):
-            numbers = [_number(getattr(self, n)[k]) for n in NUMBERS]
-            row = [names[self.i[k]], names[self.j[k]], source_names(self.source[k]), REASONS[self.dropped[k]]]
-            writer.writerow([*row, *numbers, int(self.inliers[k])])
+        columns = [self.i, self.j, self.source, self.dropped, self.inliers, *(getattr(self, n) for n in NUMBERS)]
+        for first in range(0, len(self), _LINES):  # as Python's own numbers: several times as fast, not all at once
+            for i, j, source, dropped, inliers, *numbers in zip(*(c[first : first + _LINES].tolist() for c in columns)):
+                row = [names[i], names[j], source_names(source), REASONS[dropped], *map(_number, numbers), inliers]
+                writer.writerow(row)
         return out.getvalue()
 
     def to_npz(self) -> dict[str, np.ndarray]:
@@ -189,4 +191,4 @@ def source_names(bits: int) -> str:
 
 
 def _number(value: float) -> str:
-    return "" if np.isnan(value) else f"{value:.6g}"
+    return "" if value != value else f"{value:.6g}"
