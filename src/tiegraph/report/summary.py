@@ -11,6 +11,7 @@ from tiegraph.report import accuracy, formatting, georeference
 from tiegraph.report.contradictions import about, contradictions
 from tiegraph.report.formatting import Table, is_number
 from tiegraph.report.runfolder import STAGES, RunFolder
+from tiegraph.report.tables import section_name
 from tiegraph.report.texts import many, said, t
 from tiegraph.report.warnings import warnings, weak_placement
 from tiegraph.scene.registered import BY_RIG
@@ -242,7 +243,8 @@ def registered_tables(run: RunFolder) -> list[Table]:
             of = sections == s
             count = formatting.count(int(of.sum()))
             by_rig = formatting.count(int(run.model.by_rig[of].sum()))
-            body.append((str(s) if s >= 0 else t("(none)"), formatting.count(int(registered[of].sum())), by_rig, count))
+            name = section_name(run, int(s))
+            body.append((name, formatting.count(int(registered[of].sum())), by_rig, count))
         columns = [t("section"), t("registered"), said(BY_RIG), t("images")]
         numeric = False, True, True, True
         out.append(Table(columns=tuple(columns), rows=tuple(body), numeric=numeric, title=t("By section")))
