@@ -35,7 +35,7 @@ def evaluation(run: RunFolder) -> dict[str, Any]:
         (
             said(t(metric_text(str(m["name"])))),
             marked(f"metrics.{m['name']}", formatting.cell(m.get("value"))),
-            m.get("unit") or "",
+            _unit(run, m),
         )
         for m in data.get("metrics") or []
         if isinstance(m, dict) and "name" in m
@@ -51,6 +51,12 @@ def evaluation(run: RunFolder) -> dict[str, Any]:
     out["shares"] = shares(against) if against else None
     out["map"] = file_uri(run.path / "evaluate" / "m3c2.png") if against else None
     return out
+
+
+def _unit(run: RunFolder, metric: dict) -> str:
+    """The unit of a figure: of what is measured inside a model that nothing told the scale of, the model's."""
+    unit, inside = metric.get("unit") or "", str(metric["name"]).startswith(("backprojection", "passes"))
+    return t("units") if unit == "m" and inside and not run.metric else unit
 
 
 def _titled(run: RunFolder, name: str, data: Any) -> formatting.Table | None:

@@ -112,7 +112,9 @@ def _world_sentence(run: RunFolder) -> str:
         return t("It is not georeferenced: coordinates are in the model's own frame{}.", based)
     prior = source_text(run.scene.prior) if run.scene is not None else ""
     come = ""
-    if prior and scale and prior != scale:
+    if run.accuracy is not None and ((run.world or {}).get("accuracy") or {}).get("gcp"):
+        come = t("; it is held there by {}", said(run.accuracy.held_by))
+    elif prior and scale and prior != scale:
         come = t("; the position comes from {}, the scale from {}", prior, scale)
     elif scale:
         come = t("; position and scale come from {}", scale)
@@ -164,7 +166,10 @@ def what_was_done(run: RunFolder) -> list[str]:
         return []
     passes = max(len(run.scene.sequences), 1)
     figures = formatting.count(len(run.scene)), formatting.count(run.scene.frames), passes
-    out = [many(passes, "{} images of {} frames in {} pass", "{} images of {} frames in {} passes", *figures)]
+    if run.scene.sequences:
+        out = [many(passes, "{} images of {} frames in {} pass", "{} images of {} frames in {} passes", *figures)]
+    else:
+        out = [t("{} loose photographs", figures[0])]
     if run.model is not None:
         share = formatting.percent(float(np.mean(run.model.registered)))
         out.append(t("{} of them used in the model", share))
