@@ -47,8 +47,8 @@ def where(run: RunFolder, seen: Scenery | None) -> list[tuple[str, str]]:
 
 
 def times(run: RunFolder) -> tuple[str | None, str | None, float | None]:
-    """First and last exposure (ISO 8601, in UTC or without a zone where none is known; None if the clock has no date) and
-    the seconds between them."""
+    """First and last exposure (ISO 8601, in UTC, or without a zone where none is known; None if the clock has no date)
+    and the seconds between them."""
     known = run.scene.time_s[np.isfinite(run.scene.time_s)] if run.scene is not None else np.zeros(0)
     if not len(known):
         return None, None, None
