@@ -57,7 +57,7 @@ def test_a_point_has_the_distance_of_what_was_measured_next_to_it(run: RunFolder
 
 def test_a_point_lies_in_the_section_of_the_nearest_camera(run: RunFolder) -> None:
     (scale,) = section_scale(run, np.array([[2.0, -3, 2], [15.0, -3, 2]])).values()
-    assert [scale.names[int(k)] for k in scale.values] == ["open 1", "bridge 1"]
+    assert [scale.names[int(k)] for k in scale.values] == ["open\N{NO-BREAK SPACE}1", "bridge\N{NO-BREAK SPACE}1"]
 
 
 def test_what_cannot_be_read_is_left_out(folder: Path, tmp_path: Path, caplog) -> None:
@@ -72,7 +72,7 @@ def test_the_page_says_how_well_the_passes_agree(folder: Path) -> None:
     page = write_report(folder, ReportSettings(viewer_points=500)).read_text(encoding="utf-8")
     sure = page[page.index('<h2 id="sure">') : page.index('<h2 id="found">')]
     assert "One pass against the other" in sure and "were not compared" not in sure
-    assert "<td>bridge 1</td>" in sure and f'"tables.{PASSES}.2.3">0.03' in sure
+    assert "<td>bridge\N{NO-BREAK SPACE}1</td>" in sure and f'"tables.{PASSES}.2.3">0.03' in sure
     assert page.count(f"tables.{PASSES}.0.2") == 1, "once, and not among the references"
     assert unmarked(page) == [] and f"tables.{PASSES}.0.3" in check(folder, page)
     data = json.loads(page[page.index('id="viewer-data">') + 17 :].partition("</script>")[0])

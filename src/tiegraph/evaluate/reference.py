@@ -130,6 +130,7 @@ def _match_images(reference: ReferencePoses, model: ModelPoses, scene: Scene) ->
         group=np.where(scene.sequence[frame] >= 0, group, -1),
         order=scene.sequence_index[frame],
         labels=tuple(f"{t} {s}".strip() for t, s in labels),
+        parts=_parts(scene, frame),
     )
     return match, f"images by name: {len(rows)} placed of {len(known)} with a reference ({len(scene)} in all)"
 
@@ -147,6 +148,7 @@ def _match_frames(
         group=scene.sequence[rows],
         order=scene.sequence_index[rows],
         labels=scene.sequences,
+        parts=_parts(scene, rows),
     )
     said = (
         "; ".join(how)
@@ -157,6 +159,14 @@ def _match_frames(
         f"rig poses, {said}: {len(rows)} placed of {int(known.sum())} with a reference ({scene.frames} frames in "
         f"all{_without(scene, ~known)}), one constant turn of the axes removed",
     )
+
+
+def _parts(scene: Scene, frames: np.ndarray) -> dict[str, np.ndarray]:
+    """What frames (K,) lie in: their passes, and their sections where the survey was cut into some."""
+    out = {"pass": np.array([scene.sequences[s] if s >= 0 else "(loose)" for s in scene.sequence[frames]])}
+    if len(np.unique(scene.section)) > 1:
+        out["section"] = np.array([f"{s}" if s >= 0 else "(none)" for s in scene.section[frames]])
+    return out
 
 
 def _frame_poses(reference: ReferencePoses, scene: Scene, max_gap_s: float) -> tuple[np.ndarray, list[str]]:

@@ -37,7 +37,7 @@ def section_name(run: RunFolder, number: int) -> str:
     found = next((str(n) for n in notes if str(n).startswith("sections: ")), "")
     names = re.findall(r"(\w+ \d+) \(\d+ frames?\)", found)
     if 0 <= number < len(names):
-        return said(names[number])
+        return said(names[number]).replace(" ", "\N{NO-BREAK SPACE}")
     return t("(none)") if number < 0 else str(number)
 
 

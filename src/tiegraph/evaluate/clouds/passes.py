@@ -65,7 +65,9 @@ class PassAgreement:
         columns = list(self.found.get(_WHOLE, {}))
         shown = {n: v for n, v in self.found.items() if n == _WHOLE or len(self.found) > 2}
         rows = [[name, *(values.get(c) for c in columns)] for name, values in shown.items()]
-        return {TABLE: {"columns": ["section", *columns], "rows": rows}} if columns else {}
+        short = {"95 % of absolute m": "95 % within m", "level of detection m": "detection m"}
+        named = [short.get(c, c) for c in columns]
+        return {TABLE: {"columns": ["section", *named], "rows": rows}} if columns else {}
 
     def note(self) -> str:
         """What was compared and what that does not tell."""
@@ -96,7 +98,8 @@ def by_section(found: Differences, cameras: Cameras) -> dict[str, dict[str, floa
     out = {_WHOLE: found.summary()}
     nearest = cKDTree(cameras.centres).query(found.xyz)[1] if len(found) else np.zeros(0, int)
     section = cameras.section_numbers()[nearest]
-    for k, name in enumerate(cameras.sections()):
+    for name in sorted(cameras.sections()):
+        k = cameras.sections().index(name)
         columns = {c: getattr(found, c)[section == k] for c in ("xyz", "normal", "distance_m", "lod_m")}
         out[name] = replace(found, **columns).summary()
     return {n: {k: float(f"{v:.6g}") for k, v in values.items()} for n, values in out.items()}
