@@ -23,7 +23,7 @@ def river(frames: int = 60, step_m: float = 1.0) -> np.ndarray:
 
 def matched(estimate: np.ndarray, reference: np.ndarray) -> PoseMatch:
     n = len(reference)
-    return PoseMatch(estimate, reference, np.zeros(n, int), np.arange(n), ("up cam0",))
+    return PoseMatch(estimate, reference, np.zeros(n, int), np.arange(n))
 
 
 def moved(poses: np.ndarray, scale: float, seed: int = 0) -> np.ndarray:
@@ -79,7 +79,7 @@ def test_each_pass_and_section_is_judged_by_itself() -> None:
     estimate[bridge, :3, 3] += np.random.default_rng(3).normal(0, 0.3, (20, 3))
     parts = {"pass": np.repeat(["up", "down"], 100), "section": np.where(bridge, "1", "0")}
     group, order = np.repeat([0, 1], 100), np.tile(np.arange(100), 2)
-    match = PoseMatch(estimate, truth, group, order, ("up", "down"), parts)
+    match = PoseMatch(estimate, truth, group, order, parts)
     tables = evaluate_trajectory(match, (10.0, 100.0, 1000.0), TUNING).tables()
     found = tables["trajectory by pass"]
     up, down = (dict(zip(found["columns"], row)) for row in found["rows"])

@@ -21,21 +21,20 @@ _AS_IT_IS = Similarity(1.0, np.eye(3), np.zeros(3))
 @dataclass(frozen=True)
 class PoseMatch:
     """K poses of a model beside the reference's, each world_from_body (K, 4, 4); group (K,) numbers the sequence a pose
-    belongs to (a camera on a pass), -1 = none; order (K,) sorts within it; labels are the groups' names. ``parts``: by
+    belongs to (a camera on a pass), -1 = none; order (K,) sorts within it. ``parts``: by
     what the survey is divided ("pass", "section"), and the name (K,) of the part that each pose lies in."""
 
     estimate: np.ndarray
     reference: np.ndarray
     group: np.ndarray
     order: np.ndarray
-    labels: tuple[str, ...] = ()
     parts: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     def where(self, rows: np.ndarray) -> PoseMatch:
         """Some of the poses."""
         parts = {kind: names[rows] for kind, names in self.parts.items()}
         columns = {c: getattr(self, c)[rows] for c in ("estimate", "reference", "group", "order")}
-        return PoseMatch(**columns, labels=self.labels, parts=parts)
+        return PoseMatch(**columns, parts=parts)
 
     def __len__(self) -> int:
         return len(self.estimate)
@@ -85,8 +84,8 @@ class PartError:
 @dataclass(frozen=True)
 class TrajectoryError:
     """All of it. sim3/se3: after a least-squares alignment with and without scale; absolute: no alignment (None when
-    the frames differ); within: share of matched poses nearer than within_m after a robust Sim3; groups: (label,
-    matched, rmse, median, max after SE3); parts: each pass and each section by itself."""
+    the frames differ); within: share of matched poses nearer than within_m after a robust Sim3; parts: each pass,
+    section and camera on a pass by itself."""
 
     matched: int
     sim3: PositionError
@@ -97,7 +96,6 @@ class TrajectoryError:
     within_m: float
     relative: tuple[RelativeError, ...]
     yaw_drift_deg_per_100m: float
-    groups: tuple[tuple[str, int, float, float, float], ...]
     parts: tuple[PartError, ...] = ()
 
     def metrics(self) -> list[Metric]:
@@ -129,10 +127,6 @@ class TrajectoryError:
         """Tables for metrics.json."""
         relative = [[r.distance_m, r.translation_m, r.rotation_deg, r.count] for r in self.relative]
         return {
-            "trajectory by pass and camera": {
-                "columns": ["sequence", "matched", "rmse m", "median m", "max m"],
-                "rows": [list(g) for g in self.groups],
-            },
             "relative pose error": {
                 "columns": ["distance m", "translation m", "rotation deg", "pose pairs"],
                 "rows": relative,
@@ -179,7 +173,6 @@ def evaluate_trajectory(
         within_m=tuning.within_m,
         relative=tuple(relative_error(match, d, tuning.max_stretch) for d in distances_m),
         yaw_drift_deg_per_100m=yaw_drift(match, aligned, tuning.min_drift_m),
-        groups=_by_group(match, se3.errors_m),
         parts=tuple(_by_part(match, aligned, se3.errors_m, distances_m, tuning)),
     )
 
@@ -302,12 +295,3 @@ def registered_metrics(images: Registration) -> list[Metric]:
         Metric(name=name, value=100 * float(np.mean(of)) if len(of) else _NAN, unit="%", better=better, target=target)
         for name, (of, better, target) in found.items()
     ]
-
-
-def _by_group(match: PoseMatch, errors_m: np.ndarray) -> tuple[tuple[str, int, float, float, float], ...]:
-    out = []
-    for g in np.unique(match.group):
-        e = errors_m[match.group == g]
-        label = match.labels[g] if 0 <= g < len(match.labels) else "loose"
-        out.append((label, len(e), float(np.sqrt(np.mean(e**2))), float(np.median(e)), float(e.max())))
-    return tuple(out)
