@@ -112,8 +112,9 @@ def ellipse_map(run: RunFolder, seen: Scenery) -> tuple[Markup, str] | None:
     if told is None or not len(seen.path):
         return None
     error, place = PlacementError.from_dict(told), seen.place
-    rows = np.unique(np.linspace(0, len(seen.path) - 1, _ELLIPSES).round().astype(int))
-    at = seen.path[np.argsort(seen.path @ _main_axis(seen.path))][rows]
+    way = np.concatenate([track.positions[np.isfinite(track.positions[:, 0])] for track in seen.tracks])
+    rows = np.unique(np.linspace(0, len(way) - 1, _ELLIPSES).round().astype(int))
+    at = way[np.argsort(way @ _main_axis(way))][rows]
     flat = error.covariances(at)[:, :2, :2]
     largest = max(float(np.sqrt(np.linalg.eigvalsh(c)[-1])) for c in flat)
     if not largest > 0:
