@@ -23,7 +23,7 @@ def river(frames: int = 60, step_m: float = 1.0) -> np.ndarray:
 
 def matched(estimate: np.ndarray, reference: np.ndarray) -> PoseMatch:
     n = len(reference)
-    return PoseMatch(estimate, reference, np.zeros(n, int), np.arange(n), ("up cam0",))
+    return PoseMatch(estimate, reference, np.zeros(n, int), np.arange(n))
 
 
 def moved(poses: np.ndarray, scale: float, seed: int = 0) -> np.ndarray:
@@ -66,6 +66,32 @@ def test_yaw_drift_is_read_per_100_m() -> None:
     length = trajectory.path_length(truth[:, :3, 3])[-1]
     assert result.yaw_drift_deg_per_100m == pytest.approx(0.02 * 119 / length * 100, rel=0.02)
     assert np.isnan(evaluate_trajectory(matched(truth[:4], truth[:4]), (1.0,), TUNING).yaw_drift_deg_per_100m)
+
+
+def test_each_pass_and_section_is_judged_by_itself() -> None:
+    """Up without error, down with a drift of the heading and 0.3 m of noise where it is below the bridge."""
+    truth = np.concatenate([river(100), river(100)[::-1]])
+    turn = Rotation.from_rotvec(np.outer(np.radians(0.05 * np.arange(100)), [0, 0, 1])).as_matrix()
+    estimate = truth.copy()
+    estimate[100:, :3, :3] = turn @ truth[100:, :3, :3]
+    bridge = np.zeros(200, bool)
+    bridge[140:160] = True
+    estimate[bridge, :3, 3] += np.random.default_rng(3).normal(0, 0.3, (20, 3))
+    parts = {"pass": np.repeat(["up", "down"], 100), "section": np.where(bridge, "1", "0")}
+    group, order = np.repeat([0, 1], 100), np.tile(np.arange(100), 2)
+    match = PoseMatch(estimate, truth, group, order, parts)
+    tables = evaluate_trajectory(match, (10.0, 100.0, 1000.0), TUNING).tables()
+    found = tables["trajectory by pass"]
+    up, down = (dict(zip(found["columns"], row)) for row in found["rows"])
+    assert up["pass"] == "up" and up["matched"] == down["matched"] == 100 and 95 < up["path m"] < 115
+    assert up["rmse m"] < 0.05 and 0.15 < down["rmse m"] < 0.35
+    assert up["RPE 10 m, m"] < 1e-9 and down["RPE 10 m, m"] > 0.2, "noise and heading"
+    assert abs(up["yaw drift deg/100 m"]) < 0.01 and down["yaw drift deg/100 m"] == pytest.approx(5, rel=0.1)
+    assert "RPE 1000 m, m" not in found["columns"]
+    found = tables["trajectory by section"]
+    rows = {row[0]: dict(zip(found["columns"], row)) for row in found["rows"]}
+    assert rows["1"]["matched"] == 20 and 0.4 < rows["1"]["rmse m"] < 0.65 and rows["0"]["rmse m"] < 0.05
+    assert 15 < rows["1"]["path m"] < 25
 
 
 def test_absolute_error_sees_the_shift() -> None:

@@ -24,10 +24,12 @@ class _Scene:
     frames: int
     sequences: tuple[str, ...] = ("up",)
     section: np.ndarray = field(init=False)
+    sequence: np.ndarray = field(init=False)
     frame: np.ndarray = field(init=False)
 
     def __post_init__(self) -> None:
         self.section = (np.arange(self.frames) >= self.frames // 2).astype(int)
+        self.sequence = np.zeros(self.frames, int)
         self.frame = np.repeat(np.arange(self.frames), 2)
 
     def __len__(self) -> int:
@@ -72,6 +74,7 @@ def test_a_run_beside_the_lidar() -> None:
     assert all(0 < v < 0.01 for v in table["RMSE of positions against the LiDAR [m]"])
     assert all(abs(v - 1) < 0.01 for v in table["scale against the LiDAR"])
     assert 0 < table["cloud to LiDAR, median [m]"][0] < 3 * off_m
+    assert [row[:2] for row in told["tables"]["trajectory by section"]["rows"]] == [["0", 6], ["1", 6]]
 
 
 @pytest.mark.slow

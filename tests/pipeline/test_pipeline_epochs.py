@@ -132,6 +132,13 @@ def test_passes_of_one_run_and_its_evaluation_by_a_cloud(finished, tmp_path: Pat
     assert made == ["distances.laz", "m3c2.laz", "m3c2.png"]
     tables = json.loads((folder / "metrics.json").read_text())["tables"]
     assert "cloud against reference, M3C2" in tables and "cloud against reference" in tables
+    # the stage cloud has compared the passes for the report, at fewer core points
+    agreement = json.loads((folder / "passes" / "agreement.json").read_text())
+    assert tables["one pass against the other, M3C2"]["rows"][0][0] == "all"
+    assert figures["passes_median"] == pytest.approx(agreement["found"]["all"]["median m"])
+    assert figures["passes_median"] == pytest.approx(found["differences"]["median m"], abs=0.005)
+    layers = json.loads((folder / "metrics.json").read_text())["accuracy"]["figures"]
+    assert sum(f["key"] == "shape.passes" and f["measured"] > 0 and not f["independent"] for f in layers) == 1
 
 
 @pytest.mark.slow

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial.distance import pdist
 
 from tiegraph.evaluate.clouds.nearest import CloudComparison
+from tiegraph.evaluate.clouds.passes import PassAgreement
 from tiegraph.evaluate.trajectory import PoseMatch, TrajectoryError
 from tiegraph.evaluate.tuning import TrajectoryTuning
 from tiegraph.scene.accuracy import NAN, Accuracy, Figure
@@ -27,6 +28,7 @@ _NOT = {
     "shape": _OWN,
     "shape.measured": "the place in the world; the reference's own errors count as this run's",
     "shape.rig": "the place of the rig as a whole",
+    "shape.passes": "what both passes share: place, scale, cameras, and what matching got wrong in both",
     "point": _OWN + "; not the place of the surface as a whole",
     "point.reference_cloud": "the place in the world: both were laid on each other first, or the shape of the whole",
 }
@@ -116,7 +118,7 @@ def in_layers(stated: Stated, measured: Iterable[Figure]) -> Accuracy:
 _ORDER = (
     "world", "world.nine_in_ten", "world.check_points", "world.reference_cloud", "world.reference_poses",
     "world.held_out", "world.control_points", "world.positions", "shape.whole", "shape.10m", "shape.100m", "shape.rig",
-    "point", "point.reference_cloud",
+    "shape.passes", "point", "point.reference_cloud",
 )  # fmt: skip
 
 
@@ -202,6 +204,20 @@ def cloud_figure(result: CloudComparison, reach_m: float, predicted: Predicted, 
         f"{layer}.reference_cloud", "a point of the cloud", float(np.linalg.norm(parts)),
         result.whole.median_m if found else criteria.reach_m, by=by, independent=True,
     )  # fmt: skip
+
+
+def passes_figure(found: PassAgreement, predicted: Predicted, confidence: float) -> list[Figure]:
+    """What the clouds of two passes say of each other, along the surface's normal; none where they were not compared.
+
+    Predicted: what the points of both state (the level of detection is ``confidence`` sigmas of it), and two cameras
+    inside the model, one axis of them. The adjustment knew both passes, so that neither is independent.
+    """
+    if not np.isfinite(found.rms_m):
+        return []
+    cameras = np.nan_to_num(predicted.inside_m) * np.sqrt(2 / 3)
+    told = float(np.hypot(found.detection_m / confidence, cameras))
+    of = "a surface, one pass against the other"
+    return [_figure("shape.passes", of, told, found.rms_m, by=f"the clouds of passes {' and '.join(found.passes)}")]
 
 
 def _figure(key: str, of: str, predicted: float = NAN, measured: float = NAN, proof: str = "", **more: Any) -> Figure:

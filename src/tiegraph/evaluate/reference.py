@@ -120,16 +120,15 @@ def match_poses(reference: ReferencePoses, model: ModelPoses, scene: Scene, max_
 def _match_images(reference: ReferencePoses, model: ModelPoses, scene: Scene) -> tuple[PoseMatch, str]:
     known = [k for k in range(len(scene)) if scene.names[k] in reference.by_image]
     rows = np.array([k for k in known if model.placed[k]], int)
-    labels = list(dict.fromkeys(scene.image_label()))
-    number = {label: g for g, label in enumerate(labels)}
-    frame, label_of = scene.frame[rows], scene.image_label()
-    group = np.array([number[label_of[k]] for k in rows], int)
+    frame, labels = scene.frame[rows], scene.image_label()
+    names = [f"{t} {s}".strip() for t, s in (labels[k] for k in rows)]
+    number = {name: g for g, name in enumerate(dict.fromkeys(names))}
     match = PoseMatch(
         estimate=model.world_from_camera[rows],
         reference=np.array([reference.by_image[scene.names[k]] for k in rows]).reshape(-1, 4, 4),
-        group=np.where(scene.sequence[frame] >= 0, group, -1),
+        group=np.where(scene.sequence[frame] >= 0, np.array([number[name] for name in names], int), -1),
         order=scene.sequence_index[frame],
-        labels=tuple(f"{t} {s}".strip() for t, s in labels),
+        parts={**frame_parts(scene, frame), "pass and camera": np.array(names)},
     )
     return match, f"images by name: {len(rows)} placed of {len(known)} with a reference ({len(scene)} in all)"
 
@@ -146,7 +145,7 @@ def _match_frames(
         reference=truth[rows],
         group=scene.sequence[rows],
         order=scene.sequence_index[rows],
-        labels=scene.sequences,
+        parts=frame_parts(scene, rows),
     )
     said = (
         "; ".join(how)
@@ -157,6 +156,14 @@ def _match_frames(
         f"rig poses, {said}: {len(rows)} placed of {int(known.sum())} with a reference ({scene.frames} frames in "
         f"all{_without(scene, ~known)}), one constant turn of the axes removed",
     )
+
+
+def frame_parts(scene: Scene, frames: np.ndarray) -> dict[str, np.ndarray]:
+    """What frames (K,) lie in: their passes, and their sections where the survey was cut into some."""
+    out = {"pass": np.array([scene.sequences[s] if s >= 0 else "(loose)" for s in scene.sequence[frames]])}
+    if len(np.unique(scene.section)) > 1:
+        out["section"] = np.array([f"{s}" if s >= 0 else "(none)" for s in scene.section[frames]])
+    return out
 
 
 def _frame_poses(reference: ReferencePoses, scene: Scene, max_gap_s: float) -> tuple[np.ndarray, list[str]]:

@@ -10,10 +10,11 @@ import numpy as np
 
 from tiegraph.errors import InputError
 from tiegraph.evaluate import backprojection, reference
-from tiegraph.evaluate.accuracy import Predicted, Stated, cloud_figure, in_layers, pose_figures
+from tiegraph.evaluate.accuracy import Predicted, Stated, cloud_figure, in_layers, passes_figure, pose_figures
 from tiegraph.evaluate.backprojection import View, backprojection_rmse
 from tiegraph.evaluate.clouds.judge import CloudJudgement, Question, judge_cloud
 from tiegraph.evaluate.clouds.nearest import Cameras
+from tiegraph.evaluate.clouds.passes import PassAgreement
 from tiegraph.evaluate.contradictions import against_cloud, against_poses
 from tiegraph.evaluate.metrics import metrics_to_dict
 from tiegraph.evaluate.reference import ModelPoses
@@ -56,10 +57,12 @@ class Products:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """The content of metrics.json, and how the cloud was judged by a reference cloud, if there is one."""
+    """The content of metrics.json, and how the cloud was judged by a reference cloud, if there is one, after an
+    alignment (None: as it is)."""
 
     metrics: dict[str, Any]
     cloud: CloudJudgement | None = None
+    alignment: Similarity | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,12 +77,17 @@ class _Work:
 
 
 def evaluate_survey(
-    scene: Scene, made: Products, settings: EvaluateSettings, tuning: Tuning, stated: Stated | None = None
+    scene: Scene,
+    made: Products,
+    settings: EvaluateSettings,
+    tuning: Tuning,
+    stated: Stated | None = None,
+    passes: PassAgreement | None = None,
 ) -> Evaluation:
     """The content of metrics.json for a run, and how its cloud was judged.
 
-    ``stated``: what the run says of itself, which its references are held against. Raises InputError for references
-    that cannot be read or matched.
+    ``stated``: what the run says of itself, which its references are held against; ``passes``: how well two of them
+    agree. Raises InputError for references that cannot be read or matched.
     """
     found, cloud, stated = _Findings(), made.cloud, stated or Stated()
     model = reference.model_poses(made.model, scene)
@@ -100,15 +108,21 @@ def evaluate_survey(
         found.metrics.extend(result.metrics())
         found.notes.append(backprojection.MEANING)
     trajectory = None if settings.reference is None else _trajectory(work, settings.reference)
-    judged = None
+    judged = alignment = None
     if settings.reference_cloud is not None and cloud is not None and len(cloud):
-        judged = _cloud(work, made, settings.reference_cloud, trajectory)
+        judged, alignment = _cloud(work, made, settings.reference_cloud, trajectory)
+    if passes is not None:
+        found.metrics.extend(passes.metrics())
+        found.tables.update(passes.tables())
+        found.notes.append(passes.note())
+        found.figures += passes_figure(passes, stated.predicted, tuning.m3c2.confidence)
     accuracy = in_layers(stated, found.figures)
     if settings.tolerance_m is not None:
         contradicted = bool(found.contradictions or stated.world.get("contradictions"))
         answer = answered(settings.tolerance_m, accuracy, stated, contradicted, tuning.min_checks)
         accuracy = replace(accuracy, answer=answer)
-    return Evaluation(metrics_to_dict(found.metrics, found.tables, found.notes, found.contradictions, accuracy), judged)
+    said = metrics_to_dict(found.metrics, found.tables, found.notes, found.contradictions, accuracy)
+    return Evaluation(said, judged, alignment)
 
 
 def pinhole_views(reconstruction: Any) -> list[View]:
@@ -166,8 +180,10 @@ def _step_s(scene: Scene) -> float:
     return float(np.median(step)) if len(step) else float("nan")
 
 
-def _cloud(work: _Work, made: Products, path: Path, trajectory: TrajectoryError | None) -> CloudJudgement:
-    """A reference cloud against the run's."""
+def _cloud(
+    work: _Work, made: Products, path: Path, trajectory: TrajectoryError | None
+) -> tuple[CloudJudgement, Similarity | None]:
+    """A reference cloud against the run's, and the alignment of that."""
     settings, tuning, origin, found, cloud = work.settings, work.tuning, work.origin, work.found, made.cloud
     assert cloud is not None and made.scratch is not None
     truth = open_cloud(path)
@@ -187,7 +203,7 @@ def _cloud(work: _Work, made: Products, path: Path, trajectory: TrajectoryError 
     found.figures.append(figure)
     found.contradictions += against_cloud(figure, tuning.judge)
     found.notes.append(f"Reference cloud {path.name}, {how}. {result.notes()}")
-    return result
+    return result, alignment
 
 
 def _cameras(work: _Work) -> Cameras:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -21,13 +21,20 @@ _AS_IT_IS = Similarity(1.0, np.eye(3), np.zeros(3))
 @dataclass(frozen=True)
 class PoseMatch:
     """K poses of a model beside the reference's, each world_from_body (K, 4, 4); group (K,) numbers the sequence a pose
-    belongs to (a camera on a pass), -1 = none; order (K,) sorts within it; labels are the groups' names."""
+    belongs to (a camera on a pass), -1 = none; order (K,) sorts within it. ``parts``: by
+    what the survey is divided ("pass", "section"), and the name (K,) of the part that each pose lies in."""
 
     estimate: np.ndarray
     reference: np.ndarray
     group: np.ndarray
     order: np.ndarray
-    labels: tuple[str, ...] = ()
+    parts: Mapping[str, np.ndarray] = field(default_factory=dict)
+
+    def where(self, rows: np.ndarray) -> PoseMatch:
+        """Some of the poses."""
+        parts = {kind: names[rows] for kind, names in self.parts.items()}
+        columns = {c: getattr(self, c)[rows] for c in ("estimate", "reference", "group", "order")}
+        return PoseMatch(**columns, parts=parts)
 
     def __len__(self) -> int:
         return len(self.estimate)
@@ -62,10 +69,23 @@ class RelativeError:
 
 
 @dataclass(frozen=True)
+class PartError:
+    """A pass or a section (``kind``): errors of its poses after the alignment of all, the path that its longest
+    sequence travelled, relative errors and drift between its own poses."""
+
+    kind: str
+    name: str
+    errors_m: np.ndarray
+    path_m: float
+    relative: tuple[RelativeError, ...]
+    yaw_drift_deg_per_100m: float
+
+
+@dataclass(frozen=True)
 class TrajectoryError:
     """All of it. sim3/se3: after a least-squares alignment with and without scale; absolute: no alignment (None when
-    the frames differ); within: share of matched poses nearer than within_m after a robust Sim3; groups: (label,
-    matched, rmse, median, max after SE3)."""
+    the frames differ); within: share of matched poses nearer than within_m after a robust Sim3; parts: each pass,
+    section and camera on a pass by itself."""
 
     matched: int
     sim3: PositionError
@@ -76,7 +96,7 @@ class TrajectoryError:
     within_m: float
     relative: tuple[RelativeError, ...]
     yaw_drift_deg_per_100m: float
-    groups: tuple[tuple[str, int, float, float, float], ...]
+    parts: tuple[PartError, ...] = ()
 
     def metrics(self) -> list[Metric]:
         """The figures of merit."""
@@ -107,15 +127,27 @@ class TrajectoryError:
         """Tables for metrics.json."""
         relative = [[r.distance_m, r.translation_m, r.rotation_deg, r.count] for r in self.relative]
         return {
-            "trajectory by pass and camera": {
-                "columns": ["sequence", "matched", "rmse m", "median m", "max m"],
-                "rows": [list(g) for g in self.groups],
-            },
             "relative pose error": {
                 "columns": ["distance m", "translation m", "rotation deg", "pose pairs"],
                 "rows": relative,
             },
+            **{f"trajectory by {kind}": self._by_part(kind) for kind in dict.fromkeys(p.kind for p in self.parts)},
         }
+
+    def _by_part(self, kind: str) -> dict:
+        """A row a part; distances that no part spans have no columns."""
+        found = [p for p in self.parts if p.kind == kind]
+        spanned = [k for k in range(len(self.relative)) if any(p.relative[k].count for p in found)]
+        columns = [kind, "matched", "path m", "rmse m", "median m", "max m"]
+        for k in spanned:
+            columns += [f"RPE {self.relative[k].distance_m:g} m, m", f"RPE {self.relative[k].distance_m:g} m, deg"]
+        rows: list[list] = []
+        for p in found:
+            off = [v for k in spanned for v in (p.relative[k].translation_m, p.relative[k].rotation_deg)]
+            e = p.errors_m
+            error = [float(np.sqrt(np.mean(e**2))), float(np.median(e)), float(e.max())]
+            rows.append([p.name, len(e), p.path_m, *error, *off, p.yaw_drift_deg_per_100m])
+        return {"columns": [*columns, "yaw drift deg/100 m"], "rows": rows}
 
 
 def evaluate_trajectory(
@@ -141,7 +173,7 @@ def evaluate_trajectory(
         within_m=tuning.within_m,
         relative=tuple(relative_error(match, d, tuning.max_stretch) for d in distances_m),
         yaw_drift_deg_per_100m=yaw_drift(match, aligned, tuning.min_drift_m),
-        groups=_by_group(match, se3.errors_m),
+        parts=tuple(_by_part(match, aligned, se3.errors_m, distances_m, tuning)),
     )
 
 
@@ -211,6 +243,28 @@ def yaw_drift(match: PoseMatch, aligned: np.ndarray, min_drift_m: float) -> floa
     return float(np.median(slopes)) if slopes else _NAN
 
 
+def _by_part(
+    match: PoseMatch,
+    aligned: np.ndarray,
+    errors_m: np.ndarray,
+    distances_m: tuple[float, ...],
+    tuning: TrajectoryTuning,
+) -> Iterator[PartError]:
+    for kind, names in match.parts.items():
+        for name in dict.fromkeys(names):
+            rows = np.flatnonzero(names == name)
+            part = match.where(rows)
+            ways = [path_length(part.reference[k, :3, 3])[-1] for k in part.sequences()]
+            yield PartError(
+                kind=kind,
+                name=str(name),
+                errors_m=errors_m[rows],
+                path_m=float(max(ways, default=0.0)),
+                relative=tuple(relative_error(part, d, tuning.max_stretch) for d in distances_m),
+                yaw_drift_deg_per_100m=yaw_drift(part, aligned[rows], tuning.min_drift_m),
+            )
+
+
 def path_length(positions: np.ndarray) -> np.ndarray:
     """Travelled distance (T,) along positions (T, 3), starting at 0."""
     return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=1))])
@@ -241,12 +295,3 @@ def registered_metrics(images: Registration) -> list[Metric]:
         Metric(name=name, value=100 * float(np.mean(of)) if len(of) else _NAN, unit="%", better=better, target=target)
         for name, (of, better, target) in found.items()
     ]
-
-
-def _by_group(match: PoseMatch, errors_m: np.ndarray) -> tuple[tuple[str, int, float, float, float], ...]:
-    out = []
-    for g in np.unique(match.group):
-        e = errors_m[match.group == g]
-        label = match.labels[g] if 0 <= g < len(match.labels) else "loose"
-        out.append((label, len(e), float(np.sqrt(np.mean(e**2))), float(np.median(e)), float(e.max())))
-    return tuple(out)

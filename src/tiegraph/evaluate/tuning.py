@@ -103,6 +103,18 @@ class ChangesTuning(Section):
     """Changes in the table, the largest first."""
 
 
+class PassesTuning(Section):
+    """The clouds of two passes of one run against each other (`clouds/passes.py`)."""
+
+    maps: int = Field(40, gt=0)
+    """Depth maps of either pass that the stage `cloud` compares, at most, which bounds its time; `compare --passes`
+    takes all of them."""
+    places: int = Field(5, gt=0)
+    """Of more, those near so many places, spread evenly along the way."""
+    cores: int = Field(20_000, gt=0)
+    """Core points, about: the median of so many is known to a hundredth of their spread."""
+
+
 class JudgeTuning(Section):
     """References against what was predicted (`contradictions.py`)."""
 
@@ -141,5 +153,7 @@ class Tuning(Section):
     """A cloud laid on another."""
     changes: ChangesTuning = ChangesTuning()
     """What has changed."""
+    passes: PassesTuning = PassesTuning()
+    """Two passes of one run."""
     judge: JudgeTuning = JudgeTuning()
     """What contradicts."""

@@ -27,6 +27,11 @@ class Similarity:
         """Points (N, 3) of the source in the target frame."""
         return self.scale * np.asarray(points, float) @ self.rotation.T + self.translation
 
+    def inverse(self) -> Similarity:
+        """source = scale * rotation @ target + translation."""
+        turned = self.rotation.T / self.scale
+        return Similarity(1 / self.scale, self.rotation.T, -turned @ self.translation)
+
 
 def umeyama(
     source: np.ndarray, target: np.ndarray, weights: np.ndarray | None = None, with_scale: bool = True

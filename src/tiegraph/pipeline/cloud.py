@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -40,9 +41,18 @@ def cloud(run: Run) -> Outcome:
     notes = [*write_copc(fused.clouds, run.path("cloud.copc.laz"), fused.voxel, scratch, said)]
     same_file(run.path("cloud.copc.laz"), run.path("cloud.laz"))
     notes += write_ply(fused.clouds(), run.path("cloud.ply"), said)
+    agreement = _passes(run, scratch)
     remove(scratch)
     counts = {"points": fused.counts["points"], **{k: v for k, v in fused.counts.items() if k != "points"}, **sigmas}
-    return Outcome({**counts, "voxel": float(f"{fused.voxel:.3g}")}, notes=tuple(dict.fromkeys(notes)))
+    return Outcome({**counts, "voxel": float(f"{fused.voxel:.3g}")}, notes=tuple(dict.fromkeys([*notes, *agreement])))
+
+
+def _passes(run: Run, scratch: Path) -> list[str]:
+    """Compare two passes with each other, where there are some; what is to be said if that was not possible."""
+    from tiegraph.pipeline.passes import write_agreement  # matplotlib, which no worker of this stage needs
+
+    found = write_agreement(run, scratch, _mapper(run))
+    return [found.note()] if found is not None and found.why_not else []
 
 
 def _sigmas(run: Run, parts: Iterable[Cloud]) -> dict[str, float]:

@@ -93,17 +93,25 @@ def differences_of(pair: Pair, out: Path, depth_m: float | None) -> dict[str, An
     tuning = Tuning()
     with new_folder(out) as folder, tempfile.TemporaryDirectory(dir=folder) as scratch:
         assert folder is not None
-        clouds = tile_clouds(pair.first, pair.second, Path(scratch), tuning.cloud)
-        try:
-            meeting(clouds)
-            cylinders = cylinders_of(clouds, tuning.m3c2, depth_m)
-        except ValueError as error:
-            raise InputError(f"{pair.second.name}: {error}") from None
-        found = m3c2_tiled(clouds, cylinders, tuning.m3c2, pair.cameras, pair.sigma)
+        found = m3c2_of(pair, Path(scratch), tuning, depth_m)
         changed = changes(found, tuning.changes)
         result = _result(found, changed, pair, tuning.changes.listed)
         _write(folder, found, changed, result, pair.origin)
     return result
+
+
+def m3c2_of(
+    pair: Pair, scratch: Path, tuning: Tuning, depth_m: float | None = None, most: int | None = None
+) -> Differences:
+    """The second cloud minus the first, at about ``most`` core points; ``scratch`` is an empty folder. Raises
+    InputError if they do not meet."""
+    clouds = tile_clouds(pair.first, pair.second, scratch, tuning.cloud)
+    try:
+        meeting(clouds)
+        cylinders = cylinders_of(clouds, tuning.m3c2, depth_m)
+    except ValueError as error:
+        raise InputError(f"{pair.second.name}: {error}") from None
+    return m3c2_tiled(clouds, cylinders, tuning.m3c2, pair.cameras, pair.sigma, most)
 
 
 def _read(folder: Path) -> _Epoch:

@@ -9,9 +9,11 @@ import numpy as np
 from tiegraph.evaluate.accuracytable import accuracy_csv
 from tiegraph.evaluate.clouds.judge import CloudJudgement
 from tiegraph.evaluate.clouds.m3c2 import Differences
+from tiegraph.evaluate.clouds.passes import PassAgreement
 from tiegraph.evaluate.clouds.picture import difference_map
 from tiegraph.evaluate.settings import EvaluateSettings
 from tiegraph.evaluate.survey import Products, evaluate_survey
+from tiegraph.geometry.align import Similarity
 from tiegraph.geometry.geodesy import Origin
 from tiegraph.masks.compare import compare
 from tiegraph.pipeline.files import FINAL, checked, load_json, load_model, reading
@@ -23,6 +25,9 @@ from tiegraph.scene.cloudfile import read_cloud
 from tiegraph.scene.measuredcloud import Measured, write_measured
 from tiegraph.scene.registered import registration
 from tiegraph.scene.scene import Scene
+
+PASSES = "passes"
+"""Folder of what the stage ``cloud`` found between two passes."""
 
 
 def evaluate(run: Run) -> Outcome:
@@ -42,9 +47,9 @@ def evaluate(run: Run) -> Outcome:
     if settings.reference_cloud is not None:
         scratch.mkdir(parents=True)
     made = Products(model=model, images=images, cloud=cloud, origin=placed, gsd_m=counts.get("voxel"), scratch=scratch)
-    found = evaluate_survey(scene, made, settings, tuning.evaluate, stated(run, counts))
+    found = evaluate_survey(scene, made, settings, tuning.evaluate, stated(run, counts), _agreement(run))
     if found.cloud is not None:
-        write_judgement(found.cloud, run.path("evaluate"), origin)
+        write_judgement(found.cloud, run.path("evaluate"), origin, found.alignment)
     remove(scratch)
     result = found.metrics
     if settings.reference_masks is not None:
@@ -57,12 +62,22 @@ def evaluate(run: Run) -> Outcome:
     return Outcome(shown, notes=notes, contradictions=tuple(result["contradictions"]))
 
 
-def write_judgement(found: CloudJudgement, folder: Path, origin: Origin | None) -> None:
-    """The map of differences, and both clouds with what was measured, into a folder."""
+def _agreement(run: Run) -> PassAgreement | None:
+    """How well two passes agree; None for one pass."""
+    path = run.path(PASSES, "agreement.json")
+    return PassAgreement.from_dict(load_json(path)) if path.exists() else None
+
+
+def write_judgement(
+    found: CloudJudgement, folder: Path, origin: Origin | None, alignment: Similarity | None = None
+) -> None:
+    """The map of differences, and both clouds with what was measured, into a folder: the judged one where it stood
+    before the ``alignment``, so that it lies on the run's cloud."""
+    back = (lambda xyz: xyz) if alignment is None else alignment.inverse()
     differences, spacing = found.differences, found.nearest.criteria.voxel_m
     limit = found.nearest.criteria.ghost_m
     write_atomic(folder / "m3c2.png", difference_map(differences, "cloud minus reference"))
-    parts = (Measured(xyz, {"distance_m": away}, (0.0, limit)) for xyz, away in found.nearest.points())
+    parts = (Measured(back(xyz), {"distance_m": away}, (0.0, limit)) for xyz, away in found.nearest.points())
     write_measured(parts, folder / "distances.laz", origin, spacing)
     write_measured([measured(differences)], folder / "m3c2.laz", origin, spacing)
 

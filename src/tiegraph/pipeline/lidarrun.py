@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from tiegraph.errors import InputError
 from tiegraph.evaluate.clouds.judge import Question, judge_cloud
 from tiegraph.evaluate.clouds.nearest import Cameras, CloudComparison
-from tiegraph.evaluate.reference import model_poses
+from tiegraph.evaluate.reference import frame_parts, model_poses
 from tiegraph.evaluate.trajectory import PoseMatch, evaluate_trajectory
 from tiegraph.evaluate.tuning import Tuning as EvaluateTuning
 from tiegraph.geometry.align import Similarity
@@ -123,7 +123,7 @@ def compared(run: SurveyRun, lidar: Poses, reference: Cloud, found: HandEye) -> 
         reference=by_lidar,
         group=rig.group,
         order=np.arange(len(frame)),
-        labels=run.scene.sequences,
+        parts=frame_parts(run.scene, frame),
     )
     error = evaluate_trajectory(match, _RPE_M, EvaluateTuning().trajectory)
     judged = _Judged(run, world, reference, match, run.scene.section[frame])
@@ -183,13 +183,7 @@ class _Judged:
         rows = np.flatnonzero(np.ones(len(self.match), bool) if section is None else self.sections == section)
         out = Column(name, int(images.sum()), int(self.run.used[images].sum()), frames=len(rows))
         if len(rows) >= 3:
-            part = PoseMatch(
-                estimate=self.match.estimate[rows],
-                reference=self.match.reference[rows],
-                group=self.match.group[rows],
-                order=self.match.order[rows],
-            )
-            error = evaluate_trajectory(part, _RPE_M, EvaluateTuning().trajectory)
+            error = evaluate_trajectory(self.match.where(rows), _RPE_M, EvaluateTuning().trajectory)
             out = replace(out, rmse_m=error.se3.rmse_m, scale=error.sim3.alignment.scale * self.world.scale)
         if self.cloud is not None:
             judged = self.cloud.whole if section is None else self.cloud.sections.get(str(section))

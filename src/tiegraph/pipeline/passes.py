@@ -1,14 +1,16 @@
-"""Glue of `compare --passes`: the clouds of two passes of one run against each other, without any reference.
+"""Glue of the comparison of two passes of one run, without any reference: their clouds against each other.
 
 Each is fused of the depth maps of its own images. What this tells is how well both passes agree: poses across the
 survey, and depth. What it does not tell is what both share: the place and scale of the model, the cameras, and what
-matching got wrong in both; and a depth map of one pass may have been confirmed by images of the other.
+matching got wrong in both; and a depth map of one pass may have been confirmed by images of the other. The stage
+``cloud`` compares some depth maps for the report (``write_agreement``), `compare --passes` all of them.
 """
 
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -16,17 +18,37 @@ from typing import Any
 import numpy as np
 
 from tiegraph.cloud.fuse import FusionResult, Maps, fuse
-from tiegraph.errors import InputError
+from tiegraph.errors import InputError, ReconstructionError
 from tiegraph.evaluate.clouds.nearest import Cameras
+from tiegraph.evaluate.clouds.passes import PassAgreement, by_section, near_places
+from tiegraph.evaluate.clouds.picture import difference_map
 from tiegraph.geometry.transforms import centre
-from tiegraph.pipeline.dense import coloured, depth_path, plan_of, read_depth
-from tiegraph.pipeline.epochs import Pair, differences_of
-from tiegraph.pipeline.files import checked
+from tiegraph.pipeline.dense import depth_path, read_depth
+from tiegraph.pipeline.epochs import Pair, differences_of, m3c2_of
+from tiegraph.pipeline.evaluate import PASSES, measured
+from tiegraph.pipeline.files import checked, load_model
 from tiegraph.pipeline.placed import world_origin
-from tiegraph.project.run import Run
+from tiegraph.project.run import Run, save_json
+from tiegraph.project.stages import write_atomic
 from tiegraph.scene.cloudchunks import Points, PointSource
+from tiegraph.scene.colmapmodel import matrix
+from tiegraph.scene.measuredcloud import write_measured
+from tiegraph.scene.scene import Scene
 
-_LEAST = 2  # passes
+Mapper = Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[Any]]
+
+
+@dataclass(frozen=True)
+class _Pass:
+    """A pass: its images that have depth maps, in the order of its way, and where each was taken (N, 3)."""
+
+    name: str
+    images: tuple[str, ...]
+    centres: np.ndarray
+
+    def where(self, rows: np.ndarray) -> _Pass:
+        """Some of the images."""
+        return _Pass(self.name, tuple(self.images[k] for k in rows), self.centres[rows])
 
 
 def compare_passes(run: Run, out: Path, depth_m: float | None = None) -> dict[str, Any]:
@@ -35,36 +57,83 @@ def compare_passes(run: Run, out: Path, depth_m: float | None = None) -> dict[st
     Raises InputError for a run without depth maps of two passes.
     """
     scene = checked(run)
-    plans = {n: p for n, p in plan_of(run).images.items() if depth_path(run.folder, n).exists()}
-    by_pass: dict[str, list[str]] = {name: [] for name in scene.sequences}
-    for name in sorted(n for n in plans if n in scene.image_index):
-        sequence = scene.sequence[scene.frame[scene.image_index[name]]]
-        if sequence >= 0:
-            by_pass[scene.sequences[sequence]].append(name)
-    chosen = sorted((n for n in by_pass if by_pass[n]), key=lambda n: (-len(by_pass[n]), n))[:_LEAST]
-    if len(chosen) < _LEAST:
+    found = _two_largest(run, scene)
+    if len(found) < 2:
         raise InputError(
-            f"{run.folder}: depth maps of {len(chosen)} passes, and two are needed: run it to the stage dense, with "
+            f"{run.folder}: depth maps of {len(found)} passes, and two are needed: run it to the stage dense, with "
             "images of each pass in a folder of its own"
         )
-    colours = coloured(plans, run.path("images"), run.settings.dense, run.settings.tuning.dense.views)
-    maps = Maps(partial(read_depth, folder=run.folder), colours)
     with tempfile.TemporaryDirectory() as scratch:
-        clouds: list[PointSource] = []
-        for name in chosen:
-            folder = Path(scratch, str(len(clouds)))
-            folder.mkdir()
-            fused = fuse(by_pass[name], maps, folder, run.settings.cloud, run.settings.tuning.cloud, world_origin(run))
-            clouds.append(PointSource(f"pass {name}", partial(_parts, fused)))
-        centres = centre(np.array([read_depth(n, run.folder).cam_from_world for n in by_pass[chosen[0]]]))
-        pair = Pair(
-            first=clouds[0],
-            second=clouds[1],
-            cameras=Cameras(centres, ("",) * len(centres)),
-            origin=world_origin(run),
-            held=f"in one model, pass {chosen[1]} minus pass {chosen[0]}: what both share is not told",
-        )
-        return differences_of(pair, out, depth_m)
+        return differences_of(_pair(run, scene, found, Path(scratch), map), out, depth_m)
+
+
+def write_agreement(run: Run, scratch: Path, mapper: Mapper) -> PassAgreement | None:
+    """Compare depth maps of the two largest passes, all of few and else some near places along the way, and write
+    agreement.json, differences.png and differences.laz into the folder ``passes``; None for one pass."""
+    scene, tuning = checked(run), run.settings.tuning.evaluate
+    there = _two_largest(run, scene)
+    if len(there) < 2:
+        return None
+    rows = near_places(there[0].centres, there[1].centres, tuning.passes)
+    used = [one.where(k) for one, k in zip(there, rows)]
+    of: dict[str, Any] = {
+        "passes": (used[0].name, used[1].name),
+        "maps": (len(used[0].images), len(used[1].images)),
+        "there": (len(there[0].images), len(there[1].images)),
+    }
+    folder = run.path(PASSES)
+    try:
+        pair = _pair(run, scene, used, scratch, mapper)
+        (scratch / "tiles").mkdir()
+        found = m3c2_of(pair, scratch / "tiles", tuning, most=tuning.passes.cores)
+    except (InputError, ReconstructionError) as error:
+        agreement = PassAgreement(**of, found={}, why_not=str(error))
+    else:
+        agreement = PassAgreement(**of, found=by_section(found, pair.cameras))
+        title = f"{used[1].name} minus {used[0].name}"
+        write_atomic(folder / "differences.png", difference_map(found, title))
+        write_measured([measured(found)], folder / "differences.laz", pair.origin, found.cylinders.cores_m)
+    save_json(folder / "agreement.json", agreement.to_dict())
+    return agreement
+
+
+def _two_largest(run: Run, scene: Scene) -> list[_Pass]:
+    """The two passes with the most depth maps, the largest first; fewer if there are fewer."""
+    model = load_model(run.path("sparse", "world"))
+    centres = {i.name: centre(matrix(i.cam_from_world())) for i in model.images.values() if i.has_pose}
+    by_pass: dict[int, list[str]] = {}
+    for k in np.lexsort((np.arange(len(scene)), scene.sequence_index[scene.frame])):
+        name, sequence = scene.names[k], int(scene.sequence[scene.frame[k]])
+        if sequence >= 0 and name in centres and depth_path(run.folder, name).exists():
+            by_pass.setdefault(sequence, []).append(name)
+    found = [_Pass(scene.sequences[s], tuple(n), np.array([centres[k] for k in n])) for s, n in by_pass.items()]
+    return sorted(found, key=lambda one: (-len(one.images), one.name))[:2]
+
+
+def _pair(run: Run, scene: Scene, passes: Sequence[_Pass], scratch: Path, mapper: Mapper) -> Pair:
+    """The clouds of two passes, fused of their depth maps into ``scratch``. Raises ReconstructionError for empty
+    ones."""
+    clouds: list[PointSource] = []
+    maps = Maps(partial(read_depth, folder=run.folder), partial(_uncoloured, folder=run.folder))
+    for one in passes:
+        folder = scratch / str(len(clouds))
+        folder.mkdir()
+        settings, tuning = run.settings.cloud, run.settings.tuning.cloud
+        fused = fuse(sorted(one.images), maps, folder, settings, tuning, world_origin(run), mapper)
+        clouds.append(PointSource(f"pass {one.name}", partial(_parts, fused)))
+    sections = [int(scene.section[scene.frame[scene.image_index[n]]]) for n in passes[0].images]
+    return Pair(
+        first=clouds[0],
+        second=clouds[1],
+        cameras=Cameras(passes[0].centres, tuple(f"{s}" if s >= 0 else "(none)" for s in sections)),
+        origin=world_origin(run),
+        held=f"in one model, pass {passes[1].name} minus pass {passes[0].name}: what both share is not told",
+    )
+
+
+def _uncoloured(name: str, folder: Path) -> np.ndarray:
+    """Black: colours are not compared, and images are not read for them."""
+    return np.zeros((*read_depth(name, folder).depth_m.shape, 3), np.uint8)
 
 
 def _parts(fused: FusionResult) -> Iterator[Points]:

@@ -18,7 +18,9 @@ def sentences(world: dict[str, Any]) -> list[str]:
         given = ", ".join(f"{v:.2f}" for v in arm)
         out.append(t("The lever arm of the GNSS antenna is {} m in the frame of the rig's first camera.", given))
     if world.get("adjusted"):
-        out.append(
-            t("The model was adjusted together with its positions and control points, not only shifted to them.")
-        )
+        if (world.get("accuracy") or {}).get("gcp"):
+            text = "The model was adjusted together with its positions and control points, not only shifted to them."
+        else:
+            text = "The model was adjusted together with its positions, not only shifted to them."
+        out.append(t(text))
     return out

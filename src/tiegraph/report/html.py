@@ -16,7 +16,7 @@ from tiegraph.report import accuracy, formatting, images, spatial, summary, warn
 from tiegraph.report.client.page import client_page
 from tiegraph.report.contradictions import evidence_table
 from tiegraph.report.effort import effort
-from tiegraph.report.evaluation import evaluation
+from tiegraph.report.evaluation import evaluation, passes_part
 from tiegraph.report.glossary import glossary
 from tiegraph.report.networkpart import network_part
 from tiegraph.report.reportjson import json_text
@@ -136,12 +136,13 @@ def _contents(context: dict[str, Any]) -> Iterator[Section]:
 def _how_sure(run: RunFolder) -> dict[str, Any]:
     """Every accuracy with what it does not prove, what each source says by itself, and what nothing tells."""
     out: dict[str, Any] = {"table": None, "placement": "", "evidence": evidence_table(run), "without": []}
+    out["passes"] = {"table": None, "map": None}
     if run.accuracy is not None:
         out |= {"table": accuracy.table(run.accuracy), "placement": accuracy.placement(run.accuracy)}
-        out["without"] = accuracy.without(run.accuracy)
-        if run.scene is not None and len(run.scene.sequences) > 1:
-            text = "The clouds of the passes were not compared with each other: an error of one pass may be hidden."
-            out["without"].append(t(text))
+        out |= {"without": accuracy.without(run.accuracy), "passes": passes_part(run)}
+        if run.scene is not None and len(run.scene.sequences) > 1 and out["passes"]["table"] is None:
+            text = "The clouds of the passes were not compared with each other, which takes depth maps of two that "
+            out["without"].append(t(text + "meet (`tiegraph cloud` does it): an error of one pass may be hidden."))
     return out
 
 

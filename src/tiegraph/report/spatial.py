@@ -13,6 +13,7 @@ from markupsafe import Markup
 from tiegraph.geometry.placement import PlacementError
 from tiegraph.report import formatting, plan, viewer
 from tiegraph.report.cloudview import brightened, by_height, inliers, standard_views, with_scale_bar
+from tiegraph.report.distances import distance_scales, section_scale
 from tiegraph.report.runfolder import RunFolder
 from tiegraph.report.settings import ReportSettings
 from tiegraph.report.svg import map as maps
@@ -111,8 +112,9 @@ def ellipse_map(run: RunFolder, seen: Scenery) -> tuple[Markup, str] | None:
     if told is None or not len(seen.path):
         return None
     error, place = PlacementError.from_dict(told), seen.place
-    rows = np.unique(np.linspace(0, len(seen.path) - 1, _ELLIPSES).round().astype(int))
-    at = seen.path[np.argsort(seen.path @ _main_axis(seen.path))][rows]
+    way = np.concatenate([track.positions[np.isfinite(track.positions[:, 0])] for track in seen.tracks])
+    rows = np.unique(np.linspace(0, len(way) - 1, _ELLIPSES).round().astype(int))
+    at = way[np.argsort(way @ _main_axis(way))][rows]
     flat = error.covariances(at)[:, :2, :2]
     largest = max(float(np.sqrt(np.linalg.eigvalsh(c)[-1])) for c in flat)
     if not largest > 0:
@@ -138,16 +140,18 @@ def views(run: RunFolder, seen: Scenery) -> list[tuple[str, str]]:
 
 def viewer_part(run: RunFolder, seen: Scenery, settings: ReportSettings) -> dict[str, Any]:
     """Data and script of the interactive view."""
-    data = viewer.viewer_data(
-        seen.xyz, seen.rgb, seen.tracks, settings.viewer_points, seen.unit, viewer_extras(run, seen)
-    )
+    most, points = settings.viewer_points, len(seen.xyz)
+    rows = np.sort(np.random.default_rng(0).permutation(points)[:most])
+    extras = viewer_extras(run, seen, rows)
+    data = viewer.viewer_data(seen.xyz[rows], seen.rgb[rows], seen.tracks, most, seen.unit, extras)
     if data is None:
         return {"viewer": None, "viewer_script": ""}
     return {"viewer": json.dumps(data).replace("<", "\\u003c"), "viewer_script": viewer.viewer_script()}
 
 
-def viewer_extras(run: RunFolder, seen: Scenery) -> viewer.ViewerExtras:
-    """Sigma of the points, coordinates of the CRS, and the images: an even part of them with a small picture."""
+def viewer_extras(run: RunFolder, seen: Scenery, rows: np.ndarray) -> viewer.ViewerExtras:
+    """Of some points: sigma, measured distances, section; coordinates of the CRS; and the images, an even part of them
+    with a small picture."""
     assert run.scene is not None and run.model is not None
     placed = np.flatnonzero(run.model.placed)[:_IMAGES]
     pictured = set(placed[np.linspace(0, len(placed) - 1, min(len(placed), _PICTURES)).astype(int)].tolist())
@@ -155,7 +159,11 @@ def viewer_extras(run: RunFolder, seen: Scenery) -> viewer.ViewerExtras:
     for at, k in zip(seen.path, placed):
         made = thumbnail(run.path / "images" / run.scene.names[k], Path(), width=200) if int(k) in pictured else None
         shown.append((run.scene.names[k], at, str(made[0]) if made else ""))
-    scales = {t("sigma of a point"): run.cloud.sigma_m} if run.cloud is not None else {}
+    scales = {}
+    if run.cloud is not None:
+        xyz = run.cloud.xyz[rows]
+        scales[t("sigma of a point")] = viewer.Scale(run.cloud.sigma_m[rows])
+        scales |= {**distance_scales(run, xyz), **section_scale(run, xyz)}
     shift = (run.world or {}).get("shift_m") or (0.0, 0.0, 0.0)
     axes = ("E", "N", "H") if seen.north else ("x", "y", "z")
     return viewer.ViewerExtras(scales=scales, offset=shift, axes=axes, images=shown, north=seen.north)

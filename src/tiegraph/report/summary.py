@@ -11,6 +11,7 @@ from tiegraph.report import accuracy, formatting, georeference
 from tiegraph.report.contradictions import about, contradictions
 from tiegraph.report.formatting import Table, is_number
 from tiegraph.report.runfolder import STAGES, RunFolder
+from tiegraph.report.tables import section_name
 from tiegraph.report.texts import many, said, t
 from tiegraph.report.warnings import warnings, weak_placement
 from tiegraph.scene.registered import BY_RIG
@@ -118,7 +119,9 @@ def _world_sentence(run: RunFolder) -> str:
         return t("It is not georeferenced: coordinates are in the model's own frame{}.", based)
     prior = source_text(run.scene.prior) if run.scene is not None else ""
     come = ""
-    if prior and scale and prior != scale:
+    if run.accuracy is not None and ((run.world or {}).get("accuracy") or {}).get("gcp"):
+        come = t("; it is held there by {}", said(run.accuracy.held_by))
+    elif prior and scale and prior != scale:
         come = t("; the position comes from {}, the scale from {}", prior, scale)
     elif scale:
         come = t("; position and scale come from {}", scale)
@@ -170,7 +173,10 @@ def what_was_done(run: RunFolder) -> list[str]:
         return []
     passes = max(len(run.scene.sequences), 1)
     figures = formatting.count(len(run.scene)), formatting.count(run.scene.frames), passes
-    out = [many(passes, "{} images of {} frames in {} pass", "{} images of {} frames in {} passes", *figures)]
+    if run.scene.sequences:
+        out = [many(passes, "{} images of {} frames in {} pass", "{} images of {} frames in {} passes", *figures)]
+    else:
+        out = [t("{} loose photographs", figures[0])]
     if run.model is not None:
         share = formatting.percent(float(np.mean(run.model.registered)))
         out.append(t("{} of them used in the model", share))
@@ -249,7 +255,8 @@ def registered_tables(run: RunFolder) -> list[Table]:
             of = sections == s
             count = formatting.count(int(of.sum()))
             by_rig = formatting.count(int(run.model.by_rig[of].sum()))
-            body.append((str(s) if s >= 0 else t("(none)"), formatting.count(int(registered[of].sum())), by_rig, count))
+            name = section_name(run, int(s))
+            body.append((name, formatting.count(int(registered[of].sum())), by_rig, count))
         columns = [t("section"), t("registered"), said(BY_RIG), t("images")]
         numeric = False, True, True, True
         out.append(Table(columns=tuple(columns), rows=tuple(body), numeric=numeric, title=t("By section")))

@@ -5,10 +5,12 @@
   const holder = document.getElementById("viewer"), canvas = holder && holder.querySelector("canvas");
   if (!canvas) return;
   const data = JSON.parse(document.getElementById("viewer-data").textContent);
+  const chooser = holder.querySelector("select");
   const gl = canvas.getContext("webgl", { antialias: true, preserveDrawingBuffer: true });
   if (!gl) { holder.classList.add("off"); return; }
   holder.classList.add("on");
 
+  const hex = (colour) => [1, 3, 5].map((k) => parseInt(colour.substr(k, 2), 16));
   const bytes = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
   const steps = new Uint16Array(bytes(data.xyz).buffer), colours = bytes(data.rgb);
   const n = data.count, low = data.low, half = [0, 1, 2].map((c) => {
@@ -35,7 +37,7 @@
   const images = data.images.map((k) => ({ name: k.name, picture: k.picture, at: local(k.at) }));
   const paths = data.tracks.map((t) => {
     const p = new Float32Array(t.xyz.map((value, k) => value - low[k % 3] - half[k % 3]));
-    const rgb = [1, 3, 5].map((k) => parseInt(t.colour.substr(k, 2), 16));
+    const rgb = hex(t.colour);
     const c = new Uint8Array(p.length).map((_, k) => rgb[k % 3]);
     return { p: buffer(p), c: buffer(c), n: p.length / 3, line: t.line };
   });
@@ -133,10 +135,14 @@
     gl.linkProgram(p);
     return p;
   }
-  const stops = [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]]; // viridis
+  const diverging = [[59, 76, 192], [141, 176, 254], [221, 221, 221], [244, 154, 123], [180, 4, 38]]; // cool to warm
+  const viridis = [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]];
+  const stopsOf = (scale) => (scale.signed ? diverging : viridis);
   function scaleColours(scale) {
-    const values = bytes(scale.values), out = new Uint8Array(3 * n);
+    const values = bytes(scale.values), out = new Uint8Array(3 * n), stops = stopsOf(scale);
+    const kinds = scale.kinds && scale.kinds.map((k) => hex(k[1]));
     for (let k = 0; k < n; k++) {
+      if (kinds) { out.set(kinds[values[k]] || [150, 150, 150], 3 * k); continue; }
       const u = values[k] / 254 * 4, i = Math.min(Math.floor(u), 3);
       for (let c = 0; c < 3; c++) out[3 * k + c] = values[k] === 255 ? 150 : stops[i][c] + (u - i) * (stops[i + 1][c] - stops[i][c]);
     }
@@ -146,10 +152,24 @@
     const out = holder.querySelector(".legend"), scale = looks[look];
     if (!out) return;
     out.textContent = scale.name;
-    if (scale.values === undefined) return;
-    const bar = document.createElement("i"), digits = scale.high - scale.low < 1 ? 3 : 1;
-    bar.style.background = "linear-gradient(to right," + stops.map((k) => "rgb(" + k.join(",") + ")").join(",") + ")";
-    out.append("  " + scale.low.toFixed(digits) + " ", bar, " " + scale.high.toFixed(digits) + " " + scale.unit);
+    if (scale.kinds) scale.kinds.forEach((k) => out.append("   ", swatch(k[1]), " " + k[0]));
+    else if (scale.values !== undefined) {
+      const bar = document.createElement("i"), digits = scale.high - scale.low < 1 ? 3 : 1;
+      bar.style.background = "linear-gradient(to right," + stopsOf(scale).map((k) => "rgb(" + k.join(",") + ")").join(",") + ")";
+      out.append("  " + scale.low.toFixed(digits) + " ", bar, " " + scale.high.toFixed(digits) + " " + scale.unit);
+    }
+    if (scale.unknown) out.append("   ", swatch("#969696"), " " + data.text.unknown);
+    if (chooser) chooser.selectedIndex = look;
+    if (showPaths && data.tracks.length > 1) {
+      out.append(document.createElement("br"), data.text.paths);
+      data.tracks.forEach((k) => out.append("   ", swatch(k.colour), " " + k.name));
+    }
+  }
+  function swatch(colour) {
+    const out = document.createElement("i");
+    out.className = "swatch";
+    out.style.background = colour;
+    return out;
   }
   function northArrow() {
     const out = holder.querySelector(".north");
@@ -305,9 +325,13 @@
     bigger: () => { size = Math.min(size * 1.4, 20); },
     smaller: () => { size = Math.max(size / 1.4, 0.2); },
     colour: () => { look = (look + 1) % looks.length; legend(); },
-    paths: () => { showPaths = !showPaths; },
+    paths: () => { showPaths = !showPaths; legend(); },
   };
   holder.querySelectorAll("button").forEach((b) => b.addEventListener("click", () => { actions[b.dataset.do](); redraw(); }));
+  if (chooser) {
+    looks.forEach((k) => chooser.append(new Option(k.name)));
+    chooser.addEventListener("change", () => { look = chooser.selectedIndex; legend(); redraw(); });
+  }
   window.addEventListener("resize", redraw);
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
   say();

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib.resources import files
 from typing import Any
 
@@ -21,11 +21,21 @@ _SHARE = 0.94  # of the values of a scale that its colours span
 
 
 @dataclass(frozen=True, eq=False)
+class Scale:
+    """What points (N,) are coloured by, NaN = not known: a value, ``signed`` if its zero is the middle of the colours,
+    or the number of one of ``names``."""
+
+    values: np.ndarray
+    signed: bool = False
+    names: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
 class ViewerExtras:
-    """What a view may show besides points and paths: values of the points by name (N,), what is added to coordinates
+    """What a view may show besides points and paths: scales of the points by name, what is added to coordinates
     that are read off (3,), the names of the axes, images (name, place (3,), picture as data URI or ""), north."""
 
-    scales: dict[str, np.ndarray] = field(default_factory=dict)
+    scales: dict[str, Scale] = field(default_factory=dict)
     offset: Sequence[float] = (0.0, 0.0, 0.0)
     axes: Sequence[str] = ("x", "y", "z")
     images: Sequence[tuple[str, np.ndarray, str]] = ()
@@ -50,14 +60,15 @@ def viewer_data(
     step = np.maximum((high - low).max(), 1e-9) / _STEPS
     packed = np.round((points - low) / step).astype("<u2")
     colour = brightened(rgb[keep]) if np.ptp(rgb[keep]) > 8 else by_height(points[:, 2])
-    scales = {t("height"): points[:, 2] + extras.offset[2], **{n: v[keep] for n, v in extras.scales.items()}}
+    height = {t("height"): Scale(points[:, 2] + extras.offset[2])}
+    scales = height | {n: replace(s, values=s.values[keep]) for n, s in extras.scales.items()}
     return {
         "count": len(points),
         "low": low.tolist(),
         "step": float(step),
         "xyz": _text(packed),
         "rgb": _text(np.ascontiguousarray(colour, np.uint8)),
-        "scales": [_scale(name, values, unit) for name, values in scales.items() if np.isfinite(values).any()],
+        "scales": [_scale(name, s, unit) for name, s in scales.items() if np.isfinite(s.values).any()],
         "tracks": [_track(track, PASSES[k % len(PASSES)]) for k, track in enumerate(tracks)],
         "images": [{"name": n, "at": np.round(at, 3).tolist(), "picture": p} for n, at, p in extras.images],
         "offset": [float(v) for v in extras.offset],
@@ -76,6 +87,8 @@ def _texts() -> dict[str, str]:
         "distance": t("distance"),
         "difference": t("height difference"),
         "colour": t("colour of the images"),
+        "unknown": t("not known"),
+        "paths": t("Camera paths"),
     }
 
 
@@ -83,13 +96,24 @@ def _text(array: np.ndarray) -> str:
     return base64.b64encode(array.tobytes()).decode()
 
 
-def _scale(name: str, values: np.ndarray, unit: str) -> dict[str, Any]:
-    """Values of the points as one byte each between the ends of the scale; 255 = not known."""
+def _scale(name: str, scale: Scale, unit: str) -> dict[str, Any]:
+    """Values of the points as one byte each, between the ends of the scale or as they are numbered; 255 = not known."""
+    values = scale.values
+    unknown = not np.isfinite(values).all()
+    if scale.names:
+        packed = np.where(np.isfinite(values), np.nan_to_num(values) % 255, 255).astype(np.uint8)
+        colours = [PASSES[k % len(PASSES)] for k in range(len(scale.names))]
+        kinds = list(zip(scale.names, colours))
+        return {"name": name, "kinds": kinds, "unknown": unknown, "values": _text(packed)}
     known = values[np.isfinite(values)]
     low, high = (float(v) for v in np.quantile(known, [(1 - _SHARE) / 2, (1 + _SHARE) / 2]))
+    if scale.signed:
+        high = max(abs(low), abs(high))
+        low = -high
     share = np.clip((values - low) / max(high - low, 1e-12), 0, 1)
     packed = np.where(np.isfinite(share), np.round(254 * np.nan_to_num(share)), 255).astype(np.uint8)
-    return {"name": name, "low": low, "high": high, "unit": unit, "values": _text(packed)}
+    ends = {"low": low, "high": high, "unit": unit, "signed": scale.signed}
+    return {"name": name, **ends, "unknown": unknown, "values": _text(packed)}
 
 
 def _focus(points: np.ndarray) -> dict[str, Any]:

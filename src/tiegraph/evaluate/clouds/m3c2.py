@@ -99,15 +99,20 @@ def m3c2_tiled(
     tuning: M3c2Tuning,
     cameras: Cameras | None = None,
     registration: Sigma | None = None,
+    most: int | None = None,
 ) -> Differences:
     """Differences at core points on cloud 0, thinned to one a voxel of ``cores_m``: cloud 1 minus cloud 0.
 
-    Normals point to the nearest camera, else up. Memory grows by some 100 bytes a core point.
+    Normals point to the nearest camera, else up. Memory grows by some 100 bytes a core point; ``most``: about so many
+    core points, spread over the tiles as the points are.
     """
     reach = float(np.hypot(cylinders.radius_m, cylinders.depth_m))
     parts = []
     for tile in range(len(clouds)):
         cores = thinned(clouds, 0, tile, cylinders.cores_m)
+        if most is not None:
+            share = len(clouds.own(0, tile)) / max(clouds.count(0), 1)
+            cores = cores[:: max(1, int(len(cores) / max(share * most, 1)))]
         first = clouds.around(0, tile, max(reach, cylinders.normal_m))
         second = clouds.around(1, tile, reach)
         normal = _facing(normals(cores, first.xyz, cylinders.normal_m), cores, cameras)

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
+from tiegraph.evaluate.clouds.tally import Judged, Tally
 from tiegraph.evaluate.clouds.tiles import TiledClouds
 from tiegraph.evaluate.tuning import CloudTuning
 from tiegraph.scene.results import Metric
@@ -168,29 +169,28 @@ def cloud_to_cloud(
     """Compare cloud 0 with the reference, cloud 1, both in one frame and in metres.
 
     With cameras, completeness counts the reference within ``criteria.range_m`` of one of them. Definitions: MEANING.
-    Memory grows by some 16 bytes a judged point. Raises ValueError when either side is empty, none of the reference
-    is in range, or no point of the cloud is where the reference observed.
+    Memory is that of a tile; what was found lies in files. Raises ValueError when either side is empty, none of the
+    reference is in range, or no point of the cloud is where the reference observed.
     """
     for which, what in enumerate(("cloud", "reference")):
         if not clouds.count(which):
             raise ValueError(f"the {what} has no points to compare")
     path = scratch / "judged.points"
     judge = _Judge(clouds=clouds, criteria=criteria, tuning=tuning, cameras=cameras)
-    found: tuple[list[_Found], list[_Found]] = ([], [])
-    with open(path, "wb") as out:
+    sides = Tally(scratch / "cloud.judged"), Tally(scratch / "reference.judged")
+    with open(path, "wb") as out, open(sides[0].path, "wb") as own_out, open(sides[1].path, "wb") as reference_out:
         for tile in range(len(clouds)):
             own, reference = judge.cloud(tile), judge.reference(tile)
-            found[0].append(own.found)
-            found[1].append(reference.found)
+            own_out.write(own.found.tobytes())
+            reference_out.write(reference.found.tobytes())
             judged = own.found.counts
             rows = np.zeros(int(judged.sum()), _JUDGED)
             rows["xyz"], distance = own.xyz[judged], own.found.distance[judged]
             rows["distance_m"] = np.where(np.isfinite(distance), distance, np.nan)
             out.write(rows.tobytes())
-    sides = (_Found.joined(found[0]), _Found.joined(found[1]))
-    if not sides[0].counts.any():
+    if not sides[0].count()[0]:
         raise ValueError(apart(clouds))
-    if not sides[1].counts.any():
+    if not sides[1].count()[0]:
         raise ValueError(f"no reference point lies within {criteria.range_m:g} m of a camera: do both share a frame?")
     groups = ((), ()) if cameras is None else (_band_names(tuning.bands_m), cameras.sections())
     return CloudComparison(
@@ -203,29 +203,11 @@ def cloud_to_cloud(
 
 
 @dataclass(frozen=True)
-class _Found:
-    """Of points (N,): the distance to the other cloud (inf: further than looked for), the numbers (N, 2) of their band
-    and section, and whether they count."""
-
-    distance: np.ndarray
-    group: np.ndarray
-    counts: np.ndarray
-
-    @staticmethod
-    def joined(parts: Sequence[_Found]) -> _Found:
-        return _Found(*(np.concatenate([getattr(p, name) for p in parts]) for name in ("distance", "group", "counts")))
-
-    def where(self, group: int, number: int) -> _Found:
-        one = self.group[:, group] == number
-        return _Found(self.distance[one], self.group[one], self.counts[one])
-
-
-@dataclass(frozen=True)
 class _Side:
     """Points (N, 3) of a tile that are judged, and what was found."""
 
     xyz: np.ndarray
-    found: _Found
+    found: Judged
 
 
 @dataclass(frozen=True)
@@ -246,7 +228,7 @@ class _Judge:
         inside = (xyz[:, 2] >= low - criteria.observed_m) & (xyz[:, 2] <= high + criteria.observed_m)
         inside &= nearest(xyz[:, :2], other[:, :2], criteria.observed_m) <= criteria.observed_m
         _, group = self._groups(xyz)
-        return _Side(xyz, _Found(nearest(xyz, other, criteria.reach_m).astype(np.float32), group, inside))
+        return _Side(xyz, Judged(nearest(xyz, other, criteria.reach_m).astype(np.float32), group, inside))
 
     def reference(self, tile: int) -> _Side:
         """A point counts near a camera."""
@@ -255,7 +237,7 @@ class _Judge:
         other = self.clouds.around(0, tile, criteria.reach_m).xyz
         away, group = self._groups(xyz)
         counts = away <= (np.inf if criteria.range_m is None else criteria.range_m)
-        return _Side(xyz, _Found(nearest(xyz, other, criteria.reach_m).astype(np.float32), group, counts))
+        return _Side(xyz, Judged(nearest(xyz, other, criteria.reach_m).astype(np.float32), group, counts))
 
     def _groups(self, xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Distance (N,) to the nearest camera, and the numbers (N, 2) of band and section."""
@@ -292,26 +274,22 @@ def nearest(points: np.ndarray, target: np.ndarray, limit: float = np.inf) -> np
     return out
 
 
-def _shares(cloud: _Found, reference: _Found, criteria: Criteria) -> Shares:
-    away, back = cloud.distance[cloud.counts], reference.distance[reference.counts]
-    with np.errstate(invalid="ignore"):  # between two distances that were not found
-        quantiles = np.quantile(away, [0.5, 0.9]) if len(away) else np.full(2, np.nan)
-    median, p90 = (float(q) if np.isfinite(q) else float("nan") for q in quantiles)
+def _shares(cloud: Tally, reference: Tally, criteria: Criteria) -> Shares:
+    (counted, total), (back, _) = cloud.count(), reference.count()
+    median, p90 = cloud.quantiles([0.5, 0.9])
     return Shares(
-        points=len(away),
-        reference_points=len(back),
-        outside=1 - _share(cloud.counts),
-        accuracy=tuple(_share(away < d) for d in criteria.distances_m),
-        completeness=tuple(_share(back < d) for d in criteria.distances_m),
+        points=counted,
+        reference_points=back,
+        outside=1 - counted / max(total, 1),
+        accuracy=tuple(cloud.below(criteria.distances_m).tolist()),
+        completeness=tuple(reference.below(criteria.distances_m).tolist()),
         median_m=median,
         p90_m=p90,
-        ghosts=_share(away > criteria.ghost_m),
+        ghosts=cloud.beyond(criteria.ghost_m),
     )
 
 
-def _grouped(
-    cloud: _Found, reference: _Found, criteria: Criteria, group: int, names: Sequence[str]
-) -> dict[str, Shares]:
+def _grouped(cloud: Tally, reference: Tally, criteria: Criteria, group: int, names: Sequence[str]) -> dict[str, Shares]:
     """Shares by group; none of what has no points. One group alone is the whole."""
     found = {n: _shares(cloud.where(group, k), reference.where(group, k), criteria) for k, n in enumerate(names)}
     found = {n: s for n, s in found.items() if s.points or s.reference_points}
@@ -340,7 +318,3 @@ def apart(clouds: TiledClouds) -> str:
 
 def _corner(xyz: np.ndarray) -> str:
     return "(" + ", ".join(f"{v:.2f}" for v in xyz) + ")"
-
-
-def _share(true: np.ndarray) -> float:
-    return float(np.mean(true)) if len(true) else 0.0

@@ -105,7 +105,7 @@ def _notes(
     if not settings.range_m:
         unit = "m" if scene.metric_positions() else "units"
         notes.append(
-            f"poses: distance to the object taken as {reach:.1f} {unit} (ten times the distance between frames)"
+            f"poses: distance to the object taken as {reach:.2g} {unit} (ten times the distance between frames)"
         )
     if headings.any():
         notes.append(

@@ -10,7 +10,7 @@ from tiegraph.report.client.where import when, where
 from tiegraph.report.runfolder import RunFolder
 from tiegraph.report.settings import ReportSettings
 from tiegraph.report.summary import Verdict, what_was_done
-from tiegraph.report.texts import t
+from tiegraph.report.texts import said, t
 
 PROBLEMS = 3
 
@@ -33,7 +33,7 @@ def client_page(
         "layers": accuracy.layers(run.accuracy) if run.accuracy is not None else [],
         "held_by": accuracy.holding(run.accuracy) if run.accuracy is not None else "",
         "files": sizes(deliverables(run)),
-        "problems": worst(verdict),
+        "problems": [said(problem) for problem in worst(verdict)],
     }
 
 

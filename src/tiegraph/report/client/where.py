@@ -47,15 +47,23 @@ def where(run: RunFolder, seen: Scenery | None) -> list[tuple[str, str]]:
 
 
 def times(run: RunFolder) -> tuple[str | None, str | None, float | None]:
-    """First and last exposure (ISO 8601, UTC; None if the clock has no date) and the seconds between them."""
+    """First and last exposure (ISO 8601, in UTC, or without a zone where none is known; None if the clock has no date)
+    and the seconds between them."""
     known = run.scene.time_s[np.isfinite(run.scene.time_s)] if run.scene is not None else np.zeros(0)
     if not len(known):
         return None, None, None
     low, high = float(known.min()), float(known.max())
     if low < _EPOCH_S:
         return None, None, high - low
-    first, last = (datetime.fromtimestamp(v, timezone.utc).isoformat(timespec="seconds") for v in (low, high))
+    zone = None if _without_zone(run) else timezone.utc
+    dates = (datetime.fromtimestamp(v, timezone.utc).replace(tzinfo=zone) for v in (low, high))
+    first, last = (date.isoformat(timespec="seconds") for date in dates)
     return first, last, high - low
+
+
+def _without_zone(run: RunFolder) -> bool:
+    """Whether times are those of a camera that does not write its time zone."""
+    return any(str(n).endswith("(no time zone written)") for n in run.receipts.get("scan", {}).get("notes") or [])
 
 
 def when(run: RunFolder) -> list[tuple[str, str]]:
@@ -63,9 +71,9 @@ def when(run: RunFolder) -> list[tuple[str, str]]:
     first, last, length = times(run)
     out = []
     if first and last:
-        out.append(
-            (t("images taken"), f"{_date(first)} – {_date(last)[-9:] if first[:10] == last[:10] else _date(last)}")
-        )
+        end = last[11:16] if first[:10] == last[:10] else _date(last)
+        zone = " UTC" if first.endswith("+00:00") else t(", the camera's clock")
+        out.append((t("images taken"), f"{_date(first)} – {end}{zone}"))
     elif length is not None:
         out.append((t("images taken"), t("over {}; the clock has no date", formatting.seconds(length))))
     else:
@@ -77,7 +85,7 @@ def when(run: RunFolder) -> list[tuple[str, str]]:
 
 
 def _date(iso: str) -> str:
-    return iso[:16].replace("T", " ") + " UTC"
+    return iso[:16].replace("T", " ")
 
 
 def _length(positions: np.ndarray) -> float:

@@ -12,6 +12,8 @@ from tiegraph.report.texts import t
 
 _ROW = 26.0
 USED, LIGHT, ALERT, SOFT = "var(--used)", "var(--light)", "var(--alert)", "var(--soft)"
+_LONGEST = 20  # letters of a name beside a matrix; the end tells more: the camera
+_WIDER = 1.2  # than the mean letter, in a wide font
 
 
 def bars(rows: Sequence[tuple[str, Sequence[tuple[float, str]], str]], label: str) -> Markup:
@@ -130,7 +132,8 @@ def matrix(
     picture: str, names: Sequence[tuple[float, str]], edges: Sequence[float], key: Sequence[tuple[str, str]], label: str
 ) -> Markup:
     """A square picture (data URI) with the names of its blocks (middle as a share, name), borders and a key."""
-    left = min(max([text_width(n) for _, n in names], default=0.0) + 6, 130)
+    names = [(m, n if len(n) <= _LONGEST else "…" + n[1 - _LONGEST :]) for m, n in names]
+    left = _WIDER * max([text_width(n) for _, n in names], default=0.0) + 6
     side = WIDTH - left
     parts = [box(left, 0, side, side, "var(--field)")]
     parts.append(

@@ -55,7 +55,7 @@ def survey_map(
 ) -> Markup:
     """The passes over a backdrop (data URI, "" for none), missing frames and given positions, scale bar, north arrow
     (``north``: up is north), and what else is drawn on it."""
-    parts = [_picture(place, backdrop)]
+    parts = [f'<svg width="{WIDTH:g}" height="{place.height:.1f}" overflow="hidden">', _picture(place, backdrop)]
     if len(gnss):
         parts.append(dots(place.at(gnss), "var(--soft)", 2.5))
     for k, track in enumerate(tracks):
@@ -67,10 +67,12 @@ def survey_map(
     for x, y in place.at(missing):
         parts.append(line([(x - 4, y - 4), (x + 4, y + 4)], "var(--alert)"))
         parts.append(line([(x - 4, y + 4), (x + 4, y - 4)], "var(--alert)"))
-    parts += ellipses
-    parts += [scale_bar(place), north_arrow() if north else ""]
+    parts += [*ellipses, "</svg>", scale_bar(place), north_arrow() if north else ""]
     entries = [(t_.name if t_.name != "images" else t("images"), pass_colour(k)) for k, t_ in enumerate(tracks[:8])]
-    entries += [(t("given position"), "var(--soft)")] if len(gnss) else []
+    if len(gnss):
+        inside = np.all((gnss[:, :2] >= place.low) & (gnss[:, :2] <= place.high), axis=1)
+        outside = t(" ({} of {} outside the map)", int(np.sum(~inside)), len(gnss)) if not inside.all() else ""
+        entries.append((t("given position") + outside, "var(--soft)"))
     entries += [(t("frame not registered"), "var(--alert)")] if len(missing) else []
     drawn, height = legend(entries, place.height + 18)
     return svg(height, [*parts, drawn], t("Map of the survey"))
