@@ -53,12 +53,12 @@ def network_part(run: RunFolder) -> dict[str, Any]:
     out["pictures"] = _pictures(run, drawn=out["matrices"] is not None)
     out["links"], out["tables"] = [], []
     for stage in STAGES:
-        _sort_tables(run.receipts.get(stage, {}), t(TITLES.get(stage, stage.capitalize())), out)
+        _sort_tables(stage, run.receipts.get(stage, {}), out)
     parts = ("matrices", "pictures", "tables", "links", "notes")
     return {**out, "there": any(out[name] for name in parts)}
 
 
-def _sort_tables(receipt: dict, title: str, out: dict[str, Any]) -> None:
+def _sort_tables(stage: str, receipt: dict, out: dict[str, Any]) -> None:
     """Section links and weak links to the front, with a sentence; the rest under the name of its stage."""
     found = receipt.get("tables")
     for name, data in (found if isinstance(found, dict) else {}).items():
@@ -67,7 +67,8 @@ def _sort_tables(receipt: dict, title: str, out: dict[str, Any]) -> None:
             continue  # drawn and printed from the pair table, up to the verified pairs
         if plain == "weak links" and isinstance(data, dict) and not data.get("rows"):
             out["sound"] = t(_SOUND)
-        table = formatting.table(data, f"{title}: {said(plain)}")
+        title = t(TITLES.get(stage, stage.capitalize()))
+        table = formatting.table(data, f"{title}: {said(plain)}", f"receipts.{stage}.{name}")
         if table is None:
             continue
         sentence = {"section links": _SECTION_LINKS, "weak links": _WEAK_LINKS}.get(plain)
