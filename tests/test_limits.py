@@ -128,6 +128,7 @@ def test_an_address_space_too_small_to_begin(tmp_path: Path) -> None:
     assert done.returncode == 1 and "not enough memory" in done.stderr and "ulimit -v" in done.stderr
 
 
+@pytest.mark.slow
 def test_verbs_name_what_they_were_not_given(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "file").touch()
     file, none = str(tmp_path / "file"), str(tmp_path / "none")

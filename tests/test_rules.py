@@ -69,6 +69,7 @@ def faults(path: Path) -> Iterator[str]:
                 yield f"{where} has {count} parameters"
 
 
+@pytest.mark.slow
 def test_rooms_are_small_and_documented():
     """One test for all files: a thousand small ones took longer to be handed out than to be run."""
     assert [fault for path in FILES for fault in faults(path)] == []
@@ -87,6 +88,7 @@ def documented(section):
     return out
 
 
+@pytest.mark.slow
 def test_every_setting_is_documented():
     from tiegraph.calibrate.settings import CalibrateSettings
     from tiegraph.calibrate.tuning import Tuning as CalibrateTuning
@@ -247,6 +249,7 @@ def parts(annotation: ast.AST | None) -> int:
     return 0
 
 
+@pytest.mark.slow
 def test_no_dataclass_is_a_bag():
     large = {
         n: len(fields(m, c)) for (m, n), c in records().items() if m not in OPTIONS and len(fields(m, c)) > MAX_FIELDS
@@ -255,6 +258,7 @@ def test_no_dataclass_is_a_bag():
     assert set(large) >= BAGS, "an exception that is none goes"
 
 
+@pytest.mark.slow
 def test_dataclasses_are_built_by_name():
     found = []
     for module, tree in trees().items():
@@ -264,6 +268,7 @@ def test_dataclasses_are_built_by_name():
     assert found == []
 
 
+@pytest.mark.slow
 def test_no_tuple_stands_for_arguments_or_results():
     found = []
     for module, tree in trees().items():
