@@ -10,8 +10,9 @@ import pycolmap
 
 from tiegraph.sfm.adjustment import lens
 from tiegraph.sfm.adjustment.constraints import PoseConstraints
+from tiegraph.sfm.adjustment.fewpoints import take_poses, thinned
 from tiegraph.sfm.adjustment.priors import add_priors
-from tiegraph.sfm.solver import factorised
+from tiegraph.sfm.solver import factorised, repeatable
 from tiegraph.sfm.tuning import AdjustTuning
 
 Cameras = dict[int, pycolmap.Camera] | pycolmap.CameraMap
@@ -45,10 +46,15 @@ def final_adjustment(
     free = free_cameras(model, tuning) - set(constant_cameras)
     adjusted = lens.extended(model, lens.extensible(model, free))
     drop_momentary(adjusted, tuning.enough_seen)
-    _solve(adjusted, fixed_rigs, free, False, soft, tuning)
+    few = thinned(adjusted, tuning.few_points)
+    _solve(few, fixed_rigs, free, False, soft, tuning)
     for _ in range(tuning.robust_rounds):
-        pycolmap.ObservationManager(adjusted).filter_all_points3D(tuning.filter_px, tuning.filter_angle_deg)
-        _solve(adjusted, fixed_rigs, free, True, soft, tuning)
+        pycolmap.ObservationManager(few).filter_all_points3D(tuning.filter_px, tuning.filter_angle_deg)
+        _solve(few, fixed_rigs, free, True, soft, tuning)
+    take_poses(adjusted, few)
+    _solve_points(adjusted, tuning)
+    pycolmap.ObservationManager(adjusted).filter_all_points3D(tuning.filter_px, tuning.filter_angle_deg)
+    _solve(adjusted, fixed_rigs, free, True, soft, tuning)
     asked = free_cameras(adjusted, tuning) & set(doubted)
     adjusted, lenses = _with_doubted(adjusted, fixed_rigs, free, asked, soft, tuning)
     # The robust loss lets go of some points; those that went behind a camera have an infinite error.
@@ -182,6 +188,29 @@ def _solve(
     kept = add_priors(adjuster, model, soft, tuning, given)
     adjuster.solve()
     del kept
+
+
+def _solve_points(model: pycolmap.Reconstruction, tuning: AdjustTuning) -> None:
+    """Each point to where its rays meet; all else stays."""
+    options = pycolmap.BundleAdjustmentOptions(
+        print_summary=False,
+        refine_focal_length=False,
+        refine_principal_point=False,
+        refine_extra_params=False,
+        refine_sensor_from_rig=False,
+        refine_rig_from_world=False,
+    )
+    options.ceres.loss_function_type = pycolmap.LossFunctionType.CAUCHY
+    options.ceres.loss_function_scale = tuning.robust_px
+    solver = options.ceres.solver_options
+    solver.max_num_iterations = tuning.points_iterations
+    solver.function_tolerance = tuning.tolerance
+    options.ceres.solver_options = solver
+    repeatable(options)
+    config = pycolmap.BundleAdjustmentConfig()
+    for image_id in model.reg_image_ids():
+        config.add_image(image_id)
+    pycolmap.create_default_ceres_bundle_adjuster(options, config, model).solve()
 
 
 def _anchor(model: pycolmap.Reconstruction) -> int:

@@ -10,9 +10,10 @@ import pycolmap
 from tiegraph.scene.colmaprows import read_cache
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjustment.adjust import free_cameras
+from tiegraph.sfm.adjustment.fewpoints import telling_points
 from tiegraph.sfm.solver import factorised
 from tiegraph.sfm.start.poses import Start, place_frames
-from tiegraph.sfm.tuning import Tuning
+from tiegraph.sfm.tuning import FewPointsTuning, Tuning
 
 # What is adjusted beside poses and points: at first nothing, because lens and rig would soak up what is wrong with the
 # poses; then both; then principal points too, because the final adjustment alone does not get there: after it canal's
@@ -42,15 +43,16 @@ def model_from(
     send(model.num_reg_frames())
     mapper = pycolmap.IncrementalMapper(cache)
     mapper.begin_reconstruction(model)
-    triangulation = options(False).get_triangulation()
-    for image_id in list(model.reg_image_ids()):
-        mapper.triangulate_image(triangulation, image_id)
-    mapper.complete_and_merge_tracks(triangulation)
+    _triangulate(mapper, options(False))
     for stage in STEPS:
+        _thin(mapper, tuning.adjust.few_points)
         _round(mapper, options(stage != "poses"), tuning, stage == "centre")
         if stage == "poses":
+            _triangulate(mapper, options(False))
             _register(mapper, options(False), tuning.start.staged.register_rounds)
             send(model.num_reg_frames())
+    _triangulate(mapper, options(True))
+    mapper.filter_points(options(True).get_mapper())
     mapper.filter_frames(options(True).get_mapper())
     mapper.end_reconstruction(False)
     model.update_point_3d_errors()
@@ -74,10 +76,21 @@ def _round(mapper: pycolmap.IncrementalMapper, options: Options, tuning: Tuning,
         held.constant_cameras |= set(mapper.reconstruction.cameras) - free
     mapper.adjust_global_bundle(held, adjustment)
     mapper.filter_points(options.get_mapper())
-    triangulation = options.get_triangulation()
-    mapper.retriangulate(triangulation)
-    mapper.complete_and_merge_tracks(triangulation)
-    mapper.filter_points(options.get_mapper())
+
+
+def _triangulate(mapper: pycolmap.IncrementalMapper, options: Options) -> None:
+    """All points anew, from the poses as they are."""
+    for point_id in list(mapper.reconstruction.point3D_ids()):
+        mapper.observation_manager.delete_point3D(point_id)
+    for image_id in sorted(mapper.reconstruction.reg_image_ids()):
+        mapper.triangulate_image(options.get_triangulation(), image_id)
+    mapper.complete_and_merge_tracks(options.get_triangulation())
+
+
+def _thin(mapper: pycolmap.IncrementalMapper, tuning: FewPointsTuning) -> None:
+    kept = telling_points(mapper.reconstruction, tuning)
+    for point_id in sorted(set(mapper.reconstruction.point3D_ids()) - kept):
+        mapper.observation_manager.delete_point3D(point_id)
 
 
 def _register(mapper: pycolmap.IncrementalMapper, options: Options, rounds: int) -> None:

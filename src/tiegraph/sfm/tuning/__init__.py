@@ -60,6 +60,15 @@ class LensTuning(Section):
     """Of the distortion of such models, likewise."""
 
 
+class FewPointsTuning(Section):
+    """The points of the adjustments that bring a model near (`fewpoints.py`)."""
+
+    cells: int = Field(8, gt=0)
+    """Of an image, each way: points are taken in each."""
+    in_a_cell: int = Field(3, gt=0)
+    """The longest tracks of a cell that are taken."""
+
+
 class AdjustTuning(Section):
     """The final adjustment (`adjust.py`) and what all adjustments share.
 
@@ -83,9 +92,10 @@ class AdjustTuning(Section):
     """Of the plain solution."""
     robust_iterations: int = Field(10, gt=0)
     """Of each robust one."""
-    robust_rounds: int = Field(2, ge=0)
-    """The first plain solution is bent by what is filtered after it, and what the robust one shows to be wrong pulls on
-    it still: once more without that, canal_demo is 4.7 mm off for 6.5 and canal 6.8 for 12.4, in the same time."""
+    robust_rounds: int = Field(1, ge=0)
+    """With few points, before that with all. The first plain solution is bent by what is filtered after it, and what
+    the robust one shows to be wrong pulls on it still: once more without that, canal_demo is 4.7 mm off for 6.5 and
+    canal 6.8 for 12.4, in the same time."""
     tolerance: float = Field(1e-6, gt=0)
     """Of the cost: canal_demo's trajectory is the same to 0.001 mm, in three quarters of the time."""
     enough_seen: int = Field(50, ge=0)
@@ -96,6 +106,10 @@ class AdjustTuning(Section):
     """Focal lengths in longer image sides: outside, no lens of a survey camera."""
     lens_gain: float = Field(0.03, ge=0, le=1)
     """Of the robust cost: what distortion must gain over a calibration to be believed against it."""
+    few_points: FewPointsTuning = FewPointsTuning()
+    """All adjustments but the last are made with."""
+    points_iterations: int = Field(10, gt=0)
+    """Of the points alone, once the poses are found with few of them."""
     lens: LensTuning = LensTuning()
     """Priors of lenses."""
     lever_arms: LeverArmTuning = LeverArmTuning()
