@@ -51,8 +51,9 @@ def final_adjustment(
     for _ in range(tuning.robust_rounds):
         pycolmap.ObservationManager(few).filter_all_points3D(tuning.filter_px, tuning.filter_angle_deg)
         _solve(few, fixed_rigs, free, True, soft, tuning)
-    take_poses(adjusted, few)
-    _solve_points(adjusted, tuning)
+    if few is not adjusted:
+        take_poses(adjusted, few)
+        _solve_points(adjusted, tuning)
     pycolmap.ObservationManager(adjusted).filter_all_points3D(tuning.filter_px, tuning.filter_angle_deg)
     _solve(adjusted, fixed_rigs, free, True, soft, tuning)
     asked = free_cameras(adjusted, tuning) & set(doubted)

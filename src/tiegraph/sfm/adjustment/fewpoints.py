@@ -13,9 +13,12 @@ from tiegraph.sfm.tuning import FewPointsTuning
 
 
 def thinned(model: pycolmap.Reconstruction, tuning: FewPointsTuning) -> pycolmap.Reconstruction:
-    """A copy with the points that tell most (``telling_points``)."""
+    """A copy without the points that can wait; the model itself where that would not be worth it."""
+    waiting = points_that_can_wait(model, tuning)
+    if not waiting:
+        return model
     out = pycolmap.Reconstruction(model)
-    for point_id in set(model.point3D_ids()) - telling_points(model, tuning):
+    for point_id in waiting:
         out.delete_point3D(point_id)
     return out
 
@@ -33,23 +36,30 @@ def take_poses(model: pycolmap.Reconstruction, few: pycolmap.Reconstruction) -> 
         model.frame(key).rig_from_world = few.frame(key).rig_from_world
 
 
-def telling_points(model: pycolmap.Reconstruction, tuning: FewPointsTuning) -> set[int]:
-    """Ids of the points that are among the longest tracks in one cell of one image at least."""
-    cell, point, length = [np.zeros(0, int)], [np.zeros(0, int)], [np.zeros(0, int)]
-    tracks = {k: p.track.length() for k, p in model.points3D.items()}
+def points_that_can_wait(model: pycolmap.Reconstruction, tuning: FewPointsTuning) -> list[int]:
+    """Ids of the points that are not among the longest tracks of any cell of any image, in their order; none where
+    most of the observations would stay."""
+    cell, point = _sightings(model, tuning.cells)
+    length = dict(zip(*(v.tolist() for v in np.unique(point, return_counts=True))))
+    order = np.lexsort((point, -np.array([length[p] for p in point.tolist()], int), cell))
+    _, start, count = np.unique(cell[order], return_index=True, return_counts=True)
+    rank = np.arange(len(order)) - np.repeat(start, count)
+    telling = np.unique(point[order][rank < tuning.in_a_cell])
+    if np.isin(point, telling).sum() > tuning.worth * len(point):
+        return []
+    return np.setdiff1d(np.array(sorted(model.point3D_ids()), int), telling).tolist()
+
+
+def _sightings(model: pycolmap.Reconstruction, cells: int) -> tuple[np.ndarray, np.ndarray]:
+    """(O,) number of the image's cell and (O,) id of the point, of every observation."""
+    cell, point = [np.zeros(0, int)], [np.zeros(0, int)]
     for image_id in sorted(model.reg_image_ids()):
         image = model.image(image_id)
         seen = image.get_observation_points2D()
         if not seen or image.camera is None:
             continue
         size = np.array([image.camera.width, image.camera.height])
-        at = np.clip(np.stack([p.xy for p in seen]) / size, 0, 1 - 1e-9) * tuning.cells
-        own = [p.point3D_id for p in seen]
-        cell.append((image_id * tuning.cells + at[:, 1].astype(int)) * tuning.cells + at[:, 0].astype(int))
-        point.append(np.array(own))
-        length.append(np.array([tracks[k] for k in own]))
-    cells, points = np.concatenate(cell), np.concatenate(point)
-    order = np.lexsort((points, -np.concatenate(length), cells))
-    _, start, count = np.unique(cells[order], return_index=True, return_counts=True)
-    rank = np.arange(len(order)) - np.repeat(start, count)
-    return set(points[order][rank < tuning.in_a_cell].tolist())
+        column, row = (np.clip(np.stack([p.xy for p in seen]) / size, 0, 1 - 1e-9) * cells).astype(int).T
+        cell.append((image_id * cells + row) * cells + column)
+        point.append(np.array([p.point3D_id for p in seen]))
+    return np.concatenate(cell), np.concatenate(point)

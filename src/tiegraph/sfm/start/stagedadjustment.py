@@ -1,4 +1,7 @@
-"""From roughly known poses to a model: points, then rounds of adjustment that free more each time."""
+"""From roughly known poses to a model: points, then rounds of adjustment that free more each time.
+
+The rounds take few points (``adjustment.fewpoints``); all are triangulated anew from what they found.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,7 @@ import pycolmap
 from tiegraph.scene.colmaprows import read_cache
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjustment.adjust import free_cameras
-from tiegraph.sfm.adjustment.fewpoints import telling_points
+from tiegraph.sfm.adjustment.fewpoints import points_that_can_wait
 from tiegraph.sfm.solver import factorised
 from tiegraph.sfm.start.poses import Start, place_frames
 from tiegraph.sfm.tuning import FewPointsTuning, Tuning
@@ -88,8 +91,8 @@ def _triangulate(mapper: pycolmap.IncrementalMapper, options: Options) -> None:
 
 
 def _thin(mapper: pycolmap.IncrementalMapper, tuning: FewPointsTuning) -> None:
-    kept = telling_points(mapper.reconstruction, tuning)
-    for point_id in sorted(set(mapper.reconstruction.point3D_ids()) - kept):
+    """Leave the points that tell most."""
+    for point_id in points_that_can_wait(mapper.reconstruction, tuning):
         mapper.observation_manager.delete_point3D(point_id)
 
 

@@ -67,6 +67,8 @@ class FewPointsTuning(Section):
     """Of an image, each way: points are taken in each."""
     in_a_cell: int = Field(3, gt=0)
     """The longest tracks of a cell that are taken."""
+    worth: float = Field(0.5, ge=0, le=1)
+    """Of the observations: if more would stay, all do."""
 
 
 class AdjustTuning(Section):
