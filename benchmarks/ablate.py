@@ -40,6 +40,7 @@ VARIANTS = (
     Variant("rig absent", {"sparse": {"rig": "absent"}}, "images map one by one"),
     Variant("lever-arm prior off", {"tuning": {"sfm": {"adjust": {"lever_arms": {"least_others": 10**6}}}}}, "none"),
     Variant("robust adjustment off", {"tuning": {"sfm": {"adjust": {"robust_rounds": 0}}}}, "plain least squares"),
+    Variant("few points off", {"tuning": {"sfm": {"adjust": {"few_points": {"worth": 0.0}}}}}, "all points at once"),
     Variant("masks none", {"masks": {"source": "none"}}, "nothing masked"),
     Variant("masks not refuted", {"tuning": {"masks": {"proof": {"least_matches": 10**9}}}}, "no class is taken back"),
     Variant("masks of paper 000", {"masks": {"source": "meguro2024"}}, "two-image difference"),

@@ -38,6 +38,8 @@ def final_adjustment(
 ) -> Adjustment:
     """Adjust poses, points, rig, intrinsics with principal points: plain, then twice cut at 2 px and Cauchy at 0.5 px.
 
+    All but the last with few points where there are many (``fewpoints``).
+
     ``fixed_rigs``: COLMAP rig ids whose extrinsics stay. ``constant_cameras``, and those with fewer than 10 images,
     keep their intrinsics (KITTI, driving straight on: free principal points run off by 30 px); free RADIAL ones become
     OPENCV (``lens``). ``soft``: what is known of poses with a sigma. ``doubted``: constant cameras whose calibration
@@ -48,14 +50,15 @@ def final_adjustment(
     drop_momentary(adjusted, tuning.enough_seen)
     few = thinned(adjusted, tuning.few_points)
     _solve(few, fixed_rigs, free, False, soft, tuning)
-    for _ in range(tuning.robust_rounds):
+    for _ in range(tuning.robust_rounds - 1):
         pycolmap.ObservationManager(few).filter_all_points3D(tuning.filter_px, tuning.filter_angle_deg)
         _solve(few, fixed_rigs, free, True, soft, tuning)
     if few is not adjusted:
         take_poses(adjusted, few)
         _solve_points(adjusted, tuning)
-    pycolmap.ObservationManager(adjusted).filter_all_points3D(tuning.filter_px, tuning.filter_angle_deg)
-    _solve(adjusted, fixed_rigs, free, True, soft, tuning)
+    if few is not adjusted or tuning.robust_rounds:
+        pycolmap.ObservationManager(adjusted).filter_all_points3D(tuning.filter_px, tuning.filter_angle_deg)
+        _solve(adjusted, fixed_rigs, free, tuning.robust_rounds > 0, soft, tuning)
     asked = free_cameras(adjusted, tuning) & set(doubted)
     adjusted, lenses = _with_doubted(adjusted, fixed_rigs, free, asked, soft, tuning)
     # The robust loss lets go of some points; those that went behind a camera have an infinite error.
