@@ -6,16 +6,16 @@ from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import transforms
 from tiegraph.stations.adjust import adjusted
-from tiegraph.stations.loops import contradicted, parts
+from tiegraph.stations.loops import contradicted, parts, taken_apart
 from tiegraph.stations.pairs import Pair
 from tiegraph.stations.tuning import LoopTuning
 
 TUNING = LoopTuning()
 POSES = [
     transforms.rigid(Rotation.random(random_state=k).as_matrix(), np.random.default_rng(k).normal(size=3))
-    for k in range(5)
+    for k in range(9)
 ]
-POINTS = [np.random.default_rng(9).normal(size=(50, 3))] * 5
+POINTS = [np.random.default_rng(9).normal(size=(50, 3))] * 9
 
 
 def pair(i, j, off_m=0.0, overlap=0.5, sigma_m=0.001):
@@ -47,6 +47,20 @@ def test_a_pair_without_loops_needs_more_overlap():
     judged = contradicted([pair(0, 1, overlap=0.25), pair(1, 2, overlap=0.4)], POINTS, 0.05, TUNING)
     assert "no loop bears it out, and 25% overlap" in judged[0].why_not and not judged[1].why_not
     assert parts(5, judged)[1] == parts(5, judged)[2] != parts(5, judged)[0]
+
+
+def test_groups_that_are_joined_in_two_ways_are_taken_apart():
+    """Groups 0 to 3 and 4 to 7, joined by two pairs of which one is wrong; 8 hangs on 7 alone."""
+    groups = [(i, j) for first in (0, 4) for i in range(first, first + 4) for j in range(i + 1, first + 4)]
+    pairs = [pair(i, j, off_m=0.5 * ((i, j) == (3, 6))) for i, j in [*groups, (0, 4), (3, 6), (7, 8)]]
+    close = adjusted(list(range(9)), pairs, 9, TUNING)
+    left = {(p.first, p.second): row[1] for p, row in zip(close.pairs, close.loop_m)}
+    judged = taken_apart(pairs, left, POINTS, 0.05, TUNING)
+    assert [(p.first, p.second) for p in judged if p.why_not] == [(0, 4), (3, 6)]
+    assert "contradict each other by up to" in judged[-2].why_not
+    hanging = parts(9, judged)
+    assert set(hanging[:4]) != set(hanging[4:]) and len(set(hanging)) == 2
+    assert taken_apart(pairs, dict.fromkeys(left, 0.01), POINTS, 0.05, TUNING) == pairs
 
 
 @pytest.mark.slow

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from tiegraph.geometry import transforms
 from tiegraph.stations.adjust import Part, adjusted
 from tiegraph.stations.fine import met
-from tiegraph.stations.loops import contradicted, motion, parts
+from tiegraph.stations.loops import contradicted, motion, parts, taken_apart
 from tiegraph.stations.pairs import Pair, from_shapes, from_start
 from tiegraph.stations.station import Shot, Station, common_side, station_of
 from tiegraph.stations.tuning import Tuning
@@ -77,6 +77,8 @@ def join(
             break
         pairs = contradicted(pairs + more, points, close, tuning.loops)
         found = _adjusted_parts(pairs, len(stations), tuning)
+    pairs = taken_apart(pairs, _left(found), points, close, tuning.loops)
+    found = _adjusted_parts(pairs, len(stations), tuning)
     poses, left_out = _in_world(stations, found)
     sigma = np.full(len(stations), np.nan)
     loops: dict[tuple[int, int], np.ndarray] = {}
@@ -86,6 +88,11 @@ def join(
             sigma[k] = np.sqrt(np.trace(part.covariance[k, 3:, 3:]) / 3) if len(part.members) > 1 else np.nan
     rows = [loops[p.first, p.second] for p in pairs if not p.why_not]
     return Joined(poses=poses, sigma_m=sigma, pairs=pairs, loop_m=np.array(rows).reshape(-1, 2), left_out=left_out)
+
+
+def _left(found: Sequence[Part]) -> dict[tuple[int, int], float]:
+    """By how much believed pairs contradict the adjusted poses, metres in the middle of the overlap."""
+    return {(p.first, p.second): float(row[1]) for part in found for p, row in zip(part.pairs, part.loop_m)}
 
 
 def _some(xyz: np.ndarray) -> np.ndarray:

@@ -45,6 +45,56 @@ def contradicted(pairs: Sequence[Pair], points: Sequence[np.ndarray], close_m: f
     return [p.refused(refused[p.first, p.second]) if (p.first, p.second) in refused else p for p in pairs]
 
 
+def taken_apart(
+    pairs: Sequence[Pair],
+    left: dict[tuple[int, int], float],
+    points: Sequence[np.ndarray],
+    close_m: float,
+    tuning: LoopTuning,
+) -> list[Pair]:
+    """The pairs, without those that join groups in more than one way.
+
+    ``left``: by how much (metres) each believed pair contradicts the adjusted poses. Where one does by more than
+    ``close_m``, a shape that repeats has been laid on itself, and loops of three may bear that out (a plain body on a
+    round foot: two groups of stations joined in four ways, each with less than the noise between the surfaces). Then
+    only groups within which every pair closes ``sure_loops`` loops are sure. Pairs between them go if a ring of groups
+    that they close holds one that is contradicted; those that close none stay.
+    """
+    worst = max(left.values(), default=0.0)
+    if worst <= close_m:
+        return list(pairs)
+    by_ends = {(p.first, p.second): p for p in pairs if not p.why_not}
+    closed = dict.fromkeys(by_ends, 0)
+    for around, off in _loops(by_ends, points):
+        for e in around:
+            closed[e] += off <= close_m
+    group = parts(len(points), [p for e, p in by_ends.items() if closed[e] >= tuning.sure_loops])
+    why = f"pairs between these groups of clouds contradict each other by up to {worst:.3g} m: the shape repeats"
+    between = {e: p for e, p in by_ends.items() if group[e[0]] != group[e[1]]}
+    ring = _rings(list(between), group)
+    wrong = {ring[e] for e in between if e in ring and left[e] > close_m}
+    torn = {e for e in between if ring.get(e) in wrong}
+    torn |= {e for e in by_ends if e not in between and left[e] > close_m}
+    return [p.refused(why) if (p.first, p.second) in torn else p for p in pairs]
+
+
+def _rings(between: Sequence[tuple[int, int]], group: np.ndarray) -> dict[tuple[int, int], int]:
+    """Of pairs between groups those that close rings of groups, with the number of what such rings hold together."""
+
+    def hanging(ends: Sequence[tuple[int, int]]) -> np.ndarray:
+        i, j = np.array([(group[a], group[b]) for a, b in ends], int).reshape(-1, 2).T
+        count = int(group.max()) + 1
+        return connected_components(coo_matrix((np.ones(len(i)), (i, j)), shape=(count, count)), directed=False)[1]
+
+    def closes(ends: tuple[int, int]) -> bool:
+        rest = hanging([e for e in between if e != ends])
+        return bool(rest[group[ends[0]]] == rest[group[ends[1]]])
+
+    closing = [e for e in between if closes(e)]
+    label = hanging(closing)
+    return {e: int(label[group[e[0]]]) for e in closing}
+
+
 def _loops(
     pairs: dict[tuple[int, int], Pair], points: Sequence[np.ndarray]
 ) -> list[tuple[list[tuple[int, int]], float]]:

@@ -48,6 +48,8 @@ class LoopTuning(Section):
     """Loops of three close to this many coarse voxels, as mean motion of the points of a cloud."""
     alone_overlap: float = Field(0.3, gt=0, lt=1)
     """Of a pair in no loop, at least."""
+    sure_loops: int = Field(2, ge=1)
+    """Of three, that a pair closes in a group that is sure: one more than two wrong pairs and a right one make."""
     robust: float = Field(3.0, gt=0)
     """Sigmas from which on residuals of pairs count less (Cauchy)."""
     rounds: int = Field(3, ge=1)
