@@ -105,8 +105,8 @@ def test_all_ways_to_write_an_orientation_agree(tmp_path: Path) -> None:
     [
         ("antena_m = [0, 0, 0]", "antenna_m = [0.9, 0.6, 0.3]", "line 4: unknown key 'antena_m'.*'antenna_m'"),
         ('nmae = "cam1"', 'name = "cam1"', "line 12: unknown key 'nmae' in sensor.*perhaps you meant 'name'"),
-        ('role = "upp"', 'role = "up"', "line 17: role = 'upp': valid are side, up; perhaps you meant 'up'"),
-        ('role = "wide"', 'role = "up"', "line 17: role = 'wide': valid are side, up"),
+        ('role = "upp"', 'role = "up"', "line 17: role = 'upp': valid are side, up, wide; perhaps you meant 'up'"),
+        ('role = "front"', 'role = "up"', "line 17: role = 'front': valid are side, up, wide"),
         ("position_m = [0, 0]", "position_m = [0, 0, 0.07]", "line 18: position_m = .*list of 3 finite numbers"),
         ("yaw_pitch_roll_deg = [nan, 0, 0]", "yaw_pitch_roll_deg = [90, 0, 0]", "line 14: yaw_pitch_roll_deg"),
         ("body_from_sensor_wxyz = [1, 1, 0, 0]", "yaw_pitch_roll_deg = [90, 0, 0]", "line 14: .*length 1.414, not 1"),

@@ -57,7 +57,7 @@ VERBS: dict[str, Verb] = {
     "export": Verb("the depth maps as a dense workspace for COLMAP's stereo_fusion", "export"),
     "doctor": Verb("versions, cores, memory, disk, and what is missing", "doctor"),
     # The stages, as in pipeline.STAGES (tests/cli/test_cli_verbs.py holds them together).
-    "scan": Verb("stage: makes scene.json, images, odometry", "run", "scan"),
+    "scan": Verb("stage: makes scene.json, whole.json, images, odometry", "run", "scan"),
     "masks": Verb("stage: makes masks, classes, masks.csv; --compare FOLDER: against true masks", "masks"),
     "preview": Verb("stage: makes preview", "run", "preview"),
     "candidates": Verb("stage: makes candidates.npz, candidates", "run", "candidates"),
@@ -73,7 +73,7 @@ VERBS: dict[str, Verb] = {
     "georef": Verb("stage: makes sparse/world, world.json", "run", "georef"),
     "refine": Verb("stage: makes refine/masks, refine/classes", "run", "refine"),
     "dense": Verb("stage: makes depth", "run", "dense"),
-    "cloud": Verb("stage: makes cloud.copc.laz, cloud.laz, cloud.ply", "run", "cloud"),
+    "cloud": Verb("stage: makes cloud.copc.laz, cloud.laz, cloud.ply, passes", "run", "cloud"),
     "evaluate": Verb(
         "stage: makes metrics.json, accuracy.csv, evaluate; or a point cloud against a reference cloud", "evaluate"
     ),

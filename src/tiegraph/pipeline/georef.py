@@ -91,10 +91,10 @@ def georef(run: Run) -> Outcome:
 
 def _hang(run: Run, folder: Path, scale_source: str) -> tuple[int, list[str]]:
     """Add the images that hang on their rig to the model in a folder; how many have a pose now, and what to say."""
+    if not run.path("whole.json").exists():
+        return 0, []
     survey = whole(run)
     count = int((~carries(survey)).sum())
-    if not count:
-        return 0, []
     if scale_source == "none":
         return 0, [
             f"{count} images hang on their rig and have no pose in the model, for nothing tells its metres (positions, "

@@ -28,10 +28,12 @@ class Band:
 def by_distance(stations: Sequence[Station], poses: np.ndarray, pairs: Sequence[Pair], tuning: Tuning) -> list[Band]:
     """Precision by distance, of the points as measured against the means of many points of another cloud.
 
-    ``poses`` (K, 4, 4) of the shots; [] where no distance is known.
+    ``poses`` (K, 4, 4) of the shots, NaN = left out; [] where no distance is known.
     """
     found = [np.zeros((0, 3))]
     for pair in pairs:
+        if not np.isfinite(poses[[pair.first, pair.second]]).all():
+            continue
         for own, other in ((pair.first, pair.second), (pair.second, pair.first)):
             a, b = stations[own], stations[other]
             fit = b.shift @ transforms.invert(poses[other]) @ poses[own] @ a.shift_back
