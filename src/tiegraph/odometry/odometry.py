@@ -13,7 +13,7 @@ from tiegraph.odometry.cameras import Cameras
 from tiegraph.odometry.follow import Images, Tracks, corners, followed, in_partners
 from tiegraph.odometry.recall import Read, Recall, Recalled, scale_to, thumbnails
 from tiegraph.odometry.resect import Resection, errors_px, resect
-from tiegraph.odometry.start import moved_share, relative_pose
+from tiegraph.odometry.start import moved_share, relative_pose, scaled
 from tiegraph.odometry.tuning import Tuning
 from tiegraph.odometry.worldmap import Keyframe, WorldMap
 
@@ -53,6 +53,7 @@ class Odometry:
         self._recall = Recall(self.world, read, tuning.recall, tuning.pose)
         self._before: _Before | None = None
         self._waiting: list[tuple[int, Tracks]] = []  # frames of a segment that has not begun
+        self._together = Tracks.none()  # what the cameras saw in the first of them
         self._velocity = np.eye(4)
         self._lost = 0
         self._first = 0  # the first keyframe of the segment
@@ -77,19 +78,22 @@ class Odometry:
     def _begin(self, frame: int, images: Images, masks: Mapping[int, np.ndarray]) -> None:
         """Begin with this frame: at once if the cameras see enough together, else wait for the next ones."""
         tracks = self._filled(images, Tracks.none(), masks)
-        self._waiting, self._velocity = [(frame, tracks)], np.eye(4)
+        self._waiting, self._together, self._velocity = [(frame, tracks)], tracks, np.eye(4)
         self._first = len(self.world.keyframes)
         self._before = _Before(images, tracks, None) if len(tracks) >= self._tuning.start.least_points else None
         if self._before is None or not any(self.partners.values()):
             return
         seen = tracks.plus(self._in_partners(images, tracks, np.eye(4)))
+        self._together = seen
         self.world.keyframes.append(self._keyframe(frame, np.eye(4), seen, images))
         self.world.triangulate([self._first], self._tuning.map)
-        if self._placed(tracks).sum() >= self._tuning.start.least_points:
+        placed = self._placed(tracks)
+        if placed.sum() >= max(self._tuning.start.least_points, self._tuning.start.together * len(tracks)):
             self._begun(images, tracks, np.eye(4))
             self._look_back(images, self._first)
         else:
             self.world.keyframes.pop()
+            self.world.xyz[seen.point] = np.nan
 
     def _continue_start(self, frame: int, images: Images, masks: Mapping[int, np.ndarray]) -> None:
         """Follow the corners until the frame is far enough from the first to place them."""
@@ -107,25 +111,30 @@ class Odometry:
         pose = relative_pose(self.cameras, same, tracks, tuning)
         if pose is None:
             return
-        self.world.keyframes += [
-            self._keyframe(first_frame, np.eye(4), first, {}), self._keyframe(frame, pose, tracks, images)
-        ]  # fmt: skip
         numbers = [self._first, self._first + 1]
+        self.world.keyframes.append(self._keyframe(first_frame, np.eye(4), self._together, {}))
+        if self.metric:
+            self.world.triangulate(numbers[:1], self._tuning.map)
+            pose = scaled(self.cameras, pose, tracks, self.world.xyz[tracks.point], tuning)
+            self.world.xyz[self._together.point] = np.nan
+        self.world.keyframes.append(self._keyframe(frame, pose, tracks, images))
         self.world.triangulate(numbers, self._tuning.map)
         held = numbers[:1] if self.metric else numbers
         adjust(self.world, numbers, held, self._tuning.map, self._tuning.map.loss_px, self._tuning.map.loop_iterations)
         if self._placed(tracks).sum() < tuning.least_points:
             del self.world.keyframes[self._first :]
+            self.world.xyz[first.point] = np.nan
             return
         for number, (waited, seen) in enumerate(self._waiting[:-1]):
             self._pose_waited(waited, seen, number / max(len(self._waiting) - 1, 1))
-        self._begun(images, tracks, self.world.keyframes[-1].rig_from_world)
+        last = self.world.keyframes[-1].rig_from_world
+        self._velocity = _part(last, 1 / max(len(self._waiting) - 1, 1))
+        self._begun(images, tracks, last)
         self._fill(frame, images, masks)
 
     def _pose_waited(self, frame: int, seen: Tracks, share: float) -> None:
         seen = seen.where(self._placed(seen))
-        last = self.world.keyframes[-1].rig_from_world
-        guess = transforms.interpolate(np.array([0.0, 1.0]), np.stack([np.eye(4), last]), np.array([share]))[0]
+        guess = _part(self.world.keyframes[-1].rig_from_world, share)
         found = resect(self.cameras, seen.camera, seen.xy, self.world.xyz[seen.point], guess, self._tuning.pose)
         if found is not None:
             self._hang(frame, self._first, found.rig_from_world, seen.where(found.inlier))
@@ -171,7 +180,7 @@ class Odometry:
         own = last.where(np.isin(last.camera, list(self.partners)))
         own = own.where(self._placed(own))
         both, mine, theirs = np.intersect1d(tracks.point, own.point, return_indices=True)
-        if len(both) < self._tuning.map.kept * len(own):
+        if len(both) < self._tuning.map.kept * len(np.unique(own.point)):
             return True
         return moved_share(self.cameras, own.where(theirs), tracks.where(mine)) > self._tuning.map.moved
 
@@ -348,3 +357,8 @@ class Odometry:
     def _in_partners(self, images: Images, tracks: Tracks, pose: np.ndarray) -> Tracks:
         in_rig = transforms.apply(pose, self._about(tracks, pose))
         return in_partners(self.cameras, self.partners, images, tracks, in_rig, self._tuning.follow)
+
+
+def _part(motion: np.ndarray, share: float) -> np.ndarray:
+    """A share of a motion (4, 4)."""
+    return transforms.interpolate(np.array([0.0, 1.0]), np.stack([np.eye(4), motion]), np.array([share]))[0]

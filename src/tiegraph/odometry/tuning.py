@@ -28,6 +28,8 @@ class FollowTuning(Section):
     """A camera of whose view so much is seen by an earlier one gets no corners of its own, only those seen there."""
     partner_far: float = Field(20.0, gt=0)
     """Distance, in baselines, at which that is looked at."""
+    turned_deg: float = Field(5.0, gt=0)
+    """Angle between two cameras of a rig from which the image of the one is turned to the other's view first."""
     off_plane_px: float = Field(1.0, gt=0)
     """Distance from the epipolar line up to which a corner in another camera of the rig is the same."""
 
@@ -82,6 +84,9 @@ class StartTuning(Section):
 
     least_points: int = Field(30, ge=6)
     """Points with a place from which a segment is begun."""
+    together: float = Field(0.25, gt=0, le=1)
+    """Share of the corners that must have one by the cameras of the rig at one instant: a ring of cameras, which share
+    the edges of their views only, is begun from two frames, and its cameras tell the scale."""
     moved: float = Field(0.04, gt=0)
     """Median shift of the corners, in longer sides of the image, from which two frames of one camera may begin it."""
     angle_deg: float = Field(0.6, gt=0)
@@ -90,6 +95,8 @@ class StartTuning(Section):
     """Of RANSAC for the relative orientation."""
     share: float = Field(0.6, gt=0, le=1)
     """Share of corners that must agree with it."""
+    least_known: int = Field(8, ge=1)
+    """Points that the cameras of a rig place at one instant from which these tell the length of the base line."""
     least_left: float = Field(0.2, gt=0, lt=1)
     """Share of the corners that must still be there: else it is tried from the present frame on."""
 
