@@ -85,22 +85,22 @@ def _bridge(root: Path) -> Sequence:
     )
 
 
-def _canal(root: Path) -> Sequence:
-    folder = root / "canal"
+def _canal(root: Path, name: str = "canal", sweep: str = "up") -> Sequence:
+    folder = root / name
     interior = json.loads((folder / "gt" / "intrinsics.json").read_text())
     places = json.loads((folder / "gt" / "rig.json").read_text())
     body = {
         n: transforms.from_quaternion_wxyz(p["cam_from_body_qwxyz"], p["cam_from_body_t"]) for n, p in places.items()
     }
     sensors = []
-    for name in sorted(body):
-        k = interior[name]
+    for own in sorted(body):
+        k = interior[own]
         params = [k[p] for p in ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")]
-        pose = body[name] @ transforms.invert(body["cam0"])
-        sensors.append(Sensor(name, _pinhole(k["width"], k["height"], params, k["model"]), pose, folder=name))
-    count = len(list((folder / "images" / "up" / "cam0").iterdir()))
-    files = [[folder / "images" / "up" / s.name / f"{f:06d}.jpg" for s in sensors] for f in range(count)]
-    truth = read_poses(folder / "gt" / "cam_up_0.tum").poses
+        pose = body[own] @ transforms.invert(body["cam0"])
+        sensors.append(Sensor(own, _pinhole(k["width"], k["height"], params, k["model"]), pose, folder=own))
+    count = len(list((folder / "images" / sweep / "cam0").iterdir()))
+    files = [[folder / "images" / sweep / s.name / f"{f:06d}.jpg" for s in sensors] for f in range(count)]
+    truth = read_poses(folder / "gt" / f"cam_{sweep}_0.tum").poses
     return Sequence(files, Rig("ring", tuple(sensors), fixed=True), truth)
 
 
@@ -120,8 +120,14 @@ def _size(path: Path) -> tuple[int, int]:
 
 
 SETS: dict[str, Callable[[Path], Sequence]] = {
-    "kitti_stereo": _kitti, "bridge_stereo": _bridge, "canal": _canal, "rgbd_250": _handheld,
-}  # fmt: skip
+    "kitti_stereo": _kitti,
+    "bridge_stereo": _bridge,
+    "canal": _canal,
+    "canal down": lambda root: _canal(root, sweep="down"),
+    "canal_demo": lambda root: _canal(root, "canal_demo"),
+    "canal_demo down": lambda root: _canal(root, "canal_demo", "down"),
+    "rgbd_250": _handheld,
+}
 
 
 # --- programs -------------------------------------------------------------------------------------------------------

@@ -7,7 +7,7 @@ points have moved far enough is a keyframe (``worldmap``): the other cameras of 
 the corners at the same instant, new corners fill the image, points get places, and the last keyframes are adjusted
 together by pycolmap's bundle adjustment with cameras and rig held (``adjust``). A segment begins at one instant where
 cameras see the same, else from two frames by their relative orientation (``start``): of a single camera, whose path has
-no scale, or of the whole rig.
+no scale, or of the whole rig; of one that shares the edges of its views, what is seen there tells the length.
 
 **Lost and found** (``recall``): a frame that cannot be followed is looked for in what earlier keyframes saw; after
 some without success a new segment is begun, which is joined when one of its keyframes shows a place of an earlier one.
@@ -20,6 +20,7 @@ forget; what all corners of an image share is in no residual, so they are widene
 (``tuning``). A rig that is wrong shows in none of them.
 
 What was looked at: VISO2 (Geiger et al. 2011), PTAM (Klein and Murray 2007), ORB-SLAM (Mur-Artal et al. 2015), VINS
-(Qin et al. 2018). There is no run folder, so the constants of ``tuning`` are not in ``tiegraph.toml``. Inertial
-measurements are not read: no file of them is known to the project.
+(Qin et al. 2018). There is no run folder, so the constants of ``tuning`` are not in ``tiegraph.toml``.
+
+**An inertial unit** (``inertial``) adds its turns between keyframes and the vertical as residuals, and predicts turns.
 """

@@ -70,6 +70,31 @@ class Cameras:
         with np.errstate(invalid="ignore"):
             return (x >= margin_px) & (y >= margin_px) & (x < model.width - margin_px) & (y < model.height - margin_px)
 
+    def turned(self, a: int, b: int, xy: np.ndarray) -> np.ndarray:
+        """(K, 2) where camera b sees what is far away and camera a sees at pixels (K, 2); NaN behind b."""
+        rays = self.rays(np.full(len(xy), a), xy) @ self.sensor_from_rig[b, :3, :3].T
+        with np.errstate(invalid="ignore"):
+            seen = np.asarray(self.models[b].img_from_cam(rays), float)
+        return np.where(rays[:, 2:] > 0, seen, np.nan)
+
+    def angle_deg(self, a: int, b: int) -> float:
+        """Between the axes of two cameras."""
+        return float(transforms.angle_deg(self.sensor_from_rig[a, :3, :3], self.sensor_from_rig[b, :3, :3]))
+
+    @cached_property
+    def _maps(self) -> dict[tuple[int, int], np.ndarray]:
+        return {}
+
+    def map_of(self, a: int, b: int) -> np.ndarray:
+        """(H, W, 2) f4: ``turned`` of all pixels of camera a, counted from the middle of the first pixel of b, as
+        OpenCV's ``remap`` wants it; -1 outside."""
+        if (a, b) not in self._maps:
+            width, height = self.models[a].width, self.models[a].height
+            x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+            there = self.turned(a, b, np.column_stack([x.ravel(), y.ravel()])) - 0.5
+            self._maps[a, b] = np.nan_to_num(there, nan=-1.0).reshape(height, width, 2).astype(np.float32)
+        return self._maps[a, b]
+
     def partners(self, tuning: FollowTuning) -> dict[int, tuple[int, ...]]:
         """Camera with corners of its own -> the others that see some of what it sees."""
         share = np.array([[self._common(a, b, tuning) for b in range(len(self))] for a in range(len(self))])

@@ -98,12 +98,28 @@ def in_partners(
             guess = np.full((len(tracks), 2), np.nan)
             at = tracks.camera == camera
             guess[at] = cameras.project(np.full(at.sum(), other), in_rig[at])
-            seen = tracks.where(at & cameras.inside(other, guess, tuning.margin_px))
-            guess = guess[at & cameras.inside(other, guess, tuning.margin_px)]
-            place, found = followed(images[camera], images[other], seen.xy, guess, tuning)
+            there = at & cameras.inside(other, guess, tuning.margin_px)
+            seen, guess = tracks.where(there), guess[there]
+            if cameras.angle_deg(camera, other) < tuning.turned_deg:
+                place, found = followed(images[camera], images[other], seen.xy, guess, tuning)
+            else:
+                place, found = _followed_turned(cameras, (camera, other), images, seen.xy, guess, tuning)
             found &= _off_plane_px(cameras, camera, other, seen.xy, place) < tuning.off_plane_px
             out = out.plus(Tracks(seen.point[found], np.full(found.sum(), other), place[found]))
     return out
+
+
+def _followed_turned(
+    cameras: Cameras, pair: tuple[int, int], images: Images, xy: np.ndarray, guess: np.ndarray, tuning: FollowTuning
+) -> tuple[np.ndarray, np.ndarray]:
+    """``followed`` from one camera into another that looks elsewhere: its image is first turned to where the one looks,
+    for at the edges of two wide images the same surface has shapes that no shift makes alike."""
+    a, b = pair
+    turned = cv2.remap(images[b], cameras.map_of(a, b), None, cv2.INTER_LINEAR)
+    place, found = followed(images[a], turned, xy, cameras.turned(b, a, guess), tuning)
+    there = np.full_like(place, np.nan)
+    there[found] = cameras.turned(a, b, place[found])
+    return there, found & cameras.inside(b, there, tuning.margin_px)
 
 
 def _off_plane_px(cameras: Cameras, a: int, b: int, xy_a: np.ndarray, xy_b: np.ndarray) -> np.ndarray:

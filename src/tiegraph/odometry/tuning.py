@@ -28,6 +28,8 @@ class FollowTuning(Section):
     """A camera of whose view so much is seen by an earlier one gets no corners of its own, only those seen there."""
     partner_far: float = Field(20.0, gt=0)
     """Distance, in baselines, at which that is looked at."""
+    turned_deg: float = Field(5.0, gt=0)
+    """Angle between two cameras of a rig from which the image of the one is turned to the other's view first."""
     off_plane_px: float = Field(1.0, gt=0)
     """Distance from the epipolar line up to which a corner in another camera of the rig is the same."""
 
@@ -82,6 +84,9 @@ class StartTuning(Section):
 
     least_points: int = Field(30, ge=6)
     """Points with a place from which a segment is begun."""
+    together: float = Field(0.25, gt=0, le=1)
+    """Share of the corners that must have one by the cameras of the rig at one instant: a ring of cameras, which share
+    the edges of their views only, is begun from two frames, and its cameras tell the scale."""
     moved: float = Field(0.04, gt=0)
     """Median shift of the corners, in longer sides of the image, from which two frames of one camera may begin it."""
     angle_deg: float = Field(0.6, gt=0)
@@ -90,6 +95,8 @@ class StartTuning(Section):
     """Of RANSAC for the relative orientation."""
     share: float = Field(0.6, gt=0, le=1)
     """Share of corners that must agree with it."""
+    least_known: int = Field(8, ge=1)
+    """Points that the cameras of a rig place at one instant from which these tell the length of the base line."""
     least_left: float = Field(0.2, gt=0, lt=1)
     """Share of the corners that must still be there: else it is tried from the present frame on."""
 
@@ -123,6 +130,29 @@ class RecallTuning(Section):
     """Of the pose by matched points: corners are found again to a pixel or two."""
 
 
+class InertialTuning(Section):
+    """What an inertial unit says (`inertial.py`)."""
+
+    walk: float = Field(0.002, gt=0)
+    """Noise of a gyroscope, rad/s/sqrt(Hz): ten times that of a phone's, for what is not modelled ..."""
+    bias: float = Field(0.002, gt=0)
+    """... and what may be left of its bias, rad/s."""
+    gap_s: float = Field(0.1, gt=0)
+    """Time without a measurement across which no turn is told."""
+    learnt: int = Field(200, ge=10)
+    """Last turns of which axes and bias are learnt."""
+    least_turns: int = Field(10, ge=3)
+    """Turns from which they are."""
+    axes_rad: float = Field(0.03, gt=0)
+    """Sigma of the axes from which they count as found."""
+    up_s: float = Field(2.0, gt=0)
+    """Time over which the acceleration is averaged to tell the vertical: that of a step or a sway."""
+    up_rad: float = Field(0.02, gt=0)
+    """Least sigma of the vertical: of a unit whose accelerometer is not calibrated."""
+    gravity: float = Field(9.81, gt=0)
+    """m/s2; it differs by 0.3 % over the earth, which `up_rad` covers."""
+
+
 class Tuning(Section):
     """Constants of the engine that are the same for every user."""
 
@@ -131,3 +161,4 @@ class Tuning(Section):
     map: MapTuning = MapTuning()
     start: StartTuning = StartTuning()
     recall: RecallTuning = RecallTuning()
+    inertial: InertialTuning = InertialTuning()
