@@ -92,7 +92,7 @@ class Cameras:
             width, height = self.models[a].width, self.models[a].height
             x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
             there = self.turned(a, b, np.column_stack([x.ravel(), y.ravel()])) - 0.5
-            self._maps[a, b] = np.nan_to_num(there.T, nan=-1.0).reshape(2, height, width).astype(np.float32)
+            self._maps[a, b] = np.nan_to_num(there.T, nan=-1.0).reshape(2, height, width).astype(np.float32, order="C")
         return self._maps[a, b]
 
     def partners(self, tuning: FollowTuning) -> dict[int, tuple[int, ...]]:
