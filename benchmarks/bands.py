@@ -109,8 +109,8 @@ def write(file: Path) -> None:
     """Put the table between its markers in docs/benchmarks.md."""
     rows = json.loads(file.read_text())["rows"]
     sigma = json.loads((_RESULTS / "sigma.json").read_text())["rows"]
-    before, _, rest = _DOCUMENT.read_text().partition(BEGIN)
-    _, _, after = rest.partition(END)
+    text = _DOCUMENT.read_text()
+    before, after = text[: text.index(BEGIN)], text[text.index(END) + len(END) :]
     _DOCUMENT.write_text(f"{before}{BEGIN}\n{table(rows, sigma)}\n{END}{after}")
 
 
