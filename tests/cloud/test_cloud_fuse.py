@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
@@ -58,6 +60,18 @@ def test_overlapping_maps_become_one_even_surface(tmp_path):
     np.testing.assert_allclose(cloud.sigma_m, 0.02, rtol=1e-3)
     assert fused.counts["pixels"] == 4 * SHAPE[0] * SHAPE[1]
     assert fused.counts["points"] == len(cloud)
+
+
+def test_without_filters_and_colours_strays_stay_and_points_are_black(tmp_path):
+    depth = WALLS["0"].depth_m.copy()
+    depth[45, 60] = 4.0  # nothing is near it
+    stray = {"0": replace(WALLS["0"], depth_m=depth)}
+    kept = fuse(["0"], Maps(stray.get), tmp_path / "a", SETTINGS.unfiltered(0.1), TUNING)
+    cloud = kept.cloud()
+    assert (cloud.xyz_m[:, 2] < 5).sum() == 1 and (cloud.rgb == 0).all()
+    assert kept.counts["statistical"] == kept.counts["radius"] == 0 and kept.voxel == 0.1
+    filtered = fuse(["0"], maps(stray), tmp_path / "b", SETTINGS, TUNING).cloud()
+    assert (filtered.xyz_m[:, 2] > 5).all() and 0 < len(filtered) < len(cloud)
 
 
 def test_tiles_do_not_change_the_points(tmp_path, monkeypatch):

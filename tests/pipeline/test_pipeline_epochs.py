@@ -9,6 +9,7 @@ import laspy
 import numpy as np
 import pycolmap
 import pytest
+from scipy.spatial.transform import Rotation
 
 from clouds_world import ground
 from tiegraph.cli.main import main
@@ -99,6 +100,26 @@ def test_a_shift_of_the_whole_survey_is_within_its_sigma_or_registered(tmp_path:
 
 
 @pytest.mark.slow
+def test_a_survey_in_another_frame_is_laid_on_the_first_by_its_shape(tmp_path: Path) -> None:
+    hills = np.random.default_rng(3).uniform(-9, 9, (25, 2))
+    clouds = [ground(40_000, seed) for seed in (0, 1)]
+    for cloud in clouds:
+        away = np.linalg.norm(cloud[:, None, :2] - hills, axis=2)
+        cloud[:, 2] += np.sum(1.5 * np.exp(-(away**2) / 2), axis=1)
+    turn = Rotation.from_euler("zyx", [70, 20, 10], degrees=True).as_matrix()
+    first = survey(tmp_path / "a", clouds[0], placed_m=None)
+    second = survey(tmp_path / "b", clouds[1] @ turn.T + [300.0, -80, 12], placed_m=None)
+    with pytest.raises(InputError, match="--coarse starts a registration: add --register rigid"):
+        compare_epochs((first, second), tmp_path / "out", EpochOptions(coarse=True))
+    with pytest.raises(InputError, match="do not overlap"):
+        compare_epochs((first, second), tmp_path / "out", EpochOptions(register="rigid"))
+    found = compare_epochs((first, second), tmp_path / "out", EpochOptions(register="rigid", coarse=True))
+    assert abs(found["differences"]["median m"]) < 0.005 and 0 < found["differences"]["significant %"] < 12
+    rows = {row[0]: row[1] for row in found["registration"]["rows"]}
+    assert rows["coarse start: points near the reference, %"] > 80 and "start by their shapes" in found["notes"][0]
+
+
+@pytest.mark.slow
 def test_what_cannot_be_compared_is_said_and_nothing_written(tmp_path: Path) -> None:
     first = survey(tmp_path / "a", ground(500, 0))
     (tmp_path / "none").mkdir()
@@ -139,6 +160,20 @@ def test_passes_of_one_run_and_its_evaluation_by_a_cloud(finished, tmp_path: Pat
     assert figures["passes_median"] == pytest.approx(found["differences"]["median m"], abs=0.005)
     layers = json.loads((folder / "metrics.json").read_text())["accuracy"]["figures"]
     assert sum(f["key"] == "shape.passes" and f["measured"] > 0 and not f["independent"] for f in layers) == 1
+
+
+@pytest.mark.slow
+def test_the_poses_of_a_run_without_a_cloud_are_compared(finished, tmp_path: Path, capsys) -> None:
+    folder = finished.after("georef", tmp_path / "run")
+    there = sorted(folder.iterdir())
+    shutil.copytree(folder / "sparse" / "world", tmp_path / "poses")
+    assert main(["evaluate", str(folder), str(tmp_path / "poses")]) == 0
+    said = dict(line.split()[:2] for line in capsys.readouterr().out.splitlines() if line.startswith("ate_"))
+    assert float(said["ate_se3_rmse"]) < 1e-6
+    assert sorted(folder.iterdir()) == there
+    shutil.rmtree(folder / "sparse" / "world")
+    assert main(["evaluate", str(folder), str(tmp_path / "poses")]) == 2
+    assert "run `tiegraph georef" in capsys.readouterr().err
 
 
 @pytest.mark.slow
