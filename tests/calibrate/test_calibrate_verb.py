@@ -151,7 +151,10 @@ def test_names_that_do_not_say_the_instant_are_refused(capsys, tmp_path):
 
 def test_wrong_words_are_refused_before_images_are_read(capsys, tmp_path):
     assert "the side of a square is missing" in refused(capsys, tmp_path, "--board", "checker:9x6")
+    assert "25 mm are 0.025" in refused(capsys, tmp_path, "--board", "checker:9x6:25")
     pictures(tmp_path / "images", ["1.png", "2.png"])
+    assert "2 images, and a camera needs the board in 3 at least" in refused(capsys, tmp_path)
+    pictures(tmp_path / "images", ["3.png"])
     said = refused(capsys, tmp_path, "--model", "OPENVC")
     assert "no camera model 'OPENVC'; perhaps you meant 'OPENCV'?" in said
     assert "no camera 'cam7'" in refused(capsys, tmp_path, "--model", "OPENCV", "cam7=RADIAL")
