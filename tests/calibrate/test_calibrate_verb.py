@@ -87,7 +87,7 @@ def test_the_other_files_say_the_same(made):
     for name in re.findall(r"\]\((\S+\.png)\)", said):
         assert cv2.imread(str(folder / name)) is not None
     assert said.count(".png") == 3
-    assert "All lengths come from the board" in said
+    assert "All lengths come from the size of the board's squares" in said
     rows = (folder / "correlations.csv").read_text().splitlines()
     assert len(rows) == 1 + 3 * 8 + 2 * 6
 
