@@ -87,7 +87,7 @@ def test_the_other_files_say_the_same(made):
     for name in re.findall(r"\]\((\S+\.png)\)", said):
         assert cv2.imread(str(folder / name)) is not None
     assert said.count(".png") == 3
-    assert "All lengths come from the board" in said
+    assert "All lengths come from the size of the board's squares" in said
     rows = (folder / "correlations.csv").read_text().splitlines()
     assert len(rows) == 1 + 3 * 8 + 2 * 6
 
@@ -151,7 +151,10 @@ def test_names_that_do_not_say_the_instant_are_refused(capsys, tmp_path):
 
 def test_wrong_words_are_refused_before_images_are_read(capsys, tmp_path):
     assert "the side of a square is missing" in refused(capsys, tmp_path, "--board", "checker:9x6")
+    assert "25 mm are 0.025" in refused(capsys, tmp_path, "--board", "checker:9x6:25")
     pictures(tmp_path / "images", ["1.png", "2.png"])
+    assert "2 images, and a camera needs the board in 3 at least" in refused(capsys, tmp_path)
+    pictures(tmp_path / "images", ["3.png"])
     said = refused(capsys, tmp_path, "--model", "OPENVC")
     assert "no camera model 'OPENVC'; perhaps you meant 'OPENCV'?" in said
     assert "no camera 'cam7'" in refused(capsys, tmp_path, "--model", "OPENCV", "cam7=RADIAL")

@@ -90,12 +90,16 @@ def test_every_image_has_a_state_and_what_is_not_used_a_reason(full: Path, page:
     assert page.count(f"<td>{REASON}</td>") == 3 and "<details" in page
 
 
+@pytest.mark.slow
 def test_images_that_hang_on_a_wide_camera_are_listed_as_such(tmp_path: Path) -> None:
     folder = make_run(tmp_path / "run", "georef")
     for file in folder.glob("*.npz"):  # its pairs are of the whole survey
         file.unlink()
     ring = Scene.from_json((folder / "scene.json").read_text())
     sensors = tuple(replace(s, role=WIDE if s.name == "cam0" else "side") for s in ring.rigs[0].sensors)
+    for sensor in sensors:
+        assert sensor.camera is not None
+        sensor.camera.has_prior_focal_length = True
     whole = ring.with_(rigs=(replace(ring.rigs[0], sensors=sensors),))
     (folder / "whole.json").write_text(whole.to_json())
     (folder / "scene.json").write_text(carrying(whole).to_json())

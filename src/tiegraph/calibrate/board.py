@@ -163,5 +163,6 @@ def _length(word: str, where: str, tuning: BoardTuning) -> float:
     value = _number(word, where)
     if not 0 < value <= tuning.max_square_m:
         most = tuning.max_square_m
-        raise InputError(f"{where}: a side of {value:g} m: above 0, {most:g} at most; lengths are in metres")
+        hint = f": {value:g} mm are {value / 1000:g}" if value > most else ""
+        raise InputError(f"{where}: a side of {value:g} m: above 0, {most:g} at most; lengths are in metres{hint}")
     return value

@@ -6,7 +6,7 @@ import re
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from pathlib import PurePosixPath
+from pathlib import Path, PurePosixPath
 
 import numpy as np
 
@@ -92,6 +92,15 @@ def check_views(seen: Observations, tuning: StartTuning) -> None:
             "ChArUco"
         )
     check_ties(seen, tuning)
+
+
+def check_count(folder: Path, images: int, tuning: StartTuning) -> None:
+    """Raise InputError for fewer images than views that a camera needs."""
+    if 0 < images < tuning.least_views:
+        raise InputError(
+            f"{folder}: {images} image{'s' * (images > 1)}, and a camera needs the board in {tuning.least_views} at "
+            "least: take 20 or more, near and far, tilted, in every part of the image"
+        )
 
 
 def check_one_camera(names: Sequence[str], tuning: StartTuning) -> None:

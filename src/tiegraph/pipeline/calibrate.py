@@ -21,7 +21,7 @@ from tiegraph.calibrate.board import Board, read_board
 from tiegraph.calibrate.detect import Corners, detect
 from tiegraph.calibrate.exchange import kalibr_yaml, opencv_yaml
 from tiegraph.calibrate.judge import Verdict, judge, relative_focal_sigma
-from tiegraph.calibrate.observations import CameraImages, Observations, View, check_one_camera, check_views
+from tiegraph.calibrate.observations import CameraImages, Observations, View, check_count, check_one_camera, check_views
 from tiegraph.calibrate.picture import residual_picture
 from tiegraph.calibrate.settings import CalibrateSettings
 from tiegraph.calibrate.start import start
@@ -107,6 +107,7 @@ def _read_folder(images: Path, settings: CalibrateSettings, pool: str, reporter:
     tuning, report = ScanTuning(), Report()
     found = search_images(images)
     names = clean_names(list(found.names))
+    check_count(images, len(names), Tuning().start)
     paths = [Path(images, f) for f in found.names]
     with reporter.stage("images"):
         reporter.total(len(paths))
