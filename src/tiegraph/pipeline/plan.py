@@ -144,7 +144,7 @@ def _propagate(model: pycolmap.Reconstruction, calibrated: bool, *, rigged: Rigg
 
 
 def _assumed(model: pycolmap.Reconstruction, free: set[int], errors: ErrorTuning) -> AssumedErrors:
-    """Shared errors, of lenses that are adjusted (or calibrated for this survey: ``free``) and of those held as given."""
+    """Shared errors: of lenses that are adjusted or calibrated for this survey (``free``), of those held as given."""
     lens_px = {k: errors.lens_px if k in free else errors.calibration_px for k in model.cameras}
     return AssumedErrors(lens_px=lens_px, reach=errors.reach, tracks=errors.tracks)
 
