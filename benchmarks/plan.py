@@ -41,7 +41,7 @@ REQUESTS: Mapping[str, PlanRequest] = {
     ),
     "canal_demo": PlanRequest(
         CameraRequest(rig="ring:5", focal_px=232, size="480x360"), ImageRequest(distance="10.4", base="2.1"),
-        PathRequest(shape="canal", length=19), _BOAT,
+        PathRequest(shape="canal", length=19), WorldRequest(gnss="0.35,0.56"),
     ),
     "kitti_stereo": PlanRequest(
         CameraRequest(rig="{rig}"), ImageRequest(distance="10", base="1.2"), PathRequest(shape="road", length=60)

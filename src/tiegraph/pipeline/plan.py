@@ -122,7 +122,13 @@ def _propagate(model: pycolmap.Reconstruction, calibrated: bool, *, rigged: Rigg
     tuning = SfmTuning()
     free = set() if calibrated else free_cameras(model, tuning.adjust) - set(rigged.held)
     try:
-        found = planned_sigma(model, free, not rigged.fixed, _assumed(model, free, errors), tuning=tuning)
+        found = planned_sigma(
+            model,
+            free,
+            not rigged.fixed,
+            _assumed(model, set(model.cameras) if calibrated else free, errors),
+            tuning=tuning,
+        )
     except (ValueError, RuntimeError, np.linalg.LinAlgError) as error:
         raise InputError(
             f"the network of this path cannot be adjusted ({error}): give more overlap or frames"
@@ -138,7 +144,7 @@ def _propagate(model: pycolmap.Reconstruction, calibrated: bool, *, rigged: Rigg
 
 
 def _assumed(model: pycolmap.Reconstruction, free: set[int], errors: ErrorTuning) -> AssumedErrors:
-    """Shared errors, of lenses that are adjusted and of those held as given."""
+    """Shared errors: of lenses that are adjusted or calibrated for this survey (``free``), of those held as given."""
     lens_px = {k: errors.lens_px if k in free else errors.calibration_px for k in model.cameras}
     return AssumedErrors(lens_px=lens_px, reach=errors.reach, tracks=errors.tracks)
 
