@@ -2,13 +2,16 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from odometry.odometry_world import FRAMES, back_to_back, drive, images, single, stereo, true_path
+from odometry.odometry_world import FRAMES, back_to_back, camera, drive, images, single, stereo, true_path
 from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import umeyama
-from tiegraph.odometry.cameras import cameras_of
+from tiegraph.odometry.cameras import Cameras, cameras_of
+from tiegraph.odometry.follow import Tracks
 from tiegraph.odometry.odometry import Odometry
+from tiegraph.odometry.start import scaled
 from tiegraph.odometry.tuning import Tuning
 from tiegraph.scene.rig import Rig, Sensor
 
@@ -64,6 +67,45 @@ def test_cameras_without_a_common_view_are_followed_together():
     assert 0.5 < fit.scale < 2
     place = path.sigmas()[0][-1]
     assert place[2] > 10 * place[1] and abs(path.world_from_rig - truth)[-1, 2, 3] < 5 * place[2]
+
+
+def ring() -> Cameras:
+    """Two cameras at 50 degrees that share the edges of their views, 17 cm apart."""
+    turns = [Rotation.from_euler("y", a, degrees=True).as_matrix() for a in (25, -25)]
+    poses = [transforms.rigid(t, [0, 0, 0.2]) for t in turns]
+    return Cameras(("a", "b"), (camera(), camera()), np.stack([p @ transforms.invert(poses[0]) for p in poses]))
+
+
+def test_a_camera_is_turned_to_the_view_of_another():
+    rig, xy = ring(), np.array([[300.0, 100.0], [310.0, 60.0], [2.0, 120.0]])
+    assert np.allclose(rig.turned(1, 0, rig.turned(0, 1, xy))[:2], xy[:2], atol=1e-6)
+    assert rig.map_of(0, 1).shape == (240, 320, 2) and rig.angle_deg(0, 1) == pytest.approx(50)
+
+
+def test_a_ring_that_shares_the_edges_of_its_views_begins_from_two_frames_with_a_scale():
+    frames = ALL[:12]
+    path, truth = drive(ring(), frames), true_path(frames)
+    assert path.metric and (path.segment == 0).all()
+    fit = umeyama(path.world_from_rig[:, :3, 3], truth[:, :3, 3])
+    assert 0.9 < fit.scale < 1.1
+    assert 1e-4 < np.linalg.norm((fit(path.world_from_rig[:, :3, 3]) - truth[:, :3, 3]), axis=1).max() < 0.05
+
+
+def test_points_of_known_place_tell_the_length_of_a_base_line():
+    rig, rng = ring(), np.random.default_rng(0)
+    known = rng.uniform([-2, -2, 4], [2, 2, 9], (40, 3))
+    pose = transforms.rigid(Rotation.from_rotvec([0.02, 0.05, 0]).as_matrix(), [0.3, 0.1, -1.7])
+    camera = np.zeros(40, int)
+    seen = Tracks(
+        np.arange(40), camera, rig.project(camera, transforms.apply(pose, known)) + rng.normal(0, 0.2, (40, 2))
+    )
+    short = pose.copy()
+    short[:3, 3] *= 0.01
+    tuning = Tuning().start
+    made = scaled(rig, short, seen, known, tuning)
+    assert 1e-6 < np.linalg.norm(made[:3, 3] - pose[:3, 3]) < 0.01 * 1.7
+    known[5:] = np.nan
+    assert np.array_equal(scaled(rig, short, seen, known, tuning), short)
 
 
 def test_dark_frames_are_lost_and_the_path_goes_on():
