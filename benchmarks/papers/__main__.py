@@ -21,14 +21,16 @@ def rows_of(path: Path) -> list[dict[str, Any]]:
 def main(argv: list[str] | None = None) -> int:
     """Print the tables of the papers that are named (all of them by default)."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("papers", nargs="*", default=list(PRINTED), choices=list(PRINTED), metavar="PAPER")
+    parser.add_argument("papers", nargs="*", metavar="PAPER", help=f"of {', '.join(PRINTED)} (default: all)")
     parser.add_argument("--run", action="store_true", help="measure the rows that are not there (needs TIEGRAPH_DATA)")
     parser.add_argument("--work", type=Path, help="folder of the runs; what was begun goes on there")
     parser.add_argument("--note", default="", help="said in the JSON, for instance what else the machine was doing")
     args = parser.parse_args(argv)
     if args.run and args.work is None:
         parser.error("--run needs --work DIR")
-    for paper in args.papers:
+    if unknown := sorted(set(args.papers) - set(PRINTED)):
+        parser.error(f"no paper {', '.join(unknown)}: there are {', '.join(PRINTED)}")
+    for paper in args.papers or PRINTED:
         if args.run:
             measure.measure(paper, args.work, args.note)
         sys.stdout.write(tables(paper, rows_of(measure.RESULTS)) + "\n\n")

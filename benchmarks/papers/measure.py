@@ -6,7 +6,7 @@ import json
 import shutil
 import sys
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +40,7 @@ class Method:
     preset: str = "default"
     settings: Mapping[str, Any] = field(default_factory=dict)
     until: str = "evaluate"
+    trajectory: str | None = None  # instead of the set's
 
 
 COLMAP = Method("COLMAP")
@@ -54,6 +55,7 @@ _BY = tuple(
     Method(name, settings={"candidates": {"sources": [source]}, **_PLAIN}, until="cloud")
     for name, source in (("all pairs", "exhaustive"), ("by poses", "poses"))
 )
+_FOLLOWED = Method("by odometry", settings=_BY[1].settings, until="cloud", trajectory="auto")
 _SECTIONS = ("canal_demo section 0", "canal_demo section 1")
 
 RUNS: dict[str, tuple[tuple[str, tuple[Method, ...]], ...]] = {
@@ -63,7 +65,10 @@ RUNS: dict[str, tuple[tuple[str, tuple[Method, ...]], ...]] = {
         *((name, (_OURS, _PAPERS["meguro2025"])) for name in _SECTIONS),
     ),
     "002": (("kitchen 40", (*_DESIGNS, COLMAP)),),
-    "003": tuple((name, (*_BY, COLMAP)) for name in scenes.SIX),
+    "003": (
+        *((name, (*_BY, _FOLLOWED, COLMAP)) for name in scenes.SIX[:3]),
+        *((name, (*_BY, COLMAP)) for name in scenes.SIX[3:]),
+    ),
     "004": (),
 }
 
@@ -95,6 +100,8 @@ def one_run(dataset: datasets.Dataset, method: Method, out: Path) -> dict[str, A
     others = sorted(p.parent for p in out.parent.glob("*/tiegraph.toml"))
     if not out.exists() and others:
         shutil.copytree(others[0], out, symlinks=True)
+    if method.trajectory is not None:
+        dataset = replace(dataset, trajectory=Path(method.trajectory))
     error = variants.start(dataset, out, method.until, method.settings, method.preset)
     return {"status": error or "done", **figures(dataset, out)}
 

@@ -91,6 +91,7 @@ def _by(found: Sequence[Row], rows: Sequence[tuple[str, Callable[[Row], Any]]]) 
 _SIZES: tuple[tuple[str, Callable[[Row], Any]], ...] = (
     ("Images", lambda r: r["images"]),
     ("Images used", lambda r: r.get("largest")),
+    ("Placed by the rig besides", lambda r: r.get("placed_by_rig")),
     ("Separate models", lambda r: r.get("components")),
     ("Pairs matched", lambda r: r["counts"]["matched"]),
     ("Sparse points", lambda r: r.get("points")),
@@ -191,7 +192,7 @@ def _paper002(found: Mapping[tuple[str, str], Row]) -> list[str]:
             cells.append([row["method"], *(v for pair in zip(of["mean_m"], of["sd_m"]) for v in pair)])
         columns = ["", "X", "sd", "Y", "sd", "Z", "sd"]
         out.append(_table(f"{title}, mean and median standard deviation, m along the truth's axes", columns, cells))
-    more = _by(rows, (*_SIZES[1:4], ("CPU s of matching and mapping", lambda r: _cpu(r, "match", "sparse")), _ATE))
+    more = _by(rows, (*_SIZES[1:5], ("CPU s of matching and mapping", lambda r: _cpu(r, "match", "sparse")), _ATE))
     said = (
         "Each model has points of its own: means differ by which they are, and a far point by little parallax counts."
     )

@@ -28,8 +28,9 @@ class Texture:
     pixel_from_board: np.ndarray
 
 
-def texture(board: Board, square_px: int = 100) -> Texture:
-    """What is printed: by OpenCV of ChArUco boards, else square by square."""
+def texture(board: Board, square_px: int = 100, trimmed: float = 1.0) -> Texture:
+    """What is printed: by OpenCV of ChArUco boards, else square by square; of the outermost squares of a checkerboard
+    so much is left."""
     if board.kind == CHARUCO:
         name = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))
         drawn = cv2.aruco.CharucoBoard(board.counts, 1.0, board.marker, name)
@@ -40,8 +41,10 @@ def texture(board: Board, square_px: int = 100) -> Texture:
     across, down = board.counts
     x, y = np.meshgrid(np.arange(across + 1), np.arange(down + 1))
     squares = np.kron(255 * ((x + y) % 2), np.ones((square_px, square_px))).astype(np.uint8)
-    side = board.points[1, 0]
-    found = _framed(squares, square_px / side)
+    cut = round((1 - trimmed) * square_px)
+    squares = squares[cut : len(squares) - cut, cut : squares.shape[1] - cut]
+    side = board.points[1, 0] * (1 - cut / square_px)
+    found = _framed(squares, square_px / board.points[1, 0])
     moved = np.eye(3)
     moved[:2, 2] = side
     return Texture(found.pixels, found.pixel_from_board @ moved)

@@ -129,6 +129,13 @@ def test_images_without_a_board_are_refused(capsys, tmp_path):
     assert "camera: the board was found in none of its 3 images" in refused(capsys, tmp_path)
 
 
+def test_images_of_two_cameras_in_one_folder_are_refused(capsys, tmp_path):
+    pictures(tmp_path / "images", [f"{side}{k:02d}.png" for side in ("left", "right") for k in range(3)])
+    said = refused(capsys, tmp_path)
+    assert "3 numbers stand behind 'left' and behind 'right'" in said and "(left/, right/)" in said
+    assert "found in none of its 6 images" in refused(capsys, tmp_path, "--layout", "sequence")
+
+
 def test_images_of_different_sizes_are_refused_by_name(capsys, tmp_path):
     pictures(tmp_path / "images", ["cam0/1.png", "cam0/2.png", "cam1/1.png", "cam1/2.png"])
     pictures(tmp_path / "images", ["cam1/3.png"], (300, 240))
@@ -143,7 +150,7 @@ def test_names_that_do_not_say_the_instant_are_refused(capsys, tmp_path):
 
 
 def test_wrong_words_are_refused_before_images_are_read(capsys, tmp_path):
-    assert "--board checker:9x6" in refused(capsys, tmp_path, "--board", "checker:9x6")
+    assert "the side of a square is missing" in refused(capsys, tmp_path, "--board", "checker:9x6")
     pictures(tmp_path / "images", ["1.png", "2.png"])
     said = refused(capsys, tmp_path, "--model", "OPENVC")
     assert "no camera model 'OPENVC'; perhaps you meant 'OPENCV'?" in said

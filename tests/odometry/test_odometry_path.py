@@ -79,7 +79,7 @@ def ring() -> Cameras:
 def test_a_camera_is_turned_to_the_view_of_another():
     rig, xy = ring(), np.array([[300.0, 100.0], [310.0, 60.0], [2.0, 120.0]])
     assert np.allclose(rig.turned(1, 0, rig.turned(0, 1, xy))[:2], xy[:2], atol=1e-6)
-    assert rig.map_of(0, 1).shape == (240, 320, 2) and rig.angle_deg(0, 1) == pytest.approx(50)
+    assert rig.map_of(0, 1).shape == (2, 240, 320) and rig.angle_deg(0, 1) == pytest.approx(50)
 
 
 def test_a_ring_that_shares_the_edges_of_its_views_begins_from_two_frames_with_a_scale():

@@ -19,6 +19,7 @@ from tiegraph.scan.prepare import crop_camera
 from tiegraph.scan.rigfiles.rigfile import parse_rig_file, read_rig_file
 from tiegraph.scan.rigfiles.rigspec import RigSpec, orient
 from tiegraph.scan.tuning import RigTuning
+from tiegraph.scene.hanging import WIDE
 from tiegraph.scene.rig import Rig, Sensor, Source
 from tiegraph.scene.scene import Scene, simple_scene
 from tiegraph.sfm.covariance import INTERIOR, INTERIOR_TABLE, MOUNTING
@@ -251,6 +252,38 @@ def test_a_single_camera_needs_no_metres(tmp_path: Path) -> None:
     found = rig_file(_run(tmp_path / "out", alone, None, georef=False))
     (sensor,) = _read(found.text).sensors
     assert sensor.params == tuple(FOUND) and sensor.folder == "" and found.said == ()
+
+
+def _with_wide(out: Path, wide: int) -> Path:
+    """A run of which the first cameras alone carried structure from motion."""
+    whole = _given(nominal=False)
+    roles = [WIDE if k < wide else "side" for k in range(3)]
+    sensors = tuple(replace(s, role=r) for s, r in zip(whole.sensors, roles))
+    carry = replace(whole, sensors=sensors[:wide])
+    out = _run(out, carry, _poses(0.37, 1.5) if wide > 1 else None, scale_source="none", georef=False)
+    (out / "whole.json").write_text(_scene((replace(whole, sensors=sensors),)).to_json())
+    return out
+
+
+def test_cameras_that_hang_on_a_wide_one_stay_as_given(tmp_path: Path) -> None:
+    found = rig_file(_with_wide(tmp_path / "out", 1))
+    spec = _read(found.text)
+    assert [(s.name, s.role) for s in spec.sensors] == [("a", WIDE), ("b", "side"), ("c", "side")]
+    assert [s.params for s in spec.sensors] == [tuple(FOUND), tuple(GUESS), tuple(GUESS)]
+    for mine, true in zip(_sensor_from_rig(spec), _poses(0.3)):
+        np.testing.assert_allclose(mine, true, rtol=0, atol=1e-9)
+    assert "head: b, c hang on it: places and lenses are as given" in found.said
+
+
+def test_hanging_cameras_have_the_unit_of_the_wide_ones_in_a_file_without_one(tmp_path: Path) -> None:
+    out = _with_wide(tmp_path / "out", 2)
+    with pytest.raises(InputError, match="nothing in this run told metres"):
+        rig_file(out)
+    (config,) = json.loads(rig_file(out, "rig_config").text)
+    places = [np.linalg.norm(c["cam_from_rig_translation"]) for c in config["cameras"][1:]]
+    given = [float(np.linalg.norm(p[:3, 3])) for p in _poses(0.3)]
+    assert places[1] / places[0] == pytest.approx(given[2] / given[1])
+    assert places[0] == pytest.approx(np.linalg.norm(_poses(0.37, 1.5)[1][:3, 3]) / SCALE)
 
 
 def test_folders_that_have_no_rig_to_give(tmp_path: Path) -> None:

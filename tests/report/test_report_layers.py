@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import jsonschema
@@ -15,10 +16,12 @@ from tiegraph.errors import EngineMissing, InputError
 from tiegraph.report import glossary, pdf, spatial, texts
 from tiegraph.report.formatting import without_folders
 from tiegraph.report.html import environment, write_report
-from tiegraph.report.images import ABSENT, LEFT_OUT, REGISTERED, image_rows
+from tiegraph.report.images import ABSENT, HANGING, LEFT_OUT, REGISTERED, image_rows
 from tiegraph.report.reportjson import schema
 from tiegraph.report.runfolder import read_run
 from tiegraph.report.settings import ReportSettings
+from tiegraph.scene.hanging import WIDE, carrying
+from tiegraph.scene.scene import Scene
 
 ABOUT = {"client": "Port & <script>alert(1)</script>", "project": "Quay 7", "surveyor": "A. Surveyor"}
 JAPANESE = ReportSettings(viewer_points=500, language="ja", title="岸壁", about=ABOUT)
@@ -85,6 +88,24 @@ def test_every_image_has_a_state_and_what_is_not_used_a_reason(full: Path, page:
     gsd = np.array([row.gsd for row in rows if row.state == REGISTERED])
     assert np.all((gsd > 0.01) & (gsd < 0.2)), "walls 3 to 40 m away, focal length 200 px"
     assert page.count(f"<td>{REASON}</td>") == 3 and "<details" in page
+
+
+def test_images_that_hang_on_a_wide_camera_are_listed_as_such(tmp_path: Path) -> None:
+    folder = make_run(tmp_path / "run", "georef")
+    for file in folder.glob("*.npz"):  # its pairs are of the whole survey
+        file.unlink()
+    ring = Scene.from_json((folder / "scene.json").read_text())
+    sensors = tuple(replace(s, role=WIDE if s.name == "cam0" else "side") for s in ring.rigs[0].sensors)
+    whole = ring.with_(rigs=(replace(ring.rigs[0], sensors=sensors),))
+    (folder / "whole.json").write_text(whole.to_json())
+    (folder / "scene.json").write_text(carrying(whole).to_json())
+    for counts, states in (({"hanging": 36}, {HANGING: 36, ABSENT: 4}), ({}, {ABSENT: 40})):
+        receipt = {"key": "1", "counts": counts}
+        (folder / "receipts/georef.json").write_text(json.dumps(receipt))
+        rows = [row for row in image_rows(read_run(folder, 1000)) if "/cam0/" not in row.name]
+        assert {s: sum(r.state == s for r in rows if not r.points) for s in states} == states
+        reason = "no wide image of its frame" if counts else "nothing tells the scale"
+        assert all((reason in row.reason) == (row.state == ABSENT) for row in rows if row.state in (ABSENT, HANGING))
 
 
 def test_the_file_for_programs_is_as_its_schema_says(full: Path, page: str, tmp_path: Path) -> None:

@@ -42,6 +42,12 @@ class Board:
     legacy: bool = False
 
     @property
+    def counted(self) -> str:
+        """What ``counts`` is of, and what else must be as it was printed, in words."""
+        said = {CHARUCO: "squares, dictionary, legacy or not", CHECKER: "inner corners: one less than squares"}
+        return said.get(self.kind, "tags")
+
+    @property
     def turnable(self) -> bool:
         """Whether it looks the same after half a turn, so that two cameras may number its corners differently."""
         return self.kind == CHECKER and sum(self.counts) % 2 == 0
@@ -83,6 +89,11 @@ def _charuco(text: str, words: list[str], tuning: BoardTuning) -> Board:
 
 
 def _checker(text: str, words: list[str], tuning: BoardTuning) -> Board:
+    if len(words) == 1:
+        raise InputError(
+            f"--board {text}: the side of a square is missing, in metres: measure it over many squares. For a single "
+            f"camera any will do ({text}:0.03), for its calibration has no lengths"
+        )
     if len(words) != 2:
         raise InputError(f"--board {text}: inner corners and side of a square: {_EXAMPLES[CHECKER]}")
     where = f"--board {text}"

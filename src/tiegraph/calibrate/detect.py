@@ -63,7 +63,7 @@ def _checker(pixels: np.ndarray, board: Board, tuning: BoardTuning) -> Corners:
         found, xy = cv2.findChessboardCornersSB(pixels, board.counts, flags=flags)
         if found:
             xy = xy.reshape(-1, 2)
-            return np.arange(len(board.points)), _refined(pixels, xy, _nearest(xy), tuning)
+            return np.arange(len(board.points)), _refined(pixels, xy, tuning.trimmed * _nearest(xy), tuning)
     return np.zeros(0, int), np.zeros((0, 2))
 
 

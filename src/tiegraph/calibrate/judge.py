@@ -156,7 +156,20 @@ def _advice(done: Adjusted, cameras: list[CameraVerdict], exact: Precision, tuni
                 f"{name}: held-out instants are off by {verdict.held_out_px:.2f} px, the adjusted ones by "
                 f"{verdict.rms_px:.2f} px: too few views for model {images.model}; take more, or a simpler model"
             )
-    return out
+    return [*out, *_bad_views(done, tuning)]
+
+
+def _bad_views(done: Adjusted, tuning: JudgeTuning) -> list[str]:
+    """The images whose corners fit much worse than those of the others of their camera."""
+    rms = np.array([_rms([off]) for off in view_residuals(done.seen, done.state)])
+    camera = np.array([view.camera for view in done.seen.views])
+    usual = {int(c): float(np.median(rms[camera == c])) for c in np.unique(camera)}
+    return [
+        f"{view.name}: its corners are {off:.2f} px off (RMS), those of others {usual[view.camera]:.2f} px: is it "
+        "blurred, or something before the board?"
+        for view, off in zip(done.seen.views, rms)
+        if off > tuning.bad_view * usual[view.camera]
+    ]
 
 
 def _empty_thirds(seen: Observations, camera: int) -> list[str]:

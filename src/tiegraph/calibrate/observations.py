@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+import re
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
+from pathlib import PurePosixPath
 
 import numpy as np
 
@@ -74,7 +77,8 @@ def check_views(seen: Observations, tuning: StartTuning) -> None:
         if views == 0:
             raise InputError(
                 f"{camera.name}: the board was found in none of its {camera.count} images: does --board say what was "
-                "printed (counts, dictionary), and is the board sharp and whole in them?"
+                f"printed ({' x '.join(map(str, seen.board.counts))} {seen.board.counted}), and is the board sharp and "
+                "whole in them?"
             )
         if views < tuning.least_views:
             raise InputError(
@@ -88,6 +92,22 @@ def check_views(seen: Observations, tuning: StartTuning) -> None:
             "ChArUco"
         )
     check_ties(seen, tuning)
+
+
+def check_one_camera(names: Sequence[str], tuning: StartTuning) -> None:
+    """Raise InputError for images of one folder that are numbered like those of two cameras: left01 and right01."""
+    numbers: dict[str, dict[str, set[int]]] = {}  # by folder and beginning of the name
+    for name in map(PurePosixPath, names):
+        if found := re.fullmatch(r"(.*?)(\d+)", name.stem):
+            numbers.setdefault(str(name.parent), {}).setdefault(found[1], set()).add(int(found[2]))
+    for begun in numbers.values():
+        for (a, one), (b, two) in combinations(sorted(begun.items()), 2):
+            if len(one & two) >= tuning.least_views:
+                raise InputError(
+                    f"images in one folder: {len(one & two)} numbers stand behind {a!r} and behind {b!r}. If two "
+                    f"cameras took them, give each a folder of its own ({a.strip('_- ')}/, {b.strip('_- ')}/); if one "
+                    "did, say --layout sequence"
+                )
 
 
 def joint_instants(seen: Observations) -> np.ndarray:

@@ -25,7 +25,7 @@ def residual_picture(done: Adjusted, camera: int, tuning: JudgeTuning) -> bytes:
     xy = np.concatenate([done.seen.views[k].xy for k in own])
     off = np.concatenate([r for k, r in enumerate(view_residuals(done.seen, done.state)) if k in own])
     side = max(images.size) / tuning.cells
-    at, mean = _by_cell(xy, off, side)
+    at, mean = _by_cell(xy, off, side, tuning.cell_corners)
     longest = max(float(np.hypot(*mean.T).max()), 1e-9)
     width, height = images.size
     figure = Figure(figsize=(7.0, 0.6 + 6.4 * height / width), dpi=_DPI, layout="constrained")
@@ -42,10 +42,12 @@ def residual_picture(done: Adjusted, camera: int, tuning: JudgeTuning) -> bytes:
     return out.getvalue()
 
 
-def _by_cell(xy: np.ndarray, off: np.ndarray, side: float) -> tuple[np.ndarray, np.ndarray]:
-    """Middles (C, 2) of the cells that hold corners, and the mean residuals (C, 2) there."""
+def _by_cell(xy: np.ndarray, off: np.ndarray, side: float, least: int) -> tuple[np.ndarray, np.ndarray]:
+    """Mean places (C, 2) of the corners in each cell that holds so many, and their mean residuals (C, 2)."""
     good = np.isfinite(off).all(axis=1)
-    cells, number = np.unique(np.floor(xy[good] / side), axis=0, return_inverse=True)
+    _, number = np.unique(np.floor(xy[good] / side), axis=0, return_inverse=True)
     count = np.bincount(number.ravel())
-    mean = np.stack([np.bincount(number.ravel(), column) / count for column in off[good].T], axis=1)
-    return (cells + 0.5) * side, mean
+    columns = np.hstack([xy[good], off[good]]).T
+    means = np.stack([np.bincount(number.ravel(), column) / count for column in columns], axis=1)
+    means = means[count >= min(least, count.max())]
+    return means[:, :2], means[:, 2:]

@@ -9,15 +9,12 @@ import numpy as np
 from tiegraph.calibrate.adjust import Adjusted
 from tiegraph.calibrate.covariance import PLACE, TURN, Parameter, Precision
 from tiegraph.calibrate.judge import Verdict
+from tiegraph.geometry import transforms
 
 _CAMERA = ("views", "corners", "RMS px", "RMS held out px", "image covered", "largest tilt deg")
 _PLACES = (
     "Places: of the projection centre in the frame of the first camera. Turns: rotation vector of the camera against "
     "the first one; their sigmas are about the camera's own axes."
-)
-_SCALE = (
-    "All lengths come from the board: had its squares another size than `--board` says, every length of the rig would "
-    "be wrong by that ratio, and no residual would show it. Measure the board with a ruler over many squares."
 )
 
 
@@ -32,7 +29,7 @@ def summary(done: Adjusted, verdict: Verdict, board: str, notes: Sequence[str], 
         "# Calibration",
         f"Board `{board}`, {len(done.seen.instants())} instants, {len(done.seen.views)} views. Sigma of one coordinate "
         f"of a corner: {done.sigma_px:.3f} px.",
-        _SCALE,
+        lengths(done),
         *_bend(done),
         _table(("camera", *_CAMERA), cameras),
         "RMS: of one coordinate, of all corners. Held out: instants that took no part in the adjustment, to which only "
@@ -49,6 +46,22 @@ def summary(done: Adjusted, verdict: Verdict, board: str, notes: Sequence[str], 
         _bullets(notes),
     ]
     return "\n\n".join(parts) + "\n"
+
+
+def lengths(done: Adjusted) -> str:
+    """What the size of the board's squares decides, and how to notice that it is wrong."""
+    names = [c.name for c in done.seen.cameras]
+    if len(names) == 1:
+        return "The size of the squares plays no part: a single camera's calibration has no lengths."
+    apart = np.linalg.norm([transforms.centre(pose) for pose in done.state.sensor_from_rig], axis=1)
+    far = int(np.argmax(apart))
+    middle = done.seen.board.points.mean(axis=0)
+    depths = [float(np.linalg.norm(transforms.apply(done.state.camera_from_board(v), middle))) for v in done.seen.views]
+    return (
+        f"All lengths come from the size of the board's squares, which no image can check. By it {names[0]} and "
+        f"{names[far]} are {apart[far]:.4g} m apart, and the board was {min(depths):.2g} to {max(depths):.2g} m away: "
+        "lay a ruler there, and over many squares."
+    )
 
 
 def _bend(done: Adjusted) -> list[str]:

@@ -22,6 +22,10 @@ class BoardTuning(Section):
     """Half window of the refinement of a corner, in the distance from it to other edges of the print ..."""
     refine_px: tuple[int, int] = (2, 11)
     """... and its bounds."""
+    trimmed: float = Field(0.3, gt=0, le=1)
+    """Free about a corner of a checkerboard, in sides of a square: paper is trimmed, and windows that reach over its
+    edge pulled corners off by up to 6 px (OpenCV's photographs); 0.4 still does where 0.4 of the outer squares are
+    left, and full windows are no better than 0.019 px for 0.021 (rendered, `tests/calibrate`)."""
 
 
 class StartTuning(Section):
@@ -82,6 +86,10 @@ class JudgeTuning(Section):
     """Tilt of the board against the image that some views should have."""
     cells: int = Field(10, ge=3)
     """Cells along the longer side of the image, for the coverage and the mean residuals."""
+    cell_corners: int = Field(3, ge=1)
+    """Corners of a cell whose mean residual is drawn: that of one or two says nothing of the lens."""
+    bad_view: float = Field(3.0, gt=1)
+    """RMS of a view over the median of its camera's from which the image is named."""
     held_out_ratio: float = Field(1.5, gt=1)
     """Error of held-out instants over that of the adjusted ones from which it is told."""
     agree_sigmas: float = Field(3.0, gt=0)

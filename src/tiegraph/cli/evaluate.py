@@ -1,20 +1,26 @@
-"""`tiegraph evaluate OUT` (the stage) and `tiegraph evaluate CLOUD REFERENCE` (two point clouds)."""
+"""`tiegraph evaluate OUT` (the stage), `evaluate OUT POSES` (poses alone), `evaluate CLOUD REFERENCE` (two clouds)."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 
+from tiegraph.api import open_project
 from tiegraph.cli.options import options_of
 from tiegraph.cli.output import say, show_table
 from tiegraph.cli.run import main_stage
 from tiegraph.evaluate.clouds.judge import Question, Register
 from tiegraph.pipeline.clouds import evaluate_clouds
+from tiegraph.pipeline.evaluate import evaluate_poses
+from tiegraph.project.run import Run
 from tiegraph.scene.cloudchunks import CLOUD_ENDINGS
 
-_TWO_CLOUDS = "\n\nOr two point clouds: tiegraph evaluate CLOUD REFERENCE (.laz, .las, .ply, .e57; --help after them)."
+_OTHERS = (
+    "\n\nOr the poses of a run to georef, without its cloud: tiegraph evaluate OUT POSES. Or two point clouds: "
+    "tiegraph evaluate CLOUD REFERENCE (.laz, .las, .ply, .e57). --help after them."
+)
 
 
 def main(arguments: list[str]) -> int:
@@ -22,7 +28,34 @@ def main(arguments: list[str]) -> int:
     files = [a for a in arguments if not a.startswith("-")]
     if len(files) >= 2 and all(Path(f).suffix.lower() in CLOUD_ENDINGS for f in files[:2]):
         return _clouds(arguments)
-    return main_stage("evaluate", arguments, about=_TWO_CLOUDS)
+    if len(arguments) >= 2 and Path(arguments[0]).is_dir() and not arguments[1].startswith("-"):
+        return _poses(arguments)
+    return main_stage("evaluate", arguments, about=_OTHERS)
+
+
+def _poses(arguments: list[str]) -> int:
+    def evaluate(
+        run: tyro.conf.Positional[Path],
+        poses: tyro.conf.Positional[Path],
+        reference_origin: tuple[float, float, float] | None = None,
+    ) -> tuple[Path, Path, tuple[float, float, float] | None]:
+        """How near the poses of a run are to reference poses; it needs no cloud, and nothing is written.
+
+        Args:
+            run: A run folder with a model in the world (to the stage georef).
+            poses: Reference poses as --evaluate.reference takes them: a COLMAP model, a TUM file, a folder of them.
+            reference_origin: Latitude, longitude (degrees) and ellipsoidal height (m) of the origin of the
+                reference's east, north, up; without it only errors after an alignment are stated.
+        """
+        return run, poses, reference_origin
+
+    folder, reference, origin = options_of(evaluate, "tiegraph evaluate OUT POSES", arguments)
+    project = open_project(None, folder)
+    result = evaluate_poses(Run(project.folder, project.inputs, project.settings), reference, origin)
+    _show(result)
+    for text in result["contradictions"]:
+        say(f"contradiction: {text}")
+    return 0
 
 
 def _clouds(arguments: list[str]) -> int:
@@ -49,7 +82,11 @@ def _clouds(arguments: list[str]) -> int:
         return (cloud, reference), out, Question(distances_m=distances_m, register=register, coarse=coarse)
 
     files, out, question = options_of(evaluate, "tiegraph evaluate", arguments)
-    result = evaluate_clouds(files, out, question)
+    _show(evaluate_clouds(files, out, question))
+    return 0
+
+
+def _show(result: dict[str, Any]) -> None:
     for metric in result["metrics"]:
         value = "-" if metric["value"] is None else f"{metric['value']:.4g}"
         say(f"{metric['name']:<24} {value} {metric['unit']}")
@@ -58,4 +95,3 @@ def _clouds(arguments: list[str]) -> int:
         show_table(content["columns"], rows, name)
     for note in result["notes"]:
         say(note)
-    return 0

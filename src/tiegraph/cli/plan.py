@@ -54,7 +54,8 @@ def main(arguments: list[str]) -> int:
 def _compare(run: Path, planned: Path | None, json: bool) -> int:
     table = compare(run, planned)
     if json:
-        say(json_text.dumps({"columns": table.columns, "rows": table.rows}, indent=1))
+        say(json_text.dumps({"columns": table.columns, "rows": table.rows, "sentence": table.sentence}, indent=1))
     else:
         show_table(table.columns, table.rows, table.title)
+        say(table.sentence)
     return 0

@@ -47,10 +47,11 @@ _MAPS_AT_ONCE = 400  # depth maps whose points lie in files before they are adde
 
 @dataclass(frozen=True)
 class Maps:
-    """Where depth maps and the colours (H, W, 3) u1 RGB of their images come from, by image name; None = no map."""
+    """Where depth maps (None = no map) and the colours (H, W, 3) u1 RGB of their images come from, by image name;
+    without colours points are black."""
 
     depth: Callable[[str], DepthMap | None]
-    colours: Callable[[str], np.ndarray]
+    colours: Callable[[str], np.ndarray] | None = None
 
 
 @dataclass(frozen=True)
@@ -201,7 +202,8 @@ def _points_of_map(name: str, maps: Maps, settings: CloudSettings) -> MapPoints:
     depth = maps.depth(name)
     if depth is None:
         return Cloud.empty(), np.zeros(0), 0
-    return map_points(depth, maps.colours(name), settings)
+    rgb = np.zeros((*depth.depth_m.shape, 3), np.uint8) if maps.colours is None else maps.colours(name)
+    return map_points(depth, rgb, settings)
 
 
 def _scatter_one(
@@ -261,6 +263,9 @@ def _filter_one(
 ) -> tuple[int, int, int]:
     """Filter one merged tile among its neighbours: (points kept, dropped by the statistical, by the radius filter)."""
     voxels = _load(_tile_path(scratch, tile, "merged"))
+    if not settings.filtered:
+        _save(_tile_path(scratch, tile, "final"), voxels)
+        return len(voxels), 0, 0
     justified = spacing(voxels.cell, voxel)
     around = _margin(tile, scratch, voxel, settings.radius_voxels * float(justified.max()))
     xyz = positions(voxels.cell, voxels.weight, voxels.place, tile, voxel)

@@ -22,3 +22,12 @@ class CloudSettings(Section):
     """Radius of the radius filter, in spacings of the point."""
     radius_neighbours: int = Field(3, ge=0, le=100)
     """Neighbours a point must have within that radius; 0 = filter off."""
+
+    @property
+    def filtered(self) -> bool:
+        """Whether any filter is on."""
+        return self.statistical_ratio > 0 or self.radius_neighbours > 0
+
+    def unfiltered(self, voxel_size: float) -> "CloudSettings":
+        """The same without filters, for voxels of this size."""
+        return self.model_copy(update={"voxel_size": voxel_size, "statistical_ratio": 0.0, "radius_neighbours": 0})

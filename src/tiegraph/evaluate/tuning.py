@@ -111,8 +111,8 @@ class PassesTuning(Section):
     takes all of them."""
     places: int = Field(5, gt=0)
     """Of more, those near so many places, spread evenly along the way."""
-    cores: int = Field(20_000, gt=0)
-    """Core points, about: the median of so many is known to a hundredth of their spread."""
+    cores: int = Field(5000, gt=0)
+    """Core points, about: median and spread of so many are known to a fiftieth of the spread."""
 
 
 class JudgeTuning(Section):

@@ -42,6 +42,12 @@ def skew(v: np.ndarray) -> np.ndarray:
     return out - np.swapaxes(out, 1, 2)
 
 
+def motions(from_middle: np.ndarray) -> np.ndarray:
+    """(N, 3, 7) what a turn (rad), a shift (m) and a change of scale do to places (N, 3) about the middle."""
+    shift = np.broadcast_to(np.eye(3), (len(from_middle), 3, 3))
+    return np.concatenate([-skew(from_middle), shift, from_middle[:, :, None]], axis=2)
+
+
 def turn_by_vector(v: np.ndarray) -> np.ndarray:
     """(N, 3, 3) Jacobians J of rotation vectors v (N, 3): Exp(v + dv) = Exp(J dv) Exp(v), to the first order."""
     angle, cross = np.linalg.norm(v, axis=1)[:, None, None], skew(v)

@@ -86,13 +86,13 @@ class Cameras:
         return {}
 
     def map_of(self, a: int, b: int) -> np.ndarray:
-        """(H, W, 2) f4: ``turned`` of all pixels of camera a, counted from the middle of the first pixel of b, as
+        """(2, H, W) f4: ``turned`` of all pixels of camera a, counted from the middle of the first pixel of b, as
         OpenCV's ``remap`` wants it; -1 outside."""
         if (a, b) not in self._maps:
             width, height = self.models[a].width, self.models[a].height
             x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
             there = self.turned(a, b, np.column_stack([x.ravel(), y.ravel()])) - 0.5
-            self._maps[a, b] = np.nan_to_num(there, nan=-1.0).reshape(height, width, 2).astype(np.float32)
+            self._maps[a, b] = np.nan_to_num(there.T, nan=-1.0).reshape(2, height, width).astype(np.float32, order="C")
         return self._maps[a, b]
 
     def partners(self, tuning: FollowTuning) -> dict[int, tuple[int, ...]]:

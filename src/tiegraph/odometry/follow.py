@@ -115,7 +115,8 @@ def _followed_turned(
     """``followed`` from one camera into another that looks elsewhere: its image is first turned to where the one looks,
     for at the edges of two wide images the same surface has shapes that no shift makes alike."""
     a, b = pair
-    turned = cv2.remap(images[b], cameras.map_of(a, b), None, cv2.INTER_LINEAR)
+    x, y = cameras.map_of(a, b)
+    turned = cv2.remap(images[b], x, y, cv2.INTER_LINEAR)
     place, found = followed(images[a], turned, xy, cameras.turned(b, a, guess), tuning)
     there = np.full_like(place, np.nan)
     there[found] = cameras.turned(a, b, place[found])

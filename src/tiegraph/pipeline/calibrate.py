@@ -21,11 +21,11 @@ from tiegraph.calibrate.board import Board, read_board
 from tiegraph.calibrate.detect import Corners, detect
 from tiegraph.calibrate.exchange import kalibr_yaml, opencv_yaml
 from tiegraph.calibrate.judge import Verdict, judge, relative_focal_sigma
-from tiegraph.calibrate.observations import CameraImages, Observations, View, check_views
+from tiegraph.calibrate.observations import CameraImages, Observations, View, check_one_camera, check_views
 from tiegraph.calibrate.picture import residual_picture
 from tiegraph.calibrate.settings import CalibrateSettings
 from tiegraph.calibrate.start import start
-from tiegraph.calibrate.summary import correlation_csv, rig_sigmas, summary
+from tiegraph.calibrate.summary import correlation_csv, lengths, rig_sigmas, summary
 from tiegraph.calibrate.tuning import BoardTuning, Tuning
 from tiegraph.errors import InputError
 from tiegraph.project.pool import map_items, open_pool
@@ -46,7 +46,6 @@ from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.tuning import ImageTuning
 from tiegraph.text import one_line
 
-_LENGTHS = "all lengths come from the size of the board's squares, which no image can check: measure it"
 _FOLDER = "_calibration"  # beside the rig.toml: its name without suffix, and this
 
 
@@ -69,12 +68,14 @@ def calibrate(
     survey = _read_folder(images, settings, pool, reporter)
     check_wide(settings.wide, [c.name for c in survey.cameras])
     seen = _detect(survey, pattern, tuning.board, pool, reporter)
+    unread = _without_board(survey, seen)
     check_views(seen, tuning.start)
     done = adjust_robustly(seen, start(seen, tuning), tuning.adjust, settings.board_sigma)
     verdict = judge(done, tuning)
-    _write(made, done, verdict, (board, *survey.notes), _rig(done, verdict, settings.wide))
+    _write(made, done, verdict, (board, *survey.notes, *unread), _rig(done, verdict, settings.wide))
     left_out = (f"left out: {name}: {why}" for name, why in done.left_out)
-    for text in (*left_out, *verdict.advice, _LENGTHS, *made.said()):
+    scale = () if len(survey.cameras) == 1 else (lengths(done),)
+    for text in (*unread, *left_out, *verdict.advice, *scale, *made.said()):
         reporter.say(text)
     return verdict
 
@@ -117,6 +118,8 @@ def _read_folder(images: Path, settings: CalibrateSettings, pool: str, reporter:
     folder = {k: place.folder for k, place in zip(usable.images, layout.places) if place is not None}
     sequence = {k: place.sequence for k, place in zip(usable.images, layout.places) if place is not None}
     report.drop([names[k] for k in usable.images if k not in folder], "outside the camera folders")
+    if len(layout.folders) == 1 and settings.layout == "auto":
+        check_one_camera([names[k] for k in kept], Tuning().start)
     owned = [[k for k in kept if folder[k] == f] for f in layout.folders]
     upright = [len({probes[k].exif.orientation for k in own}) == 1 for own in owned]
     models = _models(settings.model, [f or "camera" for f in layout.folders])
@@ -227,6 +230,17 @@ def _detect(survey: _Survey, board: Board, tuning: BoardTuning, pool: str, repor
         if len(numbers)
     )
     return Observations(board, survey.cameras, views)
+
+
+def _without_board(survey: _Survey, seen: Observations) -> list[str]:
+    """Of each camera the images in which no board was found."""
+    views = {view.name for view in seen.views}
+    out = []
+    for number, camera in enumerate(survey.cameras):
+        names = [f.name for f in survey.files if f.camera == number and f.name not in views]
+        if names:
+            out.append(f"{camera.name}: no board in {len(names)} of {camera.count} images: {', '.join(names)}")
+    return out
 
 
 def _corners(file: _File, board: Board, tuning: BoardTuning) -> Corners:

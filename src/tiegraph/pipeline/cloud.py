@@ -41,17 +41,17 @@ def cloud(run: Run) -> Outcome:
     notes = [*write_copc(fused.clouds, run.path("cloud.copc.laz"), fused.voxel, scratch, said)]
     same_file(run.path("cloud.copc.laz"), run.path("cloud.laz"))
     notes += write_ply(fused.clouds(), run.path("cloud.ply"), said)
-    agreement = _passes(run, scratch)
+    agreement = _passes(run, scratch, fused.voxel)
     remove(scratch)
     counts = {"points": fused.counts["points"], **{k: v for k, v in fused.counts.items() if k != "points"}, **sigmas}
     return Outcome({**counts, "voxel": float(f"{fused.voxel:.3g}")}, notes=tuple(dict.fromkeys([*notes, *agreement])))
 
 
-def _passes(run: Run, scratch: Path) -> list[str]:
+def _passes(run: Run, scratch: Path, voxel_m: float) -> list[str]:
     """Compare two passes with each other, where there are some; what is to be said if that was not possible."""
     from tiegraph.pipeline.passes import write_agreement  # matplotlib, which no worker of this stage needs
 
-    found = write_agreement(run, scratch, _mapper(run))
+    found = write_agreement(run, scratch, voxel_m, _mapper(run))
     return [found.note()] if found is not None and found.why_not else []
 
 

@@ -31,8 +31,7 @@ def evaluate_clouds(files: tuple[Path, Path], out: Path | None, question: Questi
     for distance in question.distances_m:
         if not 0 < distance < np.inf:
             raise InputError(f"--distances-m {distance:g}: give metres above 0")
-    if question.coarse and question.register == "none":
-        raise InputError("--coarse starts a registration: add --register rigid or --register similarity")
+    refuse_coarse_alone(question.register, question.coarse, "--register rigid or --register similarity")
     own, truth = (open_cloud(path) for path in files)
     notes = [] if out is None else [f"written: {out}"]
     if own.crs and truth.crs and own.crs != truth.crs:
@@ -46,6 +45,12 @@ def evaluate_clouds(files: tuple[Path, Path], out: Path | None, question: Questi
             write_judgement(found, folder, _place(own.crs))
             save_json(folder / "metrics.json", result)
     return result
+
+
+def refuse_coarse_alone(register: str, coarse: bool, remedy: str) -> None:
+    """Raise InputError for a coarse start of no registration."""
+    if coarse and register == "none":
+        raise InputError(f"--coarse starts a registration: add {remedy}")
 
 
 def _into(source: PointSource, crs: str | None) -> PointSource:

@@ -16,13 +16,13 @@ from tiegraph.evaluate.clouds.changes import Changes, changes
 from tiegraph.evaluate.clouds.m3c2 import Differences, Sigma, cylinders_of, m3c2_tiled
 from tiegraph.evaluate.clouds.nearest import Cameras, meeting
 from tiegraph.evaluate.clouds.picture import difference_map
-from tiegraph.evaluate.clouds.register import Registration, register
+from tiegraph.evaluate.clouds.register import Registration, registered
 from tiegraph.evaluate.clouds.tiles import tile_clouds
 from tiegraph.evaluate.reference import to_world
 from tiegraph.evaluate.tuning import Tuning
 from tiegraph.geometry.geodesy import Origin
 from tiegraph.geometry.placement import PlacementError
-from tiegraph.pipeline.clouds import new_folder
+from tiegraph.pipeline.clouds import new_folder, refuse_coarse_alone
 from tiegraph.pipeline.evaluate import measured
 from tiegraph.pipeline.files import load_json, load_model
 from tiegraph.project.folder import check_format
@@ -39,6 +39,8 @@ class EpochOptions:
     register: Literal["none", "rigid"] = "none"
     """Lay the second cloud on the first by ICP instead of trusting both places on the Earth; most of the surface must
     have stayed. Its sigma then takes the place of the surveys' own."""
+    coarse: bool = False
+    """The second cloud is far off or turned: start the registration by the shapes of both."""
     depth_m: float | None = None
     """Largest difference that is looked for, to either side (default: by the spacing of the clouds)."""
 
@@ -69,9 +71,10 @@ class Pair:
 def compare_epochs(folders: tuple[Path, Path], out: Path, options: EpochOptions) -> dict[str, Any]:
     """Compare the clouds of two runs; writes changes.json, changes.csv, changes.png and changes.laz into a new folder.
 
-    Raises InputError for runs without a cloud, or that are not known to stand in one world, and for clouds that do not
-    meet.
+    Raises InputError for runs without a cloud, or that are not known to stand in one world, for clouds that do not
+    meet, and for a coarse start of no registration.
     """
+    refuse_coarse_alone(options.register, options.coarse, "--register rigid")
     first, second = (_read(folder) for folder in folders)
     other = _in_world_of(first, second, options)
     common: dict[str, Any] = {"first": first.cloud, "cameras": _cameras(first), "origin": first.origin}
@@ -79,9 +82,10 @@ def compare_epochs(folders: tuple[Path, Path], out: Path, options: EpochOptions)
         held = "as the surveys stand on the Earth, with both their sigmas"
         pair = Pair(**common, second=other, held=held, sigma=_placed(first, second))
     else:
-        fitted = _registered(first, other)
+        fitted = _registered(first, other, options.coarse)
         moved, along = other.moved(fitted.fit), fitted.sigma_along
-        pair = Pair(**common, second=moved, held="by ICP", sigma=along, fitted=fitted)
+        held = "by ICP from a start by their shapes" if options.coarse else "by ICP"
+        pair = Pair(**common, second=moved, held=held, sigma=along, fitted=fitted)
     return differences_of(pair, out, options.depth_m)
 
 
@@ -151,10 +155,9 @@ def _in_world_of(first: _Epoch, second: _Epoch, options: EpochOptions) -> PointS
     return second.cloud.moved(lambda xyz: to_world(xyz, b, a))
 
 
-def _registered(first: _Epoch, other: PointSource) -> Registration:
-    tuning = Tuning().registration
+def _registered(first: _Epoch, other: PointSource, coarse: bool) -> Registration:
     try:
-        return register(other.sample(tuning.points), first.cloud.sample(tuning.points), tuning)
+        return registered(other, first.cloud, Tuning().registration, False, coarse)
     except ValueError as error:
         raise InputError(f"{other.name}: {error}") from None
 

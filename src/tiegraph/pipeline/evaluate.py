@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from tiegraph.errors import InputError
 from tiegraph.evaluate.accuracytable import accuracy_csv
 from tiegraph.evaluate.clouds.judge import CloudJudgement
 from tiegraph.evaluate.clouds.m3c2 import Differences
@@ -60,6 +62,23 @@ def evaluate(run: Run) -> Outcome:
     shown = {"figures": sum(m["value"] is not None for m in result["metrics"]), "tables": len(result["tables"])}
     notes = tuple(n for n in result["notes"] if n.startswith("Reference"))  # what could be compared with what
     return Outcome(shown, notes=notes, contradictions=tuple(result["contradictions"]))
+
+
+def evaluate_poses(run: Run, reference: Path, origin: tuple[float, float, float] | None) -> dict[str, Any]:
+    """Poses of a run with a model in the world (``georef``) against reference poses: the content of metrics.json.
+
+    Nothing is made or written. ``origin``: that of the reference's east-north-up metres. Raises InputError for a run
+    without a model in the world, and for poses that cannot be read or matched.
+    """
+    world = run.path("sparse", "world")
+    if not (world / "cameras.bin").exists():
+        raise InputError(f"{run.folder}: there is no model in {world}: run `tiegraph georef {run.folder}` first")
+    scene, model, tuning = checked(run), load_model(world), run.settings.tuning
+    settings = EvaluateSettings(reference=reference, reference_origin=origin)
+    images = registration(model, scene, tuning.scene.registered)
+    placed = world_origin(run) if load_json(run.path("world.json"))["placed"] else None
+    made = Products(model=model, images=images, cloud=None, origin=placed)
+    return evaluate_survey(scene, made, settings, tuning.evaluate, stated(run, {})).metrics
 
 
 def _agreement(run: Run) -> PassAgreement | None:

@@ -2,7 +2,8 @@
 
 Where what from: cameras and places from ``sparse/world`` once ``georef`` has made it, before from ``sparse/0``. A rig
 that was held as given keeps its own lengths: what the positions say of the scale of a survey does not change a measured
-rig. A rig that was adjusted has the lengths of the world, and is refused where nothing told metres.
+rig. A rig that was adjusted has the lengths of the world, and is refused where nothing told metres. Cameras that hang
+on a wide one (``scene.hanging``) are in no model and stay as given.
 """
 
 from __future__ import annotations
@@ -90,6 +91,8 @@ def rig_file(folder: Path, form: str = TOML) -> RigFile:
     except UnreadableArtefact as error:
         raise InputError(f"{error}; finish that run again") from None
     rigs = [_found(run, index) for index in range(len(run.scene.rigs))]
+    if (whole := run.folder / "whole.json").exists():
+        rigs = [_with_hanging(run, rigs[0], load_scene(whole).rigs[0])]
     if form == CONFIG:
         _check_prefixes(run, rigs)
         return RigFile(rig_config(rigs), tuple(run.said))
@@ -209,6 +212,24 @@ def _say_held(run: _Run, found: Rig, given: Rig) -> None:
         run.said.append(f"{given.name}: its places were held by the run {but}")
     else:
         run.said.append(f"{given.name}: its places are as given: the run held them")
+
+
+def _with_hanging(run: _Run, found: Rig, whole: Rig) -> Rig:
+    """The rig with the cameras that hang on it: no match says anything of these, so they stay as they were given."""
+    own = {s.name for s in found.sensors}
+    given, hung = (
+        replace(whole, sensors=tuple(s for s in whole.sensors if (s.name in own) == of)) for of in (True, False)
+    )
+    if run.unscaled:  # rig_config.json has no unit, but one for all cameras
+        hung = _scaled(hung, _units(found, given))
+    sensors = []
+    for sensor in hung.sensors:
+        with_file, said = with_camera(sensor, sensor.camera, True, (), run.tuning.camera)
+        sensors.append(with_file)
+        run.said += said
+    run.said.append(f"{found.name}: {', '.join(s.name for s in sensors)} hang on it: places and lenses are as given")
+    pairs = tuple(p for p in whole.pairs if not set(p.sensors) <= own)
+    return replace(found, sensors=(*found.sensors, *sensors), pairs=(*found.pairs, *pairs))
 
 
 def _loose(run: _Run, given: Rig, index: int, mode: str) -> Rig:

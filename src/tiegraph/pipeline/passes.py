@@ -4,6 +4,8 @@ Each is fused of the depth maps of its own images. What this tells is how well b
 survey, and depth. What it does not tell is what both share: the place and scale of the model, the cameras, and what
 matching got wrong in both; and a depth map of one pass may have been confirmed by images of the other. The stage
 ``cloud`` compares some depth maps for the report (``write_agreement``), `compare --passes` all of them.
+
+What the first costs: COST
 """
 
 from __future__ import annotations
@@ -18,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from tiegraph.cloud.fuse import FusionResult, Maps, fuse
+from tiegraph.cloud.settings import CloudSettings
 from tiegraph.errors import InputError, ReconstructionError
 from tiegraph.evaluate.clouds.nearest import Cameras
 from tiegraph.evaluate.clouds.passes import PassAgreement, by_section, near_places
@@ -64,12 +67,15 @@ def compare_passes(run: Run, out: Path, depth_m: float | None = None) -> dict[st
             "images of each pass in a folder of its own"
         )
     with tempfile.TemporaryDirectory() as scratch:
-        return differences_of(_pair(run, scene, found, Path(scratch), map), out, depth_m)
+        return differences_of(_pair(run, scene, found, Path(scratch), run.settings.cloud, map), out, depth_m)
 
 
-def write_agreement(run: Run, scratch: Path, mapper: Mapper) -> PassAgreement | None:
+def write_agreement(run: Run, scratch: Path, voxel_m: float, mapper: Mapper) -> PassAgreement | None:
     """Compare depth maps of the two largest passes, all of few and else some near places along the way, and write
-    agreement.json, differences.png and differences.laz into the folder ``passes``; None for one pass."""
+    agreement.json, differences.png and differences.laz into the folder ``passes``; None for one pass.
+
+    ``voxel_m``: of the cloud of both.
+    """
     scene, tuning = checked(run), run.settings.tuning.evaluate
     there = _two_largest(run, scene)
     if len(there) < 2:
@@ -83,7 +89,7 @@ def write_agreement(run: Run, scratch: Path, mapper: Mapper) -> PassAgreement | 
     }
     folder = run.path(PASSES)
     try:
-        pair = _pair(run, scene, used, scratch, mapper)
+        pair = _pair(run, scene, used, scratch, run.settings.cloud.unfiltered(voxel_m), mapper)
         (scratch / "tiles").mkdir()
         found = m3c2_of(pair, scratch / "tiles", tuning, most=tuning.passes.cores)
     except (InputError, ReconstructionError) as error:
@@ -110,15 +116,17 @@ def _two_largest(run: Run, scene: Scene) -> list[_Pass]:
     return sorted(found, key=lambda one: (-len(one.images), one.name))[:2]
 
 
-def _pair(run: Run, scene: Scene, passes: Sequence[_Pass], scratch: Path, mapper: Mapper) -> Pair:
+def _pair(
+    run: Run, scene: Scene, passes: Sequence[_Pass], scratch: Path, settings: CloudSettings, mapper: Mapper
+) -> Pair:
     """The clouds of two passes, fused of their depth maps into ``scratch``. Raises ReconstructionError for empty
     ones."""
     clouds: list[PointSource] = []
-    maps = Maps(partial(read_depth, folder=run.folder), partial(_uncoloured, folder=run.folder))
+    maps = Maps(partial(read_depth, folder=run.folder))
     for one in passes:
         folder = scratch / str(len(clouds))
         folder.mkdir()
-        settings, tuning = run.settings.cloud, run.settings.tuning.cloud
+        tuning = run.settings.tuning.cloud
         fused = fuse(sorted(one.images), maps, folder, settings, tuning, world_origin(run), mapper)
         clouds.append(PointSource(f"pass {one.name}", partial(_parts, fused)))
     sections = [int(scene.section[scene.frame[scene.image_index[n]]]) for n in passes[0].images]
@@ -129,11 +137,6 @@ def _pair(run: Run, scene: Scene, passes: Sequence[_Pass], scratch: Path, mapper
         origin=world_origin(run),
         held=f"in one model, pass {passes[1].name} minus pass {passes[0].name}: what both share is not told",
     )
-
-
-def _uncoloured(name: str, folder: Path) -> np.ndarray:
-    """Black: colours are not compared, and images are not read for them."""
-    return np.zeros((*read_depth(name, folder).depth_m.shape, 3), np.uint8)
 
 
 def _parts(fused: FusionResult) -> Iterator[Points]:

@@ -18,12 +18,12 @@ from tiegraph.plan.network import MountedCamera, model_figures
 from tiegraph.plan.planner import Plan, Rigged, make_plan
 from tiegraph.plan.request import CameraRequest, PlanRequest
 from tiegraph.plan.tables import Table
-from tiegraph.plan.tuning import Tuning
+from tiegraph.plan.tuning import ErrorTuning, Tuning
 from tiegraph.project.run import save_json
 from tiegraph.project.stages import write_atomic
 from tiegraph.report.html import environment
 from tiegraph.report.plan import Track, frame_positions
-from tiegraph.report.runfolder import read_run
+from tiegraph.report.runfolder import RunFolder, read_run
 from tiegraph.report.summary import metric_values
 from tiegraph.report.viewer import viewer_data, viewer_script
 from tiegraph.scan.cameras import FileFacts, calibrate
@@ -34,7 +34,9 @@ from tiegraph.scan.tuning import Tuning as ScanTuning
 from tiegraph.scene.colmapmodel import read_model
 from tiegraph.scene.rig import Rig, Sensor, calibrated
 from tiegraph.sfm.adjustment.adjust import free_cameras
-from tiegraph.sfm.covariance import position_sigma
+from tiegraph.sfm.covariance import planned_sigma
+from tiegraph.sfm.relativesigma import PATHS
+from tiegraph.sfm.systematic import AssumedErrors
 from tiegraph.sfm.tuning import Tuning as SfmTuning
 
 PLAN = "plan.json"
@@ -50,7 +52,9 @@ def plan(request: PlanRequest) -> Plan:
     if out is not None and os.path.lexists(out):
         raise InputError(f"-o {out} is there already: give another name, or remove it")
     rigged = _cameras(request.camera)
-    made = make_plan(request, rigged, partial(_propagate, rigged=rigged), Tuning())
+    tuning = Tuning()
+    errors = tuning.errors.model_copy(update={"calibration_px": request.camera.calibration(tuning.errors)})
+    made = make_plan(request, rigged, partial(_propagate, rigged=rigged, errors=errors), tuning)
     if out is not None:
         for name, data in made.files().items():
             write_atomic(out / name, data)
@@ -90,9 +94,11 @@ def reached(folder: Path) -> dict[str, float | None]:
     camera = next(iter(model.cameras.values()))
     if base is not None:
         out |= {"base_m": base, "overlap": max(0.0, 1 - base / (float(out["tie_gsd_m"] or 0) * camera.width))}
-    shape = (world.get("model_sigma") or {}).get("median")
-    sigma = world.get("sigma") or {}
-    out["position_shape_sigma_median_m"] = shape
+    inside, sigma = world.get("model_sigma") or {}, world.get("sigma") or {}
+    shape = inside.get("median")
+    own = _own_path(run, shape)
+    out["relaxed"] = None if own is None else 1.0
+    out["position_shape_sigma_median_m"] = shape if own is None else own
     if shape is not None and "position_m" in sigma:
         out["place_world_sigma_median_m"] = float(np.hypot(shape, sigma["position_m"]))
         out["height_world_sigma_median_m"] = float(np.hypot(shape, sigma["height_m"]))
@@ -100,12 +106,23 @@ def reached(folder: Path) -> dict[str, float | None]:
     return out
 
 
-def _propagate(model: pycolmap.Reconstruction, calibrated: bool, *, rigged: Rigged) -> Shape:
+def _own_path(run: RunFolder, model_sigma_m: float | None) -> float | None:
+    """Median sigma of the cameras' own paths, metres, of a run whose rig was relaxed: there the sigma of all positions
+    together is how well the cameras' places in the rig are known, which a plan does not ask. None = it was not."""
+    receipt = run.receipts.get("sparse", {})
+    rows = receipt.get("tables", {}).get(PATHS, {}).get("rows", [])
+    units = receipt.get("counts", {}).get("position_sigma_median")
+    if not rows or not units or model_sigma_m is None:
+        return None
+    return model_sigma_m / units * float(np.median([sigma for _, sigma, _ in rows]))
+
+
+def _propagate(model: pycolmap.Reconstruction, calibrated: bool, *, rigged: Rigged, errors: ErrorTuning) -> Shape:
     """What the stage `sparse` would say of an adjusted model: rig and lenses unknown where nobody calibrated them."""
     tuning = SfmTuning()
     free = set() if calibrated else free_cameras(model, tuning.adjust) - set(rigged.held)
     try:
-        found = position_sigma(model, free, not rigged.fixed, tuning=tuning)
+        found = planned_sigma(model, free, not rigged.fixed, _assumed(model, free, errors), tuning=tuning)
     except (ValueError, RuntimeError, np.linalg.LinAlgError) as error:
         raise InputError(
             f"the network of this path cannot be adjusted ({error}): give more overlap or frames"
@@ -118,6 +135,12 @@ def _propagate(model: pycolmap.Reconstruction, calibrated: bool, *, rigged: Rigg
         points=np.array(found.points.ids),
         point_sigma=found.points.sigma,
     )
+
+
+def _assumed(model: pycolmap.Reconstruction, free: set[int], errors: ErrorTuning) -> AssumedErrors:
+    """Shared errors, of lenses that are adjusted and of those held as given."""
+    lens_px = {k: errors.lens_px if k in free else errors.calibration_px for k in model.cameras}
+    return AssumedErrors(lens_px=lens_px, reach=errors.reach, tracks=errors.tracks)
 
 
 # --- the cameras ----------------------------------------------------------------------------------------------------

@@ -17,6 +17,7 @@ def report(run: Run) -> Outcome:
         try:
             found = compare(run.folder, None)
             planned = Table(found.columns, found.rows, (False, True, True, True), title=found.title)
+            notes.append(f"planned and reached: {found.sentence}")
         except InputError as error:
             notes.append(str(error))
     path = write_report(run.folder, run.settings.report, planned)

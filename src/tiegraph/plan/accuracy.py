@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import pycolmap
 
-from tiegraph.geometry.transforms import skew
+from tiegraph.geometry.transforms import motions
 from tiegraph.plan.network import Network
 from tiegraph.plan.path import Path
 from tiegraph.plan.tuning import WorldTuning
@@ -85,22 +85,18 @@ class Expected:
         return np.asarray(np.linalg.norm(self.world_axes, axis=1))
 
 
-def propagate(network: Network, by: Propagate, tie_px: float, widened: float, calibrated: bool = False) -> Shape:
-    """The shape's sigmas, of all the points that there will be.
-
-    ``calibrated``: as if the lenses were. ``widened``: sigmas with the errors that observations share, which the
-    synthetic ones do not.
-    """
+def propagate(network: Network, by: Propagate, tie_px: float, calibrated: bool = False) -> Shape:
+    """The shape's sigmas, of all the points that there will be. ``calibrated``: as if the lenses were."""
     found = by(network.model, calibrated)
     own = own_variance(network.model, found.points)
     shared = np.clip(found.point_sigma**2 - found.pixel_sigma**2 * own, 0, None)
     return Shape(
         frames=found.frames,
-        covariance=widened**2 * found.covariance,
-        scale=None if found.scale is None else widened * found.scale,
+        covariance=found.covariance,
+        scale=found.scale,
         pixel_sigma=tie_px,
         points=found.points,
-        point_sigma=np.sqrt(widened**2 * shared + tie_px**2 * own),
+        point_sigma=np.sqrt(shared + tie_px**2 * own),
     )
 
 
@@ -144,10 +140,10 @@ def _world(shape: Shape, centres: np.ndarray, xyz: np.ndarray, known: Known) -> 
         return np.full(centres.shape, np.nan), np.full(len(xyz), np.nan)
     middle = centres.mean(axis=0)
     extent = max(float(np.sqrt(np.mean(np.sum((centres - middle) ** 2, axis=1)))), 1e-9)
-    moved = _motions(centres - middle).reshape(-1, 7)
+    moved = motions(centres - middle).reshape(-1, 7)
     frames = [f.frame for f in known.fixes]
     rows = (3 * np.array(frames)[:, None] + np.arange(3)).ravel()
-    fixed = _motions(np.array([f.place for f in known.fixes]) - middle).reshape(-1, 7)
+    fixed = motions(np.array([f.place for f in known.fixes]) - middle).reshape(-1, 7)
     noise = np.concatenate([f.sigma for f in known.fixes]) ** 2
     inverse = np.linalg.inv(shape.covariance[np.ix_(rows, rows)] + np.diag(noise))
     prior = _prior(shape, known, extent)
@@ -157,15 +153,9 @@ def _world(shape: Shape, centres: np.ndarray, xyz: np.ndarray, known: Known) -> 
     rest = moved - gain @ fixed
     variance = np.diag(shape.covariance) - bent + np.einsum("ij,jk,ik->i", rest, placement, rest)
     positions = np.clip(variance, 0, None).reshape(-1, 3) + known.common**2
-    of_points = _motions(xyz - middle)
+    of_points = motions(xyz - middle)
     placed = np.einsum("nij,jk,nik->n", of_points, placement, of_points) + float(np.sum(known.common**2))
     return np.sqrt(positions), placed
-
-
-def _motions(from_middle: np.ndarray) -> np.ndarray:
-    """(N, 3, 7) what a turn (rad), a shift (m) and a change of scale do to places."""
-    shift = np.broadcast_to(np.eye(3), (len(from_middle), 3, 3))
-    return np.concatenate([-skew(from_middle), shift, from_middle[:, :, None]], axis=2)
 
 
 def _prior(shape: Shape, known: Known, extent: float) -> np.ndarray:

@@ -1,13 +1,13 @@
 """Shapes of surveys: where the rig stands at each frame, and the surfaces it sees.
 
 World: x along the first way, y to its left, z up, metres. Body: x right, y down, z forward, which is along the way in
-canal, corridor and tunnel, to the surface at facade and orbit, and down over a grid (its top then points ahead).
+canal, road, corridor and tunnel, to the surface at facade and orbit, and down over a grid (its top then points ahead).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -102,6 +102,14 @@ def _canal(c: Course, tuning: PathTuning) -> Path:
     return _ways(c, beside, tuning.camera_m, walls)
 
 
+def _road(c: Course, tuning: PathTuning) -> Path:
+    """The ground and what lines it on both sides."""
+    canal = _canal(c, tuning)
+    reach, side = _BEYOND * c.distance_m, c.distance_m
+    ground = np.array([[c.length_m + 2 * reach, 0, 0], [0, 2 * side, 0]])
+    return replace(canal, surface=(*canal.surface, Facet(np.array([-reach, -side, 0.0]), ground)))
+
+
 def _corridor(c: Course, tuning: PathTuning) -> Path:
     """Two walls, floor and ceiling."""
     reach, side = _BEYOND * c.distance_m, c.distance_m
@@ -159,7 +167,8 @@ def _orbit(c: Course, tuning: PathTuning) -> Path:
 
 
 SHAPES = {
-    "canal": _canal, "corridor": _corridor, "tunnel": _tunnel, "facade": _facade, "grid": _grid, "orbit": _orbit,
+    "canal": _canal, "road": _road, "corridor": _corridor, "tunnel": _tunnel, "facade": _facade, "grid": _grid,
+    "orbit": _orbit,
 }  # fmt: skip
 
 

@@ -77,9 +77,9 @@ def plan_path(
     """What a path is expected to give. ``seen``: the tie points, and the unevenness of the surface, m."""
     ties, relief_m = seen
     network = make_network(path, cameras, ties, relief_m, tuning.network)
-    shape = propagate(network, by, ties.sigma_px, tuning.network.widened)
+    shape = propagate(network, by, ties.sigma_px)
     known = known_of(path, cameras, network, shape, told, tuning.world)
-    lenses = propagate(network, by, ties.sigma_px, tuning.network.widened, calibrated=True)
+    lenses = propagate(network, by, ties.sigma_px, calibrated=True)
     found = expected(shape, network, path, known)
     return PathPlan(
         path=path, cameras=cameras, network=network, known=known, expected=found,

@@ -21,7 +21,8 @@ from tiegraph.plan.waypoints import Anchor, read_anchor, waypoint_csv, waypoint_
 from tiegraph.plan.world import ControlPoints, Receiver
 
 FORMAT = 1
-_WAYS = ("canal", "corridor", "tunnel")
+_WAYS = ("canal", "road", "corridor", "tunnel")
+_STREETS = ("canal", "road")
 
 
 @dataclass(frozen=True)
@@ -127,7 +128,8 @@ def _with_path(plan: Plan, request: PlanRequest, rigged: Rigged, by: Propagate, 
         passes=(2 if asked.shape == "canal" else 1) if asked.passes is None else asked.passes,
         turned_deg=(asked.yaw, asked.pitch),
     )
-    relief = tuning.network.relief * made.distance_m if asked.relief is None else asked.relief
+    uneven = tuning.network.street_relief if asked.shape in _STREETS else tuning.network.relief
+    relief = uneven * made.distance_m if asked.relief is None else asked.relief
     if not relief >= 0:
         raise InputError(f"--relief {relief:g}: give metres, zero or more")
     path = make_path(course, tuning.path)

@@ -11,6 +11,7 @@ import tyro
 
 from tiegraph.errors import InputError
 from tiegraph.plan.figures import Motion, Wanted, check_overlap
+from tiegraph.plan.tuning import ErrorTuning
 
 
 @dataclass(frozen=True)
@@ -30,6 +31,17 @@ class CameraRequest:
     """Width of the sensor in mm, in place of --pixel."""
     focal_px: float | None = None
     """Focal length in pixels, in place of --focal."""
+    calibration_px: float | None = None
+    """How well lenses that a rig file gives, and that are held, are known, pixels in the image: 0.05 where they were
+    calibrated with this survey (`tiegraph calibrate` tells it), else half a pixel (default)."""
+
+    def calibration(self, tuning: ErrorTuning) -> float:
+        """Pixels by which lenses that are held are off. Raises InputError for what is no error."""
+        if self.calibration_px is None:
+            return tuning.calibration_px
+        if not (math.isfinite(self.calibration_px) and self.calibration_px >= 0):
+            raise InputError(f"--calibration-px {self.calibration_px:g}: give pixels, zero or more, such as 0.05")
+        return self.calibration_px
 
     def image_size(self) -> tuple[int, int] | None:
         """Width and height, pixels; None = not said. Raises InputError for what is no size."""
@@ -107,7 +119,7 @@ class ImageRequest:
 
 @dataclass(frozen=True)
 class PathRequest:
-    """A whole path. Shapes: canal (out and back between two walls), corridor, tunnel, facade, grid, orbit."""
+    """A whole path. Shapes: canal (out and back between two walls), road, corridor, tunnel, facade, grid, orbit."""
 
     shape: str | None = None
     """Shape of the path; without one there is only the table of distances."""
@@ -119,7 +131,7 @@ class PathRequest:
     """Of walls, facade, corridor or object, metres (default: twice the distance)."""
     relief: float | None = None
     """How much the surface is uneven, sigma, metres: houses behind a quay, columns of a facade, forest (default: a
-    tenth of the distance)."""
+    tenth of the distance, of canal and road a quarter)."""
     passes: int | None = None
     """Out and back: 2 (default of a canal), 1 (of corridor and tunnel)."""
     yaw: float = 0.0

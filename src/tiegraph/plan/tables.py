@@ -14,11 +14,12 @@ from tiegraph.plan.places import PathPlan
 
 @dataclass(frozen=True)
 class Table:
-    """A title, columns and rows of text."""
+    """A title, columns and rows of text, and what they say in a sentence."""
 
     title: str
     columns: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
+    sentence: str = ""
 
 
 def station_csv(stations: Sequence[Station]) -> str:

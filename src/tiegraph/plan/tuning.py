@@ -67,7 +67,9 @@ class NetworkTuning(Section):
     """Between the rays of a point, as `sparse` keeps them."""
     relief: float = Field(0.1, ge=0, le=1)
     """Unevenness of a surface where none is given, sigma, in parts of the distance: no wall is a plane, which would
-    leave lenses open. canal: 0.25 (houses behind quays)."""
+    leave lenses open; and ..."""
+    street_relief: float = Field(0.25, ge=0, le=1)
+    """... of what lines a canal or a road: houses behind quays, parked cars before houses (canal: 0.25)."""
     wobble_deg: float = Field(1.5, ge=0)
     """How much the rig is turned from frame to frame, sigma about each axis: boats, vehicles and hands are never still,
     and exactly parallel views would leave focal length and distance one unknown (canal: 0.5 to 1 deg)."""
@@ -77,9 +79,22 @@ class NetworkTuning(Section):
     """That start from an image, however many images there are: fewer hold no camera."""
     most_frames: int = Field(1500, gt=0)
     """More are too many to propagate here."""
-    widened: float = Field(1.85, ge=1)
-    """Sigmas with errors that observations share over those of independent ones, as `sparse` finds them: median of
-    ten sets in sigma.json (1.45 to 2.9; KITTI 10)."""
+
+
+class ErrorTuning(Section):
+    """What the observations of a run share, beside independent errors: known from runs, not simulated."""
+
+    tracks: float = Field(1.6, ge=1)
+    """Sigmas by the errors that the observations of a point share over those by independent ones: KITTI 1.8, canal
+    2.0, canal_demo 1.4, Herz-Jesus-P8 1.4."""
+    lens_px: float = Field(0.015, ge=0)
+    """Of a lens that is adjusted, what it leaves: 0.02 to 0.18 px are found in canal and canal_demo, most of them
+    smooth, which the lens's own unknowns take up; what is left does as much as this at ``reach`` (tuned on canal)."""
+    calibration_px: float = Field(0.5, ge=0)
+    """Of a lens held as a file gives it, used away from where it was calibrated: a vehicle's is half a pixel off
+    (KITTI 0.65; Kreso and Segvic 2015 find as much there); one that came with its photographs 0.05 (Strecha)."""
+    reach: float = Field(0.1, gt=0)
+    """Of the image's diagonal, how far a lens error reaches: KITTI, Herz-Jesus-P8, canal_demo."""
 
 
 class PathTuning(Section):
@@ -120,5 +135,6 @@ class Tuning(Section):
     effort: EffortTuning = EffortTuning()
     station: StationTuning = StationTuning()
     network: NetworkTuning = NetworkTuning()
+    errors: ErrorTuning = ErrorTuning()
     path: PathTuning = PathTuning()
     world: WorldTuning = WorldTuning()

@@ -13,7 +13,8 @@ from tiegraph.report.warnings import dropped_images
 from tiegraph.scene.registered import BY_RIG
 
 REGISTERED, ABSENT, LEFT_OUT = "registered", "not in the model", "left out by the scan"
-STATES = (REGISTERED, BY_RIG, ABSENT, LEFT_OUT)
+HANGING = "hangs on the rig"  # no part of structure from motion (``scene.hanging``)
+STATES = (REGISTERED, BY_RIG, HANGING, ABSENT, LEFT_OUT)
 
 
 @dataclass(frozen=True)
@@ -50,8 +51,18 @@ def image_rows(run: RunFolder) -> list[ImageRow]:
         gsd = float(m.observed.gsd[k])
         points = int(m.images.points[k])
         out.append(ImageRow(name=name, state=state, reason="; ".join(known), points=points, ties=pairs, gsd=gsd))
-    order = {state: k for k, state in enumerate((LEFT_OUT, ABSENT, BY_RIG, REGISTERED))}
+    out += [_hanging_row(run, name, posed, reasons["dense"]) for name, posed in run.hung]
+    order = {state: k for k, state in enumerate((LEFT_OUT, ABSENT, BY_RIG, HANGING, REGISTERED))}
     return sorted(out, key=lambda row: order[row.state])
+
+
+def _hanging_row(run: RunFolder, name: str, posed: bool, no_depth: dict[str, str]) -> ImageRow:
+    """An image that hangs on its rig: it stands where the rig places it, or why it has no place."""
+    if posed:
+        return ImageRow(name, HANGING, f"no depth map: {no_depth[name]}" if name in no_depth else "")
+    if run.hanging[1]:
+        return ImageRow(name, ABSENT, "hangs on the rig, but no wide image of its frame has a place")
+    return ImageRow(name, ABSENT, "hangs on the rig, but nothing tells the scale")
 
 
 def counts(rows: list[ImageRow]) -> list[tuple[str, int]]:

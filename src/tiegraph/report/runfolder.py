@@ -20,6 +20,7 @@ from tiegraph.report.observed import Observed, observed
 from tiegraph.scene.accuracy import Accuracy
 from tiegraph.scene.colmapmodel import is_model, matrix
 from tiegraph.scene.colmapmodel import read_model as read_reconstruction
+from tiegraph.scene.hanging import carries
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.registered import Registration, registration
 from tiegraph.scene.scene import Scene
@@ -125,6 +126,16 @@ class RunFolder:
     def hanging(self) -> tuple[int, int]:
         """Images that take no part in structure from motion (``scene.hanging``), and those of them that have a pose."""
         return int(self.counts("scan").get("hanging", 0)), int(self.counts("georef").get("hanging", 0))
+
+    @cached_property
+    def hung(self) -> tuple[tuple[str, bool], ...]:
+        """Names of the images that hang on their rig, and whether each has a pose."""
+        whole = _try(self.path / "whole.json", lambda p: Scene.from_json(p.read_text()))
+        if whole is None or self.scene is None:
+            return ()
+        placed = self.model.placed if self.model is not None and self.hanging[1] else np.zeros(len(self.scene), bool)
+        frames = {int(whole.frame[whole.image_index[n]]) for n, has in zip(self.scene.names, placed) if has}
+        return tuple((whole.names[k], int(whole.frame[k]) in frames) for k in np.flatnonzero(~carries(whole)))
 
     def done(self, stage: str) -> bool:
         """Whether a stage has finished."""

@@ -26,7 +26,16 @@ from scipy import sparse
 from tiegraph.sfm.adjustment.jacobians import Layout, RigConstraints, jacobians
 from tiegraph.sfm.adjustment.leverarmprior import NominalGeometry
 from tiegraph.sfm.adjustment.normal import Normal, by_blocks, point_inverse
-from tiegraph.sfm.systematic import EffectWeights, LensError, Unrest, lens_errors, misplaced, unrest
+from tiegraph.sfm.systematic import (
+    AssumedErrors,
+    Effect,
+    EffectWeights,
+    LensError,
+    Unrest,
+    lens_errors,
+    misplaced,
+    unrest,
+)
 from tiegraph.sfm.tuning import SigmaTuning, Tuning
 
 _SEED = 0
@@ -136,34 +145,71 @@ def position_sigma(
     by the S-transformation over all positions, so a sigma is that of a position after the best alignment to the truth.
     (pycolmap's estimate_ba_covariance refuses rigs.) Raises ValueError for a model without redundancy.
     """
-    seen = Linearised(
-        model, Layout(model, free_intrinsics, free_rig, ties), nominal or {}, tuning, tuning.sigma.most_points
-    )
-    layout, points, share, weighed = seen.layout, seen.points, seen.share, seen.weighed
-    (first, second), residual, variance = seen.weights, seen.weighed.seen.residual, seen.variance
-    asked, normal = _Asked(layout, weighed, tuning.sigma), weighed.normal
-    sides = np.hstack([normal.asked(asked.functions), normal.scale()])
-    solved = normal.solve(sides)
-    full = solved.T @ (weighed.scatter @ solved) / share + variance**2 * solved.T @ (seen.pull @ solved)
+    layout = Layout(model, free_intrinsics, free_rig, ties)
+    seen = Linearised(model, layout, nominal or {}, tuning, tuning.sigma.most_points)
     fixed, shared = () if free_rig is True else set(model.rigs) - set(free_rig or ()), tuning.sigma.shared
-    mounted, explained = misplaced(model, weighed, fixed, off or {}, shared)
-    weighed = weighed.without(explained)
+    mounted, explained = misplaced(model, seen.weighed, fixed, off or {}, shared)
+    weighed = seen.weighed.without(explained)
     lenses, explained = lens_errors(model, weighed, shared)
     strays = [*mounted, *unrest(model, weighed.without(explained), shared)]
-    for _, effect in (*lenses, *strays):
-        full += effect.covariance(solved)
-    mean = float(np.mean(second))
-    # What independent normal errors of this sigma would give: the curvature had no robust weights then.
-    formal = variance * mean * np.einsum("ij,ij->j", sides, solved)
-    noise = float(np.mean((first * residual) ** 2)) * seen.inflated / mean
-    rest = _Rest(layout, asked.of_rest(full), tuning.sigma.strong_correlation)
-    return PositionSigma(
-        **asked.of_frames(full), pixel_sigma=float(np.sqrt(variance)),
-        points=PointSigma(tuple(points[k] for k in asked.points), asked.of_points(full, noise)),
-        shared=SharedErrors(asked.widened(full, formal), tuple(f for f, _ in lenses), tuple(f for f, _ in strays)),
-        interior=rest.interior(model), mounting=rest.mounting(),
-        scale=float(np.sqrt(full[-1, -1])) if normal.scale_known else None,
-    )  # fmt: skip
+    told = _Told(seen, tuning.sigma)
+    told.add([effect for _, effect in (*lenses, *strays)])
+    return told.of(model, tuple(f for f, _ in lenses), tuple(f for f, _ in strays))
+
+
+def planned_sigma(
+    model: pycolmap.Reconstruction,
+    free_intrinsics: Collection[int],
+    free_rig: bool,
+    assumed: AssumedErrors,
+    *,
+    tuning: Tuning,
+) -> PositionSigma:
+    """The same of a network that is simulated: shared errors are not looked for, but of the size that is assumed.
+
+    Raises ValueError for a model without redundancy.
+    """
+    seen = Linearised(model, Layout(model, free_intrinsics, free_rig), {}, tuning, tuning.sigma.most_points)
+    told = _Told(seen, tuning.sigma)
+    told.full *= assumed.tracks**2
+    told.add(assumed.effects(model, seen.weighed, tuning.sigma.shared))
+    return told.of(model, (), ())
+
+
+class _Told:
+    """What the observations of points say, to which shared errors are added."""
+
+    def __init__(self, seen: Linearised, tuning: SigmaTuning) -> None:
+        weighed, variance = seen.weighed, seen.variance
+        self.seen, self.tuning, normal = seen, tuning, weighed.normal
+        self.asked = _Asked(seen.layout, weighed, tuning)
+        self.sides = np.hstack([normal.asked(self.asked.functions), normal.scale()])
+        self.solved = normal.solve(self.sides)
+        self.full = self.solved.T @ (weighed.scatter @ self.solved) / seen.share
+        self.full += variance**2 * self.solved.T @ (seen.pull @ self.solved)
+
+    def add(self, effects: Collection[Effect]) -> None:
+        """More covariance, of the effects of shared errors."""
+        for effect in effects:
+            self.full += effect.covariance(self.solved)
+
+    def of(
+        self, model: pycolmap.Reconstruction, lenses: tuple[LensError, ...], strays: tuple[Unrest, ...]
+    ) -> PositionSigma:
+        """All that is told."""
+        seen, asked, full, (first, second) = self.seen, self.asked, self.full, self.seen.weights
+        mean = float(np.mean(second))
+        # What independent normal errors of this sigma would give: the curvature had no robust weights then.
+        formal = seen.variance * mean * np.einsum("ij,ij->j", self.sides, self.solved)
+        noise = float(np.mean((first * seen.weighed.seen.residual) ** 2)) * seen.inflated / mean
+        rest = _Rest(seen.layout, asked.of_rest(full), self.tuning.strong_correlation)
+        return PositionSigma(
+            **asked.of_frames(full), pixel_sigma=float(np.sqrt(seen.variance)),
+            points=PointSigma(tuple(seen.points[k] for k in asked.points), asked.of_points(full, noise)),
+            shared=SharedErrors(asked.widened(full, formal), lenses, strays),
+            interior=rest.interior(model), mounting=rest.mounting(),
+            scale=float(np.sqrt(full[-1, -1])) if seen.weighed.normal.scale_known else None,
+        )  # fmt: skip
 
 
 class Linearised:

@@ -19,7 +19,7 @@ from tiegraph.sfm.adjustment.adjust import final_adjustment, free_cameras, robus
 from tiegraph.sfm.adjustment.rigpriors import nominal_geometry, rig_priors
 from tiegraph.sfm.covariance import Mounting, PositionSigma, position_sigma
 from tiegraph.sfm.placement.doubtful import PlacementCheck, leave_out_doubtful
-from tiegraph.sfm.relativesigma import between_frames
+from tiegraph.sfm.relativesigma import between_frames, own_paths
 from tiegraph.sfm.rig import cameramatches
 from tiegraph.sfm.rig.support import place_as_given, units_per_metre
 from tiegraph.sfm.rigcheck import Checked, FinishRequest, checked_rig
@@ -68,6 +68,7 @@ def finish_model(request: FinishRequest, send: Callable[[Any], None]) -> FinishR
             sigma = replace(sigma, scale=max(sigma.scale or 0.0, checked.misfit))
         names = {k + 1: s.name for k, s in enumerate(scene.all_sensors)}
         tables |= {**sigma.tables(names), **between_frames(model, sigma, request.tuning.sigma.between_pairs)}
+        tables |= own_paths(model, sigma, names) if checked.ties else {}
         notes += _open_notes(sigma, names, request.tuning.sigma)
     return FinishResult(
         sigma=sigma, notes=notes, tables=tables, dropped=placed.dropped, contradictions=checked.contradictions

@@ -19,6 +19,7 @@ from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import Tuning as SceneTuning
 from tiegraph.sfm.blockwise import RunMap, poses_by_blocks, serially
 from tiegraph.sfm.database import ViewGraph
+from tiegraph.sfm.focalcheck import cost_in_the_end, ran_off
 from tiegraph.sfm.model import frame_poses, image_poses, observations
 from tiegraph.sfm.registrationreport import no_model_text
 from tiegraph.sfm.rig.rig import held_by_mapper
@@ -30,6 +31,7 @@ from tiegraph.sfm.verified import read_verified
 
 SCRATCH = ".run"
 """Folder, beside the models, in which mappers work."""
+_OTHER = {"global": "incremental", "incremental": "global"}
 
 _log = logging.getLogger(__name__)
 
@@ -211,7 +213,7 @@ def _mapped(job: Job, rigs: dict[int, Rig], modes: dict[int, str], label: str) -
     reachable = job.graph.components[0]
     tuning = job.tuning.mapping
     enough = (tuning.roughly_fewer if job.source.rough else tuning.clearly_fewer) * reachable
-    other = "incremental" if first == "global" else "global"
+    other = _OTHER[first]
     tries = ((first, 1),) if job.source.rough else ((first, 1), (other, 0))  # a rough one is not worth the slow mapper
     for mapper, seed in tries:
         if job.settings.mapper != "auto" or outcome.registered >= enough:
@@ -229,7 +231,33 @@ def _mapped(job: Job, rigs: dict[int, Rig], modes: dict[int, str], label: str) -
                 job.scene, job.graph, "the mapper found no two images to start from, or nothing held together"
             )
         )
-    return outcome
+    return _near_given_focal_lengths(job, outcome, rigs, modes, label)
+
+
+def _near_given_focal_lengths(
+    job: Job, outcome: Outcome, rigs: dict[int, Rig], modes: dict[int, str], label: str
+) -> Outcome:
+    """Try the other mapper where a focal length is far from the one given, and keep what explains the images better."""
+    if job.settings.mapper != "auto" or job.source.rough:
+        return outcome
+    model = read_model(outcome.folders[0])
+    off = ran_off(model, job.scene, job.tuning.mapping.other_focal)
+    if off is None:
+        return outcome
+    again = _run(job, _OTHER[outcome.mapper], rigs, modes, label)
+    if again.registered < job.tuning.mapping.clearly_fewer * outcome.registered:
+        return outcome
+    fixed = [k + 1 for k in rigs if held_by_mapper(rigs[k], modes[k], job.tuning.rig)]
+    believed = believed_cameras(job.scene, job.settings)
+    before, after = (
+        cost_in_the_end(m, fixed, believed, job.tuning.adjust) for m in (model, read_model(again.folders[0]))
+    )
+    kept = again if after < before else outcome
+    job.account.notes.append(
+        f"{outcome.mapper} mapping made {off}; by {again.mapper} mapping the robust sum of squares is "
+        f"{after / before:.2f} times as large: kept {kept.mapper}"
+    )
+    return kept
 
 
 def _request(job: Job, mapper: str, rigs: dict[int, Rig], modes: dict[int, str], seed: int = 0) -> Request:

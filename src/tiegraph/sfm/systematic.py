@@ -141,7 +141,42 @@ def lens_errors(
 def _lens_error(
     camera: pycolmap.Camera, weighed: EffectWeights, tuning: SharedErrorTuning
 ) -> tuple[LensError, Effect, np.ndarray] | None:
-    seen = weighed.seen
+    bins = _bins(camera, weighed.seen, tuning)
+    middle, told = bins.middle, weighed.score(bins.columns)
+    gradient, score, noise, information = told.gradient, told.score, told.noise, told.information
+    noise = noise + _RIDGE * np.diag(np.maximum(np.diag(information), 1e-12))
+    best: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    for reach in tuning.reaches:
+        field = _field(camera, middle, reach)
+        gain, variance = likeliest(score, noise, information @ field @ information, tuning)
+        best = max(best, (gain, variance, reach))
+    _, variance, reach = best
+    weights = np.bincount(bins.number, weighed.weight(bins.rows), len(middle))
+    sums, sigma = (v.reshape(-1, 2) for v in (score, np.sqrt(np.diag(noise))))
+    times = np.linalg.norm(sums / sigma, axis=1)
+    order = [k for k in np.argsort(-times) if times[k] > tuning.told_sigmas][:3]
+    worst = tuple((*middle[k].tolist(), *(-sums[k] / weights[k]).tolist(), float(times[k])) for k in order)
+    if variance <= 0:
+        return None
+    field = variance * _field(camera, middle, reach)
+    mean, moment = posterior(score, noise, information, field)
+    reach *= float(np.hypot(camera.width, camera.height))
+    found = LensError(camera=camera.camera_id, rms_px=float(np.sqrt(2 * variance)), reach_px=reach, worst=worst)
+    return found, Effect(gradient, moment), bins.columns @ mean
+
+
+@dataclass(frozen=True)
+class _Bins:
+    """Parts of the images of a camera: its observations (N,), the part that each is in (N,), the middles (B, 2) of the
+    parts, px, and the derivatives (2O, 2B) by a shift of each."""
+
+    rows: np.ndarray
+    number: np.ndarray
+    middle: np.ndarray
+    columns: sparse.csr_matrix
+
+
+def _bins(camera: pycolmap.Camera, seen: System, tuning: SharedErrorTuning) -> _Bins:
     across, down = tuning.bins if camera.width >= camera.height else tuning.bins[::-1]
     size = np.array([camera.width / across, camera.height / down])
     rows = np.flatnonzero(seen.camera == camera.camera_id)
@@ -152,29 +187,35 @@ def _lens_error(
         (np.ones(both.size), (both.ravel(), (2 * number[:, None] + np.arange(2)).ravel())),
         shape=(2 * len(seen.xy), 2 * len(used)),
     )
-    told = weighed.score(columns)
-    gradient, score, noise, information = told.gradient, told.score, told.noise, told.information
-    middle = (np.stack([used % across, used // across], axis=1) + 0.5) * size
+    return _Bins(rows, number, (np.stack([used % across, used // across], axis=1) + 0.5) * size, columns)
+
+
+def _field(camera: pycolmap.Camera, middle: np.ndarray, reach: float) -> np.ndarray:
+    """(2B, 2B) correlations of the shifts of bins; ``reach`` in parts of the image's diagonal."""
     apart = np.linalg.norm(middle[:, None] - middle[None], axis=2) / np.hypot(camera.width, camera.height)
-    noise = noise + _RIDGE * np.diag(np.maximum(np.diag(information), 1e-12))
-    best: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    for reach in tuning.reaches:
-        field = np.kron(np.exp(-0.5 * (apart / reach) ** 2), np.eye(2))
-        gain, variance = likeliest(score, noise, information @ field @ information, tuning)
-        best = max(best, (gain, variance, reach))
-    _, variance, reach = best
-    weights = np.bincount(number, weighed.weight(rows), len(used))
-    sums, sigma = (v.reshape(-1, 2) for v in (score, np.sqrt(np.diag(noise))))
-    times = np.linalg.norm(sums / sigma, axis=1)
-    order = [k for k in np.argsort(-times) if times[k] > tuning.told_sigmas][:3]
-    worst = tuple((*middle[k].tolist(), *(-sums[k] / weights[k]).tolist(), float(times[k])) for k in order)
-    if variance <= 0:
-        return None
-    field = variance * np.kron(np.exp(-0.5 * (apart / reach) ** 2), np.eye(2))
-    mean, moment = posterior(score, noise, information, field)
-    reach *= float(np.hypot(camera.width, camera.height))
-    found = LensError(camera=camera.camera_id, rms_px=float(np.sqrt(2 * variance)), reach_px=reach, worst=worst)
-    return found, Effect(gradient, moment), columns @ mean
+    return np.kron(np.exp(-0.5 * (apart / reach) ** 2), np.eye(2))
+
+
+@dataclass(frozen=True)
+class AssumedErrors:
+    """Shared errors that a network is planned with: of lenses, px, as in ``LensError``, by camera id, and how far they
+    reach in parts of the image's diagonal; sigmas by the errors that the observations of a point share over those by
+    independent ones."""
+
+    lens_px: Mapping[int, float]
+    reach: float
+    tracks: float = 1.0
+
+    def effects(
+        self, model: pycolmap.Reconstruction, weighed: EffectWeights, tuning: SharedErrorTuning
+    ) -> list[Effect]:
+        """What the lenses do."""
+        out = []
+        for key in np.unique(weighed.seen.camera).tolist():
+            bins = _bins(model.camera(key), weighed.seen, tuning)
+            field = self.lens_px[key] ** 2 / 2 * _field(model.camera(key), bins.middle, self.reach)
+            out.append(Effect(weighed.score(bins.columns).gradient, field))
+        return out
 
 
 def likeliest(

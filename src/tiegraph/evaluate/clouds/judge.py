@@ -11,10 +11,9 @@ import numpy as np
 from tiegraph.errors import InputError
 from tiegraph.evaluate.clouds.m3c2 import Differences, cylinders_of, m3c2_tiled
 from tiegraph.evaluate.clouds.nearest import Cameras, CloudComparison, cloud_to_cloud, criteria_of
-from tiegraph.evaluate.clouds.register import Registration, register
+from tiegraph.evaluate.clouds.register import Registration, registered
 from tiegraph.evaluate.clouds.tiles import tile_clouds
 from tiegraph.evaluate.tuning import Tuning
-from tiegraph.geometry.coarse.start import start_of
 from tiegraph.scene.cloudchunks import PointSource
 from tiegraph.scene.results import Metric
 
@@ -79,9 +78,8 @@ def judge_cloud(
     cameras, fitted = question.cameras, None
     try:
         if question.register != "none":
-            some = [source.sample(tuning.registration.points) for source in (cloud, reference)]
-            start = start_of(some[0], some[1], tuning.registration.coarse) if question.coarse else None
-            fitted = register(some[0], some[1], tuning.registration, question.register == "similarity", start)
+            scaled = question.register == "similarity"
+            fitted = registered(cloud, reference, tuning.registration, scaled, question.coarse)
             cloud = cloud.moved(fitted.fit, cloud.crs)
             cameras = cameras and Cameras(fitted.fit(cameras.centres), cameras.section)
         clouds = tile_clouds(cloud, reference, scratch, tuning.cloud)

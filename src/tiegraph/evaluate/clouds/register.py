@@ -14,8 +14,9 @@ from scipy.spatial.transform import Rotation
 
 from tiegraph.evaluate.tuning import RegistrationTuning
 from tiegraph.geometry.align import Similarity
-from tiegraph.geometry.coarse.start import Start
+from tiegraph.geometry.coarse.start import Start, start_of
 from tiegraph.geometry.placement import PlacementError
+from tiegraph.scene.cloudchunks import PointSource
 
 _PARTS, _CELLS = 10, 20  # of the jackknife: each a tenth of the cells, of which the survey's length has so many
 _NAMES = ("turn about x", "turn about y", "turn about z", "x", "y", "z", "scale")
@@ -55,6 +56,18 @@ class Registration:
                 ["coarse start: the same in the next best place, %", 100 * self.start.rival, None],
             ]
         return {"columns": ["of the registration", "value", "sigma"], "rows": rows}
+
+
+def registered(
+    cloud: PointSource, reference: PointSource, tuning: RegistrationTuning, with_scale: bool, coarse: bool
+) -> Registration:
+    """Lay a cloud of any size on a reference by a sample of both; ``coarse``: from a start by their shapes.
+
+    Raises ValueError as ``register`` does, and if no shapes agree.
+    """
+    own, truth = (source.sample(tuning.points) for source in (cloud, reference))
+    start = start_of(own, truth, tuning.coarse) if coarse else None
+    return register(own, truth, tuning, with_scale, start)
 
 
 def register(

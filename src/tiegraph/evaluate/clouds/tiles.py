@@ -205,4 +205,5 @@ def _spacing(laid: _Laid, tuning: CloudTuning) -> float:
     if len(full) < 2:
         return float("nan")
     some = full[:: -(-len(full) // tuning.spacing_points)]
-    return float(np.median(cKDTree(full).query(some, k=2)[0][:, 1]))
+    tree = cKDTree(full, balanced_tree=False, compact_nodes=False)  # few are asked: made in a third of the time
+    return float(np.median(tree.query(some, k=2)[0][:, 1]))

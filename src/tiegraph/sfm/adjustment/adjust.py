@@ -20,10 +20,9 @@ Cameras = dict[int, pycolmap.Camera] | pycolmap.CameraMap
 
 @dataclass(frozen=True)
 class Adjustment:
-    """The outcome of the final adjustment; ``model`` is the input itself if the result was refused."""
+    """The outcome of the final adjustment."""
 
     model: pycolmap.Reconstruction
-    accepted: bool
     note: str
 
 
@@ -43,7 +42,8 @@ def final_adjustment(
     ``fixed_rigs``: COLMAP rig ids whose extrinsics stay. ``constant_cameras``, and those with fewer than 10 images,
     keep their intrinsics (KITTI, driving straight on: free principal points run off by 30 px); free RADIAL ones become
     OPENCV (``lens``). ``soft``: what is known of poses with a sigma. ``doubted``: constant cameras whose calibration
-    gives way if that explains the images clearly better. Impossible intrinsics are refused and said so.
+    gives way if that explains the images clearly better. A camera whose adjusted intrinsics no lens has keeps its own,
+    and that is said.
     """
     free = free_cameras(model, tuning) - set(constant_cameras)
     adjusted = lens.extended(model, lens.extensible(model, free))
@@ -68,14 +68,15 @@ def final_adjustment(
     adjusted.update_point_3d_errors()
     bad = impossible_camera(model.cameras, adjusted.cameras, free, tuning)
     if bad:
-        note = f"the final adjustment with principal points was refused: impossible intrinsics of camera {bad}"
-        return Adjustment(model, False, note)
+        held = final_adjustment(model, fixed_rigs, {*constant_cameras, bad}, soft, doubted, tuning=tuning)
+        note = f"camera {bad} keeps its intrinsics: what the adjustment makes of them no lens has; {held.note}"
+        return Adjustment(held.model, note)
     before, after = model.compute_mean_reprojection_error(), adjusted.compute_mean_reprojection_error()
     moved = [_centre_shift(model.cameras[c], adjusted.cameras[c]) for c in free]
     note = f"final robust adjustment: mean reprojection error {before:.3f} -> {after:.3f} px"
     if moved:
         note += f", principal points moved by up to {max(moved):.1f} px"
-    return Adjustment(adjusted, True, note + lenses)
+    return Adjustment(adjusted, note + lenses)
 
 
 def _with_doubted(

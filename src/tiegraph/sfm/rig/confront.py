@@ -351,16 +351,15 @@ def refine(
     fixed: Sequence[int],
     constant_cameras: Collection[int],
     tuning: AdjustTuning,
-) -> pycolmap.Reconstruction | None:
-    """The model adjusted with the freed mountings of a rigid rig about what is given, the others held; None: refused.
+) -> pycolmap.Reconstruction:
+    """The model adjusted with the freed mountings of a rigid rig about what is given, the others held.
 
     ``fixed``: COLMAP ids of the other rigs that stay. Needs pyceres.
     """
     known = expected(scene.rigs[index], heard.system.timed, heard.known.tuning)
     priors = _priors(model, scene, index, known, heard)
     others = [k for k in fixed if k != index + 1]
-    found = final_adjustment(model, others, constant_cameras, PoseConstraints(sensors=priors), tuning=tuning)
-    return found.model if found.accepted else None
+    return final_adjustment(model, others, constant_cameras, PoseConstraints(sensors=priors), tuning=tuning).model
 
 
 def _priors(
