@@ -1,10 +1,10 @@
-"""An inertial unit: its file, what is learnt of it, its residuals, and what it buys where the images tell little."""
+"""An inertial unit: its file, what is learnt of it, and its residuals."""
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from odometry.odometry_world import drive, measured, single, stereo, true_path, truth, unit_axes
+from odometry.odometry_world import measured, stereo, truth, unit_axes
 from odometry.test_odometry_covariance import KEYFRAMES, world_of
 from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
@@ -31,6 +31,7 @@ def turned(first, second):
     return truth(second)[:3, :3].T @ truth(first)[:3, :3]
 
 
+@pytest.mark.slow
 def test_axes_and_bias_are_found_and_the_turn_is_as_good_as_its_sigma():
     unit = learnt()
     assert unit.known
@@ -41,6 +42,7 @@ def test_axes_and_bias_are_found_and_the_turn_is_as_good_as_its_sigma():
     assert 1e-5 < off < 3 * sigma < 0.05
 
 
+@pytest.mark.slow
 def test_up_is_found_while_the_head_sways():
     unit = learnt(unit_axes().T)
     for frame in (5, 20, 30):
@@ -50,6 +52,7 @@ def test_up_is_found_while_the_head_sways():
     assert unit.up(FRAMES + 100) is None
 
 
+@pytest.mark.slow
 def test_a_turn_about_one_axis_tells_nothing():
     unit = Inertial(measured(FRAMES, BIAS), {f: f / 10 for f in range(FRAMES)}, None, InertialTuning())
     for frame in range(FRAMES - 1):
@@ -58,6 +61,7 @@ def test_a_turn_about_one_axis_tells_nothing():
     assert not unit.known and unit.turn(0, 1) is None and unit.up(10) is None
 
 
+@pytest.mark.slow
 def test_a_turn_prior_holds_the_turn_and_not_the_way():
     world, _ = world_of(stereo(), 2)
     first, last = KEYFRAMES - 2, KEYFRAMES - 1
@@ -71,6 +75,7 @@ def test_a_turn_prior_holds_the_turn_and_not_the_way():
         assert np.linalg.norm(made[:3, 3] - way) < 0.1
 
 
+@pytest.mark.slow
 def test_an_up_prior_holds_the_lean_and_not_the_heading():
     world, poses = world_of(stereo(), 2)
     last = KEYFRAMES - 1
@@ -129,25 +134,3 @@ def test_tables_with_other_names_are_read(tmp_path):
 def test_wrong_tables_are_refused_with_their_line(tmp_path, rows, head, said):
     with pytest.raises(InputError, match=said):
         read_imu(written(tmp_path, rows, head))
-
-
-# --- what it buys ---------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-def test_where_few_corners_are_left_the_turn_is_held():
-    """One camera, of whose view a spot is left after half the way: a turn looks as a shift there."""
-    frames = list(range(FRAMES))
-
-    def spot(place):
-        mask = np.full((240, 320), 255 if place < 20 else 0, np.uint8)
-        mask[95:135, 150:190] = 255
-        return {0: mask}
-
-    turns = []
-    for bias in (None, BIAS):
-        path = drive(single(), frames, mask=spot, bias=bias)
-        there = path.segment == 0
-        off = transforms.angle_deg(path.world_from_rig[there, :3, :3], true_path(frames)[there, :3, :3])
-        turns.append(off.max())
-    assert 0.001 < turns[1] < 0.7 * turns[0]
