@@ -114,21 +114,16 @@ class Project:
             reporter.say(said)
         return files
 
-    def odometry(
-        self, out: str | Path, reporter: Reporter | None = None, imu: str | Path | None = None
-    ) -> tuple[Any, ...]:
+    def odometry(self, out: str | Path, reporter: Reporter | None = None) -> tuple[Any, ...]:
         """The path of the cameras from the images alone: a TUM file ``out`` and a CSV beside it, or a folder with a
         pair a pass; what was made of each (``pipeline.odometry.Made``). Masks are used if the settings name a folder.
-        ``imu``: table of an inertial unit on the clock of the frames' times.
         Raises InputError for a rig or camera that is not calibrated and files that are there already,
         ReconstructionError if nothing can be followed."""
         from tiegraph.pipeline.odometry import odometry  # loads the engine
-        from tiegraph.scene.imufile import read_imu
 
         reporter = reporter or Reporter("quiet")
-        measured = None if imu is None else read_imu(Path(imu))
         self._run(STAGES, "scan" if self.settings.masks.folder is None else "masks", reporter)
-        return odometry(Run(self.folder, self.inputs, self.settings, self.pool, reporter), Path(out), measured)
+        return odometry(Run(self.folder, self.inputs, self.settings, self.pool, reporter), Path(out))
 
     def baseline(
         self, name: str, sample: int, out: str | Path | None = None, reporter: Reporter | None = None

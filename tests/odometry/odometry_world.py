@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import cache
 
 import cv2
@@ -12,11 +11,9 @@ from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import transforms
 from tiegraph.odometry.cameras import Cameras
-from tiegraph.odometry.inertial import Inertial
 from tiegraph.odometry.odometry import Odometry
 from tiegraph.odometry.path import OdometryPath, path_of
 from tiegraph.odometry.tuning import Tuning
-from tiegraph.scene.imufile import ImuFile
 from tiegraph.scene.rig import Rig, Sensor
 from worlds import corridor
 
@@ -63,7 +60,7 @@ def single() -> Cameras:
     return Cameras(("left",), (camera(),), np.eye(4)[None])
 
 
-def truth(frame: float) -> np.ndarray:
+def truth(frame: int) -> np.ndarray:
     """(4, 4) world_from_rig: along the corridor, swaying and turning a little."""
     at = _STEP_M * frame
     yaw, roll = 0.12 * np.sin(at / 1.3), 0.03 * np.sin(at / 0.7)
@@ -86,45 +83,19 @@ def images(cameras: Cameras, frame: int) -> dict[int, np.ndarray]:
     return {c: _rendered(frame, tuple(pose.ravel().tolist())) for c, pose in enumerate(cameras.sensor_from_rig)}
 
 
-def unit_axes() -> np.ndarray:
-    """(3, 3) the axes of the rig in those of the inertial unit."""
-    return Rotation.from_euler("xyz", [20, -35, 100], degrees=True).as_matrix()
-
-
-@cache
-def measured(frames: int, bias: tuple[float, ...]) -> ImuFile:
-    """What an inertial unit measures on the drive, ten frames a second: 0.0005 rad/s/sqrt(Hz), 0.05 m/s2 at 100 Hz."""
-    rng, step = np.random.default_rng(0), 1e-3
-    time_s = np.arange(-1.5, frames / 10 + 1.5, 0.01)
-    before, here, after = (np.stack([truth(10 * t) for t in time_s + d]) for d in (-step, 0, step))
-    turns = Rotation.from_matrix(np.swapaxes(before[:, :3, :3], 1, 2) @ after[:, :3, :3]).as_rotvec() / (2 * step)
-    force = (before - 2 * here + after)[:, :3, 3] / step**2 + [0, 0, 9.81]
-    felt = np.einsum("kji,kj->ki", here[:, :3, :3], force)
-    rate = turns @ unit_axes().T + bias + rng.normal(0, 0.005, turns.shape)
-    return ImuFile(time_s, rate, felt @ unit_axes().T + rng.normal(0, 0.05, felt.shape))
-
-
 def drive(
-    cameras: Cameras,
-    frames: list[int],
-    dark: tuple[int, ...] = (),
-    *,
-    mask: Callable[[int], dict[int, np.ndarray]] | None = None,
-    bias: tuple[float, ...] | None = None,
+    cameras: Cameras, frames: list[int], dark: tuple[int, ...] = (), tuning: Tuning | None = None
 ) -> OdometryPath:
-    """The odometry of a drive over frames, at some places of which the images are black; with an inertial unit if its
-    bias is given."""
-    tuning = Tuning()
-    times = {place: frame / 10 for place, frame in enumerate(frames)}
-    unit = None if bias is None else Inertial(measured(max(frames), bias), times, None, tuning.inertial)
+    """The odometry of a drive over frames, at some places of which the images are black."""
+    tuning = tuning or Tuning()
 
     def seen(place: int) -> dict[int, np.ndarray]:
         found = images(cameras, frames[place])
         return {c: np.zeros_like(i) for c, i in found.items()} if place in dark else found
 
-    odometry = Odometry(cameras, lambda place, c: seen(place)[c], tuning, unit)
+    odometry = Odometry(cameras, lambda place, c: seen(place)[c], tuning)
     for place in range(len(frames)):
-        odometry.add(place, seen(place), None if mask is None else mask(place))
+        odometry.add(place, seen(place))
     odometry.finish()
     return path_of(odometry, range(len(frames)), tuning.map)
 

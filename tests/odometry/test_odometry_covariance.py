@@ -51,7 +51,7 @@ def normalised(cameras, seeds, held, **noise):
     for seed in seeds:
         world, poses = world_of(cameras, seed, **noise)
         numbers = list(range(KEYFRAMES))
-        adjust(world, numbers, held, Tuning().map, loss_px=LOSS_PX, iterations=30)
+        adjust(world, numbers, held, Tuning().map, LOSS_PX, 30)
         sigma = np.sqrt(np.diag(keyframe_covariances(world, numbers, LOSS_PX, len(cameras) > 1)[-1]))
         out.append(errors(world, poses)[-1] / sigma)
     return np.array(out)

@@ -26,9 +26,6 @@ class OdometryOptions:
     """Folder of masks (0 = ignore), as --masks.folder of `tiegraph run`."""
     times: Path | None = None
     """CSV of the frames' times, where the images have none: pass, frame, time (or image, time)."""
-    imu: Path | None = None
-    """Table of an inertial unit on the clock of the frames' times: time,gx,gy,gz,ax,ay,az (s, rad/s, m/s2), or EuRoC's.
-    How it sits in the rig is found."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("vo.tum")
     """The TUM file to write, and beside it a CSV of its name with segments and sigmas; of several passes a folder of
     this name without suffix. Nothing of that may be there."""
@@ -59,7 +56,7 @@ def main(arguments: list[str]) -> int:
     given = {"rig": options.rig, "camera": options.camera, "times": options.times}
     with tempfile.TemporaryDirectory(prefix="tiegraph_odometry_") as folder:
         project = open_project(images, Path(folder) / "run", pool=options.pool, settings=settings, **given)
-        made = project.odometry(options.out, reporter, options.imu)
+        made = project.odometry(options.out, reporter)
     for one in made:
         for text in (*one.said, str(one.tum)):
             reporter.say(text)

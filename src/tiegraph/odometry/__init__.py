@@ -20,7 +20,6 @@ forget; what all corners of an image share is in no residual, so they are widene
 (``tuning``). A rig that is wrong shows in none of them.
 
 What was looked at: VISO2 (Geiger et al. 2011), PTAM (Klein and Murray 2007), ORB-SLAM (Mur-Artal et al. 2015), VINS
-(Qin et al. 2018). There is no run folder, so the constants of ``tuning`` are not in ``tiegraph.toml``.
-
-**An inertial unit** (``inertial``) adds its turns between keyframes and the vertical as residuals, and predicts turns.
+(Qin et al. 2018). There is no run folder, so the constants of ``tuning`` are not in ``tiegraph.toml``. Inertial
+measurements are not read: no file of them is known to the project.
 """

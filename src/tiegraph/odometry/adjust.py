@@ -4,16 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from copy import deepcopy
-from typing import Any
 
 import numpy as np
 import pycolmap
-from pycolmap import cost_functions
-from scipy.spatial.transform import Rotation
 
-from tiegraph.geometry import transforms
 from tiegraph.odometry.cameras import Cameras
-from tiegraph.odometry.inertial import NO_PRIORS, Priors
 from tiegraph.odometry.tuning import MapTuning
 from tiegraph.odometry.worldmap import Observations, WorldMap
 from tiegraph.scene.colmapmodel import matrix, rigid3d
@@ -21,19 +16,11 @@ from tiegraph.scene.colmapmodel import matrix, rigid3d
 _RIG = 1
 _THREADS = 1  # Ceres adds up the parts of its threads in the order they come
 _TOLERANCE = 1e-4  # relative change of the cost at which Ceres stops: the next keyframe adjusts the same again
-_FREE, _FREE_TURN = 1e8, 1e4  # squares of sigmas that hold nothing, m and rad
 _BLACK = np.zeros(3, np.uint8)
 
 
 def adjust(
-    world: WorldMap,
-    numbers: Sequence[int],
-    held: Collection[int],
-    tuning: MapTuning,
-    *,
-    loss_px: float,
-    iterations: int,
-    priors: Priors = NO_PRIORS,
+    world: WorldMap, numbers: Sequence[int], held: Collection[int], tuning: MapTuning, loss_px: float, iterations: int
 ) -> None:
     """Adjust keyframes but those held, with all points that two observations of them see; forget what then is off."""
     seen = world.observations(numbers)
@@ -43,7 +30,7 @@ def adjust(
     if not usable.any() or not free:
         return
     model, ids = _build(world, numbers, seen.where(usable))
-    _solve(model, [k + 1 for k in numbers if k in held], loss_px, iterations, priors)
+    _solve(model, [k + 1 for k in numbers if k in held], loss_px, iterations)
     for k in free:
         pose = model.frame(k + 1).rig_from_world
         assert pose is not None
@@ -102,9 +89,7 @@ def _add_rig(model: pycolmap.Reconstruction, cameras: Cameras) -> None:
     model.add_rig(rig)
 
 
-def _solve(
-    model: pycolmap.Reconstruction, held: Collection[int], loss_px: float, iterations: int, priors: Priors
-) -> None:
+def _solve(model: pycolmap.Reconstruction, held: Collection[int], loss_px: float, iterations: int) -> None:
     options = pycolmap.BundleAdjustmentOptions(
         print_summary=False,
         refine_focal_length=False,
@@ -124,40 +109,4 @@ def _solve(
         config.add_image(image)
     for frame in held:
         config.set_constant_rig_from_world_pose(frame)
-    adjuster = pycolmap.create_default_ceres_bundle_adjuster(options, config, model)
-    kept = _add_priors(adjuster.problem, model, priors)
-    adjuster.solve()
-    del kept  # the problem only borrows them
-
-
-def _add_priors(problem: Any, model: pycolmap.Reconstruction, priors: Priors) -> list[Any]:
-    """What an inertial unit says, as COLMAP's costs of poses; what it does not say has a covariance without bounds.
-
-    A residual of an observation counts as if its sigma were one pixel, which is what it is with what all corners of an
-    image share (``MapTuning.shared``); so the priors count by their sigmas.
-    """
-    costs = []
-    for turn in priors[0]:
-        poses = [_pose(model, k) for k in (turn.second, turn.first)]
-        covariance = np.diag([turn.sigma_rad**2] * 3 + [_FREE] * 3)
-        known = rigid3d(transforms.rigid(turn.rotation, np.zeros(3)))
-        costs.append((cost_functions.RelativePosePriorCost(covariance, known), poses))
-    for up in priors[1]:
-        pose = _pose(model, up.keyframe)
-        rotation = matrix(pose)[:3, :3]
-        lean, _ = Rotation.align_vectors(up.in_rig[None], (rotation @ up.in_world)[None])
-        covariance = np.diag([0.0] * 3 + [_FREE] * 3)
-        along = np.outer(up.in_rig, up.in_rig)
-        covariance[:3, :3] = up.sigma_rad**2 * (np.eye(3) - along) + _FREE_TURN * along
-        known = rigid3d(transforms.rigid(lean.as_matrix() @ rotation, np.zeros(3)))
-        costs.append((cost_functions.AbsolutePosePriorCost(covariance, known), [pose]))
-    costs = [(c, poses) for c, poses in costs if all(problem.has_parameter_block(p.params) for p in poses)]
-    for cost, poses in costs:
-        problem.add_residual_block(cost, None, [p.params for p in poses])
-    return costs
-
-
-def _pose(model: pycolmap.Reconstruction, number: int) -> pycolmap.Rigid3d:
-    pose = model.frame(number + 1).rig_from_world
-    assert pose is not None
-    return pose
+    pycolmap.create_default_ceres_bundle_adjuster(options, config, model).solve()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,7 +11,6 @@ from tiegraph.geometry import transforms
 from tiegraph.odometry.adjust import adjust
 from tiegraph.odometry.cameras import Cameras
 from tiegraph.odometry.follow import Images, Tracks, corners, followed, in_partners
-from tiegraph.odometry.inertial import NO_PRIORS, Inertial, priors_of
 from tiegraph.odometry.recall import Read, Recall, Recalled, scale_to, thumbnails
 from tiegraph.odometry.resect import Resection, errors_px, resect
 from tiegraph.odometry.start import moved_share, relative_pose, scaled
@@ -32,7 +31,6 @@ class Posed:
 class _Before:
     """The last frame that was followed: images, corners, pose (of a segment that has begun)."""
 
-    frame: int
     images: Images
     tracks: Tracks
     pose: np.ndarray | None
@@ -45,8 +43,8 @@ class Odometry:
     (of the platform), or what ``mask`` of ``add`` says for a single frame.
     """
 
-    def __init__(self, cameras: Cameras, read: Read, tuning: Tuning, inertial: Inertial | None = None) -> None:
-        self.cameras, self.world, self._tuning, self.inertial = cameras, WorldMap(cameras), tuning, inertial
+    def __init__(self, cameras: Cameras, read: Read, tuning: Tuning) -> None:
+        self.cameras, self.world, self._tuning = cameras, WorldMap(cameras), tuning
         self.partners = cameras.partners(tuning.follow)
         self.posed: dict[int, Posed] = {}
         self.said: list[str] = []
@@ -82,7 +80,7 @@ class Odometry:
         tracks = self._filled(images, Tracks.none(), masks)
         self._waiting, self._together, self._velocity = [(frame, tracks)], tracks, np.eye(4)
         self._first = len(self.world.keyframes)
-        self._before = _Before(frame, images, tracks, None) if len(tracks) >= self._tuning.start.least_points else None
+        self._before = _Before(images, tracks, None) if len(tracks) >= self._tuning.start.least_points else None
         if self._before is None or not any(self.partners.values()):
             return
         seen = tracks.plus(self._in_partners(images, tracks, np.eye(4)))
@@ -106,7 +104,7 @@ class Odometry:
             self._begin(frame, images, masks)
             return
         self._waiting.append((frame, tracks))
-        self._before = _Before(frame, images, tracks, None)
+        self._before = _Before(images, tracks, None)
         same = first.where(np.isin(first.point, tracks.point))
         if moved_share(self.cameras, same, tracks) < tuning.moved:
             return
@@ -122,7 +120,7 @@ class Odometry:
         self.world.keyframes.append(self._keyframe(frame, pose, tracks, images))
         self.world.triangulate(numbers, self._tuning.map)
         held = numbers[:1] if self.metric else numbers
-        self._adjust(numbers, held, self._tuning.map.loss_px, self._tuning.map.loop_iterations)
+        adjust(self.world, numbers, held, self._tuning.map, self._tuning.map.loss_px, self._tuning.map.loop_iterations)
         if self._placed(tracks).sum() < tuning.least_points:
             del self.world.keyframes[self._first :]
             self.world.xyz[first.point] = np.nan
@@ -146,14 +144,13 @@ class Odometry:
         for number in range(self._first, last + 1):
             at = self.world.keyframes[number]
             self._hang(at.frame, number, at.rig_from_world, at.seen)
-        self._before = _Before(self.world.keyframes[last].frame, images, tracks, pose)
-        self._lost, self._waiting = 0, []
+        self._before, self._lost, self._waiting = _Before(images, tracks, pose), 0, []
 
     # --- a segment goes on ------------------------------------------------------------------------------------------
 
     def _continue(self, frame: int, images: Images, masks: Mapping[int, np.ndarray]) -> None:
         assert self._before is not None and self._before.pose is not None
-        guess = self._predicted(frame) @ self._before.pose
+        guess = self._velocity @ self._before.pose
         tracks = self._followed(images, self._before.tracks, self._expected(self._before.tracks, guess))
         placed = tracks.where(self._placed(tracks))
         found = resect(self.cameras, placed.camera, placed.xy, self.world.xyz[placed.point], guess, self._tuning.pose)
@@ -164,12 +161,6 @@ class Odometry:
         off[self._placed(tracks)] = ~found.inlier
         self._go_on(frame, images, masks, tracks.where(~off), found)
 
-    def _predicted(self, frame: int) -> np.ndarray:
-        """frame_from_before (4, 4): it goes on as it went, and turns as the inertial unit says."""
-        assert self._before is not None
-        turn = None if self.inertial is None else self.inertial.turn(self._before.frame, frame)
-        return self._velocity if turn is None else transforms.rigid(turn[0], self._velocity[:3, 3])
-
     def _go_on(
         self, frame: int, images: Images, masks: Mapping[int, np.ndarray], tracks: Tracks, found: Resection
     ) -> None:
@@ -178,9 +169,7 @@ class Odometry:
         pose = found.rig_from_world
         if self._before.pose is not None and not self._lost:
             self._velocity = pose @ transforms.invert(self._before.pose)
-            if self.inertial is not None:
-                self.inertial.learn(self._before.frame, frame, self._velocity[:3, :3])
-        self._lost, self._before = 0, _Before(frame, images, tracks, pose)
+        self._lost, self._before = 0, _Before(images, tracks, pose)
         self._hang(frame, len(self.world.keyframes) - 1, pose, tracks.where(self._placed(tracks)))
         if self._needs_keyframe(tracks):
             self.world.keyframes.append(self._keyframe(frame, pose, tracks, images))
@@ -208,7 +197,7 @@ class Odometry:
         self.world.triangulate(window, tuning)
         whole = len(window) == number + 1 - self._first and self.metric
         held = window[:1] if whole else window[: max(tuning.held, 2)]
-        self._adjust(window, held, tuning.loss_px, tuning.iterations)
+        adjust(self.world, window, held, tuning, tuning.loss_px, tuning.iterations)
         pose = self.world.keyframes[number].rig_from_world
         placed = self._placed(tracks)
         off = errors_px(
@@ -216,7 +205,7 @@ class Odometry:
         )
         bad = np.zeros(len(tracks), bool)
         bad[placed] = off > tuning.outlier_px
-        self._before = _Before(frame, images, tracks.where(~bad), pose)
+        self._before = _Before(images, tracks.where(~bad), pose)
         self._hang(frame, number, pose, tracks.where(placed & ~bad))
         self._look_back(images, number)
 
@@ -236,7 +225,7 @@ class Odometry:
                 self._begin(frame, images, masks)
             return
         self._lost, self._velocity = 1, np.eye(4)
-        self._before = _Before(frame, images, found.seen, found.rig_from_world)
+        self._before = _Before(images, found.seen, found.rig_from_world)
         self._hang(frame, len(self.world.keyframes) - 1, found.rig_from_world, found.seen)
         self.world.keyframes.append(self._keyframe(frame, found.rig_from_world, found.seen, images))
         self._fill(frame, images, masks)
@@ -302,13 +291,7 @@ class Odometry:
             numbers = [n for n, k in enumerate(self.world.keyframes) if k.segment == segment]
             held = numbers[: 1 if self.metric else 2]
             for loss in self._tuning.map.loop_px:
-                self._adjust(numbers, held, loss, self._tuning.map.loop_iterations)
-
-    def _adjust(self, numbers: Sequence[int], held: Collection[int], loss_px: float, iterations: int) -> None:
-        priors = NO_PRIORS if self.inertial is None else priors_of(self.inertial, self.world.keyframes, numbers)
-        adjust(
-            self.world, numbers, held, self._tuning.map, loss_px=loss_px, iterations=iterations, priors=priors
-        )  # fmt: skip
+                adjust(self.world, numbers, held, self._tuning.map, loss, self._tuning.map.loop_iterations)
 
     # --- parts ------------------------------------------------------------------------------------------------------
 

@@ -130,29 +130,6 @@ class RecallTuning(Section):
     """Of the pose by matched points: corners are found again to a pixel or two."""
 
 
-class InertialTuning(Section):
-    """What an inertial unit says (`inertial.py`)."""
-
-    walk: float = Field(0.002, gt=0)
-    """Noise of a gyroscope, rad/s/sqrt(Hz): ten times that of a phone's, for what is not modelled ..."""
-    bias: float = Field(0.002, gt=0)
-    """... and what may be left of its bias, rad/s."""
-    gap_s: float = Field(0.1, gt=0)
-    """Time without a measurement across which no turn is told."""
-    learnt: int = Field(200, ge=10)
-    """Last turns of which axes and bias are learnt."""
-    least_turns: int = Field(10, ge=3)
-    """Turns from which they are."""
-    axes_rad: float = Field(0.03, gt=0)
-    """Sigma of the axes from which they count as found."""
-    up_s: float = Field(2.0, gt=0)
-    """Time over which the acceleration is averaged to tell the vertical: that of a step or a sway."""
-    up_rad: float = Field(0.02, gt=0)
-    """Least sigma of the vertical: of a unit whose accelerometer is not calibrated."""
-    gravity: float = Field(9.81, gt=0)
-    """m/s2; it differs by 0.3 % over the earth, which `up_rad` covers."""
-
-
 class Tuning(Section):
     """Constants of the engine that are the same for every user."""
 
@@ -161,4 +138,3 @@ class Tuning(Section):
     map: MapTuning = MapTuning()
     start: StartTuning = StartTuning()
     recall: RecallTuning = RecallTuning()
-    inertial: InertialTuning = InertialTuning()

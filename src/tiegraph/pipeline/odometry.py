@@ -8,12 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from tiegraph.errors import InputError, ReconstructionError
 from tiegraph.geometry.transforms import quaternion_xyzw
 from tiegraph.odometry.cameras import Cameras, cameras_of
-from tiegraph.odometry.inertial import Inertial
 from tiegraph.odometry.odometry import Odometry
 from tiegraph.odometry.path import OdometryPath, path_of
 from tiegraph.odometry.tuning import Tuning
@@ -25,7 +23,6 @@ from tiegraph.scan.priors.priors import Followed
 from tiegraph.scan.priors.trajectory import FREE_UNIT
 from tiegraph.scan.rigfiles.rigfile import parse_rig_file, read_rig_file
 from tiegraph.scene.images import read_pixels
-from tiegraph.scene.imufile import ImuFile
 from tiegraph.scene.regular import names_file
 from tiegraph.scene.scene import Scene
 
@@ -50,16 +47,14 @@ class Made:
     frames_per_s: float
 
 
-def odometry(run: Run, out: Path, measured: ImuFile | None = None) -> tuple[Made, ...]:
+def odometry(run: Run, out: Path) -> tuple[Made, ...]:
     """Follow the rig through every pass of a scanned survey; write ``out`` (TUM) and beside it a CSV of the same name
     with segments and sigmas, or of several passes a folder named as ``out`` without suffix, with a pair a pass.
-    ``measured``: what an inertial unit measured.
 
-    Raises InputError for a rig that is not calibrated, outputs that are there already, and inertial measurements whose
-    times are not those of the frames; ReconstructionError if nothing can be followed.
+    Raises InputError for a rig that is not calibrated, and outputs that are there already; ReconstructionError if
+    nothing can be followed.
     """
     scene = scanned(run)
-    _check_times(scene, measured)
     cameras, rig_from_body = cameras_of(scene.rigs), _rig_from_body(run)
     passes = _passes(scene)
     targets = {name: target for name, target in zip(passes, _targets(out, list(passes)))}
@@ -67,7 +62,7 @@ def odometry(run: Run, out: Path, measured: ImuFile | None = None) -> tuple[Made
     for name, frames in passes.items():
         started = time.perf_counter()
         with run.reporter.stage("odometry"):
-            path, said = _follow(run, scene, cameras, frames, measured)
+            path, said = _follow(run, scene, cameras, frames)
         if path.main() < 0:
             raise ReconstructionError(f"{name or 'the images'}: {_NO_POSE}. {'; '.join(said)}")
         rate = len(frames) / (time.perf_counter() - started)
@@ -145,9 +140,7 @@ def _rig_from_body(run: Run) -> np.ndarray:
 # --- following ------------------------------------------------------------------------------------------------------
 
 
-def _follow(
-    run: Run, scene: Scene, cameras: Cameras, frames: np.ndarray, measured: ImuFile | None = None
-) -> tuple[OdometryPath, list[str]]:
+def _follow(run: Run, scene: Scene, cameras: Cameras, frames: np.ndarray) -> tuple[OdometryPath, list[str]]:
     tuning, unread = Tuning(), []
     image_of = {(int(scene.frame[k]), int(scene.sensor[k])): scene.names[k] for k in range(len(scene))}
     masked = run.path("masks").is_dir()
@@ -159,11 +152,7 @@ def _follow(
     def mask(frame: int, camera: int) -> np.ndarray | None:
         return read_pixels(run.path("masks", f"{image_of[frame, camera]}.png")) if masked else None
 
-    inertial = None
-    if measured is not None:
-        times = dict(zip(frames.tolist(), scene.time_s[frames].tolist()))
-        inertial = Inertial(measured, times, None, tuning.inertial)
-    engine = Odometry(cameras, read, tuning, inertial)
+    engine = Odometry(cameras, read, tuning)
     run.reporter.total(len(frames))
     for frame in frames.tolist():
         images = {c: read(frame, c) for c in range(len(cameras))}
@@ -174,37 +163,7 @@ def _follow(
         run.reporter.advance()
     engine.finish()
     notes = [f"{len(unread)} images cannot be read, the first is {unread[0]}"] if unread else []
-    if inertial is not None:
-        notes.append(_inertial_note(inertial))
     return path_of(engine, frames.tolist(), tuning.map), notes
-
-
-def _check_times(scene: Scene, measured: ImuFile | None) -> None:
-    """Raises InputError if no two frames have times within those of the inertial measurements."""
-    if measured is None:
-        return
-    first, last = measured.time_s[[0, -1]]
-    if not np.isfinite(scene.time_s).any():
-        raise InputError("--imu: the frames have no times: give --times FILE, on the clock of the inertial unit")
-    if np.sum((scene.time_s >= first) & (scene.time_s <= last)) < 2:
-        begin, end = np.nanmin(scene.time_s), np.nanmax(scene.time_s)
-        raise InputError(
-            f"--imu: its times, {first:.3f} to {last:.3f} s, are not those of the frames, {begin:.3f} to {end:.3f} s: "
-            "both must be of one clock"
-        )
-
-
-def _inertial_note(inertial: Inertial) -> str:
-    if not inertial.known or inertial.rig_from_imu is None:
-        return (
-            "the inertial unit said nothing: how it sits in the rig is told by turns about two axes, of which there "
-            "were too few"
-        )
-    turn = np.degrees(Rotation.from_matrix(inertial.rig_from_imu).as_rotvec())
-    return (
-        f"inertial unit: rig_from_imu is a turn by [{', '.join(f'{v:.2f}' for v in turn)}] deg, sigma "
-        f"{np.degrees(inertial.axes_sigma_rad):.2g} deg; bias [{', '.join(f'{v:.2g}' for v in inertial.bias)}] rad/s"
-    )
 
 
 # --- writing --------------------------------------------------------------------------------------------------------
