@@ -89,10 +89,10 @@ class ErrorTuning(Section):
     2.0, canal_demo 1.4, Herz-Jesus-P8 1.4."""
     lens_px: float = Field(0.015, ge=0)
     """Of a lens that is adjusted, what it leaves: 0.02 to 0.18 px are found in canal and canal_demo, most of them
-    smooth, which the lens's own unknowns take up; what is left does as much as this at ``reach`` (tuned on canal)."""
+    smooth, which the lens's own unknowns take up; what is left does as much as this at ``reach``."""
     calibration_px: float = Field(0.5, ge=0)
     """Of a lens held as a file gives it, used away from where it was calibrated: a vehicle's is half a pixel off
-    (KITTI 0.65; Kreso and Segvic 2015 find as much there); one that came with its photographs 0.05 (Strecha)."""
+    (KITTI 0.65, the one vehicle measured, rounded); one that came with its photographs 0.05 (Strecha)."""
     reach: float = Field(0.1, gt=0)
     """Of the image's diagonal, how far a lens error reaches: KITTI, Herz-Jesus-P8, canal_demo."""
 
