@@ -201,16 +201,16 @@ def _paper002(found: Mapping[tuple[str, str], Row]) -> list[str]:
 
 def _paper003(found: Mapping[tuple[str, str], Row]) -> list[str]:
     rows, ratios = [], []
-    for name in SIX:
-        both = _columns(found, name, ("all pairs", "by poses"))
+    for name, method in ((n, m) for n in SIX for m in ("by poses", "by odometry")):
+        both = _columns(found, name, ("all pairs", method))
         if len(both) < 2:
             continue
         colmap = found.get((name, "COLMAP"))
         rows.append([
-            f"{name}, {both[0]['images']} images", *(_both(both, f) for f in _COSTS),
+            f"{name}, {both[0]['images']} images, {method}", *(_both(both, f) for f in _COSTS),
             None if colmap is None else (colmap["counts"]["matched"], _cpu(colmap, "match"), colmap.get("largest")),
         ])  # fmt: skip
-        ratios.append([name, *(_quotient(_both(both, f)) for f in (*_COSTS[:4], _COSTS[6]))])
+        ratios.append([f"{name}, {method}", *(_quotient(_both(both, f)) for f in (*_COSTS[:4], _COSTS[6]))])
     (printed,) = PRINTED["003"]
     theirs = [[r[0], *(_quotient(r[k]) for k in (1, 2, 3, 4, 7))] for r in printed.rows]
     return [

@@ -39,7 +39,7 @@ def comparison(planned: Mapping[str, Any], reached: Mapping[str, float | None]) 
         sigma = first.get("position_shape_sigma_median_m")
         rows.append(_row("error of cameras in shape (ATE), mm", sigma, reached["ate_m"], 1000.0))
     columns = ("figure", "planned", "reached", "reached / planned")
-    return Table("planned and reached", columns, tuple(rows), _sentence(first, reached))
+    return Table("planned and reached", columns, tuple(rows), sentence=_sentence(first, reached))
 
 
 def _sentence(planned: Mapping[str, Any], reached: Mapping[str, float | None]) -> str:

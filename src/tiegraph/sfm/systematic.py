@@ -187,7 +187,8 @@ def _bins(camera: pycolmap.Camera, seen: System, tuning: SharedErrorTuning) -> _
         (np.ones(both.size), (both.ravel(), (2 * number[:, None] + np.arange(2)).ravel())),
         shape=(2 * len(seen.xy), 2 * len(used)),
     )
-    return _Bins(rows, number, (np.stack([used % across, used // across], axis=1) + 0.5) * size, columns)
+    middle = (np.stack([used % across, used // across], axis=1) + 0.5) * size
+    return _Bins(rows=rows, number=number, middle=middle, columns=columns)
 
 
 def _field(camera: pycolmap.Camera, middle: np.ndarray, reach: float) -> np.ndarray:
