@@ -54,7 +54,9 @@ def test_paper_000_adds_up_the_stages_of_its_rows() -> None:
 def test_paper_003_lays_both_ways_side_by_side() -> None:
     fast = row("vehicle ring", "by poses", counts={"matched": 10, "dense_points": 8000})
     text = tables("003", [row("vehicle ring", "all pairs"), fast])
-    assert "| vehicle ring, 20 images, by poses | 50 / 10 | 82 / 82 |" in text and "| vehicle ring, by poses | 5 |" in text
+    assert (
+        "| vehicle ring, 20 images, by poses | 50 / 10 | 82 / 82 |" in text and "| vehicle ring, by poses | 5 |" in text
+    )
     assert "| ID 2 | 12.62 | 1.13 |" in text
 
 
