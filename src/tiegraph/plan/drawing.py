@@ -64,8 +64,8 @@ def path_picture(plan: PathPlan) -> bytes:
         if len(fixes):
             axes.plot(fixes[:, a], fixes[:, b], "+", ms=6, color="#009e73", zorder=3, label="fixes")
         shown = axes.scatter(
-            centres[e.frames, a], centres[e.frames, b], c=1000 * sigma, s=16, cmap="plasma_r", zorder=4
-        )
+            centres[e.frames, a], centres[e.frames, b], c=1000 * sigma, s=16, cmap="plasma_r", vmin=0, zorder=4
+        )  # colours from nought: what hardly differs looks alike
         axes.set_aspect("equal", adjustable="datalim")
         axes.set(xlabel=names[0], ylabel=names[1])
         axes.grid(color="#e4e7eb")
