@@ -10,6 +10,7 @@ import pytest
 from sfm_worlds import make_world
 
 from tiegraph.geometry import transforms
+from tiegraph.scene.colmapmodel import read_model
 from tiegraph.sfm.adjustment import lens
 from tiegraph.sfm.adjustment.adjust import final_adjustment
 from tiegraph.sfm.model import matrix
@@ -74,6 +75,18 @@ def test_an_extended_camera_projects_as_before(tmp_path) -> None:
     assert start.camera(1).model.name == "RADIAL"
     rays = np.array([[0.3, -0.2, 1.0], [-0.5, 0.4, 1.0]])
     assert wide.camera(1).img_from_cam(rays) == pytest.approx(start.camera(1).img_from_cam(rays))
+
+
+def test_a_model_takes_another_s_cameras_with_their_models(tmp_path) -> None:
+    """Parameters alone made a file that no one can read, after an hour of 4020 images."""
+    _, start = _world(tmp_path, frames=4)
+    wide = lens.extended(start, [1])
+    lens.take_cameras(start, wide)
+    (tmp_path / "model").mkdir()
+    start.write(tmp_path / "model")
+    read = read_model(tmp_path / "model")
+    assert read.camera(1).model.name == "OPENCV" and read.camera(2).model.name == "RADIAL"
+    assert np.array_equal(read.camera(1).params, wide.camera(1).params)
 
 
 @pytest.mark.slow

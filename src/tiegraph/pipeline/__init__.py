@@ -58,7 +58,7 @@ STAGES = (
     _stage("match", ("network", "design", "features"), ("match.npz",), "block of pairs",
            changes=("database.db",), clear=_forget_matches),
     _stage("filter", ("coarse", "network", "match"), ("filter.npz",), "pair", version=2),
-    _stage("sparse", ("coarse", "network", "match", "filter"), ("sparse",), version=19, scratch=("sparse/.run",),
+    _stage("sparse", ("coarse", "network", "match", "filter"), ("sparse",), version=20, scratch=("sparse/.run",),
            tuned=("scene", "sfm")),
     _stage("georef", ("network", "match", "filter", "sparse"), ("sparse/world", "world.json"), version=12,
            scratch=("sparse/.world",), tuned=("scene", "sfm", "targets")),

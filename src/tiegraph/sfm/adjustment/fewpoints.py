@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 import pycolmap
 
+from tiegraph.sfm.adjustment.lens import take_cameras
 from tiegraph.sfm.tuning import FewPointsTuning
 
 
@@ -26,8 +27,7 @@ def thinned(model: pycolmap.Reconstruction, tuning: FewPointsTuning) -> pycolmap
 def take_poses(model: pycolmap.Reconstruction, few: pycolmap.Reconstruction) -> None:
     """Give ``model`` the intrinsics, rigs and poses of the same model adjusted with fewer points; its points follow
     where its poses went."""
-    for key, camera in few.cameras.items():
-        model.camera(key).params = camera.params
+    take_cameras(model, few)
     for key, rig in few.rigs.items():
         for sensor, extrinsics in rig.non_ref_sensors.items():
             if extrinsics is not None:

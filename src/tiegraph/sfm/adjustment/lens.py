@@ -49,6 +49,13 @@ def extended(model: pycolmap.Reconstruction, cameras: Collection[int]) -> pycolm
     return out
 
 
+def take_cameras(model: pycolmap.Reconstruction, other: pycolmap.Reconstruction) -> None:
+    """Give ``model`` the cameras of another of the same images, camera models too: the other's may be extended."""
+    for key, camera in other.cameras.items():
+        model.camera(key).model = camera.model
+        model.camera(key).params = camera.params
+
+
 def _full(camera: pycolmap.Camera) -> np.ndarray:
     """(8,) parameters of OPENCV with the projection of a pinhole or radial camera."""
     rest = dict(zip(camera.params_info.replace(" ", "").split(","), camera.params))

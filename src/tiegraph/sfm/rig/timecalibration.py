@@ -20,6 +20,7 @@ from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjustment.adjust import final_adjustment
 from tiegraph.sfm.adjustment.constraints import PoseConstraints, RelativePosePrior
 from tiegraph.sfm.adjustment.jacobians import RigConstraint, RigConstraints
+from tiegraph.sfm.adjustment.lens import take_cameras
 from tiegraph.sfm.adjustment.timecost import TimeOffsetPrior, TimeOffsetPriors, expected
 from tiegraph.sfm.model import frame_poses, image_poses, model_rigs, observations
 from tiegraph.sfm.rig.cameraframes import per_camera_frames
@@ -234,8 +235,7 @@ def _offset(
 def with_observations_of(model: pycolmap.Reconstruction, mapped: pycolmap.Reconstruction) -> pycolmap.Reconstruction:
     """The mapped model with the cameras of the adjusted one, which lost the sightings of a loose camera."""
     out = pycolmap.Reconstruction(mapped)
-    for key, camera in model.cameras.items():
-        out.camera(key).params = camera.params
+    take_cameras(out, model)
     return out
 
 
