@@ -73,7 +73,9 @@ def test_a_run_beside_the_lidar() -> None:
     assert table["The number of points after MVS"][0] == sum(table["The number of points after MVS"][1:])
     assert all(0 < v < 0.01 for v in table["RMSE of positions against the LiDAR [m]"])
     assert all(abs(v - 1) < 0.01 for v in table["scale against the LiDAR"])
-    assert 0 < table["cloud to LiDAR, median [m]"][0] < 3 * off_m
+    assert 0 < table["cloud to the LiDAR's nearest point, median [m]"][0] < 3 * off_m
+    assert all(abs(v) < off_m / 4 for v in table["cloud along the LiDAR's surfaces (M3C2), median [m]"])  # walls stay
+    assert all(off_m / 4 < v < off_m for v in table["cloud along the LiDAR's surfaces (M3C2), spread [m]"])
     assert [row[:2] for row in told["tables"]["trajectory by section"]["rows"]] == [["0", 6], ["1", 6]]
 
 

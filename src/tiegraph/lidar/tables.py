@@ -14,8 +14,9 @@ _NAN = float("nan")
 
 @dataclass(frozen=True)
 class Column:
-    """One column of the table: the whole survey or a section. Shares of the clouds are medians and 90 % of distances to
-    the LiDAR's map, m; ``rmse_m`` that of the frames' positions against the LiDAR's trajectory."""
+    """One column of the table: the whole survey or a section. ``surface_m``: of the cloud along the normals of the
+    LiDAR's map (M3C2), median and spread; ``cloud_m``: distances to the nearest point of the map, median and 90 %,
+    which grow with the gaps between its rings; ``rmse_m``: of the frames' positions against the LiDAR's trajectory."""
 
     name: str
     images: int
@@ -25,6 +26,7 @@ class Column:
     frames: int = 0  # with a pose of the LiDAR
     rmse_m: float = _NAN
     scale: float = _NAN
+    surface_m: tuple[float, float] = (_NAN, _NAN)
     cloud_m: tuple[float, float] = (_NAN, _NAN)
 
 
@@ -42,8 +44,10 @@ def survey_table(columns: list[Column]) -> dict[str, Any]:
     rows.append(["RMSE of positions against the LiDAR [m]", *(c.rmse_m for c in columns)])
     rows.append(["frames with a pose of the LiDAR", *(c.frames for c in columns)])
     rows.append(["scale against the LiDAR", *(c.scale for c in columns)])
-    rows.append(["cloud to LiDAR, median [m]", *(c.cloud_m[0] for c in columns)])
-    rows.append(["cloud to LiDAR, 90 % [m]", *(c.cloud_m[1] for c in columns)])
+    rows.append(["cloud along the LiDAR's surfaces (M3C2), median [m]", *(c.surface_m[0] for c in columns)])
+    rows.append(["cloud along the LiDAR's surfaces (M3C2), spread [m]", *(c.surface_m[1] for c in columns)])
+    rows.append(["cloud to the LiDAR's nearest point, median [m]", *(c.cloud_m[0] for c in columns)])
+    rows.append(["cloud to the LiDAR's nearest point, 90 % [m]", *(c.cloud_m[1] for c in columns)])
     known = [r for r in rows if any(np.isfinite(v) for v in r[1:])]
     return {"columns": ["", *(c.name for c in columns)], "rows": known}
 

@@ -11,8 +11,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from tiegraph.errors import InputError
-from tiegraph.evaluate.clouds.judge import Question, judge_cloud
-from tiegraph.evaluate.clouds.nearest import Cameras, CloudComparison
+from tiegraph.evaluate.clouds.judge import CloudJudgement, Question, judge_cloud
+from tiegraph.evaluate.clouds.nearest import Cameras
 from tiegraph.evaluate.reference import frame_parts, model_poses
 from tiegraph.evaluate.trajectory import PoseMatch, evaluate_trajectory
 from tiegraph.evaluate.tuning import Tuning as EvaluateTuning
@@ -33,6 +33,7 @@ from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import RegisteredTuning
 
 _SURE = 3  # images that a point is seen in: of two, a wrong match is not noticed
+_NAN = float("nan")
 _RPE_M = (1.0, 10.0, 100.0)
 _STAGES = {  # rows of paper 001's tables 1 and 5, and the stages they add up
     "Mask processing": ("masks", "refine"),
@@ -173,8 +174,10 @@ class _Judged:
         self.run, self.world, self.match, self.sections = run, world, match, sections
         centres, section = world(run.rig.poses[:, :3, 3]), run.scene.section[run.frame]
         xyz = np.zeros((0, 3)) if run.cloud is None else world(run.cloud.xyz_m)
-        self.of_point = section[cKDTree(centres).query(xyz)[1]]
+        nearest = cKDTree(centres)
+        self.of_point = section[nearest.query(xyz)[1]]
         self.cloud = None if run.cloud is None else _judged(xyz, reference, Cameras(centres, tuple(map(str, section))))
+        self.of_core = None if self.cloud is None else section[nearest.query(self.cloud.differences.xyz)[1]]
         self.tables: dict[str, Any] = {} if self.cloud is None else self.cloud.tables()
 
     def column(self, name: str, section: int | None) -> Column:
@@ -186,16 +189,19 @@ class _Judged:
             error = evaluate_trajectory(self.match.where(rows), _RPE_M, EvaluateTuning().trajectory)
             out = replace(out, rmse_m=error.se3.rmse_m, scale=error.sim3.alignment.scale * self.world.scale)
         if self.cloud is not None:
-            judged = self.cloud.whole if section is None else self.cloud.sections.get(str(section))
+            nearest, differences = self.cloud.nearest, self.cloud.differences
+            judged = nearest.whole if section is None else nearest.sections.get(str(section))
             points = len(self.of_point) if section is None else int(np.sum(self.of_point == section))
+            along = (differences if section is None else differences.where(self.of_core == section)).summary()
+            out = replace(out, points=points, surface_m=(along.get("median m", _NAN), along.get("spread m", _NAN)))
             if judged is not None:
-                out = replace(out, points=points, cloud_m=(judged.median_m, judged.p90_m))
+                out = replace(out, cloud_m=(judged.median_m, judged.p90_m))
         return out
 
 
-def _judged(xyz: np.ndarray, reference: Cloud, cameras: Cameras) -> CloudComparison:
+def _judged(xyz: np.ndarray, reference: Cloud, cameras: Cameras) -> CloudJudgement:
     """The run's cloud (N, 3) by the LiDAR's map, both in the LiDAR's world."""
     own = PointSource("the run's cloud", lambda: iter([Points(xyz, np.full(len(xyz), np.nan))]))
     truth = PointSource("the LiDAR's map", lambda: iter([Points(reference.xyz_m, reference.sigma_m)]))
     with tempfile.TemporaryDirectory() as scratch:
-        return judge_cloud(own, truth, Path(scratch), Question(cameras=cameras), EvaluateTuning()).nearest
+        return judge_cloud(own, truth, Path(scratch), Question(cameras=cameras), EvaluateTuning())

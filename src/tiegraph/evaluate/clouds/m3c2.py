@@ -11,7 +11,7 @@ what the cloud states as sigma of its points is therefore not divided by their n
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -75,6 +75,16 @@ class Differences:
         """(N,) bool: the difference is larger than its level of detection."""
         with np.errstate(invalid="ignore"):
             return np.asarray(np.abs(self.distance_m) > self.lod_m)
+
+    def where(self, cores: np.ndarray) -> Differences:
+        """Those at some core points: (N,) bool or indices."""
+        return replace(
+            self,
+            xyz=self.xyz[cores],
+            normal=self.normal[cores],
+            distance_m=self.distance_m[cores],
+            lod_m=self.lod_m[cores],
+        )
 
     def summary(self) -> dict[str, float]:
         """Median, spread (half of 16 % to 84 %), 95 % of the absolute values, level of detection, shares in %."""
