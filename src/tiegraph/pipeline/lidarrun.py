@@ -192,7 +192,8 @@ class _Judged:
             nearest, differences = self.cloud.nearest, self.cloud.differences
             judged = nearest.whole if section is None else nearest.sections.get(str(section))
             points = len(self.of_point) if section is None else int(np.sum(self.of_point == section))
-            along = (differences if section is None else differences.where(self.of_core == section)).summary()
+            cores = np.arange(len(differences)) if section is None else np.flatnonzero(self.of_core == section)
+            along = differences.where(cores).summary()
             out = replace(out, points=points, surface_m=(along.get("median m", _NAN), along.get("spread m", _NAN)))
             if judged is not None:
                 out = replace(out, cloud_m=(judged.median_m, judged.p90_m))
