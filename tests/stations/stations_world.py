@@ -84,3 +84,46 @@ def error_m(world_from_shot, some):
     here = np.concatenate([transforms.apply(p, v.true) for p, v in zip(world_from_shot, some)])
     there = np.concatenate([transforms.apply(v.world_from_station, v.true) for v in some])
     return float(np.sqrt(np.mean(np.sum((umeyama(here, there, with_scale=False)(here) - there) ** 2, axis=1))))
+
+
+def hall(bays=8, bay_m=2.0, columns=True, side_m=0.02, seed=0):
+    """(N, 3) points of a hall 5 m wide and 3 m high: walls, floor, both ends, a column a bay on both sides, and at one
+    end a block, so that the hall turned round is another one."""
+    rng, long = np.random.default_rng(seed), bays * bay_m
+
+    def face(corner, u, v):
+        count = int(np.linalg.norm(u) * np.linalg.norm(v) / side_m**2)
+        return np.asarray(corner) + rng.random((count, 1)) * np.asarray(u) + rng.random((count, 1)) * np.asarray(v)
+
+    faces = [face([0, -2.5, 0], [long, 0, 0], [0, 5, 0])]
+    faces += [face([0, y, 0], [long, 0, 0], [0, 0, 3]) for y in (-2.5, 2.5)]
+    faces += [face([x, -2.5, 0], [0, 5, 0], [0, 0, 3]) for x in (0, long)]
+    faces += [face([0.6, 0.3, 0], [0, 1.2, 0], [0, 0, 1.8]), face([0, 0.3, 0], [0.6, 0, 0], [0, 0, 1.8])]
+    faces += [face([0, 1.5, 0], [0.6, 0, 0], [0, 0, 1.8]), face([0, 0.3, 1.8], [0.6, 0, 0], [0, 1.2, 0])]
+    for k in range(bays if columns else 0):
+        for low, high in ((-1.9, -1.5), (1.5, 1.9)):
+            x = (k + 0.5) * bay_m - 0.2
+            faces += [face([x + d, low, 0], [0, 0.4, 0], [0, 0, 3]) for d in (0, 0.4)]
+            faces += [face([x, y, 0], [0.4, 0, 0], [0, 0, 3]) for y in (low, high)]
+    return np.concatenate(faces)
+
+
+def scans(xyz, eyes, seed=0, points=40_000, noise_m=0.003, reach_m=9.0):
+    """What scanners at (K, 3) see of points all round: the nearest in each direction of half a degree, to their reach;
+    each in a frame turned at random."""
+    out = []
+    for k, eye in enumerate(np.asarray(eyes, float)):
+        rng, ray = np.random.default_rng(100 * seed + k), xyz - eye
+        away = np.linalg.norm(ray, axis=1)
+        near = away < reach_m
+        ray, away = ray[near], away[near]
+        turn = np.degrees([np.arctan2(ray[:, 1], ray[:, 0]), np.arcsin(ray[:, 2] / away)])
+        cell = (turn[0] // 0.5) * 1000 + turn[1] // 0.5
+        order = np.lexsort([away, cell])
+        first = order[np.r_[True, np.diff(cell[order]) > 0]]
+        rows = rng.permutation(first)[:points]
+        pose = transforms.rigid(Rotation.random(random_state=100 * seed + k).as_matrix(), eye)
+        true = transforms.apply(transforms.invert(pose), ray[rows] + eye)
+        noisy = true * (1 + rng.normal(size=len(rows)) * noise_m / away[rows])[:, None]
+        out.append(View(noisy, true, np.full_like(true, np.nan), np.full(len(rows), noise_m), pose))
+    return out

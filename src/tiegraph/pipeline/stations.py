@@ -274,6 +274,7 @@ def _pair_told(pair: Pair, ready: Sequence[Station], loop: Sequence[float | None
         "overlap": pair.overlap,
         "residual_m": pair.residual_m,
         "sigma_m": None if pair.why_not else pair.sigma_m,
+        "looked_through": pair.through if np.isfinite(pair.through) else None,
         "loop_before_m": loop[0],
         "loop_after_m": loop[1],
     }

@@ -10,6 +10,7 @@ import numpy as np
 from tiegraph.geometry import transforms
 from tiegraph.geometry.coarse.consistent import motions
 from tiegraph.stations.fine import Met, held, met, refined
+from tiegraph.stations.sight import looked_through
 from tiegraph.stations.station import Station
 from tiegraph.stations.tuning import PairTuning, Tuning
 
@@ -18,7 +19,8 @@ from tiegraph.stations.tuning import PairTuning, Tuning
 class Pair:
     """``first_from_second`` (4, 4) of stations about their middles; share that overlaps, robust sigma of the distance
     between the surfaces and their own roughness, metres; ``information`` (6, 6) of turn and shift about ``middle`` (3,)
-    in the first's frame. ``why_not``: why it is not believed, "" = it is."""
+    in the first's frame. ``why_not``: why it is not believed, "" = it is. ``through``: share of what one saw that
+    stands where the other looked through, NaN = not known."""
 
     first: int
     second: int
@@ -29,6 +31,7 @@ class Pair:
     middle: np.ndarray
     information: np.ndarray
     why_not: str = ""
+    through: float = np.nan
 
     @property
     def sigma_m(self) -> float:
@@ -91,7 +94,8 @@ def from_start(first: int, second: int, stations: Sequence[Station], start: np.n
     if why:
         return pair
     fine = held(target, source, fit, found, limits)
-    pair = replace(pair, middle=fine.middle, information=fine.information)
+    through = looked_through(a, b, fit, tuning.sight)
+    pair = replace(pair, middle=fine.middle, information=fine.information, through=through)
     coarse = held(a.coarse, b.coarse, fit, met(a.coarse, b.coarse, fit, limits), limits)
     if coarse.open_share < limits.open_share:
         return pair.refused(

@@ -69,7 +69,7 @@ class Level:
 @dataclass(frozen=True)
 class Station:
     """A shot ready to be laid on others. Its points are about their ``middle`` (3,); ``known``: world_from_station
-    (4, 4) of the points about the middle."""
+    (4, 4) of the points about the middle; ``eye`` (3,) from where they were seen, about the middle, None = unknown."""
 
     name: str
     middle: np.ndarray
@@ -77,6 +77,7 @@ class Station:
     levels: list[Level]
     sample: Sample
     known: np.ndarray | None = None
+    eye: np.ndarray | None = None
 
     @property
     def coarse(self) -> Level:
@@ -125,6 +126,7 @@ def station_of(shot: Shot, side: float, tuning: Tuning) -> Station:
         levels=levels,
         sample=_sample(shot, middle, tuning.precision.asked),
         known=known,
+        eye=-middle if shot.own_frame else None,
     )
 
 

@@ -41,6 +41,19 @@ class PairTuning(Section):
     """Along the longest side of an overlap: points in one cell are taken to err together."""
 
 
+class SightTuning(Section):
+    """What one saw where another looked through (`sight.py`). Lengths are in sides of the coarse voxels."""
+
+    neighbours: int = Field(4, ge=1)
+    """Own points about the direction of another's, all of which must be beyond it."""
+    apart: float = Field(1.5, gt=0)
+    """From that direction at most, at their distance: farther, it is not in view (the border, a gap)."""
+    before: float = Field(3.0, gt=0)
+    """By how much the other's point stands nearer than all of them: noise, and surfaces seen at a low angle."""
+    least_points: int = Field(50, ge=10)
+    """In view, for a share to be told."""
+
+
 class LoopTuning(Section):
     """Pairs judged together and adjusted (`loops.py`, `adjust.py`)."""
 
@@ -85,6 +98,8 @@ class Tuning(Section):
     """Starts."""
     pair: PairTuning = PairTuning()
     """Pairs."""
+    sight: SightTuning = SightTuning()
+    """Free space."""
     loops: LoopTuning = LoopTuning()
     """Loops."""
     precision: PrecisionTuning = PrecisionTuning()
