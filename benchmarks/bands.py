@@ -51,7 +51,8 @@ def measure(name: str, dataset: Dataset, folder: Path) -> dict[str, Any]:
     run = Run(project.folder, project.inputs, project.settings)
     scene, tuning, own = checked(run), run.settings.tuning.evaluate, stated(run, {})
     model = reference.model_poses(load_model(run.path("sparse", "world")), scene)
-    truth = {n: transforms.invert(np.asarray(p)) for n, p in dataset.cam_from_world.items()}
+    full = {n: p for n, p in dataset.cam_from_world.items() if np.isfinite(p).all()}  # positions alone are not enough
+    truth = {n: transforms.invert(np.asarray(p)) for n, p in full.items()}
     poses = reference.ReferencePoses(truth, {}, dataset.images)
     match, _ = reference.match_poses(poses, model, scene, tuning.trajectory.max_gap_s)
     origin = world_origin(run) if own.world["placed"] else None

@@ -86,10 +86,10 @@ def error_m(world_from_shot, some):
     return float(np.sqrt(np.mean(np.sum((umeyama(here, there, with_scale=False)(here) - there) ** 2, axis=1))))
 
 
-def hall(bays=8, bay_m=2.0, columns=True, side_m=0.02, seed=0):
+def hall(bays=8, bay_m=2.0, side_m=0.02):
     """(N, 3) points of a hall 5 m wide and 3 m high: walls, floor, both ends, a column a bay on both sides, and at one
     end a block, so that the hall turned round is another one."""
-    rng, long = np.random.default_rng(seed), bays * bay_m
+    rng, long = np.random.default_rng(0), bays * bay_m
 
     def face(corner, u, v):
         count = int(np.linalg.norm(u) * np.linalg.norm(v) / side_m**2)
@@ -100,7 +100,7 @@ def hall(bays=8, bay_m=2.0, columns=True, side_m=0.02, seed=0):
     faces += [face([x, -2.5, 0], [0, 5, 0], [0, 0, 3]) for x in (0, long)]
     faces += [face([0.6, 0.3, 0], [0, 1.2, 0], [0, 0, 1.8]), face([0, 0.3, 0], [0.6, 0, 0], [0, 0, 1.8])]
     faces += [face([0, 1.5, 0], [0.6, 0, 0], [0, 0, 1.8]), face([0, 0.3, 1.8], [0.6, 0, 0], [0, 1.2, 0])]
-    for k in range(bays if columns else 0):
+    for k in range(bays):
         for low, high in ((-1.9, -1.5), (1.5, 1.9)):
             x = (k + 0.5) * bay_m - 0.2
             faces += [face([x + d, low, 0], [0, 0.4, 0], [0, 0, 3]) for d in (0, 0.4)]

@@ -42,7 +42,8 @@ class PairTuning(Section):
 
 
 class SightTuning(Section):
-    """What one saw where another looked through (`sight.py`). Lengths are in sides of the coarse voxels."""
+    """What one saw where another looked through (`sight.py`): told of a pair, it refuses none. Lengths are in sides of
+    the coarse voxels."""
 
     neighbours: int = Field(4, ge=1)
     """Own points about the direction of another's, all of which must be beyond it."""
