@@ -7,6 +7,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -146,6 +147,28 @@ def test_an_address_that_does_not_answer_is_named_soon(answers, capfd, monkeypat
     assert capfd.readouterr() == ("", "")
 
 
+def test_a_client_that_comes_too_late_is_closed_by_its_own_thread(cluster, monkeypatch):
+    """The collector would close it in any thread: if in one that starts the next client's loop, Dask stood still."""
+    import distributed
+
+    made, may_end = [], threading.Event()
+
+    class Late(distributed.Client):
+        def __init__(self, *args, **more):
+            super().__init__(*args, **more)
+            made.append(self)
+            may_end.wait(60)
+
+    monkeypatch.setattr(distributed, "Client", Late)
+    monkeypatch.setattr(daskpool, "_CONNECT_S", 3.0)
+    with pytest.raises(InputError, match="silent"):
+        open_pool(f"dask:{cluster.scheduler_address}")
+    assert made[0].status == "running"
+    may_end.set()
+    next(t for t in threading.enumerate() if t.name == "dask-connect").join(30)
+    assert made[0].status == "closed"
+
+
 @pytest.mark.parametrize("spec", ["dask", "dask:"])
 def test_an_address_is_needed(spec):
     with pytest.raises(SettingsError, match="address"):
@@ -159,7 +182,8 @@ def test_what_is_no_address_is_named(spec):
 
 
 def test_a_scheduler_without_workers_is_said(monkeypatch):
-    monkeypatch.setattr(daskpool, "_CONNECT_S", 2.0)
+    monkeypatch.setattr(daskpool, "_CONNECT_S", 60.0)  # on a busy machine
+    monkeypatch.setattr(daskpool, "_WORKERS_S", 1.0)
     with dask_world.commands(0) as (address, _):
         with pytest.raises(InputError, match="no workers"):
             open_pool(f"dask:{address}")

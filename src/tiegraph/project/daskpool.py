@@ -37,6 +37,7 @@ from tiegraph.project.software import software
 log = logging.getLogger(__name__)
 
 _CONNECT_S = 8.0
+_WORKERS_S = 8.0  # until the scheduler has a worker
 _FREE_S = 60.0  # for a worker to become free of what it does and to load tiegraph
 _END_S = 30.0  # for the items under way to end after an error
 _LOOK_S = 1.0  # between two looks whether all workers are there
@@ -67,22 +68,39 @@ def open_dask(address: str, place: Place | None) -> tuple[Executor, int]:
 
 
 def _connect(address: str) -> Any:
+    """The client of a scheduler. Raises InputError if none answers within ``_CONNECT_S``.
+
+    A client that is of no use is closed where it was made: left to the garbage collector it is closed by whatever
+    thread that runs in, and Dask waits for itself without end if this is the one that starts another client's loop
+    (``LoopRunner`` of distributed holds one lock for all).
+    """
     from distributed import Client
 
     found: list[Any] = []
+    given_up, deciding = threading.Event(), threading.Lock()
 
     def connect() -> None:
+        client: Any = Client.__new__(Client)
+        result: Any = client
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # of versions: those that matter are compared in ``begin``
-                found.append(Client(address, timeout=_CONNECT_S, set_as_default=False))
+                client.__init__(address, timeout=_CONNECT_S, set_as_default=False)
         except Exception as error:
-            found.append(error)
+            result = error
+        with deciding:
+            found.append(result)
+            wanted = result is client and not given_up.is_set()
+        if not wanted:
+            with suppress(Exception):
+                client.close(timeout=5)
 
     # Dask waits without end for something that takes the connection and says nothing.
     thread = threading.Thread(target=connect, daemon=True, name="dask-connect")
     thread.start()
     thread.join(_CONNECT_S + 1)
+    with deciding:
+        given_up.set()
     if found and isinstance(found[0], Client):
         return found[0]
     why = f"{type(found[0]).__name__}: {found[0]}" if found else "silent"
@@ -192,7 +210,7 @@ class DaskExecutor(Executor):
 
     def _threads(self) -> dict[str, int]:
         try:
-            self._client.wait_for_workers(1, timeout=_CONNECT_S)
+            self._client.wait_for_workers(1, timeout=_WORKERS_S)
             return dict(sorted(self._client.nthreads().items()))
         except Exception:
             raise InputError(
