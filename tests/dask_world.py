@@ -7,7 +7,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -25,17 +25,17 @@ def commands(workers: int = 2, options: tuple[str, ...] = ()) -> Iterator[tuple[
     quiet = ["--dashboard-address", "127.0.0.1:0"]
     with _started("dask_scheduler", ["--host", "127.0.0.1", "--port", "0", *quiet]) as (scheduler, line):
         address = re.search(r"tcp://[\d.:]+", line("Scheduler at")).group()
-        started = [_started("dask_worker", [address, "--nthreads", "1", *quiet, *options]) for _ in range(workers)]
-        processes = []
-        try:
-            for one in started:
-                process, line = one.__enter__()
-                processes.append(process)
-                line("Starting established connection")
-            yield address, [scheduler, *processes]
-        finally:
-            for one in started[: len(processes)]:
-                one.__exit__(None, None, None)
+        with ExitStack() as stack:
+            yield address, [scheduler, *(stack.enter_context(worker(address, options)) for _ in range(workers))]
+
+
+@contextmanager
+def worker(address: str, options: tuple[str, ...] = ()) -> Iterator[subprocess.Popen]:
+    """One more worker of one thread of the scheduler there."""
+    given = [address, "--nthreads", "1", "--dashboard-address", "127.0.0.1:0", *options]
+    with _started("dask_worker", given) as (process, line):
+        line("Starting established connection")
+        yield process
 
 
 @contextmanager
@@ -115,6 +115,14 @@ def leave_file(number: int, folder: Path, seconds: float) -> int:
     time.sleep(seconds)
     (folder / str(number)).touch()
     return number
+
+
+def write_down(number: int, folder: Path, seconds: float) -> tuple[int, int]:
+    """The number and who made it, which is kept in a file too."""
+    with open(folder / str(number), "a") as file:
+        file.write(f"{os.getpid()}\n")
+    time.sleep(seconds)
+    return number, os.getpid()
 
 
 def refuse(number: int) -> int:

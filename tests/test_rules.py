@@ -151,6 +151,7 @@ def test_executors_live_in_one_place(module):
         "project/pool.py",
         "project/ledger.py",
         "project/run.py",
+        "project/daskcluster.py",
         "project/daskpool.py",
         "project/daskworker.py",
         "child.py",

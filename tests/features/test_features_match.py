@@ -14,6 +14,7 @@ from features_world import FRAMES, features, filled_database, scene
 from tiegraph.errors import InputError, ReconstructionError
 from tiegraph.features import matchblocks
 from tiegraph.features.match import match_pairs, read_matches
+from tiegraph.features.matchblocks import Side
 from tiegraph.features.settings import MatchSettings
 from tiegraph.scene.colmapdatabase import images_with_features, pair_ids, write_features
 from tiegraph.scene.colmaprows import create_database
@@ -42,7 +43,7 @@ def done(tmp_path_factory):
     path = filled_database(folder / "database.db", scene(), empty=(EMPTY,))
     progress: list[tuple[int, int]] = []
     pairs, report = match_pairs(
-        path, scene(), listed(), SETTINGS, folder / "log.txt", lambda a, b: progress.append((a, b)), processes=1
+        path, scene(), listed(), SETTINGS, folder / "log.txt", lambda a, b: progress.append((a, b)), side=Side(1)
     )
     return folder, pairs, report, progress
 
@@ -71,12 +72,18 @@ def test_exactly_the_kept_pairs_are_matched_and_counted(done):
 
 
 @pytest.mark.slow
-def test_any_number_of_threads_and_any_history_make_the_same_bytes(done, tmp_path):
+def test_any_number_of_processes_any_history_and_a_cluster_make_the_same_bytes(done, tmp_path):
     folder, *_ = done
     path = filled_database(tmp_path / "database.db", scene(), empty=(EMPTY,))
     few = listed()
-    match_pairs(path, scene(), few.drop(few.i > 3, "cut"), SETTINGS, tmp_path / "log.txt", processes=2)
-    match_pairs(path, scene(), listed(), SETTINGS, tmp_path / "log.txt", processes=2)
+
+    def over_a_cluster(function, items, *args):
+        """The worker of the first block is lost when it has ended, and another makes it again."""
+        function(items[0], *args)
+        return [function(item, *args) for item in items]
+
+    match_pairs(path, scene(), few.drop(few.i > 3, "cut"), SETTINGS, tmp_path / "log.txt", side=Side(2))
+    match_pairs(path, scene(), listed(), SETTINGS, tmp_path / "log.txt", side=Side(2, over_a_cluster))
     assert path.read_bytes() == (folder / "database.db").read_bytes()
 
 
@@ -140,7 +147,7 @@ def test_killed_run_resumes_to_the_same_database_and_survives_names_with_spaces(
         "    match_pairs(folder / 'database.db', scene(space=True), listed(), SETTINGS, folder / 'log.txt', stop)\n"
     )
     assert subprocess.run([sys.executable, str(script)]).returncode == -9
-    pairs, report = match_pairs(path, scene(space=True), listed(), SETTINGS, tmp_path / "log.txt", processes=2)
+    pairs, report = match_pairs(path, scene(space=True), listed(), SETTINGS, tmp_path / "log.txt", side=Side(2))
     folder, expected, full, _ = done
     assert report.resumed >= 4
     assert report.matched == full.matched

@@ -17,7 +17,7 @@ import pytest
 
 import dask_world
 from tiegraph.errors import InputError, SettingsError, TiegraphError
-from tiegraph.project import daskpool
+from tiegraph.project import daskcluster, daskpool
 from tiegraph.project.pool import Place, map_items, open_pool
 from tiegraph.project.progress import Elsewhere, Meter
 
@@ -133,8 +133,8 @@ def test_only_one_item_at_a_time_in_a_worker_of_many_threads(one_worker):
 
 @pytest.mark.parametrize("answers", [True, False], ids=["silent", "refused"])
 def test_an_address_that_does_not_answer_is_named_soon(answers, capfd, monkeypatch):
-    assert daskpool._CONNECT_S <= 10
-    monkeypatch.setattr(daskpool, "_CONNECT_S", 2.0)
+    assert daskcluster._CONNECT_S <= 10
+    monkeypatch.setattr(daskcluster, "_CONNECT_S", 2.0)
     with socket.socket() as listener:
         listener.bind(("127.0.0.1", 0))
         address = f"tcp://127.0.0.1:{listener.getsockname()[1]}"
@@ -160,7 +160,7 @@ def test_a_client_that_comes_too_late_is_closed_by_its_own_thread(cluster, monke
             may_end.wait(60)
 
     monkeypatch.setattr(distributed, "Client", Late)
-    monkeypatch.setattr(daskpool, "_CONNECT_S", 3.0)
+    monkeypatch.setattr(daskcluster, "_CONNECT_S", 3.0)
     with pytest.raises(InputError, match="silent"):
         open_pool(f"dask:{cluster.scheduler_address}")
     assert made[0].status == "running"
@@ -182,7 +182,7 @@ def test_what_is_no_address_is_named(spec):
 
 
 def test_a_scheduler_without_workers_is_said(monkeypatch):
-    monkeypatch.setattr(daskpool, "_CONNECT_S", 60.0)  # on a busy machine
+    monkeypatch.setattr(daskcluster, "_CONNECT_S", 60.0)  # on a busy machine
     monkeypatch.setattr(daskpool, "_WORKERS_S", 1.0)
     with dask_world.commands(0) as (address, _):
         with pytest.raises(InputError, match="no workers"):
@@ -207,9 +207,9 @@ def test_a_worker_with_another_version_is_named(cluster):
 
 
 def test_only_the_series_of_python_must_be_the_same():
-    assert daskpool._series("python", "3.11.7") == daskpool._series("python", "3.11.9")
-    assert daskpool._series("python", "3.11.7") != daskpool._series("python", "3.12.7")
-    assert daskpool._series("numpy", "2.0.1") != daskpool._series("numpy", "2.0.2")
+    assert daskcluster._series("python", "3.11.7") == daskcluster._series("python", "3.11.9")
+    assert daskcluster._series("python", "3.11.7") != daskcluster._series("python", "3.12.7")
+    assert daskcluster._series("numpy", "2.0.1") != daskcluster._series("numpy", "2.0.2")
 
 
 def hide_tiegraph(hidden):
@@ -268,9 +268,27 @@ def test_workers_stop_when_the_run_is_killed(cluster, tmp_path):
     assert 0 < count == len(list(work.iterdir())) < 40  # a chunk has 25
 
 
-@pytest.mark.parametrize("lost, of", [("worker", 2), ("scheduler", 1)])
-def test_the_loss_of_a_worker_or_of_the_scheduler_ends_the_run(lost, of, capfd):
-    with dask_world.commands(of, ("--no-nanny",)) as (address, (scheduler, worker, *others)):
+def test_a_lost_worker_costs_its_chunk_and_one_that_comes_later_takes_part(tmp_path, caplog):
+    with dask_world.commands(2, ("--no-nanny",)) as (address, (_, first, _)):
+        executor, workers = open_pool(f"dask:{address}")
+        lost = threading.Timer(2.0, first.kill)
+        lost.start()
+        made = map_items(executor, workers, dask_world.write_down, range(32), (tmp_path, 0.25))
+        assert [number for number, _ in made] == list(range(32))
+        lines = [path.read_text().splitlines() for path in sorted(tmp_path.iterdir(), key=lambda p: int(p.name))]
+        chunk = 2
+        assert 1 <= sum(len(writers) - 1 for writers in lines) <= chunk, "made twice: what the lost one was at"
+        assert "was lost" in caplog.text and caplog.text.count("the others do its work") == 1
+        before = {pid for _, pid in made} - {first.pid}
+        with dask_world.worker(address, ("--no-nanny",)):
+            more = map_items(executor, workers, dask_world.write_down, range(100, 132), (tmp_path, 0.1))
+        assert len(before) == 1 and before < {pid for _, pid in more}, "and the new one"
+        executor.shutdown()
+
+
+@pytest.mark.parametrize("lost", ["worker", "scheduler"])
+def test_the_loss_of_the_last_worker_or_of_the_scheduler_ends_the_run(lost, capfd):
+    with dask_world.commands(1, ("--no-nanny",)) as (address, (scheduler, worker)):
         executor, workers = open_pool(f"dask:{address}")
         futures = [executor.submit(dask_world.span, k, 60.0) for k in range(4)]
         time.sleep(0.5)
@@ -282,8 +300,7 @@ def test_the_loss_of_a_worker_or_of_the_scheduler_ends_the_run(lost, of, capfd):
         daskpool._END_S, before = 1.0, daskpool._END_S
         executor.shutdown(cancel_futures=True)
         daskpool._END_S = before
-        for busy in (worker, *others):  # with an item of a minute
-            busy.kill()
+        worker.kill()  # busy with an item of a minute
     assert "Traceback" not in capfd.readouterr().err
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pycolmap
 
 from tiegraph.errors import InputError, ReconstructionError
-from tiegraph.features.matchblocks import cut, run_blocks
+from tiegraph.features.matchblocks import Side, cut, run_blocks
 from tiegraph.features.settings import MatchSettings
 from tiegraph.scene.colmapdatabase import Rows, feature_counts, keep_finished, match_counts, strike, write_anew
 from tiegraph.scene.pairs import Pairs
@@ -54,15 +54,15 @@ def match_pairs(
     settings: MatchSettings,
     log: Path,
     on_progress: Progress | None = None,
-    processes: int = 1,
+    side: Side | None = None,
 ) -> tuple[Pairs, MatchReport]:
     """Match and verify the kept pairs. Pairs finished in the database are not done again, others in it are deleted.
 
     Returns the table with ``inliers`` of the kept pairs (0 = compared and not verified, -1 = could not be compared;
-    both are dropped for "match") and the report. ``processes``: side by side. Raises InputError for a database of
-    another scene or a full disk, ReconstructionError if COLMAP's process ends or no pair at all is verified.
+    both are dropped for "match") and the report. Raises InputError for a database of another scene or a full disk,
+    ReconstructionError if COLMAP's process ends or no pair at all is verified.
     """
-    started = time.perf_counter()
+    started, side = time.perf_counter(), side or Side()
     _check(database, scene)
     kept = pairs.kept()
     counts = feature_counts(database)
@@ -73,9 +73,9 @@ def match_pairs(
     tell = on_progress or (lambda done, total: None)
     tell(done, total)
     todo = kept.where(possible & ~finished)
-    size = min(BLOCK_PAIRS, -(-len(todo) // processes))
+    size = min(BLOCK_PAIRS, -(-len(todo) // side.processes))
     blocks = cut(todo, max(1, size))
-    run_blocks(database, blocks, settings, processes, log, lambda more: tell(done + more, total))
+    run_blocks(database, blocks, settings, side, log, lambda more: tell(done + more, total))
     # Most matches lie in the image border and moved alike: a caption or a part of the platform. COLMAP's mappers would
     # still take the pair.
     strike(database, _WATERMARK)

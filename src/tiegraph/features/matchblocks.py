@@ -1,5 +1,8 @@
 """Blocks of pairs, matched side by side: each process has one thread and, for each block, a small database of its own.
 
+The processes are children of this one, or of the workers of a cluster: those read the features while nobody writes, for
+a round of blocks is matched before the next is written, and only this process writes the matches of all.
+
 COLMAP's own threads do not always find the same matches: those that build their search trees of descriptors at the same
 moment disturb each other now and then (`benchmarks/sfm/matching_threads.py` counts how often).
 """
@@ -8,12 +11,14 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pycolmap
 
-from tiegraph.child import run_in_children
+from tiegraph.child import run_in_child, run_in_children
 from tiegraph.errors import InputError, ReconstructionError
 from tiegraph.features.settings import MatchSettings
 from tiegraph.scene.colmapdatabase import copy_features, take_matches
@@ -21,6 +26,16 @@ from tiegraph.scene.pairs import Pairs
 
 _SEED = 0  # of RANSAC: the same matches give the same inliers
 _ALIAS = "tiegraph:"
+_ROUND = 2  # blocks a worker of a cluster makes before they are written
+
+
+@dataclass(frozen=True)
+class Side:
+    """How many processes match side by side; ``run_map``: map over the workers of a cluster, each of which has one
+    (function, items, further arguments: a result an item), None = all on this machine."""
+
+    processes: int = 1
+    run_map: Callable[..., list[Any]] | None = None
 
 
 def cut(pairs: Pairs, size: int) -> list[np.ndarray]:
@@ -33,11 +48,11 @@ def run_blocks(
     database: Path,
     blocks: Sequence[np.ndarray],
     settings: MatchSettings,
-    processes: int,
+    side: Side,
     log: Path,
     on_pairs: Callable[[int], None],
 ) -> None:
-    """Match blocks (B, 2) of scene indices, in so many processes, and write into the database what comes of each.
+    """Match blocks (B, 2) of scene indices, side by side, and write into the database what comes of each.
 
     ``on_pairs`` is told how many pairs are done. Raises InputError when the disk is full, ReconstructionError if
     COLMAP's process ends; finished blocks stay.
@@ -58,11 +73,17 @@ def run_blocks(
         done += message[1]
         on_pairs(done)
 
-    count = min(processes, len(blocks))
     named = [(str(scratch / f"{k}.db"), block) for k, block in enumerate(blocks)]
-    calls = [(str(database), named[k::count], settings) for k in range(count)]
     try:
-        run_in_children(match_blocks, calls, log=log, on_message=take, task="match")
+        if side.run_map is None:
+            count = min(side.processes, len(blocks))
+            calls = [(str(database), named[k::count], settings) for k in range(count)]
+            run_in_children(match_blocks, calls, log=log, on_message=take, task="match")
+        else:
+            step = _ROUND * side.processes
+            for start in range(0, len(named), step):
+                for message in side.run_map(match_block, named[start : start + step], str(database), settings, log):
+                    take(message)
     except ReconstructionError as error:
         if "disk is full" in str(error) or "disk I/O error" in str(error):
             raise InputError(
@@ -71,6 +92,12 @@ def run_blocks(
         raise
     finally:
         shutil.rmtree(scratch, ignore_errors=True)
+
+
+def match_block(block: tuple[str, np.ndarray], database: str, settings: MatchSettings, log: Path) -> tuple[str, int]:
+    """``match_blocks`` of one block in a child of this process; its name and number of pairs."""
+    run_in_child(match_blocks, database, [block], settings, log=log, task="match")
+    return block[0], len(block[1])
 
 
 def match_blocks(

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tiegraph.errors import TiegraphError
 from tiegraph.project.pool import limit_threads
 from tiegraph.project.progress import Meter
 from tiegraph.project.software import software
@@ -91,8 +90,9 @@ def on_worker(packed: bytes, *handles: bytes) -> tuple[Any, str, dict[str, float
         for k, data in zip(shared, handles):
             args[k] = pickle.loads(data)
         worker = get_worker().address
-        if run not in _runs:
-            raise TiegraphError(f"the Dask worker {worker} was started again in the middle of the run; {GOES_ON}")
+        if run not in _runs:  # started again under its address
+            limit_threads(get_worker().state.nthreads)
+            _runs.add(run)
         meter = Meter()
         try:
             with _working_in(folder):

@@ -60,6 +60,11 @@ class Run:
         self.open()
         return self._workers
 
+    @property
+    def distributed(self) -> bool:
+        """Whether the workers may be on other machines."""
+        return self._pool_spec.startswith("dask:")
+
     def open(self) -> Executor:
         """The pool, opened when first asked for. Raises what ``open_pool`` raises."""
         if self._executor is None:
@@ -72,6 +77,10 @@ class Run:
         if not items:
             return []
         return map_items(self.open(), self._workers, function, items, args, self.reporter.advance)
+
+    def map_untold(self, function: Callable[..., Any], items: Sequence[Any], *args: Any) -> list[Any]:
+        """``map`` of which the progress hears nothing: the caller tells it."""
+        return map_items(self.open(), self._workers, function, items, args) if items else []
 
     def make_missing(
         self, function: Callable[..., Any], items: Sequence[str], artefact: Callable[[str], Path], *args: Any

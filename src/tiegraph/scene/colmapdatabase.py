@@ -233,7 +233,7 @@ def _looked_up(asked: np.ndarray, keys: np.ndarray, values: np.ndarray) -> np.nd
 @contextmanager
 def _new(path: Path, source: Path) -> Iterator[sqlite3.Connection]:
     """A new database with COLMAP's tables, in one transaction, and another one beside it as ``source``."""
-    path.unlink(missing_ok=True)
+    remove(path)
     pycolmap.Database.open(path).close()
     connection = sqlite3.connect(path, isolation_level=None)
     try:
