@@ -25,7 +25,9 @@ def made(tmp_path_factory):
     some = views(ANGLES)
     for k, view in enumerate([*some, *views([0.0, 30.0], seed=3)]):
         write_view(view, folder / "run" / "shots" / f"walk_{k:06d}.ply")
-    assert main(["stations", str(folder / "run"), "-o", str(folder / "out"), "--quiet"]) == 0
+    (folder / "fewer.toml").write_text("[tuning.stations.precision]\nbands = 4\n")
+    more = ["--tuning", str(folder / "fewer.toml"), "--quiet"]
+    assert main(["stations", str(folder / "run"), "-o", str(folder / "out"), *more]) == 0
     return folder, some, json.loads((folder / "out" / "stations.json").read_text())
 
 
@@ -60,7 +62,8 @@ def test_a_stranger_is_left_out_and_named(made):
 @pytest.mark.slow
 def test_precision_grows_with_the_distance_as_the_noise_does(made):
     bands = made[2]["precision"]
-    assert len(bands) >= 4 and bands[0]["from_m"] > 0.4 and bands[-1]["to_m"] < 0.8
+    assert len(bands) == 4 and made[2]["tuning"] == {"stations": {"precision": {"bands": 4}}}
+    assert bands[0]["from_m"] > 0.4 and bands[-1]["to_m"] < 0.8
     measured, stated = (np.array([b[k] for b in bands]) for k in ("sigma_m", "stated_m"))
     assert measured[-1] > 1.3 * measured[0] and (np.diff(stated) > 0).all()
     assert (0.6 < measured / stated).all() and (measured / stated < 1.5).all()

@@ -15,6 +15,7 @@ from tiegraph.errors import SettingsError
 from tiegraph.pipeline.calibrate import calibrate as calibrate_images
 from tiegraph.pipeline.selfcalibration import self_calibration
 from tiegraph.project.progress import Reporter
+from tiegraph.project.verbtunings import read_tunings
 
 _DEFAULT = CalibrateSettings()
 
@@ -32,6 +33,8 @@ class CalibrateOptions:
     """With --from: a rig file, such as a board's, that it is compared with."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("rig.toml")
     """The rig file to write, with a folder of its name beside it; neither may be there."""
+    tuning: Path | None = None
+    """A file with other constants: tables [tuning.calibrate] and [tuning.scan]."""
     pool: str = "local"
     """Where corners are looked for: serial, local, local:<workers>."""
     json: bool = False
@@ -57,14 +60,15 @@ def main(arguments: list[str]) -> int:
 
     images, options, settings = options_of(calibrate, "tiegraph calibrate", arguments)
     reporter = Reporter("json" if options.json else "quiet" if options.quiet else "auto")
+    tunings = read_tunings(options.tuning)
     if options.run is not None:
         if images is not None or options.board is not None:
             raise SettingsError("--from OUT takes the calibration of a run: leave the images and --board away")
-        rows = self_calibration(options.run, options.out, options.against, reporter)
+        rows = self_calibration(options.run, options.out, options.against, reporter, tunings)
         reporter.event("calibrated", rig=options.out, differences=[asdict(r) for r in rows])
         return 0
     if images is None or options.board is None or options.against is not None:
         raise SettingsError("give images and --board, or --from OUT (and --against RIG_FILE)")
-    verdict = calibrate_images(images, options.board, options.out, settings, options.pool, reporter)
+    verdict = calibrate_images(images, options.board, options.out, settings, options.pool, reporter, tunings)
     reporter.event("calibrated", rig=options.out, advice=verdict.advice)
     return 0

@@ -13,6 +13,7 @@ from tiegraph.cli.output import say, show_table
 from tiegraph.pipeline.stations import StationOptions
 from tiegraph.pipeline.stations import stations as join_stations
 from tiegraph.project.progress import Reporter
+from tiegraph.project.verbtunings import read_tunings
 
 
 @dataclass(frozen=True)
@@ -26,6 +27,8 @@ class StationsOptions:
     place in the order."""
     voxel_m: float = 0.0
     """Spacing of the cloud in metres; 0 = that of the shots."""
+    tuning: Path | None = None
+    """A file with other constants: tables [tuning.stations] and [tuning.cloud]."""
     json: bool = False
     """One JSON object on standard output instead of text."""
     quiet: bool = False
@@ -47,7 +50,8 @@ def main(arguments: list[str]) -> int:
 
     shots, options = options_of(stations, "tiegraph stations", arguments)
     reporter = Reporter("json" if options.json else "quiet" if options.quiet else "auto")
-    made = join_stations(shots, options.out, StationOptions(options.poses, options.voxel_m), reporter)
+    asked = StationOptions(options.poses, options.voxel_m, read_tunings(options.tuning))
+    made = join_stations(shots, options.out, asked, reporter)
     joined = [c for c in made["clouds"] if c["joined"]]
     reporter.event("stations", out=options.out, joined=len(joined), clouds=len(made["clouds"]))
     if not options.json and not options.quiet:

@@ -13,6 +13,7 @@ from tiegraph.cli.options import options_of
 from tiegraph.pipeline.watch.loop import watch
 from tiegraph.project.progress import Reporter
 from tiegraph.project.run import Run
+from tiegraph.project.verbtunings import read_tunings
 from tiegraph.scene.regular import real_path
 
 
@@ -30,6 +31,8 @@ class WatchOptions:
     """Positions, as for `tiegraph run`: the plan is in metres then, north up."""
     times: Path | None = None
     """CSV of the frames' times, as for `tiegraph run`: of images that have none, for --gnss."""
+    tuning: Path | None = None
+    """A file with other constants: tables [tuning.watch] and those of the stages that it uses."""
     port: int = 8765
     """Of the page on this machine (127.0.0.1); 0 = any that is free."""
     json: bool = False
@@ -55,7 +58,8 @@ def main(arguments: list[str]) -> int:
     source = real_path(folder)
     out = options.out or source.with_name(source.name + "_watch")
     given = {name: getattr(options, name) for name in ("rig", "camera", "gnss", "times")}
-    project = open_project(source, out, **given)
+    tunings = read_tunings(options.tuning)
+    project = open_project(source, out, settings={"tuning": tunings.of_stages()}, **given)
     reporter = Reporter("json" if options.json else "quiet" if options.quiet else "auto")
-    watch(Run(project.folder, project.inputs, project.settings, "serial", reporter), options.port)
+    watch(Run(project.folder, project.inputs, project.settings, "serial", reporter), options.port, tunings.watch)
     return 0

@@ -26,11 +26,12 @@ from tiegraph.calibrate.picture import residual_picture
 from tiegraph.calibrate.settings import CalibrateSettings
 from tiegraph.calibrate.start import start
 from tiegraph.calibrate.summary import correlation_csv, lengths, rig_sigmas, summary
-from tiegraph.calibrate.tuning import BoardTuning, Tuning
+from tiegraph.calibrate.tuning import BoardTuning, JudgeTuning
 from tiegraph.errors import InputError
 from tiegraph.project.pool import map_items, open_pool
 from tiegraph.project.progress import Reporter
 from tiegraph.project.stages import write_atomic
+from tiegraph.project.verbtunings import VerbTunings
 from tiegraph.scan.assign import Report
 from tiegraph.scan.folders import guess_layout
 from tiegraph.scan.frames import match_frames
@@ -43,7 +44,6 @@ from tiegraph.scene.hanging import WIDE
 from tiegraph.scene.images import Probe, probe_image, search_images
 from tiegraph.scene.names import clean_names
 from tiegraph.scene.rig import Rig, Sensor
-from tiegraph.scene.tuning import ImageTuning
 from tiegraph.text import one_line
 
 _FOLDER = "_calibration"  # beside the rig.toml: its name without suffix, and this
@@ -56,23 +56,27 @@ def calibrate(
     settings: CalibrateSettings,
     pool: str = "local",
     reporter: Reporter | None = None,
+    tunings: VerbTunings | None = None,
 ) -> Verdict:
     """Calibrate the cameras whose images of a board lie below a folder; writes ``out`` and a folder beside it.
 
     Raises InputError for a board, images or outputs that cannot be used, and ReconstructionError for views that
     contradict each other or leave a focal length open; then nothing is written.
     """
-    reporter, tuning = reporter or Reporter("quiet"), Tuning()
+    reporter, tunings = reporter or Reporter("quiet"), tunings or VerbTunings()
+    tuning = tunings.calibrate
     made = Outputs.beside(out)
     pattern = read_board(board, tuning.board)
-    survey = _read_folder(images, settings, pool, reporter)
+    survey = _read_folder(images, settings, pool, reporter, tunings)
     check_wide(settings.wide, [c.name for c in survey.cameras])
     seen = _detect(survey, pattern, tuning.board, pool, reporter)
     unread = _without_board(survey, seen)
     check_views(seen, tuning.start)
     done = adjust_robustly(seen, start(seen, tuning), tuning.adjust, settings.board_sigma)
     verdict = judge(done, tuning)
-    _write(made, done, verdict, (board, *survey.notes, *unread), _rig(done, verdict, settings.wide))
+    constants = [f"constants changed: {tunings.changed()}"] if tunings.changed() else []
+    notes = (board, *constants, *survey.notes, *unread)
+    _write(made, done, verdict, notes, _rig(done, verdict, settings.wide), tuning.judge)
     left_out = (f"left out: {name}: {why}" for name, why in done.left_out)
     scale = () if len(survey.cameras) == 1 else (lengths(done),)
     for text in (*unread, *left_out, *verdict.advice, *scale, *made.said()):
@@ -102,16 +106,18 @@ class _Survey:
     notes: tuple[str, ...]
 
 
-def _read_folder(images: Path, settings: CalibrateSettings, pool: str, reporter: Reporter) -> _Survey:
+def _read_folder(
+    images: Path, settings: CalibrateSettings, pool: str, reporter: Reporter, tunings: VerbTunings
+) -> _Survey:
     """Cameras, instants and files below a folder, in the layouts that ``scan`` reads."""
-    tuning, report = ScanTuning(), Report()
+    tuning, report = tunings.scan, Report()
     found = search_images(images)
     names = clean_names(list(found.names))
-    check_count(images, len(names), Tuning().start)
+    check_count(images, len(names), tunings.calibrate.start)
     paths = [Path(images, f) for f in found.names]
     with reporter.stage("images"):
         reporter.total(len(paths))
-        probes = _map(pool, reporter, probe_image, paths, ImageTuning())
+        probes = _map(pool, reporter, probe_image, paths, tunings.scene.images)
     usable = usable_images(names, probes, report)
     layout = guess_layout(usable.names, *usable.facts(), settings.layout, tuning.folders)
     report.notes.append(f"layout: {len(layout.folders)} camera(s){'' if layout.loose else ': ' + layout.note}")
@@ -120,7 +126,7 @@ def _read_folder(images: Path, settings: CalibrateSettings, pool: str, reporter:
     sequence = {k: place.sequence for k, place in zip(usable.images, layout.places) if place is not None}
     report.drop([names[k] for k in usable.images if k not in folder], "outside the camera folders")
     if len(layout.folders) == 1 and settings.layout == "auto":
-        check_one_camera([names[k] for k in kept], Tuning().start)
+        check_one_camera([names[k] for k in kept], tunings.calibrate.start)
     owned = [[k for k in kept if folder[k] == f] for f in layout.folders]
     upright = [len({probes[k].exif.orientation for k in own}) == 1 for own in owned]
     models = _models(settings.model, [f or "camera" for f in layout.folders])
@@ -281,7 +287,7 @@ class Outputs:
         return f"written: {self.rig}", f"summary: {self.folder / 'summary.md'}"
 
 
-def _write(made: Outputs, done: Adjusted, verdict: Verdict, said: Sequence[str], rig: Rig) -> None:
+def _write(made: Outputs, done: Adjusted, verdict: Verdict, said: Sequence[str], rig: Rig, tuning: JudgeTuning) -> None:
     board, *notes = said
     names = [c.name for c in done.seen.cameras]
     files = [f"camera{k}" for k in range(len(names))]  # folders may have several levels
@@ -291,7 +297,7 @@ def _write(made: Outputs, done: Adjusted, verdict: Verdict, said: Sequence[str],
             notes.append(f"no OpenCV YAML of {names[k]}: OpenCV has no model {done.state.cameras[k].model.name}")
         else:
             write_atomic(made.folder / f"{stem}.yaml", text)
-        write_atomic(made.folder / f"{stem}_residuals.png", residual_picture(done, k, Tuning().judge))
+        write_atomic(made.folder / f"{stem}_residuals.png", residual_picture(done, k, tuning))
     chain = kalibr_yaml(done.state.cameras, done.state.sensor_from_rig)
     if chain is None:
         notes.append("no camchain.yaml: Kalibr has no such camera model")

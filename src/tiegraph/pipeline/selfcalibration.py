@@ -14,20 +14,25 @@ from tiegraph.pipeline.calibrate import Outputs
 from tiegraph.pipeline.foundrig import rig_file
 from tiegraph.project.progress import Reporter
 from tiegraph.project.stages import write_atomic
+from tiegraph.project.verbtunings import VerbTunings
 from tiegraph.scan.rigfiles.rigfile import parse_rig_file, read_rig_file
 from tiegraph.scan.rigfiles.rigspec import RigSpec, SensorSpec
-from tiegraph.scan.tuning import RigTuning
 
 
 def self_calibration(
-    folder: Path, out: Path, against: Path | None = None, reporter: Reporter | None = None
+    folder: Path,
+    out: Path,
+    against: Path | None = None,
+    reporter: Reporter | None = None,
+    tunings: VerbTunings | None = None,
 ) -> tuple[Difference, ...]:
     """Write the rig of a run folder as ``out``; how it differs from the rig file ``against``, camera by camera.
 
     Raises InputError as ``foundrig.rig_file`` does, for a rig file that cannot be read, has several rigs or other
     cameras, and for outputs that are there.
     """
-    reporter, tuning = reporter or Reporter("quiet"), RigTuning()
+    reporter, tunings = reporter or Reporter("quiet"), tunings or VerbTunings()
+    tuning = tunings.scan.rig
     made = Outputs.beside(out)
     other = None if against is None else _only(against, read_rig_file(against, tuning))
     found = rig_file(folder)
@@ -36,7 +41,7 @@ def self_calibration(
     if other is not None:
         (own,) = parse_rig_file(folder, found.text, tuning)
         rows = differences(_calibrations(other), _calibrations(own))
-        said += [sentence(row, JudgeTuning()) for row in rows]
+        said += [sentence(row, tunings.calibrate.judge) for row in rows]
     write_atomic(made.rig, found.text)
     for text in (*said, f"written: {made.rig}"):
         reporter.say(text)

@@ -14,7 +14,6 @@ import numpy as np
 
 from tiegraph.cloud.fuse import FusionResult, MapPoints, fuse_points
 from tiegraph.cloud.settings import CloudSettings
-from tiegraph.cloud.tuning import Tuning as CloudTuning
 from tiegraph.errors import InputError, ReconstructionError
 from tiegraph.geometry import transforms
 from tiegraph.geometry.geodesy import ENU, Origin
@@ -22,6 +21,7 @@ from tiegraph.lidar.tables import finite
 from tiegraph.pipeline.clouds import new_folder
 from tiegraph.project.progress import Reporter
 from tiegraph.project.run import save_json
+from tiegraph.project.verbtunings import VerbTunings
 from tiegraph.scan.priors.trajectory import write_tum
 from tiegraph.scene.cloudfile import read_cloud, shift_of, write_cloud
 from tiegraph.scene.posefile import read_poses
@@ -30,7 +30,7 @@ from tiegraph.stations.pairs import Pair
 from tiegraph.stations.precision import Band, by_distance
 from tiegraph.stations.spacing import spacing_of
 from tiegraph.stations.station import Shot, Station
-from tiegraph.stations.tuning import Tuning
+from tiegraph.stations.tuning import SpacingTuning, Tuning
 
 ENDINGS = (".ply", ".las", ".laz")
 CLOUD, POSES, SUMMARY = "cloud.laz", "stations.tum", "stations.json"
@@ -38,11 +38,12 @@ CLOUD, POSES, SUMMARY = "cloud.laz", "stations.tum", "stations.json"
 
 @dataclass(frozen=True)
 class StationOptions:
-    """What may be said beside the clouds: a TUM file of prior poses, and the spacing of the cloud (0 = by the
-    shots)."""
+    """What may be said beside the clouds: a TUM file of prior poses, the spacing of the cloud (0 = by the shots), and
+    other constants than the default ones."""
 
     poses: Path | None = None
     voxel_m: float = 0.0
+    tuning: VerbTunings = VerbTunings()
 
 
 def stations(
@@ -53,7 +54,7 @@ def stations(
 
     Raises InputError for clouds and poses that cannot be used; ReconstructionError if nothing joins.
     """
-    reporter, tuning = reporter or Reporter("quiet"), Tuning()
+    reporter, tuning = reporter or Reporter("quiet"), options.tuning.stations
     if not 0 <= options.voxel_m < np.inf:
         raise InputError(f"--voxel-m {options.voxel_m:g}: give metres above 0, or 0 for the spacing of the shots")
     files = cloud_files(sources)
@@ -74,13 +75,14 @@ def stations(
             path = {s.name: p for s, p in zip(ready, joined.poses) if np.isfinite(p).all()}
             known = {file.stem: file for file in files}
             voxel = options.voxel_m or read.spacing_m
-            merged = _merged(known, path, voxel, _noise(ready, joined), Path(scratch))
+            merged = _merged(known, path, voxel, _noise(ready, joined), Path(scratch), options.tuning)
             notes = write_cloud((replace(c, origin=read.origin) for c in merged.clouds()), folder / CLOUD, voxel)
         result = {
             **told,
             "frame": _frame(read.origin, options, ready, joined),
             "voxel_m": voxel,
             "cloud": merged.counts,
+            "tuning": options.tuning.changed(),
         }
         result["notes"] = list(notes)
         numbers = pose_numbers([s.name for s in ready])
@@ -206,17 +208,30 @@ def _noise(ready: Sequence[Station], joined: Joined) -> float:
 
 
 def _merged(
-    files: dict[str, Path], poses: dict[str, np.ndarray], voxel: float, noise: float, scratch: Path
+    files: dict[str, Path],
+    poses: dict[str, np.ndarray],
+    voxel: float,
+    noise: float,
+    scratch: Path,
+    tuning: VerbTunings,
 ) -> FusionResult:
     """The clouds added up by voxel, weighted by their sigmas, and filtered (SOR and radius) as those of a run."""
     settings = CloudSettings(voxel_size=voxel)
-    points = partial(_points, files=files, poses=poses, noise=noise, voxel=voxel)
-    found = fuse_points(sorted(poses), points, scratch, settings, CloudTuning())
+    spacing = tuning.stations.spacing
+    points = partial(_points, files=files, poses=poses, noise=noise, voxel=voxel, tuning=spacing)
+    found = fuse_points(sorted(poses), points, scratch, settings, tuning.cloud)
     assert found is not None  # no cloud is empty
     return found
 
 
-def _points(name: str, files: dict[str, Path], poses: dict[str, np.ndarray], noise: float, voxel: float) -> MapPoints:
+def _points(
+    name: str,
+    files: dict[str, Path],
+    poses: dict[str, np.ndarray],
+    noise: float,
+    voxel: float,
+    tuning: SpacingTuning,
+) -> MapPoints:
     cloud, pose = read_cloud(files[name]), poses[name]
     sigma = np.where(np.isfinite(cloud.sigma_m) & (cloud.sigma_m > 0), cloud.sigma_m, noise).astype(np.float32)
     moved = replace(
@@ -226,7 +241,7 @@ def _points(name: str, files: dict[str, Path], poses: dict[str, np.ndarray], noi
         sigma_m=sigma,
         views=np.maximum(cloud.views, 1),
     )
-    return moved, np.maximum(spacing_of(cloud.xyz_m, cloud.origin is None, Tuning().spacing), voxel), 0
+    return moved, np.maximum(spacing_of(cloud.xyz_m, cloud.origin is None, tuning), voxel), 0
 
 
 # --- what is told ----------------------------------------------------------------------------------------------------

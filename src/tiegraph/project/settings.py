@@ -126,7 +126,7 @@ def merged(*layers: dict[str, dict[str, Any]], where: str = "settings") -> Setti
     try:
         return Settings.model_validate(together)
     except ValidationError as error:
-        raise SettingsError(f"{where}: " + "; ".join(_explain(e) for e in error.errors())) from None
+        raise SettingsError(f"{where}: " + "; ".join(explain(e, Settings) for e in error.errors())) from None
 
 
 def _laid_over(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
@@ -243,13 +243,14 @@ def _nearest(name: str) -> str:
     return (difflib.get_close_matches(name, list(Settings.model_fields), n=1) or ["masks"])[0]
 
 
-def _explain(error: Any) -> str:
+def explain(error: Any, root: type[Section]) -> str:
+    """An error of validation in words, with the name of the setting below ``root`` and what may have been meant."""
     where = [str(part) for part in error["loc"]]
     name = ".".join(where)
     if error["type"] != "extra_forbidden":
         value = "" if isinstance(error.get("input"), dict) else f" = {shortened(error.get('input'))}"
         return f"{name}{value}: {error['msg'].removeprefix('Value error, ')}"
-    fields: Any = Settings
+    fields: Any = root
     for part in where[:-1]:
         fields = type(fields.model_fields[part].default)
     near = difflib.get_close_matches(where[-1], list(fields.model_fields), n=1)

@@ -47,7 +47,7 @@ _RECENT = 100  # images of the median time
 log = logging.getLogger(__name__)
 
 
-def watch(run: Run, port: int) -> None:
+def watch(run: Run, port: int, tuning: Tuning) -> None:
     """Watch ``run.inputs.images`` until it is interrupted, which is how it ends: what is known is kept then.
 
     Raises InputError, before anything is written, for inputs that are wrong, a run folder that is not ours, and a port
@@ -59,7 +59,7 @@ def watch(run: Run, port: int) -> None:
     server = PageServer(port)
     try:
         with working_in(run.folder):
-            watched = Watched(run, Tuning())
+            watched = Watched(run, tuning)
             server.show(watched.state())
             run.reporter.say(f"watching {run.inputs.images}: {server.address} shows what arrives; Ctrl-C ends it")
             run.reporter.event("watching", page=server.address, folder=str(run.inputs.images))
