@@ -121,7 +121,7 @@ def _hashes(out: Path) -> dict[str, str]:
     found: dict[str, str] = {}
     for path in (out / "receipts" / "files").glob("*.json"):
         if path.stem != "report":
-            found |= {name: entry[2] for name, entry in json.loads(path.read_text()).items()}
+            found |= {name: entry[-1] for name, entry in json.loads(path.read_text()).items()}
     return found
 
 

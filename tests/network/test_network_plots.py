@@ -89,6 +89,19 @@ def test_loose_photographs_have_a_matrix_and_a_map() -> None:
     assert share_of(map_png(pairs, None, photos(7)), RED) > 1e-4  # it says that there are no positions
 
 
+def test_photographs_stand_by_the_strength_of_their_ties_and_each_time_alike() -> None:
+    from boat_world import photos
+
+    scene = photos(8)
+    i, j = np.triu_indices(8, 1)
+    alike = Pairs.make(i, j, "exhaustive")  # the layout is open then
+    first, second = (_layout(alike, None, scene)[0] for _ in range(2))
+    assert np.isfinite(first).all() and np.array_equal(first, second)
+    facade = Pairs.make(i, j, "exhaustive", score=400.0 / 4.0 ** (j - i))
+    along = _layout(facade, None, scene)[0][:, 0]
+    assert (np.diff(along) > 0).all() or (np.diff(along) < 0).all()
+
+
 @pytest.mark.slow
 def test_the_map_shows_kinds_and_weak_links() -> None:
     world, network = surveyed()

@@ -12,6 +12,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
+from scipy.linalg import eigh
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import laplacian
 from scipy.sparse.linalg import eigsh
@@ -24,6 +25,7 @@ from tiegraph.scene.scene import Scene
 
 MAX_NODES = 300  # more frames than this are drawn as runs of neighbours
 MAX_LINES = 2500  # the strongest of each kind
+_DENSE_LIMIT = 500  # up to here by LAPACK: where all tie to all alike, ARPACK draws vectors of its own
 _SPECTRAL_LIMIT = 3000  # loose images laid out by their ties; beyond, on a circle
 _BULGE = 0.28  # height of a short arc, as a share of its chord
 _HIGHEST = 0.11  # height of the longest arc, as a share of the map's longer side
@@ -126,7 +128,8 @@ def _layout(kept: Pairs, positions: np.ndarray | None, scene: Scene) -> tuple[np
 
 
 def _by_ties(kept: Pairs, scene: Scene) -> np.ndarray:
-    """Spectral layout (Hall 1970): second and third eigenvector of the normalised Laplacian of the frames' ties."""
+    """Spectral layout (Hall 1970): second and third eigenvector of the normalised Laplacian of the frames' ties, by their
+    strength."""
     n = scene.frames
     a, b = scene.frame[kept.i], scene.frame[kept.j]
     angle = 2 * np.pi * np.arange(n) / max(n, 1)
@@ -134,13 +137,23 @@ def _by_ties(kept: Pairs, scene: Scene) -> np.ndarray:
     if not 4 < n <= _SPECTRAL_LIMIT or not len(kept):
         return circle
     # A faint tie of all to all keeps separate parts apart and the problem well posed.
-    graph = coo_array((np.ones(len(a)), (a, b)), shape=(n, n)).tocsr()
-    dense = (graph + graph.T).toarray() + 0.02
-    found = eigsh(laplacian(dense, normed=True), k=3, sigma=-0.01, v0=np.ones(n))[1]
-    place = found[:, 1:3]
+    strength = _strength(kept)
+    usual = max(float(np.nanmean(strength)), 1.0) if np.isfinite(strength).any() else 1.0
+    graph = coo_array((np.nan_to_num(strength / usual, nan=1.0), (a, b)), shape=(n, n)).tocsr()
+    dense, root = laplacian((graph + graph.T).toarray() + 0.02, normed=True, return_diag=True)
+    if n <= _DENSE_LIMIT:
+        place = eigh(dense, subset_by_index=[1, 2])[1]
+    else:
+        place = eigsh(dense, k=3, sigma=-0.01, v0=np.random.default_rng(0).random(n))[1][:, 1:3]
+    place = place / root[:, None]  # or frames with few ties would all lie in the middle
     # Ranks on each axis, half way: clusters of look-alikes would else fall on one dot.
     rank = np.argsort(np.argsort(place, axis=0, kind="stable"), axis=0) / n - 0.5
     return 0.5 * place / max(float(np.abs(place).max()), 1e-9) + 0.5 * rank
+
+
+def _strength(pairs: Pairs) -> np.ndarray:
+    """(P,) verified matches, else those of previews."""
+    return np.where(pairs.inliers > 0, pairs.inliers, pairs.score).astype(float)
 
 
 def _joined(place: np.ndarray, scene: Scene) -> _Nodes:
@@ -179,7 +192,7 @@ def _aggregated(kept: Pairs, scene: Scene, nodes: _Nodes, kind: str) -> _Ties:
     of_kind = _of_kind(scene, np.stack([kept.i, kept.j], axis=1)) == kind
     a, b = np.minimum(nodes.of_frame[fi], nodes.of_frame[fj]), np.maximum(nodes.of_frame[fi], nodes.of_frame[fj])
     rows = np.flatnonzero(of_kind & (a >= 0) & (a != b))
-    strength = np.where(kept.inliers[rows] > 0, kept.inliers[rows], kept.score[rows]).astype(float)
+    strength = _strength(kept)[rows]
     key, at = np.unique(a[rows].astype(np.int64) * len(nodes.place) + b[rows], return_inverse=True)
     count = np.bincount(at, minlength=len(key))
     known = np.isfinite(strength)
