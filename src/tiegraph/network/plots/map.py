@@ -128,8 +128,8 @@ def _layout(kept: Pairs, positions: np.ndarray | None, scene: Scene) -> tuple[np
 
 
 def _by_ties(kept: Pairs, scene: Scene) -> np.ndarray:
-    """Spectral layout (Hall 1970): second and third eigenvector of the normalised Laplacian of the frames' ties, by their
-    strength."""
+    """Spectral layout (Hall 1970): second and third eigenvector of the normalised Laplacian of the frames' ties, by
+    their strength."""
     n = scene.frames
     a, b = scene.frame[kept.i], scene.frame[kept.j]
     angle = 2 * np.pi * np.arange(n) / max(n, 1)
