@@ -10,7 +10,8 @@ epsilons, seeds, bounds of memory and definitions stay in their modules.
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, field_validator, model_validator
+from pydantic_core import CoreSchema
 
 from tiegraph.text import acts, one_line
 
@@ -20,6 +21,14 @@ class Section(BaseModel):
 
     # Validators are built at first use: a child or a worker of a pool needs a few of some hundred classes.
     model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True, allow_inf_nan=False, defer_build=True)
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Classes within it first: their validators are then built once and not again in each class around them."""
+        for field in cls.model_fields.values():
+            if isinstance(field.annotation, type) and issubclass(field.annotation, Section):
+                field.annotation.model_rebuild()
+        return handler(source)
 
     @model_validator(mode="before")
     @classmethod
