@@ -34,11 +34,11 @@ class Section(BaseModel):
     @classmethod
     def _true_is_no_number(cls, data: Any) -> Any:
         """Pydantic takes true for 1 and 1 for true: of a file that is a value on the wrong line."""
-        for name, field in cls.model_fields.items():
-            given = data.get(name) if isinstance(data, dict) else None
-            if isinstance(given, bool) and field.annotation in (int, float, float | None):
+        for name, given in data.items() if isinstance(data, dict) else ():
+            wanted = cls.model_fields[name].annotation if name in cls.model_fields else None
+            if isinstance(given, bool) and wanted in (int, float, float | None):
                 raise ValueError(f"{name} = {str(given).lower()}: give a number")
-            if isinstance(given, (int, float, str)) and not isinstance(given, bool) and field.annotation is bool:
+            if isinstance(given, (int, float, str)) and not isinstance(given, bool) and wanted is bool:
                 raise ValueError(f"{name} = {given!r}: give true or false")
         return data
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import sys
 from collections.abc import Iterable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -78,6 +79,11 @@ class Tunings(Section):
     targets: TargetsTuning = Field(default_factory=TargetsTuning)
 
 
+@cache
+def _tunings() -> Tunings:
+    return Tunings()
+
+
 class Settings(Section):
     """Every setting, by stage; and the engines' constants."""
 
@@ -99,7 +105,7 @@ class Settings(Section):
     evaluate: EvaluateSettings = Field(default_factory=EvaluateSettings)
     report: ReportSettings = Field(default_factory=ReportSettings)
     shots: ShotsSettings = Field(default_factory=ShotsSettings)
-    tuning: Tunings = Field(default_factory=Tunings)
+    tuning: Tunings = Field(default_factory=_tunings)
 
 
 STAGED = tuple(name for name in Settings.model_fields if name != "tuning")
@@ -211,7 +217,8 @@ def without(stored: dict[str, Any], keys: Iterable[str]) -> dict[str, Any]:
 
 def sections() -> list[tuple[str, dict[str, Any]]]:
     """(section, its fields by name) of the section of every stage."""
-    return [(name, dict(type(getattr(Settings(), name)).model_fields)) for name in STAGED]
+    settings = Settings()
+    return [(name, dict(type(getattr(settings, name)).model_fields)) for name in STAGED]
 
 
 def shortened(value: Any) -> str:
