@@ -10,7 +10,8 @@ epsilons, seeds, bounds of memory and definitions stay in their modules.
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, field_validator, model_validator
+from pydantic_core import CoreSchema
 
 from tiegraph.text import acts, one_line
 
@@ -21,15 +22,23 @@ class Section(BaseModel):
     # Validators are built at first use: a child or a worker of a pool needs a few of some hundred classes.
     model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True, allow_inf_nan=False, defer_build=True)
 
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Classes within it first: their validators are then built once and not again in each class around them."""
+        for field in cls.model_fields.values():
+            if isinstance(field.annotation, type) and issubclass(field.annotation, Section):
+                field.annotation.model_rebuild()
+        return handler(source)
+
     @model_validator(mode="before")
     @classmethod
     def _true_is_no_number(cls, data: Any) -> Any:
         """Pydantic takes true for 1 and 1 for true: of a file that is a value on the wrong line."""
-        for name, field in cls.model_fields.items():
-            given = data.get(name) if isinstance(data, dict) else None
-            if isinstance(given, bool) and field.annotation in (int, float, float | None):
+        for name, given in data.items() if isinstance(data, dict) else ():
+            wanted = cls.model_fields[name].annotation if name in cls.model_fields else None
+            if isinstance(given, bool) and wanted in (int, float, float | None):
                 raise ValueError(f"{name} = {str(given).lower()}: give a number")
-            if isinstance(given, (int, float, str)) and not isinstance(given, bool) and field.annotation is bool:
+            if isinstance(given, (int, float, str)) and not isinstance(given, bool) and wanted is bool:
                 raise ValueError(f"{name} = {given!r}: give true or false")
         return data
 

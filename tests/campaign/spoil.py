@@ -169,7 +169,7 @@ def _taken(folder: Path, rng: random.Random) -> Spoiled:
 def setting(rng: random.Random) -> tuple[str, list[str], Spoiled]:
     """(stage, arguments, what) of a value that cannot be meant."""
     stage = rng.choice([s for s in Settings.model_fields if s not in ("shots", "tuning")])
-    section = type(Settings.model_fields[stage].default)
+    section = type(getattr(Settings(), stage))
     name = rng.choice(list(section.model_fields))
     option = f"--{stage}.{name.replace('_', '-')}"
     value = rng.choice(CRS if name == "crs" else NONSENSE)
@@ -195,6 +195,6 @@ def settings_text(text: str, rng: random.Random) -> tuple[str, str]:
     import tomli_w
 
     stage = rng.choice([s for s in Settings.model_fields if s not in ("shots", "tuning")])
-    values = Settings.model_fields[stage].default.model_dump(mode="json")
+    values = getattr(Settings(), stage).model_dump(mode="json")
     table = {stage: {k: v for k, v in values.items() if v is not None}}
     return stage, f"{text}\n{tomli_w.dumps(table)}"

@@ -99,7 +99,7 @@ class JudgeTuning(Section):
 class Tuning(Section):
     """Constants of the engine that are the same for every user."""
 
-    board: BoardTuning = BoardTuning()
-    start: StartTuning = StartTuning()
-    adjust: AdjustTuning = AdjustTuning()
-    judge: JudgeTuning = JudgeTuning()
+    board: BoardTuning = Field(default_factory=BoardTuning)
+    start: StartTuning = Field(default_factory=StartTuning)
+    adjust: AdjustTuning = Field(default_factory=AdjustTuning)
+    judge: JudgeTuning = Field(default_factory=JudgeTuning)

@@ -238,23 +238,23 @@ class NormalTuning(Section):
 class Tuning(Section):
     """Constants of the engine that are the same for every user."""
 
-    views: ViewTuning = ViewTuning()
+    views: ViewTuning = Field(default_factory=ViewTuning)
     """Undistorted images."""
-    partners: PartnerTuning = PartnerTuning()
+    partners: PartnerTuning = Field(default_factory=PartnerTuning)
     """The choice of partners."""
-    shots: ShotTuning = ShotTuning()
+    shots: ShotTuning = Field(default_factory=ShotTuning)
     """Single shots."""
-    shot_scale: ShotScaleTuning = ShotScaleTuning()
+    shot_scale: ShotScaleTuning = Field(default_factory=ShotScaleTuning)
     """The unit of a model by shots."""
-    pairs: PairTuning = PairTuning()
+    pairs: PairTuning = Field(default_factory=PairTuning)
     """Rectified pairs."""
-    sgbm: SgbmTuning = SgbmTuning()
+    sgbm: SgbmTuning = Field(default_factory=SgbmTuning)
     """OpenCV's matcher."""
-    tsgm: TsgmTuning = TsgmTuning()
+    tsgm: TsgmTuning = Field(default_factory=TsgmTuning)
     """The hierarchical matcher."""
-    speckles: SpeckleTuning = SpeckleTuning()
+    speckles: SpeckleTuning = Field(default_factory=SpeckleTuning)
     """What both matchers drop."""
-    rays: RayTuning = RayTuning()
+    rays: RayTuning = Field(default_factory=RayTuning)
     """From disparities to depths that stand."""
-    normals: NormalTuning = NormalTuning()
+    normals: NormalTuning = Field(default_factory=NormalTuning)
     """Surface normals."""

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import nnls
+import scipy
 
 from tiegraph.design.tuning import MatchPredictionTuning
 from tiegraph.scene.matches import PreviewMatches, Visibility
@@ -166,7 +166,9 @@ def _fitted(
     for a in tuning.angles_deg:
         for o in tuning.octaves:
             likely = table @ np.exp(-((angle / a) ** 2) - (octave / o) ** 2).ravel()
-            found, residual = nnls(np.stack([likely, np.ones(len(count))], axis=1) * weight[:, None], count * weight)
+            found, residual = scipy.optimize.nnls(
+                np.stack([likely, np.ones(len(count))], axis=1) * weight[:, None], count * weight
+            )
             if residual < least and found[0] > 0:
                 best, least = _Law(angle_deg=a, octaves=o, rate=float(found[0]), by_chance=float(found[1])), residual
     return best

@@ -166,17 +166,17 @@ class Tuning(Section):
     shares 0 to 36. Views of an object with little texture (40 of dino) share 63 and more."""
     start_share: float = Field(0.5, ge=0, le=1)
     """Of a budget of pairs that the pairs may take which stay whatever a design is after."""
-    cost: CostTuning = CostTuning()
+    cost: CostTuning = Field(default_factory=CostTuning)
     """The cost of matching."""
-    expected: ExpectedTuning = ExpectedTuning()
+    expected: ExpectedTuning = Field(default_factory=ExpectedTuning)
     """Expected matches by overlap."""
-    match_prediction: MatchPredictionTuning = MatchPredictionTuning()
+    match_prediction: MatchPredictionTuning = Field(default_factory=MatchPredictionTuning)
     """Expected matches by the coarse model."""
-    holding: HoldingTuning = HoldingTuning()
+    holding: HoldingTuning = Field(default_factory=HoldingTuning)
     """The pairs that hold every image and part."""
-    net: NetTuning = NetTuning()
+    net: NetTuning = Field(default_factory=NetTuning)
     """The net of resistances and its tracks."""
-    growth: GrowthTuning = GrowthTuning()
+    growth: GrowthTuning = Field(default_factory=GrowthTuning)
     """Rounds of the choice."""
-    surface: SurfaceTuning = SurfaceTuning()
+    surface: SurfaceTuning = Field(default_factory=SurfaceTuning)
     """The map of the surface."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from scipy.optimize import minimize_scalar
+import scipy
 
 from tiegraph.evaluate.trajectory import PoseMatch
 from tiegraph.evaluate.tuning import JudgeTuning
@@ -89,7 +89,7 @@ def _axis_scale(est: np.ndarray, ref: np.ndarray, axis: int, metric: bool, tunin
 
     start = min(np.linspace(-tuning.axis_decades, tuning.axis_decades, tuning.axis_starts), key=left)
     reach = tuning.axis_bracket_decades
-    best = minimize_scalar(left, bounds=(start - reach, start + reach), method="bounded")
+    best = scipy.optimize.minimize_scalar(left, bounds=(start - reach, start + reach), method="bounded")
     return float(best.fun), float(10**best.x)
 
 

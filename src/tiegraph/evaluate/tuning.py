@@ -69,7 +69,7 @@ class M3c2Tuning(Section):
 class RegistrationTuning(Section):
     """A cloud laid on another by ICP (`clouds/register.py`)."""
 
-    coarse: CoarseTuning = CoarseTuning()
+    coarse: CoarseTuning = Field(default_factory=CoarseTuning)
     """A start by the clouds' shapes."""
     points: int = Field(200_000, gt=0)
     """Of either cloud that take part, at most."""
@@ -143,17 +143,17 @@ class Tuning(Section):
     """Check points that may hold a tolerance: fewer say hardly anything of a survey (ASPRS asks for 30)."""
     unscaled_share: float = Field(0.1, ge=0)
     """A model whose scale is further off than this share was never metric."""
-    trajectory: TrajectoryTuning = TrajectoryTuning()
+    trajectory: TrajectoryTuning = Field(default_factory=TrajectoryTuning)
     """Reference poses."""
-    cloud: CloudTuning = CloudTuning()
+    cloud: CloudTuning = Field(default_factory=CloudTuning)
     """Reference clouds."""
-    m3c2: M3c2Tuning = M3c2Tuning()
+    m3c2: M3c2Tuning = Field(default_factory=M3c2Tuning)
     """Differences along the normal."""
-    registration: RegistrationTuning = RegistrationTuning()
+    registration: RegistrationTuning = Field(default_factory=RegistrationTuning)
     """A cloud laid on another."""
-    changes: ChangesTuning = ChangesTuning()
+    changes: ChangesTuning = Field(default_factory=ChangesTuning)
     """What has changed."""
-    passes: PassesTuning = PassesTuning()
+    passes: PassesTuning = Field(default_factory=PassesTuning)
     """Two passes of one run."""
-    judge: JudgeTuning = JudgeTuning()
+    judge: JudgeTuning = Field(default_factory=JudgeTuning)
     """What contradicts."""

@@ -47,7 +47,7 @@ class SiftTuning(Section):
 class Tuning(Section):
     """Constants of the engine that are the same for every user."""
 
-    preview: PreviewTuning = PreviewTuning()
+    preview: PreviewTuning = Field(default_factory=PreviewTuning)
     """Previews."""
-    sift: SiftTuning = SiftTuning()
+    sift: SiftTuning = Field(default_factory=SiftTuning)
     """Full resolution."""

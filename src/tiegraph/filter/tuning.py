@@ -117,11 +117,11 @@ class Tuning(Section):
     """Of a pair's matches, in any case: right ones 0.35 to 1 on canal, others mostly 0."""
     as_good: float = Field(0.65, ge=0, le=1)
     """Of the matches of a pair's free motion, that make a motion of the predicted rotation as good."""
-    motion: MotionTuning = MotionTuning()
+    motion: MotionTuning = Field(default_factory=MotionTuning)
     """The motion of two units."""
-    rig: RigTuning = RigTuning()
+    rig: RigTuning = Field(default_factory=RigTuning)
     """The check of the rig."""
-    loops: LoopTuning = LoopTuning()
+    loops: LoopTuning = Field(default_factory=LoopTuning)
     """Votes and loops."""
-    prior: PriorTuning = PriorTuning()
+    prior: PriorTuning = Field(default_factory=PriorTuning)
     """The coarse model as judge."""

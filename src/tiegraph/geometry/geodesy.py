@@ -5,13 +5,15 @@ from __future__ import annotations
 import re
 import warnings
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pyproj
-from pyproj.transformer import TransformerGroup
 
 from tiegraph.errors import InputError
+
+if TYPE_CHECKING:
+    import pyproj  # a tenth of the start of a process, and few processes ask where on the Earth they are
 
 ENU = "ENU"
 CRS_WORDS = (
@@ -147,7 +149,7 @@ def far_from_rest(lat_lon_height: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     lat, lon, height = np.asarray(lat_lon_height, float).reshape(-1, 3).T
     if len(lat) < 2:
         return np.zeros(len(lat), bool), np.zeros(len(lat))
-    xyz = np.stack(_ECEF.transform(lat, lon, height), axis=-1)
+    xyz = np.stack(_ecef().transform(lat, lon, height), axis=-1)
     tried = xyz[:: max(1, len(xyz) // _CENTRES)]
     half = (len(tried) - 1) // 2
     within = [np.partition(np.linalg.norm(tried - c, axis=1), half)[half] for c in tried]
@@ -170,6 +172,8 @@ def apart(away: np.ndarray, floor: float) -> np.ndarray:
 @lru_cache(maxsize=16)
 def parse_crs(crs: str) -> pyproj.CRS:
     """The pyproj CRS of "EPSG:n". Raises InputError unless it exists, is projected and counts in metres to the east."""
+    import pyproj
+
     try:
         parsed = pyproj.CRS.from_user_input(crs)
     except pyproj.exceptions.CRSError:
@@ -189,6 +193,8 @@ def parse_crs(crs: str) -> pyproj.CRS:
 @lru_cache(maxsize=16)
 def crs_transformer(crs: str) -> pyproj.Transformer:
     """From WGS84 lon, lat, ellipsoidal height to a CRS as east, north, height (whatever its own axis order)."""
+    import pyproj
+
     target = pyproj.CRS.from_user_input(crs)
     check_vertical(crs)
     return pyproj.Transformer.from_crs("EPSG:4979", _three_dimensional(target), always_xy=True)
@@ -197,6 +203,9 @@ def crs_transformer(crs: str) -> pyproj.Transformer:
 @lru_cache(maxsize=16)
 def check_vertical(crs: str) -> None:
     """Raise InputError for a compound CRS whose geoid grid is not installed: PROJ would leave heights as they are."""
+    import pyproj
+    from pyproj.transformer import TransformerGroup
+
     parsed = pyproj.CRS.from_user_input(crs)
     if not parsed.is_compound:
         return
@@ -217,6 +226,8 @@ def vertical_note(crs: str) -> str:
     """What the heights of a CRS count from, in words."""
     if crs.upper() == ENU:
         return "heights from the tangent plane at the origin (ellipsoidal near it)"
+    import pyproj
+
     parsed = pyproj.CRS.from_user_input(crs)
     if parsed.is_compound:
         return f"heights are {parsed.sub_crs_list[-1].name}"
@@ -225,6 +236,8 @@ def vertical_note(crs: str) -> str:
 
 @lru_cache(maxsize=16)
 def _to_crs(crs: str) -> pyproj.Transformer:
+    import pyproj
+
     # always_xy stays off for the geographic side (lat, lon) and is undone for the projected side by its axis order.
     target = parse_crs(crs)
     check_vertical(crs)
@@ -274,7 +287,11 @@ def crs_coordinates(world_m: np.ndarray, origin: Origin) -> np.ndarray:
     return np.asarray(world_m, float) + np.asarray(origin.shift_m)
 
 
-_ECEF = pyproj.Transformer.from_crs("EPSG:4979", "EPSG:4978", always_xy=False)
+@cache
+def _ecef() -> pyproj.Transformer:
+    import pyproj
+
+    return pyproj.Transformer.from_crs("EPSG:4979", "EPSG:4978", always_xy=False)
 
 
 def enu_axes(lat_deg: np.ndarray | float, lon_deg: np.ndarray | float) -> np.ndarray:
@@ -289,16 +306,16 @@ def enu_axes(lat_deg: np.ndarray | float, lon_deg: np.ndarray | float) -> np.nda
 def geodetic_from_ecef(xyz_m: np.ndarray) -> np.ndarray:
     """Geodetic positions (N, 3): degrees, degrees, ellipsoidal metres, of ECEF coordinates (N, 3) on WGS84."""
     x, y, z = np.asarray(xyz_m, float).reshape(-1, 3).T
-    return np.stack(_ECEF.transform(x, y, z, direction="INVERSE"), axis=-1)
+    return np.stack(_ecef().transform(x, y, z, direction="INVERSE"), axis=-1)
 
 
 def _to_enu(lat: np.ndarray, lon: np.ndarray, height: np.ndarray, origin: Origin) -> np.ndarray:
-    ecef = np.stack(_ECEF.transform(lat, lon, height), axis=-1)
-    zero = np.array(_ECEF.transform(origin.lat_deg, origin.lon_deg, origin.height_m))
+    ecef = np.stack(_ecef().transform(lat, lon, height), axis=-1)
+    zero = np.array(_ecef().transform(origin.lat_deg, origin.lon_deg, origin.height_m))
     return (ecef - zero) @ enu_axes(origin.lat_deg, origin.lon_deg).T
 
 
 def _from_enu(enu_m: np.ndarray, origin: Origin) -> np.ndarray:
-    zero = np.array(_ECEF.transform(origin.lat_deg, origin.lon_deg, origin.height_m))
+    zero = np.array(_ecef().transform(origin.lat_deg, origin.lon_deg, origin.height_m))
     ecef = enu_m @ enu_axes(origin.lat_deg, origin.lon_deg) + zero
     return geodetic_from_ecef(ecef)

@@ -16,7 +16,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import least_squares
+import scipy
 from scipy.spatial.transform import Rotation, Slerp
 
 from tiegraph.errors import InputError
@@ -300,7 +300,7 @@ class _Problem:
 
         scale = np.array([0.01, 0.01, 0.01, 0.1, 0.1, 0.1, 0.01, 0.01])[free]
         loss = {"loss": "cauchy", "f_scale": self.tuning.robust}
-        done = least_squares(wrapped, values[free], slopes, x_scale=scale, **loss)
+        done = scipy.optimize.least_squares(wrapped, values[free], slopes, x_scale=scale, **loss)
         out = values.copy()
         out[free] = done.x
         self.jacobian, self.weight = slopes(done.x), 1 / (1 + (wrapped(done.x) / self.tuning.robust) ** 2)

@@ -146,9 +146,9 @@ class TieTuning(Section):
 class Tuning(Section):
     """Constants of the engine that are the same for every user."""
 
-    scan: ScanTuning = ScanTuning()
-    odometry: OdometryTuning = OdometryTuning()
-    adjust: AdjustTuning = AdjustTuning()
-    map: MapTuning = MapTuning()
-    hand_eye: HandEyeTuning = HandEyeTuning()
-    tie: TieTuning = TieTuning()
+    scan: ScanTuning = Field(default_factory=ScanTuning)
+    odometry: OdometryTuning = Field(default_factory=OdometryTuning)
+    adjust: AdjustTuning = Field(default_factory=AdjustTuning)
+    map: MapTuning = Field(default_factory=MapTuning)
+    hand_eye: HandEyeTuning = Field(default_factory=HandEyeTuning)
+    tie: TieTuning = Field(default_factory=TieTuning)

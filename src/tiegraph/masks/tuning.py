@@ -275,39 +275,39 @@ class Tuning(Section):
     fisheye_half_deg: float = Field(89.0, gt=0, lt=90)
     """Off the axis, what of a fisheye image is used that is not cut into views: farther out COLMAP has no rays. With 80
     kerry_park_360rig, whole, fell apart (417 points; 755 with 89)."""
-    frames: FramesTuning = FramesTuning()
+    frames: FramesTuning = Field(default_factory=FramesTuning)
     """Reading images."""
-    moved: MovedTuning = MovedTuning()
+    moved: MovedTuning = Field(default_factory=MovedTuning)
     """What moved between two frames."""
-    quality: QualityTuning = QualityTuning()
+    quality: QualityTuning = Field(default_factory=QualityTuning)
     """Images hardly worth keeping."""
-    platform: PlatformTuning = PlatformTuning()
+    platform: PlatformTuning = Field(default_factory=PlatformTuning)
     """The platform."""
-    matchability: MatchabilityTuning = MatchabilityTuning()
+    matchability: MatchabilityTuning = Field(default_factory=MatchabilityTuning)
     """What matches, and how near it is."""
-    proof: ProofTuning = ProofTuning()
+    proof: ProofTuning = Field(default_factory=ProofTuning)
     """What refutes a class."""
-    appearance: AppearanceTuning = AppearanceTuning()
+    appearance: AppearanceTuning = Field(default_factory=AppearanceTuning)
     """What classes look like."""
-    skyline: SkylineTuning = SkylineTuning()
+    skyline: SkylineTuning = Field(default_factory=SkylineTuning)
     """The border of the sky."""
-    labels: LabelTuning = LabelTuning()
+    labels: LabelTuning = Field(default_factory=LabelTuning)
     """What is certain in single images, and what they agree on."""
-    regions: RegionsTuning = RegionsTuning()
+    regions: RegionsTuning = Field(default_factory=RegionsTuning)
     """Regions without an edge."""
-    classification: ClassificationTuning = ClassificationTuning()
+    classification: ClassificationTuning = Field(default_factory=ClassificationTuning)
     """Looking up an image."""
-    above: AboveTuning = AboveTuning()
+    above: AboveTuning = Field(default_factory=AboveTuning)
     """Edges of the sky."""
-    water: WaterTuning = WaterTuning()
+    water: WaterTuning = Field(default_factory=WaterTuning)
     """Water before any model."""
-    meguro2024: Meguro2024Tuning = Meguro2024Tuning()
+    meguro2024: Meguro2024Tuning = Field(default_factory=Meguro2024Tuning)
     """The recipe of paper 000, where it prints no number."""
-    meguro2025: Meguro2025Tuning = Meguro2025Tuning()
+    meguro2025: Meguro2025Tuning = Field(default_factory=Meguro2025Tuning)
     """The recipe of paper 001, where it prints no number."""
-    waterline: WaterlineTuning = WaterlineTuning()
+    waterline: WaterlineTuning = Field(default_factory=WaterlineTuning)
     """Water by the model."""
-    sky_points: SkyPointsTuning = SkyPointsTuning()
+    sky_points: SkyPointsTuning = Field(default_factory=SkyPointsTuning)
     """Sky that the model contradicts."""
-    refine: RefineTuning = RefineTuning()
+    refine: RefineTuning = Field(default_factory=RefineTuning)
     """What the model is asked."""

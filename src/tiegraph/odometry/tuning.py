@@ -133,8 +133,8 @@ class RecallTuning(Section):
 class Tuning(Section):
     """Constants of the engine that are the same for every user."""
 
-    follow: FollowTuning = FollowTuning()
-    pose: PoseTuning = PoseTuning()
-    map: MapTuning = MapTuning()
-    start: StartTuning = StartTuning()
-    recall: RecallTuning = RecallTuning()
+    follow: FollowTuning = Field(default_factory=FollowTuning)
+    pose: PoseTuning = Field(default_factory=PoseTuning)
+    map: MapTuning = Field(default_factory=MapTuning)
+    start: StartTuning = Field(default_factory=StartTuning)
+    recall: RecallTuning = Field(default_factory=RecallTuning)

@@ -132,9 +132,9 @@ class WorldTuning(Section):
 class Tuning(Section):
     """All constants of the planner."""
 
-    effort: EffortTuning = EffortTuning()
-    station: StationTuning = StationTuning()
-    network: NetworkTuning = NetworkTuning()
-    errors: ErrorTuning = ErrorTuning()
-    path: PathTuning = PathTuning()
-    world: WorldTuning = WorldTuning()
+    effort: EffortTuning = Field(default_factory=EffortTuning)
+    station: StationTuning = Field(default_factory=StationTuning)
+    network: NetworkTuning = Field(default_factory=NetworkTuning)
+    errors: ErrorTuning = Field(default_factory=ErrorTuning)
+    path: PathTuning = Field(default_factory=PathTuning)
+    world: WorldTuning = Field(default_factory=WorldTuning)

@@ -5,11 +5,12 @@ from __future__ import annotations
 import difflib
 import sys
 from collections.abc import Iterable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import tomli_w
-from pydantic import ValidationError
+from pydantic import Field, ValidationError
 
 from tiegraph import papers
 from tiegraph.cloud.settings import CloudSettings
@@ -64,42 +65,47 @@ class Tunings(Section):
     tiegraph.toml. They are the same for every user, so the command line does not show them; they are in reach for
     measurements."""
 
-    scene: SceneTuning = SceneTuning()
-    scan: ScanTuning = ScanTuning()
-    features: FeaturesTuning = FeaturesTuning()
-    masks: MasksTuning = MasksTuning()
-    network: NetworkTuning = NetworkTuning()
-    design: DesignTuning = DesignTuning()
-    filter: FilterTuning = FilterTuning()
-    sfm: SfmTuning = SfmTuning()
-    dense: DenseTuning = DenseTuning()
-    cloud: CloudTuning = CloudTuning()
-    evaluate: EvaluateTuning = EvaluateTuning()
-    targets: TargetsTuning = TargetsTuning()
+    scene: SceneTuning = Field(default_factory=SceneTuning)
+    scan: ScanTuning = Field(default_factory=ScanTuning)
+    features: FeaturesTuning = Field(default_factory=FeaturesTuning)
+    masks: MasksTuning = Field(default_factory=MasksTuning)
+    network: NetworkTuning = Field(default_factory=NetworkTuning)
+    design: DesignTuning = Field(default_factory=DesignTuning)
+    filter: FilterTuning = Field(default_factory=FilterTuning)
+    sfm: SfmTuning = Field(default_factory=SfmTuning)
+    dense: DenseTuning = Field(default_factory=DenseTuning)
+    cloud: CloudTuning = Field(default_factory=CloudTuning)
+    evaluate: EvaluateTuning = Field(default_factory=EvaluateTuning)
+    targets: TargetsTuning = Field(default_factory=TargetsTuning)
+
+
+@cache
+def _tunings() -> Tunings:
+    return Tunings()
 
 
 class Settings(Section):
     """Every setting, by stage; and the engines' constants."""
 
-    scan: ScanSettings = ScanSettings()
-    masks: MasksSettings = MasksSettings()
-    preview: PreviewSettings = PreviewSettings()
-    candidates: CandidatesSettings = CandidatesSettings()
-    coarse: CoarseSettings = CoarseSettings()
-    network: NetworkSettings = NetworkSettings()
-    design: DesignSettings = DesignSettings()
-    features: FeaturesSettings = FeaturesSettings()
-    match: MatchSettings = MatchSettings()
-    filter: FilterSettings = FilterSettings()
-    sparse: SparseSettings = SparseSettings()
-    georef: GeorefSettings = GeorefSettings()
-    refine: RefineSettings = RefineSettings()
-    dense: DenseSettings = DenseSettings()
-    cloud: CloudSettings = CloudSettings()
-    evaluate: EvaluateSettings = EvaluateSettings()
-    report: ReportSettings = ReportSettings()
-    shots: ShotsSettings = ShotsSettings()
-    tuning: Tunings = Tunings()
+    scan: ScanSettings = Field(default_factory=ScanSettings)
+    masks: MasksSettings = Field(default_factory=MasksSettings)
+    preview: PreviewSettings = Field(default_factory=PreviewSettings)
+    candidates: CandidatesSettings = Field(default_factory=CandidatesSettings)
+    coarse: CoarseSettings = Field(default_factory=CoarseSettings)
+    network: NetworkSettings = Field(default_factory=NetworkSettings)
+    design: DesignSettings = Field(default_factory=DesignSettings)
+    features: FeaturesSettings = Field(default_factory=FeaturesSettings)
+    match: MatchSettings = Field(default_factory=MatchSettings)
+    filter: FilterSettings = Field(default_factory=FilterSettings)
+    sparse: SparseSettings = Field(default_factory=SparseSettings)
+    georef: GeorefSettings = Field(default_factory=GeorefSettings)
+    refine: RefineSettings = Field(default_factory=RefineSettings)
+    dense: DenseSettings = Field(default_factory=DenseSettings)
+    cloud: CloudSettings = Field(default_factory=CloudSettings)
+    evaluate: EvaluateSettings = Field(default_factory=EvaluateSettings)
+    report: ReportSettings = Field(default_factory=ReportSettings)
+    shots: ShotsSettings = Field(default_factory=ShotsSettings)
+    tuning: Tunings = Field(default_factory=_tunings)
 
 
 STAGED = tuple(name for name in Settings.model_fields if name != "tuning")
@@ -211,7 +217,8 @@ def without(stored: dict[str, Any], keys: Iterable[str]) -> dict[str, Any]:
 
 def sections() -> list[tuple[str, dict[str, Any]]]:
     """(section, its fields by name) of the section of every stage."""
-    return [(name, dict(type(getattr(Settings(), name)).model_fields)) for name in STAGED]
+    settings = Settings()
+    return [(name, dict(type(getattr(settings, name)).model_fields)) for name in STAGED]
 
 
 def shortened(value: Any) -> str:
@@ -252,7 +259,7 @@ def explain(error: Any, root: type[Section]) -> str:
         return f"{name}{value}: {error['msg'].removeprefix('Value error, ')}"
     fields: Any = root
     for part in where[:-1]:
-        fields = type(fields.model_fields[part].default)
+        fields = fields.model_fields[part].annotation
     near = difflib.get_close_matches(where[-1], list(fields.model_fields), n=1)
     hint = f"perhaps you meant {near[0]!r}" if near else f"known are {', '.join(fields.model_fields)}"
     return f"unknown setting {name!r}: {hint}"

@@ -103,7 +103,7 @@ class RigTuning(Section):
     """Cameras of the preset `ring`."""
     ladybug_hfov_deg: float = Field(90.0, gt=0, lt=180)
     """Of a rectified side image of the preset `ladybug5`, about."""
-    camera: CameraTuning = CameraTuning()
+    camera: CameraTuning = Field(default_factory=CameraTuning)
     """Its cameras."""
 
 
@@ -249,7 +249,7 @@ class PositionsTuning(Section):
     """Rows of one frame's images that are farther apart are said: a rig is smaller, or they share a row."""
     few_placed: float = Field(0.5, ge=0, le=1)
     """Share of frames with a position below which the unit of the times is doubted."""
-    gnss: GnssTuning = GnssTuning()
+    gnss: GnssTuning = Field(default_factory=GnssTuning)
     """What is believed of them."""
 
 
@@ -275,27 +275,27 @@ class TrajectoryTuning(Section):
 class Tuning(Section):
     """Constants of the engine that are the same for every user."""
 
-    folders: FoldersTuning = FoldersTuning()
+    folders: FoldersTuning = Field(default_factory=FoldersTuning)
     """Folders and order."""
-    bands: BandsTuning = BandsTuning()
+    bands: BandsTuning = Field(default_factory=BandsTuning)
     """Cameras of one folder."""
-    frames: FramesTuning = FramesTuning()
+    frames: FramesTuning = Field(default_factory=FramesTuning)
     """Images taken together."""
-    rig: RigTuning = RigTuning()
+    rig: RigTuning = Field(default_factory=RigTuning)
     """Rigs and their cameras."""
-    panorama: PanoramaTuning = PanoramaTuning()
+    panorama: PanoramaTuning = Field(default_factory=PanoramaTuning)
     """Panoramas."""
-    lens_views: LensViewsTuning = LensViewsTuning()
+    lens_views: LensViewsTuning = Field(default_factory=LensViewsTuning)
     """Fisheye images."""
-    pictures: PicturesTuning = PicturesTuning()
+    pictures: PicturesTuning = Field(default_factory=PicturesTuning)
     """What is written."""
-    motion: MotionTuning = MotionTuning()
+    motion: MotionTuning = Field(default_factory=MotionTuning)
     """Motion of videos."""
-    offset: OffsetTuning = OffsetTuning()
+    offset: OffsetTuning = Field(default_factory=OffsetTuning)
     """Offsets between videos."""
-    times: TimesTuning = TimesTuning()
+    times: TimesTuning = Field(default_factory=TimesTuning)
     """Times of frames."""
-    positions: PositionsTuning = PositionsTuning()
+    positions: PositionsTuning = Field(default_factory=PositionsTuning)
     """Positions of frames."""
-    trajectory: TrajectoryTuning = TrajectoryTuning()
+    trajectory: TrajectoryTuning = Field(default_factory=TrajectoryTuning)
     """Trajectories."""

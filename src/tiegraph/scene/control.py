@@ -9,7 +9,6 @@ from pathlib import PurePosixPath
 
 import numpy as np
 import pycolmap
-import pyproj
 
 from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import ENU, Origin, crs_transformer, make_origin, vertical_note, world_from_geodetic
@@ -263,6 +262,8 @@ def image_lookup(scene: Scene) -> dict[str, int]:
 
 
 def _origin_of_points(file: GcpFile, crs: str) -> Origin:
+    import pyproj
+
     if file.crs is None:
         if crs in ("auto", ENU):
             raise InputError(

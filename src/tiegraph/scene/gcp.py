@@ -12,9 +12,9 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pyproj
 
 from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import utm_by_name
@@ -24,6 +24,9 @@ from tiegraph.scene.targets.bars import FORM as BARS_FORM
 from tiegraph.scene.targets.bars import FileBar, names_bars, read_bars
 from tiegraph.scene.targets.names import FORM, Target, count_of, target_of
 from tiegraph.scene.tuning import ControlTuning
+
+if TYPE_CHECKING:
+    import pyproj
 
 MAX_SIGMA_M = 100.0  # no survey of a point is worse: another unit, or a typing error
 _CHECK = ("check", "checkpoint", "check_point", "checkpoints", "cp", "chk")
@@ -248,6 +251,8 @@ def _read_odm(path: Path, lines: list[tuple[int, str]], tuning: ControlTuning) -
 
 def parse_crs_line(text: str, where: str) -> pyproj.CRS:
     """The CRS of an ODM header: an EPSG code, a PROJ string, WKT, or "WGS84 UTM 54N". Raises InputError."""
+    import pyproj
+
     bare = text.strip().lstrip("#").strip()
     zones = utm_by_name(bare)
     try:

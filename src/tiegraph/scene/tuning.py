@@ -65,9 +65,9 @@ class ImageTuning(Section):
     """Of an image that can be used."""
     focal_range: tuple[float, float] = (0.2, 20.0)
     """Focal lengths in longer image sides that EXIF is believed: 136 degrees of view ... a 700 mm lens."""
-    panorama: PanoramaTuning = PanoramaTuning()
+    panorama: PanoramaTuning = Field(default_factory=PanoramaTuning)
     """Panoramas."""
-    fisheye: FisheyeTuning = FisheyeTuning()
+    fisheye: FisheyeTuning = Field(default_factory=FisheyeTuning)
     """Fisheye images."""
 
 
@@ -178,13 +178,13 @@ class JoiningTuning(Section):
 class Tuning(Section):
     """Constants of the shared library that are the same for every user."""
 
-    images: ImageTuning = ImageTuning()
+    images: ImageTuning = Field(default_factory=ImageTuning)
     """Image files."""
-    control: ControlTuning = ControlTuning()
+    control: ControlTuning = Field(default_factory=ControlTuning)
     """Control points."""
-    registered: RegisteredTuning = RegisteredTuning()
+    registered: RegisteredTuning = Field(default_factory=RegisteredTuning)
     """Registered images."""
-    blocks: BlocksTuning = BlocksTuning()
+    blocks: BlocksTuning = Field(default_factory=BlocksTuning)
     """Blocks of a survey."""
-    joining: JoiningTuning = JoiningTuning()
+    joining: JoiningTuning = Field(default_factory=JoiningTuning)
     """Blocks joined again."""

@@ -18,8 +18,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import pycolmap
+import scipy
 from scipy import sparse
-from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, RotationSpline
 
 from tiegraph.geometry import transforms
@@ -70,7 +70,7 @@ def image_motion(model: pycolmap.Reconstruction, scene: Scene, tuning: ShutterTu
     ids = {scene.image_index[model.image(i).name]: i for i in model.reg_image_ids()}
     for stretch in _stretches(np.array(sorted(ids), int), scene, tuning):
         at, pose = time[stretch] - time[stretch[0]], world_from_cam[stretch]
-        velocity = CubicSpline(at, pose[:, :3, 3])(at, 1)
+        velocity = scipy.interpolate.CubicSpline(at, pose[:, :3, 3])(at, 1)
         turned = Rotation.from_matrix(pose[:, :3, :3])
         rate = turned.apply(RotationSpline(at, turned)(at, 1))  # it gives the rate along the camera's own axes
         out |= {ids[int(k)]: v for k, v in zip(stretch, np.hstack([velocity, rate]))}

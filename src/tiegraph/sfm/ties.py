@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pycolmap
-from scipy.optimize import least_squares
+import scipy
 from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import transforms
@@ -193,7 +193,7 @@ def _refined(ties: Ties, start: Similarity, tolerance_rad: float) -> Similarity:
     def off(step: np.ndarray) -> np.ndarray:
         return ties.angles(moved(step)).ravel()
 
-    found = least_squares(off, np.zeros(7), loss="cauchy", f_scale=tolerance_rad / 3)
+    found = scipy.optimize.least_squares(off, np.zeros(7), loss="cauchy", f_scale=tolerance_rad / 3)
     return moved(found.x)
 
 

@@ -95,17 +95,17 @@ class SpacingTuning(Section):
 class Tuning(Section):
     """Constants of the engine that are the same for every user."""
 
-    coarse: CoarseTuning = CoarseTuning()
+    coarse: CoarseTuning = Field(default_factory=CoarseTuning)
     """Starts."""
-    pair: PairTuning = PairTuning()
+    pair: PairTuning = Field(default_factory=PairTuning)
     """Pairs."""
-    sight: SightTuning = SightTuning()
+    sight: SightTuning = Field(default_factory=SightTuning)
     """Free space."""
-    loops: LoopTuning = LoopTuning()
+    loops: LoopTuning = Field(default_factory=LoopTuning)
     """Loops."""
-    precision: PrecisionTuning = PrecisionTuning()
+    precision: PrecisionTuning = Field(default_factory=PrecisionTuning)
     """Precision by distance."""
-    spacing: SpacingTuning = SpacingTuning()
+    spacing: SpacingTuning = Field(default_factory=SpacingTuning)
     """Spacing of points."""
     read: int = Field(400_000, ge=1000)
     """Points of a cloud that the poses are made of, at most: the finest voxels are 40 000."""

@@ -57,11 +57,11 @@ class ModelTuning(Section):
 class Tuning(Section):
     """Constants of the engine; there is no run folder, so they are not in `tiegraph.toml`."""
 
-    arrivals: ArrivalsTuning = ArrivalsTuning()
+    arrivals: ArrivalsTuning = Field(default_factory=ArrivalsTuning)
     """When a file is whole."""
-    frames: FramesTuning = FramesTuning()
+    frames: FramesTuning = Field(default_factory=FramesTuning)
     """The place of new frames."""
-    model: ModelTuning = ModelTuning()
+    model: ModelTuning = Field(default_factory=ModelTuning)
     """The coarse model."""
     neighbours: int = Field(2, gt=0)
     """Frames before and after, of the own camera and of those that look nearly the same way, that an image is matched

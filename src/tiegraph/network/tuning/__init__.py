@@ -53,21 +53,21 @@ class SourcesTuning(Section):
 class Tuning(Section):
     """Constants of the engine that are the same for every user."""
 
-    counts: CountsTuning = CountsTuning()
+    counts: CountsTuning = Field(default_factory=CountsTuning)
     """Match counts of previews."""
-    order: OrderTuning = OrderTuning()
+    order: OrderTuning = Field(default_factory=OrderTuning)
     """The order of passes."""
-    sources: SourcesTuning = SourcesTuning()
+    sources: SourcesTuning = Field(default_factory=SourcesTuning)
     """The choice of sources."""
-    retrieval: RetrievalTuning = RetrievalTuning()
+    retrieval: RetrievalTuning = Field(default_factory=RetrievalTuning)
     """Which images look alike."""
-    offsets: OffsetsTuning = OffsetsTuning()
+    offsets: OffsetsTuning = Field(default_factory=OffsetsTuning)
     """Frame offsets within and between passes."""
-    poses: PosesTuning = PosesTuning()
+    poses: PosesTuning = Field(default_factory=PosesTuning)
     """Pairs by prior poses."""
-    rig: RigTuning = RigTuning()
+    rig: RigTuning = Field(default_factory=RigTuning)
     """The rig against the images."""
-    coarse: CoarseTuning = CoarseTuning()
+    coarse: CoarseTuning = Field(default_factory=CoarseTuning)
     """The coarse model."""
-    sections: SectionsTuning = SectionsTuning()
+    sections: SectionsTuning = Field(default_factory=SectionsTuning)
     """Bridge and open sections."""

@@ -107,9 +107,9 @@ class CoarseTuning(Section):
     """An image that sees fewer says nothing of its distances."""
     reach_percentiles: tuple[float, float] = (5.0, 95.0)
     """Of the distances to the points an image sees, its nearest and farthest."""
-    visible: VisibleTuning = VisibleTuning()
+    visible: VisibleTuning = Field(default_factory=VisibleTuning)
     """Which images see the same surface."""
-    proxy: ProxyTuning = ProxyTuning()
+    proxy: ProxyTuning = Field(default_factory=ProxyTuning)
     """Points that stand for the surface."""
-    trust: TrustTuning = TrustTuning()
+    trust: TrustTuning = Field(default_factory=TrustTuning)
     """Where the model is believed."""

@@ -93,11 +93,11 @@ class OffsetsTuning(Section):
     """... and at least."""
     coarse_share: float = Field(0.5, gt=0, le=1)
     """Of the budget: what the first look may take."""
-    scores: ScoreMatrixTuning = ScoreMatrixTuning()
+    scores: ScoreMatrixTuning = Field(default_factory=ScoreMatrixTuning)
     """Evidence on a lattice."""
-    background: BackgroundTuning = BackgroundTuning()
+    background: BackgroundTuning = Field(default_factory=BackgroundTuning)
     """What frames that share nothing reach."""
-    constant: ConstantTuning = ConstantTuning()
+    constant: ConstantTuning = Field(default_factory=ConstantTuning)
     """One offset for each two cameras."""
-    surface: SurfaceTuning = SurfaceTuning()
+    surface: SurfaceTuning = Field(default_factory=SurfaceTuning)
     """Evidence to be drawn, and the path through it."""

@@ -70,5 +70,5 @@ class PosesTuning(Section):
     """Cameras of a rig whose axes are nearer look the same way: neither is the other's next one."""
     heading_sigmas: float = Field(4.0, ge=0)
     """Standard deviations of the positions, above which a stretch of the track tells a heading."""
-    prior: PriorTuning = PriorTuning()
+    prior: PriorTuning = Field(default_factory=PriorTuning)
     """Whether a prior may be believed."""

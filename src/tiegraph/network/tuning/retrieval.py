@@ -135,15 +135,15 @@ class RetrievalTuning(Section):
     sure_alike: float = Field(1.2, gt=0)
     """Times `min_matches`: a single preview of two images that look alike must be surer than an average over
     neighbouring frames, but its neighbours, in time or in the graph of ties, are asked before it is kept."""
-    vocabulary: VocabularyTuning = VocabularyTuning()
+    vocabulary: VocabularyTuning = Field(default_factory=VocabularyTuning)
     """Visual words."""
-    loose: LooseTuning = LooseTuning()
+    loose: LooseTuning = Field(default_factory=LooseTuning)
     """Loose photographs."""
-    timeline: TimelineTuning = TimelineTuning()
+    timeline: TimelineTuning = Field(default_factory=TimelineTuning)
     """Passes one after another."""
-    loops: LoopSearchTuning = LoopSearchTuning()
+    loops: LoopSearchTuning = Field(default_factory=LoopSearchTuning)
     """Loops of passes."""
-    significance: SignificanceTuning = SignificanceTuning()
+    significance: SignificanceTuning = Field(default_factory=SignificanceTuning)
     """Loops against the whole rig."""
-    copies: CopiesTuning = CopiesTuning()
+    copies: CopiesTuning = Field(default_factory=CopiesTuning)
     """The same pictures twice."""

@@ -111,13 +111,13 @@ class CommonViewTuning(Section):
 class RigTuning(Section):
     """The rig against the images."""
 
-    axes: AxesTuning = AxesTuning()
+    axes: AxesTuning = Field(default_factory=AxesTuning)
     """Optical axes."""
-    check: CheckTuning = CheckTuning()
+    check: CheckTuning = Field(default_factory=CheckTuning)
     """Mirrored and rolled rigs."""
-    order: OrderTuning = OrderTuning()
+    order: OrderTuning = Field(default_factory=OrderTuning)
     """Cameras in another order."""
-    synchronisation: SynchronisationTuning = SynchronisationTuning()
+    synchronisation: SynchronisationTuning = Field(default_factory=SynchronisationTuning)
     """Frames that are lacking or late."""
-    common_view: CommonViewTuning = CommonViewTuning()
+    common_view: CommonViewTuning = Field(default_factory=CommonViewTuning)
     """Heading and direction of one pass against another."""

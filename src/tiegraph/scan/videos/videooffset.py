@@ -13,7 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+import scipy
 
 from tiegraph.scan.tuning import OffsetTuning
 from tiegraph.scan.videos.videomotion import CHANNELS, MotionCurve
@@ -104,7 +104,7 @@ class _Pair:
 
     def __init__(self, first: MotionCurve, second: MotionCurve, step_s: float, tuning: OffsetTuning) -> None:
         self.step_s, self._tuning = step_s, tuning
-        self._splines = [CubicSpline(c.stamp_s, c.moved_px) for c in (first, second)]
+        self._splines = [scipy.interpolate.CubicSpline(c.stamp_s, c.moved_px) for c in (first, second)]
         self._ends = [(float(c.stamp_s[0]), float(c.stamp_s[-1])) for c in (first, second)]
         colour = [
             _autocorrelation(np.diff(s(np.arange(*e, step_s)), axis=0)) for s, e in zip(self._splines, self._ends)

@@ -116,13 +116,13 @@ class AdjustTuning(Section):
     """Focal lengths in longer image sides: outside, no lens of a survey camera."""
     lens_gain: float = Field(0.03, ge=0, le=1)
     """Of the robust cost: what distortion must gain over a calibration to be believed against it."""
-    few_points: FewPointsTuning = FewPointsTuning()
+    few_points: FewPointsTuning = Field(default_factory=FewPointsTuning)
     """Of all adjustments but the last."""
     points_iterations: int = Field(10, gt=0)
     """Of the points alone, once the poses are found with few of them."""
-    lens: LensTuning = LensTuning()
+    lens: LensTuning = Field(default_factory=LensTuning)
     """Priors of lenses."""
-    lever_arms: LeverArmTuning = LeverArmTuning()
+    lever_arms: LeverArmTuning = Field(default_factory=LeverArmTuning)
     """What the cameras of a rig let expect of each other's places."""
 
 
@@ -164,7 +164,7 @@ class SigmaTuning(Section):
     """Sigma of a camera's place in the rig, in parts of its lever arm ..."""
     open_times: float = Field(3.0, ge=0)
     """... and in sigmas of the frames: beyond both, a place is hardly known."""
-    shared: SharedErrorTuning = SharedErrorTuning()
+    shared: SharedErrorTuning = Field(default_factory=SharedErrorTuning)
     """Errors of lenses, and of cameras in their rig."""
 
 
@@ -241,25 +241,25 @@ class StartCheckTuning(Section):
 class Tuning(Section):
     """Constants of the engine that are the same for every user."""
 
-    mapping: MappingTuning = MappingTuning()
+    mapping: MappingTuning = Field(default_factory=MappingTuning)
     """The mappers."""
-    adjust: AdjustTuning = AdjustTuning()
+    adjust: AdjustTuning = Field(default_factory=AdjustTuning)
     """The final adjustment."""
-    sigma: SigmaTuning = SigmaTuning()
+    sigma: SigmaTuning = Field(default_factory=SigmaTuning)
     """The sigmas of a model."""
-    shutter: ShutterTuning = ShutterTuning()
+    shutter: ShutterTuning = Field(default_factory=ShutterTuning)
     """Rolling shutters."""
-    registration: RegistrationTuning = RegistrationTuning()
+    registration: RegistrationTuning = Field(default_factory=RegistrationTuning)
     """What was lost, and what is in doubt."""
-    two_view: TwoViewTuning = TwoViewTuning()
+    two_view: TwoViewTuning = Field(default_factory=TwoViewTuning)
     """Two images alone."""
-    start: StartTuning = StartTuning()
+    start: StartTuning = Field(default_factory=StartTuning)
     """The start from poses that are roughly known."""
-    placement: PlacementTuning = PlacementTuning()
+    placement: PlacementTuning = Field(default_factory=PlacementTuning)
     """The place of frames, tested."""
-    rig: RigTuning = RigTuning()
+    rig: RigTuning = Field(default_factory=RigTuning)
     """The rig against the images."""
-    world: WorldTuning = WorldTuning()
+    world: WorldTuning = Field(default_factory=WorldTuning)
     """The model in the world."""
-    start_check: StartCheckTuning = StartCheckTuning()
+    start_check: StartCheckTuning = Field(default_factory=StartCheckTuning)
     """A start model against the images."""

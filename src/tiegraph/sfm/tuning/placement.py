@@ -79,11 +79,11 @@ class PlacementTuning(Section):
 
     max_left_out: float = Field(0.2, ge=0, le=1)
     """Of the frames that may be left out for their place; more is a model that fell apart, and is said so."""
-    agreement: AgreementTuning = AgreementTuning()
+    agreement: AgreementTuning = Field(default_factory=AgreementTuning)
     """Matches that a model explains."""
-    consistency: ConsistencyTuning = ConsistencyTuning()
+    consistency: ConsistencyTuning = Field(default_factory=ConsistencyTuning)
     """What the ties of frames say of their place."""
-    continuity: ContinuityTuning = ContinuityTuning()
+    continuity: ContinuityTuning = Field(default_factory=ContinuityTuning)
     """The course of the passes."""
-    ties: TieTuning = TieTuning()
+    ties: TieTuning = Field(default_factory=TieTuning)
     """A model on another."""

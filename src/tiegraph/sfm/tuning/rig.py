@@ -212,25 +212,25 @@ class RigTuning(Section):
     """Sigma of when a camera fires after the reference, before the images speak and where nobody says."""
     tight_deg: float = Field(0.5, ge=0)
     """Extrinsics known better than this lead the mapper as they are; worse ones it may refine."""
-    priors: RigPriorTuning = RigPriorTuning()
+    priors: RigPriorTuning = Field(default_factory=RigPriorTuning)
     """What a file gives with a sigma."""
-    derive: DeriveTuning = DeriveTuning()
+    derive: DeriveTuning = Field(default_factory=DeriveTuning)
     """Extrinsics from a model without rig."""
-    support: SupportTuning = SupportTuning()
+    support: SupportTuning = Field(default_factory=SupportTuning)
     """Sensors without ties, and the model's units."""
-    diagnostics: DiagnosticsTuning = DiagnosticsTuning()
+    diagnostics: DiagnosticsTuning = Field(default_factory=DiagnosticsTuning)
     """Rig diagnostics."""
-    time_offset: TimeOffsetTuning = TimeOffsetTuning()
+    time_offset: TimeOffsetTuning = Field(default_factory=TimeOffsetTuning)
     """Times of the cameras."""
-    torn: TornTuning = TornTuning()
+    torn: TornTuning = Field(default_factory=TornTuning)
     """Cameras that came off."""
-    time_calibration: TimeCalibrationTuning = TimeCalibrationTuning()
+    time_calibration: TimeCalibrationTuning = Field(default_factory=TimeCalibrationTuning)
     """Rigs that are let go of."""
-    system: SystemTuning = SystemTuning()
+    system: SystemTuning = Field(default_factory=SystemTuning)
     """The linearised rig."""
-    prior_test: PriorTestTuning = PriorTestTuning()
+    prior_test: PriorTestTuning = Field(default_factory=PriorTestTuning)
     """What is freed."""
-    confront: ConfrontTuning = ConfrontTuning()
+    confront: ConfrontTuning = Field(default_factory=ConfrontTuning)
     """What is said."""
-    camera_matches: CameraMatchesTuning = CameraMatchesTuning()
+    camera_matches: CameraMatchesTuning = Field(default_factory=CameraMatchesTuning)
     """Ties between the cameras."""

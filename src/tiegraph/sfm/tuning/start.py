@@ -80,9 +80,9 @@ class StartTuning(Section):
     """Share of a given lever arm that the poses may show it off; more, and the start takes the given one."""
     told_change: float = Field(0.02, ge=0)
     """Of the length of a path: a smaller one is not told."""
-    scale: ScaleTuning = ScaleTuning()
+    scale: ScaleTuning = Field(default_factory=ScaleTuning)
     """The length of the path against the rig."""
-    staged: StagedTuning = StagedTuning()
+    staged: StagedTuning = Field(default_factory=StagedTuning)
     """Points and rounds of adjustment."""
-    acceptance: AcceptanceTuning = AcceptanceTuning()
+    acceptance: AcceptanceTuning = Field(default_factory=AcceptanceTuning)
     """What a model must be."""

@@ -267,27 +267,27 @@ class AdjustmentTuning(Section):
 class WorldTuning(Section):
     """Constants of sfm/world."""
 
-    fixes: FixTuning = FixTuning()
+    fixes: FixTuning = Field(default_factory=FixTuning)
     """Measured positions."""
-    noise: NoiseTuning = NoiseTuning()
+    noise: NoiseTuning = Field(default_factory=NoiseTuning)
     """Their sigmas."""
-    up: UpTuning = UpTuning()
+    up: UpTuning = Field(default_factory=UpTuning)
     """The upward direction."""
-    marks: MarkTuning = MarkTuning()
+    marks: MarkTuning = Field(default_factory=MarkTuning)
     """Control points."""
-    scale: ScaleTuning = ScaleTuning()
+    scale: ScaleTuning = Field(default_factory=ScaleTuning)
     """The scale by the rig."""
-    fit: FitTuning = FitTuning()
+    fit: FitTuning = Field(default_factory=FitTuning)
     """The similarity."""
-    sources: SourceTuning = SourceTuning()
+    sources: SourceTuning = Field(default_factory=SourceTuning)
     """The sources by themselves."""
-    similarity_fit: SimilarityFitTuning = SimilarityFitTuning()
+    similarity_fit: SimilarityFitTuning = Field(default_factory=SimilarityFitTuning)
     """The placement."""
-    trend: TrendTuning = TrendTuning()
+    trend: TrendTuning = Field(default_factory=TrendTuning)
     """Residuals that are no noise."""
-    statements: StatementTuning = StatementTuning()
+    statements: StatementTuning = Field(default_factory=StatementTuning)
     """What is said of it."""
-    adjustment: AdjustmentTuning = AdjustmentTuning()
+    adjustment: AdjustmentTuning = Field(default_factory=AdjustmentTuning)
     """The adjustment with the positions."""
-    clouds: CloudTuning = CloudTuning()
+    clouds: CloudTuning = Field(default_factory=CloudTuning)
     """Models placed by their points."""

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pycolmap
-from scipy.fft import irfftn, next_fast_len, rfftn
+import scipy
 from scipy.ndimage import binary_dilation
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
@@ -137,18 +137,21 @@ class _Search:
         tuning = self._tuning
         wide = np.linalg.norm(np.ptp(points[:, :2], axis=0))
         extent = np.ptp(self._xyz, axis=0) + scales.max() * np.array([wide, wide, np.ptp(points[:, 2])])
-        size = [next_fast_len(int(n) + 4, real=True) for n in extent / self._cell]
+        size = [scipy.fft.next_fast_len(int(n) + 4, real=True) for n in extent / self._cell]
         if np.prod(size, dtype=float) > _MOST_CELLS:
             return []
         here, corner = _occupied(self._xyz, self._cell)
-        spectrum = rfftn(binary_dilation(here, np.ones((3, 3, 3))).astype(np.float32), size)
+        spectrum = scipy.fft.rfftn(binary_dilation(here, np.ones((3, 3, 3))).astype(np.float32), size)
         found: list[tuple[float, Similarity]] = []
         for scale in scales:
             for yaw in np.arange(0.0, 360.0, tuning.yaw_deg):
                 turn = Rotation.from_euler("z", yaw, degrees=True).as_matrix()
                 moved = scale * points @ turn.T
                 there, low = _occupied(moved, self._cell)
-                hits = irfftn(spectrum * rfftn(there[::-1, ::-1, ::-1].astype(np.float32), size), size) / there.sum()
+                hits = (
+                    scipy.fft.irfftn(spectrum * scipy.fft.rfftn(there[::-1, ::-1, ::-1].astype(np.float32), size), size)
+                    / there.sum()
+                )
                 for share, at in _peaks(hits, tuning.peaks):
                     shift = corner - low + (at - np.array(there.shape) + 1) * self._cell
                     found.append((share, Similarity(float(scale), turn, shift)))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import OptimizeResult, least_squares
+import scipy
 from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry.align import Similarity, robust_umeyama, umeyama
@@ -334,17 +334,19 @@ def _refine(evidence: Evidence, up: Up | None, start: Similarity, tuning: FitTun
     return cost, _report(problem, solution, inlier, cost)
 
 
-def _solve(problem: _Problem, x: np.ndarray, weight: np.ndarray, with_scale: bool = True) -> OptimizeResult:
+def _solve(
+    problem: _Problem, x: np.ndarray, weight: np.ndarray, with_scale: bool = True
+) -> scipy.optimize.OptimizeResult:
     def residuals(y: np.ndarray) -> np.ndarray:
         return np.concatenate([(problem.positions(y) * weight[:, None]).ravel(), problem.others(y, with_scale)])
 
     def jacobian(y: np.ndarray) -> np.ndarray:
         return problem.derivatives(y, weight, with_scale)
 
-    return least_squares(residuals, x, jacobian, x_scale="jac", method="trf")
+    return scipy.optimize.least_squares(residuals, x, jacobian, x_scale="jac", method="trf")
 
 
-def _report(problem: _Problem, solution: OptimizeResult, inlier: np.ndarray, cost: float) -> Fit:
+def _report(problem: _Problem, solution: scipy.optimize.OptimizeResult, inlier: np.ndarray, cost: float) -> Fit:
     similarity, antenna = problem.unpack(solution.x)
     freedom = max(1, 3 * int(inlier.sum()) - len(solution.x))
     chi2 = float(np.sum(problem.positions(solution.x)[inlier] ** 2)) / freedom

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pycolmap
-from scipy.optimize import least_squares
+import scipy
 
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity, umeyama
@@ -183,7 +183,9 @@ def _meet(rays: list[_Ray], tuning: MarkTuning) -> Any:
         return np.concatenate(parts)
 
     scale = tuning.soft_px / tuning.mark_sigma_px
-    return least_squares(residuals, np.linalg.pinv(normal) @ right, loss="soft_l1", f_scale=scale, x_scale="jac")
+    return scipy.optimize.least_squares(
+        residuals, np.linalg.pinv(normal) @ right, loss="soft_l1", f_scale=scale, x_scale="jac"
+    )
 
 
 def point_table(
