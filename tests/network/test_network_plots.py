@@ -104,10 +104,9 @@ def test_the_map_shows_kinds_and_weak_links() -> None:
     assert sum(side.values()) + inside == len(kept) and min(side.values()) > 0
 
 
-@pytest.mark.parametrize("colour", ["kind", "strength"])
-def test_a_map_without_positions_says_so_and_without_pairs_is_drawn(colour: str) -> None:
+def test_a_map_without_positions_says_so_and_without_pairs_is_drawn() -> None:
     world, _ = surveyed()
-    assert share_of(map_png(Pairs.empty(), None, world.scene, colour=colour), RED) > 1e-4  # type: ignore[arg-type]
+    assert share_of(map_png(Pairs.empty(), None, world.scene), RED) > 1e-4
 
 
 def test_frames_without_a_position_lie_between_their_neighbours() -> None:

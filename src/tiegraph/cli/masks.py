@@ -53,8 +53,9 @@ def main(arguments: list[str]) -> int:
         return locals()
 
     given = options_of(masks, "tiegraph masks", arguments)
+    as_json = given.pop("json")
     tables = _tables(**given)
-    if given["json"]:
+    if as_json:
         say(json.dumps(tables))
     else:
         say("\n\n".join(f"{name}\n{table_text(table)}" for name, table in tables.items()))
@@ -68,7 +69,6 @@ def _tables(
     classes: tuple[str, ...],
     first: bool,
     beside: tuple[str, ...],
-    json: bool,
 ) -> dict[str, dict]:
     folder = out / "refine" if (out / "refine" / "masks").is_dir() and not first else out
     if not (folder / "masks").is_dir() or not (out / "scene.json").is_file():

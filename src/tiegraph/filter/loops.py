@@ -97,7 +97,7 @@ def decide(work: Work, calibration: Calibration, method: str) -> Decided:
             f"loops of {'frames' if by_frame else 'images'} close no better than {spread:.1f} deg "
             f"(median): the cameras' focal lengths are probably wrong. No pair was refused"
         )
-    items = [] if noisy else _doubts(tasks, measured, loops, tolerance, work.tuning)
+    items = [] if noisy else _doubts(measured, loops, tolerance, work.tuning)
     asked = [Predicted(tasks[k], rotation, doubtful) for k, rotation, doubtful in items]
     judged: list[MotionTest] = work.run_map(judge, asked, work.database, calibration, bound, tolerance, work.tuning)
     refused, undecided = np.zeros(len(work.pairs), bool), np.zeros(len(work.pairs), bool)
@@ -183,7 +183,7 @@ def _neighbours(scene: Scene, ends: np.ndarray, steps: int) -> np.ndarray:
 
 
 def _doubts(
-    tasks: Sequence[Task], measured: Sequence[MeasuredMotion], loops: RotationAverage, tolerance: float, tuning: Tuning
+    measured: Sequence[MeasuredMotion], loops: RotationAverage, tolerance: float, tuning: Tuning
 ) -> list[tuple[int, np.ndarray, np.ndarray]]:
     """(task, predicted rotation, doubtful pairs) of everything that contradicts and can be decided."""
     assert isinstance(loops, _Predictor)

@@ -27,7 +27,6 @@ class Pair:
     first_from_second: np.ndarray
     overlap: float
     residual_m: float
-    rough_m: float
     middle: np.ndarray
     information: np.ndarray
     why_not: str = ""
@@ -86,7 +85,6 @@ def from_start(first: int, second: int, stations: Sequence[Station], start: np.n
         first_from_second=fit,
         overlap=found.overlap,
         residual_m=found.sigma_m,
-        rough_m=rough,
         middle=np.zeros(3),
         information=np.eye(6),
         why_not=why,

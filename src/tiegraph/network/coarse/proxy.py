@@ -69,14 +69,6 @@ def observed_proxy(
     return proxy.keep(good) if good.sum() >= tuning.tracked_share * len(points) else proxy
 
 
-def points_proxy(points: np.ndarray) -> Proxy:
-    """Proxy of bare points (P, 3), such as a laser scan, of which no observer is known."""
-    none = np.zeros(0, int)
-    return Proxy(
-        points=points, reach=np.full(len(points), np.inf), towards=np.zeros((len(points), 3)), image=none, point=none
-    )
-
-
 def assumed_proxy(
     cam_from_world: np.ndarray,
     cameras: Sequence[pycolmap.Camera | None],

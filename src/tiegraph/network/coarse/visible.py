@@ -17,12 +17,12 @@ from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
 from tiegraph.geometry import transforms
-from tiegraph.network.coarse.proxy import Proxy, assumed_proxy, observed_proxy, points_proxy
+from tiegraph.network.coarse.proxy import Proxy, assumed_proxy, observed_proxy
 from tiegraph.network.coarse.view import View
 from tiegraph.network.tuning.coarse import CoarseTuning, VisibleTuning
 from tiegraph.scene.matches import Visibility
 
-__all__ = ["Overlap", "Proxy", "assumed_proxy", "observed_proxy", "points_proxy", "shared_surface"]
+__all__ = ["Overlap", "Proxy", "assumed_proxy", "observed_proxy", "shared_surface"]
 
 _LEAF = 64  # points of a box that is tested as one
 _BLOCK = 128  # rows of the pair table worked out at once

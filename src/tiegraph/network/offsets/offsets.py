@@ -214,7 +214,7 @@ def _seed_across(
     excess = commonview.above(lattice, lattice.smoothed(least, tuning), least) * beside
     backwards, _ = commonview.direction(lattice, excess, tuning.rig.common_view)
     lattice = replace(lattice, allowed=facing(lattice, excess, settings, tuning.rig))
-    centre = _path(lattice, excess.sum(axis=(0, 1))) if centre is None else centre
+    centre = _path(excess.sum(axis=(0, 1))) if centre is None else centre
     if centre is None:
         return lattice, backwards, None
     sampled = np.isin(np.arange(len(lattice.rows)), sampled_ranks(len(lattice.rows), settings.sample_frames))
@@ -239,7 +239,7 @@ def _minimum_cost_path(lattice: ScoreMatrix, min_matches: int, tuning: Tuning) -
     return np.interp(np.arange(len(lattice.rows)), rows, columns[node.astype(int)])
 
 
-def _path(lattice: ScoreMatrix, weight: np.ndarray) -> np.ndarray | None:
+def _path(weight: np.ndarray) -> np.ndarray | None:
     """(A,) column node that a row of p shares most with, interpolated between the rows that have evidence."""
     rows = np.flatnonzero(weight.sum(axis=1) > 0)
     if not len(rows):

@@ -357,14 +357,12 @@ def refine(
     ``fixed``: COLMAP ids of the other rigs that stay. Needs pyceres.
     """
     known = expected(scene.rigs[index], heard.system.timed, heard.known.tuning)
-    priors = _priors(model, scene, index, known, heard)
+    priors = _priors(scene, index, known, heard)
     others = [k for k in fixed if k != index + 1]
     return final_adjustment(model, others, constant_cameras, PoseConstraints(sensors=priors), tuning=tuning).model
 
 
-def _priors(
-    model: pycolmap.Reconstruction, scene: Scene, index: int, known: Expected, heard: PriorTest
-) -> list[SensorPrior]:
+def _priors(scene: Scene, index: int, known: Expected, heard: PriorTest) -> list[SensorPrior]:
     """The file's extrinsics; where the reference itself is the one that is off, all the others are free against it."""
     rig, units = scene.rigs[index], 1 / heard.system.metres_per_unit
     first = sum(len(r.sensors) for r in scene.rigs[:index])

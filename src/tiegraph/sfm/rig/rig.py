@@ -60,7 +60,6 @@ class SensorScatter:
     sensor: str
     frames: int
     scatter_deg: float  # MAD of the rotation angle to the average
-    scatter_baseline: float  # MAD of the position, in parts of its baseline
     outliers: float  # share of frames farther than 5 degrees from the average
 
     def rigid(self, tuning: DeriveTuning) -> bool:
@@ -149,13 +148,10 @@ def _average(stack: np.ndarray, name: str, outlier_deg: float) -> tuple[np.ndarr
     close = angles < outlier_deg
     translations = stack[close if close.any() else slice(None), :3, 3]
     translation = np.median(translations, axis=0)
-    length = max(float(np.linalg.norm(translation)), 1e-12)
-    off = float(np.median(np.linalg.norm(translations - translation, axis=1))) / length
     scatter = SensorScatter(
         sensor=name,
         frames=len(stack),
         scatter_deg=float(np.median(angles)),
-        scatter_baseline=off,
         outliers=float(np.mean(~close)),
     )
     return transforms.rigid(rotation, translation), scatter
