@@ -15,7 +15,7 @@ import numpy as np
 import pycolmap
 
 from tiegraph.errors import ReconstructionError
-from tiegraph.features.preview_database import write_preview_database
+from tiegraph.features.preview import write_preview_database
 from tiegraph.network.coarse.assembled import Assembled, assembled, is_whole
 from tiegraph.network.coarse.model import CoarseModel
 from tiegraph.network.coarse.search import Coarse, Search, worth_a_model

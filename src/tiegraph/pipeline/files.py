@@ -17,6 +17,8 @@ import numpy as np
 import pycolmap
 
 from tiegraph.errors import UnreadableArtefact
+from tiegraph.geometry.geodesy import Origin
+from tiegraph.geometry.placement import PlacementError
 from tiegraph.project.run import Run
 from tiegraph.project.stages import write_atomic
 from tiegraph.scene.colmapmodel import read_model
@@ -157,3 +159,23 @@ def read_image(path: Path, flag: int = cv2.IMREAD_GRAYSCALE) -> np.ndarray:
 def read_mask(folder: Path, name: str) -> np.ndarray:
     """Mask (H, W) bool of an image, True = use."""
     return read_image(mask_path(folder, name)) > 0
+
+
+# --- how the model lies in the world, read from what georef wrote ----------------------------------------------------
+
+
+def world_origin(run: Run) -> Origin | None:
+    """Where the world is on the Earth: by the scene's positions, or by control points alone."""
+    data = load_json(run.path("world.json")).get("origin")
+    return None if data is None else Origin.from_dict(data)
+
+
+def world_unit(run: Run) -> str:
+    """Unit of lengths in the world: m, or "units" where nothing told the scale."""
+    return "units" if load_json(run.path("world.json"))["scale_source"] == "none" else "m"
+
+
+def placement_error(run: Run) -> PlacementError | None:
+    """How well the placement is known; None = not placed."""
+    data = load_json(run.path("world.json")).get("placement_error")
+    return None if data is None else PlacementError.from_dict(data)

@@ -14,8 +14,7 @@ import numpy as np
 from tiegraph.errors import InputError
 from tiegraph.geometry.align import Similarity, umeyama
 from tiegraph.geometry.geodesy import make_origin
-from tiegraph.pipeline.files import checked, load_json, load_model, read_image, scanned
-from tiegraph.pipeline.placed import world_origin
+from tiegraph.pipeline.files import checked, load_json, load_model, read_image, scanned, world_origin
 from tiegraph.project.run import Run
 from tiegraph.project.stages import write_atomic
 from tiegraph.scene.colmapmodel import matrix

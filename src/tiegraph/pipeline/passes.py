@@ -32,8 +32,7 @@ from tiegraph.geometry.transforms import centre
 from tiegraph.pipeline.dense import depth_path, read_depth
 from tiegraph.pipeline.epochs import Pair, differences_of, m3c2_of
 from tiegraph.pipeline.evaluate import PASSES, measured
-from tiegraph.pipeline.files import checked, load_model
-from tiegraph.pipeline.placed import world_origin
+from tiegraph.pipeline.files import checked, load_model, world_origin
 from tiegraph.project.run import Run, save_json
 from tiegraph.project.stages import write_atomic
 from tiegraph.scene.cloudchunks import Points, PointSource

@@ -11,8 +11,7 @@ import numpy as np
 from tiegraph.dense.shotscale import Seen, ShotScale, in_camera, shot_scale
 from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
-from tiegraph.pipeline.files import load_map, load_model, whole
-from tiegraph.pipeline.placed import world_origin, world_unit
+from tiegraph.pipeline.files import load_map, load_model, whole, world_origin, world_unit
 from tiegraph.pipeline.shots import cloud_path, depth_path, shot_views
 from tiegraph.project.run import Run
 from tiegraph.scan.priors.trajectory import write_tum

@@ -7,9 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from tiegraph.evaluate.accuracy import Hold, Predicted, Stated
-from tiegraph.pipeline.files import checked, load_json, load_model
+from tiegraph.pipeline.files import checked, load_json, load_model, placement_error
 from tiegraph.pipeline.georef import covered_frames
-from tiegraph.pipeline.placed import placement_error
 from tiegraph.project.run import Run
 
 _SOURCES = {"gnss": "GNSS positions", "exif": "the images' GPS positions", "trajectory": "the trajectory's positions"}

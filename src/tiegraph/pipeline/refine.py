@@ -23,8 +23,17 @@ from tiegraph.masks.waterline import (
     first_line,
     lines_of,
 )
-from tiegraph.pipeline.files import FINAL, checked, classes_path, load_model, mask_path, read_image, read_mask, save_png
-from tiegraph.pipeline.placed import world_unit
+from tiegraph.pipeline.files import (
+    FINAL,
+    checked,
+    classes_path,
+    load_model,
+    mask_path,
+    read_image,
+    read_mask,
+    save_png,
+    world_unit,
+)
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome
 from tiegraph.scene.atomic import same_file

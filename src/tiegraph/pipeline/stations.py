@@ -28,8 +28,7 @@ from tiegraph.scene.posefile import read_poses
 from tiegraph.stations.joined import Joined, join, prepared
 from tiegraph.stations.pairs import Pair
 from tiegraph.stations.precision import Band, by_distance
-from tiegraph.stations.spacing import spacing_of
-from tiegraph.stations.station import Shot, Station
+from tiegraph.stations.station import Shot, Station, spacing_of
 from tiegraph.stations.tuning import Tuning
 
 ENDINGS = (".ply", ".las", ".laz")

@@ -17,8 +17,7 @@ from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
 from tiegraph.geometry import transforms
-from tiegraph.network.coarse.proxy import Proxy, assumed_proxy, observed_proxy
-from tiegraph.network.coarse.view import View
+from tiegraph.network.coarse.proxy import Proxy, View, assumed_proxy, observed_proxy
 from tiegraph.network.tuning.coarse import CoarseTuning, VisibleTuning
 from tiegraph.scene.matches import Visibility
 
