@@ -15,8 +15,8 @@ from scipy.sparse.csgraph import connected_components
 from tiegraph.features.settings import PreviewSettings
 from tiegraph.features.tuning import PreviewTuning
 from tiegraph.pipeline.accuracy import with_accuracy
+from tiegraph.pipeline.files import trusted_poses
 from tiegraph.pipeline.previews import with_previews
-from tiegraph.pipeline.sparse import preview_poses
 from tiegraph.scene.colmapdatabase import pair_ids, reading
 from tiegraph.scene.matches import PreviewMatches, Visibility
 from tiegraph.scene.pairs import Pairs
@@ -83,7 +83,9 @@ class Run:
         used = self.used(rows)
         kept = set(zip(used.i.tolist(), used.j.tolist()))
         away = tuple(p for p in zip(self.pairs.i.tolist(), self.pairs.j.tolist()) if p not in kept)
-        source = Source(self.folder / "database.db", self.folder / "images", away, preview=preview_poses(self.folder))
+        coarse = trusted_poses(self.folder)
+        preview = None if coarse is None else coarse[0]
+        source = Source(self.folder / "database.db", self.folder / "images", away, preview=preview)
         return [
             m.folder for m in reconstruct(source, out, self.scene, self.settings(), Tuning(), SceneTuning(), log).models
         ]

@@ -189,8 +189,7 @@ def test_edges_of_uneven_nodes() -> None:
 def test_names_are_no_formulas() -> None:
     from matplotlib.figure import Figure
 
-    from tiegraph.network.plots.common import png
-    from tiegraph.scene.figures import plain_text
+    from tiegraph.scene.figures import plain_text, png
 
     @plain_text()
     def drawn() -> bytes:

@@ -14,7 +14,7 @@ import numpy as np
 from tiegraph.masks.appearance import Appearance, bins
 from tiegraph.masks.classes import EGO, OVEREXPOSED, SKY, USE, WATER
 from tiegraph.masks.frames import grey, read_small, small_shape
-from tiegraph.masks.morphology import dilated, scaled
+from tiegraph.masks.morphology import dilated, eroded, opened, scaled
 from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.tuning import Tuning
 from tiegraph.masks.tuning_learnt import ClassificationTuning, RegionsTuning
@@ -91,8 +91,7 @@ def _snapped(labels: np.ndarray, light: np.ndarray, tuning: ClassificationTuning
     Its lines are fitted at half the size (He and Sun 2015).
     """
     sky = (labels == SKY).astype(np.uint8)
-    square = np.ones((tuning.edge_band_px, tuning.edge_band_px), np.uint8)
-    band = (cv2.dilate(sky, square) - cv2.erode(sky, square, borderValue=1)) > 0
+    band = dilated(sky, tuning.edge_band_px) & ~eroded(sky, tuning.edge_band_px)
     rows = np.flatnonzero(band.any(axis=1))
     if not len(rows):
         return labels
@@ -142,8 +141,7 @@ def _with_white(sky: np.ndarray, white: np.ndarray, tuning: ClassificationTuning
 
 
 def _cleaned(mask: np.ndarray, tuning: ClassificationTuning) -> np.ndarray:
-    square = np.ones((tuning.open_px, tuning.open_px), np.uint8)
-    mask = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, square)
+    mask = opened(mask, tuning.open_px).astype(np.uint8)
     if not mask.any():
         return mask > 0
     for _ in range(2):  # small pieces go, then small holes

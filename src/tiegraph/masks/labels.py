@@ -15,7 +15,7 @@ from tiegraph.masks.classes import EGO, SKY, USE, WATER
 from tiegraph.masks.classification import Classifier, classify, sought
 from tiegraph.masks.frames import grey, read_small
 from tiegraph.masks.matchability import Matchability
-from tiegraph.masks.morphology import dilated, scaled
+from tiegraph.masks.morphology import dilated, eroded, scaled
 from tiegraph.masks.proof import NONE, MatchCounts, matches_in
 from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.skyline import border_sky, textureless_sky
@@ -153,7 +153,7 @@ def _unmatched(sky: np.ndarray, evidence: Matchability | None, tuning: LabelTuni
     if evidence is None:
         return False
     place = (evidence.xy[evidence.matched] * np.array(sky.shape[::-1], np.float32)).astype(int)
-    inner = cv2.erode(sky.astype(np.uint8), np.ones((tuning.rim_px, tuning.rim_px), np.uint8)) > 0
+    inner = eroded(sky, tuning.rim_px)
     inside = inner[place[:, 1].clip(0, sky.shape[0] - 1), place[:, 0].clip(0, sky.shape[1] - 1)]
     return float(inside.mean()) < tuning.matched_sky * float(inner.mean())
 

@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 
-import cv2
 import numpy as np
 
 from tiegraph.masks.classes import NAMES, OVEREXPOSED, USE
 from tiegraph.masks.matchability import Matchability
+from tiegraph.masks.morphology import eroded
 from tiegraph.masks.tuning_learnt import ProofTuning
 
 
@@ -52,7 +52,7 @@ def matches_in(labels: np.ndarray, sky: np.ndarray, evidence: Matchability | Non
     inside = np.bincount(labels[row, column], minlength=len(NAMES))
     if evidence.near is None:
         return MatchCounts(inside)
-    inner = cv2.erode(sky.astype(np.uint8), np.ones((tuning.inner_px, tuning.inner_px), np.uint8), borderValue=1) > 0
+    inner = eroded(sky, tuning.inner_px)
     distance = evidence.near[evidence.matched]
     told = np.isfinite(distance)
     near = distance[inner[row, column] & told]

@@ -25,7 +25,7 @@ from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.sources import MaskSource, check_shape, each
 from tiegraph.masks.tuning import Meguro2024Tuning
 from tiegraph.masks.tuning import Tuning as MasksTuning
-from tiegraph.network.offsets.curves import OffsetResult, contained, curves_of, facing, sampled_ranks, votes_of
+from tiegraph.network.offsets.curves import OffsetResult, curves_of, facing, sampled_ranks, votes_of
 from tiegraph.network.passes import MatchCache, Pass
 from tiegraph.network.rig import commonview
 from tiegraph.network.rig.axes import allowed_within
@@ -95,7 +95,7 @@ def constant_offsets(p: Pass, q: Pass, cache: MatchCache, settings: CandidatesSe
     ]
     for block in blocks:
         # Where both know a pair, the range decides: "offset" holds only outside of it.
-        looked_at = looked_at.where(~contained(looked_at, block)) | block
+        looked_at = looked_at.where(~looked_at.isin(block)) | block
     curves = curves_of(lattice, backwards, voted, settings.min_matches, tuning.counts, best)
     return OffsetResult(looked_at, curves, notes)
 

@@ -79,8 +79,7 @@ def surface_of(run: Run) -> CoveredSurface | None:
     if seen is None:
         return None
     scene, tuning = checked(run), run.settings.tuning.design.surface
-    focal = np.array([np.nan if s.camera is None else s.camera.mean_focal_length() for s in scene.all_sensors])
-    cells = surface_map(seen, focal[scene.sensor_key], tuning)
+    cells = surface_map(seen, scene.focal_px, tuning)
     return CoveredSurface(cells, weak_places(cells, tuning), scene.names) if len(cells) else None
 
 

@@ -19,6 +19,7 @@ import pycolmap
 from tiegraph.errors import UnreadableArtefact
 from tiegraph.geometry.geodesy import Origin
 from tiegraph.geometry.placement import PlacementError
+from tiegraph.masks.classes import NAMES
 from tiegraph.project.run import Run
 from tiegraph.project.stages import write_atomic
 from tiegraph.scene.colmapmodel import read_model
@@ -113,6 +114,17 @@ def ties_of(run: Run, stage: str = "coarse") -> PreviewMatches:
         return PreviewMatches.from_npz(load_npz(path))
 
 
+def trusted_poses(folder: Path) -> tuple[np.ndarray, np.ndarray] | None:
+    """The coarse model where it is trusted: cam_from_world (N, 4, 4), NaN elsewhere, and its ``reach`` (N, 2); None
+    without one."""
+    path = folder / "coarse" / "model.npz"
+    if not path.exists():
+        return None
+    with reading(path):
+        data = load_npz(path)
+        return np.where(data["trusted"][:, None, None], data["cam_from_world"], np.nan), data["reach"]
+
+
 def sights_of(run: Run) -> Visibility | None:
     """What each image sees of the coarse model, if there is one."""
     path = run.path("coarse", "visibility.npz")
@@ -142,6 +154,12 @@ def mask_path(folder: Path, name: str) -> Path:
 def classes_path(folder: Path, name: str) -> Path:
     """Where the classes of an image's pixels are (``masks.classes``, reduced size); not from every source."""
     return folder / "classes" / f"{name}.png"
+
+
+def class_shares(name: str, folder: Path) -> np.ndarray:
+    """Shares of an image's pixels by class."""
+    classes = read_image(classes_path(folder, name))
+    return np.bincount(classes.ravel(), minlength=len(NAMES)) / classes.size
 
 
 FINAL = "refine"

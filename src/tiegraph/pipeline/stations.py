@@ -218,13 +218,7 @@ def _merged(
 def _points(name: str, files: dict[str, Path], poses: dict[str, np.ndarray], noise: float, voxel: float) -> MapPoints:
     cloud, pose = read_cloud(files[name]), poses[name]
     sigma = np.where(np.isfinite(cloud.sigma_m) & (cloud.sigma_m > 0), cloud.sigma_m, noise).astype(np.float32)
-    moved = replace(
-        cloud,
-        xyz_m=transforms.apply(pose, cloud.xyz_m),
-        normal=(cloud.normal @ pose[:3, :3].T).astype(np.float32),
-        sigma_m=sigma,
-        views=np.maximum(cloud.views, 1),
-    )
+    moved = replace(cloud.moved(pose), sigma_m=sigma, views=np.maximum(cloud.views, 1))
     return moved, np.maximum(spacing_of(cloud.xyz_m, cloud.origin is None, Tuning().spacing), voxel), 0
 
 

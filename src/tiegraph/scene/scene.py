@@ -92,10 +92,20 @@ class Scene:
         start = np.cumsum([0] + [len(r.sensors) for r in self.rigs])[:-1]
         return (start[self.rig[self.frame]] + self.sensor).astype(np.int32)
 
+    def first_sensor(self, rig: int) -> int:
+        """Key of the first sensor of a rig."""
+        return sum(len(r.sensors) for r in self.rigs[:rig])
+
     @property
     def all_sensors(self) -> tuple[Sensor, ...]:
         """The sensors of all rigs, one after another."""
         return tuple(s for r in self.rigs for s in r.sensors)
+
+    @property
+    def focal_px(self) -> np.ndarray:
+        """(N,) focal length of each image's camera, pixels; NaN where there is none."""
+        own = [np.nan if s.camera is None else s.camera.mean_focal_length() for s in self.all_sensors]
+        return np.array(own, float)[self.sensor_key]
 
     def sensor_of(self, image: int) -> Sensor:
         """The sensor that took an image."""

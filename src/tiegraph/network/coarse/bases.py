@@ -13,6 +13,7 @@ from scipy.sparse import csr_array
 from tiegraph.geometry.align import umeyama
 from tiegraph.scene.matches import Visibility
 from tiegraph.scene.pairs import Pairs
+from tiegraph.scene.places import of_frames
 from tiegraph.scene.scene import Scene
 
 _CHUNK = 20_000  # pairs whose points are looked up at once: bounds the memory
@@ -27,7 +28,7 @@ def with_bases(pairs: Pairs, scene: Scene, sights: Visibility) -> Pairs:
     base = np.linalg.norm(sights.centre[pairs.i] - sights.centre[pairs.j], axis=1)
     distance = _distances(pairs, sights)
     metres = metres_per_unit(scene.measured(), sights.centre)
-    focal_px = _focal_px(scene)
+    focal_px = scene.focal_px
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = distance / base
         sigma = metres * distance / (0.5 * (focal_px[pairs.i] + focal_px[pairs.j]) * np.sqrt(pairs.score))
@@ -42,9 +43,7 @@ def with_bases(pairs: Pairs, scene: Scene, sights: Visibility) -> Pairs:
 def metres_per_unit(scene: Scene, centre: np.ndarray) -> float:
     """Size of the model's unit by the frames' prior positions and its image centres (N, 3); NaN where fewer than three
     frames have both, or their spread is no larger than the sigma of the positions."""
-    where = np.full((scene.frames, 3), np.nan)
-    for k in np.flatnonzero(np.isfinite(centre).all(axis=1))[::-1]:
-        where[scene.frame[k]] = centre[k]
+    where = of_frames(centre, scene)
     prior = scene.world_from_rig[:, :3, 3]
     both = np.isfinite(where).all(axis=1) & np.isfinite(prior).all(axis=1)
     if both.sum() < 3:
@@ -72,9 +71,3 @@ def _distances(pairs: Pairs, sights: Visibility) -> np.ndarray:
         total = far[i].multiply(seen[j]).sum(axis=1) + far[j].multiply(seen[i]).sum(axis=1)
         out[rows] = np.where(count > 0, 0.5 * total / np.maximum(count, 1), np.nan)
     return out
-
-
-def _focal_px(scene: Scene) -> np.ndarray:
-    """(N,) of each image's camera, NaN where there is none."""
-    own = [np.nan if s.camera is None else s.camera.mean_focal_length() for s in scene.all_sensors]
-    return np.array(own, float)[scene.sensor_key]

@@ -17,15 +17,14 @@ import pycolmap
 from tiegraph.geometry import transforms
 from tiegraph.network.coarse.assembled import Assembled
 from tiegraph.network.coarse.model import CoarseModel
-from tiegraph.network.coarse.trust import Trust, pair_key, trust
+from tiegraph.network.coarse.trust import Trust, trust
 from tiegraph.network.coarse.visible import Overlap
-from tiegraph.network.offsets.curves import contained
 from tiegraph.network.passes import MatchCache
 from tiegraph.network.settings import CandidatesSettings, CoarseSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.network.tuning.coarse import CoarseTuning
 from tiegraph.scene.matches import PreviewMatches
-from tiegraph.scene.pairs import REASONS, Pairs
+from tiegraph.scene.pairs import REASONS, Pairs, pair_key
 from tiegraph.scene.rig import Rig, calibrated, camera_from_dict, camera_to_dict
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.strongest import strongest_pairs
@@ -259,7 +258,7 @@ def _judged(pairs: Pairs, overlap: Overlap, part: np.ndarray, settings: Candidat
     enough = (overlap.share >= settings.min_overlap) & (part[overlap.i] >= 0) & (part[overlap.j] >= 0)
     found = Pairs.make(overlap.i[enough], overlap.j[enough], "model", overlap=overlap.share[enough])
     copies = pairs.where(pairs.dropped == REASONS.index("similar"))  # share all their surface, and have no base
-    return judged | found.where(~contained(found, copies))
+    return judged | found.where(~found.isin(copies))
 
 
 def _never_tied(

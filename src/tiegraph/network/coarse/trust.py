@@ -20,6 +20,7 @@ from tiegraph.network.passes import MatchCache
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning.coarse import TrustTuning
 from tiegraph.scene.graph import cheapest_cut, parts
+from tiegraph.scene.pairs import pair_key
 from tiegraph.scene.scene import Scene
 
 
@@ -105,11 +106,6 @@ def near_frames(scene: Scene, a: np.ndarray, b: np.ndarray, steps: int) -> np.nd
         (scene.sequence[a] == scene.sequence[b]) & (scene.sequence[a] >= 0) & (scene.rig[a] == scene.rig[b]) & (a != b)
     )
     return same & (np.abs(scene.sequence_index[a] - scene.sequence_index[b]) <= steps)
-
-
-def pair_key(i: np.ndarray, j: np.ndarray) -> np.ndarray:
-    """(K,) one number for each pair i, j (K,)."""
-    return i.astype(np.int64) << 32 | j
 
 
 def _doubts(

@@ -20,6 +20,7 @@ from tiegraph.geometry import transforms
 from tiegraph.network.coarse.proxy import Proxy, View, assumed_proxy, observed_proxy
 from tiegraph.network.tuning.coarse import CoarseTuning, VisibleTuning
 from tiegraph.scene.matches import Visibility
+from tiegraph.scene.pairs import pair_key
 
 __all__ = ["Overlap", "Proxy", "assumed_proxy", "observed_proxy", "shared_surface"]
 
@@ -43,8 +44,7 @@ class Overlap:
 
     def between(self, i: np.ndarray, j: np.ndarray) -> np.ndarray:
         """(K,) share of image pairs in any order of their ends; 0 where they are not listed."""
-        own = self.i.astype(np.int64) << 32 | self.j
-        key = np.minimum(i, j).astype(np.int64) << 32 | np.maximum(i, j)
+        own, key = pair_key(self.i, self.j), pair_key(np.minimum(i, j), np.maximum(i, j))
         if not len(own):
             return np.zeros(len(key))
         at = np.minimum(np.searchsorted(own, key), len(own) - 1)

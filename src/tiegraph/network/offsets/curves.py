@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -17,6 +15,7 @@ from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import CountsTuning
 from tiegraph.network.tuning.rig import RigTuning
 from tiegraph.scene.pairs import Pairs
+from tiegraph.text import csv_text
 
 
 @dataclass(frozen=True)
@@ -117,17 +116,11 @@ def votes_of(
 
 def curves_csv(curves: Iterable[OffsetCurve]) -> str:
     """CSV of the curves, an offset of two cameras a row."""
-    text = io.StringIO()
-    table = csv.writer(text, lineterminator="\n")
-    table.writerow(["pass1", "camera1", "pass2", "camera2", "direction", "offset", "votes", "best", "accepted"])
-    for c in curves:
-        head = [c.pass_a, c.sensor_a, c.pass_b, c.sensor_b, "back" if c.reversed else "same"]
-        for offset, votes in zip(c.offsets, c.votes):
-            table.writerow([*head, offset, f"{votes:.6g}", int(offset == c.best), int(c.accepted)])
-    return text.getvalue()
-
-
-def contained(pairs: Pairs, other: Pairs) -> np.ndarray:
-    """(P,) bool: rows of ``pairs`` that are in ``other`` too."""
-    key = pairs.i.astype(np.int64) << 32 | pairs.j
-    return np.isin(key, other.i.astype(np.int64) << 32 | other.j)
+    heads = ["pass1", "camera1", "pass2", "camera2", "direction", "offset", "votes", "best", "accepted"]
+    rows = (
+        [c.pass_a, c.sensor_a, c.pass_b, c.sensor_b, "back" if c.reversed else "same", offset, f"{votes:.6g}",
+         int(offset == c.best), int(c.accepted)]
+        for c in curves
+        for offset, votes in zip(c.offsets, c.votes)
+    )  # fmt: skip
+    return csv_text(heads, rows)

@@ -18,7 +18,7 @@ import numpy as np
 from tiegraph.errors import choose
 from tiegraph.network.offsets.background import corridor, noise_floor_away, noise_floor_within
 from tiegraph.network.offsets.copies import find_copies
-from tiegraph.network.offsets.curves import OffsetResult, contained, curves_of, facing, sampled_ranks
+from tiegraph.network.offsets.curves import OffsetResult, curves_of, facing, sampled_ranks
 from tiegraph.network.offsets.surface import minimum_cost_path, surfaces_of
 from tiegraph.network.passes import MatchCache, Pass
 from tiegraph.network.rig import commonview
@@ -302,4 +302,4 @@ def _without_copies(
         return result
     twins = Pairs.make(copies.i, copies.j, "offsets", score=cache.known(copies.i, copies.j))
     pairs = result.pairs | twins
-    return replace(result, pairs=pairs.drop(contained(pairs, twins), "similar"), notes=(*result.notes, copies.note))
+    return replace(result, pairs=pairs.drop(pairs.isin(twins), "similar"), notes=(*result.notes, copies.note))

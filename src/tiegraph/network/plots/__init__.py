@@ -13,10 +13,11 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from tiegraph.network.offsets.curves import OffsetCurve
-from tiegraph.network.plots.common import BLUE, DPI, grouped, png
+from tiegraph.network.plots.common import BLUE, DPI, grouped
 from tiegraph.network.plots.map import map_png, weak_pairs
 from tiegraph.network.plots.sections import sections_png
 from tiegraph.network.plots.surfaces import surfaces_png
+from tiegraph.scene.figures import png
 from tiegraph.scene.pairs import REASON_LOOKS, REASONS, Pairs
 from tiegraph.scene.scene import Scene
 

@@ -13,8 +13,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import laplacian
 from scipy.sparse.linalg import eigsh
 
-from tiegraph.network.plots.common import DPI, INK, RED, grouped, png
-from tiegraph.scene.figures import plain_text
+from tiegraph.network.plots.common import DPI, INK, RED, grouped
+from tiegraph.scene.figures import plain_text, png
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.places import between_neighbours
 from tiegraph.scene.scene import Scene

@@ -32,7 +32,7 @@ from tiegraph.network.poses.poses import PoseResult, pose_pairs, prior_views, vi
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.network.tuning.poses import PriorTuning
-from tiegraph.scene.pairs import Pairs
+from tiegraph.scene.pairs import Pairs, pair_key
 from tiegraph.scene.scene import Scene
 
 KINDS = ("near in sequence", "same pass", "other pass", "loose photographs")
@@ -138,7 +138,7 @@ def _sample(scene: Scene, pairs: Pairs, tuning: PriorTuning) -> _Sample:
     i, j = np.concatenate([pairs.i, np.minimum(a, b)]), np.concatenate([pairs.j, np.maximum(a, b)])
     offered = np.concatenate([pairs.dropped == 0, np.zeros(len(a), bool)])
     world = scene.pose_world()[scene.frame]
-    _, first = np.unique(i.astype(np.int64) << 32 | j, return_index=True)
+    _, first = np.unique(pair_key(i, j), return_index=True)
     first = first[(scene.frame[i[first]] != scene.frame[j[first]]) & (world[i[first]] == world[j[first]])]
     i, j, offered = i[first], j[first], offered[first]
     kind = _kind(scene, i, j, tuning.near_steps)

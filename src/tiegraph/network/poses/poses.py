@@ -20,7 +20,7 @@ from tiegraph.network.poses.headings import with_headings
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.network.tuning.poses import PosesTuning
-from tiegraph.scene.pairs import REASONS, Pairs
+from tiegraph.scene.pairs import REASONS, Pairs, pair_key
 from tiegraph.scene.scene import Scene
 
 
@@ -214,7 +214,7 @@ def _candidates(
     """Image pairs i < j to be judged: of near frames, and all that share surface."""
     i, j = _image_pairs(scene, *_frame_pairs(scene, frames, reach, tuning))
     i, j = np.concatenate([np.minimum(i, j), found.i]), np.concatenate([np.maximum(i, j), found.j])
-    key = np.unique(i.astype(np.int64) << 32 | j)
+    key = np.unique(pair_key(i, j))
     return key >> 32, key & 0xFFFFFFFF
 
 

@@ -163,7 +163,7 @@ def model_extrinsics(reconstruction: pycolmap.Reconstruction, scene: Scene, inde
     Re-expressed to the scene's rig frame when the model had to take another sensor as reference.
     """
     rig = scene.rigs[index]
-    first_key = int(sum(len(r.sensors) for r in scene.rigs[:index]))
+    first_key = scene.first_sensor(index)
     camera_of = {int(scene.sensor_key[scene.image_index[i.name]]): i.camera_id
                  for i in reconstruction.images.values() if i.name in scene.image_index}  # fmt: skip
     out: list[np.ndarray | None] = [None] * len(rig.sensors)
