@@ -42,12 +42,12 @@ class Run:
     pairs: Pairs
     verified: Pairs
     ties: PreviewMatches
-    sights: Visibility | None
+    visibility: Visibility | None
 
     @staticmethod
     def read(folder: Path) -> Run:
         """A run with ``--design.method all`` up to the stage ``filter``."""
-        sights = folder / "network" / "visibility.npz"
+        visibility = folder / "coarse" / "visibility.npz"
         pairs, ties = (
             Pairs.from_npz(_npz(folder / "network.npz")),
             PreviewMatches.from_npz(_npz(folder / "network" / "matches.npz")),
@@ -59,7 +59,7 @@ class Run:
             pairs,
             Pairs.from_npz(_npz(folder / "filter.npz")),
             ties,
-            Visibility.from_npz(_npz(sights)) if sights.exists() else None,
+            Visibility.from_npz(_npz(visibility)) if visibility.exists() else None,
         )
 
     def with_accuracy(self) -> Pairs:

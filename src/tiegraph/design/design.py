@@ -70,13 +70,13 @@ def design(
     ties: PreviewMatches | None,
     settings: DesignSettings,
     tuning: Tuning,
-    sights: Visibility | None = None,
+    visibility: Visibility | None = None,
     cost: Cost | None = None,
 ) -> DesignResult:
     """Choose by the method of the settings; what was connected stays connected, but by some of ``METHODS``.
 
     ``ties``: preview matches of the pairs that were previewed; for the others matches are expected from the score or
-    the overlap. ``sights``, the points of a coarse model each image sees, tell which tracks all of them would join.
+    the overlap. ``visibility``, the points of a coarse model each image sees, tell which tracks all of them would join.
     Methods hybrid and top keep a maximum spanning forest of the images, two pairs without a common image from
     every camera, pass and section to the rest, and a second link wherever frames would hang on one; hybrid
     also the strongest pairs of every image and part (``holding``), within a share of a budget of pairs.
@@ -93,8 +93,8 @@ def design(
         return _made(pairs, thin.pairs, thin.notes, dict(thin.counts))
     i, j, strength = pairs.i[kept], pairs.j[kept], expected[kept]
     known = ties
-    if sights is not None:
-        seen = predict_matches(i, j, counted_matches(pairs, ties)[kept], sights, tuning.match_prediction)
+    if visibility is not None:
+        seen = predict_matches(i, j, counted_matches(pairs, ties)[kept], visibility, tuning.match_prediction)
         known, strength = seen.matches, np.where(np.isfinite(seen.expected), seen.expected, strength)
     start = _start(i, j, strength, scene, _room(settings, len(scene), tuning), tuning)
     if settings.method == "top":

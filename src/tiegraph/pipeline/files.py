@@ -125,7 +125,7 @@ def trusted_poses(folder: Path) -> tuple[np.ndarray, np.ndarray] | None:
         return np.where(data["trusted"][:, None, None], data["cam_from_world"], np.nan), data["reach"]
 
 
-def sights_of(run: Run) -> Visibility | None:
+def visibility_of(run: Run) -> Visibility | None:
     """What each image sees of the coarse model, if there is one."""
     path = run.path("coarse", "visibility.npz")
     if not path.exists():

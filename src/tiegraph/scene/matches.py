@@ -33,7 +33,7 @@ class PreviewMatches:
             object.__setattr__(self, name, column)
         key = pair_key(self.i, self.j)
         if np.any(self.i >= self.j) or np.any(np.diff(key) <= 0) or len(self.start) != len(self.i) + 1:
-            raise ValueError("ties must have i < j and be sorted and unique: build them with Ties.make")
+            raise ValueError("ties must have i < j and be sorted and unique: build them with PreviewMatches.make")
 
     @staticmethod
     def make(i: np.ndarray, j: np.ndarray, matches: Sequence[np.ndarray]) -> PreviewMatches:

@@ -45,7 +45,7 @@ class Scene:
     frame: np.ndarray  # (N,) i4: frame of an image
     sensor: np.ndarray  # (N,) i2: sensor of an image, index into its rig's sensors
     rig: np.ndarray  # (F,) i2: rig of a frame
-    sequence: np.ndarray  # (F,) i2: pass of a frame, index into tracks; -1 = loose (no order)
+    sequence: np.ndarray  # (F,) i2: pass of a frame, index into sequences; -1 = loose (no order)
     sequence_index: np.ndarray  # (F,) i4: order on the pass
     time_s: np.ndarray  # (F,) f8, NaN = unknown
     world_from_rig: np.ndarray  # (F, 4, 4) f8 prior pose; NaN = unknown; the rotation alone may be NaN (GNSS)

@@ -19,15 +19,15 @@ from tiegraph.scene.scene import Scene
 _CHUNK = 20_000  # pairs whose points are looked up at once: bounds the memory
 
 
-def with_bases(pairs: Pairs, scene: Scene, sights: Visibility) -> Pairs:
+def with_bases(pairs: Pairs, scene: Scene, visibility: Visibility) -> Pairs:
     """The pairs with ``h_over_b`` where both images see points of the model, ``baseline_m`` and ``sigma_m`` (for
     matches good to one pixel, as many as ``score``) where measured positions tell the model's scale too.
 
     A base that is known by poses in metres stays.
     """
-    base = np.linalg.norm(sights.centre[pairs.i] - sights.centre[pairs.j], axis=1)
-    distance = _distances(pairs, sights)
-    metres = metres_per_unit(scene.measured(), sights.centre)
+    base = np.linalg.norm(visibility.centre[pairs.i] - visibility.centre[pairs.j], axis=1)
+    distance = _distances(pairs, visibility)
+    metres = metres_per_unit(scene.measured(), visibility.centre)
     focal_px = scene.focal_px
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = distance / base
@@ -55,14 +55,14 @@ def metres_per_unit(scene: Scene, centre: np.ndarray) -> float:
     return umeyama(where[both], prior[both]).scale
 
 
-def _distances(pairs: Pairs, sights: Visibility) -> np.ndarray:
+def _distances(pairs: Pairs, visibility: Visibility) -> np.ndarray:
     """(P,) mean distance of the points that both images see, from either; NaN = none."""
-    images = len(sights.start) - 1
-    image = np.repeat(np.arange(images), np.diff(sights.start))
-    away = np.linalg.norm(sights.xyz[sights.point] - sights.centre[image], axis=1)
-    shape = (images, len(sights.xyz))
-    far = csr_array((away, sights.point, sights.start), shape=shape)
-    seen = csr_array((np.ones(len(image)), sights.point, sights.start), shape=shape)
+    images = len(visibility.start) - 1
+    image = np.repeat(np.arange(images), np.diff(visibility.start))
+    away = np.linalg.norm(visibility.xyz[visibility.point] - visibility.centre[image], axis=1)
+    shape = (images, len(visibility.xyz))
+    far = csr_array((away, visibility.point, visibility.start), shape=shape)
+    seen = csr_array((np.ones(len(image)), visibility.point, visibility.start), shape=shape)
     out = np.full(len(pairs), np.nan)
     for first in range(0, len(pairs), _CHUNK):
         rows = slice(first, first + _CHUNK)

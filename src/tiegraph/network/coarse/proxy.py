@@ -105,9 +105,11 @@ def observed_proxy(
     towards /= np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-12)
     reach = np.zeros(len(points))
     np.maximum.at(reach, point, tuning.far_observers * distance)
-    sequence = np.bincount(point, minlength=len(points))
-    proxy = Proxy(points=points, reach=np.where(sequence > 0, reach, np.inf), towards=towards, image=image, point=point)
-    good = sequence >= tuning.min_track
+    observers = np.bincount(point, minlength=len(points))
+    proxy = Proxy(
+        points=points, reach=np.where(observers > 0, reach, np.inf), towards=towards, image=image, point=point
+    )
+    good = observers >= tuning.min_track
     return proxy.keep(good) if good.sum() >= tuning.tracked_share * len(points) else proxy
 
 

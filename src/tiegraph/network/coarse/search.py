@@ -61,7 +61,7 @@ class Search:
         tuning: CoarseTuning,
     ) -> None:
         self._pairs, self._scene = candidates
-        self._book, self._tuning = cache, tuning
+        self._cache, self._tuning = cache, tuning
         self._settings, self._per_image = settings[0], float(settings[1].pairs_per_image)
         self._without = np.zeros(0, np.int64)
         self._best = np.zeros(0, np.int64), np.zeros(0, np.int64)
@@ -74,9 +74,9 @@ class Search:
             return None
         best = strongest_pairs(self._pairs, self._scene, round(self._per_image))
         if any(t.right() for t in self._tries):  # only a camera was turned too far: no reason to look at more
-            best = best.where(np.isfinite(self._book.known(best.i, best.j)))
+            best = best.where(np.isfinite(self._cache.known(best.i, best.j)))
         self._best = best.i, best.j
-        return _ties(best, self._book, self._without, self._tuning.tie_matches)
+        return _ties(best, self._cache, self._without, self._tuning.tie_matches)
 
     def take(self, ties: PreviewMatches, made: Assembled) -> None:
         """Judge the models made of the ties that were wanted."""
@@ -105,7 +105,7 @@ class Search:
         loose = best.loose(tries, tuning)
         trusted = best.trust.images & ~loose[scene.sensor_key]
         judged = _judged(pairs, best.overlap, np.where(trusted, best.part, -1), self._settings)
-        judged = judged.drop(_never_tied(judged, scene, self._book, self._settings, tuning), "votes")
+        judged = judged.drop(_never_tied(judged, scene, self._cache, self._settings, tuning), "votes")
         model = best.models[0]
         notes = (*_notes(scene, best), *best.notes, *said, *_loose_notes(scene, loose, best.turned))
         if model.placed().sum() < tuning.calibrates * len(scene):
@@ -130,7 +130,7 @@ class Search:
         for k, one in enumerate(models):
             part[one.placed()] = k
         overlap = Overlap.together([one.overlap(self._settings.axes_deg, self._tuning) for one in models])
-        believed = trust(scene, self._book, self._best, overlap, part, self._settings, self._tuning.trust)
+        believed = trust(scene, self._cache, self._best, overlap, part, self._settings, self._tuning.trust)
         i, j = (np.concatenate(both) for both in zip(believed.suspects, made.suspects))
         believed = replace(believed, suspects=(i, j))
         return _Try(
