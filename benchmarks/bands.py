@@ -28,8 +28,7 @@ from tiegraph.evaluate import reference
 from tiegraph.evaluate.accuracy import in_layers, pose_figures
 from tiegraph.evaluate.trajectory import evaluate_trajectory
 from tiegraph.geometry import transforms
-from tiegraph.pipeline.files import checked, load_model
-from tiegraph.pipeline.placed import world_origin
+from tiegraph.pipeline.files import checked, load_model, world_origin
 from tiegraph.pipeline.predicted import stated
 from tiegraph.project.run import Run
 

@@ -178,7 +178,7 @@ def _chosen(matched: Run, method: str, share: float, seed: int) -> Choice:
             settings = DesignSettings(method=method, budget="pairs", pairs_per_image=each)
         if method.startswith("fuse2014"):
             pairs = matched.with_accuracy()
-        found = design(pairs, matched.scene, matched.ties, settings, Tuning(), matched.sights)
+        found = design(pairs, matched.scene, matched.ties, settings, Tuning(), matched.visibility)
         rows, counts = np.flatnonzero(found.pairs.dropped == 0), dict(found.counts)
     return Choice(method, share, seed, rows, time.process_time() - began, counts)
 

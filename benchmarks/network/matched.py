@@ -15,8 +15,8 @@ from scipy.sparse.csgraph import connected_components
 from tiegraph.features.settings import PreviewSettings
 from tiegraph.features.tuning import PreviewTuning
 from tiegraph.pipeline.accuracy import with_accuracy
+from tiegraph.pipeline.files import trusted_poses
 from tiegraph.pipeline.previews import with_previews
-from tiegraph.pipeline.sparse import preview_poses
 from tiegraph.scene.colmapdatabase import pair_ids, reading
 from tiegraph.scene.matches import PreviewMatches, Visibility
 from tiegraph.scene.pairs import Pairs
@@ -42,12 +42,12 @@ class Run:
     pairs: Pairs
     verified: Pairs
     ties: PreviewMatches
-    sights: Visibility | None
+    visibility: Visibility | None
 
     @staticmethod
     def read(folder: Path) -> Run:
         """A run with ``--design.method all`` up to the stage ``filter``."""
-        sights = folder / "network" / "visibility.npz"
+        visibility = folder / "coarse" / "visibility.npz"
         pairs, ties = (
             Pairs.from_npz(_npz(folder / "network.npz")),
             PreviewMatches.from_npz(_npz(folder / "network" / "matches.npz")),
@@ -59,7 +59,7 @@ class Run:
             pairs,
             Pairs.from_npz(_npz(folder / "filter.npz")),
             ties,
-            Visibility.from_npz(_npz(sights)) if sights.exists() else None,
+            Visibility.from_npz(_npz(visibility)) if visibility.exists() else None,
         )
 
     def with_accuracy(self) -> Pairs:
@@ -83,7 +83,9 @@ class Run:
         used = self.used(rows)
         kept = set(zip(used.i.tolist(), used.j.tolist()))
         away = tuple(p for p in zip(self.pairs.i.tolist(), self.pairs.j.tolist()) if p not in kept)
-        source = Source(self.folder / "database.db", self.folder / "images", away, preview=preview_poses(self.folder))
+        coarse = trusted_poses(self.folder)
+        preview = None if coarse is None else coarse[0]
+        source = Source(self.folder / "database.db", self.folder / "images", away, preview=preview)
         return [
             m.folder for m in reconstruct(source, out, self.scene, self.settings(), Tuning(), SceneTuning(), log).models
         ]

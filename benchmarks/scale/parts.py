@@ -94,7 +94,7 @@ def joins(images: int) -> Measured:
     return run
 
 
-def lattice(images: int) -> Measured:
+def scores(images: int) -> Measured:
     """Evidence between two long passes of six cameras, smoothed and interpolated to every frame."""
     frames, tuning = images // (2 * CAMERAS), Tuning()
     rig = Rig("ring", tuple(Sensor(f"cam{k}") for k in range(CAMERAS)))
@@ -162,7 +162,7 @@ PARTS: dict[str, Callable[[int], Measured]] = {
     "database": database,
     "blocks": blocks,
     "joins": joins,
-    "lattice": lattice,
+    "lattice": scores,
     "previews": previews,
     "pair list": pair_list,
 }

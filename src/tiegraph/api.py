@@ -51,8 +51,12 @@ class Project:
         self._run(STAGES, until, reporter)
         return self
 
+    def as_run(self, reporter: Reporter | None = None) -> Run:
+        """The project as the stages see it."""
+        return Run(self.folder, self.inputs, self.settings, self.pool, reporter)
+
     def _run(self, stages: tuple[Stage, ...], until: str | None, reporter: Reporter | None) -> None:
-        run = Run(self.folder, self.inputs, self.settings, self.pool, reporter)
+        run = self.as_run(reporter)
         check_run(stages, run)
         check_given(stages, run)
         run_stages(stages, run, until, self.save)
@@ -61,15 +65,15 @@ class Project:
         """Remove the depth maps of a finished survey, by far its largest files; the bytes that this freed.
 
         All else stays up to date; they are made again when a stage or ``export`` needs them."""
-        return let_go(STAGES, Run(self.folder, self.inputs, self.settings, self.pool))
+        return let_go(STAGES, self.as_run())
 
     def forecast(self) -> Forecast | None:
         """What a run will need of disk and CPU time; None for videos and bags. Nothing is written."""
-        return forecast(Run(self.folder, self.inputs, self.settings, self.pool))
+        return forecast(self.as_run())
 
     def status(self) -> list[tuple[str, str, dict]]:
         """(stage, why it is out of date or "", its receipt) for every stage, without running."""
-        return status(STAGES, Run(self.folder, self.inputs, self.settings, self.pool))
+        return status(STAGES, self.as_run())
 
     def save(self) -> Callable[[], None]:
         """Write tiegraph.toml into the run folder if what it says differs from this project; what takes it back.
@@ -100,7 +104,7 @@ class Project:
         from tiegraph.pipeline.files import whole
         from tiegraph.pipeline.shots import cloud_path  # loads the dense engine
 
-        scene = whole(Run(self.folder, self.inputs, self.settings))
+        scene = whole(self.as_run())
         return [cloud_path(self.folder, scene, frame) for frame in range(scene.frames)]
 
     def posed_shots(self, folder: str | Path, reporter: Reporter | None = None) -> list[Path]:
@@ -109,7 +113,7 @@ class Project:
         folder that holds something."""
         from tiegraph.pipeline.posedshots import posed_shots  # loads the engine
 
-        files, said = posed_shots(Run(self.folder, self.inputs, self.settings), Path(folder))
+        files, said = posed_shots(self.as_run(), Path(folder))
         if reporter is not None and said:
             reporter.say(said)
         return files
@@ -123,7 +127,7 @@ class Project:
 
         reporter = reporter or Reporter("quiet")
         self._run(STAGES, "scan" if self.settings.masks.folder is None else "masks", reporter)
-        return odometry(Run(self.folder, self.inputs, self.settings, self.pool, reporter), Path(out))
+        return odometry(self.as_run(reporter), Path(out))
 
     def baseline(
         self, name: str, sample: int, out: str | Path | None = None, reporter: Reporter | None = None
@@ -136,7 +140,7 @@ class Project:
 
         choose("baseline", name, dict.fromkeys(glue.BASELINES))
         folder = self.folder.with_name(f"{self.folder.name}_block{sample}") if out is None else Path(out).absolute()
-        block = glue.lay_out(Run(self.folder, self.inputs, self.settings), sample, folder)
+        block = glue.lay_out(self.as_run(), sample, folder)
         sides = {"tiegraph": (self.preset, self.settings), name: (name, self._as_given())}
         notes = []
         for side, (preset, settings) in sides.items():
@@ -169,7 +173,7 @@ class Project:
         self._needed("depth", "dense")
         from tiegraph.pipeline.dense import hand_over  # loads the dense engine
 
-        return hand_over(Run(self.folder, self.inputs, self.settings), Path(folder))
+        return hand_over(self.as_run(), Path(folder))
 
     def rig_file(self, form: str = "rig") -> tuple[str, tuple[str, ...]]:
         """The rig as the model has it, with sigmas, as text of a rig.toml or (``form`` = "rig_config") of COLMAP's
@@ -194,7 +198,7 @@ class Project:
         from tiegraph.pipeline.design import coverage_of  # loads the engine
 
         self._needed(*(("pairs.npz", "design") if chosen else ("network.npz", "network")))
-        return coverage_of(Run(self.folder, self.inputs, self.settings), chosen)
+        return coverage_of(self.as_run(), chosen)
 
     def surface(self) -> CoveredSurface | None:
         """How well the surface is covered, by the coarse model: by how many images, under which angles, with what
@@ -202,7 +206,7 @@ class Project:
         from tiegraph.pipeline.design import surface_of  # loads the engine
 
         self._needed("network.npz", "network")
-        return surface_of(Run(self.folder, self.inputs, self.settings))
+        return surface_of(self.as_run())
 
     def pairs(self) -> Pairs:
         """The pair table of the last stage that made one: `filter`, `match` (both with inliers) or `design`."""
@@ -230,7 +234,7 @@ class Project:
 
     def receipt(self, stage: str) -> dict:
         """What a stage says of itself: counts, dropped items with reasons, notes, times, settings, versions."""
-        return Run(self.folder, self.inputs, self.settings).receipts.read(stage)
+        return self.as_run().receipts.read(stage)
 
     def _needed(self, name: str, stage: str) -> Path:
         path = self.folder / name

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import unicodedata
+from collections.abc import Iterable
 
 # Control characters (ESC, CR, BEL, NUL), format characters (that turn the direction of writing, or cannot be seen),
 # halves of characters (bytes of a file name that are not UTF-8), separators of lines and paragraphs.
@@ -37,6 +40,13 @@ def known_to(sigma: float, most: float, shown: str) -> str:
     ``most`` is the size of what it is a sigma of: the length of a lever arm, a right angle, 1 for a scale.
     """
     return f"known to {shown}" if sigma < most else "not known"
+
+
+def csv_text(columns: Iterable[object], rows: Iterable[Iterable[object]]) -> str:
+    """A table as CSV, lines ending in a newline."""
+    out = io.StringIO()
+    csv.writer(out, lineterminator="\n").writerows([columns, *rows])
+    return out.getvalue()
 
 
 def _escaped(character: str) -> str:

@@ -19,7 +19,7 @@ from campaign.process import Server
 from tiegraph.geometry import transforms
 from tiegraph.geometry.geodesy import geodetic_from_world
 from tiegraph.pipeline import STAGES
-from tiegraph.scan.rigfiles.rigwrite import write_rig_config, write_rig_toml
+from tiegraph.scan.rigfiles.rigwrite import rig_config, write_rig_toml
 
 NAMES = tuple(s.name for s in STAGES)
 PATIENCE_S = 400.0  # for a whole run on a machine with other work; a clean one takes half a minute
@@ -85,7 +85,7 @@ def write_inputs(folder: Path) -> None:
     worlds.write_gnss(survey, folder / "gnss.csv")
     worlds.write_times(survey, folder / "times.csv")
     write_rig_toml(survey.rig, folder / "rig.toml")
-    write_rig_config(survey.rig, folder / "rig_config.json")
+    (folder / "rig_config.json").write_text(rig_config([survey.rig]), encoding="utf-8")
     _write_trajectory(survey, folder / "trajectory.tum")
     shutil.copyfile(folder / "trajectory.tum", folder / "reference.tum")
     _write_control(survey, folder)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tiegraph.dense.consistency import check
-from tiegraph.dense.normals import with_normals
+from tiegraph.dense.depth import with_normals
 from tiegraph.dense.settings import DenseSettings
 from tiegraph.dense.sgbm import match_sgbm
 from tiegraph.dense.triangulate import Candidates, triangulate

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from tiegraph.dense import engine, tsgm
-from tiegraph.dense.mutual import mutual_information
 from tiegraph.dense.settings import DenseSettings
+from tiegraph.dense.tsgm import mutual_information
 from tiegraph.dense.tuning import Tuning
 from tiegraph.errors import EngineMissing
 

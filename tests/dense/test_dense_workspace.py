@@ -5,8 +5,8 @@ import pycolmap
 import pytest
 from dense_world import render, true_model
 
+from tiegraph.dense.depth import with_normals
 from tiegraph.dense.neighbours import plan_images
-from tiegraph.dense.normals import with_normals
 from tiegraph.dense.settings import DenseSettings
 from tiegraph.dense.tuning import Tuning
 from tiegraph.dense.undistort import pinhole_of

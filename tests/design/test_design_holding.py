@@ -7,8 +7,7 @@ from hypothesis import strategies as st
 
 from boat_world import photos
 from tiegraph.design.cost import Cost, cost, predicted_keypoints
-from tiegraph.design.design import design
-from tiegraph.design.holding import holding
+from tiegraph.design.design import design, holding
 from tiegraph.design.matchprediction import verified_chance
 from tiegraph.design.settings import DesignSettings
 from tiegraph.design.tuning import Tuning

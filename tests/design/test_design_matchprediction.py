@@ -11,7 +11,7 @@ TUNING = MatchPredictionTuning()
 NOT_PREVIEWED = np.full(3, np.nan)
 
 
-def sights(x: tuple[float, ...] = (0.0, 0.0, 0.0)) -> Visibility:
+def visibility(x: tuple[float, ...] = (0.0, 0.0, 0.0)) -> Visibility:
     """Three images on a line before a wall 10 away; the first two share 200 points, the third sees others."""
     points = [np.arange(0, 400), np.arange(200, 600), np.arange(1000, 1100)]
     xyz = np.random.default_rng(0).uniform((-3, -3, 10), (3, 3, 10), (1100, 3))
@@ -20,20 +20,20 @@ def sights(x: tuple[float, ...] = (0.0, 0.0, 0.0)) -> Visibility:
 
 
 def test_matches_are_among_the_common_points_and_always_the_same() -> None:
-    found = predict_matches(np.array([0, 0, 1]), np.array([1, 2, 2]), NOT_PREVIEWED, sights(), TUNING)
+    found = predict_matches(np.array([0, 0, 1]), np.array([1, 2, 2]), NOT_PREVIEWED, visibility(), TUNING)
     assert found.matches.i.tolist() == [0] and found.matches.j.tolist() == [1]  # the others share nothing
     assert np.isnan(found.expected).tolist() == [False, True, True]
     assert 70 <= found.matches.counts()[0] <= 130  # half of 200
     left, right = found.matches.of(0).T
-    assert np.array_equal(sights().of(0)[left], sights().of(1)[right])
+    assert np.array_equal(visibility().of(0)[left], visibility().of(1)[right])
     assert left.min() >= 200
-    again = predict_matches(np.array([0, 0, 1]), np.array([1, 2, 2]), NOT_PREVIEWED, sights(), TUNING)
+    again = predict_matches(np.array([0, 0, 1]), np.array([1, 2, 2]), NOT_PREVIEWED, visibility(), TUNING)
     assert np.array_equal(found.matches.matches, again.matches.matches)
 
 
 def test_fewer_where_the_rays_meet_at_a_larger_angle() -> None:
     pair = np.array([0]), np.array([1]), np.array([np.nan])
-    counts = [predict_matches(*pair, sights((0.0, base, 0.0)), TUNING).expected[0] for base in (0.0, 2.0, 6.0)]
+    counts = [predict_matches(*pair, visibility((0.0, base, 0.0)), TUNING).expected[0] for base in (0.0, 2.0, 6.0)]
     assert counts[0] == pytest.approx(100) and 0.4 * counts[0] < counts[1] < 0.9 * counts[0]
     assert counts[2] < 0.2 * counts[0]
 

@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 
 from tiegraph.errors import InputError
-from tiegraph.features.colmap import extract_colmap
-from tiegraph.features.extract import EXTRACTORS, extract_image, read_mask
+from tiegraph.features.extract import EXTRACTORS, extract_colmap, extract_image, read_mask
 from tiegraph.features.settings import FeaturesSettings
 from tiegraph.features.sift import extract_sift, root_sift
 from tiegraph.features.tuning import SiftTuning

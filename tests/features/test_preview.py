@@ -13,7 +13,7 @@ from tiegraph.features.preview import (
     spread,
     tentative,
 )
-from tiegraph.features.preview_settings import PreviewSettings
+from tiegraph.features.settings import PreviewSettings
 from tiegraph.features.tuning import PreviewTuning
 from tiegraph.geometry.transforms import angle_deg
 

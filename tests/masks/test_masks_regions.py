@@ -5,11 +5,10 @@ import numpy as np
 import pytest
 
 from tiegraph.masks.classes import SKY, USE
-from tiegraph.masks.classification import _snapped
+from tiegraph.masks.classification import _snapped, pooled, textureless_regions
 from tiegraph.masks.labels import _like_sky, _wide
 from tiegraph.masks.learnt import lowest_agreed
 from tiegraph.masks.matchability import Matchability
-from tiegraph.masks.regions import pooled, textureless_regions
 from tiegraph.masks.skyline import border_sky
 from tiegraph.masks.tuning import Tuning
 

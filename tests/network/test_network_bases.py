@@ -41,37 +41,37 @@ def world(sigma_m: float = 0.02) -> tuple[Scene, Visibility]:
 
 
 def test_base_distance_over_base_and_sigma_of_pairs():
-    scene, sights = world()
+    scene, visibility = world()
     pairs = Pairs.make([0, 0, 0, 2], [1, 2, 3, 3], "sequence", score=np.array([100.0, 25, 25, np.nan]))
-    found = with_bases(pairs, scene, sights)
-    assert metres_per_unit(scene.measured(), sights.centre) == pytest.approx(UNIT_M)
+    found = with_bases(pairs, scene, visibility)
+    assert metres_per_unit(scene.measured(), visibility.centre) == pytest.approx(UNIT_M)
     assert found.baseline_m == pytest.approx([8, 16, 24, 8], rel=1e-5), "the fourth image has no position"
     assert found.h_over_b[[0, 1, 3]] == pytest.approx([10.1 / 2, 10.1 / 4, 10.1 / 2], rel=0.02)
     assert np.isnan(found.h_over_b[2]) and np.isnan(found.sigma_m[2:]).all(), "no common point, no matches"
     assert found.sigma_m[:2] == pytest.approx([40.4 / FOCAL_PX / 10, 40.4 / FOCAL_PX / 5], rel=0.02)
-    known = with_bases(pairs.with_(baseline_m=np.full(4, 9.0)), scene, sights)
+    known = with_bases(pairs.with_(baseline_m=np.full(4, 9.0)), scene, visibility)
     assert np.all(known.baseline_m == 9.0), "known by poses"
 
 
 def test_without_positions_that_tell_the_scale_only_the_ratio_is_known():
     pairs = Pairs.make([0], [1], "sequence", score=np.array([100.0]))
-    scene, sights = world(sigma_m=50.0)
+    scene, visibility = world(sigma_m=50.0)
     nowhere = scene.with_(world_from_rig=np.full((4, 4, 4), np.nan))
     for uncertain in (scene, nowhere, replace(scene, prior="odometry")):
-        found = with_bases(pairs, uncertain, sights)
+        found = with_bases(pairs, uncertain, visibility)
         assert np.isnan([found.baseline_m[0], found.sigma_m[0]]).all() and np.isfinite(found.h_over_b[0])
 
 
 def test_the_stage_network_writes_them(tmp_path, monkeypatch):
-    scene, sights = world()
+    scene, visibility = world()
     pairs = Pairs.make([0, 1], [1, 2], "sequence", score=np.array([100.0, 100.0]))
     (tmp_path / "coarse").mkdir()
     (tmp_path / "coarse" / "scene.json").write_text(scene.to_json())
     np.savez(tmp_path / "coarse.npz", **pairs.to_npz())
     np.savez(tmp_path / "coarse" / "matches.npz", **PreviewMatches.empty().to_npz())
-    np.savez(tmp_path / "coarse" / "visibility.npz", **sights.to_npz())
+    np.savez(tmp_path / "coarse" / "visibility.npz", **visibility.to_npz())
     poses = np.tile(np.eye(4), (4, 1, 1))
-    poses[:, :3, 3] = -sights.centre
+    poses[:, :3, 3] = -visibility.centre
     np.savez(tmp_path / "coarse" / "model.npz", cam_from_world=poses)
     monkeypatch.setattr(glue, "up_light", lambda run, scene: UpLight(np.full(len(scene), 99.0)))
     glue.network(Run(tmp_path, Inputs(tmp_path), Settings(), "serial"))

@@ -113,10 +113,10 @@ def test_of_the_partners_around_an_offset_the_best_ones_are_kept() -> None:
     p, q = find_passes(world.scene)
     settings = CandidatesSettings(offsets="constant", offset_range=4, min_matches=40)
     cache = MatchCache(world.match, len(world.scene))
-    lattice = score_matrix(p, q, 1, np.ones((5, 5), bool), TUNING.offsets.scores)
+    scores = score_matrix(p, q, 1, np.ones((5, 5), bool), TUNING.offsets.scores)
     for best in (1, 2):
         chosen = settings.model_copy(update={"offset_best": best})
-        pairs = _around(lattice, _At(1, 3, 15), True, cache, chosen)
+        pairs = _around(scores, _At(1, 3, 15), True, cache, chosen)
         image, partner = np.where(np.isin(pairs.i, p.images[1]), (pairs.i, pairs.j), (pairs.j, pairs.i))
         assert len(np.unique(image)) == 16 and np.isin(partner, q.images[3]).all()
         for k in np.unique(image):
@@ -233,26 +233,26 @@ def test_a_coarser_lattice_looks_no_further_from_the_path() -> None:
 def test_chance_gives_neither_heading_nor_direction() -> None:
     world = boat((20, 20), (1.5, 1.5))
     p, q = find_passes(world.scene)
-    lattice = score_matrix(p, q, 2, np.ones((6, 6), bool), TUNING.offsets.scores)
+    scores = score_matrix(p, q, 2, np.ones((6, 6), bool), TUNING.offsets.scores)
     rng = np.random.default_rng(3)
-    few = np.zeros(lattice.inliers.shape)
+    few = np.zeros(scores.inliers.shape)
     few[tuple(rng.integers(0, n, 6) for n in few.shape)] = 1.0
     assert votes(few) == pytest.approx(6) and votes(np.zeros(3)) == 0
-    assert yaw(lattice, few, TUNING.rig) is None and in_words(lattice, few, TUNING.rig) == ""
+    assert yaw(scores, few, TUNING.rig) is None and in_words(scores, few, TUNING.rig) == ""
     smooth = np.full(few.shape, 8.0, np.float32)
     smooth[0, 0, 0, :3] = 20
-    measured = replace(lattice, inliers=smooth)
+    measured = replace(scores, inliers=smooth)
     assert without_chance(measured, smooth, 12, TUNING).max() == pytest.approx(8)
     smooth[1, 1, 0, :3] = 20
     assert without_chance(measured, smooth, 12, TUNING) is smooth
     back = np.zeros(few.shape)
     for c, d in [(0, 2), (0, 3), (1, 3), (1, 4), (2, 0), (3, 0)]:
         back[c, d, np.arange(10), 9 - np.arange(10)] = 1.0
-    assert direction(lattice, back, TUNING.rig.common_view) == (True, True)
-    said = in_words(lattice, back, TUNING.rig)
+    assert direction(scores, back, TUNING.rig.common_view) == (True, True)
+    said = in_words(scores, back, TUNING.rig)
     assert "runs back along" in said and "turned by about" in said and "common view" not in said
     back[:, :, 5:] = 0
-    assert "common view: frames 1 to 9 of 20" in in_words(lattice, back, TUNING.rig)
+    assert "common view: frames 1 to 9 of 20" in in_words(scores, back, TUNING.rig)
 
 
 def test_couples_of_passes_without_common_view_are_one_note() -> None:

@@ -117,10 +117,9 @@ def test_the_map_shows_kinds_and_weak_links() -> None:
     assert sum(side.values()) + inside == len(kept) and min(side.values()) > 0
 
 
-@pytest.mark.parametrize("colour", ["kind", "strength"])
-def test_a_map_without_positions_says_so_and_without_pairs_is_drawn(colour: str) -> None:
+def test_a_map_without_positions_says_so_and_without_pairs_is_drawn() -> None:
     world, _ = surveyed()
-    assert share_of(map_png(Pairs.empty(), None, world.scene, colour=colour), RED) > 1e-4  # type: ignore[arg-type]
+    assert share_of(map_png(Pairs.empty(), None, world.scene), RED) > 1e-4
 
 
 def test_frames_without_a_position_lie_between_their_neighbours() -> None:
@@ -161,9 +160,9 @@ def test_the_funnel_adds_up() -> None:
 def test_surfaces_follow_the_way_back() -> None:
     world = boat((14, 14), (4.0, 4.0))
     p, q = find_passes(world.scene)
-    lattice = score_matrix(p, q, 1, np.ones((6, 6), bool), TUNING.offsets.scores)
-    lattice = lattice.measured(lattice.exists(), MatchCache(world.match, len(world.scene)))
-    surfaces = surfaces_of(lattice, lattice.smoothed(12, TUNING), 12, TUNING)
+    scores = score_matrix(p, q, 1, np.ones((6, 6), bool), TUNING.offsets.scores)
+    scores = scores.measured(scores.exists(), MatchCache(world.match, len(world.scene)))
+    surfaces = surfaces_of(scores, scores.smoothed(12, TUNING), 12, TUNING)
     assert surfaces[0].sensors == "" and 2 < len(surfaces) <= 13 and surfaces[0].evidence.shape == (14, 14)
     known = np.isfinite(surfaces[0].path)
     assert known.sum() >= 10
@@ -203,8 +202,7 @@ def test_edges_of_uneven_nodes() -> None:
 def test_names_are_no_formulas() -> None:
     from matplotlib.figure import Figure
 
-    from tiegraph.network.plots.common import png
-    from tiegraph.scene.figures import plain_text
+    from tiegraph.scene.figures import plain_text, png
 
     @plain_text()
     def drawn() -> bytes:

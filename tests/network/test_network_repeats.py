@@ -89,12 +89,12 @@ def test_the_level_of_frames_that_share_nothing() -> None:
 def test_the_band_is_one_run_of_distances() -> None:
     p = find_passes(Street().scene)[0]
     level = NoiseFloor(np.full((4, 4), 12.0), 24.0, 8.0, 24.0, TUNING.offsets.scores.most_level)
-    lattice = score_matrix(p, p, 5, np.ones((SENSORS, SENSORS), bool), TUNING.offsets.scores, level)
-    lattice.inliers[:] = 8.0
-    a, b = np.indices(lattice.inliers.shape[2:])
-    lattice.inliers[1, 1, np.abs(a - b) <= 2] = 24.0
-    lattice.inliers[1, 1, (np.abs(a - b) == 6) & (a < 8)] = 24.0  # a wall that comes again, for some frames
-    near = corridor(lattice, np.arange(len(lattice.rows), dtype=float), 10, TUNING)
+    scores = score_matrix(p, p, 5, np.ones((SENSORS, SENSORS), bool), TUNING.offsets.scores, level)
+    scores.inliers[:] = 8.0
+    a, b = np.indices(scores.inliers.shape[2:])
+    scores.inliers[1, 1, np.abs(a - b) <= 2] = 24.0
+    scores.inliers[1, 1, (np.abs(a - b) == 6) & (a < 8)] = 24.0  # a wall that comes again, for some frames
+    near = corridor(scores, np.arange(len(scores.rows), dtype=float), 10, TUNING)
     assert near[1, 1, 10, 8:13].all() and not near[1, 1, 2, 8] and not near[0, 0].any()
 
 

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from boat_world import Result, boat, ring
 from tiegraph.features.preview import Preview, PreviewMatch, extract_preview, match_previews
-from tiegraph.features.preview_settings import PreviewSettings
+from tiegraph.features.settings import PreviewSettings
 from tiegraph.features.tuning import PreviewTuning
 from tiegraph.geometry import transforms
 from tiegraph.network.passes import MatchCache, find_passes

@@ -13,19 +13,19 @@ from tiegraph.network.tuning import Tuning
 TUNING = Tuning()
 
 
-def lattice(stride: int = 2) -> ScoreMatrix:
+def scores(stride: int = 2) -> ScoreMatrix:
     world = boat((11, 9), (2.0, 2.0))
     p, q = find_passes(world.scene)
     return score_matrix(p, q, stride, np.ones((6, 6), bool), TUNING.offsets.scores)
 
 
 def test_nodes_include_the_last_frame() -> None:
-    assert lattice().rows.tolist() == [0, 2, 4, 6, 8, 10]
-    assert lattice(3).columns.tolist() == [0, 3, 6, 8]
+    assert scores().rows.tolist() == [0, 2, 4, 6, 8, 10]
+    assert scores(3).columns.tolist() == [0, 3, 6, 8]
 
 
 def test_smoothing_is_bounded_and_keeps_even_ground() -> None:
-    flat = replace(lattice(), inliers=np.full((6, 6, 6, 5), 12.0, np.float32))
+    flat = replace(scores(), inliers=np.full((6, 6, 6, 5), 12.0, np.float32))
     assert np.allclose(flat.smoothed(10, TUNING), 12.0, atol=1e-4)
     wild = replace(flat, inliers=np.random.default_rng(0).uniform(0, 500, (6, 6, 6, 5)).astype(np.float32))
     smooth = wild.smoothed(10, TUNING)
@@ -36,16 +36,16 @@ def test_one_hit_alone_counts_less_than_a_row_of_them() -> None:
     inliers = np.full((6, 6, 6, 5), 8.0, np.float32)
     inliers[0, 0, 2, 2] = 40
     inliers[0, 1, :, 2] = 40
-    smooth = replace(lattice(), inliers=inliers).smoothed(10, TUNING)
+    smooth = replace(scores(), inliers=inliers).smoothed(10, TUNING)
     assert 8 < smooth[0, 0, 2, 2] < smooth[0, 1, 2, 2] < 20
-    assert np.isnan(replace(lattice()).smoothed(10, TUNING)).all()
+    assert np.isnan(replace(scores()).smoothed(10, TUNING)).all()
 
 
 def test_frontier_are_the_unmeasured_neighbours_of_hits() -> None:
-    inliers = lattice().inliers.copy()
+    inliers = scores().inliers.copy()
     inliers[1, 2, 3, 3] = 30
     inliers[1, 2, 3, 4] = 8
-    grown = replace(lattice(), inliers=inliers)
+    grown = replace(scores(), inliers=inliers)
     frontier = grown.frontier(np.nan_to_num(inliers), 12)
     assert frontier.sum() == 7 and not frontier[1, 2, 3, 3:5].any()
     assert frontier[1, 2, 2:5, 2].all()
@@ -55,7 +55,7 @@ def test_faint_patches_are_not_confirmed() -> None:
     smooth = np.full((6, 6, 6, 5), 8.0, np.float32)
     smooth[0, 0, 0, 0] = 10.5
     smooth[0, 1, 2:4, 2] = (10.5, 15)
-    out = lattice().confirmed(smooth, 10, TUNING)
+    out = scores().confirmed(smooth, 10, TUNING)
     assert out[0, 0, 0, 0] < 10 and out[0, 1, 2, 2] == 10.5 and out[0, 1, 3, 2] == 15
     assert smooth[0, 0, 0, 0] == 10.5
 
@@ -63,7 +63,7 @@ def test_faint_patches_are_not_confirmed() -> None:
 def test_interpolation_is_bilinear_between_nodes() -> None:
     smooth = np.full((6, 6, 6, 5), 0.0, np.float32)
     smooth[2, 3] = 5 + np.add.outer(np.arange(6), np.arange(5))
-    full = replace(lattice(), inliers=smooth * 2)
+    full = replace(scores(), inliers=smooth * 2)
     c, d, m, n, count = full.interpolated(smooth, 10.0, TUNING.counts)
     assert set(c) == {2} and set(d) == {3}
     assert np.allclose(count, 2 * (5 + m / 2 + n / 2))

@@ -13,13 +13,19 @@ from tiegraph.network.coarse.visible import (
     assumed_proxy,
     observed_proxy,
     pair_share,
-    points_proxy,
     shared_surface,
 )
 from tiegraph.network.tuning import Tuning
 
 TUNING = Tuning().coarse
 CAMERA = pycolmap.Camera(model="SIMPLE_PINHOLE", width=640, height=480, params=[320.0, 320.0, 240.0])  # 90 x 74 degrees
+
+
+def points_proxy(points: np.ndarray) -> Proxy:
+    """Bare points (P, 3), of which no observer is known."""
+    none = np.zeros(0, int)
+    reach, towards = np.full(len(points), np.inf), np.zeros((len(points), 3))
+    return Proxy(points=points, reach=reach, towards=towards, image=none, point=none)
 
 
 def look(centres: np.ndarray, yaw_deg: np.ndarray) -> np.ndarray:

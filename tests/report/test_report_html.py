@@ -244,7 +244,6 @@ def test_words() -> None:
     assert [formatting.seconds(v) for v in (3.21, 75, 245, 7500)] == ["3.2 s", "75 s", "4 min 05 s", "2 h 05 min"]
     assert [formatting.percent(v) for v in (1.0, 0.9999, 0.5, 0.054)] == ["100 %", "99.9 %", "50 %", "5.4 %"]
     assert formatting.size(3.2e9) == "3.20 GB" and formatting.size(4.2e6) == "4.2 MB"
-    assert formatting.plural(1, "image") == "1 image" and formatting.plural(2, "image") == "2 images"
     table = formatting.table({"columns": ["camera_name", "iou"], "rows": [["a", 0.5], ["b", None], ["c", 0.1234]]})
     assert table is not None and table.numeric == (False, True) and table.columns[0] == "camera name"
     assert [row[1] for row in table.rows] == ["0.500", formatting.NONE, "0.123"]

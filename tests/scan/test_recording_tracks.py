@@ -11,8 +11,7 @@ import recording_world as world
 from tiegraph.scan.recording.recording import Recording
 from tiegraph.scan.recording.tracks import OneVideoTrack, tracks
 from tiegraph.scan.tuning import PicturesTuning
-from tiegraph.scan.videos.lensvideos import recordings_of
-from tiegraph.scan.videos.video import open_film
+from tiegraph.scan.videos.video import open_film, recordings_of
 
 
 @pytest.fixture(scope="module")

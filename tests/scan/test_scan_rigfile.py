@@ -11,7 +11,7 @@ from tiegraph.errors import InputError
 from tiegraph.geometry.transforms import angle_deg, from_quaternion_wxyz, invert
 from tiegraph.scan.rigfiles.rigfile import read_rig_file
 from tiegraph.scan.rigfiles.rigspec import AXES, orient, preset, yaw_pitch_roll_deg
-from tiegraph.scan.rigfiles.rigwrite import write_rig_config, write_rig_toml
+from tiegraph.scan.rigfiles.rigwrite import rig_config, write_rig_toml
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import RigTuning
 from tiegraph.scene.rig import Rig, Sensor, rig_from_dict, rig_to_dict
@@ -300,7 +300,7 @@ def test_written_rigs_are_read_back(tmp_path: Path) -> None:
     again = scan(images, rig=str(tmp_path / "again.toml")).rigs[0]
     near(rig, again)
     assert again.antenna_m == pytest.approx(rig.antenna_m) and [s.role for s in again.sensors] == ["side", "side", "up"]
-    write_rig_config(rig, tmp_path / "again.json")
+    (tmp_path / "again.json").write_text(rig_config([rig]), encoding="utf-8")
     near(rig, scan(images, rig=str(tmp_path / "again.json")).rigs[0])
 
 
@@ -320,7 +320,7 @@ def test_colmap_reads_what_we_write(tmp_path: Path) -> None:
     import pycolmap
 
     rig = scan(papers_rig(tmp_path / "in", frames=1), rig=str(toml(tmp_path))).rigs[0]
-    write_rig_config(rig, tmp_path / "rig_config.json")
+    (tmp_path / "rig_config.json").write_text(rig_config([rig]), encoding="utf-8")
     cameras = pycolmap.read_rig_config(tmp_path / "rig_config.json")[0].cameras
     assert cameras[0].ref_sensor and [c.image_prefix for c in cameras] == ["cam0/", "cam1/", "cam2/"]
     assert rig.sensors[1].sensor_from_rig is not None

@@ -36,5 +36,5 @@ def test_union_keeps_the_first_of_a_pair_in_both() -> None:
 
 
 def test_wrong_order_is_refused() -> None:
-    with pytest.raises(ValueError, match="Ties.make"):
+    with pytest.raises(ValueError, match="PreviewMatches.make"):
         PreviewMatches(np.array([2]), np.array([1]), np.array([0, 0]), np.zeros((0, 2)))

@@ -13,7 +13,7 @@ from sfm_worlds import make_world
 
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm import mapping
-from tiegraph.sfm.focalcheck import cost_in_the_end, ran_off
+from tiegraph.sfm.mapping import cost_in_the_end, ran_off
 from tiegraph.sfm.settings import SparseSettings
 from tiegraph.sfm.tuning import Tuning
 

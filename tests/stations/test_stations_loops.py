@@ -29,7 +29,6 @@ def pair(i, j, off_m=0.0, overlap=0.5, sigma_m=0.001):
         first_from_second=true,
         overlap=overlap,
         residual_m=0.001,
-        rough_m=0.001,
         middle=np.zeros(3),
         information=information,
     )

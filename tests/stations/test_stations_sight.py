@@ -5,7 +5,7 @@ import pytest
 
 from stations.stations_world import hall, scans
 from tiegraph.geometry import transforms
-from tiegraph.stations.sight import looked_through
+from tiegraph.stations.pairs import looked_through
 from tiegraph.stations.station import Shot, common_side, station_of
 from tiegraph.stations.tuning import Tuning
 

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import io
-
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from tiegraph.calibrate.adjust import Adjusted
 from tiegraph.calibrate.state import view_residuals
 from tiegraph.calibrate.tuning import JudgeTuning
-from tiegraph.scene.figures import plain_text
+from tiegraph.scene.figures import plain_text, png
 
 _DPI = 110
 _LONGEST = 0.8  # of a cell: the longest mean vector
@@ -37,9 +34,7 @@ def residual_picture(done: Adjusted, camera: int, tuning: JudgeTuning) -> bytes:
     axes.quiverkey(arrows, 0.9, 1.03, rounded, f"{rounded:g} px", labelpos="W")
     axes.set(xlim=(0, width), ylim=(height, 0), aspect="equal")
     axes.set_title(f"{images.name}: mean residuals, seen minus adjusted", loc="left", fontsize=10)
-    out = io.BytesIO()
-    FigureCanvasAgg(figure).print_png(out)
-    return out.getvalue()
+    return png(figure)
 
 
 def _by_cell(xy: np.ndarray, off: np.ndarray, side: float, least: int) -> tuple[np.ndarray, np.ndarray]:

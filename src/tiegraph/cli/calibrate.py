@@ -10,20 +10,19 @@ from typing import Annotated
 import tyro
 
 from tiegraph.calibrate.settings import CalibrateSettings
-from tiegraph.cli.options import options_of
+from tiegraph.cli.options import Talk, options_of
 from tiegraph.errors import SettingsError
 from tiegraph.pipeline.calibrate import calibrate as calibrate_images
 from tiegraph.pipeline.selfcalibration import self_calibration
-from tiegraph.project.progress import Reporter
 from tiegraph.project.verbtunings import read_tunings
 
-_DEFAULT = CalibrateSettings()
 
+@dataclass(frozen=True, kw_only=True)
+class _Calibrate(Talk):
+    """Calibrate a camera, or the cameras of a rig, by images of a board; --rig reads what it writes."""
 
-@dataclass(frozen=True)
-class CalibrateOptions:
-    """Options of `tiegraph calibrate`."""
-
+    images: tyro.conf.Positional[Path | None] = None
+    """The folder that holds the images, one folder a camera; equal names = one instant."""
     board: str | None = None
     """charuco:7x5:0.04:0.03:DICT_5X5_1000 (squares across x down, side of a square and of a marker in metres,
     dictionary), checker:9x6:0.025 (inner corners, side of a square), or Kalibr's aprilgrid.yaml."""
@@ -37,30 +36,13 @@ class CalibrateOptions:
     """A file with other constants: tables [tuning.calibrate] and [tuning.scan]."""
     pool: str = "local"
     """Where corners are looked for: serial, local, local:<workers>."""
-    json: bool = False
-    """One JSON object on standard output instead of text."""
-    quiet: bool = False
-    """Say nothing but errors."""
+    settings: Annotated[CalibrateSettings, tyro.conf.arg(name="")] = CalibrateSettings()
 
 
 def main(arguments: list[str]) -> int:
     """`tiegraph calibrate`."""
-
-    def calibrate(
-        images: tyro.conf.Positional[Path | None] = None,
-        options: Annotated[CalibrateOptions, tyro.conf.arg(name="")] = CalibrateOptions(),
-        settings: Annotated[CalibrateSettings, tyro.conf.arg(name="")] = _DEFAULT,
-    ) -> tuple[Path | None, CalibrateOptions, CalibrateSettings]:
-        """Calibrate a camera, or the cameras of a rig, by images of a board; --rig reads what it writes.
-
-        Args:
-            images: The folder that holds the images, one folder a camera; equal names = one instant.
-        """
-        return images, options, settings
-
-    images, options, settings = options_of(calibrate, "tiegraph calibrate", arguments)
-    reporter = Reporter("json" if options.json else "quiet" if options.quiet else "auto")
-    tunings = read_tunings(options.tuning)
+    options = options_of(_Calibrate, "tiegraph calibrate", arguments)
+    images, reporter, tunings = options.images, options.reporter(), read_tunings(options.tuning)
     if options.run is not None:
         if images is not None or options.board is not None:
             raise SettingsError("--from OUT takes the calibration of a run: leave the images and --board away")
@@ -69,6 +51,7 @@ def main(arguments: list[str]) -> int:
         return 0
     if images is None or options.board is None or options.against is not None:
         raise SettingsError("give images and --board, or --from OUT (and --against RIG_FILE)")
+    settings = options.settings
     verdict = calibrate_images(images, options.board, options.out, settings, options.pool, reporter, tunings)
     reporter.event("calibrated", rig=options.out, advice=verdict.advice)
     return 0

@@ -15,11 +15,25 @@ from tiegraph.pipeline.epochs import EpochOptions, compare_epochs
 from tiegraph.pipeline.passes import compare_passes
 from tiegraph.project.folder import check_format
 from tiegraph.project.progress import Reporter
-from tiegraph.project.run import Run
 from tiegraph.report.compare import compare_runs
 
 _EPOCHS, _PASSES, _BASELINE = "--epochs", "--passes", "--baseline"
 _SHOWN = 10  # changes; the others stand in changes.csv
+
+
+@dataclass(frozen=True)
+class _Compare:
+    """Two or more run folders side by side: times, pairs, images used, points, errors.
+
+    With --epochs: what has changed between two surveys of one place (--epochs --help). With --passes: how well two
+    passes of one survey agree (--passes --help). With --baseline: another method on a block of a survey
+    (--baseline colmap --help).
+    """
+
+    runs: tyro.conf.Positional[tuple[Path, ...]]
+    """Run folders made by `tiegraph run`."""
+    html: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
+    """Also write the comparison as one HTML file."""
 
 
 def main(arguments: list[str]) -> int:
@@ -30,76 +44,56 @@ def main(arguments: list[str]) -> int:
         return _passes([a for a in arguments if a != _PASSES])
     if any(a.partition("=")[0] == _BASELINE for a in arguments):
         return _baseline(arguments)
-
-    def compare(
-        runs: tyro.conf.Positional[tuple[Path, ...]],
-        html: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
-    ) -> tuple[tuple[Path, ...], Path | None]:
-        """Two or more run folders side by side: times, pairs, images used, points, errors.
-
-        With --epochs: what has changed between two surveys of one place (--epochs --help). With --passes: how well two
-        passes of one survey agree (--passes --help). With --baseline: another method on a block of a survey
-        (--baseline colmap --help).
-
-        Args:
-            runs: Run folders made by `tiegraph run`.
-            html: Also write the comparison as one HTML file.
-        """
-        return runs, html
-
-    runs, html = options_of(compare, "tiegraph compare", arguments)
-    for run in runs:
+    asked = options_of(_Compare, "tiegraph compare", arguments)
+    for run in asked.runs:
         check_format(run)
-    say(compare_runs(list(runs), html).rstrip("\n"))
-    return 0
-
-
-def _epochs(arguments: list[str]) -> int:
-    def epochs(
-        first: tyro.conf.Positional[Path],
-        second: tyro.conf.Positional[Path],
-        options: Annotated[EpochOptions, tyro.conf.arg(name="")],
-        out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("changes"),
-    ) -> tuple[tuple[Path, Path], Path, EpochOptions]:
-        """What has changed between two surveys of one place, by M3C2 with both surveys' sigmas.
-
-        Args:
-            first: The run folder of the earlier survey.
-            second: That of the later one.
-            out: The folder to write: changes.json, changes.csv, changes.png, changes.laz.
-        """
-        return (first, second), out, options
-
-    folders, out, options = options_of(epochs, f"tiegraph compare {_EPOCHS}", arguments)
-    _say(compare_epochs(folders, out, options), out)
-    return 0
-
-
-def _passes(arguments: list[str]) -> int:
-    def passes(
-        run: tyro.conf.Positional[Path],
-        out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("passes"),
-        depth_m: float | None = None,
-    ) -> tuple[Path, Path, float | None]:
-        """How well the clouds of the two largest passes of one survey agree, by M3C2; no reference is needed.
-
-        Args:
-            run: A run folder with depth maps.
-            out: The folder to write: changes.json, changes.csv, changes.png, changes.laz.
-            depth_m: Largest difference that is looked for, to either side (default: by the spacing of the clouds).
-        """
-        return run, out, depth_m
-
-    run, out, depth_m = options_of(passes, f"tiegraph compare {_PASSES}", arguments)
-    project = open_project(None, run)
-    _say(compare_passes(Run(project.folder, project.inputs, project.settings), out, depth_m), out)
+    say(compare_runs(list(asked.runs), asked.html).rstrip("\n"))
     return 0
 
 
 @dataclass(frozen=True)
-class BaselineOptions:
-    """Options of `tiegraph compare --baseline`."""
+class _Epochs:
+    """What has changed between two surveys of one place, by M3C2 with both surveys' sigmas."""
 
+    first: tyro.conf.Positional[Path]
+    """The run folder of the earlier survey."""
+    second: tyro.conf.Positional[Path]
+    """That of the later one."""
+    options: Annotated[EpochOptions, tyro.conf.arg(name="")]
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("changes")
+    """The folder to write: changes.json, changes.csv, changes.png, changes.laz."""
+
+
+def _epochs(arguments: list[str]) -> int:
+    asked = options_of(_Epochs, f"tiegraph compare {_EPOCHS}", arguments)
+    _say(compare_epochs((asked.first, asked.second), asked.out, asked.options), asked.out)
+    return 0
+
+
+@dataclass(frozen=True)
+class _Passes:
+    """How well the clouds of the two largest passes of one survey agree, by M3C2; no reference is needed."""
+
+    run: tyro.conf.Positional[Path]
+    """A run folder with depth maps."""
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("passes")
+    """The folder to write: changes.json, changes.csv, changes.png, changes.laz."""
+    depth_m: float | None = None
+    """Largest difference that is looked for, to either side (default: by the spacing of the clouds)."""
+
+
+def _passes(arguments: list[str]) -> int:
+    asked = options_of(_Passes, f"tiegraph compare {_PASSES}", arguments)
+    _say(compare_passes(open_project(None, asked.run).as_run(), asked.out, asked.depth_m), asked.out)
+    return 0
+
+
+@dataclass(frozen=True)
+class _Baseline:
+    """Another method on a block of a finished survey: what it costs at equal registration."""
+
+    run: tyro.conf.Positional[Path]
+    """A run folder with a model (to georef)."""
     baseline: Literal["conventional", "meguro2024", "meguro2025", "colmap"]
     """What to compare with: COLMAP alone with every pair, or a paper's method as a preset."""
     sample: int
@@ -113,20 +107,9 @@ class BaselineOptions:
 
 
 def _baseline(arguments: list[str]) -> int:
-    def against(
-        run: tyro.conf.Positional[Path], options: Annotated[BaselineOptions, tyro.conf.arg(name="")]
-    ) -> tuple[Path, BaselineOptions]:
-        """Another method on a block of a finished survey: what it costs at equal registration.
-
-        Args:
-            run: A run folder with a model (to georef).
-        """
-        return run, options
-
-    run, options = options_of(against, f"tiegraph compare {_BASELINE}", arguments)
-    reporter = Reporter("quiet" if options.quiet else "auto")
-    project = open_project(None, run, pool=options.pool)
-    result = project.baseline(options.baseline, options.sample, options.out, reporter)
+    asked = options_of(_Baseline, f"tiegraph compare {_BASELINE}", arguments)
+    project = open_project(None, asked.run, pool=asked.pool)
+    result = project.baseline(asked.baseline, asked.sample, asked.out, Reporter("quiet" if asked.quiet else "auto"))
     for part in ("figures", "stages", "sections"):
         show_table(result[part]["columns"], [[_figure(v) for v in row] for row in result[part]["rows"]], part)
     for text in (*result["speed_up"], *result["notes"]):

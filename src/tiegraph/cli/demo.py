@@ -16,9 +16,9 @@ from tiegraph.errors import InputError
 _ORIGIN = (35.6965, 139.7695, 37.0)  # of the truth's east-north-up metres (truth/meta.json)
 
 
-@dataclass(frozen=True)
-class DemoOptions(Common):
-    """Options of `tiegraph demo`."""
+@dataclass(frozen=True, kw_only=True)
+class _Demo(Common):
+    """The example survey from images to the report: 6 cameras, 2 passes, 120 images, GNSS, truth."""
 
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("tiegraph_demo")
     """The run folder."""
@@ -39,12 +39,7 @@ def example() -> Path:
 
 def main(arguments: list[str]) -> int:
     """Run the example: a boat with six cameras, up and down a canal, under a bridge."""
-
-    def demo(options: Annotated[DemoOptions, tyro.conf.arg(name="")]) -> DemoOptions:
-        """The example survey from images to the report: 6 cameras, 2 passes, 120 images, GNSS, truth."""
-        return options
-
-    options = options_of(demo, "tiegraph demo", arguments)
+    options = options_of(_Demo, "tiegraph demo", arguments)
     survey = example()
     truth = survey / "truth"
     evaluate = {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -14,7 +15,6 @@ from tiegraph.cli.run import main_stage
 from tiegraph.evaluate.clouds.judge import Question, Register
 from tiegraph.pipeline.clouds import evaluate_clouds
 from tiegraph.pipeline.evaluate import evaluate_poses
-from tiegraph.project.run import Run
 from tiegraph.scene.cloudchunks import CLOUD_ENDINGS
 
 _OTHERS = (
@@ -33,56 +33,52 @@ def main(arguments: list[str]) -> int:
     return main_stage("evaluate", arguments, about=_OTHERS)
 
 
+@dataclass(frozen=True)
+class _Poses:
+    """How near the poses of a run are to reference poses; it needs no cloud, and nothing is written."""
+
+    run: tyro.conf.Positional[Path]
+    """A run folder with a model in the world (to the stage georef)."""
+    poses: tyro.conf.Positional[Path]
+    """Reference poses as --evaluate.reference takes them: a COLMAP model, a TUM file, a folder of them."""
+    reference_origin: tuple[float, float, float] | None = None
+    """Latitude, longitude (degrees) and ellipsoidal height (m) of the origin of the reference's east, north, up;
+    without it only errors after an alignment are stated."""
+
+
 def _poses(arguments: list[str]) -> int:
-    def evaluate(
-        run: tyro.conf.Positional[Path],
-        poses: tyro.conf.Positional[Path],
-        reference_origin: tuple[float, float, float] | None = None,
-    ) -> tuple[Path, Path, tuple[float, float, float] | None]:
-        """How near the poses of a run are to reference poses; it needs no cloud, and nothing is written.
-
-        Args:
-            run: A run folder with a model in the world (to the stage georef).
-            poses: Reference poses as --evaluate.reference takes them: a COLMAP model, a TUM file, a folder of them.
-            reference_origin: Latitude, longitude (degrees) and ellipsoidal height (m) of the origin of the
-                reference's east, north, up; without it only errors after an alignment are stated.
-        """
-        return run, poses, reference_origin
-
-    folder, reference, origin = options_of(evaluate, "tiegraph evaluate OUT POSES", arguments)
-    project = open_project(None, folder)
-    result = evaluate_poses(Run(project.folder, project.inputs, project.settings), reference, origin)
+    asked = options_of(_Poses, "tiegraph evaluate OUT POSES", arguments)
+    result = evaluate_poses(open_project(None, asked.run).as_run(), asked.poses, asked.reference_origin)
     _show(result)
     for text in result["contradictions"]:
         say(f"contradiction: {text}")
     return 0
 
 
+@dataclass(frozen=True)
+class _Clouds:
+    """How near a point cloud is to a reference cloud; of any size, tile by tile."""
+
+    cloud: tyro.conf.Positional[Path]
+    """The cloud to judge (.laz, .las, .copc.laz, .ply or .e57)."""
+    reference: tyro.conf.Positional[Path]
+    """The cloud that counts as true; brought into the CRS of the other where both headers name one."""
+    distances_m: tuple[float, ...] = ()
+    """Distances in metres at which accuracy, completeness and F-score are stated (default: four that fit the cloud's
+    spacing)."""
+    register: Register = "none"
+    """Lay the cloud on the reference first, by ICP: as a rigid motion or with its scale. What was found is part of the
+    result."""
+    coarse: bool = False
+    """The cloud is far off or turned: start the registration by the shapes of both."""
+    out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
+    """Folder for metrics.json, the map of differences and both clouds with their distances."""
+
+
 def _clouds(arguments: list[str]) -> int:
-    def evaluate(
-        cloud: tyro.conf.Positional[Path],
-        reference: tyro.conf.Positional[Path],
-        distances_m: tuple[float, ...] = (),
-        register: Register = "none",
-        coarse: bool = False,
-        out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
-    ) -> tuple[tuple[Path, Path], Path | None, Question]:
-        """How near a point cloud is to a reference cloud; of any size, tile by tile.
-
-        Args:
-            cloud: The cloud to judge (.laz, .las, .copc.laz, .ply or .e57).
-            reference: The cloud that counts as true; brought into the CRS of the other where both headers name one.
-            distances_m: Distances in metres at which accuracy, completeness and F-score are stated (default: four that
-                fit the cloud's spacing).
-            register: Lay the cloud on the reference first, by ICP: as a rigid motion or with its scale. What was
-                found is part of the result.
-            coarse: The cloud is far off or turned: start the registration by the shapes of both.
-            out: Folder for metrics.json, the map of differences and both clouds with their distances.
-        """
-        return (cloud, reference), out, Question(distances_m=distances_m, register=register, coarse=coarse)
-
-    files, out, question = options_of(evaluate, "tiegraph evaluate", arguments)
-    _show(evaluate_clouds(files, out, question))
+    asked = options_of(_Clouds, "tiegraph evaluate", arguments)
+    question = Question(distances_m=asked.distances_m, register=asked.register, coarse=asked.coarse)
+    _show(evaluate_clouds((asked.cloud, asked.reference), asked.out, question))
     return 0
 
 

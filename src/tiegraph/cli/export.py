@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import tyro
@@ -11,19 +12,19 @@ from tiegraph.cli.options import options_of
 from tiegraph.cli.output import say
 
 
+@dataclass(frozen=True)
+class _Export:
+    """Write undistorted images, model, depth and normal maps for COLMAP's stereo_fusion and meshers."""
+
+    out: tyro.conf.Positional[Path]
+    """A run folder with depth maps."""
+    folder: tyro.conf.Positional[Path]
+    """The workspace to make; it must not exist or be empty."""
+
+
 def main(arguments: list[str]) -> int:
     """`tiegraph export`."""
-
-    def export(out: tyro.conf.Positional[Path], folder: tyro.conf.Positional[Path]) -> tuple[Path, Path]:
-        """Write undistorted images, model, depth and normal maps for COLMAP's stereo_fusion and meshers.
-
-        Args:
-            out: A run folder with depth maps.
-            folder: The workspace to make; it must not exist or be empty.
-        """
-        return out, folder
-
-    out, folder = options_of(export, "tiegraph export", arguments)
-    count = open_project(None, out).export(folder)
-    say(f"{count} depth maps: {folder} (colmap stereo_fusion --workspace_path {folder} ...)")
+    asked = options_of(_Export, "tiegraph export", arguments)
+    count = open_project(None, asked.out).export(asked.folder)
+    say(f"{count} depth maps: {asked.folder} (colmap stereo_fusion --workspace_path {asked.folder} ...)")
     return 0

@@ -19,10 +19,12 @@ from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 
 
-@dataclass(frozen=True)
-class InitOptions(Common):
-    """Options of `tiegraph init`."""
+@dataclass(frozen=True, kw_only=True)
+class _Init(Common):
+    """Show what is found in a folder of images; write tiegraph.toml and rig.toml guesses to edit."""
 
+    images: tyro.conf.Positional[Path]
+    """The folder that holds the survey's images."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """The run folder to prepare (default: <IMAGES>_tiegraph beside the images)."""
     rig: str | None = None
@@ -34,20 +36,9 @@ class InitOptions(Common):
 
 def main(arguments: list[str]) -> int:
     """Scan a folder, say what was found, and write tiegraph.toml and rig.toml into the run folder."""
-
-    def init(
-        images: tyro.conf.Positional[Path], options: Annotated[InitOptions, tyro.conf.arg(name="")]
-    ) -> tuple[Path, InitOptions]:
-        """Show what is found in a folder of images; write tiegraph.toml and rig.toml guesses to edit.
-
-        Args:
-            images: The folder that holds the survey's images.
-        """
-        return images, options
-
-    images, options = options_of(init, "tiegraph init", arguments)
+    options = options_of(_Init, "tiegraph init", arguments)
     given = {"rig": options.rig, "camera": options.camera}
-    project = open_project(images, options.out, pool=options.pool, unset=options.unset, **given)
+    project = open_project(options.images, options.out, pool=options.pool, unset=options.unset, **given)
     project.run("scan", options.reporter())
     scene = project.scene()
     written = _write_rigs(scene, project.folder)

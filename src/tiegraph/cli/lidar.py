@@ -9,49 +9,32 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 
-from tiegraph.cli.options import options_of
+from tiegraph.cli.options import Talk, options_of
 from tiegraph.cli.output import say, show_table
 from tiegraph.lidar.settings import LidarSettings
 from tiegraph.pipeline.lidar import MAP, RIG
 from tiegraph.pipeline.lidar import lidar as make_reference
-from tiegraph.project.progress import Reporter
-
-_DEFAULT = LidarSettings()
 
 
-@dataclass(frozen=True)
-class LidarOptions:
-    """Options of `tiegraph lidar`."""
+@dataclass(frozen=True, kw_only=True)
+class _Lidar(Talk):
+    """Trajectory and map of a LiDAR; with --run, where it stands on the rig, and the run against it."""
 
+    scans: tyro.conf.Positional[Path]
+    """A folder of scans (.bin, .pcd, .ply, .npz, .las, .laz), a ROS bag (BAG:TOPIC), or a Velodyne's .pcap."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """The folder to write; new or empty."""
-    json: bool = False
-    """One JSON object on standard output instead of text."""
-    quiet: bool = False
-    """Say nothing but errors."""
+    settings: Annotated[LidarSettings, tyro.conf.arg(name="")] = LidarSettings()
 
 
 def main(arguments: list[str]) -> int:
     """`tiegraph lidar`."""
-
-    def lidar(
-        scans: tyro.conf.Positional[Path],
-        options: Annotated[LidarOptions, tyro.conf.arg(name="")],
-        settings: Annotated[LidarSettings, tyro.conf.arg(name="")] = _DEFAULT,
-    ) -> tuple[Path, LidarOptions, LidarSettings]:
-        """Trajectory and map of a LiDAR; with --run, where it stands on the rig, and the run against it.
-
-        Args:
-            scans: A folder of scans (.bin, .pcd, .ply, .npz, .las, .laz), a ROS bag (BAG:TOPIC), or a Velodyne's .pcap.
-        """
-        return scans, options, settings
-
-    scans, options, settings = options_of(lidar, "tiegraph lidar", arguments)
-    reporter = Reporter("json" if options.json else "quiet" if options.quiet else "auto")
-    made = make_reference(scans, options.out, settings, reporter)
+    options = options_of(_Lidar, "tiegraph lidar", arguments)
+    reporter = options.reporter()
+    made = make_reference(options.scans, options.out, options.settings, reporter)
     reporter.event("lidar", out=options.out, **{k: v for k, v in made.items() if isinstance(v, (int, float))})
     if not options.json and not options.quiet:
-        _show(made, options.out, settings)
+        _show(made, options.out, options.settings)
     return 0
 
 

@@ -16,9 +16,11 @@ from tiegraph.errors import InputError
 
 
 @dataclass(frozen=True)
-class MarkOptions:
-    """Options of `tiegraph mark`."""
+class _Mark:
+    """Mark control points in a page of the browser: predicted places, zoomed patches of all images that see them."""
 
+    folder: tyro.conf.Positional[Path]
+    """A run folder, scanned at least. With a model (sparse, georef) places are predicted."""
     points: Path | None = None
     """The points: a CSV with name, x, y, z (or name, lat, lon, height), '# crs: EPSG:n' in the first line, or a file of
     --gcp (default: that of the run)."""
@@ -33,26 +35,14 @@ class MarkOptions:
 
 def main(arguments: list[str]) -> int:
     """`tiegraph mark`."""
-
-    def mark(
-        folder: tyro.conf.Positional[Path], options: Annotated[MarkOptions, tyro.conf.arg(name="")] = MarkOptions()
-    ) -> tuple[Path, MarkOptions]:
-        """Mark control points in a page of the browser: predicted places, zoomed patches of all images that see them.
-
-        Args:
-            folder: A run folder, scanned at least. With a model (sparse, georef) places are predicted.
-        """
-        return folder, options
-
-    folder, options = options_of(mark, "tiegraph mark", arguments)
+    options = options_of(_Mark, "tiegraph mark", arguments)
     from tiegraph.pipeline.mark import open_marking  # loads the engines
     from tiegraph.pipeline.markserver import MarkServer
-    from tiegraph.project.run import Run
 
-    project = open_project(None, folder)
+    project = open_project(None, options.folder)
     given = options.points or project.settings.georef.gcp
     target = options.out or (Path("gcp_list.txt") if given is None else given.with_name("gcp_list.txt"))
-    session = open_marking(Run(project.folder, project.inputs, project.settings), options.points, target)
+    session = open_marking(project.as_run(), options.points, target)
     try:
         server = MarkServer(session, options.port)
     except (OSError, OverflowError) as error:

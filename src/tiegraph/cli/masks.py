@@ -25,72 +25,62 @@ class _Options(Common):
     --help` shows the options of that."""
 
 
+@dataclass(frozen=True)
+class _Compare:
+    """How good the masks of a run are: pixel accuracy, IoU, useful area lost, by camera."""
+
+    out: tyro.conf.Positional[Path]
+    """The run folder."""
+    compare: Path
+    """Folder of true masks, named as masks.folder describes: 0 = ignore; or of class labels."""
+    keep_labels: tuple[int, ...] = ()
+    """The useful labels, if the folder holds class labels."""
+    classes: tuple[str, ...] = ()
+    """True labels of the classes, such as sky=0 water=1 platform=2: IoU of each."""
+    first: bool = False
+    """Judge the first masks, even if there are final ones."""
+    beside: tuple[str, ...] = ()
+    """Other sources to make masks of the same images by and judge beside, such as meguro2024 meguro2025."""
+    json: bool = False
+    """Print JSON."""
+
+
 def main(arguments: list[str]) -> int:
     """The stage for a run folder; with ``--compare`` the comparison of its masks with true ones."""
     if not any(a == "--compare" or a.startswith("--compare=") for a in arguments):
         return main_stage("masks", arguments, _Options)
-
-    def masks(
-        out: tyro.conf.Positional[Path],
-        compare: Path,
-        keep_labels: tuple[int, ...] = (),
-        classes: tuple[str, ...] = (),
-        first: bool = False,
-        beside: tuple[str, ...] = (),
-        json: bool = False,
-    ) -> dict:
-        """How good the masks of a run are: pixel accuracy, IoU, useful area lost, by camera.
-
-        Args:
-            out: The run folder.
-            compare: Folder of true masks, named as masks.folder describes: 0 = ignore; or of class labels.
-            keep_labels: The useful labels, if the folder holds class labels.
-            classes: True labels of the classes, such as sky=0 water=1 platform=2: IoU of each.
-            first: Judge the first masks, even if there are final ones.
-            beside: Other sources to make masks of the same images by and judge beside, such as meguro2024 meguro2025.
-            json: Print JSON.
-        """
-        return locals()
-
-    given = options_of(masks, "tiegraph masks", arguments)
-    tables = _tables(**given)
-    if given["json"]:
+    asked = options_of(_Compare, "tiegraph masks", arguments)
+    tables = _tables(asked)
+    if asked.json:
         say(json.dumps(tables))
     else:
         say("\n\n".join(f"{name}\n{table_text(table)}" for name, table in tables.items()))
     return 0
 
 
-def _tables(
-    out: Path,
-    compare: Path,
-    keep_labels: tuple[int, ...],
-    classes: tuple[str, ...],
-    first: bool,
-    beside: tuple[str, ...],
-    json: bool,
-) -> dict[str, dict]:
-    folder = out / "refine" if (out / "refine" / "masks").is_dir() and not first else out
+def _tables(asked: _Compare) -> dict[str, dict]:
+    out = asked.out
+    folder = out / "refine" if (out / "refine" / "masks").is_dir() and not asked.first else out
     if not (folder / "masks").is_dir() or not (out / "scene.json").is_file():
         raise InputError(f"{out}: no masks here; run `tiegraph masks` first")
     scene = Scene.from_json((out / "scene.json").read_text())
     cameras = {n: sensor for n, (_, sensor) in zip(scene.names, scene.image_label())}
     which = "final masks" if folder != out else "first masks"
-    tables = {which: _compared(folder, compare, cameras, keep_labels)}
-    if beside:
+
+    def compared(masks: Path) -> dict:
+        return compare(masks, asked.compare, cameras, asked.keep_labels).table()
+
+    tables = {which: compared(folder / "masks")}
+    if asked.beside:
         rows = [["this run", *tables[which]["rows"][-1][1:]]]
-        for source in beside:
+        for source in asked.beside:
             with TemporaryDirectory() as scratch:
                 masks_by(source, scene, out / "images", Path(scratch) / "masks")
-                rows.append([source, *_compared(Path(scratch), compare, cameras, keep_labels)["rows"][-1][1:]])
+                rows.append([source, *compared(Path(scratch) / "masks")["rows"][-1][1:]])
         tables["beside"] = {"columns": ["source", *tables[which]["columns"][1:]], "rows": rows}
-    if classes:
-        tables["classes"] = compare_classes(folder / "classes", compare, _labels(classes), cameras).table()
+    if asked.classes:
+        tables["classes"] = compare_classes(folder / "classes", asked.compare, _labels(asked.classes), cameras).table()
     return tables
-
-
-def _compared(folder: Path, truth: Path, cameras: dict[str, str], keep_labels: tuple[int, ...]) -> dict:
-    return compare(folder / "masks", truth, cameras, keep_labels).table()
 
 
 def _labels(classes: tuple[str, ...]) -> dict[str, int]:

@@ -10,14 +10,15 @@ from typing import Annotated
 import tyro
 
 from tiegraph.api import open_project
-from tiegraph.cli.options import options_of
-from tiegraph.project.progress import Reporter
+from tiegraph.cli.options import Talk, options_of
 
 
-@dataclass(frozen=True)
-class OdometryOptions:
-    """Options of `tiegraph odometry`."""
+@dataclass(frozen=True, kw_only=True)
+class _Odometry(Talk):
+    """The path of a stereo camera, a rig or a single camera, frame after frame; --trajectory reads what it writes."""
 
+    images: tyro.conf.Positional[Path]
+    """The folder that holds the images, in any of the layouts of `tiegraph run`, videos or ROS bags."""
     rig: str | None = None
     """The calibrated rig: a rig.toml, COLMAP's rig_config.json, or the folder of another run."""
     camera: str | None = None
@@ -31,31 +32,16 @@ class OdometryOptions:
     this name without suffix. Nothing of that may be there."""
     pool: str = "local"
     """Where images are checked: serial, local, local:<workers>."""
-    json: bool = False
-    """One JSON object a line on standard output instead of text."""
-    quiet: bool = False
-    """Say nothing but errors."""
 
 
 def main(arguments: list[str]) -> int:
     """`tiegraph odometry`."""
-
-    def odometry(
-        images: tyro.conf.Positional[Path], options: Annotated[OdometryOptions, tyro.conf.arg(name="")]
-    ) -> tuple[Path, OdometryOptions]:
-        """The path of a stereo camera, a rig or a single camera, frame after frame; --trajectory reads what it writes.
-
-        Args:
-            images: The folder that holds the images, in any of the layouts of `tiegraph run`, videos or ROS bags.
-        """
-        return images, options
-
-    images, options = options_of(odometry, "tiegraph odometry", arguments)
-    reporter = Reporter("json" if options.json else "quiet" if options.quiet else "auto")
+    options = options_of(_Odometry, "tiegraph odometry", arguments)
+    reporter = options.reporter()
     settings = {} if options.masks is None else {"masks": {"source": "folder", "folder": options.masks.absolute()}}
     given = {"rig": options.rig, "camera": options.camera, "times": options.times}
     with tempfile.TemporaryDirectory(prefix="tiegraph_odometry_") as folder:
-        project = open_project(images, Path(folder) / "run", pool=options.pool, settings=settings, **given)
+        project = open_project(options.images, Path(folder) / "run", pool=options.pool, settings=settings, **given)
         made = project.odometry(options.out, reporter)
     for one in made:
         for text in (*one.said, str(one.tum)):

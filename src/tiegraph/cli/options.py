@@ -5,12 +5,29 @@ from __future__ import annotations
 import contextlib
 import io
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import tyro
 
 from tiegraph.cli.verbs import HELP, HELP_ALL
 from tiegraph.errors import SettingsError
+from tiegraph.project.progress import Reporter
+
+
+@dataclass(frozen=True, kw_only=True)
+class Talk:
+    """Options of every verb that says how far it is."""
+
+    json: bool = False
+    """One JSON object a line on standard output instead of text."""
+    quiet: bool = False
+    """Say nothing but errors."""
+
+    def reporter(self) -> Reporter:
+        """The progress these options ask for."""
+        return Reporter("json" if self.json else "quiet" if self.quiet else "auto")
+
 
 _FRAME = "│╭╮╰╯─ \t"  # of the box that tyro prints
 _SHOWN = 300
@@ -19,7 +36,8 @@ _SHOWN = 300
 def options_of(
     function: Callable[..., Any], program: str, arguments: list[str], page: str = HELP[-1], **how: Any
 ) -> Any:
-    """What ``function`` returns for the arguments, by tyro. Raises SettingsError for arguments it does not take.
+    """What ``function``, or a class of options, makes of the arguments, by tyro. Raises SettingsError for those it does
+    not take.
 
     ``page``: the argument that shows all options of the verb.
     """

@@ -17,9 +17,14 @@ from tiegraph.project.stages import write_atomic
 
 
 @dataclass(frozen=True)
-class RigOptions:
-    """Options of `tiegraph rig`."""
+class _Rig:
+    """Write the rig as a run found it: cameras, places and turns in the rig, with their sigmas.
 
+    Read it with --rig in the next run; `tiegraph run IMAGES --rig FOLDER` takes it from the run folder at once.
+    """
+
+    folder: tyro.conf.Positional[Path]
+    """A run folder with a sparse model."""
     out: Annotated[Path | None, tyro.conf.arg(name="out", aliases=["-o"])] = None
     """The file to write; it must not exist (default: standard output)."""
     format: Literal["rig", "rig_config"] = "rig"
@@ -28,23 +33,10 @@ class RigOptions:
 
 def main(arguments: list[str]) -> int:
     """`tiegraph rig`."""
-
-    def rig(
-        folder: tyro.conf.Positional[Path], options: Annotated[RigOptions, tyro.conf.arg(name="")] = RigOptions()
-    ) -> tuple[Path, RigOptions]:
-        """Write the rig as a run found it: cameras, places and turns in the rig, with their sigmas.
-
-        Read it with --rig in the next run; `tiegraph run IMAGES --rig FOLDER` takes it from the run folder at once.
-
-        Args:
-            folder: A run folder with a sparse model.
-        """
-        return folder, options
-
-    folder, options = options_of(rig, "tiegraph rig", arguments)
+    options = options_of(_Rig, "tiegraph rig", arguments)
     if options.out is not None and os.path.lexists(options.out):
         raise InputError(f"-o {options.out} is there already: give another name, or remove it")
-    text, said = open_project(None, folder).rig_file(options.format)
+    text, said = open_project(None, options.folder).rig_file(options.format)
     if options.out is not None:
         write_atomic(options.out, text)
         say(f"written: {options.out}")

@@ -11,7 +11,7 @@ import tyro
 from pydantic import Field, ValidationError, create_model
 
 from tiegraph.api import Project, open_project
-from tiegraph.cli.options import options_of
+from tiegraph.cli.options import Talk, options_of
 from tiegraph.cli.verbs import HELP, HELP_ALL, wants_page
 from tiegraph.errors import SettingsError, choose
 from tiegraph.project.progress import Reporter
@@ -23,25 +23,17 @@ _MANY = 1 << 20
 _STATED = (None, "evaluate", "report")  # runs that end with a statement of accuracy
 
 
-@dataclass(frozen=True)
-class Common:
+@dataclass(frozen=True, kw_only=True)
+class Common(Talk):
     """Options of every verb that runs stages."""
 
     pool: str = "local"
     """Where items run: serial, local, local:<workers> or dask:<address>."""
-    json: bool = False
-    """One JSON object a line on standard output instead of text."""
-    quiet: bool = False
-    """Say nothing but errors."""
     unset: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
     """An input or setting of tiegraph.toml that no longer holds, such as gnss or masks.folder; once for each."""
 
-    def reporter(self) -> Reporter:
-        """The progress these options ask for."""
-        return Reporter("json" if self.json else "quiet" if self.quiet else "auto")
 
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class RunOptions(Common):
     """Options of `tiegraph run`."""
 

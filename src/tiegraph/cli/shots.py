@@ -13,10 +13,12 @@ from tiegraph.cli.options import options_of
 from tiegraph.cli.run import Common
 
 
-@dataclass(frozen=True)
-class ShotOptions(Common):
-    """Options of `tiegraph shots`."""
+@dataclass(frozen=True, kw_only=True)
+class _Shots(Common):
+    """One point cloud for every shot of a calibrated rig, without a sparse model (shots/*.ply)."""
 
+    images: tyro.conf.Positional[Path]
+    """The folder that holds the images, one folder a camera."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """The run folder (default: <IMAGES>_tiegraph beside the images)."""
     rig: str | None = None
@@ -35,20 +37,9 @@ class ShotOptions(Common):
 
 def main(arguments: list[str]) -> int:
     """`tiegraph shots`."""
-
-    def shots(
-        images: tyro.conf.Positional[Path], options: Annotated[ShotOptions, tyro.conf.arg(name="")]
-    ) -> tuple[Path, ShotOptions]:
-        """One point cloud for every shot of a calibrated rig, without a sparse model (shots/*.ply).
-
-        Args:
-            images: The folder that holds the images, one folder a camera.
-        """
-        return images, options
-
-    images, options = options_of(shots, "tiegraph shots", arguments, config=(tyro.conf.FlagCreatePairsOff,))
+    options = options_of(_Shots, "tiegraph shots", arguments, config=(tyro.conf.FlagCreatePairsOff,))
     how = {"preset": options.preset, "pool": options.pool, "unset": options.unset}
-    project = open_project(images, options.out, rig=options.rig, **how)
+    project = open_project(options.images, options.out, rig=options.rig, **how)
     reporter = options.reporter()
     made = project.shots(options.near, options.far, reporter)
     reporter.say(f"{len(made)} clouds: {project.folder / 'shots'}")

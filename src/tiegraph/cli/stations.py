@@ -8,18 +8,19 @@ from typing import Annotated, Any
 
 import tyro
 
-from tiegraph.cli.options import options_of
+from tiegraph.cli.options import Talk, options_of
 from tiegraph.cli.output import say, show_table
 from tiegraph.pipeline.stations import StationOptions
 from tiegraph.pipeline.stations import stations as join_stations
-from tiegraph.project.progress import Reporter
 from tiegraph.project.verbtunings import read_tunings
 
 
-@dataclass(frozen=True)
-class StationsOptions:
-    """Options of `tiegraph stations`."""
+@dataclass(frozen=True, kw_only=True)
+class _Stations(Talk):
+    """Clouds of single shots, without poses, put into one frame and merged to one filtered cloud."""
 
+    shots: tyro.conf.Positional[tuple[Path, ...]]
+    """A folder of clouds, the run folder of `tiegraph shots`, or files (.ply, .las, .laz)."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """The new folder for cloud.laz, stations.tum and stations.json."""
     poses: Path | None = None
@@ -29,29 +30,14 @@ class StationsOptions:
     """Spacing of the cloud in metres; 0 = that of the shots."""
     tuning: Path | None = None
     """A file with other constants: tables [tuning.stations] and [tuning.cloud]."""
-    json: bool = False
-    """One JSON object on standard output instead of text."""
-    quiet: bool = False
-    """Say nothing but errors."""
 
 
 def main(arguments: list[str]) -> int:
     """`tiegraph stations`."""
-
-    def stations(
-        shots: tyro.conf.Positional[tuple[Path, ...]], options: Annotated[StationsOptions, tyro.conf.arg(name="")]
-    ) -> tuple[tuple[Path, ...], StationsOptions]:
-        """Clouds of single shots, without poses, put into one frame and merged to one filtered cloud.
-
-        Args:
-            shots: A folder of clouds, the run folder of `tiegraph shots`, or files (.ply, .las, .laz).
-        """
-        return shots, options
-
-    shots, options = options_of(stations, "tiegraph stations", arguments)
-    reporter = Reporter("json" if options.json else "quiet" if options.quiet else "auto")
+    options = options_of(_Stations, "tiegraph stations", arguments)
+    reporter = options.reporter()
     asked = StationOptions(options.poses, options.voxel_m, read_tunings(options.tuning))
-    made = join_stations(shots, options.out, asked, reporter)
+    made = join_stations(options.shots, options.out, asked, reporter)
     joined = [c for c in made["clouds"] if c["joined"]]
     reporter.event("stations", out=options.out, joined=len(joined), clouds=len(made["clouds"]))
     if not options.json and not options.quiet:

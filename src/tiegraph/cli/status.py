@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import tyro
@@ -11,18 +12,17 @@ from tiegraph.cli.options import options_of
 from tiegraph.cli.output import show_table
 
 
+@dataclass(frozen=True)
+class _Status:
+    """Which stages of a run folder are up to date, and why not."""
+
+    out: tyro.conf.Positional[Path]
+    """A run folder made by `tiegraph run`."""
+
+
 def main(arguments: list[str]) -> int:
     """Print the stages of a run folder: up to date or why not, seconds, counts. Runs nothing."""
-
-    def status(out: tyro.conf.Positional[Path]) -> Path:
-        """Which stages of a run folder are up to date, and why not.
-
-        Args:
-            out: A run folder made by `tiegraph run`.
-        """
-        return out
-
-    project = open_project(None, options_of(status, "tiegraph status", arguments))
+    project = open_project(None, options_of(_Status, "tiegraph status", arguments).out)
     rows = []
     for name, why, receipt in project.status():
         counts = ", ".join(f"{v:g} {k}" for k, v in receipt.get("counts", {}).items())

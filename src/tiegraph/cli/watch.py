@@ -9,18 +9,18 @@ from typing import Annotated
 import tyro
 
 from tiegraph.api import open_project
-from tiegraph.cli.options import options_of
+from tiegraph.cli.options import Talk, options_of
 from tiegraph.pipeline.watch.loop import watch
-from tiegraph.project.progress import Reporter
-from tiegraph.project.run import Run
 from tiegraph.project.verbtunings import read_tunings
 from tiegraph.scene.regular import real_path
 
 
-@dataclass(frozen=True)
-class WatchOptions:
-    """Options of `tiegraph watch`."""
+@dataclass(frozen=True, kw_only=True)
+class _Watch(Talk):
+    """Follow the images of a folder while they arrive: ties, path, surface coverage and where to go again."""
 
+    folder: tyro.conf.Positional[Path]
+    """The folder into which images are copied, in any of the layouts of `tiegraph run`."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """Where what is known is kept (default: <FOLDER>_watch beside the folder); the same again goes on."""
     rig: str | None = None
@@ -35,31 +35,15 @@ class WatchOptions:
     """A file with other constants: tables [tuning.watch] and those of the stages that it uses."""
     port: int = 8765
     """Of the page on this machine (127.0.0.1); 0 = any that is free."""
-    json: bool = False
-    """One JSON object a line on standard output instead of text."""
-    quiet: bool = False
-    """Say nothing but errors."""
 
 
 def main(arguments: list[str]) -> int:
     """`tiegraph watch`."""
-
-    def watch_folder(
-        folder: tyro.conf.Positional[Path], options: Annotated[WatchOptions, tyro.conf.arg(name="")]
-    ) -> tuple[Path, WatchOptions]:
-        """Follow the images of a folder while they arrive: ties, path, surface coverage and where to go again.
-
-        Args:
-            folder: The folder into which images are copied, in any of the layouts of `tiegraph run`.
-        """
-        return folder, options
-
-    folder, options = options_of(watch_folder, "tiegraph watch", arguments)
-    source = real_path(folder)
+    options = options_of(_Watch, "tiegraph watch", arguments)
+    source = real_path(options.folder)
     out = options.out or source.with_name(source.name + "_watch")
     given = {name: getattr(options, name) for name in ("rig", "camera", "gnss", "times")}
     tunings = read_tunings(options.tuning)
-    project = open_project(source, out, settings={"tuning": tunings.of_stages()}, **given)
-    reporter = Reporter("json" if options.json else "quiet" if options.quiet else "auto")
-    watch(Run(project.folder, project.inputs, project.settings, "serial", reporter), options.port, tunings.watch)
+    project = open_project(source, out, pool="serial", settings={"tuning": tunings.of_stages()}, **given)
+    watch(project.as_run(options.reporter()), options.port, tunings.watch)
     return 0

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
+import numpy as np
 
 from tiegraph.dense.consistency import Consistency, LoadDepth, check
 from tiegraph.dense.engine import ENGINES, installed
-from tiegraph.dense.normals import with_normals
 from tiegraph.dense.plan import ImagePlan
 from tiegraph.dense.settings import DenseSettings
-from tiegraph.dense.tuning import Tuning
+from tiegraph.dense.tuning import NormalTuning, Tuning
 from tiegraph.dense.undistort import load_view
 from tiegraph.errors import choose
 from tiegraph.scene.results import DepthMap
@@ -39,3 +40,66 @@ def confirmed_map(
     partners = [view.name for view in plan.partners]
     confirmed, counts = check(depth, partners, plan.witnesses, load, settings, tuning.rays)
     return with_normals(confirmed, tuning.normals), counts
+
+
+# --- surface normals of a depth map by local planes ------------------------------------------------------------------
+
+
+def with_normals(depth: DepthMap, tuning: NormalTuning) -> DepthMap:
+    """The depth map with normals (H, W, 3) f4 in the camera frame that face the camera; NaN where no plane fits.
+
+    On a plane inverse depth is an affine function of the pixel: 1/z = a u + b v + c, and the normal is along
+    (a fx, b fy, a cx + b cy + c). The least squares fit in a window is a few box filters, holes left out.
+    """
+    known = np.isfinite(depth.depth_m)
+    inverse = np.where(known, 1 / np.where(known, depth.depth_m, 1), 0).astype(np.float64)
+    middle = float(np.median(inverse[known])) if known.any() else 1.0
+    plane = _planes(known.astype(np.float64), inverse / middle, tuning)
+    height, width = known.shape
+    u, v = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+    K = depth.K
+    # The window's plane is w = a (u' - u) + b (v' - v) + c about its centre (u, v).
+    x, y = (u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1]
+    n_x, n_y = plane.a * K[0, 0], plane.b * K[1, 1]
+    normal = np.stack([n_x, n_y, plane.c - n_x * x - n_y * y], axis=-1)
+    normal = -normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-12)
+    normal = np.where((plane.good & known)[..., None], normal, np.nan).astype(np.float32)
+    return replace(depth, normal=normal)
+
+
+@dataclass(frozen=True)
+class _Planes:
+    """Coefficients (H, W) of w = a du + b dv + c in the window about each pixel, and where the fit is good."""
+
+    a: np.ndarray
+    b: np.ndarray
+    c: np.ndarray
+    good: np.ndarray  # bool
+
+
+def _planes(known: np.ndarray, w: np.ndarray, tuning: NormalTuning) -> _Planes:
+    """The planes that fit the known pixels best."""
+    radius = tuning.radius_px
+    k0 = np.ones(2 * radius + 1)
+    k1 = np.arange(-radius, radius + 1, dtype=float)
+    k2 = k1**2
+
+    def moment(values: np.ndarray, kx: np.ndarray, ky: np.ndarray) -> np.ndarray:
+        return cv2.sepFilter2D(values, cv2.CV_64F, kx, ky, borderType=cv2.BORDER_CONSTANT)
+
+    wm = w * known
+    n, su, sv = moment(known, k0, k0), moment(known, k1, k0), moment(known, k0, k1)
+    suu, svv, suv = moment(known, k2, k0), moment(known, k0, k2), moment(known, k1, k1)
+    sw, swu, swv = moment(wm, k0, k0), moment(wm, k1, k0), moment(wm, k0, k1)
+    sww = moment(wm * w, k0, k0)
+    count = np.maximum(n, 1)
+    mu, mv, mw = su / count, sv / count, sw / count
+    cuu, cvv, cuv = suu / count - mu**2, svv / count - mv**2, suv / count - mu * mv
+    cwu, cwv = swu / count - mw * mu, swv / count - mw * mv
+    det = cuu * cvv - cuv**2
+    safe = np.where(det > 1e-3, det, 1)
+    a, b = (cwu * cvv - cwv * cuv) / safe, (cwv * cuu - cwu * cuv) / safe
+    c = mw - a * mu - b * mv
+    residual = np.maximum(sww / count - mw**2 - a * cwu - b * cwv, 0)
+    good = (n >= tuning.min_pixels) & (det > 1e-3) & (residual <= (tuning.max_residual * mw) ** 2)
+    return _Planes(a=a, b=b, c=c, good=good)

@@ -133,7 +133,7 @@ class SgbmTuning(Section):
 
 
 class TsgmTuning(Section):
-    """The hierarchical matcher (`tsgm.py`, `mutual.py`); benchmarks/dense/README.md says how its values were found."""
+    """The hierarchical matcher (`tsgm.py`); benchmarks/dense/README.md says how its values were found."""
 
     radius_px: tuple[int, int] = (4, 3)
     """Of the census window, along the row and across."""
@@ -225,7 +225,7 @@ class RayTuning(Section):
 
 
 class NormalTuning(Section):
-    """Surface normals (`normals.py`)."""
+    """Surface normals (`depth.py`)."""
 
     radius_px: int = Field(3, gt=0)
     """Of the window a plane is fitted in: 7 x 7."""

@@ -1,4 +1,10 @@
-"""Design: which of the candidate pairs are matched at full resolution."""
+"""Design: which of the candidate pairs are matched at full resolution.
+
+The pairs that stay whatever a design is after: those that hold every image, and every part, to the rest. A pair may
+fail: previews promise, matching at full resolution tells. So one pair is not enough to hold an image. Across every cut
+of the graph of candidates, that around a single image and that between two halves of the survey alike, the strongest
+pairs stay until so many as are ``wanted`` of them are expected to be verified, or all of them.
+"""
 
 from __future__ import annotations
 
@@ -11,13 +17,12 @@ import numpy as np
 from tiegraph.design.cost import Cost
 from tiegraph.design.coverage import Coverage
 from tiegraph.design.expected import counted_matches, expected_matches
-from tiegraph.design.holding import holding
 from tiegraph.design.hybrid import Budget, Choice, choose
 from tiegraph.design.matchprediction import predict_matches, verified_chance
 from tiegraph.design.predict import Predictor
 from tiegraph.design.settings import DesignSettings
 from tiegraph.design.tracks import Candidates
-from tiegraph.design.tuning import CostTuning, Tuning
+from tiegraph.design.tuning import CostTuning, HoldingTuning, Tuning
 from tiegraph.errors import choose as choose_entry
 from tiegraph.scene.graph import cuts, forest, frame_links, groups, parts, two_links
 from tiegraph.scene.matches import PreviewMatches, Visibility
@@ -65,13 +70,13 @@ def design(
     ties: PreviewMatches | None,
     settings: DesignSettings,
     tuning: Tuning,
-    sights: Visibility | None = None,
+    visibility: Visibility | None = None,
     cost: Cost | None = None,
 ) -> DesignResult:
     """Choose by the method of the settings; what was connected stays connected, but by some of ``METHODS``.
 
     ``ties``: preview matches of the pairs that were previewed; for the others matches are expected from the score or
-    the overlap. ``sights``, the points of a coarse model each image sees, tell which tracks all of them would join.
+    the overlap. ``visibility``, the points of a coarse model each image sees, tell which tracks all of them would join.
     Methods hybrid and top keep a maximum spanning forest of the images, two pairs without a common image from
     every camera, pass and section to the rest, and a second link wherever frames would hang on one; hybrid
     also the strongest pairs of every image and part (``holding``), within a share of a budget of pairs.
@@ -88,8 +93,8 @@ def design(
         return _made(pairs, thin.pairs, thin.notes, dict(thin.counts))
     i, j, strength = pairs.i[kept], pairs.j[kept], expected[kept]
     known = ties
-    if sights is not None:
-        seen = predict_matches(i, j, counted_matches(pairs, ties)[kept], sights, tuning.match_prediction)
+    if visibility is not None:
+        seen = predict_matches(i, j, counted_matches(pairs, ties)[kept], visibility, tuning.match_prediction)
         known, strength = seen.matches, np.where(np.isfinite(seen.expected), seen.expected, strength)
     start = _start(i, j, strength, scene, _room(settings, len(scene), tuning), tuning)
     if settings.method == "top":
@@ -194,3 +199,32 @@ def _second_links(i: np.ndarray, j: np.ndarray, strength: np.ndarray, chosen: np
     weaker = np.isin(i[free], np.r_[i[single], j[single]]) | np.isin(j[free], np.r_[i[single], j[single]])
     own = strength[free] / np.where(weaker, strength.max(initial=1.0), 1.0)
     return free[forest(piece[i[free]], piece[j[free]], own, len(scene))]
+
+
+# --- the pairs that stay whatever a design is after ------------------------------------------------------------------
+
+
+def holding(
+    i: np.ndarray, j: np.ndarray, strength: np.ndarray, chance: np.ndarray, nodes: int, tuning: HoldingTuning
+) -> list[np.ndarray]:
+    """Places of the pairs i, j (P,) that stay, in rounds; ``chance`` (P,) of being verified rises with ``strength``.
+
+    Each round is a maximum spanning forest of the pairs left over, so k rounds hold the k strongest pairs across every
+    cut (Nagamochi and Ibaraki 1992). A pair is done with when its ends are joined in so many forests that the weakest
+    pairs on the ways between them are together worth ``wanted`` sure ones: each cut it crosses is crossed by those too.
+    """
+    left, sure = np.arange(len(i)), np.zeros(len(i))
+    rounds: list[np.ndarray] = []
+    steps = (*zip(tuning.chances, tuning.chances), (tuning.sure, 1.0))
+    while len(left):
+        tree = left[forest(i[left], j[left], strength[left], nodes)]
+        rounds.append(tree)
+        left = np.setdiff1d(left, tree)
+        weakest = np.zeros(len(left))
+        for least, worth in steps:
+            sound = tree[chance[tree] >= least]
+            part = parts(i[sound], j[sound], nodes)
+            weakest[part[i[left]] == part[j[left]]] = worth
+        sure[left] += weakest
+        left = left[sure[left] < tuning.wanted]
+    return rounds

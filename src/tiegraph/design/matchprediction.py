@@ -47,22 +47,22 @@ def verified_chance(expected: np.ndarray, tuning: MatchPredictionTuning) -> np.n
 
 
 def predict_matches(
-    i: np.ndarray, j: np.ndarray, measured: np.ndarray, sights: Visibility, tuning: MatchPredictionTuning
+    i: np.ndarray, j: np.ndarray, measured: np.ndarray, visibility: Visibility, tuning: MatchPredictionTuning
 ) -> PredictedMatches:
     """Ties and expected matches of pairs i < j (P,); ``measured`` (P,) preview matches, NaN = not previewed.
 
     Which of the common points match is drawn at random, with the chance of each point, and always in the same way.
     A measured count and what the points promise are taken together by their geometric mean.
     """
-    law = _fitted(i, j, measured, sights, tuning)
-    image = np.repeat(np.arange(len(sights.centre)), np.diff(sights.start))
+    law = _fitted(i, j, measured, visibility, tuning)
+    image = np.repeat(np.arange(len(visibility.centre)), np.diff(visibility.start))
     # Whether a point is detected in an image is alike for all its pairs.
-    detected = _uniform(sights.point, image, image) < np.sqrt(law.rate)
+    detected = _uniform(visibility.point, image, image) < np.sqrt(law.rate)
     expected = np.full(len(i), np.nan)
     rows: list[int] = []
     matches: list[np.ndarray] = []
-    for both in _in_common(i, j, sights):
-        likely = law.likely(*_geometry(both, sights))
+    for both in _in_common(i, j, visibility):
+        likely = law.likely(*_geometry(both, visibility))
         size = np.bincount(both.number, minlength=len(both.pairs))
         promised = law.rate * np.bincount(both.number, likely, len(both.pairs))
         looked = measured[both.pairs]
@@ -72,7 +72,7 @@ def predict_matches(
         expected[both.pairs[there]] = np.maximum(count, 1.0)[there]
         rows += both.pairs[there].tolist()
         chance = likely * (count / np.maximum(promised, 1e-9))[both.number]
-        left, right = both.rows(sights)
+        left, right = both.rows(visibility)
         chosen = detected[left] & detected[right] & (_uniform(both.point, both.image, both.other) < chance)
         own = np.bincount(both.number[chosen], minlength=len(both.pairs))
         pair = np.stack([both.left[chosen], both.right[chosen]], axis=1).astype(np.uint16)
@@ -94,24 +94,24 @@ class _Common:
     left: np.ndarray
     right: np.ndarray
 
-    def rows(self, sights: Visibility) -> tuple[np.ndarray, np.ndarray]:
+    def rows(self, visibility: Visibility) -> tuple[np.ndarray, np.ndarray]:
         """(K,) rows of the image and of the other in the table of sights."""
-        return sights.start[self.image] + self.left, sights.start[self.other] + self.right
+        return visibility.start[self.image] + self.left, visibility.start[self.other] + self.right
 
 
-def _in_common(i: np.ndarray, j: np.ndarray, sights: Visibility) -> Iterator[_Common]:
+def _in_common(i: np.ndarray, j: np.ndarray, visibility: Visibility) -> Iterator[_Common]:
     """What the pairs i, j (P,) see in common, image by image."""
-    place = np.full(len(sights.xyz), -1)
+    place = np.full(len(visibility.xyz), -1)
     order = np.argsort(i, kind="stable")
     first = np.flatnonzero(np.r_[True, np.diff(i[order]) != 0]) if len(i) else np.zeros(0, int)
     for rows in np.split(order, first[1:]) if len(i) else ():
         image = int(i[rows[0]])
-        own = sights.of(image)
+        own = visibility.of(image)
         place[own] = np.arange(len(own))
-        begin, count = sights.start[j[rows]], sights.start[j[rows] + 1] - sights.start[j[rows]]
+        begin, count = visibility.start[j[rows]], visibility.start[j[rows] + 1] - visibility.start[j[rows]]
         number = np.repeat(np.arange(len(rows)), count)
         right = np.arange(len(number)) - np.repeat(np.cumsum(count) - count, count)
-        point = sights.point[begin[number] + right]
+        point = visibility.point[begin[number] + right]
         left = place[point]
         hit = left >= 0
         place[own] = -1
@@ -126,10 +126,10 @@ def _in_common(i: np.ndarray, j: np.ndarray, sights: Visibility) -> Iterator[_Co
         )
 
 
-def _geometry(both: _Common, sights: Visibility) -> tuple[np.ndarray, np.ndarray]:
+def _geometry(both: _Common, visibility: Visibility) -> tuple[np.ndarray, np.ndarray]:
     """(K,) angles between the rays of two images to their common points, degrees; octaves between the distances."""
-    xyz = sights.xyz[both.point]
-    ray_a, ray_b = xyz - sights.centre[both.image], xyz - sights.centre[both.other]
+    xyz = visibility.xyz[both.point]
+    ray_a, ray_b = xyz - visibility.centre[both.image], xyz - visibility.centre[both.other]
     far_a, far_b = np.linalg.norm(ray_a, axis=1), np.linalg.norm(ray_b, axis=1)
     cosine = np.sum(ray_a * ray_b, axis=1) / np.maximum(far_a * far_b, 1e-12)
     octaves = np.abs(np.log2(np.maximum(far_a, 1e-12) / np.maximum(far_b, 1e-12)))
@@ -137,7 +137,7 @@ def _geometry(both: _Common, sights: Visibility) -> tuple[np.ndarray, np.ndarray
 
 
 def _fitted(
-    i: np.ndarray, j: np.ndarray, measured: np.ndarray, sights: Visibility, tuning: MatchPredictionTuning
+    i: np.ndarray, j: np.ndarray, measured: np.ndarray, visibility: Visibility, tuning: MatchPredictionTuning
 ) -> _Law:
     """The law that explains the previewed pairs best (weighted least squares, no number below zero)."""
     known = np.flatnonzero(np.isfinite(measured))
@@ -146,8 +146,8 @@ def _fitted(
     rows, columns = tuning.cells
     cells = rows * columns
     table = np.zeros((len(known), cells), np.float32)
-    for both in _in_common(i[known], j[known], sights):
-        angle, octaves = _geometry(both, sights)
+    for both in _in_common(i[known], j[known], visibility):
+        angle, octaves = _geometry(both, visibility)
         row = np.minimum((angle / tuning.cell_deg).astype(int), rows - 1)
         cell = row * columns + np.minimum((octaves / tuning.cell_octaves).astype(int), columns - 1)
         size = len(both.pairs) * cells

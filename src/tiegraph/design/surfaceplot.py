@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from tiegraph.design.surface import VERDICTS, SurfaceMap, WeakPlace
 from tiegraph.geometry import transforms
 from tiegraph.geometry.levelled import levelled
-from tiegraph.scene.figures import plain_text
+from tiegraph.scene.figures import plain_text, png
 
 COLOURS = ("#4c9a6a", "#b3261e", "#d9822b", "#c4a000", "#8e5ea2")  # of VERDICTS
 _INK, _DPI = "#444444", 110
@@ -45,6 +43,4 @@ def surface_png(surface: SurfaceMap, places: Sequence[WeakPlace], cam_from_world
     axes.set_title("The surface from above: by how many images, from which angles, how precisely", fontsize=10,
                    loc="left", color=_INK)  # fmt: skip
     axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=8, frameon=False)
-    out = io.BytesIO()
-    FigureCanvasAgg(figure).print_png(out)
-    return out.getvalue()
+    return png(figure)

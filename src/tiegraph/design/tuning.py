@@ -78,7 +78,7 @@ class MatchPredictionTuning(Section):
 
 
 class HoldingTuning(Section):
-    """The pairs that stay whatever a design is after (`holding.py`)."""
+    """The pairs that stay whatever a design is after (`design.py`)."""
 
     wanted: float = Field(3.0, gt=0)
     """Pairs across every cut that are expected to be verified."""

@@ -3,20 +3,28 @@
 SIFT and not ORB: on ``canal`` (300 rendered images, repeated walls) a model of the survey made of 2554 SIFT previews of
 400 px holds all images within 0.07 m, one of ORB previews is torn (11 m); a preview costs 6 instead of 3.5 ms.
 The counts say which images may tie; the rotations of single pairs are coarse and serve only to be voted on.
+
+A COLMAP database of previews: what a small model of the survey is made from.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pycolmap
 
-from tiegraph.features.preview_settings import PreviewSettings
+from tiegraph.features.settings import PreviewSettings
 from tiegraph.features.sift import DESCRIPTOR_NORM, root_sift
 from tiegraph.features.tuning import PreviewTuning
+from tiegraph.limits import need_room
+from tiegraph.scene.colmaprows import DATABASE_BYTES, create_database, write_ties
+from tiegraph.scene.matches import PreviewMatches
 from tiegraph.scene.rays import on_plane
+from tiegraph.scene.scene import Scene
 
 BINS = 16  # of the brightness histogram
 
@@ -216,3 +224,26 @@ def _essential(
         return inliers, None
     _, rotation, _, _ = cv2.recoverPose(matrix, rays_a, rays_b, eye, mask=found.copy())
     return inliers, rotation
+
+
+# --- a COLMAP database of previews -----------------------------------------------------------------------------------
+
+
+_POINT_BYTES = 24  # of a key point in the database
+_MATCH_BYTES = 8  # of each end of a match: it is there twice, as a match and as an inlier
+
+
+def write_preview_database(
+    path: Path, scene: Scene, previews: Iterable[Preview], ties: PreviewMatches, min_matches: int
+) -> np.ndarray:
+    """Database of the scene with the previews' key points (full-resolution pixels) and their ties as verified matches.
+
+    Ties of fewer than ``min_matches`` are left out; returns (T,) bool, which ties were written. Raises InputError for a
+    sensor without a camera or a full disk.
+    """
+    create_database(path, scene)
+    used = ties.counts() >= min_matches
+    points = len(scene) * (1 + int(ties.matches.max(initial=0))) * _POINT_BYTES
+    need_room(path.with_name(path.name + ".room"), DATABASE_BYTES + 2 * (points + ties.matches.size * _MATCH_BYTES))
+    write_ties(path, (preview.xy for preview in previews), ties, used)
+    return used

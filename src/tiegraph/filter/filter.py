@@ -57,7 +57,7 @@ def filter_pairs(
     kept = pairs.kept()
     work = Work(database=str(database), scene=scene, pairs=kept, settings=settings, tuning=tuning, run_map=run_map)
     if settings.method == "off" or len(kept) == 0:
-        return _nothing(pairs, scene)
+        return _nothing(pairs)
     bearings.forget()
     asked, contradicts, said = _by_prior(work, prior)
     cameras = _calibrated(work, asked)
@@ -114,7 +114,7 @@ def _by_prior(work: Work, prior: Prior | None) -> tuple[np.ndarray, np.ndarray, 
     return asked, contradicts, [figures]
 
 
-def _nothing(pairs: Pairs, scene: Scene) -> Filtering:
+def _nothing(pairs: Pairs) -> Filtering:
     empty = Motions(units=np.zeros((0, 2), int), n_from_m=np.zeros((0, 4, 4)), support=np.zeros(0), by_frame=False)
     kept = pairs.kept()
     counts: dict[str, float] = {"pairs": len(kept), "kept": len(kept), "refused": 0}

@@ -88,7 +88,7 @@ def robust_umeyama(
     return umeyama(source[inliers], target[inliers], 1 / sigma[inliers] ** 2, with_scale), inliers
 
 
-def l1_mean_rotation(rotations: np.ndarray, iterations: int = 50) -> np.ndarray:
+def l1_mean_rotation(rotations: np.ndarray) -> np.ndarray:
     """Geodesic L1 mean (3, 3) of rotations (K, 3, 3): Weiszfeld's algorithm (Hartley, Aftab, Trumpf 2011).
 
     Starts at the member with the least summed angle, so that up to half of them may be wrong.
@@ -96,7 +96,7 @@ def l1_mean_rotation(rotations: np.ndarray, iterations: int = 50) -> np.ndarray:
     sample = rotations[:: max(1, len(rotations) // 200)]
     sums = [np.sum(angle_deg(sample, candidate)) for candidate in sample]
     mean = sample[int(np.argmin(sums))]
-    for _ in range(iterations):
+    for _ in range(50):
         logs = Rotation.from_matrix(rotations @ mean.T).as_rotvec()
         weights = 1 / np.maximum(np.linalg.norm(logs, axis=1), 1e-9)
         step = np.sum(weights[:, None] * logs, axis=0) / np.sum(weights)

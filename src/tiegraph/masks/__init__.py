@@ -14,9 +14,8 @@ labels or weights:
    cloud matches as a wall does, but a wall stands on the ground.
 5. From these labels one table a camera over colour, brightness and texture (``appearance``), learnt twice. The labels
    of a camera outweigh those of the others, whose clouds look like its walls.
-6. Classification of each image (``classification``): sky by pixel, by region without an edge inside (``regions``) and
-   by place in the image, with its edge refined by a guided filter on brightness; water is what lies below the best
-   line.
+6. Classification of each image (``classification``): sky by pixel, by region without an edge inside and by place in the
+   image, with its edge refined by a guided filter on brightness; water is what lies below the best line.
 
 **Refinement.** Stage ``refine`` finds the water level where these lines meet the banks of the sparse model
 (``waterline``), and draws the lines again from geometry. It takes back sky in which points of the model lie, seen in

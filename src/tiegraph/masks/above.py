@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from tiegraph.masks.morphology import eroded
 from tiegraph.masks.tuning_learnt import AboveTuning
 
 
@@ -31,7 +32,7 @@ def edges_of(sky: np.ndarray, told: np.ndarray, tuning: AboveTuning) -> Edges:
     """Edges of a sky (h, w) bool where it is ``told`` from the scene, (h, w) bool: not at the platform, nor at the row
     below which no sky is sought."""
     down, right = np.gradient(-cv2.GaussianBlur(sky.astype(np.float32), (0, 0), tuning.blur_sigma_px))
-    inner = cv2.erode(told.astype(np.uint8), np.ones((tuning.reach_px, tuning.reach_px), np.uint8)) > 0
+    inner = eroded(told, tuning.reach_px)
     return Edges(float(down[inner].sum()), float(np.hypot(down, right)[inner].sum()))
 
 

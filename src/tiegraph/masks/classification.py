@@ -1,4 +1,7 @@
-"""Looking up an image in what was learnt: sky, water, platform and burnt-out areas."""
+"""Looking up an image in what was learnt: sky, water, platform and burnt-out areas.
+
+Regions without an edge inside: what belongs together whatever a table says of its single pixels.
+"""
 
 from __future__ import annotations
 
@@ -11,11 +14,10 @@ import numpy as np
 from tiegraph.masks.appearance import Appearance, bins
 from tiegraph.masks.classes import EGO, OVEREXPOSED, SKY, USE, WATER
 from tiegraph.masks.frames import grey, read_small, small_shape
-from tiegraph.masks.morphology import dilated, scaled
-from tiegraph.masks.regions import pooled, textureless_regions
+from tiegraph.masks.morphology import dilated, eroded, opened, scaled
 from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.tuning import Tuning
-from tiegraph.masks.tuning_learnt import ClassificationTuning
+from tiegraph.masks.tuning_learnt import ClassificationTuning, RegionsTuning
 from tiegraph.masks.water import below_waterline
 
 
@@ -89,8 +91,7 @@ def _snapped(labels: np.ndarray, light: np.ndarray, tuning: ClassificationTuning
     Its lines are fitted at half the size (He and Sun 2015).
     """
     sky = (labels == SKY).astype(np.uint8)
-    square = np.ones((tuning.edge_band_px, tuning.edge_band_px), np.uint8)
-    band = (cv2.dilate(sky, square) - cv2.erode(sky, square, borderValue=1)) > 0
+    band = dilated(sky, tuning.edge_band_px) & ~eroded(sky, tuning.edge_band_px)
     rows = np.flatnonzero(band.any(axis=1))
     if not len(rows):
         return labels
@@ -140,8 +141,7 @@ def _with_white(sky: np.ndarray, white: np.ndarray, tuning: ClassificationTuning
 
 
 def _cleaned(mask: np.ndarray, tuning: ClassificationTuning) -> np.ndarray:
-    square = np.ones((tuning.open_px, tuning.open_px), np.uint8)
-    mask = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, square)
+    mask = opened(mask, tuning.open_px).astype(np.uint8)
     if not mask.any():
         return mask > 0
     for _ in range(2):  # small pieces go, then small holes
@@ -150,3 +150,26 @@ def _cleaned(mask: np.ndarray, tuning: ClassificationTuning) -> np.ndarray:
         small[0] = False
         mask = 1 - np.where(small[labels], 0, mask).astype(np.uint8)
     return mask > 0
+
+
+# --- regions without an edge inside ----------------------------------------------------------------------------------
+
+
+def textureless_regions(brightness: np.ndarray, tuning: RegionsTuning) -> np.ndarray:
+    """Regions (h, w) i4 of a grey image (h, w) u1 that no edge crosses, from 1; 0 = edges and small pieces."""
+    fine = cv2.GaussianBlur(brightness.astype(np.float32), (0, 0), tuning.smooth_sigma_px)
+    x, y = cv2.Sobel(fine, cv2.CV_32F, 1, 0, ksize=3), cv2.Sobel(fine, cv2.CV_32F, 0, 1, ksize=3)
+    calm = (x * x + y * y < (8 * tuning.edge_grey) ** 2).astype(np.uint8)  # 8: gain of the Sobel kernel
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(calm, connectivity=4)
+    kept = stats[:, cv2.CC_STAT_AREA] >= tuning.min_share * calm.size
+    kept[0] = False
+    return np.where(kept, np.cumsum(kept), 0).astype(np.int32)[labels]
+
+
+def pooled(ratio: np.ndarray, regions: np.ndarray, tuning: RegionsTuning) -> np.ndarray:
+    """The mean (h, w) of log ratios (h, w) over the region of each pixel; 0 outside of regions."""
+    clipped = np.clip(ratio, -tuning.clip, tuning.clip).ravel()
+    count = np.bincount(regions.ravel())
+    mean = np.bincount(regions.ravel(), clipped) / np.maximum(count, 1)
+    mean[0] = 0
+    return mean[regions]

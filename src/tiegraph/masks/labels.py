@@ -15,7 +15,7 @@ from tiegraph.masks.classes import EGO, SKY, USE, WATER
 from tiegraph.masks.classification import Classifier, classify, sought
 from tiegraph.masks.frames import grey, read_small
 from tiegraph.masks.matchability import Matchability
-from tiegraph.masks.morphology import dilated, scaled
+from tiegraph.masks.morphology import dilated, eroded, scaled
 from tiegraph.masks.proof import NONE, MatchCounts, matches_in
 from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.skyline import border_sky, textureless_sky
@@ -114,7 +114,7 @@ def ties_of(job: TriedJob) -> MatchCounts:
 
 
 def _like_sky(
-    image: np.ndarray, sky: np.ndarray, evidence: Matchability | None, tuning: LabelTuning, lowest: float = -1.0
+    image: np.ndarray, sky: np.ndarray, matchability: Matchability | None, tuning: LabelTuning, lowest: float = -1.0
 ) -> np.ndarray:
     """What is as bright as the sky, hangs together with it, and hardly matches or ends above the horizon.
 
@@ -131,8 +131,8 @@ def _like_sky(
     area = stats[:, cv2.CC_STAT_AREA]
     row = int(np.clip(round((lowest + tuning.lower) * len(sky)), 0, len(sky)))
     pale = np.bincount(pieces[row:].ravel(), minlength=count) <= tuning.on_ground * area
-    if evidence is not None:
-        place = (evidence.xy[evidence.matched] * np.array(sky.shape[::-1], np.float32)).astype(int)
+    if matchability is not None:
+        place = (matchability.xy[matchability.matched] * np.array(sky.shape[::-1], np.float32)).astype(int)
         at = pieces[place[:, 1].clip(0, sky.shape[0] - 1), place[:, 0].clip(0, sky.shape[1] - 1)]
         pale |= np.bincount(at, minlength=count) * pieces.size < tuning.matched_sky * len(place) * area
     pale[0] = False
@@ -148,12 +148,12 @@ def _seeds(image: np.ndarray, masks: Mapping[int, np.ndarray], tuning: Tuning, l
     return Labels(looks, places, low)
 
 
-def _unmatched(sky: np.ndarray, evidence: Matchability | None, tuning: LabelTuning) -> bool:
+def _unmatched(sky: np.ndarray, matchability: Matchability | None, tuning: LabelTuning) -> bool:
     """Whether hardly a feature in what looks like sky matches: a bright wall has as many as other walls."""
-    if evidence is None:
+    if matchability is None:
         return False
-    place = (evidence.xy[evidence.matched] * np.array(sky.shape[::-1], np.float32)).astype(int)
-    inner = cv2.erode(sky.astype(np.uint8), np.ones((tuning.rim_px, tuning.rim_px), np.uint8)) > 0
+    place = (matchability.xy[matchability.matched] * np.array(sky.shape[::-1], np.float32)).astype(int)
+    inner = eroded(sky, tuning.rim_px)
     inside = inner[place[:, 1].clip(0, sky.shape[0] - 1), place[:, 0].clip(0, sky.shape[1] - 1)]
     return float(inside.mean()) < tuning.matched_sky * float(inner.mean())
 
@@ -164,9 +164,9 @@ def _wide(sky: np.ndarray, tuning: LabelTuning) -> np.ndarray:
     return cv2.morphologyEx(sky.astype(np.uint8), cv2.MORPH_OPEN, across) > 0
 
 
-def _matched(evidence: Matchability | None, shape: tuple[int, ...], tuning: LabelTuning) -> np.ndarray:
+def _matched(matchability: Matchability | None, shape: tuple[int, ...], tuning: LabelTuning) -> np.ndarray:
     static = np.zeros(shape, np.uint8)
-    if evidence is not None:
-        for x, y in evidence.xy[evidence.matched] * np.array(shape[::-1], np.float32):
+    if matchability is not None:
+        for x, y in matchability.xy[matchability.matched] * np.array(shape[::-1], np.float32):
             cv2.circle(static, (int(x), int(y)), tuning.static_px, 1, -1)
     return static > 0

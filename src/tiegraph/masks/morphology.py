@@ -8,9 +8,7 @@ import numpy as np
 
 def opened_closed(white: np.ndarray, size_px: int) -> np.ndarray:
     """Opening, then closing, with a square of ``size_px``: small white areas go, then small black ones."""
-    square = np.ones((size_px, size_px), np.uint8)
-    opened = cv2.morphologyEx(white.astype(np.uint8), cv2.MORPH_OPEN, square)
-    return cv2.morphologyEx(opened, cv2.MORPH_CLOSE, square) > 0
+    return closed(opened(white, size_px), size_px)
 
 
 def without_small(white: np.ndarray, min_area: int) -> np.ndarray:
@@ -54,4 +52,23 @@ def scaled(mask: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
 
 def dilated(mask: np.ndarray, size_px: int) -> np.ndarray:
     """A mask (h, w) bool grown by half of ``size_px`` to each side."""
-    return cv2.dilate(mask.astype(np.uint8), np.ones((size_px, size_px), np.uint8)) > 0
+    return cv2.dilate(mask.astype(np.uint8), _square(size_px)) > 0
+
+
+def eroded(mask: np.ndarray, size_px: int) -> np.ndarray:
+    """A mask (h, w) bool shrunk by half of ``size_px`` at each side, but not at the border of the image."""
+    return cv2.erode(mask.astype(np.uint8), _square(size_px)) > 0
+
+
+def opened(mask: np.ndarray, size_px: int) -> np.ndarray:
+    """A mask (h, w) bool without what is narrower than ``size_px``."""
+    return cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, _square(size_px)) > 0
+
+
+def closed(mask: np.ndarray, size_px: int) -> np.ndarray:
+    """A mask (h, w) bool with its gaps narrower than ``size_px``."""
+    return cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_CLOSE, _square(size_px)) > 0
+
+
+def _square(size_px: int) -> np.ndarray:
+    return np.ones((size_px, size_px), np.uint8)

@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 
 from tiegraph.masks.frames import grey, read_frames
+from tiegraph.masks.morphology import closed, dilated, eroded, opened
 from tiegraph.masks.tuning import MovedTuning, PlatformTuning, Tuning
 
 
@@ -108,20 +109,20 @@ def platform_of_frames(frames: Sequence[np.ndarray], tuning: PlatformTuning) -> 
     inside = _outlined((moving < tuning.moving) & ~fixed, fixed, tuning)
     platform = inside | fixed
     platform |= _outlined((steady | (moving < tuning.moving)) & ~platform, platform, tuning)
-    platform = _closed(platform, tuning.close_px)
+    platform = closed(platform, tuning.close_px)
     platform = _at_border(platform, tuning.min_area)
-    platform = _opened(platform | _enclosed(platform, moving, tuning), tuning.open_px)
+    platform = opened(platform | _enclosed(platform, moving, tuning), tuning.open_px)
     platform = _trimmed(_at_border(platform, tuning.min_area), tuning)
     black = _outlined(high < tuning.black_grey, fixed, tuning)  # a black backdrop ends nowhere in particular
     black = _at_border(black, tuning.min_area)
-    return platform | _grown(black, 2 * round(tuning.surround * max(black.shape)) + 1) if black.any() else platform
+    return platform | dilated(black, 2 * round(tuning.surround * max(black.shape)) + 1) if black.any() else platform
 
 
 def _trimmed(platform: np.ndarray, tuning: PlatformTuning) -> np.ndarray:
     """The platform without the rim into which its edges blur; what is narrower than a railing stays."""
     side = 2 * round(tuning.rim * max(platform.shape)) + 1
-    inner = cv2.erode(platform.astype(np.uint8), np.ones((side, side), np.uint8), borderValue=1) > 0
-    return inner | (platform & ~_opened(platform, side + tuning.railing_px))
+    inner = eroded(platform, side)
+    return inner | (platform & ~opened(platform, side + tuning.railing_px))
 
 
 class _Directions:
@@ -194,7 +195,7 @@ def _range(frames: Sequence[np.ndarray], tuning: PlatformTuning) -> tuple[np.nda
 
 
 def _long(edges: np.ndarray, tuning: PlatformTuning) -> np.ndarray:
-    joined = _grown(edges, tuning.join_px).astype(np.uint8)
+    joined = dilated(edges, tuning.join_px).astype(np.uint8)
     _, labels, stats, _ = cv2.connectedComponentsWithStats(joined, connectivity=8)
     long = np.maximum(stats[:, cv2.CC_STAT_WIDTH], stats[:, cv2.CC_STAT_HEIGHT]) >= tuning.min_edge_px
     long[0] = False
@@ -203,12 +204,12 @@ def _long(edges: np.ndarray, tuning: PlatformTuning) -> np.ndarray:
 
 def _outlined(region: np.ndarray, fixed: np.ndarray, tuning: PlatformTuning) -> np.ndarray:
     """The parts of a region (h, w) whose outline follows fixed edges; the image border says nothing either way."""
-    region = _opened(region, tuning.open_px).astype(np.uint8)
+    region = opened(region, tuning.open_px).astype(np.uint8)
     count, labels, stats, _ = cv2.connectedComponentsWithStats(region, connectivity=4)
-    outline = (region > 0) & ~(cv2.erode(region, np.ones((3, 3), np.uint8), borderValue=1) > 0)
+    outline = (region > 0) & ~eroded(region, 3)
     outline[[0, -1]] = outline[:, [0, -1]] = False
     around = np.bincount(labels[outline], minlength=count)
-    held = np.bincount(labels[outline & _grown(fixed, tuning.outline_reach_px)], minlength=count)
+    held = np.bincount(labels[outline & dilated(fixed, tuning.outline_reach_px)], minlength=count)
     accepted = (held > tuning.outline * around) & (stats[:, cv2.CC_STAT_AREA] >= tuning.min_region_px)
     accepted[0] = False
     return accepted[labels]
@@ -238,15 +239,3 @@ def _enclosed(platform: np.ndarray, moving: np.ndarray, tuning: PlatformTuning) 
     accepted |= area < tuning.pinhole_area * platform.size
     accepted[0] = False
     return accepted[labels]
-
-
-def _grown(mask: np.ndarray, size_px: int) -> np.ndarray:
-    return cv2.dilate(mask.astype(np.uint8), np.ones((size_px, size_px), np.uint8)) > 0
-
-
-def _closed(mask: np.ndarray, size_px: int) -> np.ndarray:
-    return cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((size_px, size_px), np.uint8)) > 0
-
-
-def _opened(mask: np.ndarray, size_px: int) -> np.ndarray:
-    return cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, np.ones((size_px, size_px), np.uint8)) > 0

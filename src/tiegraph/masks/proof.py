@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 
-import cv2
 import numpy as np
 
 from tiegraph.masks.classes import NAMES, OVEREXPOSED, USE
 from tiegraph.masks.matchability import Matchability
+from tiegraph.masks.morphology import eroded
 from tiegraph.masks.tuning_learnt import ProofTuning
 
 
@@ -44,16 +44,18 @@ class MatchCounts:
 NONE = MatchCounts(np.zeros(len(NAMES), int))
 
 
-def matches_in(labels: np.ndarray, sky: np.ndarray, evidence: Matchability | None, tuning: ProofTuning) -> MatchCounts:
+def matches_in(
+    labels: np.ndarray, sky: np.ndarray, matchability: Matchability | None, tuning: ProofTuning
+) -> MatchCounts:
     """Where the matches of an image lie in its classes (h, w) u1 and its sky (h, w) bool."""
-    if evidence is None:
+    if matchability is None:
         return NONE
-    row, column = _pixels(evidence, labels.shape)
+    row, column = _pixels(matchability, labels.shape)
     inside = np.bincount(labels[row, column], minlength=len(NAMES))
-    if evidence.near is None:
+    if matchability.near is None:
         return MatchCounts(inside)
-    inner = cv2.erode(sky.astype(np.uint8), np.ones((tuning.inner_px, tuning.inner_px), np.uint8), borderValue=1) > 0
-    distance = evidence.near[evidence.matched]
+    inner = eroded(sky, tuning.inner_px)
+    distance = matchability.near[matchability.matched]
     told = np.isfinite(distance)
     near = distance[inner[row, column] & told]
     counts = int((near > tuning.near).sum()), int((near <= tuning.near).sum()), int(told.sum())
@@ -61,8 +63,8 @@ def matches_in(labels: np.ndarray, sky: np.ndarray, evidence: Matchability | Non
     return MatchCounts(inside, *counts, area=1, room=float(inner.mean()), white=white)
 
 
-def _pixels(evidence: Matchability, shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
-    column, row = (evidence.xy[evidence.matched] * (shape[1], shape[0])).astype(int).T
+def _pixels(matchability: Matchability, shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+    column, row = (matchability.xy[matchability.matched] * (shape[1], shape[0])).astype(int).T
     return row.clip(0, shape[0] - 1), column.clip(0, shape[1] - 1)
 
 

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 
 from tiegraph.masks.frames import grey, read_small
+from tiegraph.masks.morphology import eroded
 from tiegraph.masks.platform import moved_share
 from tiegraph.masks.tuning import QualityTuning, Tuning
 
@@ -41,7 +42,7 @@ def _sharpness(brightness: np.ndarray, use: np.ndarray, tuning: QualityTuning) -
         return float("nan")
     fine = cv2.GaussianBlur(brightness.astype(np.float32), (0, 0), tuning.fine_sigma_px)
     medium, coarse = (cv2.GaussianBlur(fine, (0, 0), s) for s in (tuning.medium_sigma_px, tuning.coarse_sigma_px))
-    inner = cv2.erode(use.astype(np.uint8), np.ones((tuning.rim_px, tuning.rim_px), np.uint8)) > 0
+    inner = eroded(use, tuning.rim_px)
     if not inner.any():
         return float("nan")
     energy = float(np.mean(np.square(medium - coarse)[inner]))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from tiegraph.masks.morphology import dilated, scaled
+from tiegraph.masks.morphology import dilated, eroded, scaled
 from tiegraph.masks.tuning_learnt import SkylineTuning
 
 _GAMMA = 2.0  # Shen and Wang, section 3: it is part of their energy J
@@ -35,13 +35,8 @@ def border_sky(image: np.ndarray, tuning: SkylineTuning, ego: np.ndarray | None 
     sky = _best(small, borders, free, tuning)
     if sky is None or not _believable(small, gradient, sky & free, ~sky & free, tuning):
         return None
-    sky = _inner(sky & free, tuning.rim_px)
+    sky = eroded(sky & free, tuning.rim_px)
     return cv2.resize(sky.astype(np.uint8), image.shape[1::-1], interpolation=cv2.INTER_NEAREST) > 0
-
-
-def _inner(mask: np.ndarray, side: int) -> np.ndarray:
-    """A mask (h, w) bool without its rim; the border of the image is none."""
-    return cv2.erode(mask.astype(np.uint8), np.ones((side, side), np.uint8)) > 0
 
 
 def _best(image: np.ndarray, borders: np.ndarray, free: np.ndarray, tuning: SkylineTuning) -> np.ndarray | None:
@@ -74,7 +69,7 @@ def _spread(sums: np.ndarray) -> np.ndarray:
 def _believable(
     image: np.ndarray, gradient: np.ndarray, sky: np.ndarray, ground: np.ndarray, tuning: SkylineTuning
 ) -> bool:
-    inner = _inner(sky, tuning.inner_px)
+    inner = eroded(sky, tuning.inner_px)
     if not inner.any() or not ground.any():
         return False
     yellow = cv2.cvtColor(image, cv2.COLOR_BGR2Lab)[..., 2]
@@ -95,7 +90,7 @@ def textureless_sky(image: np.ndarray, matched: np.ndarray, tuning: SkylineTunin
     around = (tuning.up_window_px, tuning.up_window_px)
     mean = cv2.blur(brightness, around)
     deviation = np.sqrt(np.maximum(cv2.blur(brightness * brightness, around) - mean * mean, 0))
-    calm = _inner((deviation < tuning.up_textureless_grey) & ~matched, tuning.rim_px).astype(np.uint8)
+    calm = eroded((deviation < tuning.up_textureless_grey) & ~matched, tuning.rim_px).astype(np.uint8)
     count, labels, stats, _ = cv2.connectedComponentsWithStats(calm, connectivity=4)
     light = np.bincount(labels.ravel(), brightness.ravel(), minlength=count) / np.maximum(stats[:, cv2.CC_STAT_AREA], 1)
     sky = (stats[:, cv2.CC_STAT_AREA] >= tuning.up_large * calm.size) & (light >= tuning.up_bright_grey)

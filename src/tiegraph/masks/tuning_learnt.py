@@ -182,7 +182,7 @@ class LabelTuning(Section):
 
 
 class RegionsTuning(Section):
-    """Regions without an edge inside (`regions.py`), at `frames.look_px`."""
+    """Regions without an edge inside (`classification.py`), at `frames.look_px`."""
 
     edge_grey: float = Field(4.0, gt=0)
     """Grey levels a pixel: skylines are stronger, most clouds are not."""

@@ -50,7 +50,7 @@ def find_candidates(
 ) -> Candidates:
     """Candidate pairs of a scene from the sources of the settings.
 
-    ``book`` matches previews, each pair once; ``descriptors`` gives those of all previews, for retrieval. Raises
+    ``cache`` matches previews, each pair once; ``descriptors`` gives those of all previews, for retrieval. Raises
     SettingsError for an unknown source, InputError for a bad pair list.
     """
     scene, order_notes = shown_order(scene, cache, settings, tuning)

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from tiegraph.geometry import transforms
-from tiegraph.network.offsets.curves import contained
 from tiegraph.network.passes import Pass, find_passes
 from tiegraph.network.sections.light import UpLight
 from tiegraph.network.sections.sections import Section, SectionResult, find_sections, join_places, section_links, split
@@ -18,6 +17,7 @@ from tiegraph.scene.figures import plain_text
 from tiegraph.scene.graph import component_notes
 from tiegraph.scene.matches import PreviewMatches
 from tiegraph.scene.pairs import Pairs
+from tiegraph.scene.places import of_frames
 from tiegraph.scene.scene import Scene
 
 
@@ -88,11 +88,7 @@ def positions_of(scene: Scene, cam_from_world: np.ndarray | None) -> tuple[np.nd
     told = np.isfinite(prior).all(axis=1)
     if told.mean() >= 0.5 or cam_from_world is None:
         return prior if told.any() else None, "m" if scene.metric_positions() else "units"
-    centre = transforms.centre(cam_from_world)
-    out = np.full((scene.frames, 3), np.nan)
-    for k in np.flatnonzero(np.isfinite(centre).all(axis=1))[::-1]:
-        out[scene.frame[k]] = centre[k]
-    return out, "units"
+    return of_frames(transforms.centre(cam_from_world), scene), "units"
 
 
 def _with_axes(
@@ -109,7 +105,7 @@ def _with_axes(
     if len(scene) > listed:
         return pairs, [f"{said} (not listed one by one)"]
     apart = axes_pairs(passes, settings)
-    found = int(contained(apart, pairs.kept()).sum())
+    found = int(apart.isin(pairs.kept()).sum())
     more = f", but for {found} whose shared surface is seen at less by the coarse model" if found else ""
     return pairs | apart, [said + more]
 

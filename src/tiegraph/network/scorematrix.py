@@ -47,8 +47,8 @@ class NoiseFloor:
 @dataclass(frozen=True)
 class ScoreMatrix:
     """Evidence between passes p and q: ``inliers[c, d, a, b]`` of sensor c in frame rows[a] of p and sensor d in frame
-    columns[b] of q, NaN = not measured; ``allowed[c, d]`` = the optical axes permit a match; ``level``: what unrelated
-    frames reach, None where it cannot be told (chance)."""
+    columns[b] of q, NaN = not measured; ``allowed[c, d]`` = the optical axes permit a match; ``noise_floor``: what
+    unrelated frames reach, None where it cannot be told (chance)."""
 
     p: Pass
     q: Pass
@@ -56,7 +56,7 @@ class ScoreMatrix:
     columns: np.ndarray  # (B,)
     allowed: np.ndarray  # (S, T) bool
     inliers: np.ndarray  # (S, T, A, B) f4
-    level: NoiseFloor | None = None
+    noise_floor: NoiseFloor | None = None
 
     @property
     def same(self) -> bool:
@@ -103,15 +103,15 @@ class ScoreMatrix:
                 excess = np.where(seen, np.clip(inliers[box], low, high) - low, 0)
                 mean = _blurred(excess, sigma, cut) / np.maximum(_blurred(seen, sigma, cut), 1e-6)
                 mean = low + mean
-                if self.level is not None:
-                    mean = self.level.above(mean, (c, d))
+                if self.noise_floor is not None:
+                    mean = self.noise_floor.above(mean, (c, d))
                 rows = slice(box[0].start + inside.start, box[0].start + inside.stop)
                 out[c, d, rows, box[1]] = np.where(seen, mean, np.nan)[inside]
         return out
 
     def sure(self, min_matches: int, tuning: CountsTuning) -> float:
         """Matches by which a pair is believed whatever its neighbours say."""
-        return tuning.ceiling * min_matches if self.level is None else self.level.most
+        return tuning.ceiling * min_matches if self.noise_floor is None else self.noise_floor.most
 
     def frontier(self, smooth: np.ndarray, min_matches: float) -> np.ndarray:
         """(S, T, A, B) bool: unmeasured neighbours of nodes whose smoothed count reaches ``min_matches``."""
@@ -161,12 +161,12 @@ class ScoreMatrix:
 
 
 def score_matrix(
-    p: Pass, q: Pass, stride: int, allowed: np.ndarray, tuning: ScoreMatrixTuning, level: NoiseFloor | None = None
+    p: Pass, q: Pass, stride: int, allowed: np.ndarray, tuning: ScoreMatrixTuning, noise_floor: NoiseFloor | None = None
 ) -> ScoreMatrix:
-    """An empty lattice with every ``stride``-th frame and the last one."""
+    """An empty score matrix with every ``stride``-th frame and the last one."""
     rows, columns = _every(len(p), stride, tuning.short_nodes), _every(len(q), stride, tuning.short_nodes)
     inliers = np.full((len(p.images), len(q.images), len(rows), len(columns)), np.nan, np.float32)
-    return ScoreMatrix(p=p, q=q, rows=rows, columns=columns, allowed=allowed, inliers=inliers, level=level)
+    return ScoreMatrix(p=p, q=q, rows=rows, columns=columns, allowed=allowed, inliers=inliers, noise_floor=noise_floor)
 
 
 def _boxes(known: np.ndarray, radius: int) -> Iterator[tuple[slice, tuple[slice, slice]]]:

@@ -6,7 +6,7 @@ Masks (section b): what differs little between two images of a camera is the pla
 way out and the way back, one frame offset is voted on sampled frames, and the best matching image around it is listed.
 Mapping (section d): COLMAP, by the masks and the list, with nothing known of the rig. Its baseline (section a) and that
 of paper 001 (section c) is brute force without masks. The constants that the paper does not print are
-``masks.tuning.Meguro2024Tuning`` and ``network.offsets.tuning.ConstantTuning``.
+``masks.tuning.Meguro2024Tuning`` and ``network.tuning.offsets.ConstantTuning``.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.sources import MaskSource, check_shape, each
 from tiegraph.masks.tuning import Meguro2024Tuning
 from tiegraph.masks.tuning import Tuning as MasksTuning
-from tiegraph.network.offsets.curves import OffsetResult, contained, curves_of, facing, sampled_ranks, votes_of
+from tiegraph.network.offsets.curves import OffsetResult, curves_of, facing, sampled_ranks, votes_of
 from tiegraph.network.passes import MatchCache, Pass
 from tiegraph.network.rig import commonview
 from tiegraph.network.rig.axes import allowed_within
@@ -74,29 +74,28 @@ def constant_offsets(p: Pass, q: Pass, cache: MatchCache, settings: CandidatesSe
     """One offset a camera pair: votes on sampled frames, then every frame within the range around the winner."""
     if p is q and len(p.images) == 1:
         return OffsetResult(Pairs.empty(), (), ())
-    lattice, notes = _vote_constant(p, q, cache, settings, tuning)
-    backwards = p is not q and _backwards_by_votes(lattice, settings.min_matches, tuning)
-    voted = np.zeros(lattice.allowed.shape, bool)
-    best = np.zeros(lattice.allowed.shape, int)
-    for c, d in np.argwhere(lattice.allowed):
-        couple = int(c), int(d)
-        offsets, votes = votes_of(lattice, couple, backwards, settings.min_matches, tuning.counts, total=True)
+    scores, notes = _vote_constant(p, q, cache, settings, tuning)
+    backwards = p is not q and _backwards_by_votes(scores, settings.min_matches, tuning)
+    voted = np.zeros(scores.allowed.shape, bool)
+    best = np.zeros(scores.allowed.shape, int)
+    for c, d in np.argwhere(scores.allowed):
+        cameras = int(c), int(d)
+        offsets, votes = votes_of(scores, cameras, backwards, settings.min_matches, tuning.counts, total=True)
         if not len(offsets):
             continue
         best[c, d] = offsets[np.argmax(votes)]
-        voted[c, d] = _supported(lattice, _At(*couple, int(best[c, d])), backwards, settings.min_matches, tuning)
-    seen = np.isfinite(lattice.inliers)
+        voted[c, d] = _supported(scores, _At(*cameras, int(best[c, d])), backwards, settings.min_matches, tuning)
+    seen = np.isfinite(scores.inliers)
     why = np.where(voted, REASONS.index("offset"), REASONS.index("votes"))
     code = np.broadcast_to(why[:, :, None, None], seen.shape)
-    looked_at = Pairs.make(*lattice.images(seen), "offsets", score=lattice.inliers[seen], dropped=code[seen])
+    looked_at = Pairs.make(*scores.images(seen), "offsets", score=scores.inliers[seen], dropped=code[seen])
     blocks = [
-        _around(lattice, _At(int(c), int(d), int(best[c, d])), backwards, cache, settings)
-        for c, d in np.argwhere(voted)
+        _around(scores, _At(int(c), int(d), int(best[c, d])), backwards, cache, settings) for c, d in np.argwhere(voted)
     ]
     for block in blocks:
         # Where both know a pair, the range decides: "offset" holds only outside of it.
-        looked_at = looked_at.where(~contained(looked_at, block)) | block
-    curves = curves_of(lattice, backwards, voted, settings.min_matches, tuning.counts, best)
+        looked_at = looked_at.where(~looked_at.isin(block)) | block
+    curves = curves_of(scores, backwards, voted, settings.min_matches, tuning.counts, best)
     return OffsetResult(looked_at, curves, notes)
 
 
@@ -108,7 +107,7 @@ def _vote_constant(
     empty = score_matrix(p, q, every, allowed, tuning.offsets.scores)
     rows = sampled_ranks(len(p), settings.sample_frames)
     shape = (*allowed.shape, len(rows), len(empty.columns))
-    lattice = ScoreMatrix(
+    scores = ScoreMatrix(
         p=p, q=q, rows=rows, columns=empty.columns, allowed=allowed, inliers=np.full(shape, np.nan, np.float32)
     )
     c, d = np.ogrid[: shape[0], : shape[1]]
@@ -116,31 +115,31 @@ def _vote_constant(
     notes: tuple[str, ...] = ()
     if p is not q:  # a few frames show the heading, then the axes rule pairs of cameras out
         few = np.isin(np.arange(len(rows)), sampled_ranks(len(rows), tuning.offsets.constant.heading_frames))[:, None]
-        lattice = _measured_oblong(lattice, wanted & few, cache)
-        excess = commonview.above(lattice, lattice.inliers, settings.min_matches)
-        allowed = facing(lattice, excess, settings, tuning.rig)
-        said = commonview.in_words(lattice, excess, tuning.rig)
+        scores = _measured_oblong(scores, wanted & few, cache)
+        excess = commonview.above(scores, scores.inliers, settings.min_matches)
+        allowed = facing(scores, excess, settings, tuning.rig)
+        said = commonview.in_words(scores, excess, tuning.rig)
         notes = (said,) if said else ()
-        lattice = ScoreMatrix(p=p, q=q, rows=rows, columns=lattice.columns, allowed=allowed, inliers=lattice.inliers)
-    return _measured_oblong(lattice, wanted, cache), notes
+        scores = ScoreMatrix(p=p, q=q, rows=rows, columns=scores.columns, allowed=allowed, inliers=scores.inliers)
+    return _measured_oblong(scores, wanted, cache), notes
 
 
-def _measured_oblong(lattice: ScoreMatrix, nodes: np.ndarray, cache: MatchCache) -> ScoreMatrix:
+def _measured_oblong(scores: ScoreMatrix, nodes: np.ndarray, cache: MatchCache) -> ScoreMatrix:
     """``ScoreMatrix.measured`` without mirroring: rows and columns are different frames."""
-    nodes = np.broadcast_to(nodes, lattice.inliers.shape) & lattice.exists() & np.isnan(lattice.inliers)
-    inliers = lattice.inliers.copy()
-    inliers[nodes] = cache.measure(*lattice.images(nodes))
+    nodes = np.broadcast_to(nodes, scores.inliers.shape) & scores.exists() & np.isnan(scores.inliers)
+    inliers = scores.inliers.copy()
+    inliers[nodes] = cache.measure(*scores.images(nodes))
     return ScoreMatrix(
-        p=lattice.p, q=lattice.q, rows=lattice.rows, columns=lattice.columns, allowed=lattice.allowed, inliers=inliers
+        p=scores.p, q=scores.q, rows=scores.rows, columns=scores.columns, allowed=scores.allowed, inliers=inliers
     )
 
 
-def _backwards_by_votes(lattice: ScoreMatrix, min_matches: int, tuning: Tuning) -> bool:
+def _backwards_by_votes(scores: ScoreMatrix, min_matches: int, tuning: Tuning) -> bool:
     """The direction in which the votes pile up higher."""
     height = [0.0, 0.0]
-    for c, d in np.argwhere(lattice.allowed):
+    for c, d in np.argwhere(scores.allowed):
         for k, backwards in enumerate((False, True)):
-            votes = votes_of(lattice, (int(c), int(d)), backwards, min_matches, tuning.counts, total=True)[1]
+            votes = votes_of(scores, (int(c), int(d)), backwards, min_matches, tuning.counts, total=True)[1]
             height[k] += float(votes.max(initial=0))
     return height[1] > height[0]
 
@@ -154,22 +153,22 @@ class _At:
     best: int
 
 
-def _supported(lattice: ScoreMatrix, at: _At, backwards: bool, min_matches: int, tuning: Tuning) -> bool:
+def _supported(scores: ScoreMatrix, at: _At, backwards: bool, min_matches: int, tuning: Tuning) -> bool:
     """Whether the best offset has enough matches on average, over enough sampled frames."""
     c, d, best = at.a, at.b, at.best
-    m, n = np.meshgrid(lattice.rows, lattice.columns, indexing="ij")
-    step = int(np.max(np.diff(lattice.columns), initial=1))
-    inliers = lattice.inliers[c, d]
+    m, n = np.meshgrid(scores.rows, scores.columns, indexing="ij")
+    step = int(np.max(np.diff(scores.columns), initial=1))
+    inliers = scores.inliers[c, d]
     near = (np.abs((n + m if backwards else n - m) - best) <= step) & np.isfinite(inliers)
     count = np.clip(inliers[near], tuning.counts.floor * min_matches, tuning.counts.ceiling * min_matches)
     frames = int(near.any(axis=1).sum())
     return frames >= tuning.offsets.constant.least_frames and float(count.mean()) >= min_matches
 
 
-def _around(lattice: ScoreMatrix, at: _At, backwards: bool, cache: MatchCache, settings: CandidatesSettings) -> Pairs:
+def _around(scores: ScoreMatrix, at: _At, backwards: bool, cache: MatchCache, settings: CandidatesSettings) -> Pairs:
     """All frames of a camera pair within the range around its offset; of these the best by preview if so set."""
     c, d, best = at.a, at.b, at.best
-    p, q = lattice.p, lattice.q
+    p, q = scores.p, scores.q
     m, r = np.meshgrid(np.arange(len(p)), np.arange(-settings.offset_range, settings.offset_range + 1), indexing="ij")
     n = best + r - m if backwards else best + r + m
     there = (n >= 0) & (n < len(q))

@@ -2,9 +2,7 @@
 
 The glue functions read artefacts, call engines and write artefacts; nothing else does. That of a stage is the
 function of its name in the module of its name, loaded when the stage runs: a worker, a child process or a short
-command loads one engine and not all of them (matplotlib, statistics, the report): 1.0 to 1.7 s of CPU each where it
-was 3.5 to 4.5, on a loaded machine (``time python -c "import tiegraph.pipeline.masks"``, likewise ``match``,
-``features``, ``dense``, and ``tiegraph.sfm.finish``).
+command loads one engine and not all of them (matplotlib, statistics, the report), which would cost each 2.5 CPU s more.
 
 ``scan`` writes ``scene.json``; ``candidates``, ``coarse`` and ``network`` each write a copy of their own, with the rig
 checked against the images, calibrated by the coarse model, and the sections cut. Every later stage reads the last,

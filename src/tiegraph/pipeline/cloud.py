@@ -12,8 +12,7 @@ import numpy as np
 from tiegraph.cloud.fuse import Maps, fuse
 from tiegraph.evaluate.accuracy import in_layers
 from tiegraph.pipeline.dense import coloured, depth_path, plan_of, read_depth
-from tiegraph.pipeline.files import load_json
-from tiegraph.pipeline.placed import placement_error, world_origin
+from tiegraph.pipeline.files import load_json, placement_error, world_origin
 from tiegraph.pipeline.predicted import stated
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, remove

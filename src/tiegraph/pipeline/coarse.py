@@ -15,7 +15,7 @@ import numpy as np
 import pycolmap
 
 from tiegraph.errors import ReconstructionError
-from tiegraph.features.preview_database import write_preview_database
+from tiegraph.features.preview import write_preview_database
 from tiegraph.network.coarse.assembled import Assembled, assembled, is_whole
 from tiegraph.network.coarse.model import CoarseModel
 from tiegraph.network.coarse.search import Coarse, Search, worth_a_model
@@ -53,7 +53,7 @@ def coarse(run: Run) -> Outcome:
         poses, tuning = found.model.cam_from_world, run.settings.tuning.network.coarse
         reach = found.model.reach(tuning)
         save_npz(run.path("coarse", "model.npz"), cam_from_world=poses, reach=reach, trusted=found.trusted)
-        save_npz(run.path("coarse", "visibility.npz"), **found.model.sights(tuning).to_npz())
+        save_npz(run.path("coarse", "visibility.npz"), **found.model.visibility(tuning).to_npz())
         counts |= {"images": int(found.model.placed().sum()), "trusted": int(found.trusted.sum())}
     remove(run.path(*BLOCKS.split("/")))
     matcher.forget()

@@ -15,7 +15,7 @@ from tiegraph.design.surface import CoveredSurface, surface_map, weak_places
 from tiegraph.design.surfaceplot import surface_png
 from tiegraph.network.plots import map_png, weak_pairs
 from tiegraph.pipeline.accuracy import with_accuracy
-from tiegraph.pipeline.files import checked, load_npz, pairs_of, reading, save_npz, sights_of, ties_of
+from tiegraph.pipeline.files import checked, load_npz, pairs_of, reading, save_npz, ties_of, visibility_of
 from tiegraph.pipeline.previews import previews_of, with_previews
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, write_atomic
@@ -42,7 +42,7 @@ def design(run: Run) -> Outcome:
     papers.plug_in(papers.DESIGNS, settings.design.method, METHODS)
     if settings.design.method in papers.DESIGNS:
         candidates = with_accuracy(candidates, scene, ties, run.folder, run.map, tuning.sfm.two_view)
-    made = select_pairs(candidates, scene, ties, settings.design, tuning.design, sights_of(run), spent)
+    made = select_pairs(candidates, scene, ties, settings.design, tuning.design, visibility_of(run), spent)
     made, ties = _covered(run, made, scene, ties)
     pairs = made.pairs
     save_npz(run.path("pairs.npz"), **pairs.to_npz())
@@ -75,12 +75,11 @@ def coverage_of(run: Run, chosen: bool) -> Coverage:
 
 def surface_of(run: Run) -> CoveredSurface | None:
     """How well the surface of the coarse model is covered; None where there is no model."""
-    seen = sights_of(run)
+    seen = visibility_of(run)
     if seen is None:
         return None
     scene, tuning = checked(run), run.settings.tuning.design.surface
-    focal = np.array([np.nan if s.camera is None else s.camera.mean_focal_length() for s in scene.all_sensors])
-    cells = surface_map(seen, focal[scene.sensor_key], tuning)
+    cells = surface_map(seen, scene.focal_px, tuning)
     return CoveredSurface(cells, weak_places(cells, tuning), scene.names) if len(cells) else None
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import tempfile
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -29,7 +27,9 @@ from tiegraph.project.folder import check_format
 from tiegraph.project.run import save_json
 from tiegraph.project.stages import write_atomic
 from tiegraph.scene.cloudchunks import PointSource, open_cloud
+from tiegraph.scene.colmapmodel import model_centres
 from tiegraph.scene.measuredcloud import write_measured
+from tiegraph.text import csv_text
 
 
 @dataclass(frozen=True)
@@ -175,8 +175,7 @@ def _placed(first: _Epoch, second: _Epoch) -> Sigma:
 
 
 def _cameras(epoch: _Epoch) -> Cameras:
-    model = load_model(epoch.folder / "sparse" / "world")
-    centres = np.array([i.projection_center() for i in model.images.values() if i.has_pose]).reshape(-1, 3)
+    centres = model_centres(load_model(epoch.folder / "sparse" / "world"))
     return Cameras(centres, ("",) * len(centres))
 
 
@@ -199,8 +198,6 @@ def _result(found: Differences, changed: Changes, pair: Pair, listed: int) -> di
 def _write(folder: Path, found: Differences, changed: Changes, result: dict[str, Any], origin: Origin | None) -> None:
     save_json(folder / "changes.json", result)
     table = changed.table(_shift(origin), len(changed.listed))
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows([table["columns"], *table["rows"]])
-    write_atomic(folder / "changes.csv", text.getvalue())
+    write_atomic(folder / "changes.csv", csv_text(table["columns"], table["rows"]))
     write_atomic(folder / "changes.png", difference_map(found, "second minus first", only_significant=True))
     write_measured([measured(found)], folder / "changes.laz", origin, found.cylinders.cores_m)

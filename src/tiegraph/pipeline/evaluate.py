@@ -18,8 +18,7 @@ from tiegraph.evaluate.survey import Products, evaluate_survey
 from tiegraph.geometry.align import Similarity
 from tiegraph.geometry.geodesy import Origin
 from tiegraph.masks.compare import compare
-from tiegraph.pipeline.files import FINAL, checked, load_json, load_model, reading
-from tiegraph.pipeline.placed import world_origin
+from tiegraph.pipeline.files import FINAL, checked, load_json, load_model, reading, world_origin
 from tiegraph.pipeline.predicted import stated
 from tiegraph.project.run import Run, save_json
 from tiegraph.project.stages import Outcome, remove, write_atomic

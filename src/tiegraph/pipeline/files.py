@@ -17,6 +17,9 @@ import numpy as np
 import pycolmap
 
 from tiegraph.errors import UnreadableArtefact
+from tiegraph.geometry.geodesy import Origin
+from tiegraph.geometry.placement import PlacementError
+from tiegraph.masks.classes import NAMES
 from tiegraph.project.run import Run
 from tiegraph.project.stages import write_atomic
 from tiegraph.scene.colmapmodel import read_model
@@ -111,7 +114,18 @@ def ties_of(run: Run, stage: str = "coarse") -> PreviewMatches:
         return PreviewMatches.from_npz(load_npz(path))
 
 
-def sights_of(run: Run) -> Visibility | None:
+def trusted_poses(folder: Path) -> tuple[np.ndarray, np.ndarray] | None:
+    """The coarse model where it is trusted: cam_from_world (N, 4, 4), NaN elsewhere, and its ``reach`` (N, 2); None
+    without one."""
+    path = folder / "coarse" / "model.npz"
+    if not path.exists():
+        return None
+    with reading(path):
+        data = load_npz(path)
+        return np.where(data["trusted"][:, None, None], data["cam_from_world"], np.nan), data["reach"]
+
+
+def visibility_of(run: Run) -> Visibility | None:
     """What each image sees of the coarse model, if there is one."""
     path = run.path("coarse", "visibility.npz")
     if not path.exists():
@@ -142,6 +156,12 @@ def classes_path(folder: Path, name: str) -> Path:
     return folder / "classes" / f"{name}.png"
 
 
+def class_shares(name: str, folder: Path) -> np.ndarray:
+    """Shares of an image's pixels by class."""
+    classes = read_image(classes_path(folder, name))
+    return np.bincount(classes.ravel(), minlength=len(NAMES)) / classes.size
+
+
 FINAL = "refine"
 """Folder of the final masks and classes, laid out like the run folder."""
 
@@ -157,3 +177,23 @@ def read_image(path: Path, flag: int = cv2.IMREAD_GRAYSCALE) -> np.ndarray:
 def read_mask(folder: Path, name: str) -> np.ndarray:
     """Mask (H, W) bool of an image, True = use."""
     return read_image(mask_path(folder, name)) > 0
+
+
+# --- how the model lies in the world, read from what georef wrote ----------------------------------------------------
+
+
+def world_origin(run: Run) -> Origin | None:
+    """Where the world is on the Earth: by the scene's positions, or by control points alone."""
+    data = load_json(run.path("world.json")).get("origin")
+    return None if data is None else Origin.from_dict(data)
+
+
+def world_unit(run: Run) -> str:
+    """Unit of lengths in the world: m, or "units" where nothing told the scale."""
+    return "units" if load_json(run.path("world.json"))["scale_source"] == "none" else "m"
+
+
+def placement_error(run: Run) -> PlacementError | None:
+    """How well the placement is known; None = not placed."""
+    data = load_json(run.path("world.json")).get("placement_error")
+    return None if data is None else PlacementError.from_dict(data)

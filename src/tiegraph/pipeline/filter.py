@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import numpy as np
-
 from tiegraph.filter.filter import filter_pairs
 from tiegraph.filter.prior import Prior
-from tiegraph.pipeline.files import checked, load_npz, pairs_of, reading, save_npz
+from tiegraph.pipeline.files import checked, pairs_of, save_npz, trusted_poses
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome
 
@@ -25,17 +23,8 @@ def filter(run: Run) -> Outcome:
 
     scene, pairs, settings = checked(run), pairs_of(run, "match.npz"), run.settings.filter
     tuning = run.settings.tuning.filter
-    found = filter_pairs(run.path("database.db"), scene, pairs, settings, tuning, run_map, _prior(run))
+    known = trusted_poses(run.folder)
+    prior = None if known is None else Prior(*known)
+    found = filter_pairs(run.path("database.db"), scene, pairs, settings, tuning, run_map, prior)
     save_npz(run.path("filter.npz"), **found.pairs.to_npz(), undecided=found.undecided, **found.motions.to_npz())
     return Outcome(found.counts, notes=found.notes, tables=found.tables)
-
-
-def _prior(run: Run) -> Prior | None:
-    """The coarse model, where it is trusted."""
-    path = run.path("coarse", "model.npz")
-    if not path.exists():
-        return None
-    with reading(path):
-        data = load_npz(path)
-        poses = np.where(data["trusted"][:, None, None], data["cam_from_world"], np.nan)
-        return Prior(poses, data["reach"])

@@ -195,7 +195,7 @@ def _cameras(run: _Run, index: int, found: Rig) -> list[Sensor]:
     """The sensors of a rig with the cameras of the model."""
     settings = SparseSettings(refine_intrinsics=run.receipt.get("settings", {}).get("refine_intrinsics", "auto"))
     held = believed_cameras(run.scene, settings)
-    first = 1 + sum(len(r.sensors) for r in run.scene.rigs[:index])
+    first = 1 + run.scene.first_sensor(index)
     out = []
     for key, (given, new) in enumerate(zip(run.scene.rigs[index].sensors, found.sensors), start=first):
         sensor, said = with_camera(given, new.camera, key in held, run.rows(INTERIOR_TABLE), run.tuning.camera)
@@ -282,7 +282,7 @@ def _with_scale(run: _Run, sigma_m: float, length_m: float) -> float:
 
 def _in_model(run: _Run, index: int) -> bool:
     """Whether the model has the rig as one, with the reference of the scene."""
-    first = 1 + sum(len(r.sensors) for r in run.scene.rigs[:index])
+    first = 1 + run.scene.first_sensor(index)
     reference = pycolmap.sensor_t(pycolmap.SensorType.CAMERA, first)
     return index + 1 in run.mapped.rigs and run.mapped.rigs[index + 1].is_ref_sensor(reference)
 

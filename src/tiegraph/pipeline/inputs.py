@@ -17,11 +17,10 @@ from tiegraph.geometry.geodesy import ENU, check_vertical, parse_crs
 from tiegraph.masks.plugin import read_model
 from tiegraph.pipeline.files import scanned
 from tiegraph.pipeline.foundrig import rig_of_run
-from tiegraph.project.inputs import FOLLOW, Inputs
+from tiegraph.project.inputs import FOLLOW, Inputs, check_files, check_path
 from tiegraph.project.run import Run, status
 from tiegraph.project.settings import Settings
 from tiegraph.project.stages import Stage
-from tiegraph.project.userfiles import check_files, check_path
 from tiegraph.scan.calibration import read_camera
 from tiegraph.scan.perspective import PRESET
 from tiegraph.scan.priors.startmodel import read_start

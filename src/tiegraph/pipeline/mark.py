@@ -14,14 +14,13 @@ import numpy as np
 from tiegraph.errors import InputError
 from tiegraph.geometry.align import Similarity, umeyama
 from tiegraph.geometry.geodesy import make_origin
-from tiegraph.pipeline.files import checked, load_json, load_model, read_image, scanned
-from tiegraph.pipeline.placed import world_origin
+from tiegraph.pipeline.files import checked, load_json, load_model, read_image, scanned, world_origin
 from tiegraph.project.run import Run
 from tiegraph.project.stages import write_atomic
 from tiegraph.scene.colmapmodel import matrix
 from tiegraph.scene.control import Marks, image_lookup, prepared_pixel, source_pixel, surveyed_world
 from tiegraph.scene.gcp import FileMark, GcpFile, parse_crs_line, read_gcps, read_points
-from tiegraph.scene.gcpwrite import csv_text, odm_text
+from tiegraph.scene.gcpwrite import gcp_csv, odm_text
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.world.marks import Target, targets
 from tiegraph.targets.predict import View, seen_in
@@ -106,7 +105,7 @@ class Marking:
             )
             for (p, k), xy in sorted(self.marks.items())
         ]
-        make = csv_text if self.target.suffix.lower() == ".csv" else odm_text
+        make = gcp_csv if self.target.suffix.lower() == ".csv" else odm_text
         write_atomic(self.target, make(self.file, self.crs, marks))
         self.written = _digest(self.target)
 

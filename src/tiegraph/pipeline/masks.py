@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,11 +17,12 @@ from tiegraph.masks.quality import Quality, flags, image_quality
 from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.sources import SOURCES, Camera, MaskSource, explain_source
 from tiegraph.masks.tuning import Tuning
-from tiegraph.pipeline.files import classes_path, mask_path, read_image, read_mask, save_png, scanned
+from tiegraph.pipeline.files import class_shares, classes_path, mask_path, read_mask, save_png, scanned
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, write_atomic
 from tiegraph.scene.fisheye import lit
 from tiegraph.scene.scene import Scene
+from tiegraph.text import csv_text
 
 
 def masks(run: Run) -> Outcome:
@@ -124,8 +123,7 @@ def _shares(name: str, folder: Path) -> np.ndarray:
     """Shares of the classes; of a source without classes only the used one is known, the others are NaN."""
     if not classes_path(folder, name).exists():
         return np.array([read_mask(folder, name).mean(), *[np.nan] * (len(NAMES) - 1)])
-    classes = read_image(classes_path(folder, name))
-    return np.bincount(classes.ravel(), minlength=len(NAMES)) / classes.size
+    return class_shares(name, folder)
 
 
 def _flagged(run: Run, scene: Scene) -> dict[str, str]:
@@ -155,12 +153,11 @@ def _flag_note(flagged: dict[str, str], left_out: dict[str, str]) -> list[str]:
 
 
 def _table(scene: Scene, shares: np.ndarray, flagged: dict[str, str]) -> str:
-    text = io.StringIO()
-    rows = csv.writer(text, lineterminator="\n")
-    rows.writerow(["image", *(f"{n}_percent" for n in NAMES), "flag"])
-    for name, own in zip(scene.names, shares):
-        rows.writerow([name, *("" if np.isnan(s) else f"{100 * s:.1f}" for s in own), flagged.get(name, "")])
-    return text.getvalue()
+    rows = (
+        [name, *("" if np.isnan(s) else f"{100 * s:.1f}" for s in own), flagged.get(name, "")]
+        for name, own in zip(scene.names, shares)
+    )
+    return csv_text(["image", *(f"{n}_percent" for n in NAMES), "flag"], rows)
 
 
 def _known_ties(prepared: dict[int, Any]) -> dict[int, tuple[int, int, int]]:

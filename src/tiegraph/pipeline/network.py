@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from tiegraph.network.coarse.bases import with_bases
 from tiegraph.network.network import join_network
-from tiegraph.pipeline.files import load_npz, load_scene, pairs_of, save_npz, sights_of, ties_of
+from tiegraph.pipeline.files import load_npz, load_scene, pairs_of, save_npz, ties_of, visibility_of
 from tiegraph.pipeline.previews import up_light
 from tiegraph.project.run import Run, save_json
 from tiegraph.project.stages import Outcome, write_atomic
@@ -17,8 +17,8 @@ def network(run: Run) -> Outcome:
     settings = run.settings.candidates, run.settings.network
     pairs, ties = pairs_of(run, "coarse.npz"), ties_of(run)
     found = join_network(pairs, scene, ties, light, settings, run.settings.tuning.network)
-    sights = sights_of(run)
-    good = found.pairs if sights is None else with_bases(found.pairs, found.scene, sights)
+    visibility = visibility_of(run)
+    good = found.pairs if visibility is None else with_bases(found.pairs, found.scene, visibility)
     save_npz(run.path("network.npz"), **good.to_npz())
     write_atomic(run.path("network.csv"), good.to_csv(scene.names))
     write_atomic(run.path("network", "scene.json"), found.scene.to_json())

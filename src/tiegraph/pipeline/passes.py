@@ -5,10 +5,9 @@ survey, and depth. What it does not tell is what both share: the place and scale
 matching got wrong in both; and a depth map of one pass may have been confirmed by images of the other. The stage
 ``cloud`` compares some depth maps for the report (``write_agreement``), `compare --passes` all of them.
 
-What the first costs: 5.7 CPU s on the example survey (37 and 36 depth maps), where it was 15.7. The passes are not
-filtered, of which M3C2 needs nothing (4 s: mean places in cylinders hardly feel 3 % of strays; the spread grows from
-2.9 to 3.2 cm), their voxels are those of the cloud, and 5000 core points are enough. Fewer depth maps would cost less,
-but half of them (3.7 s) leave one of the example's sections without any.
+So that the first costs little (5.7 CPU s on the example survey, 37 and 36 depth maps), the passes are not filtered, of
+which M3C2 needs nothing (mean places in cylinders hardly feel 3 % of strays), their voxels are those of the cloud, and
+5000 core points are enough. Half of the depth maps would leave one of the example's sections without any.
 """
 
 from __future__ import annotations
@@ -32,8 +31,7 @@ from tiegraph.geometry.transforms import centre
 from tiegraph.pipeline.dense import depth_path, read_depth
 from tiegraph.pipeline.epochs import Pair, differences_of, m3c2_of
 from tiegraph.pipeline.evaluate import PASSES, measured
-from tiegraph.pipeline.files import checked, load_model
-from tiegraph.pipeline.placed import world_origin
+from tiegraph.pipeline.files import checked, load_model, world_origin
 from tiegraph.project.run import Run, save_json
 from tiegraph.project.stages import write_atomic
 from tiegraph.scene.cloudchunks import Points, PointSource

@@ -89,8 +89,8 @@ def reached(folder: Path) -> dict[str, float | None]:
     base = frames_apart(frame_positions(run.scene, run.model.centres), run.scene.sequence, run.scene.sequence_index)
     out: dict[str, float | None] = {"images": int(run.model.registered.sum())}
     if not run.metric:
-        return out | {k: v for k, v in model_figures(model, 1.0).items() if k != "tie_gsd_m"}
-    out |= model_figures(model, 1.0)
+        return out | {k: v for k, v in model_figures(model).items() if k != "tie_gsd_m"}
+    out |= model_figures(model)
     camera = next(iter(model.cameras.values()))
     if base is not None:
         out |= {"base_m": base, "overlap": max(0.0, 1 - base / (float(out["tie_gsd_m"] or 0) * camera.width))}

@@ -10,9 +10,7 @@ import numpy as np
 
 from tiegraph.dense.shotscale import Seen, ShotScale, in_camera, shot_scale
 from tiegraph.errors import InputError
-from tiegraph.geometry import transforms
-from tiegraph.pipeline.files import load_map, load_model, whole
-from tiegraph.pipeline.placed import world_origin, world_unit
+from tiegraph.pipeline.files import load_map, load_model, whole, world_origin, world_unit
 from tiegraph.pipeline.shots import cloud_path, depth_path, shot_views
 from tiegraph.project.run import Run
 from tiegraph.scan.priors.trajectory import write_tum
@@ -75,8 +73,7 @@ def _write(run: Run, folder: Path, poses: dict[int, np.ndarray], scene: Scene) -
             continue
         source = cloud_path(run.folder, scene, frame)
         cloud = read_cloud(source)
-        normal = (cloud.normal @ pose[:3, :3].T).astype(np.float32)
-        moved = replace(cloud, xyz_m=transforms.apply(pose, cloud.xyz_m), normal=normal, origin=origin)
+        moved = replace(cloud.moved(pose), origin=origin)
         target = folder / f"{source.stem}.laz"
         write_cloud(moved, target, float(np.nanmedian(cloud.sigma_m)))
         written.append(target)

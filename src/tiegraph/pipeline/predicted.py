@@ -7,10 +7,10 @@ from collections.abc import Mapping
 import numpy as np
 
 from tiegraph.evaluate.accuracy import Hold, Predicted, Stated
-from tiegraph.pipeline.files import checked, load_json, load_model
+from tiegraph.pipeline.files import checked, load_json, load_model, placement_error
 from tiegraph.pipeline.georef import covered_frames
-from tiegraph.pipeline.placed import placement_error
 from tiegraph.project.run import Run
+from tiegraph.scene.colmapmodel import model_centres
 
 _SOURCES = {"gnss": "GNSS positions", "exif": "the images' GPS positions", "trajectory": "the trajectory's positions"}
 
@@ -30,7 +30,7 @@ def _predicted(run: Run, world: dict, points: Mapping[str, float]) -> Predicted:
         rows = world.get("evidence", {}).get("rows", [])
         scale = next((row[3] for row in rows if row[0] == "scale"), np.nan)
     model, error = load_model(run.path("sparse", "world")), placement_error(run)
-    centres = np.array([i.projection_center() for i in model.images.values() if i.has_pose]).reshape(-1, 3)
+    centres = model_centres(model)
     return Predicted(
         inside_m=float(np.hypot(half, most) / np.sqrt(2)),
         scale=float(scale),

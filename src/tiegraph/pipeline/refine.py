@@ -23,8 +23,18 @@ from tiegraph.masks.waterline import (
     first_line,
     lines_of,
 )
-from tiegraph.pipeline.files import FINAL, checked, classes_path, load_model, mask_path, read_image, read_mask, save_png
-from tiegraph.pipeline.placed import world_unit
+from tiegraph.pipeline.files import (
+    FINAL,
+    checked,
+    class_shares,
+    classes_path,
+    load_model,
+    mask_path,
+    read_image,
+    read_mask,
+    save_png,
+    world_unit,
+)
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome
 from tiegraph.scene.atomic import same_file
@@ -165,7 +175,7 @@ def _tables(run: Run, scene: Scene) -> dict[str, dict]:
     names = [n for n in scene.names if classes_path(run.path(FINAL), n).exists()]
     if not names:
         return {}
-    before, now = (np.array(run.map(_shares, names, f)) for f in (run.folder, run.path(FINAL)))
+    before, now = (np.array(run.map(class_shares, names, f)) for f in (run.folder, run.path(FINAL)))
     key = scene.sensor_key[[scene.image_index[n] for n in names]]
     rows = [
         [s.name, *(float(100 * x[key == k][:, c].mean()) for c in (USE, WATER) for x in (before, now))]
@@ -174,8 +184,3 @@ def _tables(run: Run, scene: Scene) -> dict[str, dict]:
     ]
     heads = [f"{NAMES[c]} {when} %" for c in (USE, WATER) for when in ("before", "now")]
     return {"final masks": {"columns": ["camera", *heads], "rows": rows}}
-
-
-def _shares(name: str, folder: Path) -> np.ndarray:
-    classes = read_image(classes_path(folder, name))
-    return np.bincount(classes.ravel(), minlength=len(NAMES)) / classes.size

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 
 from tiegraph.geometry import transforms
-from tiegraph.pipeline.files import checked, load_model, load_npz, load_scene, pairs_of, reading, refused_pairs
+from tiegraph.pipeline.files import (
+    checked,
+    load_model,
+    load_scene,
+    pairs_of,
+    refused_pairs,
+    trusted_poses,
+)
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome
 from tiegraph.scan.priors.poses import images_by_name
@@ -23,12 +28,13 @@ def sparse(run: Run) -> Outcome:
     def progress(registered: int, total: int) -> None:
         run.reporter.total(total, registered)
 
+    coarse = trusted_poses(run.folder)
     source = Source(
         run.path("database.db"),
         run.path("images"),
         refused_pairs(run),
         apart=_between_sections(run),
-        preview=preview_poses(run.folder),
+        preview=None if coarse is None else coarse[0],
         run_map=run.map,
         on_progress=progress,
     )
@@ -81,13 +87,3 @@ def _between_sections(run: Run) -> tuple[tuple[int, int], ...]:
     of_image = scene.section[scene.frame]
     across = of_image[pairs.i] != of_image[pairs.j]
     return tuple(sorted(zip(pairs.i[across].tolist(), pairs.j[across].tolist())))
-
-
-def preview_poses(folder: Path) -> np.ndarray | None:
-    """(N, 4, 4) cam_from_world of the images in the trusted part of the coarse model, None without one."""
-    path = folder / "coarse" / "model.npz"
-    if not path.exists():
-        return None
-    with reading(path):
-        data = load_npz(path)
-        return np.where(data["trusted"][:, None, None], data["cam_from_world"], np.nan)

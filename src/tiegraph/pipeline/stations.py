@@ -28,8 +28,7 @@ from tiegraph.scene.posefile import read_poses
 from tiegraph.stations.joined import Joined, join, prepared
 from tiegraph.stations.pairs import Pair
 from tiegraph.stations.precision import Band, by_distance
-from tiegraph.stations.spacing import spacing_of
-from tiegraph.stations.station import Shot, Station
+from tiegraph.stations.station import Shot, Station, spacing_of
 from tiegraph.stations.tuning import SpacingTuning, Tuning
 
 ENDINGS = (".ply", ".las", ".laz")
@@ -234,13 +233,7 @@ def _points(
 ) -> MapPoints:
     cloud, pose = read_cloud(files[name]), poses[name]
     sigma = np.where(np.isfinite(cloud.sigma_m) & (cloud.sigma_m > 0), cloud.sigma_m, noise).astype(np.float32)
-    moved = replace(
-        cloud,
-        xyz_m=transforms.apply(pose, cloud.xyz_m),
-        normal=(cloud.normal @ pose[:3, :3].T).astype(np.float32),
-        sigma_m=sigma,
-        views=np.maximum(cloud.views, 1),
-    )
+    moved = replace(cloud.moved(pose), sigma_m=sigma, views=np.maximum(cloud.views, 1))
     return moved, np.maximum(spacing_of(cloud.xyz_m, cloud.origin is None, tuning), voxel), 0
 
 

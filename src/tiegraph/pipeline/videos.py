@@ -17,14 +17,15 @@ from tiegraph.scan.rigfiles.cameraread import FoundCamera
 from tiegraph.scan.settings import ScanSettings, video_offsets
 from tiegraph.scan.tuning import OffsetTuning, PicturesTuning, Tuning
 from tiegraph.scan.videos.bagfilms import BagFilm, bag_films, find_bags, fixes_notes
-from tiegraph.scan.videos.lensvideos import is_of_lens, recordings_of
 from tiegraph.scan.videos.video import (
     Pictures,
     check_film,
     find_videos,
+    is_of_lens,
     nearest,
     open_film,
     picture_folders,
+    recordings_of,
     sharpest,
     take_pictures,
 )

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from tiegraph.plan.figures import Station
 from tiegraph.plan.places import PathPlan
-from tiegraph.scene.figures import plain_text
+from tiegraph.scene.figures import plain_text, png
 
 _DPI = 130
 _POINT, _INK = "#b8c0c8", "#2a3138"
@@ -42,7 +40,7 @@ def sweep_picture(groups: Sequence[tuple[str, Sequence[Station]]], wanted_m: flo
         axes.set_ylim(bottom=0)
         axes.grid(color="#e4e7eb")
     left.legend(frameon=False, fontsize=8)
-    return _png(figure)
+    return png(figure)
 
 
 @plain_text()
@@ -72,7 +70,7 @@ def path_picture(plan: PathPlan) -> bytes:
     figure.colorbar(shown, ax=[top, side], shrink=0.7, label=f"sigma of the position {what}, mm")
     top.set_title("from above", loc="left", fontsize=10)
     side.set_title("from the side", loc="left", fontsize=10)
-    return _png(figure)
+    return png(figure)
 
 
 def _rays(axes: Axes, plan: PathPlan, of: tuple[int, int]) -> None:
@@ -84,9 +82,3 @@ def _rays(axes: Axes, plan: PathPlan, of: tuple[int, int]) -> None:
             way = reach * pose[:3, :3] @ camera.sensor_from_body[2, :3]
             start, end = pose[:3, 3], pose[:3, 3] + way
             axes.plot([start[of[0]], end[of[0]]], [start[of[1]], end[of[1]]], "-", lw=0.5, color="#6b7280", zorder=2)
-
-
-def _png(figure: Figure) -> bytes:
-    out = io.BytesIO()
-    FigureCanvasAgg(figure).print_png(out)
-    return out.getvalue()

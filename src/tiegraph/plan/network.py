@@ -53,7 +53,7 @@ class Network:
 
     def figures(self) -> dict[str, float]:
         """``model_figures`` of all the points that there will be."""
-        made = model_figures(self.model, 1.0)
+        made = model_figures(self.model)
         return {**made, "ties_an_image": made["ties_an_image"] / self.share}
 
 
@@ -117,11 +117,8 @@ def make_network(
     return Network(model, share, seen)
 
 
-def model_figures(model: pycolmap.Reconstruction, metres: float) -> dict[str, float]:
-    """Of a model, planned or made: pixel at the tie points, tie points of an image, images of one.
-
-    ``metres``: length of a unit of the model.
-    """
+def model_figures(model: pycolmap.Reconstruction) -> dict[str, float]:
+    """Of a model in metres, planned or made: pixel at the tie points, tie points of an image, images of one."""
     sizes = []
     for image_id in model.reg_image_ids():
         image = model.image(image_id)
@@ -130,7 +127,7 @@ def model_figures(model: pycolmap.Reconstruction, metres: float) -> dict[str, fl
             continue
         xyz = np.array([model.point3D(p.point3D_id).xyz for p in seen])
         far = np.linalg.norm(xyz - image.projection_center(), axis=1)
-        sizes.append(metres * far / model.camera(image.camera_id).mean_focal_length())
+        sizes.append(far / model.camera(image.camera_id).mean_focal_length())
     return {
         "tie_gsd_m": float(np.median(np.concatenate(sizes))),
         "ties_an_image": float(model.compute_mean_observations_per_reg_image()),

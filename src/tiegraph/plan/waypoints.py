@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 from dataclasses import dataclass
 from xml.sax.saxutils import escape
@@ -13,6 +11,7 @@ import numpy as np
 from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import Origin, crs_coordinates, geodetic_from_world, make_origin, world_from_geodetic
 from tiegraph.plan.path import Path
+from tiegraph.text import csv_text
 
 
 @dataclass(frozen=True)
@@ -66,11 +65,7 @@ def _rows(path: Path, anchor: Anchor | None) -> tuple[list[str], list[list]]:
 
 def waypoint_csv(path: Path, anchor: Anchor | None) -> str:
     """One frame a line. yaw is counter-clockwise from the first way, pitch up, of the body's forward axis."""
-    columns, rows = _rows(path, anchor)
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerows([columns, *rows])
-    return out.getvalue()
+    return csv_text(*_rows(path, anchor))
 
 
 def waypoint_geojson(path: Path, anchor: Anchor) -> str:

@@ -29,5 +29,5 @@ lost worker ends the run with an error, and the next run continues it. Workers s
 gone, and a run begins only when they are free. What a worker keeps of files is keyed by the file's stamp
 (``scene.filecache``).
 
-What native libraries print to standard error goes to the log (``quiet``).
+What native libraries print to standard error goes to the log (``libraries_to``).
 """

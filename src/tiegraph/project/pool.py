@@ -86,7 +86,7 @@ class Place:
     elsewhere: Elsewhere | None = None
 
 
-def open_pool(spec: str, workers: int | None = None, place: Place | None = None) -> tuple[Executor, int]:
+def open_pool(spec: str, place: Place | None = None) -> tuple[Executor, int]:
     """(executor, number of workers) of ``serial``, ``local``, ``local:<n>`` or ``dask:<address>``.
 
     Raises SettingsError as ``check_pool``; of Dask: EngineMissing when it is not installed, InputError when the cluster
@@ -96,7 +96,7 @@ def open_pool(spec: str, workers: int | None = None, place: Place | None = None)
     if name == "serial":
         return SerialExecutor(), 1
     if name == "local":
-        count = workers or int(argument or cores())
+        count = int(argument or cores())
         return LocalPool(count, threads=max(1, cores() // count)), count
     from tiegraph.project.daskpool import open_dask
 

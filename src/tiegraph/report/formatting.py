@@ -58,11 +58,6 @@ def length(value: Any, unit: str = "m") -> str:
     return f"{number(value)} m"
 
 
-def plural(amount: int, one: str, many: str = "") -> str:
-    """ "1 image", "2 images"."""
-    return f"{count(amount)} {one if amount == 1 else many or one + 's'}"
-
-
 def percent(share: Any) -> str:
     """A share 0..1 in percent; 100 % only when it is all."""
     if not is_number(share):

@@ -1,6 +1,6 @@
 """The scan stage: a folder of images, videos or panoramas, and what came with it, become a Scene.
 
-What a user hands over is checked before anything is made or stored (``pipeline.given``, ``project.given``), the rest
+What a user hands over is checked before anything is made or stored (``pipeline.inputs``, ``project.inputs``), the rest
 here. Every file of the user passes ``scene.regular`` before it is opened (pipes and devices never end), and a folder
 is searched once whatever links lead back to it. COLMAP models are read by ``scene.colmapmodel.read_model``, which
 compares the records with the size of the file first. Images get names of ours where they are listed

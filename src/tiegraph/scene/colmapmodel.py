@@ -158,6 +158,12 @@ def image_poses(reconstruction: pycolmap.Reconstruction, scene: Scene) -> np.nda
     return poses
 
 
+def model_centres(reconstruction: pycolmap.Reconstruction) -> np.ndarray:
+    """(K, 3) projection centres of the images that have a pose."""
+    found = [i.projection_center() for i in reconstruction.images.values() if i.has_pose]
+    return np.array(found).reshape(-1, 3)
+
+
 def observations(reconstruction: pycolmap.Reconstruction, scene: Scene) -> np.ndarray:
     """(N,) i8: model points that each image of the scene sees. Of a finished model ask ``scene.registered``."""
     counts = np.zeros(len(scene), int)

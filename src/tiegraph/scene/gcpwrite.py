@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Sequence
 
 from tiegraph.errors import InputError
 from tiegraph.scene.gcp import FileMark, GcpFile
+from tiegraph.text import csv_text
 
 
 def odm_text(file: GcpFile, crs: str, marks: Sequence[FileMark]) -> str:
@@ -26,16 +25,12 @@ def odm_text(file: GcpFile, crs: str, marks: Sequence[FileMark]) -> str:
     return "\n".join(rows) + "\n"
 
 
-def csv_text(file: GcpFile, crs: str, marks: Sequence[FileMark]) -> str:
+def gcp_csv(file: GcpFile, crs: str, marks: Sequence[FileMark]) -> str:
     """A CSV with a table of points and a table of marks."""
-    out = io.StringIO()
-    out.write(f"# crs: {crs}\n")
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(["name", *(("lat", "lon", "height") if file.geographic else "xyz"), "sigma_xy", "sigma_z", "role"])
-    for point in file.points:
-        role = "check" if point.check else "gcp"
-        writer.writerow([point.name, *(repr(v) for v in point.xyz), point.sigma_m[0], point.sigma_m[2], role])
-    writer.writerow(["name", "image", "px", "py"])
-    for mark in marks:
-        writer.writerow([mark.name, mark.image, f"{mark.xy[0]:.3f}", f"{mark.xy[1]:.3f}"])
-    return out.getvalue()
+    heads = ["name", *(("lat", "lon", "height") if file.geographic else "xyz"), "sigma_xy", "sigma_z", "role"]
+    points = (
+        [p.name, *(repr(v) for v in p.xyz), p.sigma_m[0], p.sigma_m[2], "check" if p.check else "gcp"]
+        for p in file.points
+    )
+    placed = ([m.name, m.image, f"{m.xy[0]:.3f}", f"{m.xy[1]:.3f}"] for m in marks)
+    return f"# crs: {crs}\n{csv_text(heads, points)}{csv_text(['name', 'image', 'px', 'py'], placed)}"

@@ -41,7 +41,6 @@ class Probe:
 
     width: int = 0  # as stored in the file
     height: int = 0
-    channels: int = 0
     bits: int = 8  # significant bits of the brightest pixel, 8 for common files
     exif: Exif = Exif()
     digest: str = ""  # of the file's bytes
@@ -194,7 +193,6 @@ def _describe(data: bytes, digest: str, tuning: ImageTuning) -> Probe:
     return Probe(
         width=image.width,
         height=image.height,
-        channels=len(image.getbands()),
         bits=_significant_bits(image, data),
         exif=read_exif(image, tuning.focal_range),
         digest=digest,
@@ -278,5 +276,4 @@ def _describe_array(data: bytes, digest: str) -> Probe:
     if pixels.dtype not in (np.uint8, np.uint16):
         raise _Unusable(f"{pixels.dtype} pixels: convert to 8 or 16 bits")
     height, width = pixels.shape[:2]
-    channels = 1 if pixels.ndim == 2 else pixels.shape[2]
-    return Probe(width=width, height=height, channels=channels, bits=_bits(pixels), digest=digest)
+    return Probe(width=width, height=height, bits=_bits(pixels), digest=digest)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tiegraph.scene.graph import parts
+from tiegraph.scene.pairs import pair_key
 
 
 @dataclass(frozen=True)
@@ -30,16 +31,16 @@ class PreviewMatches:
             column = np.array(getattr(self, name), dtype=dtype)
             column.setflags(write=False)
             object.__setattr__(self, name, column)
-        key = self.i.astype(np.int64) << 32 | self.j
+        key = pair_key(self.i, self.j)
         if np.any(self.i >= self.j) or np.any(np.diff(key) <= 0) or len(self.start) != len(self.i) + 1:
-            raise ValueError("ties must have i < j and be sorted and unique: build them with Ties.make")
+            raise ValueError("ties must have i < j and be sorted and unique: build them with PreviewMatches.make")
 
     @staticmethod
     def make(i: np.ndarray, j: np.ndarray, matches: Sequence[np.ndarray]) -> PreviewMatches:
         """Ties from any order of pairs (T,), (T,) with i < j and the matches (K, 2) of each; the first of repeated
         pairs stays."""
         i, j = np.asarray(i, np.int64).ravel(), np.asarray(j, np.int64).ravel()
-        order = np.unique(i << 32 | j, return_index=True)[1]
+        order = np.unique(pair_key(i, j), return_index=True)[1]
         chosen = [np.asarray(matches[k], np.uint16).reshape(-1, 2) for k in order]
         start = np.concatenate([[0], np.cumsum([len(m) for m in chosen])])
         rows = np.concatenate([np.zeros((0, 2), np.uint16), *chosen])
@@ -56,7 +57,7 @@ class PreviewMatches:
     def __or__(self, other: PreviewMatches) -> PreviewMatches:
         """The pairs of both; of a pair in both, the matches of the first."""
         i, j = np.concatenate([self.i, other.i]), np.concatenate([self.j, other.j])
-        order = np.unique(i.astype(np.int64) << 32 | j, return_index=True)[1]
+        order = np.unique(pair_key(i, j), return_index=True)[1]
         first = np.concatenate([self.start[:-1], len(self.matches) + other.start[:-1]])[order]
         count = np.concatenate([self.counts(), other.counts()])[order]
         start = np.concatenate([[0], np.cumsum(count)])
@@ -95,11 +96,9 @@ class PreviewMatches:
 
     def find(self, i: np.ndarray, j: np.ndarray) -> np.ndarray:
         """(K,) row of image pairs (K,), (K,) in any order of their ends; -1 = not previewed."""
-        low, high = np.minimum(i, j).astype(np.int64), np.maximum(i, j).astype(np.int64)
-        own = self.i.astype(np.int64) << 32 | self.j
-        at = np.searchsorted(own, low << 32 | high)
-        at = np.minimum(at, max(len(own) - 1, 0))
-        return np.where(own[at] == (low << 32 | high), at, -1) if len(own) else np.full(len(low), -1)
+        own, asked = pair_key(self.i, self.j), pair_key(np.minimum(i, j), np.maximum(i, j))
+        at = np.minimum(np.searchsorted(own, asked), max(len(own) - 1, 0))
+        return np.where(own[at] == asked, at, -1) if len(own) else np.full(len(asked), -1)
 
     def known(self, i: np.ndarray, j: np.ndarray) -> np.ndarray:
         """(K,) f4 matches of image pairs (K,), (K,); NaN = not previewed."""

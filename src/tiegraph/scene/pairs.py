@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import csv
-import io
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
+
+from tiegraph.text import csv_text
 
 SOURCES = ("sequence", "exhaustive", "file", "offsets", "poses", "retrieval", "model")
 # Why a pair was dropped, in the order of the filters: words and colour for reports and pictures.
@@ -30,6 +31,11 @@ REASONS = tuple(REASON_LOOKS)
 AFTER_MATCHING = ("match", "repeat")  # pairs dropped for these were matched at full resolution
 _LINES = 100_000  # of a CSV file, written together
 NUMBERS = ("score", "overlap", "baseline_m", "angle_deg", "h_over_b", "sigma_m")
+
+
+def pair_key(i: np.ndarray, j: np.ndarray) -> np.ndarray:
+    """(K,) one number for each pair i, j (K,), in the order of i, then j."""
+    return i.astype(np.int64) << 32 | j
 
 
 @dataclass(frozen=True)
@@ -60,9 +66,17 @@ class Pairs:
             column = np.array(getattr(self, name), dtype=dtypes.get(name, np.float32))
             column.setflags(write=False)
             object.__setattr__(self, name, column)
-        key = self.i.astype(np.int64) << 32 | self.j
-        if np.any(self.i >= self.j) or np.any(np.diff(key) <= 0):
+        if np.any(self.i >= self.j) or np.any(np.diff(self.key) <= 0):
             raise ValueError("pairs must have i < j and be sorted and unique: build them with Pairs.make")
+
+    @property
+    def key(self) -> np.ndarray:
+        """(P,) one number for each pair."""
+        return pair_key(self.i, self.j)
+
+    def isin(self, other: Pairs) -> np.ndarray:
+        """(P,) bool: which pairs the other table has too."""
+        return np.isin(self.key, other.key)
 
     @staticmethod
     def columns() -> tuple[str, ...]:
@@ -160,15 +174,14 @@ class Pairs:
 
     def to_csv(self, names: tuple[str, ...]) -> str:
         """All rows with names, sources, reason and numbers."""
-        out = io.StringIO()
-        writer = csv.writer(out, lineterminator="\n")
-        writer.writerow(["image1", "image2", "source", "dropped", *NUMBERS, "inliers"])
+        heads = ["image1", "image2", "source", "dropped", *NUMBERS, "inliers"]
+        return csv_text(heads, self._rows(names))
+
+    def _rows(self, names: tuple[str, ...]) -> Iterator[list]:
         columns = [self.i, self.j, self.source, self.dropped, self.inliers, *(getattr(self, n) for n in NUMBERS)]
         for first in range(0, len(self), _LINES):  # as Python's own numbers: several times as fast, not all at once
             for i, j, source, dropped, inliers, *numbers in zip(*(c[first : first + _LINES].tolist() for c in columns)):
-                row = [names[i], names[j], source_names(source), REASONS[dropped], *map(_number, numbers), inliers]
-                writer.writerow(row)
-        return out.getvalue()
+                yield [names[i], names[j], source_names(source), REASONS[dropped], *map(_number, numbers), inliers]
 
     def to_npz(self) -> dict[str, np.ndarray]:
         """Columns for ``np.savez``."""

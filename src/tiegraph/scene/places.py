@@ -1,4 +1,4 @@
-"""Where frames were taken, as far as that is known before any model is made."""
+"""Where frames were taken: before any model is made, and by the places of their images."""
 
 from __future__ import annotations
 
@@ -19,4 +19,12 @@ def between_neighbours(positions: np.ndarray, scene: Scene) -> np.ndarray:
             inside = np.arange(known[0], known[-1] + 1)
             for c in range(positions.shape[1]):
                 out[own[inside], c] = np.interp(inside, known, positions[own[known], c])
+    return out
+
+
+def of_frames(centre: np.ndarray, scene: Scene) -> np.ndarray:
+    """(F, 3) place of each frame: of its first image with one, of centre (N, 3); NaN = none has."""
+    out = np.full((scene.frames, 3), np.nan)
+    for k in np.flatnonzero(np.isfinite(centre).all(axis=1))[::-1]:
+        out[scene.frame[k]] = centre[k]
     return out

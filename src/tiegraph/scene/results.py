@@ -6,6 +6,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
+from tiegraph.geometry import transforms
 from tiegraph.geometry.geodesy import Origin
 
 
@@ -65,6 +66,11 @@ class Cloud:
         """The points of a boolean mask or index array."""
         columns = {f.name: getattr(self, f.name)[mask] for f in fields(self) if f.name != "origin"}
         return replace(self, **columns)
+
+    def moved(self, pose: np.ndarray) -> Cloud:
+        """The points and their normals by a rigid motion (4, 4)."""
+        normal = (self.normal @ pose[:3, :3].T).astype(np.float32)
+        return replace(self, xyz_m=transforms.apply(pose, self.xyz_m), normal=normal)
 
     @staticmethod
     def concatenate(clouds: list[Cloud]) -> Cloud:

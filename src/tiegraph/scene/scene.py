@@ -45,7 +45,7 @@ class Scene:
     frame: np.ndarray  # (N,) i4: frame of an image
     sensor: np.ndarray  # (N,) i2: sensor of an image, index into its rig's sensors
     rig: np.ndarray  # (F,) i2: rig of a frame
-    sequence: np.ndarray  # (F,) i2: pass of a frame, index into tracks; -1 = loose (no order)
+    sequence: np.ndarray  # (F,) i2: pass of a frame, index into sequences; -1 = loose (no order)
     sequence_index: np.ndarray  # (F,) i4: order on the pass
     time_s: np.ndarray  # (F,) f8, NaN = unknown
     world_from_rig: np.ndarray  # (F, 4, 4) f8 prior pose; NaN = unknown; the rotation alone may be NaN (GNSS)
@@ -92,10 +92,20 @@ class Scene:
         start = np.cumsum([0] + [len(r.sensors) for r in self.rigs])[:-1]
         return (start[self.rig[self.frame]] + self.sensor).astype(np.int32)
 
+    def first_sensor(self, rig: int) -> int:
+        """Key of the first sensor of a rig."""
+        return sum(len(r.sensors) for r in self.rigs[:rig])
+
     @property
     def all_sensors(self) -> tuple[Sensor, ...]:
         """The sensors of all rigs, one after another."""
         return tuple(s for r in self.rigs for s in r.sensors)
+
+    @property
+    def focal_px(self) -> np.ndarray:
+        """(N,) focal length of each image's camera, pixels; NaN where there is none."""
+        own = [np.nan if s.camera is None else s.camera.mean_focal_length() for s in self.all_sensors]
+        return np.array(own, float)[self.sensor_key]
 
     def sensor_of(self, image: int) -> Sensor:
         """The sensor that took an image."""

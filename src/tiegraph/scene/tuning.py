@@ -72,7 +72,7 @@ class ImageTuning(Section):
 
 
 class GnssTuning(Section):
-    """What is believed of a receiver's positions (`gnss.py`)."""
+    """What is believed of a receiver's positions (`gnss/`)."""
 
     vertical: float = Field(2.0, gt=0)
     """Sigma of a height over that of the place: satellites fix it about half as well, all of them are above."""

@@ -140,7 +140,7 @@ def position_sigma(
     """Sigmas of registered frames, points, scale, rig and interior orientation, from the gradient of every point.
 
     Intrinsics and rig extrinsics are unknowns unless told otherwise (ids of cameras, of rigs); ``ties`` hold
-    the frames of relaxed rigs; ``drawings`` of nominal rigs by rig id; ``off``: how far the cameras of rigs that are
+    the frames of relaxed rigs; ``nominal``: geometry of rigs by rig id; ``off``: how far the cameras of rigs that are
     contradicted may be off (``systematic.misplaced``). The gauge is taken out
     by the S-transformation over all positions, so a sigma is that of a position after the best alignment to the truth.
     (pycolmap's estimate_ba_covariance refuses rigs.) Raises ValueError for a model without redundancy.

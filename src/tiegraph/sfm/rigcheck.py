@@ -223,7 +223,7 @@ def _confronted(
         out.model, followed = refined, True
         how = "; the images were followed, the other cameras held as given"
     out.contradictions += [f"{line}{how}" for line in said.contradictions]
-    count, first = len(scene.rigs[index].sensors), sum(len(r.sensors) for r in scene.rigs[:index])
+    count, first = len(scene.rigs[index].sensors), scene.first_sensor(index)
     if count > 1 and not relaxed and _measured(index, request):
         cameras = range(first + 1, first + count)
         off = mounting_errors(heard, scene, index, cameras, request.tuning.rig, followed, relaxed=False)

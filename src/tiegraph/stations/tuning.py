@@ -42,7 +42,7 @@ class PairTuning(Section):
 
 
 class SightTuning(Section):
-    """What one saw where another looked through (`sight.py`): told of a pair, it refuses none. Lengths are in sides of
+    """What one saw where another looked through (`pairs.py`): told of a pair, it refuses none. Lengths are in sides of
     the coarse voxels."""
 
     neighbours: int = Field(4, ge=1)
@@ -84,7 +84,7 @@ class PrecisionTuning(Section):
 
 
 class SpacingTuning(Section):
-    """How far the points of a shot stand apart (`spacing.py`)."""
+    """How far the points of a shot stand apart (`station.py`)."""
 
     asked: int = Field(10_000, gt=0)
     """Points of a shot that are asked, ..."""

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import io
 from typing import Any
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from tiegraph.evaluate.clouds.m3c2 import Differences
+from tiegraph.scene.figures import png
 from tiegraph.scene.sorting import order_of, row_numbers, run_starts
 
 _CELLS = 500  # along the longer side
@@ -46,9 +45,7 @@ def difference_map(found: Differences, title: str, only_significant: bool = Fals
     else:
         axes.text(0.5, 0.5, "nothing could be compared", transform=axes.transAxes, ha="center")
     axes.set(xticks=[], yticks=[], aspect="equal")
-    out = io.BytesIO()
-    FigureCanvasAgg(figure).print_png(out)
-    return out.getvalue()
+    return png(figure)
 
 
 def _extent(xyz: np.ndarray, edge: float) -> np.ndarray:

@@ -19,11 +19,10 @@ _WIDER = 4  # times the points of the tuning, that the larger of two clouds may 
 @dataclass(frozen=True)
 class Start:
     """``target_from_source`` (4, 4), the matches that agree with it, and the share of the source that lies within a
-    voxel of side ``side_m`` of the target, there and in the next best place."""
+    voxel of the target, there and in the next best place."""
 
     target_from_source: np.ndarray
     matches: int
-    side_m: float
     share: float
     rival: float
 
@@ -51,4 +50,4 @@ def start_of(source: np.ndarray, target: np.ndarray, tuning: CoarseTuning) -> St
     fit = best.target_from_source.copy()
     fit[:3, 3] += middles[1] - fit[:3, :3] @ middles[0]
     rival = found[1][0] if len(found) > 1 else 0.0
-    return Start(target_from_source=fit, matches=best.matches, side_m=side, share=share, rival=rival)
+    return Start(target_from_source=fit, matches=best.matches, share=share, rival=rival)

@@ -13,21 +13,22 @@ from scipy.sparse import csr_array
 from tiegraph.geometry.align import umeyama
 from tiegraph.scene.matches import Visibility
 from tiegraph.scene.pairs import Pairs
+from tiegraph.scene.places import of_frames
 from tiegraph.scene.scene import Scene
 
 _CHUNK = 20_000  # pairs whose points are looked up at once: bounds the memory
 
 
-def with_bases(pairs: Pairs, scene: Scene, sights: Visibility) -> Pairs:
+def with_bases(pairs: Pairs, scene: Scene, visibility: Visibility) -> Pairs:
     """The pairs with ``h_over_b`` where both images see points of the model, ``baseline_m`` and ``sigma_m`` (for
     matches good to one pixel, as many as ``score``) where measured positions tell the model's scale too.
 
     A base that is known by poses in metres stays.
     """
-    base = np.linalg.norm(sights.centre[pairs.i] - sights.centre[pairs.j], axis=1)
-    distance = _distances(pairs, sights)
-    metres = metres_per_unit(scene.measured(), sights.centre)
-    focal_px = _focal_px(scene)
+    base = np.linalg.norm(visibility.centre[pairs.i] - visibility.centre[pairs.j], axis=1)
+    distance = _distances(pairs, visibility)
+    metres = metres_per_unit(scene.measured(), visibility.centre)
+    focal_px = scene.focal_px
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = distance / base
         sigma = metres * distance / (0.5 * (focal_px[pairs.i] + focal_px[pairs.j]) * np.sqrt(pairs.score))
@@ -42,9 +43,7 @@ def with_bases(pairs: Pairs, scene: Scene, sights: Visibility) -> Pairs:
 def metres_per_unit(scene: Scene, centre: np.ndarray) -> float:
     """Size of the model's unit by the frames' prior positions and its image centres (N, 3); NaN where fewer than three
     frames have both, or their spread is no larger than the sigma of the positions."""
-    where = np.full((scene.frames, 3), np.nan)
-    for k in np.flatnonzero(np.isfinite(centre).all(axis=1))[::-1]:
-        where[scene.frame[k]] = centre[k]
+    where = of_frames(centre, scene)
     prior = scene.world_from_rig[:, :3, 3]
     both = np.isfinite(where).all(axis=1) & np.isfinite(prior).all(axis=1)
     if both.sum() < 3:
@@ -56,14 +55,14 @@ def metres_per_unit(scene: Scene, centre: np.ndarray) -> float:
     return umeyama(where[both], prior[both]).scale
 
 
-def _distances(pairs: Pairs, sights: Visibility) -> np.ndarray:
+def _distances(pairs: Pairs, visibility: Visibility) -> np.ndarray:
     """(P,) mean distance of the points that both images see, from either; NaN = none."""
-    images = len(sights.start) - 1
-    image = np.repeat(np.arange(images), np.diff(sights.start))
-    away = np.linalg.norm(sights.xyz[sights.point] - sights.centre[image], axis=1)
-    shape = (images, len(sights.xyz))
-    far = csr_array((away, sights.point, sights.start), shape=shape)
-    seen = csr_array((np.ones(len(image)), sights.point, sights.start), shape=shape)
+    images = len(visibility.start) - 1
+    image = np.repeat(np.arange(images), np.diff(visibility.start))
+    away = np.linalg.norm(visibility.xyz[visibility.point] - visibility.centre[image], axis=1)
+    shape = (images, len(visibility.xyz))
+    far = csr_array((away, visibility.point, visibility.start), shape=shape)
+    seen = csr_array((np.ones(len(image)), visibility.point, visibility.start), shape=shape)
     out = np.full(len(pairs), np.nan)
     for first in range(0, len(pairs), _CHUNK):
         rows = slice(first, first + _CHUNK)
@@ -72,9 +71,3 @@ def _distances(pairs: Pairs, sights: Visibility) -> np.ndarray:
         total = far[i].multiply(seen[j]).sum(axis=1) + far[j].multiply(seen[i]).sum(axis=1)
         out[rows] = np.where(count > 0, 0.5 * total / np.maximum(count, 1), np.nan)
     return out
-
-
-def _focal_px(scene: Scene) -> np.ndarray:
-    """(N,) of each image's camera, NaN where there is none."""
-    own = [np.nan if s.camera is None else s.camera.mean_focal_length() for s in scene.all_sensors]
-    return np.array(own, float)[scene.sensor_key]

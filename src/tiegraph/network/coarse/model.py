@@ -57,7 +57,7 @@ class CoarseModel:
         proxy = self.proxy(tuning.proxy)
         return shared_surface(self.cam_from_world, self.cameras, proxy, tuning.visible, max_angle_deg)
 
-    def sights(self, tuning: CoarseTuning) -> Visibility:
+    def visibility(self, tuning: CoarseTuning) -> Visibility:
         """The points each image should see."""
         return visible_points(self.cam_from_world, self.cameras, self.proxy(tuning.proxy), tuning.visible)
 

@@ -9,8 +9,50 @@ import numpy as np
 import pycolmap
 
 from tiegraph.geometry import transforms
-from tiegraph.network.coarse.view import View
+from tiegraph.geometry.rays import unit_rays
 from tiegraph.network.tuning.coarse import CoarseTuning, ProxyTuning
+from tiegraph.scene.rays import on_plane
+
+
+@dataclass(frozen=True)
+class View:
+    """A camera: projection to image shares 0..1 and the half angle of a cone round it."""
+
+    camera: pycolmap.Camera | None
+    half: float  # radians, to the corners
+    slope: float  # tangent of half the field of view across and down that is taken where there is no camera
+
+    @staticmethod
+    def of(camera: pycolmap.Camera | None, guessed_view_deg: float) -> View:
+        slope = float(np.tan(np.radians(guessed_view_deg / 2)))
+        if camera is None:
+            return View(None, float(np.arctan(np.sqrt(2) * slope)), slope)
+        rim = np.array([(x, y) for x in (0, 0.5, 1) for y in (0, 0.5, 1)])
+        rays = View(camera, 0.0, slope).rays(rim)
+        half = np.nanmax(np.arccos(np.clip(rays[:, 2], -1, 1)), initial=0.0)
+        return View(camera, float(half) if half > 0 else np.radians(89), slope)
+
+    def rays(self, shares: np.ndarray) -> np.ndarray:
+        """(K, 3) unit rays of places given in shares of the image (K, 2); NaN where the model has no inverse."""
+        if self.camera is None:
+            xy = (2 * shares - 1) * self.slope
+        else:
+            xy = on_plane(self.camera, shares * (self.camera.width, self.camera.height))
+        return unit_rays(xy)
+
+    def project(self, local: np.ndarray, slack: float = 0.0) -> np.ndarray:
+        """(K, 2) shares of the image 0..1, NaN = not in it, of points (K, 3) in the camera frame with z > 0.
+
+        Points up to ``slack`` radians outside count as on the rim.
+        """
+        if self.camera is None:
+            shares = (local[:, :2] / local[:, 2:] / self.slope + 1) / 2
+        else:
+            shares = np.asarray(self.camera.img_from_cam(local), float) / (self.camera.width, self.camera.height)
+        with np.errstate(invalid="ignore"):
+            rim = slack / max(self.half, 1e-3)
+            inside = ((shares >= -rim) & (shares < 1 + rim)).all(axis=1)
+        return np.where(inside[:, None], np.clip(shares, 0, 1 - 1e-9), np.nan)
 
 
 @dataclass(frozen=True)
@@ -63,18 +105,12 @@ def observed_proxy(
     towards /= np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-12)
     reach = np.zeros(len(points))
     np.maximum.at(reach, point, tuning.far_observers * distance)
-    sequence = np.bincount(point, minlength=len(points))
-    proxy = Proxy(points=points, reach=np.where(sequence > 0, reach, np.inf), towards=towards, image=image, point=point)
-    good = sequence >= tuning.min_track
-    return proxy.keep(good) if good.sum() >= tuning.tracked_share * len(points) else proxy
-
-
-def points_proxy(points: np.ndarray) -> Proxy:
-    """Proxy of bare points (P, 3), such as a laser scan, of which no observer is known."""
-    none = np.zeros(0, int)
-    return Proxy(
-        points=points, reach=np.full(len(points), np.inf), towards=np.zeros((len(points), 3)), image=none, point=none
+    observers = np.bincount(point, minlength=len(points))
+    proxy = Proxy(
+        points=points, reach=np.where(observers > 0, reach, np.inf), towards=towards, image=image, point=point
     )
+    good = observers >= tuning.min_track
+    return proxy.keep(good) if good.sum() >= tuning.tracked_share * len(points) else proxy
 
 
 def assumed_proxy(

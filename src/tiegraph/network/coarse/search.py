@@ -17,15 +17,14 @@ import pycolmap
 from tiegraph.geometry import transforms
 from tiegraph.network.coarse.assembled import Assembled
 from tiegraph.network.coarse.model import CoarseModel
-from tiegraph.network.coarse.trust import Trust, pair_key, trust
+from tiegraph.network.coarse.trust import Trust, trust
 from tiegraph.network.coarse.visible import Overlap
-from tiegraph.network.offsets.curves import contained
 from tiegraph.network.passes import MatchCache
 from tiegraph.network.settings import CandidatesSettings, CoarseSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.network.tuning.coarse import CoarseTuning
 from tiegraph.scene.matches import PreviewMatches
-from tiegraph.scene.pairs import REASONS, Pairs
+from tiegraph.scene.pairs import REASONS, Pairs, pair_key
 from tiegraph.scene.rig import Rig, calibrated, camera_from_dict, camera_to_dict
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.strongest import strongest_pairs
@@ -62,7 +61,7 @@ class Search:
         tuning: CoarseTuning,
     ) -> None:
         self._pairs, self._scene = candidates
-        self._book, self._tuning = cache, tuning
+        self._cache, self._tuning = cache, tuning
         self._settings, self._per_image = settings[0], float(settings[1].pairs_per_image)
         self._without = np.zeros(0, np.int64)
         self._best = np.zeros(0, np.int64), np.zeros(0, np.int64)
@@ -75,9 +74,9 @@ class Search:
             return None
         best = strongest_pairs(self._pairs, self._scene, round(self._per_image))
         if any(t.right() for t in self._tries):  # only a camera was turned too far: no reason to look at more
-            best = best.where(np.isfinite(self._book.known(best.i, best.j)))
+            best = best.where(np.isfinite(self._cache.known(best.i, best.j)))
         self._best = best.i, best.j
-        return _ties(best, self._book, self._without, self._tuning.tie_matches)
+        return _ties(best, self._cache, self._without, self._tuning.tie_matches)
 
     def take(self, ties: PreviewMatches, made: Assembled) -> None:
         """Judge the models made of the ties that were wanted."""
@@ -106,7 +105,7 @@ class Search:
         loose = best.loose(tries, tuning)
         trusted = best.trust.images & ~loose[scene.sensor_key]
         judged = _judged(pairs, best.overlap, np.where(trusted, best.part, -1), self._settings)
-        judged = judged.drop(_never_tied(judged, scene, self._book, self._settings, tuning), "votes")
+        judged = judged.drop(_never_tied(judged, scene, self._cache, self._settings, tuning), "votes")
         model = best.models[0]
         notes = (*_notes(scene, best), *best.notes, *said, *_loose_notes(scene, loose, best.turned))
         if model.placed().sum() < tuning.calibrates * len(scene):
@@ -131,7 +130,7 @@ class Search:
         for k, one in enumerate(models):
             part[one.placed()] = k
         overlap = Overlap.together([one.overlap(self._settings.axes_deg, self._tuning) for one in models])
-        believed = trust(scene, self._book, self._best, overlap, part, self._settings, self._tuning.trust)
+        believed = trust(scene, self._cache, self._best, overlap, part, self._settings, self._tuning.trust)
         i, j = (np.concatenate(both) for both in zip(believed.suspects, made.suspects))
         believed = replace(believed, suspects=(i, j))
         return _Try(
@@ -259,7 +258,7 @@ def _judged(pairs: Pairs, overlap: Overlap, part: np.ndarray, settings: Candidat
     enough = (overlap.share >= settings.min_overlap) & (part[overlap.i] >= 0) & (part[overlap.j] >= 0)
     found = Pairs.make(overlap.i[enough], overlap.j[enough], "model", overlap=overlap.share[enough])
     copies = pairs.where(pairs.dropped == REASONS.index("similar"))  # share all their surface, and have no base
-    return judged | found.where(~contained(found, copies))
+    return judged | found.where(~found.isin(copies))
 
 
 def _never_tied(

@@ -20,6 +20,7 @@ from tiegraph.network.passes import MatchCache
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning.coarse import TrustTuning
 from tiegraph.scene.graph import cheapest_cut, parts
+from tiegraph.scene.pairs import pair_key
 from tiegraph.scene.scene import Scene
 
 
@@ -79,17 +80,17 @@ def trust(
     sure = near_frames(scene, scene.frame[i], scene.frame[j], tuning.near_steps) & strong
     stretch = _stretches(scene, part, *_doubts(scene, i[sure], j[sure], right[sure], tuning))
     n = int(stretch.max(initial=0)) + 1
-    couple = stretch[i] * n + stretch[j]
+    stretches = stretch[i] * n + stretch[j]
     best = strong & np.isin(pair_key(i, j), pair_key(*asked))
-    total, good = (_sequence_pairs(couple[best], c[best], n) for c in (count, count * right))
-    near_total, near_good = (_sequence_pairs(couple[sure], c[sure], n) for c in (count, count * right))
+    total, good = (_between_stretches(stretches[best], c[best], n) for c in (count, count * right))
+    near_total, near_good = (_between_stretches(stretches[sure], c[sure], n) for c in (count, count * right))
     told = (total >= tuning.few * tuning.strong * settings.min_matches) & ~np.eye(n, dtype=bool)
     torn = (near_total > 0) & (near_good < tuning.trusted * near_total) & ~np.eye(n, dtype=bool)
     linked = np.where(told & (good >= tuning.linked * total), good, 0.0)
     held = _without_false(linked, torn)
     suspect = (told & (good < tuning.suspect * total)) | (held != linked)
     believed = _largest(stretch, held > 0, (held != linked) | torn | (told & (linked == 0)))
-    drawn = right & suspect.ravel()[couple]
+    drawn = right & suspect.ravel()[stretches]
     return Trust(
         images=believed,
         agreement=float(right[sure].mean()) if sure.any() else float("nan"),
@@ -105,11 +106,6 @@ def near_frames(scene: Scene, a: np.ndarray, b: np.ndarray, steps: int) -> np.nd
         (scene.sequence[a] == scene.sequence[b]) & (scene.sequence[a] >= 0) & (scene.rig[a] == scene.rig[b]) & (a != b)
     )
     return same & (np.abs(scene.sequence_index[a] - scene.sequence_index[b]) <= steps)
-
-
-def pair_key(i: np.ndarray, j: np.ndarray) -> np.ndarray:
-    """(K,) one number for each pair i, j (K,)."""
-    return i.astype(np.int64) << 32 | j
 
 
 def _doubts(
@@ -143,9 +139,9 @@ def _stretches(scene: Scene, part: np.ndarray, before: np.ndarray, after: np.nda
     return np.where(part >= 0, np.unique(out, return_inverse=True)[1], -1)
 
 
-def _sequence_pairs(couple: np.ndarray, weight: np.ndarray, n: int) -> np.ndarray:
-    """(n, n) sum of weights (K,) of each couple of stretches, in both orders."""
-    table = np.bincount(couple, weight, minlength=n * n).reshape(n, n)
+def _between_stretches(stretches: np.ndarray, weight: np.ndarray, n: int) -> np.ndarray:
+    """(n, n) sum of weights (K,) between each two stretches, in both orders."""
+    table = np.bincount(stretches, weight, minlength=n * n).reshape(n, n)
     return table + table.T
 
 

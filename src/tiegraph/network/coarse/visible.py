@@ -17,12 +17,12 @@ from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
 from tiegraph.geometry import transforms
-from tiegraph.network.coarse.proxy import Proxy, assumed_proxy, observed_proxy, points_proxy
-from tiegraph.network.coarse.view import View
+from tiegraph.network.coarse.proxy import Proxy, View, assumed_proxy, observed_proxy
 from tiegraph.network.tuning.coarse import CoarseTuning, VisibleTuning
 from tiegraph.scene.matches import Visibility
+from tiegraph.scene.pairs import pair_key
 
-__all__ = ["Overlap", "Proxy", "assumed_proxy", "observed_proxy", "points_proxy", "shared_surface"]
+__all__ = ["Overlap", "Proxy", "assumed_proxy", "observed_proxy", "shared_surface"]
 
 _LEAF = 64  # points of a box that is tested as one
 _BLOCK = 128  # rows of the pair table worked out at once
@@ -44,8 +44,7 @@ class Overlap:
 
     def between(self, i: np.ndarray, j: np.ndarray) -> np.ndarray:
         """(K,) share of image pairs in any order of their ends; 0 where they are not listed."""
-        own = self.i.astype(np.int64) << 32 | self.j
-        key = np.minimum(i, j).astype(np.int64) << 32 | np.maximum(i, j)
+        own, key = pair_key(self.i, self.j), pair_key(np.minimum(i, j), np.maximum(i, j))
         if not len(own):
             return np.zeros(len(key))
         at = np.minimum(np.searchsorted(own, key), len(own) - 1)

@@ -29,7 +29,7 @@ class Far:
     d: np.ndarray
     count: np.ndarray
 
-    def level(self, shape: tuple[int, ...], min_matches: int, tuning: Tuning) -> NoiseFloor:
+    def noise_floor(self, shape: tuple[int, ...], min_matches: int, tuning: Tuning) -> NoiseFloor:
         """The level of every two cameras, (S, T) of them."""
         low, high = tuning.counts.floor * min_matches, tuning.counts.ceiling * min_matches
         enough, outstanding = tuning.offsets.background.enough, tuning.offsets.background.outstanding
@@ -63,36 +63,36 @@ def noise_floor_within(
         return None
     count, c, d = cache.measure(left[there], right[there]), c[there], d[there]
     far = Far(np.concatenate([c, d]), np.concatenate([d, c]), np.tile(count, 2))
-    return far.level(allowed.shape, min_matches, tuning)
+    return far.noise_floor(allowed.shape, min_matches, tuning)
 
 
-def noise_floor_away(lattice: ScoreMatrix, beside: np.ndarray, min_matches: int, tuning: Tuning) -> NoiseFloor | None:
+def noise_floor_away(scores: ScoreMatrix, beside: np.ndarray, min_matches: int, tuning: Tuning) -> NoiseFloor | None:
     """The level of the measured nodes that are not ``beside`` (A, B) the path between two passes."""
-    c, d, a, b = np.nonzero(np.isfinite(lattice.inliers) & ~beside)
+    c, d, a, b = np.nonzero(np.isfinite(scores.inliers) & ~beside)
     if not len(c):
         return None
-    return Far(c, d, lattice.inliers[c, d, a, b]).level(lattice.allowed.shape, min_matches, tuning)
+    return Far(c, d, scores.inliers[c, d, a, b]).noise_floor(scores.allowed.shape, min_matches, tuning)
 
 
-def corridor(lattice: ScoreMatrix, path: np.ndarray, window: int, tuning: Tuning) -> np.ndarray:
+def corridor(scores: ScoreMatrix, path: np.ndarray, window: int, tuning: Tuning) -> np.ndarray:
     """(S, T, A, B) bool: nodes as far from the ``path`` (A,) of two long passes as their cameras tie all along it.
 
     What two cameras share changes slowly along a pass, so that all its frames together tell at which distances they
     tie; a repeated wall ties frames at any distance, but only some of them.
     """
-    level = lattice.level
-    beside = np.rint(np.arange(len(lattice.columns)) - path[:, None]).astype(int) + window  # (A, B) bin
+    noise_floor = scores.noise_floor
+    beside = np.rint(np.arange(len(scores.columns)) - path[:, None]).astype(int) + window  # (A, B) bin
     inside = (beside >= 0) & (beside <= 2 * window)
-    if level is None:
-        return np.broadcast_to(inside, lattice.inliers.shape)
-    c, d, a, b = np.nonzero(np.isfinite(lattice.inliers) & inside)
-    shape = (*lattice.allowed.shape, 2 * window + 1)
+    if noise_floor is None:
+        return np.broadcast_to(inside, scores.inliers.shape)
+    c, d, a, b = np.nonzero(np.isfinite(scores.inliers) & inside)
+    shape = (*scores.allowed.shape, 2 * window + 1)
     key = np.ravel_multi_index((c, d, beside[a, b]), shape)
-    value = np.clip(lattice.inliers[c, d, a, b], level.lowest, level.highest)
+    value = np.clip(scores.inliers[c, d, a, b], noise_floor.lowest, noise_floor.highest)
     total, number = (np.bincount(key, w, np.prod(shape)).reshape(shape) for w in (value, np.ones(len(key))))
     total, number = (gaussian_filter1d(x, tuning.counts.sigma_nodes, axis=2, mode="constant") for x in (total, number))
-    span = (level.highest - level.told)[..., None]
-    share = np.where(number > 0, (total / np.maximum(number, 1e-9) - level.told[..., None]) / span, -1.0)
+    span = (noise_floor.highest - noise_floor.told)[..., None]
+    share = np.where(number > 0, (total / np.maximum(number, 1e-9) - noise_floor.told[..., None]) / span, -1.0)
     ties = share >= tuning.offsets.background.band
     peak = np.argmax(share, axis=2)
     ahead, back = np.arange(shape[2]) >= peak[..., None], np.arange(shape[2]) <= peak[..., None]

@@ -35,12 +35,12 @@ def is_copy(result: Any, min_matches: int, tuning: CopiesTuning) -> bool:
     return bool(still and result.inliers >= tuning.found_again * features)
 
 
-def find_copies(lattice: ScoreMatrix, cache: MatchCache, min_matches: int, tuning: CopiesTuning) -> Copies | None:
+def find_copies(scores: ScoreMatrix, cache: MatchCache, min_matches: int, tuning: CopiesTuning) -> Copies | None:
     """Same pictures in two passes of one rig; None within a pass and where the first look finds none."""
-    p, q = lattice.p, lattice.q
-    if lattice.same or len(p.images) != len(q.images):
+    p, q = scores.p, scores.q
+    if scores.same or len(p.images) != len(q.images):
         return None
-    camera, offset = _best_offset(lattice, min_matches, tuning)
+    camera, offset = _best_offset(scores, min_matches, tuning)
     for step in dict.fromkeys((0, *offset)):
         m = np.arange(max(0, -step), min(len(p), len(q) - step))
         count = min(len(m), tuning.samples)
@@ -49,18 +49,18 @@ def find_copies(lattice: ScoreMatrix, cache: MatchCache, min_matches: int, tunin
             continue
         first = _copies(p.images[camera, some], q.images[camera, some + step], cache, min_matches, tuning)
         if first.sum() >= max(tuning.least, tuning.many * len(some)):
-            return _all(lattice, m, step, cache, min_matches, tuning)
+            return _all(scores, m, step, cache, min_matches, tuning)
     return None
 
 
-def _best_offset(lattice: ScoreMatrix, min_matches: int, tuning: CopiesTuning) -> tuple[int | None, tuple[int, ...]]:
+def _best_offset(scores: ScoreMatrix, min_matches: int, tuning: CopiesTuning) -> tuple[int | None, tuple[int, ...]]:
     """The camera that matches itself best, and frame offsets n - m of its best nodes; None = no strong match."""
-    own = np.stack([np.nan_to_num(lattice.inliers[c, c]) for c in range(len(lattice.inliers))])
+    own = np.stack([np.nan_to_num(scores.inliers[c, c]) for c in range(len(scores.inliers))])
     camera = int(own.max(axis=(1, 2)).argmax())
     a, b = np.nonzero(own[camera] >= max(tuning.strong * min_matches, tuning.near_best * own.max()))
     if not len(a):
         return None, ()
-    values, counts = np.unique(lattice.columns[b] - lattice.rows[a], return_counts=True)
+    values, counts = np.unique(scores.columns[b] - scores.rows[a], return_counts=True)
     return camera, tuple(int(v) for v in values[np.argsort(-counts, kind="stable")][: tuning.offsets])
 
 
@@ -75,9 +75,9 @@ def _copies(i: np.ndarray, j: np.ndarray, cache: MatchCache, min_matches: int, t
 
 
 def _all(
-    lattice: ScoreMatrix, m: np.ndarray, step: int, cache: MatchCache, min_matches: int, tuning: CopiesTuning
+    scores: ScoreMatrix, m: np.ndarray, step: int, cache: MatchCache, min_matches: int, tuning: CopiesTuning
 ) -> Copies:
-    p, q = lattice.p, lattice.q
+    p, q = scores.p, scores.q
     i, j = p.images[:, m].ravel(), q.images[:, m + step].ravel()
     same = _copies(i, j, cache, min_matches, tuning)
     count, total = int(same.sum()), int((q.images >= 0).sum())

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -17,6 +15,7 @@ from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import CountsTuning
 from tiegraph.network.tuning.rig import RigTuning
 from tiegraph.scene.pairs import Pairs
+from tiegraph.text import csv_text
 
 
 @dataclass(frozen=True)
@@ -54,16 +53,16 @@ def sampled_ranks(n: int, count: int) -> np.ndarray:
     return np.unique(np.linspace(0, n - 1, min(n, count)).round().astype(int))
 
 
-def facing(lattice: ScoreMatrix, excess: np.ndarray, settings: CandidatesSettings, tuning: RigTuning) -> np.ndarray:
+def facing(scores: ScoreMatrix, excess: np.ndarray, settings: CandidatesSettings, tuning: RigTuning) -> np.ndarray:
     """(S, T) bool: camera pairs whose axes permit a match at the heading of q against p; all, while that is unknown."""
-    yaw = commonview.yaw(lattice, excess, tuning)
+    yaw = commonview.yaw(scores, excess, tuning)
     if yaw is None:
         return np.ones(excess.shape[:2], bool)
-    return angles_deg(lattice.p.rig, yaw, tuning.axes) <= settings.axes_deg
+    return angles_deg(scores.p.rig, yaw, tuning.axes) <= settings.axes_deg
 
 
 def curves_of(
-    lattice: ScoreMatrix,
+    scores: ScoreMatrix,
     backwards: bool,
     accepted: np.ndarray,
     min_matches: int,
@@ -71,12 +70,12 @@ def curves_of(
     best: np.ndarray | None = None,
 ) -> tuple[OffsetCurve, ...]:
     """One curve a camera pair; ``best`` (S, T) is the offset that was voted, where one was."""
-    p, q = lattice.p, lattice.q
+    p, q = scores.p, scores.q
     out = []
-    for c, d in np.argwhere(lattice.allowed):
-        if lattice.same and c >= d:
+    for c, d in np.argwhere(scores.allowed):
+        if scores.same and c >= d:
             continue
-        offsets, votes = votes_of(lattice, (int(c), int(d)), backwards, min_matches, tuning)
+        offsets, votes = votes_of(scores, (int(c), int(d)), backwards, min_matches, tuning)
         if not len(offsets):
             continue
         winner = int(offsets[np.argmax(votes)] if best is None else best[c, d])
@@ -96,7 +95,7 @@ def curves_of(
 
 
 def votes_of(
-    lattice: ScoreMatrix,
+    scores: ScoreMatrix,
     cameras: tuple[int, int],
     backwards: bool,
     min_matches: int,
@@ -104,8 +103,8 @@ def votes_of(
     total: bool = False,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Offsets (K,) and matches above chance at each, mean over the frames looked at (or their sum)."""
-    inliers = lattice.inliers[cameras]
-    m, n = np.meshgrid(lattice.rows, lattice.columns, indexing="ij")
+    inliers = scores.inliers[cameras]
+    m, n = np.meshgrid(scores.rows, scores.columns, indexing="ij")
     offset = (n + m if backwards else n - m)[np.isfinite(inliers)]
     value = np.maximum(0, inliers[np.isfinite(inliers)] - tuning.floor * min_matches)
     offsets, at = np.unique(offset, return_inverse=True)
@@ -117,17 +116,11 @@ def votes_of(
 
 def curves_csv(curves: Iterable[OffsetCurve]) -> str:
     """CSV of the curves, an offset of two cameras a row."""
-    text = io.StringIO()
-    table = csv.writer(text, lineterminator="\n")
-    table.writerow(["pass1", "camera1", "pass2", "camera2", "direction", "offset", "votes", "best", "accepted"])
-    for c in curves:
-        head = [c.pass_a, c.sensor_a, c.pass_b, c.sensor_b, "back" if c.reversed else "same"]
-        for offset, votes in zip(c.offsets, c.votes):
-            table.writerow([*head, offset, f"{votes:.6g}", int(offset == c.best), int(c.accepted)])
-    return text.getvalue()
-
-
-def contained(pairs: Pairs, other: Pairs) -> np.ndarray:
-    """(P,) bool: rows of ``pairs`` that are in ``other`` too."""
-    key = pairs.i.astype(np.int64) << 32 | pairs.j
-    return np.isin(key, other.i.astype(np.int64) << 32 | other.j)
+    heads = ["pass1", "camera1", "pass2", "camera2", "direction", "offset", "votes", "best", "accepted"]
+    rows = (
+        [c.pass_a, c.sensor_a, c.pass_b, c.sensor_b, "back" if c.reversed else "same", offset, f"{votes:.6g}",
+         int(offset == c.best), int(c.accepted)]
+        for c in curves
+        for offset, votes in zip(c.offsets, c.votes)
+    )  # fmt: skip
+    return csv_text(heads, rows)

@@ -18,7 +18,7 @@ import numpy as np
 from tiegraph.errors import choose
 from tiegraph.network.offsets.background import corridor, noise_floor_away, noise_floor_within
 from tiegraph.network.offsets.copies import find_copies
-from tiegraph.network.offsets.curves import OffsetResult, contained, curves_of, facing, sampled_ranks
+from tiegraph.network.offsets.curves import OffsetResult, curves_of, facing, sampled_ranks
 from tiegraph.network.offsets.surface import minimum_cost_path, surfaces_of
 from tiegraph.network.passes import MatchCache, Pass
 from tiegraph.network.rig import commonview
@@ -35,9 +35,9 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class _Survey:
-    """One finished lattice: smoothed counts, direction, yaw of q against p."""
+    """One finished score matrix: smoothed counts, direction, yaw of q against p."""
 
-    lattice: ScoreMatrix
+    scores: ScoreMatrix
     smooth: np.ndarray
     reversed: bool
     path: np.ndarray | None  # (A,) column node of each row, where evidence far from it does not count
@@ -55,12 +55,12 @@ def estimate_offsets(
     passes: Sequence[Pass], cache: MatchCache, images: int, settings: CandidatesSettings, tuning: Tuning
 ) -> OffsetResult:
     """Candidate pairs within and between passes by the mode of ``settings.offsets``."""
-    couples = [(a, b) for k, a in enumerate(passes) for b in passes[k:]]
+    pass_pairs = [(a, b) for k, a in enumerate(passes) for b in passes[k:]]
     if settings.offsets == "local":
-        parts = _local_offsets(passes, couples, cache, images, settings, tuning)
+        parts = _local_offsets(passes, pass_pairs, cache, images, settings, tuning)
     else:
         estimate = cast(Estimate, choose("mode of offsets", settings.offsets, OFFSETS))
-        parts = [estimate(p, q, cache, settings, tuning) for p, q in couples]
+        parts = [estimate(p, q, cache, settings, tuning) for p, q in pass_pairs]
     pairs = Pairs.empty()
     for part in parts:
         pairs = pairs | part.pairs
@@ -71,7 +71,7 @@ def estimate_offsets(
 
 def _local_offsets(
     passes: Sequence[Pass],
-    couples: list[tuple[Pass, Pass]],
+    pass_pairs: list[tuple[Pass, Pass]],
     cache: MatchCache,
     images: int,
     settings: CandidatesSettings,
@@ -81,8 +81,8 @@ def _local_offsets(
     offsets, parts = tuning.offsets, []
     budget = len(cache) + max(offsets.min_budget, offsets.previews_an_image * images)
     strides = {id(p): _stride(p, cache, settings, tuning) for p in passes}
-    for k, (p, q) in enumerate(couples):
-        share = max(0, budget - len(cache)) // (len(couples) - k)
+    for k, (p, q) in enumerate(pass_pairs):
+        share = max(0, budget - len(cache)) // (len(pass_pairs) - k)
         stride = finest = min(strides[id(p)], strides[id(q)])
         survey = _survey((p, q), (stride, offsets.window_nodes), cache, settings, tuning, len(cache) + share)
         while not survey.complete and offsets.coarser_strides * stride < max(len(p), len(q)):
@@ -91,7 +91,7 @@ def _local_offsets(
             window = max(offsets.least_window_nodes, offsets.window_nodes * finest // stride)
             survey = _survey((p, q), (stride, window), cache, settings, tuning, len(cache) + share)
         local = _local(survey, settings, tuning)
-        parts.append(_without_copies(local, survey.lattice, cache, settings, tuning.retrieval.copies))
+        parts.append(_without_copies(local, survey.scores, cache, settings, tuning.retrieval.copies))
     return parts
 
 
@@ -99,7 +99,7 @@ def _stride(p: Pass, cache: MatchCache, settings: CandidatesSettings, tuning: Tu
     """Lattice stride in frames: a share of the frames over which a typical camera keeps seeing the same things."""
     reach = []
     starts = sampled_ranks(len(p), settings.sample_frames)
-    level = noise_floor_within(p, allowed_within(p.rig, settings.axes_deg), cache, settings.min_matches, tuning)
+    noise_floor = noise_floor_within(p, allowed_within(p.rig, settings.axes_deg), cache, settings.min_matches, tuning)
     for camera, images in enumerate(p.images):
         best = 0
         for step in tuning.offsets.ladder:
@@ -109,7 +109,7 @@ def _stride(p: Pass, cache: MatchCache, settings: CandidatesSettings, tuning: Tu
             if not there.any():
                 break
             count = cache.measure(left[there], right[there])
-            if _usual(count, camera, level, settings.min_matches, tuning.counts) < settings.min_matches:
+            if _usual(count, camera, noise_floor, settings.min_matches, tuning.counts) < settings.min_matches:
                 break
             best = step
         reach.append(best)
@@ -117,12 +117,14 @@ def _stride(p: Pass, cache: MatchCache, settings: CandidatesSettings, tuning: Tu
     return int(np.clip(round(float(np.median(reach)) / tuning.offsets.strides_a_reach + 1), 1, most))
 
 
-def _usual(count: np.ndarray, camera: int, level: NoiseFloor | None, min_matches: int, tuning: CountsTuning) -> float:
+def _usual(
+    count: np.ndarray, camera: int, noise_floor: NoiseFloor | None, min_matches: int, tuning: CountsTuning
+) -> float:
     """What the previews (K,) of one camera at one distance reach, above what its unrelated frames do."""
-    if level is None:
+    if noise_floor is None:
         return float(np.median(count))
     mean = np.clip(count, tuning.floor * min_matches, tuning.ceiling * min_matches).mean()
-    return float(level.above(mean, (camera, camera)))
+    return float(noise_floor.above(mean, (camera, camera)))
 
 
 def _survey(
@@ -133,30 +135,30 @@ def _survey(
     tuning: Tuning,
     budget: int,
 ) -> _Survey:
-    """Seed the lattice, then grow it from every hit until nothing new ties or the budget of previews is spent.
+    """Seed the score matrix, then grow it from every hit until nothing new ties or the budget of previews is spent.
 
     ``grid``: stride in frames, and nodes from the path of long passes within which evidence counts.
     """
     (p, q), (stride, window) = couple, grid
     reach = window + tuning.offsets.window_margin_nodes
     if p is q:
-        lattice, backwards, path = _seed_same(p, stride, cache, settings, tuning), False, None
-        path = np.arange(len(lattice.rows), dtype=float)
+        scores, backwards, path = _seed_same(p, stride, cache, settings, tuning), False, None
+        path = np.arange(len(scores.rows), dtype=float)
     else:
-        lattice, backwards, path = _seed_across(couple, stride, cache, settings, tuning, budget)
+        scores, backwards, path = _seed_across(couple, stride, cache, settings, tuning, budget)
     path = path if min(len(p), len(q)) >= tuning.offsets.background.long_frames else None
     while True:
-        smooth = lattice.smoothed(settings.min_matches, tuning)
+        smooth = scores.smoothed(settings.min_matches, tuning)
         spreads = tuning.offsets.flood_excess * settings.min_matches
-        frontier = lattice.frontier(smooth, spreads) & _beside(lattice, path, reach)
+        frontier = scores.frontier(smooth, spreads) & _beside(scores, path, reach)
         if p is q:
-            frontier &= _upper(lattice)
+            frontier &= _upper(scores)
         if not frontier.any():
-            return _Survey(lattice=lattice, smooth=smooth, reversed=backwards, path=path, reach=reach)
+            return _Survey(scores=scores, smooth=smooth, reversed=backwards, path=path, reach=reach)
         if len(cache) + int(frontier.sum()) > budget:
             text = f"{p.name} - {q.name}: the budget of previews was spent before every hit was followed"
             return _Survey(
-                lattice=lattice,
+                scores=scores,
                 smooth=smooth,
                 reversed=backwards,
                 path=path,
@@ -164,82 +166,87 @@ def _survey(
                 notes=(text,),
                 complete=False,
             )
-        lattice = lattice.measured(frontier, cache)
+        scores = scores.measured(frontier, cache)
 
 
-def _beside(lattice: ScoreMatrix, path: np.ndarray | None, reach: int) -> np.ndarray:
+def _beside(scores: ScoreMatrix, path: np.ndarray | None, reach: int) -> np.ndarray:
     """(A, B) bool: nodes within reach of the path, or all without one. What a long pass shares with itself or another
     elsewhere is a loop: repeated walls look the same, so it takes more than a lattice to believe it (``retrieval``)."""
     if path is None:
-        return np.ones((len(lattice.rows), len(lattice.columns)), bool)
-    return np.abs(np.arange(len(lattice.columns)) - path[:, None]) <= reach
+        return np.ones((len(scores.rows), len(scores.columns)), bool)
+    return np.abs(np.arange(len(scores.columns)) - path[:, None]) <= reach
 
 
-def _upper(lattice: ScoreMatrix) -> np.ndarray:
+def _upper(scores: ScoreMatrix) -> np.ndarray:
     """(S, T, A, B) bool: one of the two nodes that hold the same image pair when both passes are one."""
-    c, d, a, b = np.ogrid[tuple(slice(n) for n in lattice.inliers.shape)]
+    c, d, a, b = np.ogrid[tuple(slice(n) for n in scores.inliers.shape)]
     return (c < d) | ((c == d) & (a < b))
 
 
 def _seed_same(p: Pass, stride: int, cache: MatchCache, settings: CandidatesSettings, tuning: Tuning) -> ScoreMatrix:
     """Sampled frames against the frames around them, for every two cameras that the axes permit."""
     allowed = allowed_within(p.rig, settings.axes_deg)
-    level = noise_floor_within(p, allowed, cache, settings.min_matches, tuning)
-    lattice = score_matrix(p, p, stride, allowed, tuning.offsets.scores, level)
-    a, b = np.ogrid[: len(lattice.rows), : len(lattice.columns)]
-    sampled = np.isin(np.arange(len(lattice.rows)), sampled_ranks(len(lattice.rows), settings.sample_frames))
+    noise_floor = noise_floor_within(p, allowed, cache, settings.min_matches, tuning)
+    scores = score_matrix(p, p, stride, allowed, tuning.offsets.scores, noise_floor)
+    a, b = np.ogrid[: len(scores.rows), : len(scores.columns)]
+    sampled = np.isin(np.arange(len(scores.rows)), sampled_ranks(len(scores.rows), settings.sample_frames))
     near = sampled[:, None] & (np.abs(a - b) <= tuning.offsets.window_nodes)
-    return lattice.measured(_upper(lattice) & near, cache)
+    return scores.measured(_upper(scores) & near, cache)
 
 
 def _seed_across(
-    couple: tuple[Pass, Pass], stride: int, cache: MatchCache, settings: CandidatesSettings, tuning: Tuning, budget: int
+    couple: tuple[Pass, Pass],
+    stride: int,
+    cache: MatchCache,
+    settings: CandidatesSettings,
+    tuning: Tuning,
+    budget: int,
 ) -> tuple[ScoreMatrix, bool, np.ndarray | None]:
     """A coarse grid over both passes gives the path and the heading; then sampled frames around the path."""
     (p, q), offsets, least = couple, tuning.offsets, settings.min_matches
-    lattice = score_matrix(p, q, stride, np.ones((len(p.images), len(q.images)), bool), offsets.scores)
+    scores = score_matrix(p, q, stride, np.ones((len(p.images), len(q.images)), bool), offsets.scores)
     cameras = len(p.images) * len(q.images)
     side = int(np.sqrt(max(0, budget - len(cache)) * offsets.coarse_share / cameras))
     nodes = min(offsets.coarse_nodes, max(offsets.least_coarse_nodes, side))
-    coarse = np.isin(np.arange(len(lattice.rows)), sampled_ranks(len(lattice.rows), nodes))[:, None] & np.isin(
-        np.arange(len(lattice.columns)), sampled_ranks(len(lattice.columns), nodes)
+    coarse = np.isin(np.arange(len(scores.rows)), sampled_ranks(len(scores.rows), nodes))[:, None] & np.isin(
+        np.arange(len(scores.columns)), sampled_ranks(len(scores.columns), nodes)
     )
-    lattice = lattice.measured(np.broadcast_to(coarse, lattice.inliers.shape), cache)
+    scores = scores.measured(np.broadcast_to(coarse, scores.inliers.shape), cache)
     centre = None
-    beside = np.ones(lattice.inliers.shape[2:], bool)
+    beside = np.ones(scores.inliers.shape[2:], bool)
     if min(len(p), len(q)) >= offsets.background.long_frames:
-        centre = _minimum_cost_path(lattice, least, tuning)
-        beside = _beside(lattice, centre, offsets.window_nodes + offsets.window_margin_nodes)
-        lattice = replace(lattice, level=noise_floor_away(lattice, beside, least, tuning))
-    excess = commonview.above(lattice, lattice.smoothed(least, tuning), least) * beside
-    backwards, _ = commonview.direction(lattice, excess, tuning.rig.common_view)
-    lattice = replace(lattice, allowed=facing(lattice, excess, settings, tuning.rig))
-    centre = _path(lattice, excess.sum(axis=(0, 1))) if centre is None else centre
+        centre = _minimum_cost_path(scores, least, tuning)
+        beside = _beside(scores, centre, offsets.window_nodes + offsets.window_margin_nodes)
+        scores = replace(scores, noise_floor=noise_floor_away(scores, beside, least, tuning))
+    excess = commonview.above(scores, scores.smoothed(least, tuning), least) * beside
+    backwards, _ = commonview.direction(scores, excess, tuning.rig.common_view)
+    scores = replace(scores, allowed=facing(scores, excess, settings, tuning.rig))
+    centre = _path(excess.sum(axis=(0, 1))) if centre is None else centre
     if centre is None:
-        return lattice, backwards, None
-    sampled = np.isin(np.arange(len(lattice.rows)), sampled_ranks(len(lattice.rows), settings.sample_frames))
-    near = np.abs(np.arange(len(lattice.columns)) - centre[:, None]) <= offsets.window_nodes
-    return lattice.measured(np.broadcast_to(sampled[:, None] & near, lattice.inliers.shape), cache), backwards, centre
+        return scores, backwards, None
+    sampled = np.isin(np.arange(len(scores.rows)), sampled_ranks(len(scores.rows), settings.sample_frames))
+    near = np.abs(np.arange(len(scores.columns)) - centre[:, None]) <= offsets.window_nodes
+    return scores.measured(np.broadcast_to(sampled[:, None] & near, scores.inliers.shape), cache), backwards, centre
 
 
-def _minimum_cost_path(lattice: ScoreMatrix, min_matches: int, tuning: Tuning) -> np.ndarray:
+def _minimum_cost_path(scores: ScoreMatrix, min_matches: int, tuning: Tuning) -> np.ndarray:
     """(A,) column node of each row on the strongest path through what the whole rig shares above the rest of the grid.
 
     Most frames of two long passes share nothing: their median is what chance and repeated walls give.
     """
     low, high = tuning.counts.floor * min_matches, tuning.counts.ceiling * min_matches
-    known = np.isfinite(lattice.inliers)
-    excess = np.where(known, np.clip(lattice.inliers, low, high) - low, 0).sum(axis=(0, 1))
+    known = np.isfinite(scores.inliers)
+    excess = np.where(known, np.clip(scores.inliers, low, high) - low, 0).sum(axis=(0, 1))
     mean = excess / np.maximum(known.sum(axis=(0, 1)), 1)
     rows = np.flatnonzero(known.any(axis=(0, 1, 3)))
     columns = np.flatnonzero(known.any(axis=(0, 1, 2)))
     grid = mean[np.ix_(rows, columns)]
     evidence = np.maximum(grid - np.median(grid), 0)
     node = minimum_cost_path(evidence, np.ones(evidence.shape, bool), tuning.offsets.surface.bend)
-    return np.interp(np.arange(len(lattice.rows)), rows, columns[node.astype(int)])
+    return np.interp(np.arange(len(scores.rows)), rows, columns[node.astype(int)])
 
 
-def _path(lattice: ScoreMatrix, weight: np.ndarray) -> np.ndarray | None:
+def _path(weight: np.ndarray) -> np.ndarray | None:
     """(A,) column node that a row of p shares most with, interpolated between the rows that have evidence."""
     rows = np.flatnonzero(weight.sum(axis=1) > 0)
     if not len(rows):
@@ -251,55 +258,55 @@ def _path(lattice: ScoreMatrix, weight: np.ndarray) -> np.ndarray | None:
 
 def _local(survey: _Survey, settings: CandidatesSettings, tuning: Tuning) -> OffsetResult:
     """Pairs kept by the interpolated surface; measured pairs that were not kept, with the reason."""
-    lattice, least, counts = survey.lattice, settings.min_matches, tuning.counts
-    smooth = lattice.confirmed(survey.smooth, least, tuning)
-    smooth = commonview.without_chance(lattice, smooth, least, tuning)
+    scores, least, counts = survey.scores, settings.min_matches, tuning.counts
+    smooth = scores.confirmed(survey.smooth, least, tuning)
+    smooth = commonview.without_chance(scores, smooth, least, tuning)
     near = None
     if survey.path is not None:
-        near = corridor(lattice, survey.path, survey.reach, tuning)
+        near = corridor(scores, survey.path, survey.reach, tuning)
         smooth = np.where(near | np.isnan(smooth), smooth, np.minimum(smooth, counts.floor * least))
-    c, d, m, n, count = lattice.interpolated(smooth, least, counts)
-    i, j = lattice.p.images[c, m], lattice.q.images[d, n]
+    c, d, m, n, count = scores.interpolated(smooth, least, counts)
+    i, j = scores.p.images[c, m], scores.q.images[d, n]
     there = (i >= 0) & (j >= 0) & (i != j)
     if survey.path is not None:
-        beside = np.interp(m, lattice.rows, np.interp(survey.path, np.arange(len(lattice.columns)), lattice.columns))
-        there &= np.abs(n - beside) <= survey.reach * float(np.median(np.diff(lattice.columns)))
+        beside = np.interp(m, scores.rows, np.interp(survey.path, np.arange(len(scores.columns)), scores.columns))
+        there &= np.abs(n - beside) <= survey.reach * float(np.median(np.diff(scores.columns)))
     kept = Pairs.make(i[there], j[there], "offsets", score=count[there])
-    seen = np.isfinite(lattice.inliers)
+    seen = np.isfinite(scores.inliers)
     # A pair that is strong by itself is kept whatever its neighbours say.
-    strong = np.nan_to_num(lattice.inliers) >= lattice.sure(least, counts)
+    strong = np.nan_to_num(scores.inliers) >= scores.sure(least, counts)
     if near is not None:
         strong &= near
     voted = np.nan_to_num(smooth).max(axis=(2, 3), initial=0) >= least
     reason = np.where(voted | strong.any(axis=(2, 3)), REASONS.index("weak"), REASONS.index("votes"))
     code = np.where(strong, 0, np.broadcast_to(reason[:, :, None, None], seen.shape))
-    measured = Pairs.make(*lattice.images(seen), "offsets", score=lattice.inliers[seen], dropped=code[seen])
-    curves = curves_of(lattice, survey.reversed, voted, least, counts)
-    surfaces = surfaces_of(lattice, smooth, least, tuning)
-    note, stranger = _said(lattice, smooth, least, tuning.rig)
+    measured = Pairs.make(*scores.images(seen), "offsets", score=scores.inliers[seen], dropped=code[seen])
+    curves = curves_of(scores, survey.reversed, voted, least, counts)
+    surfaces = surfaces_of(scores, smooth, least, tuning)
+    note, stranger = _said(scores, smooth, least, tuning.rig)
     return OffsetResult(
         pairs=measured | kept, curves=curves, notes=(*survey.notes, *note), surfaces=surfaces, stranger=stranger
     )
 
 
-def _said(lattice: ScoreMatrix, smooth: np.ndarray, min_matches: int, tuning: RigTuning) -> tuple[tuple[str, ...], str]:
+def _said(scores: ScoreMatrix, smooth: np.ndarray, min_matches: int, tuning: RigTuning) -> tuple[tuple[str, ...], str]:
     """How two passes lie to each other as a note, or their names if they have nothing in common."""
-    if lattice.same:
+    if scores.same:
         return (), ""
-    excess = commonview.above(lattice, smooth, min_matches)
+    excess = commonview.above(scores, smooth, min_matches)
     if not excess.any():
-        return (), f"{lattice.p.name} - {lattice.q.name}"
-    said = commonview.in_words(lattice, excess, tuning)
+        return (), f"{scores.p.name} - {scores.q.name}"
+    said = commonview.in_words(scores, excess, tuning)
     return ((said,) if said else ()), ""
 
 
 def _without_copies(
-    result: OffsetResult, lattice: ScoreMatrix, cache: MatchCache, settings: CandidatesSettings, tuning: CopiesTuning
+    result: OffsetResult, scores: ScoreMatrix, cache: MatchCache, settings: CandidatesSettings, tuning: CopiesTuning
 ) -> OffsetResult:
     """Pairs of one picture twice are dropped: they match best of all and have no base."""
-    copies = find_copies(lattice, cache, settings.min_matches, tuning)
+    copies = find_copies(scores, cache, settings.min_matches, tuning)
     if copies is None:
         return result
     twins = Pairs.make(copies.i, copies.j, "offsets", score=cache.known(copies.i, copies.j))
     pairs = result.pairs | twins
-    return replace(result, pairs=pairs.drop(contained(pairs, twins), "similar"), notes=(*result.notes, copies.note))
+    return replace(result, pairs=pairs.drop(pairs.isin(twins), "similar"), notes=(*result.notes, copies.note))

@@ -32,42 +32,40 @@ class OffsetSurface:
     sensors: str = ""
 
 
-def surfaces_of(
-    lattice: ScoreMatrix, smooth: np.ndarray, threshold: float, tuning: Tuning
-) -> tuple[OffsetSurface, ...]:
+def surfaces_of(scores: ScoreMatrix, smooth: np.ndarray, threshold: float, tuning: Tuning) -> tuple[OffsetSurface, ...]:
     """The surface of the rig and of its strongest camera pairs; ``smooth`` (S, T, A, B) as ``ScoreMatrix.smoothed``,
     kept where it reaches ``threshold``."""
     surface = tuning.offsets.surface
     kept = np.nan_to_num(smooth) >= threshold
-    excess = _excess(lattice, threshold, tuning)
-    if lattice.same:  # a frame and itself
-        excess = np.where(np.equal.outer(lattice.rows, lattice.columns), np.nan, excess)
+    excess = _excess(scores, threshold, tuning)
+    if scores.same:  # a frame and itself
+        excess = np.where(np.equal.outer(scores.rows, scores.columns), np.nan, excess)
     # Cameras that share next to nothing were looked at on a coarser grid: they would only add its pattern.
     looked = np.isfinite(excess).sum(axis=(2, 3))
     voted = looked >= surface.coarse * looked.max(initial=0)
     total = np.nansum(excess[voted], axis=0)
     seen = np.isfinite(excess[voted]).any(axis=0)
-    path = np.full(len(lattice.rows), np.nan)
-    if not lattice.same:
+    path = np.full(len(scores.rows), np.nan)
+    if not scores.same:
         node = minimum_cost_path(total, kept.any(axis=(0, 1)), surface.bend)
-        path = np.where(np.isnan(node), np.nan, lattice.columns[np.nan_to_num(node).astype(int)])
-    out = [_surface(lattice, np.where(seen, total, np.nan), kept.any(axis=(0, 1)), path, "")]
+        path = np.where(np.isnan(node), np.nan, scores.columns[np.nan_to_num(node).astype(int)])
+    out = [_surface(scores, np.where(seen, total, np.nan), kept.any(axis=(0, 1)), path, "")]
     weight = np.nansum(np.where(kept, excess, 0), axis=(2, 3))
     for flat in np.argsort(-weight, axis=None, kind="stable"):
         c, d = (int(x) for x in np.unravel_index(flat, weight.shape))
         if len(out) > MAX_CAMERA_PAIRS or weight[c, d] <= surface.faint * weight.max() or weight.size == 1:
             break
-        if not (lattice.same and c > d):
-            names = lattice.p.rig.sensors[c].name, lattice.q.rig.sensors[d].name
-            out.append(_surface(lattice, excess[c, d], kept[c, d], path, " \N{EN DASH} ".join(names)))
+        if not (scores.same and c > d):
+            names = scores.p.rig.sensors[c].name, scores.q.rig.sensors[d].name
+            out.append(_surface(scores, excess[c, d], kept[c, d], path, " \N{EN DASH} ".join(names)))
     return tuple(out)
 
 
-def _excess(lattice: ScoreMatrix, threshold: float, tuning: Tuning) -> np.ndarray:
+def _excess(scores: ScoreMatrix, threshold: float, tuning: Tuning) -> np.ndarray:
     """(S, T, A, B) f4 matches above chance, smoothed over frames but not cut off so soon as for the decision."""
-    known = np.isfinite(lattice.inliers)
+    known = np.isfinite(scores.inliers)
     low, high = tuning.counts.floor * threshold, tuning.offsets.surface.ceiling * threshold
-    above = np.where(known, np.clip(lattice.inliers, low, high) - low, 0)
+    above = np.where(known, np.clip(scores.inliers, low, high) - low, 0)
     sigma = (0, 0, tuning.counts.sigma_nodes, tuning.counts.sigma_nodes)
     weight = gaussian_filter(known.astype(np.float32), sigma, mode="constant")
     mean = gaussian_filter(above.astype(np.float32), sigma, mode="constant") / np.maximum(weight, 1e-6)
@@ -75,13 +73,13 @@ def _excess(lattice: ScoreMatrix, threshold: float, tuning: Tuning) -> np.ndarra
 
 
 def _surface(
-    lattice: ScoreMatrix, evidence: np.ndarray, kept: np.ndarray, path: np.ndarray, sensors: str
+    scores: ScoreMatrix, evidence: np.ndarray, kept: np.ndarray, path: np.ndarray, sensors: str
 ) -> OffsetSurface:
     return OffsetSurface(
-        pass_a=lattice.p.name,
-        pass_b=lattice.q.name,
-        rows=lattice.rows,
-        columns=lattice.columns,
+        pass_a=scores.p.name,
+        pass_b=scores.q.name,
+        rows=scores.rows,
+        columns=scores.columns,
         evidence=evidence.astype(np.float32),
         kept=kept,
         path=path,

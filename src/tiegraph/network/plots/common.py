@@ -1,22 +1,11 @@
-"""What the pictures of the network share: resolution, colours, PNG bytes."""
+"""What the pictures of the network share: resolution, colours, borders of cells."""
 
 from __future__ import annotations
 
-import io
-
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 DPI = 110
 BLUE, RED, GREY, INK = "#1b6ca8", "#c0392b", "#9a9a9a", "#444444"
-
-
-def png(figure: Figure) -> bytes:
-    """A figure as PNG."""
-    out = io.BytesIO()
-    FigureCanvasAgg(figure).print_png(out)
-    return out.getvalue()
 
 
 def edges_of(nodes: np.ndarray) -> np.ndarray:

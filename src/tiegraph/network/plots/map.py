@@ -4,21 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
-from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from scipy.linalg import eigh
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import laplacian
 from scipy.sparse.linalg import eigsh
 
-from tiegraph.network.plots.common import DPI, INK, RED, grouped, png
-from tiegraph.scene.figures import plain_text
+from tiegraph.network.plots.common import DPI, INK, RED, grouped
+from tiegraph.scene.figures import plain_text, png
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.places import between_neighbours
 from tiegraph.scene.scene import Scene
@@ -47,12 +44,11 @@ class _Nodes:
 
 @dataclass(frozen=True)
 class _Ties:
-    """Ties of one kind: nodes a, b (K,), pairs of images (K,), mean strength (K,) NaN = unknown."""
+    """Ties of one kind: nodes a, b (K,), pairs of images (K,)."""
 
     a: np.ndarray
     b: np.ndarray
     count: np.ndarray
-    strength: np.ndarray
     pairs: int
 
 
@@ -62,14 +58,13 @@ def map_png(
     positions: np.ndarray | None,
     scene: Scene,
     weak: np.ndarray | Sequence[tuple[int, int]] | None = None,
-    colour: Literal["kind", "strength"] = "kind",
     unit: str = "m",
 ) -> bytes:
     """Plan of the kept pairs, one panel a kind of tie: same camera, across cameras, across passes.
 
     ``positions`` (F, 2 or 3) of the frames, x to the right and y up, NaN = unknown (then between its neighbours on the
     pass); None or all NaN: a layout by sequence or by ties, which the picture says. ``weak`` (K, 2): image pairs to be
-    drawn in red. ``colour``: by kind of tie, or by the verified (else preview) matches. ``unit`` of the positions.
+    drawn in red. ``unit`` of the positions.
     """
     kept = pairs.kept()
     if np.any(pairs.inliers >= 0):
@@ -80,12 +75,10 @@ def map_png(
     ties = {k: tie for k in KINDS if (tie := _aggregated(kept, scene, nodes, k)).pairs} or {
         "same camera": _aggregated(kept, scene, nodes, "same camera")
     }
-    top = max((float(np.nanmax(t.strength, initial=0)) for t in ties.values()), default=0.0)
-    norm = LogNorm(15, max(60.0, top)) if colour == "strength" else None
     page = _Page.make(nodes, len(ties))
     for n, (kind, tie) in enumerate(ties.items()):
         axes = page.panel(n)
-        _lines(axes, nodes, tie, kind, norm)
+        _lines(axes, nodes, tie, kind)
         _dots(axes, scene, nodes, kept)
         _names(axes, scene, nodes, named=n == 0)
         _weak(axes, nodes, scene.frame[links[_of_kind(scene, links) == kind]].reshape(-1, 2))
@@ -93,8 +86,6 @@ def map_png(
         if n == 0 and not said:
             _scale_bar(axes, unit)
     page.words(*_words(kept, scene, nodes, links, ties), said)
-    if norm is not None:
-        page.colour_bar(norm)
     return png(page.figure)
 
 
@@ -192,18 +183,10 @@ def _aggregated(kept: Pairs, scene: Scene, nodes: _Nodes, kind: str) -> _Ties:
     of_kind = _of_kind(scene, np.stack([kept.i, kept.j], axis=1)) == kind
     a, b = np.minimum(nodes.of_frame[fi], nodes.of_frame[fj]), np.maximum(nodes.of_frame[fi], nodes.of_frame[fj])
     rows = np.flatnonzero(of_kind & (a >= 0) & (a != b))
-    strength = _strength(kept)[rows]
-    key, at = np.unique(a[rows].astype(np.int64) * len(nodes.place) + b[rows], return_inverse=True)
-    count = np.bincount(at, minlength=len(key))
-    known = np.isfinite(strength)
-    number = np.bincount(at, known, minlength=len(key))
-    total = np.bincount(at, np.where(known, strength, 0), minlength=len(key))
-    mean = np.where(number > 0, total / np.maximum(number, 1), np.nan)
+    key, count = np.unique(a[rows].astype(np.int64) * len(nodes.place) + b[rows], return_counts=True)
     best = np.sort(np.argsort(-count, kind="stable")[:MAX_LINES])
     width = max(len(nodes.place), 1)
-    return _Ties(
-        a=key[best] // width, b=key[best] % width, count=count[best], strength=mean[best], pairs=int(of_kind.sum())
-    )
+    return _Ties(a=key[best] // width, b=key[best] % width, count=count[best], pairs=int(of_kind.sum()))
 
 
 # ---------------------------------------------------------------- drawing
@@ -271,18 +254,8 @@ class _Page:
         self.figure.text(left, 1 - 0.34 / h, more, fontsize=8.5, va="top", color="#555555")
         self.figure.text(left, 1 - 0.53 / h, said, fontsize=9, va="top", color=RED)
 
-    def colour_bar(self, norm: LogNorm) -> None:
-        w, h = self.figure.get_size_inches()
-        axes = self.figure.add_axes((1 - 2.5 / w, 1 - 0.42 / h, 2.2 / w, 0.1 / h))
-        bar = self.figure.colorbar(ScalarMappable(norm, "viridis_r"), cax=axes, orientation="horizontal")
-        marks = [m for m in (15, 30, 60, 100, 200, 400, 1000, 2000) if m <= float(norm.vmax or 0)]
-        bar.set_ticks(marks, labels=[str(m) for m in marks])
-        bar.minorticks_off()
-        axes.tick_params(labelsize=7, length=2)
-        axes.set_title("matches of a pair, mean", fontsize=8, pad=2)
 
-
-def _lines(axes: Axes, nodes: _Nodes, ties: _Ties, kind: str, norm: LogNorm | None) -> None:
+def _lines(axes: Axes, nodes: _Nodes, ties: _Ties, kind: str) -> None:
     if not len(ties.a):
         return
     order = np.argsort(ties.count, kind="stable")
@@ -291,11 +264,8 @@ def _lines(axes: Axes, nodes: _Nodes, ties: _Ties, kind: str, norm: LogNorm | No
     # The more lines, the fainter each: the ink on the page stays about the same, and thick bundles stand out.
     ink = np.clip(9 / np.sqrt(len(order)), 0.12, 0.85)
     alpha = np.clip(ink * (0.12 + 0.88 * share**1.5), 0.04, 0.9)
-    looks: dict = {"color": KINDS[kind]}
-    if norm is not None:
-        looks = {"array": np.nan_to_num(ties.strength[order], nan=15.0), "cmap": "viridis_r", "norm": norm}
-    widths = 0.4 + 1.4 * share
-    axes.add_collection(LineCollection(list(curves), linewidths=widths, alpha=alpha, zorder=2, **looks))
+    look = {"color": KINDS[kind], "linewidths": 0.4 + 1.4 * share, "alpha": alpha, "zorder": 2}
+    axes.add_collection(LineCollection(list(curves), **look))
 
 
 def _curves(nodes: _Nodes, a: np.ndarray, b: np.ndarray, bulge: float) -> np.ndarray:

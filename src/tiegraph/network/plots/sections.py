@@ -9,9 +9,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
-from tiegraph.network.plots.common import BLUE, DPI, INK, RED, png
+from tiegraph.network.plots.common import BLUE, DPI, INK, RED
 from tiegraph.network.sections.light import Cue
 from tiegraph.network.sections.sections import Section
+from tiegraph.scene.figures import png
 from tiegraph.scene.scene import Scene
 
 _PANEL_IN = 2.2

@@ -11,7 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from tiegraph.network.offsets.surface import OffsetSurface
-from tiegraph.network.plots.common import DPI, RED, edges_of, png
+from tiegraph.network.plots.common import DPI, RED, edges_of
+from tiegraph.scene.figures import png
 
 MAX_PAIRS = 8  # couples of passes in one picture
 _SMALL = 12  # panels of camera pairs beside the rig's

@@ -25,7 +25,6 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from tiegraph.geometry import transforms
-from tiegraph.network.coarse.proxy import Proxy
 from tiegraph.network.coarse.visible import pair_share
 from tiegraph.network.passes import MatchCache, Pass
 from tiegraph.network.poses.headings import with_headings
@@ -33,7 +32,7 @@ from tiegraph.network.poses.poses import PoseResult, pose_pairs, prior_views, vi
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.network.tuning.poses import PriorTuning
-from tiegraph.scene.pairs import Pairs
+from tiegraph.scene.pairs import Pairs, pair_key
 from tiegraph.scene.scene import Scene
 
 KINDS = ("near in sequence", "same pass", "other pass", "loose photographs")
@@ -55,7 +54,7 @@ class PriorCheck:
 
     ``table``: (kind, pairs proposed, of them tied, refused, of them tied); ``fit`` = rank correlation
     of predicted overlap and preview matches (NaN = cannot be said); ``better``: the reading that fits better, "" =
-    none, with its ``better_fit``.
+    none.
     """
 
     good: bool
@@ -63,7 +62,6 @@ class PriorCheck:
     table: tuple[tuple[str, int, int, int, int], ...]
     fit: float
     better: str
-    better_fit: float
     notes: tuple[str, ...]
 
 
@@ -73,11 +71,10 @@ def checked_pose_pairs(
     cache: MatchCache,
     settings: CandidatesSettings,
     tuning: Tuning,
-    proxy: Proxy | None = None,
 ) -> PoseResult:
     """``pose_pairs``, checked. A bad prior refuses nothing: all its frames count as without prior (``world``), its
     proposals stay, and so do all sampled pairs that tie. One that is bad between passes alone says nothing of them."""
-    result = pose_pairs(scene, passes, settings, tuning, proxy)
+    result = pose_pairs(scene, passes, settings, tuning)
     if not len(result.pairs):
         return result
     check = check_prior(scene, passes, cache, result, settings, tuning)
@@ -117,7 +114,7 @@ def check_prior(
     apart = bad == [KINDS[OTHER_PASS]] and not better and bool((scene.sequence >= 0).all())
     notes = _apart_notes(scene, table) if apart else _notes(table, bad, fit=fit, better=better, better_fit=better_fit)
     good = not bad and not better
-    return PriorCheck(good=good, apart=apart, table=table, fit=fit, better=better, better_fit=better_fit, notes=notes)
+    return PriorCheck(good=good, apart=apart, table=table, fit=fit, better=better, notes=notes)
 
 
 @dataclass(frozen=True)
@@ -141,7 +138,7 @@ def _sample(scene: Scene, pairs: Pairs, tuning: PriorTuning) -> _Sample:
     i, j = np.concatenate([pairs.i, np.minimum(a, b)]), np.concatenate([pairs.j, np.maximum(a, b)])
     offered = np.concatenate([pairs.dropped == 0, np.zeros(len(a), bool)])
     world = scene.pose_world()[scene.frame]
-    _, first = np.unique(i.astype(np.int64) << 32 | j, return_index=True)
+    _, first = np.unique(pair_key(i, j), return_index=True)
     first = first[(scene.frame[i[first]] != scene.frame[j[first]]) & (world[i[first]] == world[j[first]])]
     i, j, offered = i[first], j[first], offered[first]
     kind = _kind(scene, i, j, tuning.near_steps)

@@ -14,13 +14,13 @@ import numpy as np
 import pycolmap
 from scipy.spatial import cKDTree
 
-from tiegraph.network.coarse.visible import Overlap, Proxy, assumed_proxy, shared_surface
+from tiegraph.network.coarse.visible import Overlap, assumed_proxy, shared_surface
 from tiegraph.network.passes import Pass
 from tiegraph.network.poses.headings import with_headings
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.network.tuning.poses import PosesTuning
-from tiegraph.scene.pairs import REASONS, Pairs
+from tiegraph.scene.pairs import REASONS, Pairs, pair_key
 from tiegraph.scene.scene import Scene
 
 
@@ -69,14 +69,12 @@ class Views:
         return np.sqrt(self.sigma_m[i] ** 2 + self.sigma_m[j] ** 2 + np.nan_to_num(drifted) ** 2)
 
 
-def pose_pairs(
-    scene: Scene, passes: Sequence[Pass], settings: CandidatesSettings, tuning: Tuning, proxy: Proxy | None = None
-) -> PoseResult:
+def pose_pairs(scene: Scene, passes: Sequence[Pass], settings: CandidatesSettings, tuning: Tuning) -> PoseResult:
     """Pairs of images by their prior poses; those that a test refused carry its reason.
 
     Distance (reason ``distance``), angle between optical axes (``axes``), too short a base of one camera
-    (``baseline``), no shared surface (``sight``) or too little (``overlap``). ``proxy``: points of the surface in the
-    world of the prior; without them points at an assumed range. Tests that need what is unknown are left out.
+    (``baseline``), no shared surface (``sight``) or too little (``overlap``). The surface is
+    points at an assumed range. Tests that need what is unknown are left out.
     """
     with_prior = np.isfinite(scene.world_from_rig[:, :3, 3]).all(axis=1)
     world = scene.pose_world()
@@ -86,7 +84,7 @@ def pose_pairs(
     poses, headings = with_headings(scene, passes, tuning)
     reach = settings.range_m or assumed_range(scene, passes, tuning.poses)
     views = prior_views(scene, poses, headings, passes)
-    found = predicted_overlap(scene, views, reach, settings, tuning, proxy)
+    found = predicted_overlap(scene, views, reach, settings, tuning)
     i, j = _candidates(scene, np.flatnonzero(with_prior), reach, found, tuning.poses)
     code, share = _tests(scene, (i, j), views, found, reach, settings, tuning.poses)
     base = np.linalg.norm(views.centre()[i] - views.centre()[j], axis=1)
@@ -195,7 +193,7 @@ def _wide_enough(camera: pycolmap.Camera | None, next_deg: float, tuning: PosesT
 
 
 def predicted_overlap(
-    scene: Scene, views: Views, reach: float, settings: CandidatesSettings, tuning: Tuning, proxy: Proxy | None = None
+    scene: Scene, views: Views, reach: float, settings: CandidatesSettings, tuning: Tuning
 ) -> Overlap:
     """Shared surface of all images whose poses are trusted, world by world."""
     cameras = view_cameras(scene, tuning.poses)
@@ -205,11 +203,9 @@ def predicted_overlap(
     parts = []
     for world in np.unique(views.world[views.world >= 0]):
         own = np.where((views.world == world)[:, None, None], cam_from_world, np.nan)
-        points = proxy if proxy is not None else assumed_proxy(own, cameras, reach, tuning.coarse)
+        points = assumed_proxy(own, cameras, reach, tuning.coarse)
         parts.append(shared_surface(own, cameras, points, tuning.coarse.visible, settings.axes_deg, slack))
-    columns = [np.concatenate([getattr(p, n) for p in parts]) for n in Overlap.__dataclass_fields__]
-    order = np.lexsort((columns[1], columns[0]))
-    return Overlap(*(c[order] for c in columns))
+    return Overlap.together(parts)
 
 
 def _candidates(
@@ -218,7 +214,7 @@ def _candidates(
     """Image pairs i < j to be judged: of near frames, and all that share surface."""
     i, j = _image_pairs(scene, *_frame_pairs(scene, frames, reach, tuning))
     i, j = np.concatenate([np.minimum(i, j), found.i]), np.concatenate([np.maximum(i, j), found.j])
-    key = np.unique(i.astype(np.int64) << 32 | j)
+    key = np.unique(pair_key(i, j))
     return key >> 32, key & 0xFFFFFFFF
 
 

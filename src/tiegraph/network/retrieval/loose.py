@@ -80,7 +80,7 @@ def scored_pairs(
     i, j = nodes.image[a], nodes.image[b]
     score = nodes.measure(key, cache)
     keep = supported((a, b), score, len(nodes), settings.min_matches, tuning)
-    keep |= _best(i, j, score, len(scene), loose.best)
+    keep |= _best(i, j, score, loose.best)
     source = "exhaustive" if words is None else "retrieval"
     return Pairs.make(i, j, source, score=score, dropped=np.where(keep, 0, REASONS.index("weak")))
 
@@ -180,7 +180,7 @@ def _friends(
     return np.unique(np.concatenate(out))
 
 
-def _best(i: np.ndarray, j: np.ndarray, score: np.ndarray, images: int, most: int) -> np.ndarray:
+def _best(i: np.ndarray, j: np.ndarray, score: np.ndarray, most: int) -> np.ndarray:
     """(K,) bool: among the ``most`` best counts of either image, zero counts left out."""
     row = np.tile(np.arange(len(i)), 2)
     image, value = np.concatenate([i, j]), np.concatenate([score, score])

@@ -39,7 +39,7 @@ def unrelated(
     c, d, count = c[fine], d[fine], cache.measure(left[fine], right[fine])
     shape = (line.image_at.shape[1],) * 2
     far = Far(np.concatenate([c, d]), np.concatenate([d, c]), np.tile(count, 2))
-    return far.level(shape, min_matches, tuning)
+    return far.noise_floor(shape, min_matches, tuning)
 
 
 def seen_by_the_rig(
@@ -47,7 +47,7 @@ def seen_by_the_rig(
     ends: tuple[np.ndarray, np.ndarray],
     patch: np.ndarray,
     cache: MatchCache,
-    level: NoiseFloor,
+    noise_floor: NoiseFloor,
     tuning: SignificanceTuning,
 ) -> np.ndarray:
     """(P,) bool: patches of image pairs ``ends`` i (K,), j (K,) that most cameras of the rig bear out; ``patch`` (K,).
@@ -59,7 +59,7 @@ def seen_by_the_rig(
     out = np.zeros(len(size), bool)
     for k in np.argsort(-size, kind="stable")[:most]:
         a, b = _frame_pairs(line, ends[0][patch == k], ends[1][patch == k], tuning.frame_pairs)
-        out[k] = _share_speaking(line, (a, b), cache, level, tuning.speaks) >= tuning.most_cameras
+        out[k] = _share_speaking(line, (a, b), cache, noise_floor, tuning.speaks) >= tuning.most_cameras
     return out
 
 
@@ -74,7 +74,7 @@ def _frame_pairs(line: Timeline, i: np.ndarray, j: np.ndarray, most: int) -> tup
 
 
 def _share_speaking(
-    line: Timeline, places: tuple[np.ndarray, np.ndarray], cache: MatchCache, level: NoiseFloor, speaks: float
+    line: Timeline, places: tuple[np.ndarray, np.ndarray], cache: MatchCache, noise_floor: NoiseFloor, speaks: float
 ) -> float:
     """Share of the cameras that tie at ``places`` a (K,), b (K,) with a camera of the other place; of both the
     lower one.
@@ -87,8 +87,8 @@ def _share_speaking(
     there = (left >= 0) & (right >= 0)
     count = np.full(left.shape, np.nan)
     count[there] = cache.measure(left[there], right[there])
-    high = level.highest
-    above = (np.clip(count, level.lowest, high) - level.told) / (high - level.told)
+    high = noise_floor.highest
+    above = (np.clip(count, noise_floor.lowest, high) - noise_floor.told) / (high - noise_floor.told)
     middle = len(a) // 2
     halves = [_mean(above[:middle]), _mean(above[middle:])] if middle else [_mean(above)] * 2
     shares = []

@@ -157,9 +157,9 @@ def _collect(
     rig: Rig, passes: Sequence[Pass], cache: MatchCache, settings: CandidatesSettings, tuning: Tuning
 ) -> _Votes:
     """Previews of every two cameras in sampled frames; where next to none match, also from a frame to the next one."""
-    couples = np.array([(a, b) for a in range(len(rig.sensors)) for b in range(a + 1, len(rig.sensors))])
+    camera_pairs = np.array([(a, b) for a in range(len(rig.sensors)) for b in range(a + 1, len(rig.sensors))])
     check = tuning.rig.check
-    rows = _sampled(passes, couples, 0, check)
+    rows = _sampled(passes, camera_pairs, 0, check)
     results = cache.results(rows[2], rows[3]) if rows.size else []
     a, b, _, _, half = rows
     inliers = np.array([r.inliers for r in results], float)
@@ -168,7 +168,7 @@ def _collect(
     angle = [np.nan if results[k].rotation is None else _axis_angle(results[k].rotation) for k in enough]
     shift = np.array([results[k].shift for k in enough]).reshape(-1, 2)
     if sure.sum() < check.min_votes:
-        both = np.concatenate([couples, couples[:, ::-1]])
+        both = np.concatenate([camera_pairs, camera_pairs[:, ::-1]])
         following = _sampled(passes, both, 1, check)
         inliers = np.append(inliers, cache.measure(following[2], following[3]))
         rows = np.concatenate([rows, following], axis=1)
@@ -182,9 +182,9 @@ def _facing(votes: _Votes, rig: Rig, settings: CandidatesSettings) -> _Votes:
     return replace(votes, a=votes.a[use], b=votes.b[use], shift=votes.shift[use], angle_deg=votes.angle_deg[use])
 
 
-def _sampled(passes: Sequence[Pass], couples: np.ndarray, step: int, tuning: CheckTuning) -> np.ndarray:
+def _sampled(passes: Sequence[Pass], camera_pairs: np.ndarray, step: int, tuning: CheckTuning) -> np.ndarray:
     """(5, K) sensors a, b, images i < j at frames k and k + ``step``, and which half of the frames (0, 1) it is of."""
-    frames = int(np.clip(tuning.samples // max(1, len(couples)), tuning.least_frames, tuning.frames))
+    frames = int(np.clip(tuning.samples // max(1, len(camera_pairs)), tuning.least_frames, tuning.frames))
     some = [passes[k] for k in np.unique(np.linspace(0, len(passes) - 1, min(len(passes), frames)).round().astype(int))]
     each = max(1, frames // max(1, len(some)))
     out = [np.zeros((5, 0), int)]
@@ -192,7 +192,7 @@ def _sampled(passes: Sequence[Pass], couples: np.ndarray, step: int, tuning: Che
     for p in some:
         last = len(p) - 1 - step
         for k in np.unique(np.linspace(0, last, min(last + 1, each)).round().astype(int)) if last >= 0 else ():
-            a, b = couples.T
+            a, b = camera_pairs.T
             i, j = p.images[a, k], p.images[b, k + step]
             rows = np.stack([a, b, i, j, np.full(len(a), number % 2)])
             number += 1

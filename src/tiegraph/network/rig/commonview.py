@@ -22,21 +22,21 @@ def votes(excess: np.ndarray) -> float:
     return total * total / float(np.sum(excess.astype(float) ** 2)) if total > 0 else 0.0
 
 
-def direction(lattice: ScoreMatrix, excess: np.ndarray, tuning: CommonViewTuning) -> tuple[bool, bool]:
+def direction(scores: ScoreMatrix, excess: np.ndarray, tuning: CommonViewTuning) -> tuple[bool, bool]:
     """Whether frames of q run against those of p (sign of the rank correlation), and whether that is significant."""
     weight = excess.sum(axis=(0, 1)).astype(float)
     if weight.sum() <= 0:
         return False, False
     share = weight / weight.sum()
-    m, n = lattice.rows - share.sum(axis=1) @ lattice.rows, lattice.columns - share.sum(axis=0) @ lattice.columns
+    m, n = scores.rows - share.sum(axis=1) @ scores.rows, scores.columns - share.sum(axis=0) @ scores.columns
     spread = float(np.sqrt((m**2 @ share.sum(axis=1)) * (n**2 @ share.sum(axis=0))))
     correlation = float(m @ share @ n) / max(spread, 1e-12)
     return correlation < 0, abs(correlation) * np.sqrt(votes(excess)) >= tuning.direction_sigmas
 
 
-def yaw(lattice: ScoreMatrix, excess: np.ndarray, tuning: RigTuning) -> float | None:
+def yaw(scores: ScoreMatrix, excess: np.ndarray, tuning: RigTuning) -> float | None:
     """Heading of q against p in degrees by which cameras match; None where rigs differ or the votes are too few."""
-    p, q = lattice.p, lattice.q
+    p, q = scores.p, scores.q
     if p.rig_index != q.rig_index or not p.rig.known() or len(p.images) < 2:
         return None
     side = np.array([s.role != "up" for s in p.rig.sensors])
@@ -51,24 +51,24 @@ def yaw(lattice: ScoreMatrix, excess: np.ndarray, tuning: RigTuning) -> float | 
     return best if mean - float(cosine[level].mean()) >= tuning.common_view.yaw_sigmas * sigma > 0 else None
 
 
-def in_words(lattice: ScoreMatrix, excess: np.ndarray, tuning: RigTuning) -> str:
+def in_words(scores: ScoreMatrix, excess: np.ndarray, tuning: RigTuning) -> str:
     """How pass q lies to pass p by evidence (S, T, A, B) above the threshold; empty where there is nothing to say."""
-    turned, (backwards, sure) = yaw(lattice, excess, tuning), direction(lattice, excess, tuning.common_view)
+    turned, (backwards, sure) = yaw(scores, excess, tuning), direction(scores, excess, tuning.common_view)
     if turned is None and not sure:
         return ""
     way = ("runs back along" if backwards else "follows") if sure else "shares views with"
     heading = "" if turned is None else f", turned by about {turned:.0f} deg"
-    frames = _frames(lattice, excess, tuning.common_view)
-    return f"{lattice.q.name} {way} {lattice.p.name}{heading} (voted by previews){frames}"
+    frames = _frames(scores, excess, tuning.common_view)
+    return f"{scores.q.name} {way} {scores.p.name}{heading} (voted by previews){frames}"
 
 
-def _frames(lattice: ScoreMatrix, excess: np.ndarray, tuning: CommonViewTuning) -> str:
+def _frames(scores: ScoreMatrix, excess: np.ndarray, tuning: CommonViewTuning) -> str:
     """The frames in common, where they are not nearly all of both passes."""
     weight = excess.sum(axis=(0, 1))
     said, partly = [], False
     for p, ranks, own in (
-        (lattice.p, lattice.rows, weight.sum(axis=1)),
-        (lattice.q, lattice.columns, weight.sum(axis=0)),
+        (scores.p, scores.rows, weight.sum(axis=1)),
+        (scores.q, scores.columns, weight.sum(axis=0)),
     ):
         hot = ranks[own > tuning.rim * own.max()]
         partly |= bool(hot[-1] - hot[0] + 1 < tuning.whole * len(p))
@@ -76,16 +76,16 @@ def _frames(lattice: ScoreMatrix, excess: np.ndarray, tuning: CommonViewTuning) 
     return f"; common view: {' and '.join(said)}" if partly else ""
 
 
-def above(lattice: ScoreMatrix, smooth: np.ndarray, min_matches: int) -> np.ndarray:
+def above(scores: ScoreMatrix, smooth: np.ndarray, min_matches: int) -> np.ndarray:
     """(S, T, A, B) smoothed matches above ``min_matches``, 0 where less or not measured."""
     return np.maximum(0, np.nan_to_num(smooth) - min_matches)
 
 
-def without_chance(lattice: ScoreMatrix, smooth: np.ndarray, min_matches: int, tuning: Tuning) -> np.ndarray:
+def without_chance(scores: ScoreMatrix, smooth: np.ndarray, min_matches: int, tuning: Tuning) -> np.ndarray:
     """``smooth`` lowered to chance between two passes when too few nodes of all are above ``min_matches``."""
     view = tuning.rig.common_view
-    least = min(view.least_votes, view.least_share * int(np.isfinite(lattice.inliers).sum()))
-    if lattice.same or votes(above(lattice, smooth, min_matches)) >= least:
+    least = min(view.least_votes, view.least_share * int(np.isfinite(scores.inliers).sum()))
+    if scores.same or votes(above(scores, smooth, min_matches)) >= least:
         return smooth
     chance = tuning.counts.floor * min_matches
     return np.where(np.isnan(smooth), smooth, np.minimum(smooth, chance)).astype(np.float32)

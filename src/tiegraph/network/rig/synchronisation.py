@@ -117,13 +117,13 @@ def lag_notes(passes: Sequence[Pass], cache: MatchCache, settings: CandidatesSet
     found: dict[tuple[int, int], list[tuple[str, str]]] = {}
     chosen = np.unique(np.linspace(0, len(passes) - 1, min(len(passes), sync.lag_passes)).round().astype(int))
     for p in (passes[k] for k in chosen if len(passes)):
-        couples = _neighbours(p.rig, sync.near_deg)
+        camera_pairs = _neighbours(p.rig, sync.near_deg)
         longest = min(sync.max_lag, (len(p) - 1) // sync.frames_a_lag)
-        if not len(couples) or longest < 1:
+        if not len(camera_pairs) or longest < 1:
             continue
-        if len(couples) > sync.few and not _odd(_measured(p, couples, 0, cache, settings, tuning), p, sync):
+        if len(camera_pairs) > sync.few and not _odd(_measured(p, camera_pairs, 0, cache, settings, tuning), p, sync):
             continue
-        steps = _measured(p, couples, longest, cache, settings, tuning)
+        steps = _measured(p, camera_pairs, longest, cache, settings, tuning)
         lags = _lags(steps, len(p.rig.sensors), sync)
         for c in np.flatnonzero(lags):
             found.setdefault((int(c), int(lags[c])), []).append((p.name, _figures(p.rig, steps, int(c), lags)))
@@ -143,20 +143,20 @@ def _neighbours(rig: Rig, near_deg: float) -> np.ndarray:
 
 
 def _measured(
-    p: Pass, couples: np.ndarray, longest: int, cache: MatchCache, settings: CandidatesSettings, tuning: Tuning
+    p: Pass, camera_pairs: np.ndarray, longest: int, cache: MatchCache, settings: CandidatesSettings, tuning: Tuning
 ) -> _Steps:
     some = tuning.rig.synchronisation.lag_frames
     frames = np.unique(np.linspace(longest, len(p) - 1 - longest, some).round().astype(int))
     k, at, m = (
-        x.ravel() for x in np.meshgrid(np.arange(len(couples)), np.arange(2 * longest + 1), frames, indexing="ij")
+        x.ravel() for x in np.meshgrid(np.arange(len(camera_pairs)), np.arange(2 * longest + 1), frames, indexing="ij")
     )
-    i, j = p.images[couples[k, 0], m + at - longest], p.images[couples[k, 1], m]
+    i, j = p.images[camera_pairs[k, 0], m + at - longest], p.images[camera_pairs[k, 1], m]
     there = (i >= 0) & (j >= 0)
     k, at, i, j = k[there], at[there], i[there], j[there]
     results = cache.results(np.minimum(i, j), np.maximum(i, j)) if len(i) else []
-    evidence, matches = np.zeros((2, len(couples), 2 * longest + 1))
-    shift = np.full((len(couples), 2 * longest + 1, 2), np.nan)
-    for row in range(len(couples)):
+    evidence, matches = np.zeros((2, len(camera_pairs), 2 * longest + 1))
+    shift = np.full((len(camera_pairs), 2 * longest + 1, 2), np.nan)
+    for row in range(len(camera_pairs)):
         for column in range(2 * longest + 1):
             own = np.flatnonzero((k == row) & (at == column))
             count = np.array([results[n].inliers for n in own], float)
@@ -169,8 +169,8 @@ def _measured(
             ]
             if seen:
                 shift[row, column] = np.median(seen, axis=0)
-    expected = np.array([_expected(p.rig, int(c), int(d), tuning.rig.axes) for c, d in couples])
-    return _Steps(pairs=couples, evidence=evidence, shift=shift, expected=expected, matches=matches)
+    expected = np.array([_expected(p.rig, int(c), int(d), tuning.rig.axes) for c, d in camera_pairs])
+    return _Steps(pairs=camera_pairs, evidence=evidence, shift=shift, expected=expected, matches=matches)
 
 
 def _expected(rig: Rig, c: int, d: int, tuning: AxesTuning) -> np.ndarray:

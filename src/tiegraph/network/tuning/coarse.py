@@ -8,7 +8,7 @@ from tiegraph.settings import Section
 
 
 class VisibleTuning(Section):
-    """Which images see the same surface (`visible.py`, `view.py`)."""
+    """Which images see the same surface (`visible.py`, `proxy.py`)."""
 
     cells: tuple[int, int] = (24, 18)
     """Image cells across and down: votes and occlusion."""

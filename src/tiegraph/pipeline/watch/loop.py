@@ -113,7 +113,7 @@ class Watched:
             self._place()
             self._last = now if new else self._last
         for name in new:
-            self._report(name, now)
+            self._report(name)
         self._model_if_due(now)
         news = bool(names) or made is not None or before != (self.arrivals.trouble, self._trouble)
         self._unsaved = self._unsaved or news
@@ -122,7 +122,7 @@ class Watched:
             self._saved = now
         return news or was_busy != self._models.busy
 
-    def _report(self, name: str, now: float) -> None:
+    def _report(self, name: str) -> None:
         assert self.scene is not None
         source = self.scene.source_name(self.scene.image_index[name])
         seconds = time.monotonic() - self.arrivals.came(source)

@@ -75,7 +75,7 @@ def make_model(wanted: Wanted, send: Callable[[Any], None]) -> Modelled:
     if model is None:
         return Modelled(ties.to_npz(), None, rigs=(), surface=None, places=())
     focal = np.array([camera.mean_focal_length() for camera in model.cameras])
-    surface = surface_map(model.sights(network.coarse), focal, settings.tuning.design.surface)
+    surface = surface_map(model.visibility(network.coarse), focal, settings.tuning.design.surface)
     places = weak_places(surface, settings.tuning.design.surface)
     rigs = tuple(rig_to_dict(rig) for rig in model.rigs)
     return Modelled(ties.to_npz(), model.cam_from_world, rigs=rigs, surface=surface, places=places)

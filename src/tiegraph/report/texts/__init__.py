@@ -24,13 +24,12 @@ else:
     import tomli as tomllib
 
 _NUMBER = r"(\d[\d.,]*)"
-LANGUAGES = ("en", "ja")
 _CURRENT: ContextVar[str] = ContextVar("language", default="en")
 
 
 @contextmanager
 def language(name: str) -> Iterator[None]:
-    """Texts are in this language (one of ``LANGUAGES``) inside the block."""
+    """Texts are in this language ("en" or "ja") inside the block."""
     before = _CURRENT.set(name)
     try:
         yield

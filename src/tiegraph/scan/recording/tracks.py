@@ -1,19 +1,20 @@
 """Tracks of an MP4 or QuickTime file (ISO/IEC 14496-12, 8.3 to 8.7): which there are, where their samples lie and when.
 
 Tables say their own length; it is checked against the box and the file before anything is read.
+
+Boxes of an MP4 or QuickTime file (ISO/IEC 14496-12, 4.2): where what they hold begins and ends.
 """
 
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
 
-from tiegraph.scan.recording.mp4 import boxes
 from tiegraph.scene.regular import regular
 
 VIDEO = b"vide"
@@ -209,3 +210,29 @@ def _kind_at(file: BinaryIO, track: Track) -> int:
     """Where the kind of a track's box stands: before its contents, or, of a box with a long size, before that."""
     file.seek(track.span[0] - 4)
     return track.span[0] - (4 if file.read(4) == b"trak" else 12)
+
+
+# --- boxes of an MP4 or QuickTime file -------------------------------------------------------------------------------
+
+
+_MOST_BOXES = 10_000
+
+
+def boxes(file: BinaryIO, kind: bytes, begin: int, end: int) -> Iterator[tuple[int, int]]:
+    """First and last byte of what each box of a kind holds, among the boxes between two places of a file; of one that
+    is cut off, as far as it goes."""
+    for _ in range(_MOST_BOXES):
+        if end - begin < 8:
+            return
+        file.seek(begin)
+        data = file.read(16)
+        size, head = int.from_bytes(data[:4], "big"), 8
+        if size == 1:  # the size is too large for 4 bytes
+            size, head = int.from_bytes(data[8:16], "big"), 16
+        elif size == 0:  # to the end
+            size = end - begin
+        if size < head:
+            return
+        if data[4:8] == kind:
+            yield begin + head, min(begin + size, end)
+        begin += size

@@ -32,11 +32,6 @@ params: COLMAP's model and order, for images of size (width, height); pixels cou
 sigma_px: how well its focal length is known; such a camera is adjusted, one without is held as it stands here."""
 
 
-def write_rig_config(rig: Rig, path: Path) -> None:
-    """Write a rig as COLMAP's rig_config.json."""
-    Path(path).write_text(rig_config([rig]), encoding="utf-8")
-
-
 def rig_config(rigs: Sequence[Rig]) -> str:
     """Rigs as text of COLMAP's rig_config.json (image prefixes are the sensors' folders, quaternions w first)."""
     return json.dumps([{"cameras": _colmap_cameras(rig)} for rig in rigs], indent=2) + "\n"

@@ -14,7 +14,7 @@ import numpy as np
 from tiegraph.scan.recording.fixes import Fixes, Readings, believed
 from tiegraph.scan.recording.gpmf import Telemetry, read_gpmf
 from tiegraph.scan.recording.insta360 import BrokenTrailer, read_trailer
-from tiegraph.scan.recording.mp4 import boxes
+from tiegraph.scan.recording.tracks import boxes
 from tiegraph.scan.settings import ScanSettings, VideoOffsets, video_offsets
 from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scan.videos.djisubtitles import read_subtitles, subtitles_of

@@ -56,7 +56,7 @@ class PairPrior:
 class PoseConstraints:
     """All soft knowledge of one adjustment; true where it holds lengths.
 
-    ``drawings``: of nominal rigs by rig id, centres by camera id (``compact``); they tell no size.
+    ``nominal``: geometry of nominal rigs by rig id (``leverarmprior``); it tells no size.
     """
 
     relative_poses: Sequence[RelativePosePrior] = ()

@@ -88,7 +88,7 @@ class Layout:
     ) -> sparse.csr_matrix:
         """(C, C) information of what is expected of lenses and of places in a rig before the images speak.
 
-        ``model``: the one of these unknowns; ``drawings``: of nominal rigs by rig id.
+        ``model``: the one of these unknowns; ``nominal``: geometry of nominal rigs by rig id.
         """
         parts = []
         for rig_id in self.rigs:

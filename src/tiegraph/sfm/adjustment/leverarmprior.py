@@ -122,7 +122,7 @@ def add_priors(
 ) -> list[Any]:
     """Expect the free sensors of the problem near the others of their rig; keep what is returned until it has solved.
 
-    ``known``: (rig id, camera id) of sensors of which more is known; ``drawings`` of nominal rigs by rig id.
+    ``known``: (rig id, camera id) of sensors of which more is known; ``nominal``: geometry of rigs by rig id.
     """
     if not available():
         return []

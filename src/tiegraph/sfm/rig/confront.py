@@ -51,7 +51,7 @@ def hear(
     known = expected(rig, system.timed, tuning.rig)
     groups: list[Group] = [("times", -1)] if known.late_s > 0 or measured else []
     if measured:
-        first = sum(len(r.sensors) for r in scene.rigs[:index])
+        first = scene.first_sensor(index)
         groups += [("mount", k) for k in range(len(rig.sensors) - 1, -1, -1)]
         groups += [("lens", k) for k in range(len(rig.sensors)) if first + k + 1 in lenses]
     else:
@@ -80,7 +80,7 @@ def hear_lens(model: pycolmap.Reconstruction, scene: Scene, index: int, tuning: 
 def lever_sigmas(heard: PriorTest, scene: Scene, index: int) -> dict[int, float]:
     """Camera id -> sigma (m, root sum of squares) of its place against the reference, with times free unless said."""
     rig, system, tuning = scene.rigs[index], heard.system, heard.known.tuning
-    first = sum(len(r.sensors) for r in scene.rigs[:index])
+    first = scene.first_sensor(index)
     others = len(rig.sensors) - 1
     known = replace(
         expected(rig, system.timed, tuning),
@@ -133,7 +133,7 @@ def _scaled(pose: np.ndarray | None, factor: float) -> np.ndarray | None:
 
 def _calibrated(model: pycolmap.Reconstruction, scene: Scene, index: int) -> set[int]:
     """Ids of the rig's cameras whose calibration is the one that was given."""
-    first = sum(len(r.sensors) for r in scene.rigs[:index])
+    first = scene.first_sensor(index)
     out = set()
     for k, sensor in enumerate(scene.rigs[index].sensors):
         key = first + k + 1
@@ -239,7 +239,7 @@ def mounting_errors(
     given = np.stack([np.eye(4) if s.sensor_from_rig is None else s.sensor_from_rig for s in rig.sensors])
     place = np.maximum([s.sigma_m or 0.0 for s in rig.sensors], bounds.held_to_m)
     turn = np.maximum([s.sigma_deg or 0.0 for s in rig.sensors], bounds.held_to_deg)
-    sensors = np.array(cameras, int) - sum(len(r.sensors) for r in scene.rigs[:index])
+    sensors = np.array(cameras, int) - scene.first_sensor(index)
     if heard is None or heard.beyond:
         worse = (0.0, 0.0) if heard is None else (tuning.prior_test.freed_m, tuning.prior_test.freed_deg)
         sigma = [np.maximum(place, worse[0]), np.radians(np.maximum(turn, worse[1]))]
@@ -357,17 +357,15 @@ def refine(
     ``fixed``: COLMAP ids of the other rigs that stay. Needs pyceres.
     """
     known = expected(scene.rigs[index], heard.system.timed, heard.known.tuning)
-    priors = _priors(model, scene, index, known, heard)
+    priors = _priors(scene, index, known, heard)
     others = [k for k in fixed if k != index + 1]
     return final_adjustment(model, others, constant_cameras, PoseConstraints(sensors=priors), tuning=tuning).model
 
 
-def _priors(
-    model: pycolmap.Reconstruction, scene: Scene, index: int, known: Expected, heard: PriorTest
-) -> list[SensorPrior]:
+def _priors(scene: Scene, index: int, known: Expected, heard: PriorTest) -> list[SensorPrior]:
     """The file's extrinsics; where the reference itself is the one that is off, all the others are free against it."""
     rig, units = scene.rigs[index], 1 / heard.system.metres_per_unit
-    first = sum(len(r.sensors) for r in scene.rigs[:index])
+    first = scene.first_sensor(index)
     every = ("mount", 0) in heard.freed
     out = []
     for k, sensor in enumerate(rig.sensors):

@@ -8,8 +8,8 @@ than chance. Gains are divided by how much wider the points scatter than indepen
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -68,7 +68,6 @@ class PriorTest:
     solution: RigSolution
     system: RigSystem
     known: Expected
-    gains: Mapping[Group, float] = field(default_factory=dict)  # BIC at which each was freed
     beyond: tuple[int, ...] = ()  # sensors that would move farther than one step of an adjustment can tell: none freed
 
     def until(self, group: Group) -> RigSolution:
@@ -83,18 +82,15 @@ class PriorTest:
         return {system.keys[k][1]: (float(self.solution.value[k]), float(sigma[k])) for k in system.where("time")}
 
 
-def contradicted_priors(
-    system: RigSystem, known: Expected, candidates: Collection[Group], times: bool = False
-) -> PriorTest:
-    """Free groups among ``candidates`` as long as the images want it. ``times``: these are free beforehand."""
+def contradicted_priors(system: RigSystem, known: Expected, candidates: Collection[Group]) -> PriorTest:
+    """Free groups among ``candidates`` as long as the images want it."""
     bounds = known.tuning.prior_test
     freed: list[Group] = []
-    gains: dict[Group, float] = {}
-    now = system.solve(known.sigma(system, (), times))
+    now = system.solve(known.sigma(system, ()))
     while True:
         best: tuple[float, Group, RigSolution] | None = None
         for group in (g for g in candidates if g not in freed):
-            then = system.solve(known.sigma(system, [*freed, group], times))
+            then = system.solve(known.sigma(system, [*freed, group]))
             gain = then.gain - now.gain
             if gain < bounds.clear * system.observations / 2:
                 continue
@@ -102,12 +98,12 @@ def contradicted_priors(
             if criterion > bounds.strong and (best is None or criterion > best[0]):
                 best = criterion, group, then
         if best is None:
-            return _within_reach(PriorTest(freed=tuple(freed), solution=now, system=system, known=known, gains=gains))
-        gains[best[1]], now = best[0], best[2]
-        freed.append(best[1])
+            return _within_reach(PriorTest(freed=tuple(freed), solution=now, system=system, known=known))
+        _, group, now = best
+        freed.append(group)
         for group in freed[:-1]:  # what the newest group explains as well
             less = [g for g in freed if g != group]
-            then = system.solve(known.sigma(system, less, times))
+            then = system.solve(known.sigma(system, less))
             if _criterion(system, now, then, group) < bounds.strong:
                 freed, now = less, then
 
@@ -119,7 +115,7 @@ def _within_reach(found: PriorTest) -> PriorTest:
     sensors = sorted({found.system.keys[k][1] for k in of if abs(found.solution.value[k]) > LIMIT * sigma[k]})
     if not sensors:
         return found
-    return replace(found, freed=(), gains={}, beyond=tuple(sensors))
+    return replace(found, freed=(), beyond=tuple(sensors))
 
 
 def _criterion(system: RigSystem, more: RigSolution, less: RigSolution, group: Group) -> float:

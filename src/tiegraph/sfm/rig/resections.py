@@ -270,7 +270,7 @@ def table_rows(found: Resections, scene: Scene) -> list[list[Any]]:
         frame = int(scene.frame[image])
         track = int(scene.sequence[frame])
         first = reference.get(frame)
-        baseline, axis = (None, None) if first in (None, n) else _pair_residual(found, scene, int(first or 0), n)
+        baseline, axis = (None, None) if first in (None, n) else _pair_residual(found, int(first or 0), n)
         numbers = [*found.shift_m[n], *found.turn_deg[n], np.max(found.sigma_m[n]), np.max(found.sigma_deg[n])]
         head = [frame, scene.sequences[track] if track >= 0 else "", scene.sensor_of(int(image)).name]
         body = [int(found.points[n]), round(float(found.rms_px[n]), 3), *(round(float(v), 5) for v in numbers)]
@@ -278,7 +278,7 @@ def table_rows(found: Resections, scene: Scene) -> list[list[Any]]:
     return out
 
 
-def _pair_residual(found: Resections, scene: Scene, first: int, other: int) -> tuple[float | None, float | None]:
+def _pair_residual(found: Resections, first: int, other: int) -> tuple[float | None, float | None]:
     """Baseline (m) and angle between the axes (deg) of two resected cameras, minus those of the rig."""
     extrinsics = found.rig_pose[[first, other]]
     centres, axes = transforms.centre(extrinsics), extrinsics[:, 2, :3]

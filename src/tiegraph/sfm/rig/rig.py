@@ -60,7 +60,6 @@ class SensorScatter:
     sensor: str
     frames: int
     scatter_deg: float  # MAD of the rotation angle to the average
-    scatter_baseline: float  # MAD of the position, in parts of its baseline
     outliers: float  # share of frames farther than 5 degrees from the average
 
     def rigid(self, tuning: DeriveTuning) -> bool:
@@ -149,13 +148,10 @@ def _average(stack: np.ndarray, name: str, outlier_deg: float) -> tuple[np.ndarr
     close = angles < outlier_deg
     translations = stack[close if close.any() else slice(None), :3, 3]
     translation = np.median(translations, axis=0)
-    length = max(float(np.linalg.norm(translation)), 1e-12)
-    off = float(np.median(np.linalg.norm(translations - translation, axis=1))) / length
     scatter = SensorScatter(
         sensor=name,
         frames=len(stack),
         scatter_deg=float(np.median(angles)),
-        scatter_baseline=off,
         outliers=float(np.mean(~close)),
     )
     return transforms.rigid(rotation, translation), scatter
@@ -167,7 +163,7 @@ def model_extrinsics(reconstruction: pycolmap.Reconstruction, scene: Scene, inde
     Re-expressed to the scene's rig frame when the model had to take another sensor as reference.
     """
     rig = scene.rigs[index]
-    first_key = int(sum(len(r.sensors) for r in scene.rigs[:index]))
+    first_key = scene.first_sensor(index)
     camera_of = {int(scene.sensor_key[scene.image_index[i.name]]): i.camera_id
                  for i in reconstruction.images.values() if i.name in scene.image_index}  # fmt: skip
     out: list[np.ndarray | None] = [None] * len(rig.sensors)

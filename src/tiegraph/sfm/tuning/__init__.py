@@ -24,7 +24,7 @@ class MappingTuning(Section):
     other_length: float = Field(1.25, gt=1)
     """Times too long or too short for its rig a path is mapped again."""
     other_focal: float = Field(1.4, gt=1)
-    """Times longer or shorter than the given focal length that ask for the other mapper (`focalcheck.py`). Data sheets
+    """Times longer or shorter than the given focal length that ask for the other mapper (`mapping.py`). Data sheets
     and EXIF are good to some percent; what ran off was 2.1 times too long (a hand-held kitchen)."""
     second_survey: int = Field(10, gt=0)
     """Images without any tie to the model that are mapped by themselves."""
