@@ -134,7 +134,7 @@ def test_the_japanese_page_has_the_same_figures(japanese: str, page: str, full: 
     assert (
         '<html lang="ja">' in japanese
         and "測量報告書" in japanese
-        and "世界座標で" in japanese
+        and "絶対精度" in japanese
         and "いいえ" in japanese
     )
     one = japanese[japanese.index("<main>") : japanese.index('<div class="engineer">')]

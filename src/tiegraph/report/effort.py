@@ -20,7 +20,7 @@ def effort(run: RunFolder) -> dict[str, Any]:
     for stage, wall, cpu, peak in rows:
         counts = run.counts(stage)
         whole = {k: v for k, v in counts.items() if isinstance(v, int)}  # what is no number of things stands elsewhere
-        text = ", ".join(f"{formatting.count(v)} {said(str(k).replace('_', ' '))}" for k, v in whole.items())
+        text = t(", ").join(f"{formatting.count(v)} {said(str(k).replace('_', ' '))}" for k, v in whole.items())
         body.append((stage, formatting.seconds(wall), formatting.seconds(cpu), formatting.count(peak), text))
     columns = (t("stage"), t("wall time"), t("CPU time"), t("peak MiB"), t("counts"))
     table = formatting.Table(columns, tuple(body), (False, True, True, True, False)) if body else None
