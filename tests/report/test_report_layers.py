@@ -132,10 +132,7 @@ def test_the_file_for_programs_is_as_its_schema_says(full: Path, page: str, tmp_
 def test_the_japanese_page_has_the_same_figures(japanese: str, page: str, full: Path) -> None:
     assert check(full, japanese) == check(full, page) and unmarked(japanese) == []
     assert (
-        '<html lang="ja">' in japanese
-        and "測量報告書" in japanese
-        and "絶対精度" in japanese
-        and "いいえ" in japanese
+        '<html lang="ja">' in japanese and "測量報告書" in japanese and "絶対精度" in japanese and "いいえ" in japanese
     )
     one = japanese[japanese.index("<main>") : japanese.index('<div class="engineer">')]
     words = re.sub(r"<[^>]+>|&\w+;|alert|script", " ", one)

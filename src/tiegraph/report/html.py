@@ -253,7 +253,9 @@ def _model(run: RunFolder) -> dict[str, Any]:
     sizes = spatial.gsd(run)
     if sizes is not None:
         texts = [formatting.length(v, unit) for v in sizes]
-        out["facts"].append((t("a pixel on the surface (nearest tenth, half, nine in ten images)"), t(", ").join(texts)))
+        out["facts"].append(
+            (t("a pixel on the surface (nearest tenth, half, nine in ten images)"), t(", ").join(texts))
+        )
     rig = rig_table(run)
     out["tables"] = [*out["tables"], *summary.registered_tables(run), *([rig] if rig else [])]
     out["residuals"] = _residuals(run)
