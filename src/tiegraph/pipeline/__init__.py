@@ -69,7 +69,7 @@ STAGES = (
            scratch=(".tiles",), tuned=("evaluate",)),
     _stage("evaluate", ("filter", "georef", "refine", "dense", "cloud"), ("metrics.json", "accuracy.csv", "evaluate"),
            version=5, scratch=("evaluate/.tiles",), tuned=("scene",)),
-    _stage("report", ("evaluate",), ("report.html", "report.json"), version=5),
+    _stage("report", ("evaluate",), ("report.html", "report.json"), version=6),
 )
 # fmt: on
 

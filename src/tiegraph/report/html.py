@@ -296,7 +296,7 @@ def _three(value: Any) -> bool:
 
 
 def _prior(scene: Scene) -> str:
-    given = said(scene.prior)
+    given = said({"gnss": "GNSS", "exif": "EXIF"}.get(scene.prior, scene.prior))
     if not scene.started:
         return given
     return t("start model") if scene.prior == "trajectory" else t("{}, start model", given)
