@@ -40,9 +40,9 @@ def effort(run: RunFolder) -> dict[str, Any]:
 def _counted(amount: int, things: str) -> str:
     """ "1 section", "2 sections"; what is counted has its name in the plural."""
     word = said(things)
-    if amount == 1 and word == things:
-        word = things.removesuffix("s")
-    return f"{formatting.count(amount)} {word}"
+    if word != things:
+        return f"{word} {formatting.count(amount)}"
+    return f"{formatting.count(amount)} {things.removesuffix('s') if amount == 1 else things}"
 
 
 def _charts(rows: list[tuple[str, float, float, float]]) -> list[Markup]:
