@@ -2,6 +2,7 @@
 
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import laspy
@@ -112,6 +113,22 @@ def test_tum_by_time_or_in_order_with_other_body_axes(tmp_path: Path, times: boo
     match, said = reference.match_poses(reference.read_reference_poses(tmp_path), model, scene, GAP_S)
     assert len(match) == FRAMES and ("by time" if times else "in order") in said
     assert np.allclose(match.estimate, match.reference, atol=1e-5)
+
+
+def test_poses_with_times_are_of_no_pass_at_another_time(tmp_path: Path) -> None:
+    """A file that ends half-way, with as many poses as the second pass has frames: those are not its poses."""
+    whole = make_scene(times=True)
+    scene = replace(
+        whole,
+        sequences=("up", "down"),
+        sequence=np.repeat([0, 1], FRAMES // 2),
+        sequence_index=np.tile(np.arange(FRAMES // 2), 2),
+    )
+    half = write_tum(tmp_path / "half.tum", whole.time_s[: FRAMES // 2], rig_poses()[: FRAMES // 2])
+    model = reference.model_poses(make_model(scene), scene)
+    match, said = reference.match_poses(reference.read_reference_poses(half), model, scene, GAP_S)
+    assert "up by time; down at none of its times" in said and set(match.parts["pass"]) == {"up"}
+    assert len(match) == FRAMES // 2 and np.allclose(match.estimate, match.reference, atol=1e-5)
 
 
 def test_unusable_references_say_why(tmp_path: Path) -> None:
