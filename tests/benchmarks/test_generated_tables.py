@@ -2,7 +2,9 @@
 
 import json
 
-from benchmarks import bands
+import pytest
+
+from benchmarks import bands, lidar, table
 
 _ROW = {
     "set": "boat", "images": 60, "unit": "m", "held_by": "nothing",
@@ -25,3 +27,15 @@ def test_the_document_holds_what_the_results_say() -> None:
     rows, sigma = (json.loads((bands._RESULTS / f"{n}.json").read_text())["rows"] for n in ("bands", "sigma"))
     said = f"{bands.BEGIN}\n{bands.table(rows, sigma)}\n{bands.END}"
     assert bands._DOCUMENT.read_text().count(said) == 1, "python -m benchmarks.bands --write"
+
+
+def test_the_page_of_the_lidar_holds_what_the_results_say() -> None:
+    rows = json.loads((lidar._RESULTS / "lidar.json").read_text())["rows"]
+    said = f"{lidar.BEGIN}\n{lidar.tables(rows)}\n{lidar.END}"
+    assert lidar._DOCUMENT.read_text().count(said) == 1, "python -m benchmarks.lidar --write"
+
+
+@pytest.mark.parametrize("name", table._DOCUMENTS)
+def test_the_table_of_figures_is_that_of_the_results(name: str) -> None:
+    said = f"{table.BEGIN}\n{table.figures(*table._DOCUMENTS[name])}\n{table.END}"
+    assert (table._ROOT / name).read_text().count(said) == 1, "python -m benchmarks.table --write"

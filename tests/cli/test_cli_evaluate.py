@@ -67,3 +67,24 @@ def test_what_does_not_meet_is_refused_with_a_remedy(tmp_path: Path, capsys) -> 
     assert "--distances-m -1: give metres above 0" in capsys.readouterr().err
     assert main(["evaluate", cloud, las(tmp_path / "c.laz", ground(300, 1) + 500), "--register", "rigid"]) == 2
     assert "c.laz (EPSG:32654 by its header): only 0 of" in capsys.readouterr().err
+
+
+def test_a_reference_that_is_cut_short_or_no_cloud_is_named_once(tmp_path: Path, capsys) -> None:
+    cloud = las(tmp_path / "a.las", ground(300, 0))
+    whole = (tmp_path / "a.las").read_bytes()
+    (tmp_path / "cut.las").write_bytes(whole[: len(whole) // 2])
+    header = "ply\nformat ascii 1.0\nelement vertex 1\n" + "".join(f"property float {a}\n" for a in "xyz")
+    (tmp_path / "hole.ply").write_text(f"{header}end_header\nnan 0 0\n")
+    for name, why in (("cut.las", "is cut short"), ("hole.ply", "1 points are at no place"), ("a.xyz", "convert it")):
+        assert main(["evaluate", cloud, str(tmp_path / name)]) == 2
+        said = capsys.readouterr().err
+        assert why in said and said.count(name) == 1
+    assert main(["evaluate", cloud]) == 2
+    assert "The cloud that counts as true" in capsys.readouterr().err
+
+
+def test_a_setting_out_of_range_is_said_without_the_words_of_pydantic(tmp_path: Path, capsys) -> None:
+    assert main(["run", str(tmp_path), "--evaluate.reference-origin", "95", "0", "0"]) == 2
+    said = capsys.readouterr().err
+    assert "evaluate.reference_origin.0 Input should be less than or equal to 90 (given: 95.0)" in said
+    assert "pydantic" not in said and "type=" not in said

@@ -26,22 +26,26 @@ def differences(first, second, folder: Path, lengths: Cylinders | None = None, *
 
 
 @pytest.mark.slow
-def test_it_is_the_formula(tmp_path: Path) -> None:
+@pytest.mark.parametrize("registration", [0.0, 0.02])
+@pytest.mark.parametrize("states", [False, True], ids=["bare", "with sigmas"])
+def test_it_is_the_formula(registration: float, states: bool) -> None:
     one, two = ground(12_000, 0), ground(12_000, 1) + [0, 0, 0.03]
-    cores = ground(150, 2)
+    cores, rng = ground(150, 2), np.random.default_rng(4)
+    sigma = [rng.uniform(0.01, 0.05, len(xyz)) * (1 if states else np.nan) for xyz in (one, two)]
     normal = normals(cores, one, LENGTHS.normal_m)
-    found, lod = m3c2(cores, normal, (bare(one), bare(two)), LENGTHS, TUNING)
+    found, lod = m3c2(cores, normal, (Points(one, sigma[0]), Points(two, sigma[1])), LENGTHS, TUNING, registration)
     for k in range(0, 150, 7):
-        mean, variance = [], 0.0
+        mean, variance = [], registration**2
         near = one[np.linalg.norm(one - cores[k], axis=1) <= LENGTHS.normal_m]
         own = np.linalg.svd(near - near.mean(axis=0))[2][2]
         assert abs(own @ normal[k]) == pytest.approx(1, abs=1e-9)
-        for cloud in (one, two):
+        for cloud, p in zip((one, two), sigma):
             along = (cloud - cores[k]) @ normal[k]
             away = np.linalg.norm(cloud - cores[k] - along[:, None] * normal[k], axis=1)
-            inside = along[(away <= LENGTHS.radius_m) & (np.abs(along) <= LENGTHS.depth_m)]
+            seen = (away <= LENGTHS.radius_m) & (np.abs(along) <= LENGTHS.depth_m)
+            inside = along[seen]
             mean.append(inside.mean())
-            variance += inside.var(ddof=1) / len(inside)
+            variance += inside.var(ddof=1) / len(inside) + (np.mean(p[seen] ** 2) if states else 0.0)
         assert found[k] == pytest.approx(mean[1] - mean[0], abs=1e-10)
         assert lod[k] == pytest.approx(1.96 * np.sqrt(variance), rel=1e-9)
 

@@ -2,11 +2,13 @@
 
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import laspy
 import numpy as np
 import pycolmap
+import pyproj
 import pytest
 from scipy.spatial.transform import Rotation
 
@@ -114,6 +116,22 @@ def test_tum_by_time_or_in_order_with_other_body_axes(tmp_path: Path, times: boo
     assert np.allclose(match.estimate, match.reference, atol=1e-5)
 
 
+def test_poses_with_times_are_of_no_pass_at_another_time(tmp_path: Path) -> None:
+    """A file that ends half-way, with as many poses as the second pass has frames: those are not its poses."""
+    whole = make_scene(times=True)
+    scene = replace(
+        whole,
+        sequences=("up", "down"),
+        sequence=np.repeat([0, 1], FRAMES // 2),
+        sequence_index=np.tile(np.arange(FRAMES // 2), 2),
+    )
+    half = write_tum(tmp_path / "half.tum", whole.time_s[: FRAMES // 2], rig_poses()[: FRAMES // 2])
+    model = reference.model_poses(make_model(scene), scene)
+    match, said = reference.match_poses(reference.read_reference_poses(half), model, scene, GAP_S)
+    assert "up by time; down at none of its times" in said and set(match.parts["pass"]) == {"up"}
+    assert len(match) == FRAMES // 2 and np.allclose(match.estimate, match.reference, atol=1e-5)
+
+
 def test_unusable_references_say_why(tmp_path: Path) -> None:
     scene = make_scene()
     model = reference.model_poses(make_model(scene), scene)
@@ -210,6 +228,32 @@ def test_absolute_error_in_a_common_crs(tmp_path: Path) -> None:
     settings = EvaluateSettings(reference=tmp_path / "up.tum", reference_origin=lat_lon_height)
     data = evaluate_survey(scene, made(scene, model, origin=world), settings, TUNING).metrics
     assert "absolute_rmse" in [m["name"] for m in data["metrics"]]
+
+
+def test_a_cloud_whose_header_names_no_crs_is_in_that_of_the_run(tmp_path: Path) -> None:
+    """Coordinates of the run's own files; beside local metres about an origin, a CRS in the header holds; a geoid."""
+    world = geodesy.make_origin(35.6965, 139.7695, 37.0)
+    assert world.crs.startswith("EPSG") and any(world.shift_m)
+    scene, xyz = make_scene(), a_cloud().xyz_m + np.array(world.shift_m)
+
+    def judged(name: str, xyz: np.ndarray, crs: str | None, **how: object) -> dict:
+        header = laspy.LasHeader(point_format=6, version="1.4")
+        header.offsets, header.scales = np.floor(xyz.mean(axis=0)), np.full(3, 1e-3)
+        if crs is not None:
+            header.add_crs(pyproj.CRS(crs))
+        las = laspy.LasData(header)
+        las.xyz = xyz
+        las.write(tmp_path / name)
+        settings = EvaluateSettings(reference_cloud=tmp_path / name, range_m=100, distances_m=(0.1,), **how)
+        products = made(scene, make_model(scene), a_cloud(), origin=world, scratch=tmp_path)
+        return evaluate_survey(scene, products, settings, TUNING).metrics
+
+    for crs, how in ((None, {}), (world.crs, {"reference_origin": (35.0, 139.0, 0.0)})):
+        data = judged("reference.las", xyz, crs, **how)
+        assert {m["name"]: m["value"] for m in data["metrics"]}["cloud_to_cloud_median"] < 0.002
+        assert any("no CRS in its header" in note for note in data["notes"]) == (crs is None)
+    with pytest.raises(InputError, match="37 m apart: is one above the ellipsoid, the other above a geoid.*shift"):
+        judged("geoid.las", xyz - [0, 0, 37], world.crs)
 
 
 def test_metrics_survive_json() -> None:

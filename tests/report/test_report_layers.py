@@ -132,10 +132,7 @@ def test_the_file_for_programs_is_as_its_schema_says(full: Path, page: str, tmp_
 def test_the_japanese_page_has_the_same_figures(japanese: str, page: str, full: Path) -> None:
     assert check(full, japanese) == check(full, page) and unmarked(japanese) == []
     assert (
-        '<html lang="ja">' in japanese
-        and "測量報告書" in japanese
-        and "世界座標で" in japanese
-        and "いいえ" in japanese
+        '<html lang="ja">' in japanese and "測量報告書" in japanese and "絶対精度" in japanese and "いいえ" in japanese
     )
     one = japanese[japanese.index("<main>") : japanese.index('<div class="engineer">')]
     words = re.sub(r"<[^>]+>|&\w+;|alert|script", " ", one)
@@ -169,6 +166,10 @@ def test_maps_and_overlap_are_drawn_where_the_data_are(full: Path) -> None:
     place = seen.place
     at = place.at(np.array([[place.low[0], place.high[1]], [place.high[0], place.low[1]]]))
     assert np.allclose(at, [[0, 0], [420, place.height]])
+    inside = np.all((seen.xyz[:, :2] >= place.low) & (seen.xyz[:, :2] <= place.high), axis=1)
+    assert inside.mean() > 0.9, "the surface that was surveyed is on the map, not only the way"
+    far = replace(seen, xyz=seen.xyz + [10_000, 0, 0])
+    assert np.ptp([far.place.low[0], far.place.high[0]]) < 4 * np.ptp([place.low[0], place.high[0]])
     overlap = spatial.overlap_map(seen)
     assert overlap is not None and "4–5 images" in overlap
     assert spatial.ellipse_map(read_run(full, 5000), seen) is None, "the run says nothing of its placement's covariance"

@@ -26,8 +26,8 @@ _OTHERS = (
 def main(arguments: list[str]) -> int:
     """The stage for a run folder, or the comparison of two cloud files."""
     files = [a for a in arguments if not a.startswith("-")]
-    if len(files) >= 2 and all(Path(f).suffix.lower() in CLOUD_ENDINGS for f in files[:2]):
-        return _clouds(arguments)
+    if files and Path(files[0]).suffix.lower() in CLOUD_ENDINGS and not Path(files[0]).is_dir():
+        return _clouds(arguments)  # that says so if the other is missing, or no cloud
     if len(arguments) >= 2 and Path(arguments[0]).is_dir() and not arguments[1].startswith("-"):
         return _poses(arguments)
     return main_stage("evaluate", arguments, about=_OTHERS)

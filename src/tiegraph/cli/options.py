@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -31,6 +32,11 @@ class Talk:
 
 _FRAME = "│╭╮╰╯─ \t"  # of the box that tyro prints
 _SHOWN = 300
+_PYDANTIC = (  # what it adds to a message that says enough
+    (r" For further information visit \S+", ""),
+    (r"Error parsing (?:settings\.)?([\w.]+): \d+ validation errors? for \w+ ", r"\1."),
+    (r" \[type=\w+, input_value=(.*?), input_type=\w+\]", r" (given: \1)"),
+)
 
 
 def options_of(
@@ -62,6 +68,8 @@ def _one_line(box: str) -> str:
         elif "─" in line:
             parts.append([])
     text = " ".join(parts[0])
+    for noise, rest in _PYDANTIC:
+        text = re.sub(noise, rest, text)
     near = parts[1] if len(parts) > 1 and parts[1][:1] == ["Perhaps you meant:"] else []
     near_text = f"; perhaps you meant {near[1].split()[0]}?" if len(near) > 1 else ""
     return (text if len(text) <= _SHOWN else text[:_SHOWN] + " ...").rstrip(".") + near_text

@@ -126,4 +126,6 @@ def _rms(off: np.ndarray) -> float:
 
 
 def _m(value: float) -> str:
+    if value >= 1000:
+        return f"{value:.0f} m"
     return f"{value:.3g} m" if value >= 0.01 else f"{1000 * value:.2g} mm"

@@ -171,6 +171,8 @@ def _frame_poses(reference: ReferencePoses, scene: Scene, max_gap_s: float) -> t
     truth = np.full((scene.frames, 4, 4), np.nan)
     how: list[str] = []
     loose = (-1,) if np.any(scene.sequence < 0) else ()
+    one = reference.by_sequence.get("")
+    timed = one is not None and _covers(one, scene.time_s, max_gap_s)  # then poses are of their times, not of an order
     for sequence in [*range(len(scene.sequences)), *loose]:
         name = scene.sequences[sequence] if sequence >= 0 else ""
         found = _track_reference(reference, name)
@@ -179,6 +181,9 @@ def _frame_poses(reference: ReferencePoses, scene: Scene, max_gap_s: float) -> t
         frames = np.flatnonzero(scene.sequence == sequence)
         frames = frames[np.argsort(scene.sequence_index[frames], kind="stable")]
         named = name or "the frames"
+        if timed and not _covers(found, scene.time_s[frames], max_gap_s):
+            how.append(f"{name or 'frames'} at none of its times")
+            continue
         truth[frames], said = _at_frames(found, scene.time_s[frames], reference.path, named, max_gap_s)
         how.append(f"{name or 'frames'} {said}")
     return truth, how
@@ -217,15 +222,19 @@ def _track_reference(reference: ReferencePoses, sequence: str) -> tuple[np.ndarr
     return None
 
 
+def _covers(found: tuple[np.ndarray, np.ndarray], time_s: np.ndarray, max_gap_s: float) -> bool:
+    """Whether stamped poses tell a pose at any of some times (NaN = not known)."""
+    known = bool(np.isfinite(time_s).any())
+    return known and bool(np.isfinite(transforms.interpolate(*found, time_s, max_gap_s)[:, 0, 0]).any())
+
+
 def _at_frames(
     found: tuple[np.ndarray, np.ndarray], time_s: np.ndarray, path: Path, name: str, max_gap_s: float
 ) -> tuple[np.ndarray, str]:
     """Reference poses at the frames: by time if the frames have times the reference covers, else one by one."""
     stamps, poses = found
-    if np.isfinite(time_s).any():
-        out = transforms.interpolate(stamps, poses, time_s, max_gap_s)
-        if np.isfinite(out[:, 0, 0]).any():
-            return out, "by time"
+    if _covers(found, time_s, max_gap_s):
+        return transforms.interpolate(stamps, poses, time_s, max_gap_s), "by time"
     if len(poses) == len(time_s):
         return poses, "in order"
     raise InputError(

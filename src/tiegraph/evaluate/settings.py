@@ -25,7 +25,8 @@ class EvaluateSettings(Section):
         ]
         | None
     ) = None
-    """Latitude, longitude (deg), ellipsoidal height (m) of references given in local east-north-up metres about it."""
+    """Latitude, longitude (deg), ellipsoidal height (m) of references given in local east-north-up metres about it; not
+    of a cloud whose header names its CRS."""
 
     reference_masks: Path | None = user_path("folder")
     """Hand-made masks, named as masks.folder describes: the table of mask accuracy of paper 001."""

@@ -23,7 +23,7 @@ from tiegraph.evaluate.tolerance import answered
 from tiegraph.evaluate.trajectory import TrajectoryError, evaluate_trajectory, registered_metrics, registered_table
 from tiegraph.evaluate.tuning import Tuning
 from tiegraph.geometry.align import Similarity
-from tiegraph.geometry.geodesy import Origin
+from tiegraph.geometry.geodesy import ENU, Origin
 from tiegraph.scene.accuracy import Figure
 from tiegraph.scene.cloudchunks import Points, PointSource, open_cloud
 from tiegraph.scene.colmapmodel import matrix
@@ -187,16 +187,24 @@ def _cloud(
     settings, tuning, origin, found, cloud = work.settings, work.tuning, work.origin, work.found, made.cloud
     assert cloud is not None and made.scratch is not None
     truth = open_cloud(path)
+    alignment, how = _alignment(settings, trajectory, tuning.unscaled_share)
     source = _origin_of(settings, truth.crs)
+    if source is None and alignment is None and origin is not None and origin.crs != ENU:
+        source, taken = _origin_of(settings, origin.crs), f"no CRS in its header, so taken to be in {origin.crs}"
+        truth, how = replace(truth, name=f"{truth.name} ({taken})"), f"{how}; {taken}, as the run's own files are"
     if source is not None and origin is not None:
         truth = truth.moved(lambda xyz: reference.to_world(xyz, source, origin))
-    alignment, how = _alignment(settings, trajectory, tuning.unscaled_share)
     own = PointSource("the cloud", lambda: iter([Points(cloud.xyz_m, cloud.sigma_m)]))
     cameras = _cameras(work)
     if alignment is not None:
         own, cameras = own.moved(alignment), Cameras(alignment(cameras.centres), cameras.section)
     question = Question(distances_m=settings.distances_m, gsd_m=made.gsd_m, cameras=cameras, range_m=settings.range_m)
-    result = judge_cloud(own, truth, made.scratch, question, tuning)
+    try:
+        result = judge_cloud(own, truth, made.scratch, question, tuning)
+    except InputError as error:
+        shift = () if origin is None or alignment is not None or not any(origin.shift_m) else origin.shift_m
+        less = " (of all coordinates the run's shift was taken off: " + ", ".join(f"{v:.10g}" for v in shift) + ")"
+        raise InputError(f"{error}{less if shift else ''}") from None
     found.metrics.extend(result.metrics())
     found.tables.update(result.tables())
     figure = cloud_figure(result.nearest, _reach(result), work.predicted, alignment is not None)
@@ -219,9 +227,10 @@ def _reach(result: CloudJudgement) -> float:
 
 
 def _origin_of(settings: EvaluateSettings, crs: str | None) -> Origin | None:
-    if settings.reference_origin is not None:
-        return reference.enu_origin(settings.reference_origin)
-    return None if crs is None else Origin(lat_deg=0.0, lon_deg=0.0, height_m=0.0, crs=crs)
+    """The frame of a reference cloud: the CRS that its header names; local metres about the origin that is given."""
+    if crs is not None:
+        return Origin(lat_deg=0.0, lon_deg=0.0, height_m=0.0, crs=crs)
+    return None if settings.reference_origin is None else reference.enu_origin(settings.reference_origin)
 
 
 def _alignment(

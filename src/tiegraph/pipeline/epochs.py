@@ -113,6 +113,8 @@ def m3c2_of(
     try:
         meeting(clouds)
         cylinders = cylinders_of(clouds, tuning.m3c2, depth_m)
+    except InputError:
+        raise  # names its file
     except ValueError as error:
         raise InputError(f"{pair.second.name}: {error}") from None
     return m3c2_tiled(clouds, cylinders, tuning.m3c2, pair.cameras, pair.sigma, most)
@@ -158,6 +160,8 @@ def _in_world_of(first: _Epoch, second: _Epoch, options: EpochOptions) -> PointS
 def _registered(first: _Epoch, other: PointSource, coarse: bool) -> Registration:
     try:
         return registered(other, first.cloud, Tuning().registration, False, coarse)
+    except InputError:
+        raise  # names its file
     except ValueError as error:
         raise InputError(f"{other.name}: {error}") from None
 

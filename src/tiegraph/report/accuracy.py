@@ -124,7 +124,7 @@ def placement(accuracy: Accuracy) -> str:
     if not parts:
         return ""
     return t(
-        "The model as a whole is placed, at its middle, with standard deviations of: {}.", Markup("; ").join(parts)
+        "The model as a whole is placed, at its middle, with standard deviations of: {}.", Markup(t("; ")).join(parts)
     )
 
 
@@ -176,7 +176,7 @@ def _shape(accuracy: Accuracy) -> str:
             for name, words in _DISTANCES
             if f"shape.{name}.{what}" in keys
         ]
-        parts[what] = Markup(", ").join(found)
+        parts[what] = Markup(t(", ")).join(found)
     by = said(figures["whole"].by)
     told = t(" Measured {} by {}.", parts[MEASURED], by) if parts[MEASURED] else t(" Nothing independent measured it.")
     return t("In shape (of the cameras): {} predicted.{}", parts[PREDICTED] or t("nothing"), told)

@@ -20,7 +20,7 @@ def effort(run: RunFolder) -> dict[str, Any]:
     for stage, wall, cpu, peak in rows:
         counts = run.counts(stage)
         whole = {k: v for k, v in counts.items() if isinstance(v, int)}  # what is no number of things stands elsewhere
-        text = ", ".join(f"{formatting.count(v)} {said(str(k).replace('_', ' '))}" for k, v in whole.items())
+        text = t(", ").join(_counted(v, str(k).replace("_", " ")) for k, v in whole.items())
         body.append((stage, formatting.seconds(wall), formatting.seconds(cpu), formatting.count(peak), text))
     columns = (t("stage"), t("wall time"), t("CPU time"), t("peak MiB"), t("counts"))
     table = formatting.Table(columns, tuple(body), (False, True, True, True, False)) if body else None
@@ -35,6 +35,14 @@ def effort(run: RunFolder) -> dict[str, Any]:
         "settings": [(s, [(k, formatting.cell(_named(v))) for k, v in values.items()]) for s, values in settings],
         "software": sorted(software.items()),
     }
+
+
+def _counted(amount: int, things: str) -> str:
+    """ "1 section", "2 sections"; what is counted has its name in the plural."""
+    word = said(things)
+    if word != things:
+        return f"{word} {formatting.count(amount)}"
+    return f"{formatting.count(amount)} {things.removesuffix('s') if amount == 1 else things}"
 
 
 def _charts(rows: list[tuple[str, float, float, float]]) -> list[Markup]:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from typing import Any
 
+from markupsafe import Markup
+
 from tiegraph.report import formatting
 from tiegraph.report.formatting import marked
 from tiegraph.report.runfolder import RunFolder
@@ -34,8 +36,7 @@ def evaluation(run: RunFolder) -> dict[str, Any]:
     rows = [
         (
             said(t(metric_text(str(m["name"])))),
-            marked(f"metrics.{m['name']}", formatting.cell(m.get("value"))),
-            _unit(run, m),
+            *_value(m, _unit(run, m)),
         )
         for m in data.get("metrics") or []
         if isinstance(m, dict) and "name" in m
@@ -51,6 +52,15 @@ def evaluation(run: RunFolder) -> dict[str, Any]:
     out["shares"] = shares(against) if against else None
     out["map"] = file_uri(run.path / "evaluate" / "m3c2.png") if against else None
     return out
+
+
+def _value(metric: dict, unit: str) -> tuple[Markup, str]:
+    """A figure, marked, and its unit: of lengths the one that reads best."""
+    value, key = metric.get("value"), f"metrics.{metric['name']}"
+    if unit != "m" or not formatting.is_number(value):
+        return marked(key, formatting.cell(value)), unit
+    text = formatting.length(value)
+    return marked(key, text), ""
 
 
 def _unit(run: RunFolder, metric: dict) -> str:

@@ -94,7 +94,9 @@ def table(data: Any, title: str = "", key: str = "") -> Table | None:
     columns = [said(str(c).replace("_", " ")) for c in data["columns"]]
     rows = [(row + [None] * len(columns))[: len(columns)] for row in rows]
     numeric = tuple(all(v is None or _is_number(v) for v in column) for column in zip(*rows))
-    printed = [_column(list(column)) if n else [cell(v) for v in column] for column, n in zip(zip(*rows), numeric)]
+    printed = [
+        _column(list(column)) if n else [said(cell(v)) for v in column] for column, n in zip(zip(*rows), numeric)
+    ]
     if key:
         for c in (c for c, n in enumerate(numeric) if n):
             printed[c] = [_marked(f"{key}.{r}.{c}", text) for r, text in enumerate(printed[c])]

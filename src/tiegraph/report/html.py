@@ -156,8 +156,8 @@ def _scan(run: RunFolder) -> dict[str, Any]:
         facts_ = [
             (t("images"), formatting.count(len(scene))),
             (t("frames"), formatting.count(scene.frames)),
-            (t("rig"), Markup(", ").join(rigs[:_RIGS_SHOWN]) + (" …" if len(rigs) > _RIGS_SHOWN else "")),
-            (t("passes"), ", ".join(scene.sequences[:12]) or t("none: loose photographs")),
+            (t("rig"), Markup(t(", ")).join(rigs[:_RIGS_SHOWN]) + (" …" if len(rigs) > _RIGS_SHOWN else "")),
+            (t("passes"), t(", ").join(scene.sequences[:12]) or t("none: loose photographs")),
             (t("prior poses"), _prior(scene)),
         ]
     more = max(0, len(dropped) - _DROPPED_SHOWN)
@@ -253,7 +253,9 @@ def _model(run: RunFolder) -> dict[str, Any]:
     sizes = spatial.gsd(run)
     if sizes is not None:
         texts = [formatting.length(v, unit) for v in sizes]
-        out["facts"].append((t("a pixel on the surface (nearest tenth, half, nine in ten images)"), ", ".join(texts)))
+        out["facts"].append(
+            (t("a pixel on the surface (nearest tenth, half, nine in ten images)"), t(", ").join(texts))
+        )
     rig = rig_table(run)
     out["tables"] = [*out["tables"], *summary.registered_tables(run), *([rig] if rig else [])]
     out["residuals"] = _residuals(run)
@@ -294,7 +296,7 @@ def _three(value: Any) -> bool:
 
 
 def _prior(scene: Scene) -> str:
-    given = said(scene.prior)
+    given = said({"gnss": "GNSS", "exif": "EXIF"}.get(scene.prior, scene.prior))
     if not scene.started:
         return given
     return t("start model") if scene.prior == "trajectory" else t("{}, start model", given)

@@ -46,7 +46,7 @@ class Scenery:
     @property
     def place(self) -> maps.Place:
         """What the maps show."""
-        return maps.place_of(self.tracks, self.given, self.unit)
+        return maps.place_of(self.tracks, self.given, self.xyz, self.unit)
 
 
 def scenery(run: RunFolder) -> Scenery | None:

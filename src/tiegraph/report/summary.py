@@ -164,7 +164,7 @@ def crs_text(crs: Any, origin: Any = None) -> str:
 def _accuracy_sentences(run: RunFolder) -> list[str]:
     if run.accuracy is not None:
         return [*accuracy.sentences(run.accuracy)]
-    return [t("How good it is has not been evaluated yet: `tiegraph evaluate` says so.")] if run.done("georef") else []
+    return [t("How good it is has not been evaluated yet.")] if run.done("georef") else []
 
 
 def what_was_done(run: RunFolder) -> list[str]:

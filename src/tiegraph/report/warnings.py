@@ -100,7 +100,7 @@ def weak_placement(run: RunFolder) -> str:
     if run.accuracy is None:
         return ""
     weak = [name for name, limit in _WEAK.items() if run.accuracy.placement.get(name, 0.0) > limit]
-    return Markup(", ").join(placement_part(run.accuracy, name) for name in weak)
+    return Markup(t(", ")).join(placement_part(run.accuracy, name) for name in weak)
 
 
 def dropped_images(run: RunFolder) -> list[tuple[str, str]]:

@@ -86,6 +86,8 @@ def judge_cloud(
         criteria = criteria_of(clouds, tuning.cloud, question.distances_m, question.gsd_m, question.range_m)
         cylinders = cylinders_of(clouds, tuning.m3c2)
         nearest = cloud_to_cloud(clouds, criteria, tuning.cloud, scratch, cameras)
+    except InputError:
+        raise  # names its file
     except ValueError as error:
         raise InputError(f"{reference.name}: {error}") from None
     clouds = clouds.exchanged()

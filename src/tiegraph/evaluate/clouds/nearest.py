@@ -310,10 +310,14 @@ def meeting(clouds: TiledClouds) -> None:
 def apart(clouds: TiledClouds) -> str:
     """That two clouds do not meet, and where they are."""
     where = [f"from {_corner(clouds.low[k])} to {_corner(clouds.high[k])}" for k in (0, 1)]
-    return (
-        f"the cloud (x, y, z {where[0]}) and the other ({where[1]}) do not meet: are both in one CRS, with "
-        "heights above the same surface?"
-    )
+    gap = np.maximum(*clouds.low) - np.minimum(*clouds.high)
+    why = "are both in one CRS, with heights above the same surface?"
+    if gap[0] <= 0 and gap[1] <= 0 < gap[2]:
+        apart_m = abs(
+            float(np.mean(clouds.low[0][2:] + clouds.high[0][2:] - clouds.low[1][2:] - clouds.high[1][2:])) / 2
+        )
+        why = f"they lie over each other, {apart_m:.0f} m apart: is one above the ellipsoid, the other above a geoid?"
+    return f"the cloud (x, y, z {where[0]}) and the other ({where[1]}) do not meet: {why}"
 
 
 def _corner(xyz: np.ndarray) -> str:

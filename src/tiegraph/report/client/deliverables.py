@@ -10,8 +10,8 @@ from tiegraph.report.texts import t
 
 _FILES = {
     "cloud.copc.laz": "point cloud for viewers (COPC), colours, sigma of each point",
-    "cloud.laz": "the same point cloud as LAZ",
-    "cloud.ply": "the same point cloud as PLY, with normals",
+    "cloud.laz": "point cloud as LAZ, colours, sigma of each point",
+    "cloud.ply": "point cloud as PLY, with normals",
     "sparse/world": "camera positions and sparse points (COLMAP)",
     "metrics.json": "accuracy, all figures",
     "accuracy.csv": "accuracy, as a table",

@@ -118,14 +118,15 @@ def along(series: Sequence[tuple[str, np.ndarray, np.ndarray, float]], y_label: 
 def arrows(size: tuple[int, int], at: np.ndarray, moved: np.ndarray, factor: float, label: str) -> Markup:
     """Mean residuals (K, 2) in cells at (K, 2) of an image of ``size`` (width, height), ``factor`` times enlarged."""
     zoom = WIDTH / size[0]
-    parts = [box(0, 0, WIDTH, zoom * size[1], "var(--field)")]
+    inner = f'<svg width="{WIDTH:g}" height="{zoom * size[1]:.1f}" overflow="hidden">'  # arrows end at the border
+    parts = [inner, box(0, 0, WIDTH, zoom * size[1], "var(--field)")]
     for start, step in zip(zoom * at, zoom * factor * moved):
         end = start + step
         turn = 0.35 * np.array([[-1, 0.6], [-0.6, -1]]) @ step
         back = 0.35 * np.array([[-1, -0.6], [0.6, -1]]) @ step
         parts.append(line([start, end], USED, "thin"))
         parts.append(line([end + turn, end, end + back], USED, "thin"))
-    return svg(zoom * size[1], parts, label)
+    return svg(zoom * size[1], [*parts, "</svg>"], label)
 
 
 def matrix(

@@ -15,6 +15,8 @@ from tiegraph.report.texts import t
 from tiegraph.report.thumbnails import png_alpha
 
 _PIXELS = 560  # of the backdrop's width
+_SAMPLE, _STRAYS = 100_000, 0.03  # points that tell the extent of the surface; share of them that may lie beyond it
+_FAR = 1.5  # times the size of the passes: surface further from them is not shown
 _TALLEST, _FLATTEST = 1.15, 0.45  # height over width of a map
 
 
@@ -41,9 +43,17 @@ class Place:
         return np.column_stack([xy[:, 0] - self.low[0], self.high[1] - xy[:, 1]]) * self.zoom
 
 
-def place_of(tracks: Sequence[Track], gnss: np.ndarray, unit: str) -> Place:
-    """What a map of these passes shows: them and their surroundings, neither too tall nor too flat."""
+def place_of(tracks: Sequence[Track], gnss: np.ndarray, surface: np.ndarray, unit: str) -> Place:
+    """What a map of these passes shows: them, their surroundings, and most of the surface (K, 2+) that they survey, as
+    far as it is not far off; neither too tall nor too flat."""
     low, high = extent(tracks, gnss)
+    if len(surface):
+        most = np.quantile(surface[:: max(1, len(surface) // _SAMPLE), :2], [_STRAYS, 1 - _STRAYS], axis=0)
+        reach, pad = _FAR * float(np.max(high - low)), _STRAYS * float(np.max(most[1] - most[0]))
+        low, high = (
+            np.minimum(low, np.maximum(most[0] - pad, low - reach)),
+            np.maximum(high, np.minimum(most[1] + pad, high + reach)),
+        )
     size = high - low
     wanted = np.array([max(size[0], size[1] / _TALLEST), max(size[1], _FLATTEST * size[0])])
     pad = (wanted - size) / 2
