@@ -3,7 +3,8 @@
 ``python -m benchmarks.plan canal=RUN kitti_stereo=RUN pandaset=RUN ... -o benchmarks/results/plan.json`` reads run
 folders (``benchmarks/run.py --keep`` leaves them) and changes nothing there. A plan is told what is known before going:
 cameras, how the rig is made, the way, how far walls are, the class of the receiver. A run whose rig was relaxed is
-compared by the paths of its cameras, planned one by one: see docs/plan.md.
+compared by the paths of its cameras, planned one by one: see docs/plan.md. ``station=STORE``, the folder of
+``benchmarks.closerange``: its wide camera's path, and the depths of its dense cameras.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import re
 import sys
 import tempfile
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,12 +26,14 @@ import tiegraph  # noqa: F401  (zlib before pycolmap)
 import pycolmap  # isort: skip
 
 from benchmarks import datasets
+from benchmarks.closerange import world
 from benchmarks.sigma import reference_poses
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import umeyama
 from tiegraph.pipeline.plan import plan, reached
 from tiegraph.plan.compare import comparison
 from tiegraph.plan.request import CameraRequest, ImageRequest, PathRequest, PlanRequest, WorldRequest
+from tiegraph.scene.cloudfile import read_cloud
 
 _BOAT = WorldRequest(gnss="0.02,0.03")
 _STREET = PathRequest(shape="road", length=6)
@@ -51,6 +55,13 @@ REQUESTS: Mapping[str, PlanRequest] = {
         WorldRequest(gnss="0.5,0.5"),
     ),
 }  # fmt: skip
+# Of the drawing in closerange/world.py: 12 stations at 12, 20 and 30 degrees above a body of 28 cm on a floor.
+STATION = PlanRequest(
+    CameraRequest(rig="{rig:wide}", calibration_px=0.05), ImageRequest(distance="0.5", base="0.0735", sidelap=0.0),
+    PathRequest(shape="orbit", width=0.28, height=0.28, pitch=-20.7),
+)  # fmt: skip
+_SQUARE_GAIN = 0.5  # sigma of a depth from four cameras in a square over that of two a side apart
+_BLUNDER_M = 0.005  # as benchmarks.closerange has it
 _SIGMAS = ("position_shape", "place_world", "height_world")
 
 
@@ -64,7 +75,8 @@ def main(argv: list[str] | None = None) -> int:
     for item in args.runs:
         name, folder = item.split("=", 1)
         with tempfile.TemporaryDirectory() as scratch:
-            rows.append(measure(name, Path(folder), Path(scratch)))
+            of = station if name == "station" else measure
+            rows.append(of(name, Path(folder), Path(scratch)))
         sys.stdout.write(json.dumps(rows[-1], indent=1) + "\n")
         sys.stdout.flush()
     if args.output:
@@ -82,15 +94,71 @@ def measure(name: str, folder: Path, scratch: Path) -> dict[str, Any]:
     out: dict[str, Any] = {"set": name, "sentence": comparison(made, run).sentence}
     for key in (f"{s}_sigma_median_m" for s in _SIGMAS):
         planned, reported = path.get(key), run.get(key)
-        out[key] = {
-            "planned": _rounded(planned), "reported": _rounded(reported),
-            "reported / planned": round(reported / planned, 2) if planned and reported else None,
-        }  # fmt: skip
+        out[key] = _beside(planned, reported)
     error = actual_m(dataset, folder, relaxed=bool(run.get("relaxed")))
     sigma = run.get("position_shape_sigma_median_m")
     out["error_in_shape_m"] = _rounded(error)
     out["error / reported"] = round(error / sigma, 2) if sigma else None
     return out
+
+
+def station(name: str, store: Path, scratch: Path) -> dict[str, Any]:
+    """The same of the textured object of ``benchmarks.closerange``: places of the wide camera, depths of the shots."""
+    made = plan(_of_rig(STATION, store / "rig.toml", scratch)).to_dict()
+    path = made["path"]
+    assert isinstance(path, dict)
+    model = pycolmap.Reconstruction(store / "textured" / "out" / "sparse" / "0")
+    images = sorted(model.images.values(), key=lambda i: i.name)
+    truth = world.stations() @ transforms.invert(world.sensor_from_rig()[world.NAMES.index("wide")])
+    there = truth[[int(Path(i.name).stem) for i in images]][:, :3, 3]
+    here = np.stack([i.projection_center() for i in images])
+    fit = umeyama(here, there)
+    counts = json.loads((store / "textured" / "out" / "receipts" / "sparse.json").read_text())["counts"]
+    sigma = fit.scale * counts["position_sigma_median"]
+    error = float(np.median(np.linalg.norm(fit(here) - there, axis=1)))
+    return {
+        "set": name,
+        "position_shape_sigma_median_m": _beside(path["position_shape_sigma_median_m"], sigma),
+        "ties_an_image": _beside(path["ties_an_image"], sum(i.num_points3D for i in images) / len(images)),
+        "error_in_shape_m": _rounded(error),
+        "error / reported": round(error / sigma, 2),
+        "depth of a shot": _depths(store, truth),
+    }
+
+
+def _depths(store: Path, truth: np.ndarray) -> dict[str, Any]:
+    """Sigma of the points on the body: planned for the median depth, stated by the clouds, and their true errors."""
+    off, stated, deep = [], [], []
+    for file in sorted((store / "textured" / "out" / "shots").glob("*.ply")):
+        cloud = read_cloud(file)
+        points = transforms.apply(truth[int(file.stem.split("_")[-1])], cloud.xyz_m)
+        error = world.distance_m(points)
+        kept = world.on_body(points) & (np.abs(error) < _BLUNDER_M)
+        off.append(error[kept])
+        stated.append(np.asarray(cloud.sigma_m)[kept])
+        deep.append(cloud.xyz_m[kept, 2])
+    error, depth = np.concatenate(off), float(np.median(np.concatenate(deep)))
+    camera = world.cameras()[0]
+    base = float(np.linalg.norm(transforms.centre(world.sensor_from_rig()[1])))
+    lens = CameraRequest(focal_px=camera.mean_focal_length(), size=f"{camera.width}x{camera.height}")
+    rows = plan(PlanRequest(lens, ImageRequest(distance=f"{depth:.4f}", base=f"{base:.4f}"))).to_dict()["stations"]
+    assert isinstance(rows, list)
+    planned = _SQUARE_GAIN * rows[0]["depth_sigma_2_rays_m"]
+    return {
+        "median_depth_m": _rounded(depth), **_beside(planned, float(np.median(np.concatenate(stated)))),
+        "error_m": _rounded(1.4826 * float(np.median(np.abs(error)))), "error_rms_m": _rounded(_rms(error)),
+    }  # fmt: skip
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _beside(planned: float | None, reported: float | None) -> dict[str, float | None]:
+    return {
+        "planned": _rounded(planned), "reported": _rounded(reported),
+        "reported / planned": round(reported / planned, 2) if planned and reported else None,
+    }  # fmt: skip
 
 
 def actual_m(dataset: datasets.Dataset, folder: Path, *, relaxed: bool) -> float:
@@ -112,17 +180,19 @@ def actual_m(dataset: datasets.Dataset, folder: Path, *, relaxed: bool) -> float
 
 def _with_files(request: PlanRequest, dataset: datasets.Dataset, scratch: Path) -> PlanRequest:
     """The request with the set's own rig file, or one camera of it."""
-    text = request.camera.rig or ""
-    found = re.fullmatch(r"\{rig(?::(\w+))?\}", text)
+    return request if dataset.rig is None else _of_rig(request, Path(str(dataset.rig)), scratch)
+
+
+def _of_rig(request: PlanRequest, file: Path, scratch: Path) -> PlanRequest:
+    found = re.fullmatch(r"\{rig(?::(\w+))?\}", request.camera.rig or "")
     if found is None:
         return request
-    file = Path(str(dataset.rig))
     if found[1]:
         head, *sensors = file.read_text().split("[[sensors]]")
         own = next(s for s in sensors if f'name = "{found[1]}"' in s)
         file = scratch / f"{found[1]}.toml"
         file.write_text(head + "[[sensors]]" + own)
-    return PlanRequest(CameraRequest(rig=str(file)), request.images, request.path, request.world)
+    return replace(request, camera=replace(request.camera, rig=str(file)))
 
 
 def _rounded(value: float | None) -> float | None:

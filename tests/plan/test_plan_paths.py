@@ -72,6 +72,18 @@ def test_yaw_turns_to_the_right_and_pitch_up():
     assert path.world_from_body[0, 2, 2] == pytest.approx(0.5)
 
 
+def test_an_orbit_that_looks_down_stands_higher_round_the_same_middle_and_sees_the_ground():
+    level, down = (make_path(replace(COURSE, shape="orbit", turned_deg=(0.0, p)), TUNING.path) for p in (0.0, -30.0))
+    middle = level.centres[level.leg == 0].mean(axis=0)
+    for path in (level, down):
+        view = path.world_from_body[path.leg == 0]
+        far = np.linalg.norm(view[:, :3, 3] - middle, axis=1)
+        assert np.allclose(view[:, :3, 3] + far[:, None] * view[:, :3, 2], middle) and np.ptp(far) < 1e-9
+    assert np.allclose(down.centres[0, 2] - level.centres[0, 2], np.linalg.norm(level.centres[0] - middle) / 2)
+    far, normal = _hit(level.centres[0], np.array([[0.0, 0.0, -1.0]]), level.surface)
+    assert far[0] == pytest.approx(level.centres[0, 2]) and normal[0] == pytest.approx([0, 0, 1])
+
+
 def network(course: Course = SIDEWAYS, most: int = 800, tie_px: float = 0.2) -> tuple[Path, Network]:
     path = make_path(course, TUNING.path)
     tuning = TUNING.network.model_copy(update={"most_points": most})

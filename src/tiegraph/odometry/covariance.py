@@ -25,6 +25,7 @@ from tiegraph.odometry.worldmap import Observations, WorldMap
 _STEP = 1e-6  # of a difference, in distances of the point
 _HELD = 1e12  # weight of what is held, over the largest of the normal matrix
 _RIDGE = 1e-12
+_LEAST = 3  # points that a pose has six unknowns from
 _BLOCK = 50  # keyframes solved for at once: bounds memory
 
 
@@ -66,8 +67,15 @@ def wider(classical: np.ndarray, clustered: np.ndarray) -> np.ndarray:
 def resection_covariance(
     cameras: Cameras, pose: np.ndarray, seen: Tracks, xyz: np.ndarray, loss_px: float
 ) -> np.ndarray:
-    """(6, 6) as of a keyframe, of one frame's pose by points (K, 3) whose places are taken as known."""
+    """(6, 6) as of a keyframe, of one frame's pose by points (K, 3) whose places are taken as known.
+
+    Points that later adjustments moved behind a camera say nothing; NaN where fewer than three are left.
+    """
     by_pose, _, residual = _derivatives(cameras, pose, seen.camera, seen.xy, xyz)
+    known = np.isfinite(residual).all(axis=1) & np.isfinite(by_pose).all(axis=(1, 2))
+    if known.sum() < _LEAST:
+        return np.full((6, 6), np.nan)
+    by_pose, residual = by_pose[known], residual[known]
     weight = np.repeat(1 / (1 + np.sum(residual**2, axis=1) / loss_px**2), 2)
     rows = by_pose.reshape(-1, 6)
     spread = 1.4826 * float(np.median(np.abs(residual)))

@@ -148,22 +148,25 @@ def _grid(c: Course, tuning: PathTuning) -> Path:
 
 
 def _orbit(c: Course, tuning: PathTuning) -> Path:
-    """A round object of the given width, by rings about it. Frames are a base apart on its surface."""
+    """A round object of the given width on the ground, by rings about it. Frames are a base apart on its surface."""
     radius = c.width_m / 2
     angle = 2 * np.pi * np.arange(tuning.facets + 1) / tuning.facets
     ring = radius * np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=1)
     up = np.array([0, 0, c.height_m])
     surface = tuple(Facet(a, np.stack([b - a, up])) for a, b in zip(ring, ring[1:]))
+    reach = radius + _BEYOND * c.distance_m
+    ground = Facet(np.array([-reach, -reach, 0.0]), np.diag([2 * reach, 2 * reach, 0.0])[:2])
     count = max(3, int(np.ceil(2 * np.pi * radius / c.base_m)))
     around = 2 * np.pi * np.arange(count) / count
     out = np.stack([np.cos(around), np.sin(around), np.zeros(count)], axis=1)
     levels = _evenly(c.height_m, c.row_m)
-    far = radius + c.distance_m
-    poses = [rigid(_turn(-o) @ _mounted(c), far * o + z * _UP) for z in levels for o in out]
+    far, down = radius + c.distance_m, np.radians(max(-c.turned_deg[1], 0.0))
+    lifted = far * np.sin(down) * _UP  # a rig that looks down stands higher, so that it sees the middle of its ring
+    poses = [rigid(_turn(-o) @ _mounted(c), far * np.cos(down) * o + lifted + z * _UP) for z in levels for o in out]
     way = np.tile(far * around, len(levels))
     names = tuple(f"ring {k + 1}" for k in range(len(levels)))
     leg = np.repeat(np.arange(len(levels)), count)
-    return Path(world_from_body=np.stack(poses), way_m=way, leg=leg, legs=names, surface=surface)
+    return Path(world_from_body=np.stack(poses), way_m=way, leg=leg, legs=names, surface=(*surface, ground))
 
 
 SHAPES = {

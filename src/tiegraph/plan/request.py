@@ -137,7 +137,7 @@ class PathRequest:
     yaw: float = 0.0
     """Turn of the rig to the right, degrees, out of the direction of the way (facade, orbit: to the surface)."""
     pitch: float = 0.0
-    """Likewise, up."""
+    """Likewise, up; an orbit that looks down stands higher, round the same middle."""
 
 
 @dataclass(frozen=True)
