@@ -14,7 +14,7 @@ def pose(rotvec, t):
 
 
 @given(vectors, vectors)
-@settings(max_examples=50)
+@settings(max_examples=50, deadline=None)
 def test_inverse_undoes(rotvec, t):
     a = pose(rotvec, t)
     np.testing.assert_allclose(transforms.invert(a) @ a, np.eye(4), atol=1e-9)
@@ -22,7 +22,7 @@ def test_inverse_undoes(rotvec, t):
 
 
 @given(vectors, vectors)
-@settings(max_examples=50)
+@settings(max_examples=50, deadline=None)
 def test_quaternion_round_trip(rotvec, t):
     a = pose(rotvec, t)
     q = transforms.quaternion_xyzw(a[:3, :3])
@@ -46,7 +46,7 @@ def test_interpolation_is_halfway_and_respects_gaps():
 
 
 @given(vectors, vectors)
-@settings(max_examples=50)
+@settings(max_examples=50, deadline=None)
 def test_jacobians_of_rotation_vectors(rotvec, direction):
     v, step = rotvec / max(np.linalg.norm(rotvec), 1.0) * 3.0, direction / 100 * 1e-6
     by_vector = transforms.turn_by_vector(v[None])[0]

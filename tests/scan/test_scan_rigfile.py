@@ -3,7 +3,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scan_worlds import data, papers_rig, picture, scan
 
@@ -55,6 +55,7 @@ def test_yaw_turns_right_pitch_up_and_roll_clockwise(axes: str) -> None:
     assert np.linalg.det(orient(10, 20, 30, axes)) == pytest.approx(1)
 
 
+@settings(deadline=None)
 @given(st.floats(-179, 179), st.floats(-90, 90), st.floats(-179, 179), st.sampled_from(sorted(AXES)))
 def test_angles_and_rotation_are_inverse(yaw: float, pitch: float, roll: float, axes: str) -> None:
     rotation = orient(yaw, pitch, roll, axes)

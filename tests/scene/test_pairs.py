@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tiegraph.scene.pairs import REASONS, Pairs
@@ -13,6 +13,7 @@ def table(pairs, source="sequence"):
     return Pairs.make(array[:, 0], array[:, 1], source)
 
 
+@settings(deadline=None)
 @given(rows)
 def test_always_sorted_unique_and_without_self_pairs(pairs):
     made = table(pairs)
@@ -21,6 +22,7 @@ def test_always_sorted_unique_and_without_self_pairs(pairs):
 
 
 @pytest.mark.slow
+@settings(deadline=None)
 @given(rows, rows)
 def test_union_keeps_every_pair_and_both_sources(a, b):
     both = table(a) | table(b, "offsets")
@@ -32,6 +34,7 @@ def test_union_keeps_every_pair_and_both_sources(a, b):
     assert len(names) == len({tuple(sorted(p)) for p in a + b if p[0] != p[1]})
 
 
+@settings(deadline=None)
 @given(rows, st.data())
 def test_filters_only_drop_and_the_first_reason_stays(pairs, data):
     made = table(pairs)

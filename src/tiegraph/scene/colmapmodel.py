@@ -133,10 +133,16 @@ def matrix(transform: pycolmap.Rigid3d) -> np.ndarray:
 
 def rigid3d(target_from_source: np.ndarray) -> pycolmap.Rigid3d:
     """COLMAP rigid transform of (4, 4)."""
+    return rigids3d(target_from_source[None])[0]
+
+
+def rigids3d(target_from_source: np.ndarray) -> list[pycolmap.Rigid3d]:
+    """COLMAP rigid transforms of (N, 4, 4)."""
     import pycolmap
 
-    rotation = pycolmap.Rotation3d(transforms.quaternion_xyzw(target_from_source[:3, :3]))
-    return pycolmap.Rigid3d(rotation, np.asarray(target_from_source[:3, 3], float))
+    quaternions = transforms.quaternion_xyzw(target_from_source[:, :3, :3])
+    places = np.asarray(target_from_source[:, :3, 3], float)
+    return [pycolmap.Rigid3d(pycolmap.Rotation3d(q), t) for q, t in zip(quaternions, places)]
 
 
 def sim3d(similarity: Similarity) -> pycolmap.Sim3d:

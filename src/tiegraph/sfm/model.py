@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tiegraph.geometry import transforms
-from tiegraph.scene.colmapmodel import image_poses, matrix, model_rigs, observations, rigid3d, sim3d, tracks
+from tiegraph.scene.colmapmodel import image_poses, matrix, model_rigs, observations, rigid3d, rigids3d, sim3d, tracks
 from tiegraph.scene.registered import BY_RIG, Registration
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.tuning.world import FixTuning
@@ -20,6 +20,7 @@ __all__ = [
     "registration_tables",
     "rig_from_sensor",
     "rigid3d",
+    "rigids3d",
     "sim3d",
     "tracks",
 ]

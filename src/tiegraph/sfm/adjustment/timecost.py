@@ -16,7 +16,7 @@ import pycolmap.cost_functions
 from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import transforms
-from tiegraph.sfm.model import rigid3d
+from tiegraph.sfm.model import rigid3d, rigids3d
 
 _STEPS = np.array([1e-5, *[1e-6] * 6])
 
@@ -43,13 +43,13 @@ class TimeOffsetPriors:
 
 
 def expected(tie: TimeOffsetPrior, unknowns: np.ndarray) -> np.ndarray:
-    """second_from_first (4, 4) of a tie under unknowns (7,)."""
-    moved = unknowns[0] * tie.columns
-    later = transforms.rigid(Rotation.from_rotvec(moved[3:]).as_matrix(), moved[:3])
+    """second_from_first (..., 4, 4) of a tie under unknowns (..., 7)."""
+    moved = unknowns[..., :1] * tie.columns
+    later = transforms.rigid(Rotation.from_rotvec(moved[..., 3:]).as_matrix(), moved[..., :3])
     # The constant turns the camera about its own centre.
     lever = transforms.centre(tie.sensor_from_first)
-    turn = Rotation.from_rotvec(unknowns[4:]).as_matrix()
-    mounting = transforms.rigid(turn, unknowns[1:4] + lever - turn @ lever)
+    turn = Rotation.from_rotvec(unknowns[..., 4:]).as_matrix()
+    mounting = transforms.rigid(turn, unknowns[..., 1:4] + lever - turn @ lever)
     return tie.sensor_from_first @ transforms.invert(later @ mounting)
 
 
@@ -89,21 +89,22 @@ def _tie_cost(tie: TimeOffsetPrior, weight: float) -> Any:
         def Evaluate(self, parameters: Any, residuals: Any, jacobians: Any) -> bool:
             second, first, unknowns = (np.array(p) for p in parameters)
 
-            def at(u: np.ndarray) -> tuple[np.ndarray, list[np.ndarray]]:
-                prior = rigid3d(expected(tie, u))
+            def against(prior: pycolmap.Rigid3d) -> tuple[np.ndarray, list[np.ndarray]]:
                 cost = pycolmap.cost_functions.RelativePosePriorCost(covariance, prior)
                 value, slopes = cost.evaluate(second, first)
                 return np.asarray(value).ravel(), slopes
 
-            value, slopes = at(unknowns)
+            value, slopes = against(rigid3d(expected(tie, unknowns)))
             residuals[:] = value
             if jacobians is not None:
                 for block in (0, 1):
                     if jacobians[block] is not None:
                         jacobians[block][:] = np.asarray(slopes[block]).ravel()
                 if jacobians[2] is not None:
-                    columns = [(at(unknowns + s)[0] - at(unknowns - s)[0]) / (2 * s.sum()) for s in np.diag(_STEPS)]
-                    jacobians[2][:] = np.stack(columns, axis=1).ravel()
+                    steps = np.diag(_STEPS)
+                    beside = rigids3d(expected(tie, unknowns + np.concatenate([steps, -steps])))
+                    up, down = np.array([against(prior)[0] for prior in beside]).reshape(2, 7, 6)
+                    jacobians[2][:] = ((up - down) / (2 * _STEPS[:, None])).T.ravel()
             return True
 
     return TieCost()
