@@ -86,7 +86,7 @@ class Project:
         base = project_settings.merged(project_settings.preset(self.preset))
         own = project_settings.changed(self.settings)
         inherited = project_settings.changed(base)
-        text = project_settings.file_text(run, _difference(own, inherited, self.settings))
+        text = project_settings.file_text(run, _differing(self.settings.model_dump(mode="json"), own, inherited))
         path = self.folder / SETTINGS
         if path.exists() and project_settings.read_file(path) == project_settings.parse(text):
             return lambda: None
@@ -318,13 +318,9 @@ def _folder(images: str | Path | None, out: str | Path | None) -> Path:
     return path.with_name(path.name + "_tiegraph")
 
 
-def _difference(own: dict, inherited: dict, settings: Settings) -> dict:
-    """What the project says beyond its preset; a value set back to the default against the preset is said too."""
-    return _differing(settings.model_dump(mode="json"), own, inherited)
-
-
 def _differing(values: dict, mine: dict, theirs: dict) -> dict[str, Any]:
-    """The values, table by table, of what stands otherwise in two tables."""
+    """The values of what stands otherwise in two tables: what a project says beyond its preset. A value set back to the
+    default against the preset is said too."""
     out: dict[str, Any] = {}
     for name in sorted({*mine, *theirs}):
         if mine.get(name, ...) == theirs.get(name, ...):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -12,8 +11,8 @@ import tyro
 from tiegraph.api import open_project
 from tiegraph.cli.options import options_of
 from tiegraph.cli.output import complain, say
-from tiegraph.errors import InputError
 from tiegraph.project.stages import write_atomic
+from tiegraph.scene.atomic import must_be_new
 
 
 @dataclass(frozen=True)
@@ -34,8 +33,8 @@ class _Rig:
 def main(arguments: list[str]) -> int:
     """`tiegraph rig`."""
     options = options_of(_Rig, "tiegraph rig", arguments)
-    if options.out is not None and os.path.lexists(options.out):
-        raise InputError(f"-o {options.out} is there already: give another name, or remove it")
+    if options.out is not None:
+        must_be_new(options.out)
     text, said = open_project(None, options.folder).rig_file(options.format)
     if options.out is not None:
         write_atomic(options.out, text)

@@ -65,19 +65,13 @@ def filter_pairs(
     bearings.forget()
     refused, undecided = contradicts, np.zeros(len(kept), bool)
     refused[~asked], undecided[~asked] = others.refused, others.undecided
-    counts: dict[str, float] = {
-        "pairs": len(kept),
-        "kept": len(kept) - int(refused.sum()),
-        "refused": int(refused.sum()),
-        "undecided": int(undecided.sum()),
-        "motions": len(others.motions.units),
-    }
+    told = {"refused": int(refused.sum()), "undecided": int(undecided.sum()), "motions": len(others.motions.units)}
     return Filtering(
         pairs=pairs.drop(_in_table(pairs, refused), "repeat"),
         motions=others.motions,
         method=cameras.method,
         undecided=_in_table(pairs, undecided),
-        counts=counts,
+        counts={"pairs": len(kept), "kept": len(kept) - told["refused"], **told},
         notes=(*said, *cameras.notes, *others.notes),
         tables={"camera pairs": _table(scene, kept, refused), **cameras.tables()},
     )

@@ -6,7 +6,6 @@ summary. Neither may be there before.
 
 from __future__ import annotations
 
-import os
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -40,6 +39,7 @@ from tiegraph.scan.rigfiles.rigreader import nearest
 from tiegraph.scan.rigfiles.rigwrite import rig_config, rig_toml
 from tiegraph.scan.tuning import Tuning as ScanTuning
 from tiegraph.scan.usable import usable_images
+from tiegraph.scene.atomic import must_be_new
 from tiegraph.scene.hanging import WIDE
 from tiegraph.scene.images import Probe, probe_image, search_images
 from tiegraph.scene.names import clean_names
@@ -278,8 +278,7 @@ class Outputs:
             raise InputError(f"-o {out}: the rig is written as TOML: give a name that ends in .toml")
         made = cls(out, out.with_name(out.stem + _FOLDER))
         for path in (made.rig, made.folder):
-            if os.path.lexists(path):
-                raise InputError(f"-o {out}: {path} is there already: give another name, or remove it")
+            must_be_new(out, path)
         return made
 
     def said(self) -> tuple[str, str]:

@@ -19,6 +19,7 @@ from tiegraph.evaluate.tuning import Tuning
 from tiegraph.geometry.geodesy import ENU, Origin
 from tiegraph.pipeline.evaluate import write_judgement
 from tiegraph.project.run import save_json
+from tiegraph.scene.atomic import must_be_new
 from tiegraph.scene.cloudchunks import PointSource, open_cloud
 
 
@@ -72,8 +73,7 @@ def new_folder(out: Path | None) -> Iterator[Path | None]:
     if out is None:
         yield None
         return
-    if os.path.lexists(out):
-        raise InputError(f"-o {out} is there already: give another name, or remove it")
+    must_be_new(out)
     with tempfile.TemporaryDirectory(dir=_made(out.absolute().parent), prefix=f".{out.name}-") as temporary:
         folder = Path(temporary) / "made"
         folder.mkdir()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from functools import partial
 from pathlib import Path
 
@@ -31,6 +30,7 @@ from tiegraph.scan.rigfiles.rigfile import read_rig_file
 from tiegraph.scan.rigfiles.rigspec import AXES, RigSpec, SensorSpec, preset, preset_sizes
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import Tuning as ScanTuning
+from tiegraph.scene.atomic import must_be_new
 from tiegraph.scene.colmapmodel import read_model
 from tiegraph.scene.rig import Rig, Sensor, calibrated
 from tiegraph.sfm.adjustment.adjust import free_cameras
@@ -49,8 +49,8 @@ def plan(request: PlanRequest) -> Plan:
     Raises InputError for values that make no survey, and for a folder that is there.
     """
     out = request.output.out
-    if out is not None and os.path.lexists(out):
-        raise InputError(f"-o {out} is there already: give another name, or remove it")
+    if out is not None:
+        must_be_new(out)
     rigged = _cameras(request.camera)
     tuning = Tuning()
     errors = tuning.errors.model_copy(update={"calibration_px": request.camera.calibration(tuning.errors)})

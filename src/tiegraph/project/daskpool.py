@@ -31,6 +31,7 @@ from tiegraph.project.daskcluster import FREE_S, Quiet, connect, other_versions,
 from tiegraph.project.daskworker import GOES_ON
 from tiegraph.project.pool import Place
 from tiegraph.project.progress import Elsewhere
+from tiegraph.project.software import software
 
 log = logging.getLogger(__name__)
 
@@ -177,9 +178,9 @@ class DaskExecutor(Executor):
 
         # Not as a task: a worker or scheduler that cannot import what it is sent as one breaks.
         async def ask() -> dict[str, Any]:
-            out = dict(await self._client.run(daskworker.versions, workers=workers, on_error="return"))
+            out = dict(await self._client.run(software, workers=workers, on_error="return"))
             try:
-                return {"scheduler": await self._client.run_on_scheduler(daskworker.versions), **out}
+                return {"scheduler": await self._client.run_on_scheduler(software), **out}
             except Exception as error:
                 return {"scheduler": error, **out}
 

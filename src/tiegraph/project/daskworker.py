@@ -15,7 +15,6 @@ from typing import Any
 
 from tiegraph.project.pool import limit_threads
 from tiegraph.project.progress import Meter
-from tiegraph.project.software import software
 
 GOES_ON = "finished work is kept, run the same command again"
 
@@ -34,11 +33,6 @@ class Seen:
 
 class _Unwanted(Exception):
     """The run has gone; nobody reads this."""
-
-
-def versions() -> dict[str, str]:
-    """What is installed here."""
-    return software()
 
 
 def unpacked(packed: bytes) -> Any:

@@ -38,7 +38,7 @@ class LocalPool(ProcessPoolExecutor):
 
     def __init__(self, workers: int, threads: int) -> None:
         self.helpers = Helpers()
-        super().__init__(workers, mp_context=self.helpers, initializer=_start_worker, initargs=(threads,))
+        super().__init__(workers, mp_context=self.helpers, initializer=limit_threads, initargs=(threads,))
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future:
         """As the base class. Raises BrokenProcessPool too where a worker is lost while the next one starts."""
@@ -101,10 +101,6 @@ def open_pool(spec: str, place: Place | None = None) -> tuple[Executor, int]:
     from tiegraph.project.daskpool import open_dask
 
     return open_dask(argument, place)
-
-
-def _start_worker(threads: int) -> None:
-    limit_threads(threads)
 
 
 def limit_threads(threads: int) -> None:

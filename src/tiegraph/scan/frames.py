@@ -5,8 +5,9 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+from tiegraph.scan.assign import Report, Shot, Survey
 from tiegraph.scan.folders import natural
 from tiegraph.scan.tuning import FramesTuning
 
@@ -18,6 +19,50 @@ class FrameKeys:
     keys: dict[int, list[str]]
     how: str
     shared: float  # share of the images of the sensor with fewest partners that have a partner in the fullest one
+
+
+def into_frames(survey: Survey, files: Sequence[str], how: str, report: Report, tuning: FramesTuning) -> Survey:
+    """The survey with the frame of each image; the report gets second images of a frame."""
+    groups: dict[tuple[int, str], list[Shot]] = {}
+    for shot in survey.shots:
+        groups.setdefault((shot.rig, shot.sequence), []).append(shot)
+    out: list[Shot] = []
+    for (_, sequence), shots in groups.items():
+        if survey.loose:
+            out += [replace(s, key=files[s.image]) for s in shots]
+            continue
+        sensors = sorted({s.sensor for s in shots})
+        stems = {k: [s.stem for s in shots if s.sensor == k] for k in sensors}
+        matched = match_frames(stems, how, tuning)
+        _say_frames(sequence, matched.how, stems, how, report)
+        for sensor in sensors:
+            mine = [s for s in shots if s.sensor == sensor]
+            out += _without_twins([replace(s, key=key) for s, key in zip(mine, matched.keys[sensor])], files, report)
+    return replace(survey, shots=tuple(sorted(out, key=lambda s: s.image)))
+
+
+def _say_frames(sequence: str, how: str, stems: dict[int, list[str]], asked: str, report: Report) -> None:
+    if len(stems) < 2:
+        return
+    counts = sorted({len(s) for s in stems.values()})
+    if how == "number" and asked == "auto":
+        report.notes.append(f"pass {sequence}: images of one frame found by the last number in their names")
+    if how == "order":
+        text = f"pass {sequence}: file names do not say which images belong together; taken in the order of names"
+        if len(counts) > 1:
+            text += f", although the cameras have {counts[0]} to {counts[-1]} images: check, or rename them"
+        report.notes.append(text)
+
+
+def _without_twins(shots: list[Shot], names: Sequence[str], report: Report) -> list[Shot]:
+    first: dict[str, Shot] = {}
+    for shot in shots:
+        if shot.key in first:
+            used = names[first[shot.key].image]
+            report.drop([names[shot.image]], f"a second image of frame {shot.key}; {used} is used")
+        else:
+            first[shot.key] = shot
+    return list(first.values())
 
 
 def match_frames(stems: Mapping[int, Sequence[str]], how: str, tuning: FramesTuning) -> FrameKeys:

@@ -10,12 +10,12 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 
-from tiegraph.scan.assign import Report, Shot, Survey, assign, some
+from tiegraph.scan.assign import Report, Shot, Survey, Usable, assign, some
 from tiegraph.scan.calibration import with_camera, with_start_cameras
 from tiegraph.scan.cameras import FileFacts, calibrate
 from tiegraph.scan.fisheye import ImageFiles, into_views, with_lit_circle
 from tiegraph.scan.folders import natural
-from tiegraph.scan.frames import match_frames
+from tiegraph.scan.frames import into_frames
 from tiegraph.scan.perspective import perspective_views
 from tiegraph.scan.prepare import KEPT_SUFFIXES, prepare_image
 from tiegraph.scan.priors.positions import Frames
@@ -24,7 +24,7 @@ from tiegraph.scan.priors.startmodel import StartModel, must_be_whole
 from tiegraph.scan.priors.times import FrameRow
 from tiegraph.scan.rigfiles.rigspec import RigSpec
 from tiegraph.scan.settings import ScanSettings
-from tiegraph.scan.tuning import FramesTuning, Tuning
+from tiegraph.scan.tuning import Tuning
 from tiegraph.scan.twolenses import two_lenses
 from tiegraph.scan.usable import need_two, usable_images
 from tiegraph.scene.exif import Exif
@@ -71,30 +71,42 @@ def build_scene(
     if Path(inputs.images, IMAGES_FOLDER).is_dir():
         report.notes.append(f"only the folder {IMAGES_FOLDER}/ was searched for images")
     usable = replace(usable_images(names, probes, report), video=inputs.video)
+    survey, pictures, whole = _assigned(inputs, usable, ImageFiles(names, probes, names), settings, report, tuning)
+    survey = _one_size(survey, pictures.names, pictures.probes, report)
+    survey = into_frames(survey, pictures.files, settings.frames, report, tuning.frames)
+    need_two(len(survey.shots), report)
+    survey = _with_cameras(inputs, survey, pictures, whole, report, tuning)
+    rigs, survey = _rigs(survey, pictures.probes, settings, report, tuning)
+    rigs, survey, views = into_views(rigs, survey, pictures, settings, report, tuning.lens_views)
+    if inputs.start is not None:
+        must_be_whole(inputs.start, views.names is pictures.names)
+    return _scene(inputs, _Named.of(survey, views), rigs, survey, settings, report, tuning)
+
+
+def _assigned(
+    inputs: ScanInputs, usable: Usable, pictures: ImageFiles, settings: ScanSettings, report: Report, tuning: Tuning
+) -> tuple[Survey, ImageFiles, bool]:
+    """Rig, sensor and pass of the images, or of the views that panoramas and double fisheyes are cut into; the images
+    or views, and whether these are whole images."""
     views = two_lenses(usable, inputs.rig, inputs.rig_text, settings, report, tuning) or perspective_views(
         usable, inputs.rig, settings, report, tuning
     )
     if views is None:
-        files: Sequence[str] = names
-        survey = assign(inputs.rig, usable, settings, report, tuning, inputs.rig_text)
-    else:
-        names, probes, files, survey = views.names, views.probes, views.files, views.survey
-    survey = _one_size(survey, names, probes, report)
-    survey = _into_frames(survey, files, settings.frames, report, tuning.frames)
-    need_two(len(survey.shots), report)
-    sizes = {k: _facts(shots, probes, survey.loose, tuning).size for k, shots in _sensors(survey).items()}
+        return assign(inputs.rig, usable, settings, report, tuning, inputs.rig_text), pictures, True
+    return views.survey, ImageFiles(views.names, views.probes, views.files), False
+
+
+def _with_cameras(
+    inputs: ScanInputs, survey: Survey, pictures: ImageFiles, whole: bool, report: Report, tuning: Tuning
+) -> Survey:
+    """The survey with the cameras that the user, a start model or a bag gave."""
+    sizes = {k: _facts(shots, pictures.probes, survey.loose, tuning).size for k, shots in _sensors(survey).items()}
     survey = with_camera(survey, sizes, inputs.camera, report.notes, tuning.rig)
     if inputs.start is not None:
-        must_be_whole(inputs.start, views is None)
-    for start in filter(None, (inputs.start, inputs.cameras if views is None else None)):
-        survey = with_start_cameras(survey, sizes, start, report.notes, names, tuning.rig.camera)
-    rigs, survey = _rigs(survey, probes, settings, report, tuning)
-    rigs, survey, pictures = into_views(
-        rigs, survey, ImageFiles(names, probes, files), settings, report, tuning.lens_views
-    )
-    if inputs.start is not None:
-        must_be_whole(inputs.start, pictures.names is names)
-    return _scene(inputs, _Named.of(survey, pictures), rigs, survey, settings, report, tuning)
+        must_be_whole(inputs.start, whole)
+    for start in filter(None, (inputs.start, inputs.cameras if whole else None)):
+        survey = with_start_cameras(survey, sizes, start, report.notes, pictures.names, tuning.rig.camera)
+    return survey
 
 
 # --- sizes and frames -----------------------------------------------------------------------------------------------
@@ -132,49 +144,6 @@ def _one_size(survey: Survey, names: Sequence[str], probes: Sequence[Probe], rep
                 reason = f"{size[0]} x {size[1]} pixels, but most images of {name} have {usual[0]} x {usual[1]}"
                 report.drop([names[shot.image]], reason)
     return replace(survey, shots=tuple(sorted(kept, key=lambda s: s.image)))
-
-
-def _into_frames(survey: Survey, files: Sequence[str], how: str, report: Report, tuning: FramesTuning) -> Survey:
-    groups: dict[tuple[int, str], list[Shot]] = {}
-    for shot in survey.shots:
-        groups.setdefault((shot.rig, shot.sequence), []).append(shot)
-    out: list[Shot] = []
-    for (_, sequence), shots in groups.items():
-        if survey.loose:
-            out += [replace(s, key=files[s.image]) for s in shots]
-            continue
-        sensors = sorted({s.sensor for s in shots})
-        stems = {k: [s.stem for s in shots if s.sensor == k] for k in sensors}
-        matched = match_frames(stems, how, tuning)
-        _say_frames(sequence, matched.how, stems, how, report)
-        for sensor in sensors:
-            mine = [s for s in shots if s.sensor == sensor]
-            out += _without_twins([replace(s, key=key) for s, key in zip(mine, matched.keys[sensor])], files, report)
-    return replace(survey, shots=tuple(sorted(out, key=lambda s: s.image)))
-
-
-def _say_frames(sequence: str, how: str, stems: dict[int, list[str]], asked: str, report: Report) -> None:
-    if len(stems) < 2:
-        return
-    counts = sorted({len(s) for s in stems.values()})
-    if how == "number" and asked == "auto":
-        report.notes.append(f"pass {sequence}: images of one frame found by the last number in their names")
-    if how == "order":
-        text = f"pass {sequence}: file names do not say which images belong together; taken in the order of names"
-        if len(counts) > 1:
-            text += f", although the cameras have {counts[0]} to {counts[-1]} images: check, or rename them"
-        report.notes.append(text)
-
-
-def _without_twins(shots: list[Shot], names: Sequence[str], report: Report) -> list[Shot]:
-    first: dict[str, Shot] = {}
-    for shot in shots:
-        if shot.key in first:
-            used = names[first[shot.key].image]
-            report.drop([names[shot.image]], f"a second image of frame {shot.key}; {used} is used")
-        else:
-            first[shot.key] = shot
-    return list(first.values())
 
 
 # --- cameras and rigs -----------------------------------------------------------------------------------------------

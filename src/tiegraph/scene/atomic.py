@@ -47,6 +47,14 @@ def replacing(path: Path) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
+def must_be_new(out: Path, path: Path | None = None) -> None:
+    """Raise InputError if what ``-o`` asks for, or a ``path`` that goes with it, is there already."""
+    path = path or out
+    if os.path.lexists(path):
+        which = f"-o {out}" if path == out else f"-o {out}: {path}"
+        raise InputError(f"{which} is there already: give another name, or remove it")
+
+
 def is_temporary(name: str) -> bool:
     """Whether a file's name is one of ``replacing``'s, left behind by a kill."""
     return _TEMPORARY.match(name) is not None
