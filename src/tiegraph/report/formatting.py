@@ -50,7 +50,7 @@ def number(value: Any, digits: int = 3) -> str:
 def length(value: Any, unit: str = "m") -> str:
     """A length; below half a metre in centimetres or millimetres when the unit is metres."""
     if not is_number(value) or unit != "m" or abs(value) < _NOTHING:
-        return f"{number(value)} {unit}" if is_number(value) else NONE
+        return f"{number(value)} {t(unit)}" if is_number(value) else NONE
     if abs(value) < 0.01:
         return f"{number(1000 * value, 2)} mm"
     if abs(value) < 0.5:
