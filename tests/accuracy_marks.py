@@ -10,7 +10,7 @@ from pathlib import Path
 
 from tiegraph.scene.accuracy import Accuracy
 
-UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "": 1.0, "°": 1.0, "%": 0.01, "units": 1.0}
+UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "": 1.0, "°": 1.0, "%": 0.01, "units": 1.0, "単位": 1.0}
 MARKED = re.compile(r'<data data-accuracy="([^"]+)">([^<]*)</data>')
 WORDS = re.compile(
     r"sigma|rms|residual|accura|error|deviation|known to|off by|predicted|measured|median|rmse|scatter|max m"

@@ -192,7 +192,7 @@ def test_a_survey_is_evaluated_whole(tmp_path: Path) -> None:
     model = make_model(scene, missing=3)
     data = evaluate_survey(scene, made(scene, model, a_cloud(), scratch=tmp_path), settings, TUNING).metrics
     values = {m["name"]: m["value"] for m in data["metrics"]}
-    assert values["registered_images"] == pytest.approx(100 * 20 / 24) and values["ate_se3_rmse"] < 1e-6
+    assert values["registered_images"] == pytest.approx(100 * 20 / 24) and values["ate_sim3_rmse"] < 1e-6
     assert 0.001 < values["backprojection_rmse"] < 0.1 and values["fscore_0.02m"] > 99
     assert values["images_by_rig"] == pytest.approx(100 / 24)
     rows = data["tables"]["registered by camera"]["rows"]

@@ -1,5 +1,7 @@
 """ATE, RPE and yaw drift on trajectories with known errors."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -38,6 +40,22 @@ def test_a_similarity_is_no_error_but_its_scale_shows() -> None:
     assert 1.0 < result.se3.rmse_m < 2.5
     assert 0.05 < result.relative[0].translation_m < 0.2 and 0.8 < result.relative[1].translation_m < 1.3
     assert result.within == 1.0 and result.absolute is None
+
+
+def test_a_model_that_nothing_told_the_scale_of_has_no_error_of_scale() -> None:
+    match = matched(moved(river(120), 0.4), river(120))
+    match = replace(match, parts={"pass": np.full(120, "up")})
+    own, told = (evaluate_trajectory(match, (10.0, 1000.0), TUNING, metric=m) for m in (False, True))
+    names = {m.name for m in own.metrics()}
+    assert not names & {"ate_se3_rmse", "scale_error"} and {"ate_sim3_rmse", "rpe_10m_translation"} <= names
+    assert {"ate_se3_rmse", "scale_error"} <= {m.name for m in told.metrics()}
+    (row,) = own.tables()["trajectory by pass"]["rows"]
+    columns = own.tables()["trajectory by pass"]["columns"]
+    assert row[columns.index("rmse m")] < 1e-9 and own.relative[0].translation_m < 1e-9
+    assert told.tables()["trajectory by pass"]["rows"][0][3] > 5 and told.relative[0].translation_m > 5
+    loose = evaluate_trajectory(replace(match, group=np.full(120, -1)), (10.0,), TUNING, metric=False)
+    assert loose.tables()["trajectory by pass"]["columns"] == ["pass", "matched", "rmse m", "median m", "max m"]
+    assert "relative pose error" not in loose.tables() and "yaw_drift" not in {m.name for m in loose.metrics()}
 
 
 def test_noise_comes_out_as_it_went_in() -> None:

@@ -13,7 +13,7 @@ from jinja2 import nodes
 
 from accuracy_marks import check, unmarked
 from tiegraph.errors import EngineMissing, InputError
-from tiegraph.report import glossary, pdf, spatial, texts
+from tiegraph.report import formatting, glossary, pdf, spatial, texts
 from tiegraph.report.formatting import without_folders
 from tiegraph.report.html import environment, write_report
 from tiegraph.report.images import ABSENT, HANGING, LEFT_OUT, REGISTERED, image_rows
@@ -157,6 +157,9 @@ def test_every_text_of_the_page_is_in_the_table(japanese: str, monkeypatch: pyte
         assert texts.said("GNSS positions of 10 of 20 frames and 3 control points").endswith("標定点 3 点")
         assert texts.said("a name that no table holds") == "a name that no table holds"
         assert texts.t("{} usable", "<b>") == "使用可 &lt;b&gt;"
+        named = {"columns": ["camera", "reason"], "rows": [["camera", "not verified"], ["all", "scale"]]}
+        table = formatting.table(named)
+        assert table is not None and table.rows == (("camera", "幾何検証で不採用"), ("全体", "縮尺")), "a name stays"
     assert texts.t("Glossary") == "Glossary"
 
 

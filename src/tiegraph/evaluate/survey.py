@@ -156,7 +156,8 @@ def _trajectory(work: _Work, path: Path) -> TrajectoryError:
         match = reference.poses_to_world(match, reference.enu_origin(settings.reference_origin), origin)
     try:
         distances = tuning.trajectory.relative_m
-        result = evaluate_trajectory(match, distances, tuning.trajectory, same_frame=comparable)
+        known = work.predicted.metric
+        result = evaluate_trajectory(match, distances, tuning.trajectory, same_frame=comparable, metric=known)
     except np.linalg.LinAlgError as error:
         raise InputError(f"{path}: the poses cannot be aligned: {error}") from None
     found.metrics.extend(result.metrics())
@@ -165,6 +166,8 @@ def _trajectory(work: _Work, path: Path) -> TrajectoryError:
     figures, metric = pose_figures(match, result, work.predicted, tuning.trajectory), work.predicted.metric
     found.figures += figures
     found.contradictions += against_poses(match, figures, metric, tuning.judge, _step_s(work.scene))
+    if not metric:
+        found.notes.append("Nothing told the model's scale: the reference does, and no error of it is stated.")
     if comparable:
         found.notes.append("absolute_rmse compares positions in the same CRS without any alignment.")
     else:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -85,9 +85,10 @@ class PartError:
 class TrajectoryError:
     """All of it. sim3/se3: after a least-squares alignment with and without scale; absolute: no alignment (None when
     the frames differ); within: share of matched poses nearer than within_m after a robust Sim3; parts: each pass,
-    section and camera on a pass by itself."""
+    section and camera on a pass by itself. ``metric``: something told the model's scale; if not, all but se3 is after a
+    similarity, and neither se3 nor the scale is an error."""
 
-    matched: int
+    metric: bool
     sim3: PositionError
     se3: PositionError
     absolute: PositionError | None
@@ -104,15 +105,18 @@ class TrajectoryError:
             Metric(name="ate_sim3_rmse", value=self.sim3.rmse_m, unit="m", better="low"),
             Metric(name="ate_sim3_median", value=self.sim3.median_m, unit="m", better="low"),
             Metric(name="ate_sim3_max", value=self.sim3.max_m, unit="m", better="low"),
-            Metric(name="ate_se3_rmse", value=self.se3.rmse_m, unit="m", better="low"),
-            Metric(name="scale_error", value=abs(self.sim3.alignment.scale - 1) * 100, unit="%", better="low"),
-            Metric(
-                name=f"images_within_{self.within_m:g}m", value=100 * self.within, unit="%", better="high", target=100.0
-            ),
-            Metric(name="yaw_drift", value=self.yaw_drift_deg_per_100m, unit="deg/100 m", better="low"),
         ]
+        if self.metric:
+            out.append(Metric(name="ate_se3_rmse", value=self.se3.rmse_m, unit="m", better="low"))
         if self.absolute is not None:
-            out.insert(4, Metric(name="absolute_rmse", value=self.absolute.rmse_m, unit="m", better="low"))
+            out.append(Metric(name="absolute_rmse", value=self.absolute.rmse_m, unit="m", better="low"))
+        if self.metric:
+            off = abs(self.sim3.alignment.scale - 1) * 100
+            out.append(Metric(name="scale_error", value=off, unit="%", better="low"))
+        near = f"images_within_{self.within_m:g}m"
+        out.append(Metric(name=near, value=100 * self.within, unit="%", better="high", target=100.0))
+        if np.isfinite(self.yaw_drift_deg_per_100m):
+            out.append(Metric(name="yaw_drift", value=self.yaw_drift_deg_per_100m, unit="deg/100 m", better="low"))
         for r in self.relative:
             if r.count:
                 out.append(
@@ -125,20 +129,18 @@ class TrajectoryError:
 
     def tables(self) -> dict[str, dict]:
         """Tables for metrics.json."""
-        relative = [[r.distance_m, r.translation_m, r.rotation_deg, r.count] for r in self.relative]
-        return {
-            "relative pose error": {
-                "columns": ["distance m", "translation m", "rotation deg", "pose pairs"],
-                "rows": relative,
-            },
-            **{f"trajectory by {kind}": self._by_part(kind) for kind in dict.fromkeys(p.kind for p in self.parts)},
-        }
+        relative = [[r.distance_m, r.translation_m, r.rotation_deg, r.count] for r in self.relative if r.count]
+        columns = ["distance m", "translation m", "rotation deg", "pose pairs"]
+        out = {"relative pose error": {"columns": columns, "rows": relative}} if relative else {}
+        kinds = dict.fromkeys(p.kind for p in self.parts)
+        return {**out, **{f"trajectory by {kind}": self._by_part(kind) for kind in kinds}}
 
     def _by_part(self, kind: str) -> dict:
-        """A row a part; distances that no part spans have no columns."""
+        """A row a part; what no part has, such as a distance that none spans, has no columns."""
         found = [p for p in self.parts if p.kind == kind]
         spanned = [k for k in range(len(self.relative)) if any(p.relative[k].count for p in found)]
-        columns = [kind, "matched", "path m", "rmse m", "median m", "max m"]
+        way, drift = any(p.path_m for p in found), any(np.isfinite(p.yaw_drift_deg_per_100m) for p in found)
+        columns = [kind, "matched", *(["path m"] if way else []), "rmse m", "median m", "max m"]
         for k in spanned:
             columns += [f"RPE {self.relative[k].distance_m:g} m, m", f"RPE {self.relative[k].distance_m:g} m, deg"]
         rows: list[list] = []
@@ -146,14 +148,20 @@ class TrajectoryError:
             off = [v for k in spanned for v in (p.relative[k].translation_m, p.relative[k].rotation_deg)]
             e = p.errors_m
             error = [float(np.sqrt(np.mean(e**2))), float(np.median(e)), float(e.max())]
-            rows.append([p.name, len(e), p.path_m, *error, *off, p.yaw_drift_deg_per_100m])
-        return {"columns": [*columns, "yaw drift deg/100 m"], "rows": rows}
+            path, yaw = [p.path_m] if way else [], [p.yaw_drift_deg_per_100m] if drift else []
+            rows.append([p.name, len(e), *path, *error, *off, *yaw])
+        return {"columns": [*columns, *(["yaw drift deg/100 m"] if drift else [])], "rows": rows}
 
 
 def evaluate_trajectory(
-    match: PoseMatch, distances_m: tuple[float, ...], tuning: TrajectoryTuning, same_frame: bool = False
+    match: PoseMatch,
+    distances_m: tuple[float, ...],
+    tuning: TrajectoryTuning,
+    same_frame: bool = False,
+    metric: bool = True,
 ) -> TrajectoryError:
-    """Errors of K matched poses; with ``same_frame`` also the absolute error (both are in one world).
+    """Errors of K matched poses; with ``same_frame`` also the absolute error (both are in one world). Not ``metric``:
+    nothing told the scale of the estimate, so the reference does.
 
     Raises ValueError below three poses. Alignment: Umeyama least squares over all positions, no outlier rejection, so
     that a wrong pose counts; RPE and yaw drift use the rotations and the scale as they are after SE3.
@@ -162,10 +170,15 @@ def evaluate_trajectory(
     rigid = umeyama(est, ref, with_scale=False)
     se3 = position_error(est, ref, rigid)
     off = est - ref
-    aligned = transforms.rigid(rigid.rotation @ match.estimate[:, :3, :3], rigid(est))
+    sim3 = position_error(est, ref, umeyama(est, ref))
+    errors_m = se3.errors_m if metric else sim3.errors_m
+    if not metric:
+        scaled = transforms.rigid(match.estimate[:, :3, :3], sim3.alignment.scale * est)
+        match, rigid = replace(match, estimate=scaled), umeyama(scaled[:, :3, 3], ref, with_scale=False)
+    aligned = transforms.rigid(rigid.rotation @ match.estimate[:, :3, :3], rigid(match.estimate[:, :3, 3]))
     return TrajectoryError(
-        matched=len(match),
-        sim3=position_error(est, ref, umeyama(est, ref)),
+        metric=metric,
+        sim3=sim3,
         se3=se3,
         absolute=position_error(est, ref, _AS_IT_IS) if same_frame else None,
         absolute_enu_m=tuple(np.sqrt(np.mean(off**2, axis=0)).tolist()) if same_frame else None,
@@ -173,7 +186,7 @@ def evaluate_trajectory(
         within_m=tuning.within_m,
         relative=tuple(relative_error(match, d, tuning.max_stretch) for d in distances_m),
         yaw_drift_deg_per_100m=yaw_drift(match, aligned, tuning.min_drift_m),
-        parts=tuple(_by_part(match, aligned, se3.errors_m, distances_m, tuning)),
+        parts=tuple(_by_part(match, aligned, errors_m, distances_m, tuning)),
     )
 
 

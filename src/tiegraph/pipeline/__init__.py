@@ -66,8 +66,8 @@ STAGES = (
     _stage("cloud", ("dense",), ("cloud.copc.laz", "cloud.laz", "cloud.ply", "passes"), version=4,
            scratch=(".tiles",), tuned=("evaluate",)),
     _stage("evaluate", ("filter", "georef", "refine", "dense", "cloud"), ("metrics.json", "accuracy.csv", "evaluate"),
-           version=6, scratch=("evaluate/.tiles",), tuned=("scene",)),
-    _stage("report", ("evaluate",), ("report.html", "report.json"), version=6),
+           version=7, scratch=("evaluate/.tiles",), tuned=("scene",)),
+    _stage("report", ("evaluate",), ("report.html", "report.json"), version=7),
 )
 # fmt: on
 

@@ -170,9 +170,10 @@ def with_scale_bar(view: CloudView, unit: str) -> np.ndarray:
     power = 10 ** np.floor(np.log10(target))
     length = max(m * power for m in (1, 2, 5) if m * power <= target * 1.0001)
     x, y, size = 18, picture.shape[0] - 18, round(length * view.px_per_m)
-    for colour, thick in (((255, 255, 255), 6), ((30, 30, 30), 2)):
-        cv2.line(picture, (x, y), (x + size, y), colour, thick)
-        cv2.putText(
-            picture, f"{length:g} {unit}", (x, y - 10), cv2.FONT_HERSHEY_SIMPLEX, 0.6, colour, thick, cv2.LINE_AA
-        )
+    unit = unit if unit.isascii() else "units"  # the font of the picture has no other letters
+    label, font = f"{length:g} {unit.removesuffix('s') if length == 1 else unit}", cv2.FONT_HERSHEY_SIMPLEX
+    (wide, tall), _ = cv2.getTextSize(label, font, 0.6, 2)
+    cv2.rectangle(picture, (x - 10, y - 18 - tall), (x + 10 + max(wide, size), y + 8), (255, 255, 255), cv2.FILLED)
+    cv2.line(picture, (x, y), (x + size, y), (30, 30, 30), 2)
+    cv2.putText(picture, label, (x, y - 10), font, 0.6, (30, 30, 30), 2, cv2.LINE_AA)
     return picture

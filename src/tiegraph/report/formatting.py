@@ -13,6 +13,8 @@ from tiegraph.report.texts import said, t
 
 # An absolute path of two names or more, on Linux, macOS or Windows; ends where a space, a quote or a comma does.
 _FOLDERS = re.compile(r"(?<![\w.:/\\])(?:/[^\s/:,;'\"()]+)+/(?=[^\s/:,;'\"()])|\b[A-Za-z]:\\(?:[^\s\\:,;'\"]+\\)+")
+_NAMES = ("camera", "pass", "pass and camera", "rig", "image", "near image", "point")  # columns
+_NO_NAMES = ("all", "(loose)", "(none)")
 NONE = "–"  # an en dash: not known
 _NOTHING = 1e-7  # smaller numbers are rounding errors
 
@@ -50,7 +52,7 @@ def number(value: Any, digits: int = 3) -> str:
 def length(value: Any, unit: str = "m") -> str:
     """A length; below half a metre in centimetres or millimetres when the unit is metres."""
     if not is_number(value) or unit != "m" or abs(value) < _NOTHING:
-        return f"{number(value)} {unit}" if is_number(value) else NONE
+        return f"{number(value)} {t(unit)}" if is_number(value) else NONE
     if abs(value) < 0.01:
         return f"{number(1000 * value, 2)} mm"
     if abs(value) < 0.5:
@@ -94,13 +96,20 @@ def table(data: Any, title: str = "", key: str = "") -> Table | None:
     columns = [said(str(c).replace("_", " ")) for c in data["columns"]]
     rows = [(row + [None] * len(columns))[: len(columns)] for row in rows]
     numeric = tuple(all(v is None or _is_number(v) for v in column) for column in zip(*rows))
+    heads = [str(c).replace("_", " ") for c in data["columns"]]
     printed = [
-        _column(list(column)) if n else [said(cell(v)) for v in column] for column, n in zip(zip(*rows), numeric)
+        _column(list(values)) if n else [_word(head, cell(v)) for v in values]
+        for head, values, n in zip(heads, zip(*rows), numeric)
     ]
     if key:
         for c in (c for c, n in enumerate(numeric) if n):
             printed[c] = [_marked(f"{key}.{r}.{c}", text) for r, text in enumerate(printed[c])]
     return Table(columns=tuple(columns), rows=tuple(zip(*printed)), numeric=numeric, title=title)
+
+
+def _word(column: str, text: str) -> str:
+    """A text of a table in the language of the page; names of cameras, passes and images stay."""
+    return text if column in _NAMES and text not in _NO_NAMES else said(text)
 
 
 def _marked(key: str, text: str) -> str:

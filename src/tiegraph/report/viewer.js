@@ -240,7 +240,7 @@
     const length = [5, 2, 1].map((k) => k * power).find((k) => k * perUnit <= 140);
     const bar = holder.querySelector(".bar");
     bar.style.width = length * perUnit + "px";
-    bar.textContent = Number(length.toPrecision(2)) + " " + data.unit;
+    bar.textContent = Number(length.toPrecision(2)) + " " + (length === 1 ? data.unit.replace(/s$/, "") : data.unit);
   }
 
   const held = new Map();

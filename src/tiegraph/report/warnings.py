@@ -46,7 +46,7 @@ def _ranked(run: RunFolder) -> Iterator[tuple[int, str]]:
             yield 3, many(few, one, "{} images have fewer than {} verified ties to other images.", count(few), FEW_TIES)
     world = run.world or {}
     if run.done("georef") and not run.georeferenced and not world.get("placed"):
-        text = "The model is not georeferenced: give --gnss (or images with GPS) for coordinates on the Earth."
+        text = "The model is not georeferenced: positions of the images (GNSS) give coordinates on the Earth."
         yield 1, t(text)
     weak = weak_placement(run)
     if weak:

@@ -139,8 +139,9 @@ def scale_bar(place: Place) -> str:
     power = 10.0 ** math.floor(math.log10(target))
     length = max(k * power for k in (1, 2, 5) if k * power <= target * 1.0001)
     x, y, end = 12.0, place.height - 12, 12 + length * place.zoom
+    unit = place.unit.removesuffix("s") if length == 1 else place.unit
     bar = line([(x, y - 5), (x, y), (end, y), (end, y - 5)], look="bar")
-    return _halo(12, place.height - 42, max(end, 70) - 6, 36) + bar + text(x, y - 9, f"{length:g} {place.unit}")
+    return _halo(12, place.height - 42, max(end, 70) - 6, 36) + bar + text(x, y - 9, f"{length:g} {unit}")
 
 
 def north_arrow() -> str:
