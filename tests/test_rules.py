@@ -23,7 +23,7 @@ MAX_RETURNED = 3
 MAX_UNPACKED = 2  # a pair is a thing; three things are arguments
 
 # Options of the command line are settings.
-OPTIONS = ("tiegraph.cli.run", "tiegraph.cli.options")
+OPTIONS = ("tiegraph.cli.run", "tiegraph.cli.options", "tiegraph.cli.shots")
 # Tables, whose fields are their columns, and records of a file.
 BAGS = {"Scene", "Pairs", "Stage", "Exif", "SensorSpec"}
 

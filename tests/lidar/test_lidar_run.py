@@ -12,6 +12,7 @@ from tiegraph.geometry import transforms
 from tiegraph.lidar.handeye import Given, Poses
 from tiegraph.lidar.tuning import Tuning
 from tiegraph.pipeline.lidarrun import SurveyRun, calibrated, compared
+from tiegraph.project.verbtunings import VerbTunings
 from tiegraph.scene.results import Cloud
 
 _PLACE = transforms.rigid(np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]]), np.array([0.1, 0.4, -0.6]))
@@ -63,7 +64,7 @@ def test_a_run_beside_the_lidar() -> None:
     found = calibrated(run, lidar, _cloud(hall), Given(), Tuning())
     assert np.abs(found.rig_from_lidar[:3, 3] - _PLACE[:3, 3]).max() < 0.01
     assert abs(found.clock_s) < 0.005
-    told = compared(run, lidar, _cloud(hall), found)
+    told = compared(run, lidar, _cloud(hall), found, VerbTunings())
     assert not any("one survey" in note for note in told["run_notes"])
     table = {row[0]: row[1:] for row in told["tables"]["survey"]["rows"]}
     assert told["tables"]["survey"]["columns"] == ["", "all", "section 0", "section 1"]
@@ -95,7 +96,9 @@ def test_another_survey_is_noticed() -> None:
     lidar, reference = Poses(scans, world_from_lidar(scans), np.zeros(len(scans), int)), _cloud(np.ones((3, 3)))
     found = calibrated(run, lidar, reference, Given(), Tuning())
     assert found.tie is None
-    assert any("are these one survey" in note for note in compared(run, lidar, reference, found)["run_notes"])
+    assert any(
+        "are these one survey" in note for note in compared(run, lidar, reference, found, VerbTunings())["run_notes"]
+    )
 
 
 def _seen(xyz: np.ndarray, offset_s: np.ndarray, start_s: float) -> np.ndarray:

@@ -18,6 +18,7 @@ from tiegraph.plan.planner import Rigged
 from tiegraph.plan.tuning import Tuning
 from tiegraph.plan.waypoints import read_anchor
 from tiegraph.plan.world import ControlPoints, Receiver
+from tiegraph.sfm.tuning import Tuning as SfmTuning
 
 TUNING = Tuning()
 EXACT = TUNING.errors.model_copy(update={"calibration_px": 0.0})
@@ -35,7 +36,7 @@ def camera(name: str = "cam0", shift: float = 0.0) -> MountedCamera:
 
 def propagated(model: pycolmap.Reconstruction, calibrated: bool) -> Shape:
     """Calibrated cameras in a fixed rig."""
-    return _propagate(model, calibrated, rigged=Rigged([], held=(1, 2), fixed=True), errors=EXACT)
+    return _propagate(model, calibrated, rigged=Rigged([], held=(1, 2), fixed=True), errors=EXACT, tuning=SfmTuning())
 
 
 @pytest.mark.parametrize("shape", SHAPES)

@@ -14,6 +14,7 @@ from tiegraph.cli.output import say, show_table
 from tiegraph.lidar.settings import LidarSettings
 from tiegraph.pipeline.lidar import MAP, RIG
 from tiegraph.pipeline.lidar import lidar as make_reference
+from tiegraph.project.verbtunings import read_tunings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,6 +25,8 @@ class _Lidar(Talk):
     """A folder of scans (.bin, .pcd, .ply, .npz, .las, .laz), a ROS bag (BAG:TOPIC), or a Velodyne's .pcap."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """The folder to write; new or empty."""
+    tuning: Path | None = None
+    """A file with other constants: tables [tuning.lidar] and [tuning.evaluate]."""
     settings: Annotated[LidarSettings, tyro.conf.arg(name="")] = LidarSettings()
 
 
@@ -31,7 +34,7 @@ def main(arguments: list[str]) -> int:
     """`tiegraph lidar`."""
     options = options_of(_Lidar, "tiegraph lidar", arguments)
     reporter = options.reporter()
-    made = make_reference(options.scans, options.out, options.settings, reporter)
+    made = make_reference(options.scans, options.out, options.settings, reporter, read_tunings(options.tuning))
     reporter.event("lidar", out=options.out, **{k: v for k, v in made.items() if isinstance(v, (int, float))})
     if not options.json and not options.quiet:
         _show(made, options.out, options.settings)

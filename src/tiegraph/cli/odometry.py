@@ -11,6 +11,7 @@ import tyro
 
 from tiegraph.api import open_project
 from tiegraph.cli.options import Talk, options_of
+from tiegraph.project.verbtunings import read_tunings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,6 +31,8 @@ class _Odometry(Talk):
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("vo.tum")
     """The TUM file to write, and beside it a CSV of its name with segments and sigmas; of several passes a folder of
     this name without suffix. Nothing of that may be there."""
+    tuning: Path | None = None
+    """A file with other constants: tables [tuning.odometry] and [tuning.scan]."""
     pool: str = "local"
     """Where images are checked: serial, local, local:<workers>."""
 
@@ -38,7 +41,9 @@ def main(arguments: list[str]) -> int:
     """`tiegraph odometry`."""
     options = options_of(_Odometry, "tiegraph odometry", arguments)
     reporter = options.reporter()
-    settings = {} if options.masks is None else {"masks": {"source": "folder", "folder": options.masks.absolute()}}
+    settings = {"tuning": read_tunings(options.tuning).of_stages()}
+    if options.masks is not None:
+        settings["masks"] = {"source": "folder", "folder": options.masks.absolute()}
     given = {"rig": options.rig, "camera": options.camera, "times": options.times}
     with tempfile.TemporaryDirectory(prefix="tiegraph_odometry_") as folder:
         project = open_project(options.images, Path(folder) / "run", pool=options.pool, settings=settings, **given)

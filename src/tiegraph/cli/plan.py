@@ -14,6 +14,7 @@ from tiegraph.pipeline.plan import compare
 from tiegraph.pipeline.plan import plan as make_plan
 from tiegraph.plan.request import PlanRequest
 from tiegraph.plan.tables import path_tables, station_table
+from tiegraph.project.verbtunings import read_tunings
 
 _DEFAULT = PlanRequest()
 
@@ -23,19 +24,21 @@ def main(arguments: list[str]) -> int:
 
     def plan(
         request: Annotated[PlanRequest, tyro.conf.arg(name=""), tyro.conf.OmitArgPrefixes] = _DEFAULT,
+        tuning: Path | None = None,
         json: bool = False,
-    ) -> tuple[PlanRequest, bool]:
+    ) -> tuple[PlanRequest, Path | None, bool]:
         """What images at given distances give, and what a whole path is expected to give, before anyone goes there.
 
         Args:
+            tuning: A file with other constants: tables [tuning.plan], [tuning.scan] and [tuning.sfm].
             json: One JSON object on standard output instead of tables.
         """
-        return request, json
+        return request, tuning, json
 
-    request, json = options_of(plan, "tiegraph plan", arguments)
+    request, tuning, json = options_of(plan, "tiegraph plan", arguments)
     if request.output.compare is not None:
         return _compare(request.output.compare, request.output.planned, json)
-    made = make_plan(request)
+    made = make_plan(request, read_tunings(tuning))
     if json:
         say(json_text.dumps(made.to_dict(), indent=1))
         return 0

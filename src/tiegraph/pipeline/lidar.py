@@ -30,6 +30,7 @@ from tiegraph.pipeline.files import load_json
 from tiegraph.pipeline.lidarrun import SurveyRun, calibrated, compared
 from tiegraph.project.progress import Reporter
 from tiegraph.project.run import save_json
+from tiegraph.project.verbtunings import VerbTunings
 from tiegraph.scan.priors.trajectory import write_tum
 from tiegraph.scene.cloudfile import write_cloud
 from tiegraph.scene.results import Cloud
@@ -49,15 +50,22 @@ class LidarPath:
     notes: tuple[str, ...]
 
 
-def lidar(scans: Path, out: Path, settings: LidarSettings, reporter: Reporter | None = None) -> dict[str, Any]:
+def lidar(
+    scans: Path,
+    out: Path,
+    settings: LidarSettings,
+    reporter: Reporter | None = None,
+    tunings: VerbTunings | None = None,
+) -> dict[str, Any]:
     """Trajectory and map of a LiDAR into a folder, and a run beside them; returns what lidar.json holds.
 
     Raises InputError for scans, runs or folders that cannot be used, before anything is written.
     """
-    reporter, tuning = reporter or Reporter("quiet"), Tuning()
+    reporter, tunings = reporter or Reporter("quiet"), tunings or VerbTunings()
+    tuning = tunings.lidar
     if os.path.lexists(out) and (not out.is_dir() or any(out.iterdir())):
         raise InputError(f"-o {out}: is there already: give a new or an empty folder")
-    beside = None if settings.run is None else SurveyRun.read(settings.run)
+    beside = None if settings.run is None else SurveyRun.read(settings.run, tunings.scene.registered)
     given = _given(settings)
     how = Reading(columns=settings.columns, times=settings.times, rate_hz=settings.rate_hz, poses=settings.poses)
     recording = open_scans(scans, how, tuning.scan)
@@ -71,14 +79,15 @@ def lidar(scans: Path, out: Path, settings: LidarSettings, reporter: Reporter | 
         "map_points": len(path.map),
         "notes": list(path.notes),
         "tables": {},
+        "tuning": tunings.changed(),
     }
     if recording.given is not None:
-        summary["tables"]["against the given poses"] = _against_given(path.poses, recording.given)
+        summary["tables"]["against the given poses"] = _against_given(path.poses, recording.given, tunings.evaluate)
     found = None
     if beside is not None:
         with reporter.stage("hand-eye"):
             found = calibrated(beside, _poses(path), path.map, given, tuning)
-        told = compared(beside, _poses(path), path.map, found)
+        told = compared(beside, _poses(path), path.map, found, tunings)
         summary = {**summary, **told, "tables": {**summary["tables"], **told["tables"]}}
     out.mkdir(parents=True, exist_ok=True)
     write_tum(out / TRAJECTORY, path.time_s, path.poses)
@@ -177,7 +186,7 @@ def _length(poses: np.ndarray) -> float:
     return float(np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1).sum())
 
 
-def _against_given(poses: np.ndarray, given: np.ndarray) -> dict[str, Any]:
+def _against_given(poses: np.ndarray, given: np.ndarray, tuning: EvaluateTuning) -> dict[str, Any]:
     """The odometry against the poses that the scans came with: drift at the end in the frame of the first scan."""
     length = _length(given)
     moved = transforms.invert(poses[0]) @ poses[-1]
@@ -193,5 +202,5 @@ def _against_given(poses: np.ndarray, given: np.ndarray) -> dict[str, Any]:
     if len(poses) >= 3:
         group = np.zeros(len(poses), int)
         match = PoseMatch(estimate=poses, reference=given, group=group, order=np.arange(len(poses)))
-        rows.append(["ATE after SE3 [m]", evaluate_trajectory(match, _RPE_M, EvaluateTuning().trajectory).se3.rmse_m])
+        rows.append(["ATE after SE3 [m]", evaluate_trajectory(match, _RPE_M, tuning.trajectory).se3.rmse_m])
     return {"columns": ["LiDAR odometry", "against the given poses"], "rows": rows}

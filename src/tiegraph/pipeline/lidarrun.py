@@ -25,6 +25,7 @@ from tiegraph.lidar.tuning import Tuning
 from tiegraph.pipeline.files import load_json, load_model, load_scene, reading
 from tiegraph.project.folder import check_format
 from tiegraph.project.receipts import Receipts
+from tiegraph.project.verbtunings import VerbTunings
 from tiegraph.scene.cloudchunks import Points, PointSource
 from tiegraph.scene.cloudfile import read_cloud
 from tiegraph.scene.registered import registration
@@ -56,7 +57,7 @@ class SurveyRun:
     seconds: dict[str, float]
 
     @classmethod
-    def read(cls, folder: Path) -> SurveyRun:
+    def read(cls, folder: Path, tuning: RegisteredTuning) -> SurveyRun:
         """Raises InputError for a folder without a model in the world, and for a run without times."""
         check_format(folder)
         world = folder / "sparse" / "world"
@@ -76,7 +77,7 @@ class SurveyRun:
             scene=scene,
             rig=Poses(scene.time_s[frame], rigs[frame], scene.sequence[frame]),
             frame=frame,
-            used=registration(model, scene, RegisteredTuning()).registered,
+            used=registration(model, scene, tuning).registered,
             points=np.array([p.xyz for p in model.points3D.values() if p.track.length() >= _SURE]).reshape(-1, 3),
             cloud=_cloud(folder),
             seconds=_seconds(folder),
@@ -110,7 +111,7 @@ def calibrated(run: SurveyRun, lidar: Poses, reference: Cloud, given: Given, tun
     return found if tie is None else settled(run.rig, lidar, found, tie, tuning.hand_eye)
 
 
-def compared(run: SurveyRun, lidar: Poses, reference: Cloud, found: HandEye) -> dict[str, Any]:
+def compared(run: SurveyRun, lidar: Poses, reference: Cloud, found: HandEye, tunings: VerbTunings) -> dict[str, Any]:
     """What lidar.json says of a run: tables, hand-eye calibration, notes."""
     by_lidar = rig_in_lidar_world(lidar, run.rig.time_s, found)
     inside = np.flatnonzero(np.isfinite(by_lidar[:, 0, 0]))
@@ -126,14 +127,14 @@ def compared(run: SurveyRun, lidar: Poses, reference: Cloud, found: HandEye) -> 
         order=np.arange(len(frame)),
         parts=frame_parts(run.scene, frame),
     )
-    error = evaluate_trajectory(match, _RPE_M, EvaluateTuning().trajectory)
-    judged = _Judged(run, world, reference, match, run.scene.section[frame])
+    error = evaluate_trajectory(match, _RPE_M, tunings.evaluate.trajectory)
+    judged = _Judged(run, world, reference, match, run.scene.section[frame], tunings.evaluate)
     whole = replace(judged.column("all", None), seconds=run.seconds)
     sections = np.unique(run.scene.section[run.scene.section >= 0])
     columns = [whole, *(judged.column(f"section {s}", int(s)) for s in sections if len(sections) > 1)]
     tables = {"hand-eye": hand_eye_table(found), "survey": survey_table(columns), **error.tables(), **judged.tables}
     notes = [f"left open by the motion, and not to be used: {what}" for what in found.left_open]
-    if found.fit.turn_rms_deg > Tuning().hand_eye.unlike_deg:
+    if found.fit.turn_rms_deg > tunings.lidar.hand_eye.unlike_deg:
         off = f"the turns of rig and LiDAR differ by {found.fit.turn_rms_deg:.2g} degrees RMS"
         notes.insert(0, f"{off}: are these one survey, and are the times right? Trust nothing below until then")
     if found.tie is not None:
@@ -169,14 +170,21 @@ class _Judged:
     """The whole survey or a section of it beside the LiDAR."""
 
     def __init__(
-        self, run: SurveyRun, world: Similarity, reference: Cloud, match: PoseMatch, sections: np.ndarray
+        self,
+        run: SurveyRun,
+        world: Similarity,
+        reference: Cloud,
+        match: PoseMatch,
+        sections: np.ndarray,
+        tuning: EvaluateTuning,
     ) -> None:
-        self.run, self.world, self.match, self.sections = run, world, match, sections
+        self.run, self.world, self.match, self.sections, self.tuning = run, world, match, sections, tuning
         centres, section = world(run.rig.poses[:, :3, 3]), run.scene.section[run.frame]
         xyz = np.zeros((0, 3)) if run.cloud is None else world(run.cloud.xyz_m)
         nearest = cKDTree(centres)
         self.of_point = section[nearest.query(xyz)[1]]
-        self.cloud = None if run.cloud is None else _judged(xyz, reference, Cameras(centres, tuple(map(str, section))))
+        cameras = Cameras(centres, tuple(map(str, section)))
+        self.cloud = None if run.cloud is None else _judged(xyz, reference, cameras, tuning)
         self.of_core = None if self.cloud is None else section[nearest.query(self.cloud.differences.xyz)[1]]
         self.tables: dict[str, Any] = {} if self.cloud is None else self.cloud.tables()
 
@@ -186,7 +194,7 @@ class _Judged:
         rows = np.flatnonzero(np.ones(len(self.match), bool) if section is None else self.sections == section)
         out = Column(name, int(images.sum()), int(self.run.used[images].sum()), frames=len(rows))
         if len(rows) >= 3:
-            error = evaluate_trajectory(self.match.where(rows), _RPE_M, EvaluateTuning().trajectory)
+            error = evaluate_trajectory(self.match.where(rows), _RPE_M, self.tuning.trajectory)
             out = replace(out, rmse_m=error.se3.rmse_m, scale=error.sim3.alignment.scale * self.world.scale)
         if self.cloud is not None:
             nearest, differences = self.cloud.nearest, self.cloud.differences
@@ -200,9 +208,9 @@ class _Judged:
         return out
 
 
-def _judged(xyz: np.ndarray, reference: Cloud, cameras: Cameras) -> CloudJudgement:
+def _judged(xyz: np.ndarray, reference: Cloud, cameras: Cameras, tuning: EvaluateTuning) -> CloudJudgement:
     """The run's cloud (N, 3) by the LiDAR's map, both in the LiDAR's world."""
     own = PointSource("the run's cloud", lambda: iter([Points(xyz, np.full(len(xyz), np.nan))]))
     truth = PointSource("the LiDAR's map", lambda: iter([Points(reference.xyz_m, reference.sigma_m)]))
     with tempfile.TemporaryDirectory() as scratch:
-        return judge_cloud(own, truth, Path(scratch), Question(cameras=cameras), EvaluateTuning())
+        return judge_cloud(own, truth, Path(scratch), Question(cameras=cameras), tuning)

@@ -14,7 +14,6 @@ from tiegraph.geometry.transforms import quaternion_xyzw
 from tiegraph.odometry.cameras import Cameras, cameras_of
 from tiegraph.odometry.odometry import Odometry
 from tiegraph.odometry.path import OdometryPath, path_of
-from tiegraph.odometry.tuning import Tuning
 from tiegraph.pipeline.files import scanned
 from tiegraph.pipeline.foundrig import rig_of_run
 from tiegraph.project.run import Run
@@ -141,7 +140,7 @@ def _rig_from_body(run: Run) -> np.ndarray:
 
 
 def _follow(run: Run, scene: Scene, cameras: Cameras, frames: np.ndarray) -> tuple[OdometryPath, list[str]]:
-    tuning, unread = Tuning(), []
+    tuning, unread = run.settings.tuning.odometry, []
     image_of = {(int(scene.frame[k]), int(scene.sensor[k])): scene.names[k] for k in range(len(scene))}
     masked = run.path("masks").is_dir()
 

@@ -17,9 +17,10 @@ from tiegraph.plan.network import MountedCamera, model_figures
 from tiegraph.plan.planner import Plan, Rigged, make_plan
 from tiegraph.plan.request import CameraRequest, PlanRequest
 from tiegraph.plan.tables import Table
-from tiegraph.plan.tuning import ErrorTuning, Tuning
+from tiegraph.plan.tuning import ErrorTuning
 from tiegraph.project.run import save_json
 from tiegraph.project.stages import write_atomic
+from tiegraph.project.verbtunings import VerbTunings
 from tiegraph.report.html import environment
 from tiegraph.report.plan import Track, frame_positions
 from tiegraph.report.runfolder import RunFolder, read_run
@@ -43,7 +44,7 @@ PLAN = "plan.json"
 _VIEWER_POINTS = 20_000
 
 
-def plan(request: PlanRequest) -> Plan:
+def plan(request: PlanRequest, tunings: VerbTunings | None = None) -> Plan:
     """The plan of what is asked; its files, where a folder for them is named.
 
     Raises InputError for values that make no survey, and for a folder that is there.
@@ -51,14 +52,15 @@ def plan(request: PlanRequest) -> Plan:
     out = request.output.out
     if out is not None:
         must_be_new(out)
-    rigged = _cameras(request.camera)
-    tuning = Tuning()
+    tunings = tunings or VerbTunings()
+    rigged, tuning = _cameras(request.camera, tunings.scan), tunings.plan
     errors = tuning.errors.model_copy(update={"calibration_px": request.camera.calibration(tuning.errors)})
-    made = make_plan(request, rigged, partial(_propagate, rigged=rigged, errors=errors), tuning)
+    propagate = partial(_propagate, rigged=rigged, errors=errors, tuning=tunings.sfm)
+    made = make_plan(request, rigged, propagate, tuning)
     if out is not None:
         for name, data in made.files().items():
             write_atomic(out / name, data)
-        save_json(out / PLAN, made.to_dict())
+        save_json(out / PLAN, {**made.to_dict(), "tuning": tunings.changed()})
         if made.path is not None:
             write_atomic(out / "plan.html", _page(made))
     return made
@@ -117,9 +119,10 @@ def _own_path(run: RunFolder, model_sigma_m: float | None) -> float | None:
     return model_sigma_m / units * float(np.median([sigma for _, sigma, _ in rows]))
 
 
-def _propagate(model: pycolmap.Reconstruction, calibrated: bool, *, rigged: Rigged, errors: ErrorTuning) -> Shape:
+def _propagate(
+    model: pycolmap.Reconstruction, calibrated: bool, *, rigged: Rigged, errors: ErrorTuning, tuning: SfmTuning
+) -> Shape:
     """What the stage `sparse` would say of an adjusted model: rig and lenses unknown where nobody calibrated them."""
-    tuning = SfmTuning()
     free = set() if calibrated else free_cameras(model, tuning.adjust) - set(rigged.held)
     try:
         found = planned_sigma(
@@ -152,9 +155,8 @@ def _assumed(model: pycolmap.Reconstruction, free: set[int], errors: ErrorTuning
 # --- the cameras ----------------------------------------------------------------------------------------------------
 
 
-def _cameras(request: CameraRequest) -> Rigged:
+def _cameras(request: CameraRequest, tuning: ScanTuning) -> Rigged:
     """The cameras of the rig. Raises InputError where their size, lens or place is not known."""
-    tuning = ScanTuning()
     size, focal = request.image_size(), request.focal_length_px()
     spec = _spec(request.rig, tuning)
     sensors, mounted = [], []

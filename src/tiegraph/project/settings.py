@@ -30,6 +30,7 @@ from tiegraph.masks.settings import MasksSettings, RefineSettings
 from tiegraph.masks.tuning import Tuning as MasksTuning
 from tiegraph.network.settings import CandidatesSettings, CoarseSettings, NetworkSettings
 from tiegraph.network.tuning import Tuning as NetworkTuning
+from tiegraph.odometry.tuning import Tuning as OdometryTuning
 from tiegraph.report.settings import ReportSettings
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import Tuning as ScanTuning
@@ -77,6 +78,7 @@ class Tunings(Section):
     cloud: CloudTuning = Field(default_factory=CloudTuning)
     evaluate: EvaluateTuning = Field(default_factory=EvaluateTuning)
     targets: TargetsTuning = Field(default_factory=TargetsTuning)
+    odometry: OdometryTuning = Field(default_factory=OdometryTuning)
 
 
 @cache

@@ -6,12 +6,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from pydantic import ValidationError
+from pydantic import Field, ValidationError
 
 from tiegraph.calibrate.tuning import Tuning as CalibrateTuning
 from tiegraph.errors import SettingsError
 from tiegraph.lidar.tuning import Tuning as LidarTuning
-from tiegraph.odometry.tuning import Tuning as OdometryTuning
 from tiegraph.plan.tuning import Tuning as PlanTuning
 from tiegraph.project.settings import Tunings, explain, read_file
 from tiegraph.settings import Section
@@ -22,12 +21,11 @@ from tiegraph.watch.tuning import Tuning as WatchTuning
 class VerbTunings(Tunings):
     """Those of the stages, of which the verbs use some, and the verbs' own."""
 
-    calibrate: CalibrateTuning = CalibrateTuning()
-    lidar: LidarTuning = LidarTuning()
-    odometry: OdometryTuning = OdometryTuning()
-    plan: PlanTuning = PlanTuning()
-    stations: StationsTuning = StationsTuning()
-    watch: WatchTuning = WatchTuning()
+    calibrate: CalibrateTuning = Field(default_factory=CalibrateTuning)
+    lidar: LidarTuning = Field(default_factory=LidarTuning)
+    plan: PlanTuning = Field(default_factory=PlanTuning)
+    stations: StationsTuning = Field(default_factory=StationsTuning)
+    watch: WatchTuning = Field(default_factory=WatchTuning)
 
     def changed(self) -> dict[str, Any]:
         """What differs from the defaults, by engine."""
@@ -39,7 +37,7 @@ class VerbTunings(Tunings):
 
 
 class _File(Section):
-    tuning: VerbTunings = VerbTunings()
+    tuning: VerbTunings = Field(default_factory=VerbTunings)
 
 
 def read_tunings(path: Path | None) -> VerbTunings:
