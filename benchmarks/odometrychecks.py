@@ -2,7 +2,7 @@
 where there is none.
 
 Sigmas are of a pose relative to the first, so the odometry is begun at several frames, forwards and backwards: every
-keyframe of every such path is a relative pose with its sigma, as a user gets it. **1 means as said**: an error is
+frame of every such path is a relative pose with its sigma, as a user gets it. **1 means as said**: an error is
 divided by the median length of errors drawn from the covariance that is stated. A single camera has no scale: truth is
 brought to the length of the chord from the first frame, and what stands across it is compared.
 """
@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+import pycolmap
 from scipy.spatial.transform import Rotation
 
 import tiegraph  # noqa: F401  before pycolmap
@@ -22,6 +23,7 @@ from tiegraph.odometry.cameras import cameras_of
 from tiegraph.odometry.odometry import Odometry
 from tiegraph.odometry.path import OdometryPath, path_of
 from tiegraph.odometry.tuning import Tuning
+from tiegraph.scene.colmapmodel import matrix
 from tiegraph.scene.images import read_pixels
 from tiegraph.scene.rig import Rig
 
@@ -60,9 +62,9 @@ def sigma_check(files: Sequence[Sequence[Path]], rig: Rig, truth: np.ndarray, fi
 
 
 def errors_over_sigmas(path: OdometryPath, truth: np.ndarray) -> list[tuple[float, float, float]]:
-    """(length of the way, error over sigma of the position, of the turn) of each keyframe of the first segment."""
+    """(length of the way, error over sigma of the position, of the turn) of each frame of the first segment."""
     way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(truth[:, :3, 3], axis=0), axis=1))])
-    at = np.flatnonzero(path.keyframe & (path.segment == 0))
+    at = np.flatnonzero((path.segment == 0) & np.isfinite(path.covariance).all(axis=(1, 2)))
     rng, out = np.random.default_rng(_SEED), []
     for k in at[1:]:
         found = transforms.invert(path.world_from_rig[at[0]]) @ path.world_from_rig[k]
@@ -97,27 +99,44 @@ def by_length(rows: np.ndarray) -> list[dict]:
     ]  # fmt: skip
 
 
-def agreement(path: OdometryPath, other: OdometryPath, frames: np.ndarray) -> dict:
-    """How another path (over ``frames``, places in the first one's sequence) stands off the first: after the best
-    similarity, in % of the way, with its scale, and the turns in degrees; of the frames that both have."""
-    both = (path.segment[frames] == path.main()) & (other.segment == other.main())
-    a, b = path.world_from_rig[frames[both]], other.world_from_rig[both]
+def agreement(path: OdometryPath, other: np.ndarray, frames: np.ndarray) -> dict:
+    """How other poses (K, 4, 4), NaN = none, of some frames (K,) of a path stand off it: after the best similarity, in
+    % of the way, with its scale; the turns in degrees."""
+    way = path.world_from_rig[path.segment == path.main(), :3, 3]
+    both = (path.segment[frames] == path.main()) & np.isfinite(other).all(axis=(1, 2))
+    a, b = path.world_from_rig[frames[both]], other[both]
     fit = umeyama(b[:, :3, 3], a[:, :3, 3])
     off = np.linalg.norm(fit(b[:, :3, 3]) - a[:, :3, 3], axis=1)
-    way = float(
-        np.sum(np.linalg.norm(np.diff(path.world_from_rig[:, :3, 3][path.segment == path.main()], axis=0), axis=1))
-    )
+    length = float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())
     turned = transforms.angle_deg(fit.rotation @ b[:, :3, :3], a[:, :3, :3])
     return {
         "frames": int(both.sum()), "scale": round(float(fit.scale), 4),
-        "rms_percent_of_way": round(100 * float(np.sqrt(np.mean(off**2))) / way, 3),
+        "rms_percent_of_way": round(100 * float(np.sqrt(np.mean(off**2))) / length, 3),
         "turn_median_deg": round(float(np.median(turned)), 3),
     }  # fmt: skip
 
 
-def with_itself(files: Sequence[Sequence[Path]], rig: Rig) -> dict[str, dict]:
-    """The path against the one run backwards, and the one of every second frame."""
+def with_itself(files: Sequence[Sequence[Path]], rig: Rig, reference: Path | None) -> dict[str, dict]:
+    """The path against the one run backwards, those of every second frame, and the model of a run whose images are
+    named by the numbers of the frames."""
     frames = np.arange(len(files))
     path = follow(files, rig, frames.tolist())
-    others = {"backwards": frames[::-1], "every second frame": frames[::2]}
-    return {name: agreement(path, follow(files, rig, own.tolist()), own) for name, own in others.items()}
+    others = {"backwards": frames[::-1], "even frames": frames[::2], "odd frames": frames[1::2]}
+    out = {}
+    for name, own in others.items():
+        other = follow(files, rig, own.tolist())
+        poses = np.where((other.segment == other.main())[:, None, None], other.world_from_rig, np.nan)
+        out[name] = agreement(path, poses, own)
+    if reference is not None:
+        out["tiegraph run"] = agreement(path, _of_run(reference, rig.sensors[0].folder, len(files)), frames)
+    return out
+
+
+def _of_run(folder: Path, camera: str, count: int) -> np.ndarray:
+    """(count, 4, 4) poses of the first camera of a run, NaN = none."""
+    out = np.full((count, 4, 4), np.nan)
+    for image in pycolmap.Reconstruction(folder / "sparse" / "0").images.values():
+        name = Path(image.name)
+        if camera in name.parts and image.has_pose:
+            out[int(name.stem)] = transforms.invert(matrix(image.cam_from_world()))
+    return out

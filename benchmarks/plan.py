@@ -95,10 +95,14 @@ def measure(name: str, folder: Path, scratch: Path) -> dict[str, Any]:
     for key in (f"{s}_sigma_median_m" for s in _SIGMAS):
         planned, reported = path.get(key), run.get(key)
         out[key] = _beside(planned, reported)
-    error = actual_m(dataset, folder, relaxed=bool(run.get("relaxed")))
+    off = errors_m(dataset, folder, relaxed=bool(run.get("relaxed")))
+    errors = {"error": float(np.median([np.median(np.linalg.norm(e, axis=1)) for e in off.values()]))}
+    if len(off) > 1:
+        errors["error beside the common"] = beside_common_m(off)
     sigma = run.get("position_shape_sigma_median_m")
-    out["error_in_shape_m"] = _rounded(error)
-    out["error / reported"] = round(error / sigma, 2) if sigma else None
+    for key, error in errors.items():
+        out[f"{key.replace(' ', '_')}_in_shape_m"] = _rounded(error)
+        out[f"{key} / reported"] = round(error / sigma, 2) if sigma else None
     return out
 
 
@@ -161,21 +165,32 @@ def _beside(planned: float | None, reported: float | None) -> dict[str, float | 
     }  # fmt: skip
 
 
-def actual_m(dataset: datasets.Dataset, folder: Path, *, relaxed: bool) -> float:
-    """Median error of positions after the best similarity; of a relaxed rig, camera by camera."""
+def errors_m(dataset: datasets.Dataset, folder: Path, *, relaxed: bool) -> dict[int, np.ndarray]:
+    """Errors (F, 3) of positions after the best similarity; of a relaxed rig camera by camera, frames in order."""
     model = pycolmap.Reconstruction(folder / "sparse" / "0")
     truth = reference_poses(model, dataset)
-    groups: dict[int, list[int]] = {}
+    groups: dict[int, list[tuple[str, int]]] = {}
     for frame in truth:
-        images = [model.image(d.id) for d in model.frame(frame).image_ids]
-        groups.setdefault(images[0].camera_id if relaxed else 0, []).append(frame)
-    errors = []
-    for frames in groups.values():
-        poses = [model.frame(f).rig_from_world for f in frames]
+        image = min((model.image(d.id) for d in model.frame(frame).image_ids), key=lambda i: i.name)
+        groups.setdefault(image.camera_id if relaxed else 0, []).append((image.name, frame))
+    out = {}
+    for camera, frames in groups.items():
+        order = [f for _, f in sorted(frames)]
+        poses = [model.frame(f).rig_from_world for f in order]
         here = np.stack([p.tgt_origin_in_src() for p in poses if p is not None])
-        there = np.stack([transforms.centre(truth[f]) for f in frames])
-        errors.append(float(np.median(np.linalg.norm(umeyama(here, there)(here) - there, axis=1))))
-    return float(np.median(errors))
+        there = np.stack([transforms.centre(truth[f]) for f in order])
+        out[camera] = umeyama(here, there)(here) - there
+    return out
+
+
+def beside_common_m(off: dict[int, np.ndarray]) -> float:
+    """Median error of a camera's positions beside what all cameras share at a frame: the reference's own, whose cameras
+    are carried by one receiver, or a bend of the whole."""
+    if len({len(e) for e in off.values()}) > 1:
+        return float("nan")
+    each = np.stack(list(off.values()))
+    own = (each - each.mean(axis=0)) * np.sqrt(len(each) / (len(each) - 1))
+    return float(np.median(np.linalg.norm(own, axis=2)))
 
 
 def _with_files(request: PlanRequest, dataset: datasets.Dataset, scratch: Path) -> PlanRequest:

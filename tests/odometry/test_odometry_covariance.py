@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from odometry.odometry_world import single, stereo, truth
 from tiegraph.geometry import transforms
 from tiegraph.odometry.adjust import adjust
-from tiegraph.odometry.covariance import keyframe_covariances, wider
+from tiegraph.odometry.covariance import keyframe_covariances, resection_covariance, wider
 from tiegraph.odometry.follow import Tracks
 from tiegraph.odometry.tuning import Tuning
 from tiegraph.odometry.worldmap import Keyframe, WorldMap
@@ -87,3 +87,20 @@ def test_a_sigma_is_raised_and_correlations_stay():
     classical = np.diag([1.0, 4.0]) + 0.5 * (1 - np.eye(2))
     raised = wider(classical, np.diag([9.0, 1.0]))
     assert np.allclose(np.diag(raised), [9, 4]) and np.isclose(raised[0, 1], 1.5)
+
+
+def test_a_point_behind_a_camera_says_nothing_of_a_frame():
+    """Later keyframes may move a point there; a frame that has lost nearly all of them is not known."""
+    world, poses = world_of(single(), 1)
+    seen = world.keyframes[2].seen
+    xyz = world.xyz[seen.point].copy()
+    whole = resection_covariance(world.cameras, poses[2], seen, xyz, LOSS_PX)
+    back = transforms.apply(transforms.invert(poses[2]), np.array([[0.0, 0, -2]]))
+    xyz[:20] = back
+    less = resection_covariance(world.cameras, poses[2], seen, xyz, LOSS_PX)
+    assert np.allclose(
+        less, resection_covariance(world.cameras, poses[2], seen.where(np.arange(len(seen)) >= 20), xyz[20:], LOSS_PX)
+    )
+    assert 1 < np.trace(less[:3, :3]) / np.trace(whole[:3, :3]) < 2
+    xyz[2:] = back
+    assert np.isnan(resection_covariance(world.cameras, poses[2], seen, xyz, LOSS_PX)).all()

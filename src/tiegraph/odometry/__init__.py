@@ -16,8 +16,9 @@ features of all images beforehand. What is seen again becomes an observation lik
 at the end.
 
 **Covariances** (``covariance``) are those of all observations together, a little smaller than those of windows that
-forget; what all corners of an image share is in no residual, so they are widened by what rendered drives show
-(``tuning``). A rig that is wrong shows in none of them.
+forget; what all corners of an image share is in no residual, so they are widened by what drives with truth show
+(``tuning``; docs/odometry.md says how far one factor holds and what was tried in its place). A rig that is wrong shows
+in none of them.
 
 What was looked at: VISO2 (Geiger et al. 2011), PTAM (Klein and Murray 2007), ORB-SLAM (Mur-Artal et al. 2015), VINS
 (Qin et al. 2018). There is no run folder, so the constants of ``tuning`` are not in ``tiegraph.toml``. Inertial
