@@ -16,6 +16,7 @@ from tiegraph.scene.colmapmodel import matrix
 from tiegraph.scene.control import Control, Marks
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
+from tiegraph.sfm import solver
 from tiegraph.sfm.model import frame_poses, image_poses
 from tiegraph.sfm.rig.cameraframes import per_camera_frames
 from tiegraph.sfm.settings import GeorefSettings
@@ -26,7 +27,7 @@ from tiegraph.sfm.world.georef import georeference
 from tiegraph.sfm.world.georeferencing import georeference_model
 from tiegraph.sfm.world.gravity import Up
 from tiegraph.sfm.world.similarityfit import Model, fit_to_world
-from tiegraph.sfm.world.worldadjust import ConstantParameters
+from tiegraph.sfm.world.worldadjust import ConstantParameters, Constraints, Receiver
 
 import pycolmap  # isort: skip
 
@@ -298,3 +299,42 @@ def test_the_cameras_of_a_relaxed_rig_stay_together_where_positions_move_their_f
         moved.append(np.linalg.norm(transforms.centre(a) - transforms.centre(c)))
     assert 0.05 < np.max(moved) < 0.5
     assert np.max(apart, axis=0)[0] < 0.005 and np.max(apart, axis=0)[1] < 0.02
+
+
+@needs_pyceres
+@pytest.mark.parametrize(("radius", "least", "most"), [(solver.NEAR_RADIUS, 0.9, 1.05), (1e4, 0.0, 0.2)])
+def test_an_adjustment_ends_where_positions_and_images_are_in_balance(world, monkeypatch, radius, least, most) -> None:
+    """Weak positions along a curve bend the model by a decimetre, and once more changes little; damped as Ceres begins
+    by itself it stops at millimetres."""
+    truth, scene = world
+    curve = np.outer(np.sin(np.pi * np.arange(scene.frames) / scene.frames), [0.0, 0.0, 0.4])
+    survey = with_positions(scene, true_frames(truth, scene)[:, :3, 3] + curve, 1.0)
+    fixes = make_fixes(survey, np.ones(scene.frames, bool), Measurements(), 0.0, WORLD.fixes)
+    given = Constraints(
+        fixes=fixes,
+        factor=np.ones(len(fixes)),
+        receiver=Receiver(np.zeros(3), 0.0, free_antenna=False, free_offset=False),
+        held=ConstantParameters(),
+        tuning=TUNING,
+    )
+    once = worldadjust.adjust_in_world(worldadjust.settled(truth, TUNING.adjust), survey, given, 1).model
+    balanced = worldadjust.adjust_in_world(once, survey, given, 1).model
+    monkeypatch.setattr(solver, "NEAR_RADIUS", radius)
+    tried = worldadjust.adjust_in_world(worldadjust.settled(truth, TUNING.adjust), survey, given, 1).model
+    assert 0.05 < _error(balanced, truth, scene) < 0.28
+    assert least < _error(tried, truth, scene) / _error(balanced, truth, scene) < most
+
+
+@needs_pyceres
+def test_what_nothing_tells_stays_as_the_similarity_has_it(world) -> None:
+    """A ring's scale and a lever arm along its radius are one unknown: solved to the end, a prior of no lever arm took
+    the arm to nothing and moved the cameras by its length."""
+    truth, scene = world
+    true, arm = true_frames(truth, scene), np.array([0.5, -0.3, 0.2])
+    noise = 0.03 * np.random.default_rng(1).standard_normal((scene.frames, 3))
+    survey = with_positions(scene, true[:, :3, 3] + true[:, :3, :3] @ arm + noise, 0.03)
+    to_the_end = WORLD.adjustment.model_copy(update={"tolerance": 1e-9, "iterations": 100, "rounds": 1})
+    tuning = TUNING.model_copy(update={"world": WORLD.model_copy(update={"adjustment": to_the_end})})
+    found, placed = georeference_model(_moved(truth), survey, GeorefSettings(adjust="yes"), tuning)
+    np.testing.assert_allclose(found.receiver.antenna_m, arm, atol=0.03)
+    assert 0.002 < _error(placed, truth, scene) < 0.04

@@ -12,6 +12,9 @@ MOST_FRAMES = 10_000
 # two, no run is like another. One thread gives every run and every machine's number of cores the same sums. (Costs
 # written in Python would wait for each other anyway: the thread that solves holds the interpreter's lock.)
 THREADS = 1
+# Of the first step for a model that is nearly right. Ceres' own 1e4 damps what single observations hardly tell and all
+# together do: where positions want a long model to lie, and how it bends.
+NEAR_RADIUS = 1e7
 
 
 def factorised(options: pycolmap.BundleAdjustmentOptions, frames: int, images: int) -> None:
@@ -29,5 +32,14 @@ def repeatable(options: pycolmap.BundleAdjustmentOptions) -> None:
     ceres = options.ceres
     solver = ceres.solver_options
     solver.num_threads = THREADS
+    ceres.solver_options = solver
+    options.ceres = ceres
+
+
+def undamped(options: pycolmap.BundleAdjustmentOptions) -> None:
+    """Let an adjustment of a model that was adjusted before begin with whole steps: few do, however long it is."""
+    ceres = options.ceres
+    solver = ceres.solver_options
+    solver.initial_trust_region_radius = NEAR_RADIUS
     ceres.solver_options = solver
     options.ceres = ceres

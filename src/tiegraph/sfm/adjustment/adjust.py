@@ -55,7 +55,7 @@ def final_adjustment(
         _solve(few, fixed_rigs, free, True, soft, tuning)
     if few is not adjusted:
         take_poses(adjusted, few)
-        _solve_points(adjusted, tuning)
+        solve_points(adjusted, tuning)
     if few is not adjusted or tuning.robust_rounds:
         pycolmap.ObservationManager(adjusted).filter_all_points3D(tuning.filter_px, tuning.filter_angle_deg)
         _solve(adjusted, fixed_rigs, free, tuning.robust_rounds > 0, soft, tuning)
@@ -195,7 +195,7 @@ def _solve(
     del kept
 
 
-def _solve_points(model: pycolmap.Reconstruction, tuning: AdjustTuning) -> None:
+def solve_points(model: pycolmap.Reconstruction, tuning: AdjustTuning) -> None:
     """Each point to where its rays meet; all else stays."""
     options = pycolmap.BundleAdjustmentOptions(
         print_summary=False,

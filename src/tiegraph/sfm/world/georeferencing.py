@@ -74,12 +74,13 @@ def _georeferenced(
     if not worldadjust.available():
         return _with(first, "not adjusted with the positions: the package pyceres is not installed"), world
     constraints = _constraints(world, scene, first, placing, tuning, given, held)
-    check = _check(world, scene, placing, constraints)
+    settled = worldadjust.settled(world, tuning.adjust)
+    check = _check(settled, scene, placing, constraints)
     checked, why = check.good, check.why
     if not checked and settings.adjust == "auto":
         return _with(first, f"the similarity stays, a bundle adjustment with the positions was refused: {why}"), world
     bounds = tuning.world.adjustment
-    made = adjust_in_world(world, scene, constraints, bounds.rounds)
+    made = adjust_in_world(settled, scene, constraints, bounds.rounds)
     if made.after_px > bounds.worse_pixels * made.before_px and settings.adjust == "auto":
         text = f"the images fit worse with it ({made.before_px:.3f} -> {made.after_px:.3f} px)"
         return _with(first, f"the similarity stays, a bundle adjustment with the positions was refused: {text}"), world

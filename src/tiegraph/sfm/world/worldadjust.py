@@ -13,13 +13,13 @@ from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity, umeyama
 from tiegraph.scene.control import Control, Marks, ScaleBars
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.adjustment.adjust import free_cameras
+from tiegraph.sfm.adjustment.adjust import free_cameras, solve_points
 from tiegraph.sfm.adjustment.constraints import RelativePosePrior
 from tiegraph.sfm.adjustment.priors import add_priors
 from tiegraph.sfm.adjustment.rigpriors import relaxed_frames, rig_priors
 from tiegraph.sfm.model import frame_poses, image_poses, matrix
-from tiegraph.sfm.solver import factorised
-from tiegraph.sfm.tuning import Tuning
+from tiegraph.sfm.solver import factorised, undamped
+from tiegraph.sfm.tuning import AdjustTuning, Tuning
 from tiegraph.sfm.tuning.world import AdjustmentTuning
 from tiegraph.sfm.world import costs, noise
 from tiegraph.sfm.world.fixes import Fixes
@@ -97,7 +97,8 @@ def available() -> bool:
 
 
 def adjust_in_world(world: pycolmap.Reconstruction, scene: Scene, given: Constraints, rounds: int) -> AdjustmentResult:
-    """Adjust a model that stands in the world by images, positions and control points.
+    """Adjust a model that stands in the world by images, positions and control points; its points are where its rays
+    meet (``settled``).
 
     Positions have a Cauchy loss over the vector, reprojections one of their own. Both weigh by their
     sigmas: that of a pixel comes from the residuals before. Between rounds, the factors of the positions' sigmas are
@@ -128,6 +129,17 @@ def adjust_in_world(world: pycolmap.Reconstruction, scene: Scene, given: Constra
         before_px=before,
         after_px=after,
     )
+
+
+def settled(world: pycolmap.Reconstruction, tuning: AdjustTuning) -> pycolmap.Reconstruction:
+    """A copy whose points are where their rays meet.
+
+    Points far out in the robust loss slide for tens of steps, and an adjustment that waits for them does not stop when
+    all else has: on canal_demo two steps after this end nearer to the minimum than 14 without it.
+    """
+    out = pycolmap.Reconstruction(world)
+    solve_points(out, tuning)
+    return out
 
 
 def residuals(
@@ -165,6 +177,7 @@ def _solve(
     solver.function_tolerance = given.tuning.world.adjustment.tolerance
     options.ceres.solver_options = solver
     factorised(options, model.num_reg_frames(), model.num_reg_images())
+    undamped(options)
     config = pycolmap.BundleAdjustmentConfig()
     for image_id in model.reg_image_ids():
         config.add_image(image_id)
@@ -219,11 +232,14 @@ def _add_positions(
         kept += [cost, loss]
     if not len(fixes):
         return kept
-    free_arm, free_clock = given.receiver.free_antenna, given.receiver.free_offset
-    weak = (arm, free_arm, known.antenna_sigma_m), (clock, free_clock, known.offset_sigma_s)
-    for block, free, sigma in weak:
+    there = given.receiver  # what nothing tells stays as the similarity has it: a ring's scale and its lever arm, say
+    weak = (
+        (arm, there.antenna, there.free_antenna, known.antenna_sigma_m),
+        (clock, np.array([there.offset_s]), there.free_offset, known.offset_sigma_s),
+    )
+    for block, value, free, sigma in weak:
         if free:
-            prior = costs.PriorCost(np.zeros(len(block)), sigma / sigma_px)
+            prior = costs.PriorCost(value, sigma / sigma_px)
             problem.add_residual_block(prior, None, [block])
             kept.append(prior)
         else:
