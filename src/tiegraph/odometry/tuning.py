@@ -70,8 +70,8 @@ class MapTuning(Section):
     """An observation that is off by more after the adjustment is forgotten."""
     shared: float = Field(3.0, ge=1)
     """Errors over the sigmas that the observations say: what all corners of an image share, hundredths of a pixel by
-    which following errs, is in no residual. Told by a rendered drive (`tests/odometry`), checked on six sets that it
-    did not see (docs/odometry.md): turns come out at 0.7 to 1.7 of the widened sigmas, KITTI's among them."""
+    which following errs, is in no residual. Told by a rendered drive (`tests/odometry`), checked on five paths that
+    it did not see (docs/odometry.md): turns over some way come out at 0.8 to 1.65 of the widened sigmas."""
     iterations: int = Field(8, gt=0)
     """Of Ceres in a window: its start is the pose that was found a moment ago."""
     loop_px: tuple[float, ...] = (30.0, 3.0, 1.0)
