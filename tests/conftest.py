@@ -78,6 +78,14 @@ def finished(server: Server, tmp_path_factory: pytest.TempPathFactory) -> World:
         return make(root, server)
 
 
+@pytest.fixture
+def children_are_functions(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Children of match, sparse and georef are calls (``here``)."""
+    import here
+
+    here.patch(monkeypatch)
+
+
 @pytest.fixture(scope="session")
 def canal() -> Path:
     """The example survey that ships with the project."""

@@ -37,6 +37,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> worlds.Survey:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("children_are_functions")
 @pytest.mark.parametrize("own_start", [True, False])
 def test_two_passes_with_odometry_of_their_own_end_in_one_model(
     own_start: bool, made: worlds.Survey, tmp_path: Path

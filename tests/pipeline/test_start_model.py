@@ -20,7 +20,7 @@ from tiegraph.geometry.align import umeyama
 from tiegraph.geometry.transforms import invert
 from tiegraph.scan.rigfiles.rigwrite import write_rig_toml
 
-pytestmark = pytest.mark.slow  # the world they share
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("children_are_functions")]  # slow: the world they share
 
 _UNIT = 0.13  # of the start model, in metres
 

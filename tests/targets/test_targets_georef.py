@@ -19,6 +19,7 @@ from tiegraph.scene.scene import Scene
 
 import pycolmap  # isort: skip
 
+pytestmark = pytest.mark.usefixtures("children_are_functions")
 NAMES = list(PLACES)
 HEAD = "# crs: EPSG:32654\nname,x,y,z,sigma_xy,sigma_z,role\n"
 BARS = "from,to,length (mm),sigma (mm),role\n"
