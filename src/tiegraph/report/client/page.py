@@ -33,7 +33,7 @@ def client_page(
         "layers": accuracy.layers(run.accuracy) if run.accuracy is not None else [],
         "held_by": accuracy.holding(run.accuracy) if run.accuracy is not None else "",
         "files": sizes(deliverables(run)),
-        "problems": [said(problem) for problem in worst(verdict)],
+        "problems": [text[:1].upper() + text[1:] for text in map(said, worst(verdict))],
     }
 
 
