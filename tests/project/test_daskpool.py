@@ -215,9 +215,11 @@ def test_only_the_series_of_python_must_be_the_same():
 def hide_tiegraph(hidden):
     import sys
 
-    sys.modules["tiegraph.project.daskworker"] = None if hidden else __import__("tiegraph")
-    if not hidden:
-        del sys.modules["tiegraph.project.daskworker"]
+    for module in ("tiegraph.project.daskworker", "tiegraph.project.software"):
+        if hidden:
+            sys.modules[module] = None
+        else:
+            del sys.modules[module]
 
 
 def test_a_worker_without_tiegraph_is_named(cluster):
