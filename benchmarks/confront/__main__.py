@@ -70,7 +70,12 @@ def _arguments(argv: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--again", action="store_true", help="run cases anew whose rows are there")
     parser.add_argument("--until", default="georef", help="the last stage of a run")
     parser.add_argument("--timeout", type=float, default=1800.0, help="seconds a run may take")
-    parser.add_argument("--src", type=Path, default=_DRIVE.parents[2] / "src", help="the source tree under test")
+    parser.add_argument(
+        "--src",
+        type=Path,
+        default=_DRIVE.parents[2] / "src",
+        help="the source tree under test; a checkout with its own .venv if not this one",
+    )
     parser.add_argument("--label", default="now", help="name of that tree; its clean runs are used again")
     parser.add_argument("--keep", action="store_true", help="keep the run folders of the cases")
     parser.add_argument("--work", type=Path, required=True, help="folder of inputs and runs, used again")
@@ -140,10 +145,13 @@ def _run(bench: Bench, files: dict[str, Path], out: Path, base: tuple[Path | Non
     for option in ("rig", "gnss", "times"):
         command += [f"--{option}", str(files[option])] if option in files else []
     clean, redo = base
-    spec = {"command": command, "out": str(out), "until": bench.until, "redo": list(redo)}
+    spec = {"src": str(bench.src), "command": command, "out": str(out), "until": bench.until, "redo": list(redo)}
     path, log = out.with_name(out.name + ".json"), out.with_name(out.name + ".txt")
     path.write_text(json.dumps({**spec, "clean": str(clean) if clean else None}))
-    words = ["env", f"PYTHONPATH={bench.src}", sys.executable, str(_DRIVE), str(path)]
+    # An editable install finds its own sources before any path: another tree runs by its own environment.
+    own = bench.src.parent / ".venv" / "bin" / "python"
+    python = str(own) if own.exists() else sys.executable
+    words = ["env", f"PYTHONPATH={bench.src}", python, str(_DRIVE), str(path)]
     done = runner._run_process(words, log, bench.timeout_s)
     done["error"] = _ended(done["returncode"], log)
     path.unlink()
