@@ -1,7 +1,7 @@
 """The child of a case: runs the command line of the tree under test; early stages come from the clean run.
 
-``python drive.py SPEC.json`` with that tree on the path. The spec: ``src`` (that tree), ``command`` (of ``tiegraph run``), ``out``,
-``until``, ``clean`` (a finished run folder of the survey without its fault, or null) and ``redo`` (the first stages
+``python drive.py SPEC.json`` with that tree on the path. The spec: ``src`` (that tree), ``command`` (of ``tiegraph run``),
+``out``, ``until``, ``clean`` (a finished run folder of the survey without its fault, or null) and ``redo`` (the first stages
 that see the fault). What they and those after them need is taken over from the clean folder, with keys and hashes that
 say what these files now stand for, as if that stage had run here; the tool itself then decides what to run.
 """
@@ -24,10 +24,9 @@ def main(spec: dict[str, Any]) -> int:
     import tiegraph
     from tiegraph.cli.main import main as command_line
 
-    if Path(tiegraph.__file__).resolve().parents[1] != Path(spec["src"]):
-        raise SystemExit(
-            f"{sys.executable} runs {tiegraph.__file__}, not {spec['src']}: `sh setup.sh` in that checkout"
-        )
+    found = Path(tiegraph.__file__).resolve().parents[1]
+    if found != Path(spec["src"]):
+        raise SystemExit(f"{sys.executable} runs {found}, not {spec['src']}: `sh setup.sh` in that checkout")
     command, out = [str(w) for w in spec["command"]], Path(spec["out"])
     if spec["clean"] and "scan" not in spec["redo"]:
         code = command_line([*command, "--until", "scan"])
