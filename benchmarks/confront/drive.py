@@ -1,9 +1,9 @@
 """The child of a case: runs the command line of the tree under test; early stages come from the clean run.
 
-``python drive.py SPEC.json`` with that tree on the path. The spec: ``src`` (that tree), ``command`` (of ``tiegraph run``),
-``out``, ``until``, ``clean`` (a finished run folder of the survey without its fault, or null) and ``redo`` (the first stages
-that see the fault). What they and those after them need is taken over from the clean folder, with keys and hashes that
-say what these files now stand for, as if that stage had run here; the tool itself then decides what to run.
+``python drive.py SPEC.json`` with that tree on the path. The spec: ``src`` (that tree), ``command`` (of ``tiegraph
+run``), ``out``, ``until``, ``clean`` (a finished run folder of the survey without its fault, or null) and ``redo`` (the
+first stages that see the fault). What they and those after them need is taken over from the clean folder, with keys and
+hashes that say what these files now stand for, as if that stage had run here; the tool itself then decides what to run.
 """
 
 from __future__ import annotations
