@@ -285,6 +285,40 @@ def test_what_depends_on_a_file_that_came_out_otherwise_is_made_again(make, monk
     assert ran(make()) == ["whole", "last"]
 
 
+def base(run):
+    claim(run.path("base.db"))
+    run.path("base.db").write_text(f"{run.settings.many.value}")
+    return Outcome()
+
+
+def grown(run):
+    """Writes into the file of another stage, as match does into the database of features."""
+    with open(run.path("base.db"), "a") as file:
+        file.write(" grown")
+    return Outcome()
+
+
+SHARED = (
+    Stage("many", base, (), ("base.db",)),
+    Stage("whole", grown, ("many",), (), changes=("base.db",)),
+)
+
+
+def test_a_file_that_a_stage_changed_is_not_missed_when_its_maker_made_it_anew(make):
+    """Twice with other settings, before the stage that changes it has run again: its list is of a file long gone."""
+    assert run_stages(SHARED, make()) == ["many", "whole"]
+    assert run_stages(SHARED, make()) == []
+    for value in (2, 3):
+        assert run_stages(SHARED, make(many=value), until="many") == ["many"]
+        assert not make().path("set_aside").exists() and "was changed" not in make().log.read_text()
+    make().path("base.db").write_text("drawn by hand")
+    assert run_stages(SHARED, make(many=3), until="many") == ["many"] and aside(make()) == {"base.db": b"drawn by hand"}
+    assert run_stages(SHARED, make(many=3)) == ["whole"] and make().path("base.db").read_text() == "3 grown"
+    make().path("base.db").write_text("drawn again")
+    assert run_stages(SHARED, make(many=3)) == ["many", "whole"]
+    assert len(list(make().path("set_aside").iterdir())) == 2
+
+
 def test_a_touched_or_copied_folder_is_still_up_to_date(make, tmp_path):
     ran(make())
     for path in make().path("many").glob("*.txt"):

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry.align import Similarity
 from tiegraph.sfm.tuning.world import FitTuning
-from tiegraph.sfm.world.fit import Evidence, _Problem, fit_similarity
+from tiegraph.sfm.world.fit import Evidence, _Problem, _sigma, fit_similarity
 from tiegraph.sfm.world.gravity import Up
 from tiegraph.sfm.world.unknowns import LeverArm, LogScale
 
@@ -98,3 +98,13 @@ def test_truth_is_found_with_lever_arm_and_clock() -> None:
     np.testing.assert_allclose(found.arm.place[:2], LEVER[:2], atol=0.02)
     assert found.clock.offset_s == pytest.approx(LATE_S, abs=0.01)
     assert found.inlier.all()
+
+
+def test_the_sigma_of_what_residuals_leave_open_is_infinite():
+    """Three unknowns: the first is measured, the second only in a sum with the third."""
+    rows = np.array([[2.0, 0.0, 0.0], [0.0, 1.0, 1.0], [0.0, 3.0, 3.0]])
+    assert [_sigma(rows, k) for k in (0, 1, 2)] == pytest.approx([0.5, np.inf, np.inf])
+    assert _sigma(rows[:1], 1) == np.inf, "fewer residuals than unknowns"
+    full = np.random.default_rng(0).normal(size=(9, 4))
+    expected = np.sqrt(np.diag(np.linalg.inv(full.T @ full)))
+    assert [_sigma(full, k) for k in range(4)] == pytest.approx(expected, rel=1e-9)

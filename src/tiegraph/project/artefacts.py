@@ -194,11 +194,17 @@ class Artefacts:
         return [n for n in names if n not in ledger and not covered(n, stage.scratch) and not left_behind([n])]
 
     def _differences(self, stage: Stage, thorough: bool) -> Iterable[tuple[str, str]]:
-        shared = {n for s in self._stages if self.receipts.path(s.name).exists() for n in s.changes}
+        shared = {n for s in self._stages if self._changed(s) for n in s.changes}
+        old = set() if self._changed(stage) else set(stage.changes)
         for name, entry in (self.receipts.files(stage.name) or {}).items():
-            known = [] if name in shared - set(stage.changes) else entry
+            known = [] if name in (shared - set(stage.changes)) | old else entry
             if what := trouble(self.folder / name, known, thorough):
                 yield name, what
+
+    def _changed(self, stage: Stage) -> bool:
+        """Whether a stage has changed files of others as they are: their makers have not made them anew since."""
+        before, now = self.receipts.read(stage.name).get("from", {}), self._made_from(stage)
+        return bool(before) and all(before.get(m) == now.get(m) for m in map(self._maker, stage.changes))
 
     def _maker(self, name: str) -> str:
         """The stage that makes a file; "" for none."""

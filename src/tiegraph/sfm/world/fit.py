@@ -15,6 +15,7 @@ from tiegraph.sfm.tuning.world import FitTuning
 from tiegraph.sfm.world.gravity import Up
 from tiegraph.sfm.world.unknowns import Clock, FittedArm, LeverArm, LogScale
 
+_OPEN = 1e-6  # squared sine between an unknown and what residuals tell, beyond which it is open
 _MAX_LOG_SCALE = 5.0  # from the start: keeps a step of the solver finite
 
 
@@ -346,6 +347,14 @@ def _solve(
     return scipy.optimize.least_squares(residuals, x, jacobian, x_scale="jac", method="trf")
 
 
+def _sigma(jacobian: np.ndarray, unknown: int) -> float:
+    """Of one unknown by the derivatives (R, U) of residuals in sigmas; infinite where they leave it open."""
+    _, size, directions = np.linalg.svd(jacobian, full_matrices=False)
+    told = size > np.finfo(float).eps * max(jacobian.shape) * size[0]
+    along = directions[told, unknown]
+    return float(np.linalg.norm(along / size[told])) if 1.0 - along @ along < _OPEN else float("inf")
+
+
 def _report(problem: _Problem, solution: scipy.optimize.OptimizeResult, inlier: np.ndarray, cost: float) -> Fit:
     similarity, antenna = problem.unpack(solution.x)
     freedom = max(1, 3 * int(inlier.sum()) - len(solution.x))
@@ -357,7 +366,6 @@ def _report(problem: _Problem, solution: scipy.optimize.OptimizeResult, inlier: 
     if problem.evidence.log_scale is not None:
         weight = inlier.astype(float)
         alone = _solve(problem, solution.x, weight, with_scale=False).jac
-    scale_alone = np.linalg.pinv(alone.T @ alone)[6, 6] * max(1.0, chi2)
     sigma = {
         "position_m": float(np.hypot(sd[3], sd[4])),
         "height_m": float(
@@ -377,6 +385,6 @@ def _report(problem: _Problem, solution: scipy.optimize.OptimizeResult, inlier: 
         sigma=sigma,
         cost=cost,
         roll_sigma_deg=roll,
-        sigma_positions_scale=float(np.sqrt(scale_alone)),
+        sigma_positions_scale=_sigma(alone, 6) * float(np.sqrt(max(1.0, chi2))),
         error=PlacementError(similarity(problem.middle), covariance[:7, :7]),
     )
