@@ -62,6 +62,7 @@ def _figure(rows: Sequence[dict[str, Any]]) -> str:
     for row in sorted(rows, key=lambda r: (r["calibration"], r["repeat"])):
         given = "calibrated: " if row["calibration"] == "given" and row["competitor"] != "tiegraph" else ""
         more = f" of {row['registered']} in {row['components']} models" if row["registered"] > row["largest"] else ""
+        more = f" + {row['placed_by_rig']} by the rig" if row.get("placed_by_rig") else more
         error = _metres(row["ate_m"]) if row["largest"] else "no model"
         said.append(f"{given}{row['largest']}{more}, {error}, {row['cpu_s']:.0f} s")
     return "; ".join(said) or "not run"
