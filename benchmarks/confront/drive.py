@@ -60,12 +60,11 @@ def _keys(command: list[str]) -> dict[str, str]:
     """The key of every stage for a command line of ``tiegraph run``."""
     from tiegraph.api import open_project
     from tiegraph.pipeline import STAGES
-    from tiegraph.project.stages import stage_keys
 
     at = {word: k for k, word in enumerate(command)}
     given = {n: command[at[f"--{n}"] + 1] for n in ("rig", "gnss", "times") if f"--{n}" in at}
     project = open_project(command[1], command[at["-o"] + 1], **given)
-    return stage_keys(STAGES, project.settings, project.inputs.key())
+    return project.as_run().keys(STAGES)
 
 
 def _take(source: Path, target: Path, link: bool) -> None:

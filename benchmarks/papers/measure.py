@@ -57,11 +57,17 @@ _BY = tuple(
 )
 _FOLLOWED = Method("by odometry", settings=_BY[1].settings, until="cloud", trajectory="auto")
 _SECTIONS = ("canal_demo section 0", "canal_demo section 1")
+_TO_WORLD = {n: replace(m, until="georef") for n, m in {"tiegraph": _OURS, **_PAPERS}.items()}
+"""The same without a cloud: `canal` has 300 images, and a cloud is made of images, not of pairs."""
 
 RUNS: dict[str, tuple[tuple[str, tuple[Method, ...]], ...]] = {
-    "000": (("canal_demo", (_OURS, COLMAP, _PAPERS["conventional"], _PAPERS["meguro2024"])),),
+    "000": (
+        ("canal_demo", (_OURS, COLMAP, _PAPERS["conventional"], _PAPERS["meguro2024"])),
+        ("canal", (_TO_WORLD["tiegraph"], COLMAP, _TO_WORLD["conventional"], _TO_WORLD["meguro2024"])),
+    ),
     "001": (
         ("canal_demo", (_OURS, COLMAP, _PAPERS["conventional"], _PAPERS["meguro2025"])),
+        ("canal", (_TO_WORLD["tiegraph"], COLMAP, _TO_WORLD["conventional"], _TO_WORLD["meguro2025"])),
         *((name, (_OURS, _PAPERS["meguro2025"])) for name in _SECTIONS),
     ),
     "002": (("kitchen 40", (*_DESIGNS, COLMAP)),),

@@ -1,11 +1,12 @@
 """The surveys that stand for those of the papers.
 
-000 and 001 (a boat with a ring of cameras on a canal, out and back): ``canal_demo``, and its sections as surveys of
-their own. 002 (a hand-held video round a structure): the first 40 frames of ``rgbd_250``, a kitchen. 003 (six scenes,
-images and an odometry beside them): three stretches of the kitchen chosen by its true poses (the camera goes to and
-fro; its axes meet in one object; it moves freely), a stereo pair and a ring on a car, a ring on a boat. Trajectories as
-a user would have them: ``canal_demo`` its drifting odometry, one file a pass, laid on GNSS, with the nominal rig in the
-axes of the same body (x forward, y left, z up); the others their poses (depth camera, GNSS/INS) as one TUM file.
+000 and 001 (a boat with a ring of cameras on a canal, out and back): ``canal_demo``, its sections as surveys of their
+own, and up to the world ``canal``, which is longer. 002 (a hand-held video round a structure): the first 40 frames of
+``rgbd_250``, a kitchen. 003 (six scenes, images and an odometry beside them): three stretches of the kitchen chosen by
+its true poses (the camera goes to and fro; its axes meet in one object; it moves freely), a stereo pair and a ring on
+a car, a ring on a boat. Trajectories as a user would have them: ``canal_demo`` its drifting odometry, one file a pass,
+laid on GNSS, with the nominal rig in the axes of the same body (x forward, y left, z up); the others their poses (depth
+camera, GNSS/INS) as one TUM file.
 """
 
 from __future__ import annotations

@@ -1,6 +1,8 @@
 """Receipts and resume on a table of small stages that write files."""
 
 import json
+import os
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -10,8 +12,8 @@ from tiegraph.errors import InputError
 from tiegraph.project.folder import working_in
 from tiegraph.project.inputs import Inputs
 from tiegraph.project.pool import map_items, open_pool
-from tiegraph.project.run import Run, let_go, run_stages, status
-from tiegraph.project.stages import Outcome, Stage, stage_keys, write_atomic
+from tiegraph.project.run import Run, let_go, reads_inputs, run_stages, status
+from tiegraph.project.stages import Outcome, Stage, write_atomic
 from tiegraph.settings import Section
 
 
@@ -146,6 +148,55 @@ def test_a_file_named_by_a_setting_counts_with_its_content_stamp(make, tmp_path)
     assert run_stages(STAGES, make(second=two)) == ["second"]
 
 
+def later(*paths):
+    for path in paths:
+        os.utime(path, ns=(path.stat().st_atime_ns, path.stat().st_mtime_ns + 5_000_000_000))
+
+
+def test_a_new_time_alone_is_no_change_of_an_input_and_other_bytes_of_the_same_size_are(make, tmp_path):
+    listed = tmp_path / "pairs.txt"
+    listed.write_text("a b")
+    image, two = make().inputs.images / "a.jpg", Two(file=listed)
+    run_stages(STAGES, make(second=two))
+    later(image, listed)
+    assert [why for _, why, _ in status(STAGES, make(second=two))] == ["", "", ""]
+    assert run_stages(STAGES, make(second=two)) == []
+    listed.write_text("a c")
+    later(listed)
+    assert run_stages(STAGES, make(second=two)) == ["second"]
+    image.write_bytes(b"z")
+    later(image)
+    assert run_stages(STAGES, make(second=two)) == ["first", "second", "third"]
+    later(image, listed)
+    assert run_stages(STAGES, make(second=two)) == []
+
+
+def test_one_file_that_is_gone_is_a_change_and_a_folder_that_is_gone_counts_as_it_was(make, tmp_path):
+    images = make().inputs.images
+    (images / "b.jpg").write_bytes(b"y")
+    run_stages(STAGES, make())
+    images.rename(tmp_path / "elsewhere")
+    assert [why for _, why, _ in status(STAGES, make())] == ["", "", ""]
+    assert run_stages(STAGES, make(third=One(value=9))) == ["third"]
+    assert not reads_inputs((*STAGES[:2], replace(STAGES[2], alone=True)), make(third=One(value=4)), None)
+    assert reads_inputs(STAGES, make(third=One(value=4)), None)
+    (tmp_path / "elsewhere").rename(images)
+    later(images / "a.jpg", images / "b.jpg")
+    assert run_stages(STAGES, make(third=One(value=9))) == []
+    (images / "b.jpg").unlink()
+    assert run_stages(STAGES, make(third=One(value=9))) == ["first", "second", "third"]
+
+
+def test_inputs_whose_list_is_damaged_count_by_their_times_again(make):
+    run_stages(STAGES, make())
+    make().path("receipts", "inputs.json").write_text("{")
+    assert run_stages(STAGES, make()) == []
+    later(make().inputs.images / "a.jpg")
+    assert run_stages(STAGES, make()) == ["first", "second", "third"]
+    later(make().inputs.images / "a.jpg")
+    assert run_stages(STAGES, make()) == []
+
+
 def test_interrupted_work_goes_on_where_it_stopped(make):
     run = make()
     (run.folder.parent / "trip").touch()
@@ -181,7 +232,7 @@ def test_receipt_says_what_happened(make):
     receipt = json.loads(run.path("receipts", "second.json").read_text())
     assert receipt["notes"] == ["a note"] and receipt["software"]["tiegraph"]
     assert 0 <= receipt["seconds"] < 60 and receipt["peak_mib"] > 5
-    assert receipt["key"] == stage_keys(STAGES, run.settings, run.inputs.key())["second"]
+    assert receipt["key"] == run.keys(STAGES)["second"]
 
 
 def test_constants_of_an_engine_run_again_the_stages_that_follow_it_and_stand_in_their_receipts(make):

@@ -78,7 +78,7 @@ def found_by(
 ) -> Georeference:
     """The judged placement of a model that is the truth itself, metres as units; the rig's scale times the truth's."""
     scale = None if rig_scale is None else RigScale(rig_scale, RIG_SIGMA, True)
-    up = Up(np.array([0.0, 0.0, 1.0]), 3.0, True, "the ring of side cameras") if ring else None
+    up = Up(np.array([0.0, 0.0, 1.0]), 3.0, True, True, "the ring of side cameras") if ring else None
     found, given = [], Measurements()
     if points is not None:
         given = Measurements(control=points[0])

@@ -17,7 +17,7 @@ from tiegraph.sfm.world.unknowns import LeverArm, LogScale
 
 TUNING = FitTuning()
 TRUE = Similarity(2.5, Rotation.from_euler("xyz", [0.6, 0.3, -1.0]).as_matrix(), np.array([10.0, 20.0, 3.0]))
-UP = Up(TRUE.rotation.T @ np.array([0.02, -0.01, 0.99975]), 3.0, True, "the ring")
+UP = Up(TRUE.rotation.T @ np.array([0.02, -0.01, 0.99975]), 3.0, True, True, "the ring")
 LEVER, LATE_S = np.array([0.3, -0.2, 1.1]), 0.15
 GIVEN = np.array([0.1, 0.0, 1.0])  # of the lever arm
 
@@ -61,7 +61,7 @@ WITHOUT = {
 
 
 @pytest.mark.parametrize("less", WITHOUT.values(), ids=WITHOUT)
-@pytest.mark.parametrize("up", [UP, replace(UP, ring=False), None], ids=["ring", "one side", "no upward"])
+@pytest.mark.parametrize("up", [UP, replace(UP, ring=False, tilt=False), None], ids=["ring", "one side", "no upward"])
 @pytest.mark.parametrize("turn_deg", [0.0, 40.0, 150.0])
 def test_derivatives_are_those_of_the_residuals(less, up, turn_deg) -> None:
     evidence = replace(_winding(0.05), **less)

@@ -126,9 +126,7 @@ def test_adjustment_meets_the_truth_and_says_what_it_did(world) -> None:
     assert any("positions held back are met within" in n for n in found.findings.notes)
     held, without = found.residuals.held, plain.residuals.held
     assert 3 <= len(held.residual_m) == len(without.residual_m) and not np.allclose(held.residual_m, without.residual_m)
-    assert 0.2 < np.sqrt(np.mean((held.residual_m / held.sigma_m) ** 2)) < 2, (
-        "they are believed as well as they are met"
-    )
+    assert 0.2 < np.sqrt(np.mean((held.residual_m / held.sigma_m) ** 2)) < 2, "they are stated as well as they are met"
 
 
 @pytest.mark.slow
@@ -196,7 +194,7 @@ def _straight(passes: int) -> tuple[Model, Scene, np.ndarray]:
         time_s=2.0 * np.arange(count),
     )  # fmt: skip
     place = np.array(poses)[:, :3, 3] + 0.02 * np.random.default_rng(0).standard_normal((count, 3))
-    up = Up(np.array([0.0, 0.0, 1.0]), 3.0, True, "the ring of side cameras")
+    up = Up(np.array([0.0, 0.0, 1.0]), 3.0, True, True, "the ring of side cameras")
     return Model(transforms.invert(np.array(poses)), up, None, [], tuple(names)), scene, place
 
 

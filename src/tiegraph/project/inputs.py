@@ -15,7 +15,8 @@ from typing import Any
 from tiegraph.errors import InputError
 from tiegraph.project.folder import names_run
 from tiegraph.project.settings import Settings, sections, shortened
-from tiegraph.project.stages import digest, stamp
+from tiegraph.project.stages import digest
+from tiegraph.project.stamps import Stamps
 from tiegraph.scene.bags.topics import is_bag, source_of, split_topics
 from tiegraph.scene.images import searched
 from tiegraph.scene.regular import names_file, regular
@@ -39,22 +40,23 @@ class Inputs:
     camera: str | None = None  # a calibration in words, or its file
     start: Path | None = None  # a model to go on from
 
-    def key(self) -> str:
+    def key(self, stamps: Stamps) -> str:
         """Hash over names, sizes and times of all inputs."""
-        of = self.parts()
+        of = self.parts(stamps)
         files = [of[n] for n in ("--gnss", "--trajectory", "--times", *(("--start",) if self.start else ()))]
         return digest([of[_IMAGES][0], *of["--rig"], [of[_IMAGES][1], *files], *of["--camera"]])
 
-    def parts(self) -> dict[str, Any]:
+    def parts(self, stamps: Stamps) -> dict[str, Any]:
         """Names, sizes and times of each input, by what the user calls it; None for what is not given."""
-        rig = _rig_stamp(Path(self.rig)) if self.rig and Path(self.rig).exists() else None
-        camera = [self.camera, *(stamp(Path(self.camera)) if names_file(self.camera) else [])] if self.camera else []
-        files = self._files()
+        images, rig, camera, start = source_of(self.images), self.rig or "", self.camera or "", self.start
+        files = {n: _files_stamp(p, stamps) if p else None for n, p in self._files().items()}
+        if start is not None:
+            files["--start"] = stamps.of(start, lambda: files["--start"])
         return {
-            _IMAGES: [str(self.images), stamp(searched(source_of(self.images)))],
-            "--rig": [self.rig, rig],
-            "--camera": camera,
-            **{option: _stamp(path) if path else None for option, path in files.items()},
+            _IMAGES: [str(self.images), stamps.of(images, lambda: stamps.now(searched(images)))],
+            "--rig": [self.rig, stamps.of(rig, lambda: _rig_stamp(Path(rig), stamps)) if rig else None],
+            "--camera": [camera, *(stamps.of(camera, lambda: _words_stamp(camera, stamps)) or [])] if camera else [],
+            **files,
             **({"--trajectory": str(FOLLOW)} if self.trajectory == FOLLOW else {}),
         }
 
@@ -94,21 +96,25 @@ class Inputs:
         return files
 
 
-def _stamp(path: Path) -> Any:
+def _files_stamp(path: Path, stamps: Stamps) -> Any:
     """Of a file or folder, and the topics of a bag that its path names."""
     source, topics = split_topics(path)
-    return [list(topics), stamp(source)] if topics else stamp(source)
+    return [list(topics), stamps(source)] if topics else stamps(source)
 
 
-def _rig_stamp(rig: Path) -> Any:
+def _words_stamp(text: str, stamps: Stamps) -> Any:
+    return stamps.now(Path(text)) if names_file(text) else None
+
+
+def _rig_stamp(rig: Path, stamps: Stamps) -> Any:
     """Of a rig file and the files it names, or of the receipts of the stages of another run that its rig comes from."""
     if names_run(str(rig)):
-        return [stamp(rig / "receipts" / f"{stage}.json") for stage in ("sparse", "georef")]
+        return [stamps.now(rig / "receipts" / f"{stage}.json") for stage in ("sparse", "georef")]
     try:
         named = re.findall(r"\bfile\s*=\s*[\"']([^\"']+)", regular(rig).read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError):
         named = []
-    return [stamp(rig), *(stamp(rig.parent / n) for n in named)] if named else stamp(rig)
+    return [stamps.now(rig), *(stamps.now(rig.parent / n) for n in named)] if named else stamps.now(rig)
 
 
 # --- what a user names must be there before anything runs ------------------------------------------------------------

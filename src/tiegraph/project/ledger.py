@@ -58,6 +58,19 @@ def recorded(folder: Path, names: Sequence[str]) -> Ledger:
     return ledger
 
 
+def digests(paths: Sequence[Path]) -> list[str]:
+    """Digest of each file's content; "" of one that cannot be read."""
+    with ThreadPoolExecutor(_THREADS) as threads:
+        return list(threads.map(_digest_if_readable, paths))
+
+
+def _digest_if_readable(path: Path) -> str:
+    try:
+        return _digest(path)
+    except OSError:
+        return ""
+
+
 def _entry(path: Path, safe: bool = False) -> list:
     info = path.lstat()
     if stat.S_ISLNK(info.st_mode):

@@ -23,6 +23,7 @@ from tiegraph.project.progress import Elsewhere, Meter, Reporter
 from tiegraph.project.receipts import Receipts
 from tiegraph.project.software import software
 from tiegraph.project.stages import Stage, changed_parts, engines, key_parts, stage_keys, write_atomic
+from tiegraph.project.stamps import Stamps
 from tiegraph.scene.bags.topics import source_of
 
 log = logging.getLogger("tiegraph")
@@ -39,11 +40,21 @@ class Run:
         self.settings = settings
         self.reporter = reporter or Reporter("quiet")
         self.receipts = Receipts(self.folder)
+        self.stamps = Stamps(self.folder)
         self.elsewhere = Elsewhere()
         check_pool(pool)
         self._pool_spec = pool
         self._executor: Executor | None = None
         self._workers = 1
+
+    def keys(self, stages: Sequence[Stage]) -> dict[str, str]:
+        """The key of every stage, by what its inputs and settings are now."""
+        return stage_keys(stages, self.settings, self.inputs.key(self.stamps), self.stamps)
+
+    def parts(self, stage: Stage) -> dict[str, str]:
+        """What the key of a stage counts beside the keys of what it needs."""
+        sources = {} if stage.needs else self.inputs.parts(self.stamps)
+        return key_parts(stage, self.settings, sources, self.stamps)
 
     def path(self, *parts: str) -> Path:
         """A path below the run folder."""
@@ -110,6 +121,12 @@ def _given_by_settings(settings: Any) -> dict[str, Path]:
     return {f"--{s}.{n.replace('_', '-')}": value for s, n, value in named if isinstance(value, Path)}
 
 
+def reads_inputs(stages: Sequence[Stage], run: Run, until: str | None) -> bool:
+    """Whether a stage that is out of date, up to and including ``until``, reads what the user gave."""
+    names = {s.name for s in needed(stages, until) if not s.alone}
+    return any(why for name, why, _ in status(stages, run) if name in names)
+
+
 def run_stages(
     stages: Sequence[Stage],
     run: Run,
@@ -124,7 +141,7 @@ def run_stages(
     """
     wanted = needed(stages, until)
     check_run(stages, run)
-    keys = stage_keys(stages, run.settings, run.inputs.key())
+    keys = run.keys(stages)
     artefacts = Artefacts(run.folder, stages)
     ran: list[str] = []
     with working_in(run.folder):
@@ -167,6 +184,7 @@ def _run_through(wanted: list[Stage], keys: dict[str, str], run: Run, artefacts:
                 return False
             raise
         ran.append(stage.name)
+        run.stamps.record()
     return True
 
 
@@ -180,7 +198,7 @@ def _wanted_back(stage: Stage, wanted: list[Stage], keys: dict[str, str], artefa
 
 def let_go(stages: Sequence[Stage], run: Run) -> int:
     """Remove what serves no stage any more, where all that need it are up to date; the bytes that this freed."""
-    keys, artefacts, freed = stage_keys(stages, run.settings, run.inputs.key()), Artefacts(run.folder, stages), 0
+    keys, artefacts, freed = run.keys(stages), Artefacts(run.folder, stages), 0
     with working_in(run.folder):
         artefacts.look()
         for stage in stages:
@@ -226,7 +244,7 @@ def _run_one(stage: Stage, key: str, run: Run, artefacts: Artefacts) -> None:
         log.warning("stage %s: %s", stage.name, text)
     run.reporter.event("started", stage=stage.name)
     log.info("stage %s started", stage.name)
-    parts = key_parts(stage, run.settings, {} if stage.needs else run.inputs.parts())
+    parts = run.parts(stage)
     start, meter = time.perf_counter(), Meter(elsewhere=run.elsewhere)
     try:
         with run.reporter.stage(stage.name):
@@ -285,7 +303,7 @@ def _say_done(stage: Stage, receipt: dict, reporter: Reporter) -> None:
 
 def status(stages: Sequence[Stage], run: Run) -> list[tuple[str, str, dict]]:
     """(stage, why it is not up to date or "", its receipt), without running anything."""
-    keys = stage_keys(stages, run.settings, run.inputs.key())
+    keys = run.keys(stages)
     artefacts = Artefacts(run.folder, stages)
     artefacts.look()
     stale: set[str] = set()
@@ -305,7 +323,7 @@ def status(stages: Sequence[Stage], run: Run) -> list[tuple[str, str, dict]]:
 def _what_changed(stage: Stage, run: Run, before: dict[str, str]) -> str:
     """Which inputs and settings of its own a stage was made with otherwise; "" for none, or if that was not noted."""
     given = run.inputs.given()
-    changed = changed_parts(before, key_parts(stage, run.settings, {} if stage.needs else run.inputs.parts()))
+    changed = changed_parts(before, run.parts(stage))
     named = ", ".join(f"{n} {given[n]}" if n in given else n for n in changed)
     return f"changed: {named}" if before and changed else ""
 

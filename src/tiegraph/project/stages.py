@@ -44,6 +44,7 @@ class Stage:
     uses: tuple[str, ...] = ()  # settings sections of other stages that it follows
     tuned: tuple[str, ...] = ()  # engines whose constants it follows (settings.tuning), beside that of its own name
     scratch: tuple[str, ...] = ()  # what it keeps below the run folder only while it runs
+    alone: bool = False  # reads nothing but the run folder
     passing: bool = False  # what it makes serves later stages only and may be let go once they are done
     version: int = 1  # raise it when the stage's results change for the same settings
 
@@ -72,22 +73,24 @@ def stamp(path: Path) -> Any:
     return [info.st_size, info.st_mtime_ns]
 
 
-def settings_key(section: Any) -> Any:
+def settings_key(section: Any, stamp: Callable[[Path], Any] = stamp) -> Any:
     """A settings section as data; the files and folders it names count with their stamps."""
     values = section.model_dump(mode="json")
     files = {n: stamp(v) for n in type(section).model_fields if isinstance(v := getattr(section, n), Path)}
     return {"values": values, "files": files}
 
 
-def key_parts(stage: Stage, settings: Any, sources: Mapping[str, Any]) -> dict[str, str]:
+def key_parts(
+    stage: Stage, settings: Any, sources: Mapping[str, Any], stamp: Callable[[Path], Any] = stamp
+) -> dict[str, str]:
     """What a stage's key counts beside the keys of what it needs: name -> digest. ``sources``: what counts of each
     input of the run, by what the user calls it; it counts for the stages that need no other."""
     parts: dict[str, Any] = {} if stage.needs else dict(sources)
     for name in (stage.name, *stage.uses):
-        key = settings_key(getattr(settings, name))
+        key = settings_key(getattr(settings, name), stamp)
         parts.update({f"{name}.{n}": [value, key["files"].get(n)] for n, value in key["values"].items()})
     for engine in engines(stage, settings):
-        parts[f"tuning.{engine}"] = settings_key(getattr(settings.tuning, engine))
+        parts[f"tuning.{engine}"] = settings_key(getattr(settings.tuning, engine), stamp)
     return {"version of tiegraph": digest(stage.version), **{name: digest(part) for name, part in parts.items()}}
 
 
@@ -116,11 +119,13 @@ def remove(path: Path) -> None:
         path.unlink(missing_ok=True)
 
 
-def stage_keys(stages: Iterable[Stage], settings: Any, source_key: str) -> dict[str, str]:
-    """The key of every stage."""
+def stage_keys(
+    stages: Iterable[Stage], settings: Any, source_key: str, stamp: Callable[[Path], Any] = stamp
+) -> dict[str, str]:
+    """The key of every stage; ``stamp``: by what a change of a file is noticed."""
     keys = {"source": source_key}
     for stage in stages:
-        sections = [settings_key(getattr(settings, name)) for name in (stage.name, *stage.uses)]
-        sections += [settings_key(getattr(settings.tuning, engine)) for engine in engines(stage, settings)]
+        sections = [settings_key(getattr(settings, name), stamp) for name in (stage.name, *stage.uses)]
+        sections += [settings_key(getattr(settings.tuning, engine), stamp) for engine in engines(stage, settings)]
         keys[stage.name] = digest([stage.name, stage.version, sections, [keys[n] for n in ("source", *stage.needs)]])
     return keys

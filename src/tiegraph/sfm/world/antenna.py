@@ -155,14 +155,14 @@ def up_to_use(
         return None
     alone = fit_similarity(evidence, None, tuning.fit, near)
     tilt = alone.sigma["tilt_deg"]
-    if up.ring and tilt > tuning.similarity_fit.tilt_share * up.sigma_deg:
+    if up.tilt and tilt > tuning.similarity_fit.tilt_share * up.sigma_deg:
         known = known_to(tilt, RIGHT_ANGLE_DEG, f"{tilt:.1f} deg")
         notes.append(
             f"the positions leave the tilt open ({known}): the upward direction of {up.cameras} holds it, to about "
             f"{up.sigma_deg:.0f} deg; whether east and north, or one of them and the height, are exchanged cannot be "
             "told along so straight a track"
         )
-    elif not up.ring and alone.roll_sigma_deg > tuning.similarity_fit.roll_limit_deg:
+    elif not up.tilt and alone.roll_sigma_deg > tuning.similarity_fit.roll_limit_deg:
         known = known_to(alone.roll_sigma_deg, RIGHT_ANGLE_DEG, f"{alone.roll_sigma_deg:.0f} deg")
         notes.append(
             f"the positions lie nearly on a straight line (roll about it {known}): the upward direction of "

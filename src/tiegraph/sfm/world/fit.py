@@ -234,7 +234,7 @@ class _Problem:
             parts.append(self._off(similarity).ravel() / self.orientation_sigma)
         if self.up is not None:
             upward = similarity.rotation @ self.up.direction
-            if self.up.ring:
+            if self.up.tilt:
                 parts.append(_to_upright(upward) / np.radians(self.up.sigma_deg))
             else:
                 parts.append(np.array([roll_to_upright(upward, self.axis) / np.radians(self.up.sigma_deg)]))
@@ -298,7 +298,7 @@ class _Problem:
             turned(vector_by_turn(self._off(similarity)).reshape(-1, 3) / self.orientation_sigma)
         if self.up is not None:
             upward = similarity.rotation @ self.up.direction
-            by_upward = _upright_by_upward(upward) if self.up.ring else _roll_by_upward(upward, self.axis)[None]
+            by_upward = _upright_by_upward(upward) if self.up.tilt else _roll_by_upward(upward, self.axis)[None]
             turned(by_upward @ -skew(upward[None])[0] / np.radians(self.up.sigma_deg))
         if evidence.log_scale is not None and with_scale:
             parts.append(free * unit[6:7] / evidence.log_scale.sigma)

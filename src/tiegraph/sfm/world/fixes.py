@@ -41,8 +41,8 @@ class Fixes:
     """K positions. The antenna at a fix is the weighted sum of its places at up to four frames.
 
     frames (K, 4) scene frames (repeated where fewer), weights and rates (K, 4): rates are the weights' derivatives by
-    time, 1/s; home (K,) the nearest frame; position, sigma (K, 3) metres; level (K,) i4: fixes of one number share one
-    factor of their sigma; held (K,) bool kept back for the check.
+    time, 1/s; home (K,) the nearest frame; position, sigma as it is believed and as it was stated (K, 3) metres; level
+    (K,) i4: fixes of one number share one factor of their sigma; held (K,) bool kept back for the check.
     """
 
     frames: np.ndarray
@@ -52,6 +52,7 @@ class Fixes:
     time_s: np.ndarray
     position: np.ndarray
     sigma: np.ndarray
+    stated: np.ndarray
     level: np.ndarray
     held: np.ndarray
 
@@ -108,11 +109,11 @@ def make_fixes(scene: Scene, registered: np.ndarray, given: Measurements, floor_
                 parts.append(part)
                 left &= scene.sequence != track
     fixes = _joined([*parts, _of_frames(scene, left)])  # loose photographs have nothing between them
-    sigma = np.where(np.isfinite(fixes.sigma), fixes.sigma, tuning.unknown_sigma_m)
-    level = np.round(tuning.levels_per_octave * np.log2(np.maximum(sigma[:, 0], 1e-3))).astype(int)
-    sigma = np.maximum(sigma, floor_m) * _doubt(fixes, rows, given.covered, tuning)[:, None]
+    stated = np.where(np.isfinite(fixes.sigma), fixes.sigma, tuning.unknown_sigma_m)
+    level = np.round(tuning.levels_per_octave * np.log2(np.maximum(stated[:, 0], 1e-3))).astype(int)
+    sigma = np.maximum(stated, floor_m) * _doubt(fixes, rows, given.covered, tuning)[:, None]
     held = held_out_frames(scene, tuning)[fixes.home]
-    return replace(fixes, sigma=sigma, level=level, held=held)
+    return replace(fixes, sigma=sigma, stated=stated, level=level, held=held)
 
 
 def _of_frames(scene: Scene, registered: np.ndarray) -> Fixes:
@@ -196,6 +197,7 @@ def _fixes(frames: np.ndarray, weights: np.ndarray, rates: np.ndarray, *columns:
         time_s=time,
         position=position,
         sigma=sigma,
+        stated=sigma,
         level=empty.astype(int),
         held=empty.astype(bool),
     )

@@ -38,7 +38,7 @@ class HeldOut:
     full fit."""
 
     residual_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))  # (H, 3)
-    sigma_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))  # (H, 3) that they are believed with
+    sigma_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))  # (H, 3) as they are stated
 
     def to_dict(self) -> dict:
         """JSON-ready: how many, root mean square per axis, and of the sigmas together, metres."""
@@ -243,7 +243,7 @@ def _placed(placing: SimilarityFit, view: Model, scene: Scene, given: Measuremen
         held = has[fixes.held[at[has]]]
         held_out[held] = off[at[held]]
         good = fixes.held & fit.inlier[:count]
-        held_fixes = HeldOut(off[:count][good], (fixes.sigma * placing.factor[:, None])[good])
+        held_fixes = HeldOut(off[:count][good], fixes.stated[good])
     order = np.lexsort(
         (scene.sequence_index[fixes.home], scene.sequence[fixes.home])
     )  # control points stay in every part

@@ -219,7 +219,7 @@ def _check(world: pycolmap.Reconstruction, scene: Scene, placing: SimilarityFit,
     a, b = _score(before, bounds.clip_sigmas), _score(after, bounds.clip_sigmas)
     believed = placing.fit.inlier[out]
     text = f"{len(out)} positions held back are met within {b:.2f} of their sigmas, with the similarity {a:.2f}"
-    return _Check(b <= bounds.not_worse * a, text, HeldOut((after * sigma)[believed], sigma[believed]))
+    return _Check(b <= bounds.not_worse * a, text, HeldOut((after * sigma)[believed], held.stated[believed]))
 
 
 def _score(residual: np.ndarray, clip: float) -> float:

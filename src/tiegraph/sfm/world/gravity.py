@@ -1,4 +1,10 @@
-"""Which way is up in a model: cameras are mounted upright, so their image tops point to the sky on average."""
+"""Which way is up in a model: cameras are mounted upright, or held level, or look straight down.
+
+Their image tops point to the sky on average, which is as good as the cameras look all round: those of a ring, or a pair
+back to back. Cameras to one side may all look up a facade or down at a find; but level they are from left to right, so
+that their x axes lie in the horizon, and those of several headings span it (Brown and Lowe, Automatic panoramic image
+stitching, 2007, section 5).
+"""
 
 from __future__ import annotations
 
@@ -13,17 +19,19 @@ from tiegraph.sfm.tuning.world import UpTuning
 
 @dataclass(frozen=True)
 class Up:
-    """Upward direction (3,) in the model, its sigma, and whether cameras all round say so: of a ring, or a pair back to
-    back, the tops of some go up where those of the others go down."""
+    """Upward direction (3,) in the model, its sigma, whether cameras all round say so, and whether it holds the whole
+    tilt (or only the roll about the track)."""
 
     direction: np.ndarray
     sigma_deg: float
     ring: bool
+    tilt: bool
     cameras: str
 
 
 def up_vector(cam_from_world: np.ndarray, scene: Scene, tuning: UpTuning) -> Up | None:
-    """Mean of -y of the side cameras over all registered images (N, 4, 4); None when they do not agree.
+    """By the side cameras of all registered images (N, 4, 4): of a ring their mean -y, of others the direction across
+    their x axes, or again the mean -y where these do not span the horizon; None when they do not agree.
 
     The sigma of cameras all round is 3 deg, or more where the platform itself leans so much from frame to frame (a
     camera on a pole).
@@ -32,18 +40,37 @@ def up_vector(cam_from_world: np.ndarray, scene: Scene, tuning: UpTuning) -> Up 
     use = side & np.isfinite(cam_from_world).all(axis=(1, 2))
     if not use.any():
         return None
-    tops = -cam_from_world[use, 1, :3]
-    mean = tops.mean(axis=0)
+    turns = cam_from_world[use, :3, :3]
+    count, (top, looking) = _of_frames(scene.frame[use], (-turns[:, 1], turns[:, 2]))
+    several = count > 1
+    ring = several.any() and float(np.linalg.norm(looking[several], axis=1).mean()) < tuning.round
+    horizon = None if ring else _across_horizon(turns, tuning)
+    if horizon is not None:
+        return horizon
+    mean = -turns[:, 1].mean(axis=0)
     if np.linalg.norm(mean) < tuning.agreement:
         return None
     mean /= np.linalg.norm(mean)
-    count, (top, looking) = _of_frames(scene.frame[use], (tops, cam_from_world[use, 2, :3]))
-    several = count > 1
-    if not several.any() or float(np.linalg.norm(looking[several], axis=1).mean()) >= tuning.round:
-        return Up(direction=mean, sigma_deg=tuning.lone_sigma_deg, ring=False, cameras="the images")
+    if not ring:
+        return Up(direction=mean, sigma_deg=tuning.lone_sigma_deg, ring=False, tilt=False, cameras="the images")
     leaning = np.degrees(np.arccos(np.clip(top[several] @ mean / np.linalg.norm(top[several], axis=1), -1, 1)))
     sigma = max(tuning.ring_sigma_deg, float(np.sqrt(np.mean(leaning**2))))
-    return Up(direction=mean, sigma_deg=sigma, ring=True, cameras="the ring of side cameras")
+    return Up(direction=mean, sigma_deg=sigma, ring=True, tilt=True, cameras="the ring of side cameras")
+
+
+def _across_horizon(turns: np.ndarray, tuning: UpTuning) -> Up | None:
+    """The direction across the x axes of cameras (N, 3, 3); None where it is not better known than by their tops.
+
+    Along the axes' second direction the sigma is that of one camera over their spread in it: 1 for headings all round.
+    """
+    x, down = turns[:, 0], turns[:, 1] + turns[:, 2]
+    spread, axes = np.linalg.eigh(x.T @ x / len(x))
+    up = axes[:, 0] * (-1.0 if np.sum(down @ axes[:, 0]) > 0 else 1.0)
+    lean = np.degrees(np.sqrt(np.mean(np.arcsin(np.clip(x @ up, -1, 1)) ** 2)))
+    sigma = max(tuning.ring_sigma_deg, float(lean)) / float(np.sqrt(max(2 * spread[1], 1e-12)))
+    if sigma >= tuning.lone_sigma_deg:
+        return None
+    return Up(direction=up, sigma_deg=sigma, ring=False, tilt=True, cameras="the level images")
 
 
 def _of_frames(frame: np.ndarray, values: Sequence[np.ndarray]) -> tuple[np.ndarray, list[np.ndarray]]:

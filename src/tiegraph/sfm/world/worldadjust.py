@@ -343,7 +343,7 @@ def _add_up(problem: Any, model: pycolmap.Reconstruction, scene: Scene, given: C
     block = blocks[middle][0]
     upright = matrix(block)[:3, :3] @ given.up.direction
     axes = np.eye(3)[:2]
-    if not given.up.ring:  # only the roll about the track is held
+    if not given.up.tilt:  # only the roll about the track is held
         track = np.linalg.svd(places - places.mean(axis=0), full_matrices=False)[2][0]
         axes = np.cross([0.0, 0.0, 1.0], track)[None] / max(float(np.linalg.norm(track[:2])), 1e-9)
     cost = costs.UpCost(upright, axes, np.radians(given.up.sigma_deg) / sigma_px)
