@@ -208,6 +208,13 @@ def test_a_vehicle_that_mostly_stands_is_given_the_range_of_its_drive() -> None:
     assert assumed_range(scene.with_(world_from_rig=poses), passes, TUNING.poses) == pytest.approx(steady, rel=0.1)
 
 
+def test_positions_that_a_telephone_wrote_into_several_photographs_are_one_place() -> None:
+    scene = with_priors(boat((12,), (2.0,)))
+    poses = scene.world_from_rig.copy()
+    poses[:, :3, 3] = poses[np.arange(12) // 3 * 3, :3, 3]  # four places, 6 m apart
+    assert assumed_range(scene.with_(world_from_rig=poses), (), TUNING.poses) == pytest.approx(60.0, rel=0.05)
+
+
 @pytest.mark.slow
 def test_an_unsure_prior_refuses_little_by_sight() -> None:
     world = boat((8, 8), (2.0, 2.0))

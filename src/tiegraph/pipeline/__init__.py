@@ -44,7 +44,7 @@ STAGES = (
            tuned=("scene", "odometry")),
     _stage("masks", ("scan",), ("masks", "classes", "masks.csv"), "image", version=8),
     _stage("preview", ("scan", "masks"), ("preview",), "image", version=2, tuned=("features",)),
-    _stage("candidates", ("scan", "preview"), ("candidates.npz", "candidates"), "pair", version=2,
+    _stage("candidates", ("scan", "preview"), ("candidates.npz", "candidates"), "pair", version=3,
            scratch=("candidates/matched",), tuned=("scene", "network", "features")),
     _stage("coarse", ("scan", "preview", "candidates"), ("coarse.npz", "coarse"), "block", version=4,
            uses=("candidates",), scratch=("coarse/blocks", "coarse/mapping", "coarse/matched"),

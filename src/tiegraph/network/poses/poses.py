@@ -116,7 +116,8 @@ def _notes(
 
 
 def assumed_range(scene: Scene, passes: Sequence[Pass], tuning: PosesTuning) -> float:
-    """Some times the distance between successive frames; of loose photographs, the median one to the nearest.
+    """Some times the distance between successive frames; of loose photographs, the median one to the nearest elsewhere
+    (a telephone writes one position into several of them).
 
     Half of the way is gone in steps so long or longer: a vehicle that stands most of the time has a median step that
     says nothing of how far things are (PandaSet, every fifth frame: 0.15 m; so 1.3 m).
@@ -129,8 +130,8 @@ def assumed_range(scene: Scene, passes: Sequence[Pass], tuning: PosesTuning) -> 
         way = np.cumsum(gaps)
         step = float(gaps[np.searchsorted(way, 0.5 * way[-1])])
     else:
-        known = position[np.isfinite(position).all(axis=1)]
-        step = float(np.median(np.asarray(cKDTree(known).query(known, k=2)[0])[:, 1]))
+        known = np.unique(position[np.isfinite(position).all(axis=1)], axis=0)
+        step = float(np.median(np.asarray(cKDTree(known).query(known, k=2)[0])[:, 1])) if len(known) > 1 else 0.0
     return tuning.range_spacings * max(step, 1e-3)
 
 
