@@ -1,5 +1,6 @@
 """Runs side by side: the papers' tables."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -54,6 +55,21 @@ def test_unequal_runs_are_called_so(runs: list[Path], tmp_path: Path) -> None:
     points = {n: v for b in three.blocks for n, v in b.rows}["Dense points"]
     assert points[0] == 40_000 and np.isnan(points[2])
     assert "–" in compare_runs([*runs, stopped])
+
+
+def test_lengths_of_a_model_without_scale_are_not_called_metres(runs: list[Path], tmp_path: Path) -> None:
+    free = make_run(tmp_path / "free")
+    world = json.loads((free / "world.json").read_text())
+    (free / "world.json").write_text(
+        json.dumps({**world, "placed": False, "scale_from": "none", "crs": None, "origin": None})
+    )
+
+    def label(*folders: Path) -> str:
+        return next(n for b in compared(folders).blocks for n, _ in b.rows if n.startswith("Back-projection"))
+
+    assert label(*runs).endswith(", m")
+    assert label(free, free).endswith("units of the models")
+    assert "units" in label(runs[0], free) and "m, or" in label(runs[0], free)
 
 
 def test_names_are_told_apart(tmp_path: Path) -> None:

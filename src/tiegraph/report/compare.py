@@ -39,7 +39,7 @@ _TIMES: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("Total time", STAGES),
 )
 _METRICS = (
-    ("backprojection_rmse", "Back-projection RMSE, m"),
+    ("backprojection_rmse", "Back-projection RMSE, {}"),  # in the model's own unit
     ("ate_sim3_rmse", "ATE after Sim3, m"),
     ("ate_se3_rmse", "ATE after SE3, m"),
     ("absolute_rmse", "Absolute position error, m"),
@@ -48,6 +48,7 @@ _METRICS = (
     ("fscore_0.1m", "F-score at 0.1 m, %"),
     ("ghosts", "Ghost points, %"),
 )
+_MIXED = "m, or units of a model that nothing told the scale of"
 
 
 @dataclass(frozen=True)
@@ -176,7 +177,8 @@ def _candidates(run: RunFolder) -> float:
 
 def _errors(runs: Sequence[RunFolder]) -> list[tuple[str, list[float]]]:
     known = [metric_values(r) for r in runs]
-    rows = [(label, [float(k.get(name, np.nan)) for k in known]) for name, label in _METRICS]
+    own = "m" if all(r.metric for r in runs) else "units of the models" if not any(r.metric for r in runs) else _MIXED
+    rows = [(label.format(own), [float(k.get(name, np.nan)) for k in known]) for name, label in _METRICS]
     pixels = [r.model.figures.reprojection_px if r.model else np.nan for r in runs]
     return [("Mean reprojection error, px", pixels), *rows]
 
