@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from tiegraph.errors import InputError
+from tiegraph.features import sift
 from tiegraph.features.extract import EXTRACTORS, extract_colmap, extract_image, read_mask
 from tiegraph.features.settings import FeaturesSettings
 from tiegraph.features.sift import extract_sift, root_sift
@@ -117,6 +118,26 @@ def test_masked_features_do_not_use_up_the_limit():
     keypoints, _ = extract_sift(image, mask, FeaturesSettings(max_features=64), TUNING)
     assert len(keypoints) == 64
     assert keypoints[:, 1].max() < 120
+
+
+def test_no_descriptor_is_made_in_vain_and_the_features_are_those_of_all(monkeypatch):
+    """With any mask, what is kept is what stays of all features of the image, cut to the limit last."""
+    image, limit = texture(480, 640), FeaturesSettings(max_features=64)
+    limits, real = [], sift.cv2.SIFT.create
+    create = lambda nfeatures, **more: limits.append(nfeatures) or real(nfeatures=nfeatures, **more)  # noqa: E731
+    monkeypatch.setattr(sift.cv2.SIFT, "create", create)
+    tuning = SiftTuning(enough_free=20)
+    half, corner, strip = np.zeros((3, *image.shape), bool)
+    half[:, 320:], corner[100:200, 100:200], strip[:, :150] = True, True, True
+    image[:, :150] = 100 + image[:, :150] // 8  # faint: few of the strongest lie there
+    everything, described = extract_sift(image, None, FeaturesSettings(max_features=65536), tuning)
+    # Limits asked of OpenCV: without a mask those kept, with one some more, and all where that was not enough.
+    for mask, asked in ((None, [64]), (np.ones_like(half), [64]), (half, [160]), (corner, [0]), (strip, [341, 0])):
+        limits.clear()
+        keypoints, descriptors = extract_sift(image, mask, limit, tuning)
+        kept = np.flatnonzero(sift.on_mask(everything, mask, tuning))[:64]
+        assert limits == asked
+        assert np.array_equal(keypoints, everything[kept]) and np.array_equal(descriptors, described[kept])
 
 
 @engines

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import platform
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 
 from tiegraph.__version__ import __version__
@@ -12,10 +13,13 @@ _PACKAGES = ("pycolmap", "numpy", "opencv-python-headless", "scipy", "laspy", "p
 
 def software() -> dict[str, str]:
     """Versions of tiegraph, Python and the packages that are installed of those a result depends on."""
-    out = {"tiegraph": __version__, "python": platform.python_version()}
-    for package in _PACKAGES:
-        try:
-            out[package] = version(package)
-        except PackageNotFoundError:
-            pass
-    return out
+    found = {package: known for package in _PACKAGES if (known := _version(package))}
+    return {"tiegraph": __version__, "python": platform.python_version(), **found}
+
+
+@cache  # every receipt tells it, and to read a package's description takes milliseconds
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return ""
