@@ -9,6 +9,7 @@ from __future__ import annotations
 import logging
 import threading
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -18,10 +19,13 @@ from tiegraph.dense.speckles import without_speckles
 from tiegraph.dense.tuning import TsgmTuning, Tuning
 from tiegraph.errors import EngineMissing
 
-try:
+if TYPE_CHECKING:
     from tiegraph.dense import _sgm
-except ImportError:  # installed without a C++ compiler
-    _sgm = None  # type: ignore[assignment]
+else:
+    try:
+        from tiegraph.dense import _sgm
+    except ImportError:  # installed without a C++ compiler
+        _sgm = None
 
 _memory = threading.local()
 _log = logging.getLogger(__name__)

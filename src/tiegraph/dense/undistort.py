@@ -87,7 +87,7 @@ def _field(camera: CameraModel, limit: float, samples: int) -> tuple[np.ndarray,
     s = np.linspace(0.0, 1.0, samples)
     zero, one = np.zeros_like(s), np.ones_like(s)
     border = np.concatenate([np.c_[s, zero], np.c_[s, one], np.c_[zero, s], np.c_[one, s]])
-    rays = camera.pycolmap().cam_ray_from_img(border * [camera.width, camera.height])
+    rays = np.asarray(camera.pycolmap().cam_ray_from_img(border * [camera.width, camera.height]))
     rays = rays[np.isfinite(rays).all(axis=1)]
     # A ray at right angles or behind is beyond any limit: its direction in the image still says towards which side.
     plane = rays[:, :2] / np.maximum(rays[:, 2:], 1e-3 * np.linalg.norm(rays, axis=1, keepdims=True))

@@ -78,7 +78,7 @@ def undistorted(
         if image.name not in names:
             continue
         at = np.array([p.xy for p in image.points2D], float).reshape(-1, 2)
-        rays = model.camera(image.camera_id).cam_ray_from_img(at) if len(at) else np.zeros((0, 3))
+        rays = np.asarray(model.camera(image.camera_id).cam_ray_from_img(at)) if len(at) else np.zeros((0, 3))
         moved = np.asarray(kept[image.camera_id].img_from_cam(rays)).reshape(-1, 2)
         own = pycolmap.Image(name=image.name, keypoints=moved, camera_id=image.camera_id, image_id=image_id)
         result.add_image_with_trivial_frame(own, image.cam_from_world())

@@ -36,7 +36,7 @@ class Prior:
 
     def known(self) -> np.ndarray:
         """(N,) bool: images it can judge."""
-        return np.isfinite(self.cam_from_world).all(axis=(1, 2)) & np.isfinite(self.reach).all(axis=1)
+        return np.all(np.isfinite(self.cam_from_world), axis=(1, 2)) & np.all(np.isfinite(self.reach), axis=1)
 
 
 def held_by_rig(prior: Prior, scene: Scene, tuning: PriorTuning) -> Prior:

@@ -6,7 +6,7 @@ import re
 import warnings
 from dataclasses import dataclass
 from functools import cache, lru_cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -47,7 +47,8 @@ class Origin:
     @staticmethod
     def from_dict(data: dict) -> Origin:
         """Inverse of ``to_dict``."""
-        return Origin(**{**data, "shift_m": tuple(data["shift_m"])})
+        given: dict[str, Any] = {**data, "shift_m": tuple(data["shift_m"])}
+        return Origin(**given)
 
 
 def utm_crs(lat_deg: float, lon_deg: float) -> str:

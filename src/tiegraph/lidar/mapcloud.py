@@ -17,7 +17,7 @@ class MapCloud:
     def __init__(self, voxel_m: float, tuning: MapTuning) -> None:
         self.voxel_m, self._tuning = voxel_m, tuning
         self._keys = np.zeros(0, np.int64)
-        self._sums = np.zeros((0, 4))  # x, y, z, number
+        self._sums: np.ndarray = np.zeros((0, 4))  # x, y, z, number
         self._waiting: list[np.ndarray] = []
         self._count = 0
 

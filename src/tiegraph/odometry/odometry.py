@@ -328,7 +328,7 @@ class Odometry:
         """(K, 2) where corners will be in a frame of a predicted pose."""
         assert self._before is not None and self._before.pose is not None
         guess = self.cameras.project(tracks.camera, transforms.apply(pose, self._about(tracks, self._before.pose)))
-        away = np.isnan(guess).any(axis=1)
+        away = np.any(np.isnan(guess), axis=1)
         for camera in np.unique(tracks.camera).tolist():
             at = tracks.camera == camera
             away[at] |= ~self.cameras.inside(camera, guess[at])

@@ -178,7 +178,8 @@ def _write(tum: Path, scene: Scene, frames: np.ndarray, path: OdometryPath, rig_
     ]
     head += [] if path.metric else [FREE_UNIT]
     head += [] if timed else ["# the images have no times: numbers of the frames stand for them"]
-    rows, table = [], [",".join(_COLUMNS)]
+    rows: list[str] = []
+    table: list[str] = [",".join(_COLUMNS)]
     place, turn = path.sigmas()
     for k, frame in enumerate(frames.tolist()):
         start = [scene.source_name(int(np.flatnonzero(scene.frame == frame)[0])), f"{times[k]:.6f}"]

@@ -183,7 +183,7 @@ def _sights(
         seen = (depth > 0) & (-np.sum(to * normals, axis=1) > np.cos(np.radians(tuning.incidence_deg)))
         seen &= (np.sum(to * ray, axis=1) > turned) & (far < nearer * reach) & (reach < nearer * far)
         rows = np.flatnonzero(seen & ((first == k) | (rng.random(len(points)) < tuning.repeat)))
-        xy = camera.img_from_cam(transforms.apply(pose, points[rows]))
+        xy = np.asarray(camera.img_from_cam(transforms.apply(pose, points[rows])))
         inside = np.all((xy >= 0) & (xy <= [camera.width, camera.height]), axis=1)
         found.append((np.full(int(inside.sum()), k), rows[inside], xy[inside]))
     image, point, pixel = (np.concatenate(column) for column in zip(*found))

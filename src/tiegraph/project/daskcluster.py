@@ -114,12 +114,12 @@ class Quiet:
     """Dask's messages go to the run's log, not to the terminal, until ``end``."""
 
     def __init__(self) -> None:
-        handler = _ToRunLog(logging.WARNING)
+        handlers: list[logging.Handler] = [_ToRunLog(logging.WARNING)]
         self._before = []
         for name in _LOGGERS:
             logger = logging.getLogger(name)
             self._before.append((logger, logger.handlers, logger.propagate))
-            logger.handlers, logger.propagate = [handler], False
+            logger.handlers, logger.propagate = list(handlers), False
 
     def end(self) -> None:
         """Put the handlers back."""

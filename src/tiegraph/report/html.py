@@ -105,7 +105,8 @@ def environment() -> jinja2.Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    made.globals.update(t=t, said=said)
+    shared: dict[str, Any] = {"t": t, "said": said}
+    made.globals.update(shared)
     return made
 
 

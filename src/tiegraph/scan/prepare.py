@@ -145,7 +145,7 @@ def _eight_bit(image: Image.Image | None, data: bytes, bits: int) -> np.ndarray:
     if pixels.ndim == 3:
         pixels = cv2.cvtColor(pixels, cv2.COLOR_BGRA2RGB if pixels.shape[2] == 4 else cv2.COLOR_BGR2RGB)
     if pixels.dtype != np.uint8:
-        pixels = np.minimum(pixels >> max(bits - 8, 0), 255).astype(np.uint8)
+        pixels = np.minimum(np.right_shift(pixels, max(bits - 8, 0)), 255).astype(np.uint8)
     return pixels
 
 
@@ -178,7 +178,8 @@ def _undistortion_map(camera: tuple, pinhole: tuple) -> tuple[np.ndarray, np.nda
     u = (np.arange(new_width) + 0.5 - cx) / fx
     for row in range(new_height):
         rays = np.stack([u, np.full(new_width, (row + 0.5 - cy) / fy), np.ones(new_width)], axis=1)
-        maps[:, row] = (original.img_from_cam(rays) - 0.5).T  # OpenCV counts from the centre of the first pixel
+        xy = np.asarray(original.img_from_cam(rays))
+        maps[:, row] = (xy - 0.5).T  # OpenCV counts from the centre of the first pixel
     return maps[0], maps[1]
 
 

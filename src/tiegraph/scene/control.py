@@ -355,7 +355,7 @@ def prepared_pixel(xy: tuple[float, float], sensor: Sensor) -> tuple[float, floa
     if source.camera is not None and sensor.camera is not None and _resampled(source.camera, sensor.camera):
         place = on_plane(source.camera, np.array([xy]))[0]
         if np.isfinite(place).all():
-            moved = sensor.camera.img_from_cam(np.append(place, 1.0))
+            moved = np.asarray(sensor.camera.img_from_cam(np.append(place, 1.0)))
             return float(moved[0]), float(moved[1])
     return xy[0] - left, xy[1] - top
 

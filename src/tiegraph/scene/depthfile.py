@@ -28,7 +28,7 @@ def save_depth(depth: DepthMap, path: Path) -> None:
         "cam_from_world": depth.cam_from_world,
     }
     if depth.normal is not None:
-        finite = np.isfinite(depth.normal).all(axis=-1)
+        finite = np.all(np.isfinite(depth.normal), axis=-1)
         scaled = np.rint(np.where(finite[..., None], depth.normal, 0) * 127)
         columns["normal"] = scaled.astype(np.int8)
     if depth.support is not None:

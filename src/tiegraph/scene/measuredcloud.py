@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
 
@@ -34,8 +34,7 @@ def write_measured(parts: Iterable[Measured], path: Path, origin: Origin | None,
     first = next(rest, None)
     if first is None:
         return 0
-    empty = Cloud.empty(origin)
-    cloud = Cloud(**{**empty.__dict__, "xyz_m": first.xyz})
+    cloud = replace(Cloud.empty(origin), xyz_m=first.xyz)
     header, _ = las_header(cloud, spacing, extra=[(name, "f4") for name in first.columns])
     count = 0
     with replacing(path) as temporary:

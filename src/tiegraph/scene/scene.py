@@ -144,9 +144,9 @@ class Scene:
         Not among them: positions carried over a GNSS gap by a trajectory (sigma NaN), odometry with a world of its
         own for each pass, and those of a start model, whose unit may be any.
         """
-        there = np.isfinite(self.world_from_rig[:, :3, 3]).all(axis=1)
+        there = np.all(np.isfinite(self.world_from_rig[:, :3, 3]), axis=1)
         if self.prior in ("gnss", "exif"):
-            return there & np.isfinite(self.position_sigma_m).all(axis=1)
+            return there & np.all(np.isfinite(self.position_sigma_m), axis=1)
         return there & (self.prior == "trajectory" and not self.started)
 
     def metric_positions(self) -> bool:

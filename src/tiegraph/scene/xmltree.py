@@ -22,7 +22,7 @@ class Element:
 
     def all(self, name: str) -> Iterator[Element]:
         """Elements of a name at any depth, in their order."""
-        todo = [self]
+        todo: list[Element] = [self]
         while todo:
             node = todo.pop()
             if node.name == name:

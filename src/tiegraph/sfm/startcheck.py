@@ -40,7 +40,7 @@ class StartCheck:
 def check_start(given: np.ndarray, made: np.ndarray, reach: float, tuning: StartCheckTuning) -> StartCheck:
     """Poses ``given`` (N, 4, 4) against those of a model ``made`` (N, 4, 4), world_from_camera, NaN = none; ``reach``:
     usual distance of the model's cameras to what they see, its units."""
-    both = np.isfinite(given[:, :3]).all(axis=(1, 2)) & np.isfinite(made[:, :3]).all(axis=(1, 2))
+    both = np.all(np.isfinite(given[:, :3]) & np.isfinite(made[:, :3]), axis=(1, 2))
     rows = np.flatnonzero(both)
     turned, off = np.full(len(given), np.nan), np.full(len(given), np.nan)
     if len(rows) < tuning.least:

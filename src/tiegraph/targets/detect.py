@@ -56,7 +56,7 @@ def centre_of(corners: np.ndarray, camera: pycolmap.Camera | None) -> np.ndarray
     plane = corners if camera is None else on_plane(camera, corners)
     if camera is None or not np.isfinite(plane).all():
         return _crossing(corners)
-    return np.ravel(camera.img_from_cam(np.append(_crossing(plane), 1.0)))
+    return np.asarray(camera.img_from_cam(np.append(_crossing(plane), 1.0))).ravel()
 
 
 def _crossing(corners: np.ndarray) -> np.ndarray:

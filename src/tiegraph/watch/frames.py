@@ -32,7 +32,7 @@ class Known:
 
     def placed(self) -> np.ndarray:
         """(N,) bool."""
-        return np.isfinite(self.poses).all(axis=(1, 2))
+        return np.all(np.isfinite(self.poses), axis=(1, 2))
 
 
 def place_frames(

@@ -24,7 +24,7 @@ def stretch(scene: Scene, centres: np.ndarray, images: int) -> np.ndarray:
 
 
 def _filled(scene: Scene, centres: np.ndarray) -> np.ndarray:
-    known = np.isfinite(centres).all(axis=1)
+    known = np.all(np.isfinite(centres), axis=1)
     if not known.any():
         raise ValueError("no frame has a place")
     out = np.array(centres, float)

@@ -34,7 +34,7 @@ class CoarseModel:
 
     def placed(self) -> np.ndarray:
         """(N,) bool: images in the model."""
-        return np.isfinite(self.cam_from_world).all(axis=(1, 2))
+        return np.all(np.isfinite(self.cam_from_world), axis=(1, 2))
 
     def reach(self, tuning: CoarseTuning) -> np.ndarray:
         """(N, 2) distances to the nearest and farthest points an image sees (percentiles); NaN without points."""

@@ -51,7 +51,7 @@ class View:
             shares = np.asarray(self.camera.img_from_cam(local), float) / (self.camera.width, self.camera.height)
         with np.errstate(invalid="ignore"):
             rim = slack / max(self.half, 1e-3)
-            inside = ((shares >= -rim) & (shares < 1 + rim)).all(axis=1)
+            inside = np.all((shares >= -rim) & (shares < 1 + rim), axis=1)
         return np.where(inside[:, None], np.clip(shares, 0, 1 - 1e-9), np.nan)
 
 

@@ -378,7 +378,7 @@ def pair_share(
     views = {key: View.of(c, tuning.visible.guessed_view_deg) for key, c in {id(c): c for c in cameras}.items()}
     order = np.argsort(proxy.image, kind="stable")
     starts = np.searchsorted(proxy.image[order], np.arange(len(cameras) + 1))
-    known = np.isfinite(cam_from_world[:, :3]).all(axis=(1, 2))
+    known = np.all(np.isfinite(cam_from_world[:, :3]), axis=(1, 2))
     out = np.full(len(i), np.nan)
     for k in np.flatnonzero(known[i] & known[j]):
         seen = []

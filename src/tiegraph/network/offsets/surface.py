@@ -47,9 +47,9 @@ def surfaces_of(scores: ScoreMatrix, smooth: np.ndarray, threshold: float, tunin
     seen = np.isfinite(excess[voted]).any(axis=0)
     path = np.full(len(scores.rows), np.nan)
     if not scores.same:
-        node = minimum_cost_path(total, kept.any(axis=(0, 1)), surface.bend)
+        node = minimum_cost_path(total, np.any(kept, axis=(0, 1)), surface.bend)
         path = np.where(np.isnan(node), np.nan, scores.columns[np.nan_to_num(node).astype(int)])
-    out = [_surface(scores, np.where(seen, total, np.nan), kept.any(axis=(0, 1)), path, "")]
+    out = [_surface(scores, np.where(seen, total, np.nan), np.any(kept, axis=(0, 1)), path, "")]
     weight = np.nansum(np.where(kept, excess, 0), axis=(2, 3))
     for flat in np.argsort(-weight, axis=None, kind="stable"):
         c, d = (int(x) for x in np.unravel_index(flat, weight.shape))

@@ -249,7 +249,7 @@ def _possible(oriented: bool, shifts: Sequence[int]) -> dict[str, Reading]:
 
 
 def _inverted(poses: np.ndarray, passes: Sequence[Pass]) -> np.ndarray:
-    return np.where(np.isfinite(poses[:, :3]).all(axis=(1, 2))[:, None, None], transforms.invert(poses), np.nan)
+    return np.where(np.all(np.isfinite(poses[:, :3]), axis=(1, 2))[:, None, None], transforms.invert(poses), np.nan)
 
 
 def _turned(axes: np.ndarray) -> Reading:

@@ -76,7 +76,7 @@ def pose_pairs(scene: Scene, passes: Sequence[Pass], settings: CandidatesSetting
     (``baseline``), no shared surface (``sight``) or too little (``overlap``). The surface is
     points at an assumed range. Tests that need what is unknown are left out.
     """
-    with_prior = np.isfinite(scene.world_from_rig[:, :3, 3]).all(axis=1)
+    with_prior = np.all(np.isfinite(scene.world_from_rig[:, :3, 3]), axis=1)
     world = scene.pose_world()
     if with_prior.sum() < 2:
         nowhere = np.full(scene.frames, -1)

@@ -293,7 +293,8 @@ def _by_point(camera: pycolmap.Camera, xyz: np.ndarray) -> np.ndarray:
     step = 1e-5 * np.linalg.norm(xyz, axis=1, keepdims=True)
     for axis in range(3):
         shift = step * np.eye(3)[axis]
-        out[:, :, axis] = (camera.img_from_cam(xyz + shift) - camera.img_from_cam(xyz - shift)) / (2 * step)
+        ends = [np.asarray(camera.img_from_cam(xyz + sign * shift)) for sign in (1, -1)]
+        out[:, :, axis] = (ends[0] - ends[1]) / (2 * step)
     return out
 
 
@@ -307,6 +308,6 @@ def _by_params(camera: pycolmap.Camera, xyz: np.ndarray) -> np.ndarray:
         for sign in (1, -1):
             moved = copy.copy(camera)
             moved.params = params + sign * step * np.eye(len(params))[k]
-            ends.append(moved.img_from_cam(xyz))
+            ends.append(np.asarray(moved.img_from_cam(xyz)))
         out[:, :, k] = (ends[0] - ends[1]) / (2 * step)
     return out

@@ -145,9 +145,9 @@ def _resect(
         return None
     own = matrix(found["cam_from_world"])
     points = points[found["inlier_mask"]]
-    here = camera.img_from_cam(transforms.apply(own, points))
+    here, expected = (np.asarray(camera.img_from_cam(transforms.apply(p, points))) for p in (own, pose))
     error = np.linalg.norm(here - part.xy[found["inlier_mask"]], axis=1)
-    effect = float(np.nanmedian(np.linalg.norm(here - camera.img_from_cam(transforms.apply(pose, points)), axis=1)))
+    effect = float(np.nanmedian(np.linalg.norm(here - expected, axis=1)))
     # One coordinate's sigma, from the median length of a two-dimensional normal error: 1.1774 sigma.
     sigma_px = float(np.median(error)) / 1.1774
     return _Resected(

@@ -68,7 +68,7 @@ def _rays(
 ) -> _Rays | None:
     """``most``: matches of a pair of images that vote."""
     rng = np.random.default_rng(0)
-    known = np.isfinite(cam_from_rig).all(axis=(1, 2)) & np.isfinite(world_from_rig[scene.frame]).all(axis=(1, 2))
+    known = np.all(np.isfinite(cam_from_rig) & np.isfinite(world_from_rig[scene.frame]), axis=(1, 2))
     centre = transforms.centre(cam_from_rig)
     rows: list[Sequence[np.ndarray]] = []
     for (i, j), matches in zip(verified.pairs.tolist(), verified.matches):

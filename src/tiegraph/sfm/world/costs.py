@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+pyceres: Any
 try:
     import pyceres
 except ImportError:  # the adjustment then says what to install

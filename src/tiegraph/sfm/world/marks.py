@@ -130,7 +130,7 @@ def _target(seen: list[_Ray], rows: np.ndarray, tuning: MarkTuning) -> Target:
         residual_px=np.full((len(rows), 2), np.nan),
     )
     if len(rows) < 2:
-        return Target(**{**nowhere.__dict__, "why_not": f"{len(rows)} marks in registered images, 2 are needed"})
+        return replace(nowhere, why_not=f"{len(rows)} marks in registered images, 2 are needed")
     solution = _meet(seen, tuning)
     residual = solution.fun.reshape(-1, 2) * np.array([[s.sigma_px] for s in seen])
     if len(rows) > 2:

@@ -116,7 +116,7 @@ def fit_to_world(
 ) -> SimilarityFit | None:
     """Fit the model to everything measured in the world; None with too few positions and points."""
     notes: list[str] = []
-    registered = np.isfinite(model.frames(scene)).all(axis=(1, 2))
+    registered = np.all(np.isfinite(model.frames(scene)), axis=(1, 2))
     stated = make_fixes(scene, registered, given, settings.sigma_floor_m, tuning.fixes)
     points = _usable_points(model, given)
     distinct = len(np.unique(stated.position, axis=0))  # EXIF may give a whole object one place
