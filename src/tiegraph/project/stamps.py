@@ -58,15 +58,17 @@ class Stamps:
             self._files, self._given = {n: list(e) for n, e in kept.items()}, dict(self._asked)
 
     def _file(self, path: Path) -> list[int]:
-        info, known = path.stat(), self._seen.get(str(path)) or self._files.get(str(path))
+        info = path.stat()
+        known: _Entry | None = self._seen.get(str(path)) or self._files.get(str(path))
         size, now = info.st_size, info.st_mtime_ns
-        if known is None or known[0] != size:
-            known = [size, now, now, ""]
-        elif now not in known[1:3]:
-            same = bool(known[3]) and digests([path])[0] == known[3]
-            known = [size, known[1], now, known[3]] if same else [size, now, now, ""]
-        self._seen[str(path)] = known
-        return known[:2]
+        entry: _Entry = [size, now, now, ""]
+        if known is not None and known[0] == size:
+            if now in known[1:3]:
+                entry = known
+            elif known[3] and digests([path])[0] == known[3]:
+                entry = [size, known[1], now, known[3]]
+        self._seen[str(path)] = entry
+        return entry[:2]
 
 
 def _there(given: Path | str) -> bool:
