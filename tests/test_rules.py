@@ -155,6 +155,7 @@ def test_executors_live_in_one_place(module):
         "project/daskpool.py",
         "project/daskworker.py",
         "child.py",
+        "forking.py",
         "cli/doctor.py",
     }
     for path in FILES:

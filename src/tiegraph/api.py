@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from tiegraph.design.coverage import Coverage
-from tiegraph.design.surface import CoveredSurface
 from tiegraph.errors import InputError, ReconstructionError, SettingsError, choose
 from tiegraph.pipeline import SHOTS, STAGES, foundrig
 from tiegraph.pipeline.forecast import Forecast, forecast
@@ -20,7 +18,6 @@ from tiegraph.project.run import Run, check_run, let_go, reads_inputs, run_stage
 from tiegraph.project.settings import SETTING_OF, Settings
 from tiegraph.project.stages import Stage
 from tiegraph.scene.bags.topics import source_of
-from tiegraph.scene.cloudfile import read_cloud
 from tiegraph.scene.colmapmodel import read_model
 from tiegraph.scene.names import check_text
 from tiegraph.scene.pairs import Pairs
@@ -28,6 +25,10 @@ from tiegraph.scene.registered import registration
 from tiegraph.scene.regular import names_file, real_path
 from tiegraph.scene.results import Cloud
 from tiegraph.scene.scene import Scene
+
+if TYPE_CHECKING:  # the drawing of figures loads as slowly as all else together
+    from tiegraph.design.coverage import Coverage
+    from tiegraph.design.surface import CoveredSurface
 
 _NAMED = ("rig", "camera")  # each a file, or words
 _PATHS = ("gnss", "trajectory", "start", "times")
@@ -227,6 +228,8 @@ class Project:
 
     def cloud(self) -> Cloud:
         """The dense cloud in world coordinates, as the model is: those of its files, the CRS's, minus the shift."""
+        from tiegraph.scene.cloudfile import read_cloud  # laspy, a tenth of a second
+
         return read_cloud(self._needed("cloud.laz", "cloud"))
 
     def report(self) -> Path:

@@ -21,6 +21,7 @@ from multiprocessing.context import SpawnContext, SpawnProcess
 from pathlib import Path
 from typing import Any
 
+from tiegraph import forking
 from tiegraph.errors import ProcessLost, ReconstructionError, TiegraphError
 from tiegraph.limits import explained, explained_text
 
@@ -30,7 +31,6 @@ _PATIENCE_S = 10.0  # for a process to end that has nothing left to do
 STOPPING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 _OUTSIDE = ("SIGKILL", "SIGTERM", "SIGINT", "SIGHUP", "SIGXCPU")  # no library ends its own process by these
 _NO_WARNING = "ignore:resource_tracker"
-_PR_SET_PDEATHSIG = 1  # linux/prctl.h
 _LOOKING = threading.Lock()  # two threads at once: one of them would not learn how a process ended
 
 
@@ -38,6 +38,11 @@ class Helper(SpawnProcess):
     """A process of a run; see the module."""
 
     ended = False  # by us
+
+    @staticmethod
+    def _Popen(process_obj: Any) -> Any:
+        """What starts it: the server where one runs, else a new interpreter."""
+        return forking.Popen(process_obj) if forking.running() else SpawnProcess._Popen(process_obj)
 
     @property
     def exitcode(self) -> int | None:
@@ -120,6 +125,12 @@ def _deaf() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
+def start_server() -> bool:
+    """From now on helpers are forked where that is allowed and safe; whether a server was started (``forking``)."""
+    with _deaf():
+        return forking.start()
+
+
 def end_helpers() -> None:
     """End every helper of this process at once."""
     for process in multiprocessing.active_children():
@@ -143,13 +154,9 @@ def die_with_parent() -> None:
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True, name="die-with-parent").start()
-    if sys.platform == "linux":  # also while native code keeps the thread above from running
-        import ctypes
-
-        # Sent when the thread that started this process ends: it waits for its helpers, so it ends with its process.
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, int(signal.SIGKILL), 0, 0, 0)
-        if os.getppid() != parent.pid:  # gone before that
-            os._exit(1)
+    # Also while native code keeps the thread above from running. It is sent when the thread that started this process
+    # ends: that waits for its helpers, so it ends with its process.
+    forking.end_with(forking.server_pid() or parent.pid or 0)
 
 
 def how_ended(code: int | None) -> str:

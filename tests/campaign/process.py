@@ -141,11 +141,13 @@ class Running:
         return found
 
     def children(self) -> list[psutil.Process]:
-        """What the main process started to work for it: workers of the pool and children of the native library."""
-        found = []
-        for process in self.family():
+        """What the main process started to work for it: workers of the pool and children of the native library. They
+        are forked by a server of its own (``tiegraph.forking``), or spawned."""
+        found, family = [], self.family()
+        servers = {p.pid for p in family if p.pid != self.pid and _forked_by(p, {self.pid})}
+        for process in family:
             try:
-                if process.pid != self.pid and any("spawn_main" in word for word in process.cmdline()):
+                if _forked_by(process, servers) or any("spawn_main" in word for word in process.cmdline()):
                     found.append(process)
             except psutil.Error:
                 continue
@@ -199,6 +201,13 @@ class Running:
                 process.send_signal(signal.SIGKILL)
             except psutil.Error:
                 continue
+
+
+def _forked_by(process: psutil.Process, parents: set[int]) -> bool:
+    try:
+        return process.ppid() in parents and "-c" not in process.cmdline()  # nor a tracker of multiprocessing's
+    except psutil.Error:
+        return False
 
 
 def _describe(process: psutil.Process) -> str:

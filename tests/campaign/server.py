@@ -2,7 +2,7 @@
 
 Reads one JSON request a line on standard input: {"argv", "cwd", "log", "mark", "file_bytes", "memory_bytes"}; answers
 {"pid"} when the child runs and {"status"} (as of waitpid) when it has ended. The child has a session of its own,
-leaves through the interpreter's own end, and what it spawns starts like the children of `python -m tiegraph.cli.main`.
+leaves through the interpreter's own end, and its helpers start like those of `python -m tiegraph.cli.main`.
 """
 
 from __future__ import annotations
@@ -59,7 +59,10 @@ def become(request: dict) -> int:
     for name in ("SIGHUP", "SIGTERM", "SIGQUIT", "SIGUSR1"):  # whoever started the campaign may have them ignored
         signal.signal(getattr(signal, name), signal.SIG_DFL)
     signal.signal(signal.SIGINT, signal.default_int_handler)
+    from tiegraph import forking
     from tiegraph.cli import main
+
+    forking.allow()  # this process is that of `tiegraph <argv>` alone
 
     sys.argv = ["tiegraph", *request["argv"]]
     _KEPT.append(sys.modules["__main__"])

@@ -12,6 +12,7 @@ from tiegraph.cli.output import complain, lost_output, prepare_streams, say
 from tiegraph.cli.stopping import hear, say_stopped, stoppable
 from tiegraph.cli.verbs import VERBS, wants_page
 from tiegraph.errors import EngineMissing, InputError, SettingsError, TiegraphError
+from tiegraph.forking import allow
 from tiegraph.limits import explained
 from tiegraph.scene.names import check_text
 
@@ -21,6 +22,8 @@ DONE, FAILED, MISUSE = 0, 1, 2
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a verb; returns the exit code."""
     prepare_streams()
+    if argv is None:
+        allow()
     with stoppable(for_good=argv is None):
         return _answered(list(sys.argv[1:] if argv is None else argv), argv is None)
 

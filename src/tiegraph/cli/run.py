@@ -4,16 +4,19 @@ import inspect
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args, get_origin
 
 import tyro
 from pydantic import Field, ValidationError, create_model
 
+from tiegraph import forking
 from tiegraph.api import Project, open_project
 from tiegraph.cli.options import Talk, options_of
 from tiegraph.cli.verbs import HELP, HELP_ALL, wants_page
 from tiegraph.errors import SettingsError, choose
+from tiegraph.pipeline import load
 from tiegraph.project.progress import Reporter
 from tiegraph.project.settings import PRESETS, SETTING_OF, STAGED, Settings, sections
 from tiegraph.report.accuracy import terminal_lines
@@ -176,6 +179,7 @@ def _settings(before: Settings, given: Section) -> Settings:
 
 def finish(project: Project, until: str | None, reporter: Reporter) -> int:
     """Run a project and say where its results are."""
+    forking.prepare(partial(load, until))
     project.run(until, reporter)
     for line in terminal_lines(project.folder / "metrics.json") if until in _STATED else ():
         reporter.say(line)

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from tiegraph.child import STOPPING, end_helpers
+from tiegraph.forking import HARMLESS
 
 _STOPPED = "stopped; finished work is kept: run the same command again to go on"
 _GRACE_S = 6.0  # for what is under way to give up; then the process ends without it, as after a SIGKILL
@@ -34,7 +35,7 @@ def stoppable(for_good: bool = False) -> Iterator[None]:
     os.set_blocking(writer, False)
     wakeup = signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
     over = threading.Event()
-    watch = threading.Thread(target=_watch, args=(reader, heard, over), daemon=True, name="stopping")
+    watch = threading.Thread(target=_watch, args=(reader, heard, over), daemon=True, name=HARMLESS)
     watch.start()
     try:
         hear(heard)

@@ -11,11 +11,13 @@ checked against the images, calibrated by the coarse model, and the sections cut
 with a world of its own for each pass, serve the choice of pairs and never hold or judge a model.
 """
 
+from contextlib import suppress
 from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from tiegraph.project.run import needed
 from tiegraph.project.stages import Outcome, Stage
 
 __all__ = ["SHOTS", "STAGES"]
@@ -24,6 +26,13 @@ __all__ = ["SHOTS", "STAGES"]
 def _glue(name: str, run: Any) -> Outcome:
     """Run the glue of a stage."""
     return getattr(import_module(f"tiegraph.pipeline.{name}"), name)(run)  # type: ignore[no-any-return]
+
+
+def load(until: str | None = None) -> None:
+    """Import the glue of all stages up to and including one, as far as it can be: a stage says itself what it lacks."""
+    for stage in needed(STAGES, until):
+        with suppress(ImportError):
+            import_module(f"tiegraph.pipeline.{stage.name}")
 
 
 def _forget_matches(folder: Path) -> None:

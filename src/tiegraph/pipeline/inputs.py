@@ -28,7 +28,6 @@ from tiegraph.scan.priors.trajectory import read_trajectory
 from tiegraph.scan.rigfiles.rigfile import read_rig_file
 from tiegraph.scan.rigfiles.rigspec import preset_sizes
 from tiegraph.scene.bags.topics import is_bag, source_of
-from tiegraph.scene.cloudchunks import check_cloud
 from tiegraph.scene.control import locate, locate_bars
 from tiegraph.scene.gcp import GcpFile, read_gcps
 from tiegraph.scene.gnss import read_gnss
@@ -92,6 +91,8 @@ def _check_references(settings: EvaluateSettings) -> None:
     if settings.reference is not None:
         check_reference(settings.reference)
     if settings.reference_cloud is not None:
+        from tiegraph.scene.cloudchunks import check_cloud  # laspy, a tenth of a second
+
         check_cloud(settings.reference_cloud)
 
 

@@ -13,6 +13,7 @@ from typing import Any
 
 from tiegraph.child import Helpers, cores, from_outside, how_ended
 from tiegraph.errors import ProcessLost, SettingsError
+from tiegraph.forking import keep_memory
 from tiegraph.project.progress import Elsewhere
 
 _TASKS_PER_WORKER = 8  # enough to balance the load, few enough that a task takes about a second
@@ -38,7 +39,7 @@ class LocalPool(ProcessPoolExecutor):
 
     def __init__(self, workers: int, threads: int) -> None:
         self.helpers = Helpers()
-        super().__init__(workers, mp_context=self.helpers, initializer=limit_threads, initargs=(threads,))
+        super().__init__(workers, mp_context=self.helpers, initializer=_begin, initargs=(threads,))
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future:
         """As the base class. Raises BrokenProcessPool too where a worker is lost while the next one starts."""
@@ -101,6 +102,12 @@ def open_pool(spec: str, place: Place | None = None) -> tuple[Executor, int]:
     from tiegraph.project.daskpool import open_dask
 
     return open_dask(argument, place)
+
+
+def _begin(threads: int) -> None:
+    """What a worker does first."""
+    limit_threads(threads)
+    keep_memory()
 
 
 def limit_threads(threads: int) -> None:

@@ -21,6 +21,7 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
+from tiegraph.forking import server_pid
 from tiegraph.text import printable
 
 
@@ -153,7 +154,8 @@ class Meter:
         rss = 0
         for process in [self._process, *self._children()]:
             try:
-                rss += process.memory_info().rss
+                # The server of helpers has nothing that it does not share with this process.
+                rss += 0 if process.pid == server_pid() else process.memory_info().rss
             except psutil.Error:
                 pass
         self.peak_mib = max(self.peak_mib, rss / 2**20)

@@ -12,13 +12,14 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
-from tiegraph.child import end_helpers
+from tiegraph import forking
+from tiegraph.child import end_helpers, start_server
 from tiegraph.errors import EngineMissing, InputError, SettingsError, TiegraphError, UnreadableArtefact
 from tiegraph.limits import explained
 from tiegraph.project.artefacts import OTHER_KEY, Artefacts
 from tiegraph.project.folder import LOG, check_folder, check_inputs, working_in
 from tiegraph.project.inputs import Inputs
-from tiegraph.project.pool import Place, check_pool, map_items, open_pool
+from tiegraph.project.pool import LocalPool, Place, check_pool, map_items, open_pool
 from tiegraph.project.progress import Elsewhere, Meter, Reporter
 from tiegraph.project.receipts import Receipts
 from tiegraph.project.software import software
@@ -45,6 +46,7 @@ class Run:
         check_pool(pool)
         self._pool_spec = pool
         self._executor: Executor | None = None
+        self._serves = False  # whether this run started the server of helpers
         self._workers = 1
 
     def keys(self, stages: Sequence[Stage]) -> dict[str, str]:
@@ -79,6 +81,7 @@ class Run:
     def open(self) -> Executor:
         """The pool, opened when first asked for. Raises what ``open_pool`` raises."""
         if self._executor is None:
+            self._serves = start_server() or self._serves
             place = Place(self.folder, (source_of(self.inputs.images),), self.elsewhere)
             self._executor, self._workers = open_pool(self._pool_spec, place=place)
         return self._executor
@@ -101,11 +104,20 @@ class Run:
         self.reporter.total(len(items), len(items) - len(todo))
         return self.map(function, todo, *args)
 
+    def rest(self) -> None:
+        """End the workers where new ones cost next to nothing: what they keep in memory serves one stage."""
+        if isinstance(self._executor, LocalPool) and forking.running():
+            self._executor.shutdown()
+            self._executor = None
+
     def close(self) -> None:
         """End the workers."""
         if self._executor is not None:
             self._executor.shutdown(cancel_futures=True)
             self._executor = None
+        if self._serves:
+            forking.stop()
+            self._serves = False
 
 
 def check_run(stages: Sequence[Stage], run: Run) -> None:
@@ -274,6 +286,7 @@ def _run_one(stage: Stage, key: str, run: Run, artefacts: Artefacts) -> None:
         "software": software(),
         "finished": _now(),
     }
+    run.rest()
     receipt = artefacts.finish(stage, key, outcome, more)
     _say_done(stage, receipt, run.reporter)
 
