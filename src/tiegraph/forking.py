@@ -70,7 +70,12 @@ def start() -> bool:
     if not _server.allowed or running() or not sys.platform.startswith("linux") or not _alone():
         return False
     if _server.load is not None:
-        _server.load()
+        gc.disable()
+        try:
+            _server.load()
+        finally:
+            gc.enable()
+    gc.freeze()  # what is loaded stays: no collection goes through it, or copies its pages in a helper
     if not _alone():  # a library has started threads
         return False
     resource_tracker.ensure_running()
@@ -169,7 +174,6 @@ def _prepare(requests: socket.socket) -> None:
         logger.setLevel(logging.NOTSET if logger.parent else logging.WARNING)
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_DFL)
-    gc.freeze()  # a helper's collector would touch, and so copy, every page
 
 
 def _serve(requests: socket.socket) -> None:

@@ -123,15 +123,15 @@ def _spread_sift(
     sift = cv2.SIFT.create(
         nfeatures=0, contrastThreshold=tuning.contrast, edgeThreshold=tuning.edges, enable_precise_upscale=True
     )
-    found = sift.detect(small, use)
+    # One call: describing those that are kept alone would build the pyramid a second time, and costs more.
+    found, descriptors = sift.detectAndCompute(small, use)
     if not found:
         return np.zeros((0, 2)), np.zeros((0, 128), np.uint8)
     points = np.array([k.pt for k in found])
     response = np.array([k.response for k in found])
     cell = np.floor(np.maximum(points, 0) / (max(small.shape) / tuning.cells)).astype(int)
     keep = spread(cell[:, 0] + cell[:, 1] * 2 * tuning.cells, response, settings.features)
-    _, descriptors = sift.compute(small, [found[k] for k in keep])
-    return points[keep], root_sift(descriptors)
+    return points[keep], root_sift(descriptors[keep])
 
 
 def spread(cell: np.ndarray, response: np.ndarray, count: int) -> np.ndarray:
