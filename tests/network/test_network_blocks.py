@@ -87,6 +87,18 @@ def test_positions_keep_places_that_look_alike_apart(world, missing: float) -> N
         assert abs(middle[0] - middle[1]) < 20
 
 
+def test_a_block_beyond_the_last_position_of_its_pass_is_tied_to_the_others(world) -> None:
+    """Three quarters of a pass without positions: its frames are linked with those around them, and lent as others."""
+    scene, truth, ties = world
+    first = np.unique(scene.frame, return_index=True)[1]
+    known = transforms.invert(truth[first])
+    known[FRAMES // 4 : FRAMES] = np.nan
+    found = blocks_of(scene.with_(world_from_rig=known), ties, TUNING.blocks)
+    for block in found:
+        others = np.concatenate([b.images for b in found if b is not block])
+        assert 30 <= len(np.intersect1d(block.images, others)) <= 4 * TUNING.blocks.lent
+
+
 def test_surveys_without_positions_are_cut_into_larger_blocks(world) -> None:
     scene, truth, ties = world
     assert len(blocks_of(scene, ties, BlocksTuning())) == 1  # 960 of up to 1500

@@ -108,9 +108,9 @@ def _links(scene: Scene, ties: Links, tuning: BlocksTuning) -> tuple[csr_array, 
 
 def _far(scene: Scene, a: np.ndarray, b: np.ndarray, near: int) -> np.ndarray:
     """(T,) bool: links between frames a, b (T,) neither of which is among so many nearest ones of the other, by prior
-    positions. Frames without one stand between their neighbours on the pass; those beyond its known ends are linked by
-    their order alone, for false links of one of them would pull the end of a pass elsewhere. Of other frames nothing
-    is known."""
+    positions. Frames without one stand between their neighbours on the pass; those beyond its known ends are linked
+    with the ``near`` around them on the pass alone, for false links of one of them would pull the end of a pass
+    elsewhere. Of other frames nothing is known."""
     pose = np.array(scene.world_from_rig)
     positions = pose[:, :3, 3] = between_neighbours(pose[:, :3, 3], scene)
     world = scene.with_(world_from_rig=pose).pose_world()
@@ -124,7 +124,9 @@ def _far(scene: Scene, a: np.ndarray, b: np.ndarray, near: int) -> np.ndarray:
     beside = csr_array(beside + beside.T)
     compared = (world[a] >= 0) & (world[a] == world[b])
     beyond = (world < 0) & np.isin(scene.sequence, scene.sequence[(world >= 0) & (scene.sequence >= 0)])
-    return beyond[a] | beyond[b] | (compared & ~np.asarray(beside[a, b]).ravel())
+    follow = (scene.sequence[a] == scene.sequence[b]) & (scene.sequence[a] >= 0)
+    follow &= np.abs(scene.sequence_index[a] - scene.sequence_index[b]) <= near // 2
+    return ((beyond[a] | beyond[b]) & ~follow) | (compared & ~np.asarray(beside[a, b]).ravel())
 
 
 def _symmetric(a: np.ndarray, b: np.ndarray, value: np.ndarray, n: int) -> csr_array:
