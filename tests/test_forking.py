@@ -188,3 +188,11 @@ def _runs(pid):
         return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
     except OSError:
         return False
+
+
+@pytest.mark.parametrize(("lacking", "forks"), [("", True), ("no_such_name", False)])
+def test_a_python_that_lacks_what_is_taken_from_inside_it_spawns(lacking, forks):
+    inside = f"forking._INSIDE = ((forking.spawn, {lacking!r}),)" if lacking else ""
+    code = f"from tiegraph import forking\nforking.allow()\n{inside}\nprint(forking.start())\nforking.stop()"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == [str(forks)]

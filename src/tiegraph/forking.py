@@ -34,6 +34,8 @@ _STATUS = struct.Struct("q")  # the pid of a helper, then its exit code
 _MOST_FILES = 250  # in one message of the kernel's (SCM_MAX_FD is 253)
 _KEEP = ((-4, 0), (-1, 2**31 - 1))  # malloc.h: M_MMAP_MAX, M_TRIM_THRESHOLD
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
+_INSIDE = ((spawn, "_main"), (resource_tracker, "_resource_tracker"), (popen_fork.Popen, "_launch"))
+"""What is taken from the inside of multiprocessing: a Python that lacks it spawns."""
 
 
 class _Server:
@@ -68,6 +70,8 @@ def start() -> bool:
     To be called with the signals blocked that helpers must not hear.
     """
     if not _server.allowed or running() or not sys.platform.startswith("linux") or not _alone():
+        return False
+    if not all(hasattr(owner, name) for owner, name in _INSIDE):
         return False
     if _server.load is not None:
         gc.disable()
