@@ -60,12 +60,8 @@ def test_exactly_the_kept_pairs_are_matched_and_counted(done):
     assert (pairs.inliers[~kept] == -1).all()
     assert {REASONS[d] for d in pairs.dropped[without]} == {"match"}
     assert {REASONS[d] for d in pairs.dropped[~kept]} == {"cut"}
-    assert (report.asked, report.matched, report.verified, report.resumed) == (
-        kept.sum(),
-        (kept & ~without).sum(),
-        (kept & ~without).sum(),
-        0,
-    )
+    done_now = (kept & ~without).sum()
+    assert (report.asked, report.matched, report.verified) == (kept.sum(), done_now, done_now)
     assert report.inliers == pairs.inliers[kept & ~without].sum() <= report.matches
     assert sum(report.configurations.values()) == report.matched
     assert progress[0] == (0, report.matched) and progress[-1] == (report.matched, report.matched)
@@ -115,8 +111,11 @@ def test_inliers_tie_the_same_points_and_the_database_opens_in_colmap(done):
 def test_a_second_run_does_nothing_and_gives_the_same(done, monkeypatch):
     folder, pairs, report, _ = done
     monkeypatch.setattr(matchblocks, "run_in_children", lambda *a, **k: pytest.fail("matched again"))
-    again, second = match_pairs(folder / "database.db", scene(), listed(), SETTINGS, folder / "log.txt")
-    assert second.resumed == report.matched
+    progress: list[tuple[int, int]] = []
+    again, second = match_pairs(
+        folder / "database.db", scene(), listed(), SETTINGS, folder / "log.txt", lambda a, b: progress.append((a, b))
+    )
+    assert progress == [(report.matched, report.matched)] and second == report
     assert all(np.array_equal(getattr(again, n), getattr(pairs, n)) for n in ("i", "j", "dropped", "inliers"))
 
 
@@ -127,8 +126,9 @@ def test_pairs_of_another_list_and_half_written_pairs_leave_the_database(tmp_pat
         database.write_matches(1, 12, np.array([[0, 0]], np.uint32))  # not asked
         database.write_matches(1, 3, np.array([[0, 0]], np.uint32))  # asked, no two-view geometry
     pairs = Pairs.make([0], [2], "file")
-    result, report = match_pairs(path, scene(), pairs, SETTINGS, tmp_path / "log.txt")
-    assert report.resumed == 0 and result.inliers[0] > 60
+    progress: list[tuple[int, int]] = []
+    result, _ = match_pairs(path, scene(), pairs, SETTINGS, tmp_path / "log.txt", lambda a, b: progress.append((a, b)))
+    assert progress == [(0, 1), (1, 1)] and result.inliers[0] > 60
     assert [r[0] for r in rows(path, "matches")] == pair_ids(pairs).tolist()
 
 
@@ -147,9 +147,12 @@ def test_killed_run_resumes_to_the_same_database_and_survives_names_with_spaces(
         "    match_pairs(folder / 'database.db', scene(space=True), listed(), SETTINGS, folder / 'log.txt', stop)\n"
     )
     assert subprocess.run([sys.executable, str(script)]).returncode == -9
-    pairs, report = match_pairs(path, scene(space=True), listed(), SETTINGS, tmp_path / "log.txt", side=Side(2))
+    progress: list[tuple[int, int]] = []
+    pairs, report = match_pairs(
+        path, scene(space=True), listed(), SETTINGS, tmp_path / "log.txt", lambda a, b: progress.append((a, b)), Side(2)
+    )
     folder, expected, full, _ = done
-    assert report.resumed >= 4
+    assert 4 <= progress[0][0] < full.matched
     assert report.matched == full.matched
     assert np.array_equal(pairs.inliers, expected.inliers)
     assert rows(path) == rows(folder / "database.db")
