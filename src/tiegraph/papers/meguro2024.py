@@ -25,7 +25,7 @@ from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.sources import MaskSource, check_shape, each
 from tiegraph.masks.tuning import Meguro2024Tuning
 from tiegraph.masks.tuning import Tuning as MasksTuning
-from tiegraph.network.offsets.curves import OffsetResult, curves_of, facing, sampled_ranks, votes_of
+from tiegraph.network.offsets.curves import OffsetResult, curves_of, facing, votes_of
 from tiegraph.network.passes import MatchCache, Pass
 from tiegraph.network.rig import commonview
 from tiegraph.network.rig.axes import allowed_within
@@ -34,6 +34,7 @@ from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.papers.presets import COLMAP_ALONE
 from tiegraph.scene.pairs import REASONS, Pairs
+from tiegraph.scene.sampling import evenly
 
 
 def difference_mask(a: np.ndarray, b: np.ndarray, threshold: int, tuning: Meguro2024Tuning) -> np.ndarray:
@@ -105,7 +106,7 @@ def _vote_constant(
     every = max(1, -(-len(q) // tuning.offsets.constant.max_columns))
     allowed = allowed_within(p.rig, settings.axes_deg) if p is q else np.ones((len(p.images), len(q.images)), bool)
     empty = score_matrix(p, q, every, allowed, tuning.offsets.scores)
-    rows = sampled_ranks(len(p), settings.sample_frames)
+    rows = evenly(len(p), settings.sample_frames)
     shape = (*allowed.shape, len(rows), len(empty.columns))
     scores = ScoreMatrix(
         p=p, q=q, rows=rows, columns=empty.columns, allowed=allowed, inliers=np.full(shape, np.nan, np.float32)
@@ -114,7 +115,7 @@ def _vote_constant(
     wanted = np.broadcast_to((c < d) if p is q else np.ones((1, 1), bool), allowed.shape)[:, :, None, None]
     notes: tuple[str, ...] = ()
     if p is not q:  # a few frames show the heading, then the axes rule pairs of cameras out
-        few = np.isin(np.arange(len(rows)), sampled_ranks(len(rows), tuning.offsets.constant.heading_frames))[:, None]
+        few = np.isin(np.arange(len(rows)), evenly(len(rows), tuning.offsets.constant.heading_frames))[:, None]
         scores = _measured_oblong(scores, wanted & few, cache)
         excess = commonview.above(scores, scores.inliers, settings.min_matches)
         allowed = facing(scores, excess, settings, tuning.rig)

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
 import pycolmap
 
 from tiegraph.errors import InputError
 from tiegraph.pipeline.files import read_image
 from tiegraph.project.run import Run
 from tiegraph.scene.gcp import GcpFile
+from tiegraph.scene.sampling import evenly
 from tiegraph.scene.scene import Scene
 from tiegraph.targets.detect import Seen, find_targets
 from tiegraph.targets.marks import OTHERS, TargetMarks, likely_family, marks_of
@@ -31,7 +31,7 @@ def target_marks(
         return TargetMarks()
     tuning = run.settings.tuning.targets
     families = sorted({t.family for t in named.values()})
-    images = _spread(len(scene), most)
+    images = evenly(len(scene), len(scene) if most is None else most).tolist()
     found = run.map(_search, [run.path("images", scene.names[k]) for k in images], families, tuning)
     seen = dict(zip(images, found))
     if not any(s.target in named.values() for one in found for s in one) and len(images) == len(scene):
@@ -40,19 +40,13 @@ def target_marks(
     return marks_of(seen, named, lambda k: cameras.get(scene.names[k]), scene.names, tuning)
 
 
-def _spread(count: int, most: int | None) -> list[int]:
-    if most is None or count <= most:
-        return list(range(count))
-    return np.unique(np.linspace(0, count - 1, most).round().astype(int)).tolist()
-
-
 def _search(path: Path, families: Sequence[str], tuning: Tuning) -> list[Seen]:
     return find_targets(read_image(path), families, tuning)
 
 
 def _say_family(run: Run, scene: Scene, file: GcpFile, families: Sequence[str], tuning: Tuning) -> None:
     """Raise InputError: no target is seen; with what else is."""
-    images = _spread(len(scene), tuning.other_families_in)
+    images = evenly(len(scene), tuning.other_families_in).tolist()
     others = [f for f in OTHERS if f not in families]
     found = run.map(_search, [run.path("images", scene.names[k]) for k in images], others, tuning)
     likely = likely_family([s for one in found for s in one])

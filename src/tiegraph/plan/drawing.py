@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from tiegraph.plan.figures import Station
 from tiegraph.plan.places import PathPlan
 from tiegraph.scene.figures import plain_text, png
+from tiegraph.scene.sampling import evenly
 
 _DPI = 130
 _POINT, _INK = "#b8c0c8", "#2a3138"
@@ -76,7 +77,7 @@ def path_picture(plan: PathPlan) -> bytes:
 def _rays(axes: Axes, plan: PathPlan, of: tuple[int, int]) -> None:
     """The viewing directions of a few frames' cameras."""
     reach = 0.05 * float(np.linalg.norm(np.ptp(plan.path.centres, axis=0)))
-    some = np.unique(np.linspace(0, len(plan.path) - 1, 12).round().astype(int))
+    some = evenly(len(plan.path), 12)
     for pose in plan.path.world_from_body[some]:
         for camera in plan.cameras:
             way = reach * pose[:3, :3] @ camera.sensor_from_body[2, :3]

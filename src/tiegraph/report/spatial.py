@@ -20,6 +20,7 @@ from tiegraph.report.svg import map as maps
 from tiegraph.report.tables import receipt_notes, receipt_tables
 from tiegraph.report.texts import t
 from tiegraph.report.thumbnails import jpeg, thumbnail
+from tiegraph.scene.sampling import evenly
 
 VIEW_PX = 1400  # width of the static views
 _BACKDROP = 400_000  # points of the map
@@ -113,7 +114,7 @@ def ellipse_map(run: RunFolder, seen: Scenery) -> tuple[Markup, str] | None:
         return None
     error, place = PlacementError.from_dict(told), seen.place
     way = np.concatenate([track.positions[np.isfinite(track.positions[:, 0])] for track in seen.tracks])
-    rows = np.unique(np.linspace(0, len(way) - 1, _ELLIPSES).round().astype(int))
+    rows = evenly(len(way), _ELLIPSES)
     at = way[np.argsort(way @ _main_axis(way))][rows]
     flat = error.covariances(at)[:, :2, :2]
     largest = max(float(np.sqrt(np.linalg.eigvalsh(c)[-1])) for c in flat)

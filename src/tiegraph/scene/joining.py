@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity
 from tiegraph.scene.graph import forest, parts
+from tiegraph.scene.sampling import evenly
 from tiegraph.scene.tuning import JoiningTuning
 
 
@@ -116,7 +117,7 @@ def join(a: int, b: int, first: Poses, second: Poses, tuning: JoiningTuning) -> 
 
 def _mean_turn(turns: np.ndarray, tuning: JoiningTuning) -> tuple[np.ndarray, np.ndarray]:
     """Mean of the rotations (K, 3, 3) that agree with the one most agree with, and which (K,) do."""
-    some = turns[np.unique(np.linspace(0, len(turns) - 1, min(len(turns), tuning.asked)).round().astype(int))]
+    some = turns[evenly(len(turns), tuning.asked)]
     near = transforms.angle_deg(some[:, None], turns[None]) < tuning.turn_deg
     same = near[np.argmax(near.sum(axis=1))]
     mean = Rotation.from_matrix(turns[same]).mean().as_matrix()
@@ -132,7 +133,7 @@ def _start(
     No median over all: where a model has one of two passes in a wrong place, half the distances are wrong.
     """
     of = np.flatnonzero(same)
-    asked = of[np.unique(np.linspace(0, len(of) - 1, min(len(of), tuning.asked)).round().astype(int))]
+    asked = of[evenly(len(of), tuning.asked)]
     i, j = (asked[k] for k in np.triu_indices(len(asked), 1))
     dx, dy = np.linalg.norm(x[i] - x[j], axis=1), np.linalg.norm(y[i] - y[j], axis=1)
     long = dx >= np.median(dx) if len(dx) else np.zeros(0, bool)

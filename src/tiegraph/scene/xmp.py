@@ -15,6 +15,8 @@ from typing import Any
 
 import numpy as np
 
+from tiegraph.scene.table import number
+
 _XMP_TAG = 700  # of TIFF
 _MAX_DEG = 360.0
 _DJI = "drone-dji"
@@ -36,7 +38,7 @@ def read_rig_tags(image: Any) -> RigTags:
     text = _text(image)
     if "RigCameraIndex" not in text and "BandName" not in text:
         return RigTags()
-    angles = [_number(v) for v in re.split(r"[,\s]+", _value(text, "RigRelatives")) if v]
+    angles = [number(v) for v in re.split(r"[,\s]+", _value(text, "RigRelatives")) if v]
     good = len(angles) == 3 and bool(np.all(np.abs(angles) <= _MAX_DEG))
     return RigTags(
         name=_value(text, "RigName")[:80],
@@ -51,12 +53,12 @@ def read_rtk_position(image: Any) -> tuple[float, ...]:
     """Latitude, longitude, height and horizontal standard deviation that a DJI drone with RTK wrote into an opened PIL
     image; NaN where it wrote none or had no position."""
     text = _text(image)
-    if "RtkFlag" not in text or not _number(_value(text, "RtkFlag", _DJI)) > 0:
+    if "RtkFlag" not in text or not number(_value(text, "RtkFlag", _DJI)) > 0:
         return (float("nan"),) * 4
     lon = _value(text, "GpsLongitude", _DJI) or _value(text, "GpsLongtitude", _DJI)
-    height = _number(_value(text, "AbsoluteAltitude", _DJI))
-    sigma = max(_number(_value(text, tag, _DJI)) for tag in ("RtkStdLat", "RtkStdLon"))
-    return _number(_value(text, "GpsLatitude", _DJI)), _number(lon), height, sigma
+    height = number(_value(text, "AbsoluteAltitude", _DJI))
+    sigma = max(number(_value(text, tag, _DJI)) for tag in ("RtkStdLat", "RtkStdLon"))
+    return number(_value(text, "GpsLatitude", _DJI)), number(lon), height, sigma
 
 
 def relative_rotation(relatives_deg: tuple[float, ...]) -> np.ndarray:
@@ -85,13 +87,6 @@ def _value(text: str, tag: str, space: str = "Camera") -> str:
         return attribute[1].strip()
     element = re.search(rf"<{space}:{tag}(?:\s[^>]*)?>(.*?)</{space}:{tag}>", text, re.DOTALL)
     return " ".join(re.sub(r"<[^>]*>", " ", element[1]).split()) if element else ""
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return float("nan")
 
 
 def _whole(text: str) -> int:

@@ -23,6 +23,7 @@ import numpy as np
 import pycolmap
 from scipy import sparse
 
+from tiegraph.scene.sampling import evenly
 from tiegraph.sfm.adjustment.jacobians import Layout, RigConstraints, jacobians
 from tiegraph.sfm.adjustment.leverarmprior import NominalGeometry
 from tiegraph.sfm.adjustment.normal import Normal, by_blocks, point_inverse
@@ -264,7 +265,7 @@ class _Asked:
     the frames, then points."""
 
     def __init__(self, layout: Layout, weighed: EffectWeights, tuning: SigmaTuning) -> None:
-        frames = _evenly(len(layout.frame_ids), tuning.frames)
+        frames = evenly(len(layout.frame_ids), tuning.frames)
         self.frame_ids = tuple(layout.frame_ids[k] for k in frames)
         at = 6 * frames[:, None] + np.arange(3)
         self.rest = np.arange(6 * len(layout.frame_ids), layout.size)
@@ -308,11 +309,6 @@ class _Asked:
 
 def _root(variance: np.ndarray) -> np.ndarray:
     return np.asarray(np.sqrt(np.clip(variance, 0, None)))
-
-
-def _evenly(count: int, most: int) -> np.ndarray:
-    """Numbers of at most ``most`` of so many things, evenly over them."""
-    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))
 
 
 @dataclass(frozen=True)

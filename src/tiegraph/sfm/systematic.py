@@ -16,6 +16,7 @@ import pycolmap
 from scipy import sparse
 
 from tiegraph.geometry.transforms import skew
+from tiegraph.scene.sampling import evenly
 from tiegraph.sfm.adjustment.jacobians import Layout, System, frame_pose
 from tiegraph.sfm.adjustment.normal import Normal, at_their_minimum, by_blocks, point_inverse
 from tiegraph.sfm.tuning import SharedErrorTuning
@@ -315,8 +316,7 @@ def unrest(
     shared = [own for _, own in sorted(of_frame.items()) if len(own) > 1]
     if not shared:
         return []
-    evenly = np.linspace(0, len(shared) - 1, tuning.most_shots)
-    chosen = [shared[k] for k in np.unique(evenly.round().astype(int))]
+    chosen = [shared[k] for k in evenly(len(shared), tuning.most_shots)]
     size = 6 * max(len(own) for own in chosen)
     gradient, score = [], np.zeros((len(chosen), size))
     noise, information = np.tile(np.eye(size), (len(chosen), 1, 1)), np.zeros((len(chosen), size, size))

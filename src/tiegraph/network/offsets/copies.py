@@ -14,6 +14,7 @@ import numpy as np
 from tiegraph.network.passes import MatchCache
 from tiegraph.network.scorematrix import ScoreMatrix
 from tiegraph.network.tuning.retrieval import CopiesTuning
+from tiegraph.scene.sampling import evenly
 
 
 @dataclass(frozen=True)
@@ -43,8 +44,7 @@ def find_copies(scores: ScoreMatrix, cache: MatchCache, min_matches: int, tuning
     camera, offset = _best_offset(scores, min_matches, tuning)
     for step in dict.fromkeys((0, *offset)):
         m = np.arange(max(0, -step), min(len(p), len(q) - step))
-        count = min(len(m), tuning.samples)
-        some = m[np.unique(np.linspace(0, len(m) - 1, count).round().astype(int))] if len(m) else m
+        some = m[evenly(len(m), tuning.samples)]
         if camera is None or not len(some):
             continue
         first = _copies(p.images[camera, some], q.images[camera, some + step], cache, min_matches, tuning)

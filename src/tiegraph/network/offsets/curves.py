@@ -48,11 +48,6 @@ class OffsetResult:
     stranger: str = ""  # the couple of passes, where it has no common view
 
 
-def sampled_ranks(n: int, count: int) -> np.ndarray:
-    """At most ``count`` of n ranks, evenly spread, with the first and the last."""
-    return np.unique(np.linspace(0, n - 1, min(n, count)).round().astype(int))
-
-
 def facing(scores: ScoreMatrix, excess: np.ndarray, settings: CandidatesSettings, tuning: RigTuning) -> np.ndarray:
     """(S, T) bool: camera pairs whose axes permit a match at the heading of q against p; all, while that is unknown."""
     yaw = commonview.yaw(scores, excess, tuning)

@@ -18,7 +18,7 @@ import numpy as np
 from tiegraph.errors import choose
 from tiegraph.network.offsets.background import corridor, noise_floor_away, noise_floor_within
 from tiegraph.network.offsets.copies import find_copies
-from tiegraph.network.offsets.curves import OffsetResult, curves_of, facing, sampled_ranks
+from tiegraph.network.offsets.curves import OffsetResult, curves_of, facing
 from tiegraph.network.offsets.surface import minimum_cost_path, surfaces_of
 from tiegraph.network.passes import MatchCache, Pass
 from tiegraph.network.rig import commonview
@@ -29,6 +29,7 @@ from tiegraph.network.tuning import CountsTuning, Tuning
 from tiegraph.network.tuning.retrieval import CopiesTuning
 from tiegraph.network.tuning.rig import RigTuning
 from tiegraph.scene.pairs import REASONS, Pairs
+from tiegraph.scene.sampling import evenly
 
 log = logging.getLogger(__name__)
 
@@ -98,7 +99,7 @@ def _local_offsets(
 def _stride(p: Pass, cache: MatchCache, settings: CandidatesSettings, tuning: Tuning) -> int:
     """Lattice stride in frames: a share of the frames over which a typical camera keeps seeing the same things."""
     reach = []
-    starts = sampled_ranks(len(p), settings.sample_frames)
+    starts = evenly(len(p), settings.sample_frames)
     noise_floor = noise_floor_within(p, allowed_within(p.rig, settings.axes_deg), cache, settings.min_matches, tuning)
     for camera, images in enumerate(p.images):
         best = 0
@@ -189,7 +190,7 @@ def _seed_same(p: Pass, stride: int, cache: MatchCache, settings: CandidatesSett
     noise_floor = noise_floor_within(p, allowed, cache, settings.min_matches, tuning)
     scores = score_matrix(p, p, stride, allowed, tuning.offsets.scores, noise_floor)
     a, b = np.ogrid[: len(scores.rows), : len(scores.columns)]
-    sampled = np.isin(np.arange(len(scores.rows)), sampled_ranks(len(scores.rows), settings.sample_frames))
+    sampled = np.isin(np.arange(len(scores.rows)), evenly(len(scores.rows), settings.sample_frames))
     near = sampled[:, None] & (np.abs(a - b) <= tuning.offsets.window_nodes)
     return scores.measured(_upper(scores) & near, cache)
 
@@ -208,8 +209,8 @@ def _seed_across(
     cameras = len(p.images) * len(q.images)
     side = int(np.sqrt(max(0, budget - len(cache)) * offsets.coarse_share / cameras))
     nodes = min(offsets.coarse_nodes, max(offsets.least_coarse_nodes, side))
-    coarse = np.isin(np.arange(len(scores.rows)), sampled_ranks(len(scores.rows), nodes))[:, None] & np.isin(
-        np.arange(len(scores.columns)), sampled_ranks(len(scores.columns), nodes)
+    coarse = np.isin(np.arange(len(scores.rows)), evenly(len(scores.rows), nodes))[:, None] & np.isin(
+        np.arange(len(scores.columns)), evenly(len(scores.columns), nodes)
     )
     scores = scores.measured(np.broadcast_to(coarse, scores.inliers.shape), cache)
     centre = None
@@ -224,7 +225,7 @@ def _seed_across(
     centre = _path(excess.sum(axis=(0, 1))) if centre is None else centre
     if centre is None:
         return scores, backwards, None
-    sampled = np.isin(np.arange(len(scores.rows)), sampled_ranks(len(scores.rows), settings.sample_frames))
+    sampled = np.isin(np.arange(len(scores.rows)), evenly(len(scores.rows), settings.sample_frames))
     near = np.abs(np.arange(len(scores.columns)) - centre[:, None]) <= offsets.window_nodes
     return scores.measured(np.broadcast_to(sampled[:, None] & near, scores.inliers.shape), cache), backwards, centre
 

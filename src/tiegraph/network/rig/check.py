@@ -24,6 +24,7 @@ from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.network.tuning.rig import AxesTuning, CheckTuning
 from tiegraph.scene.rig import Rig
+from tiegraph.scene.sampling import evenly
 from tiegraph.scene.scene import Scene
 
 log = logging.getLogger(__name__)
@@ -185,13 +186,12 @@ def _facing(votes: _Votes, rig: Rig, settings: CandidatesSettings) -> _Votes:
 def _sampled(passes: Sequence[Pass], camera_pairs: np.ndarray, step: int, tuning: CheckTuning) -> np.ndarray:
     """(5, K) sensors a, b, images i < j at frames k and k + ``step``, and which half of the frames (0, 1) it is of."""
     frames = int(np.clip(tuning.samples // max(1, len(camera_pairs)), tuning.least_frames, tuning.frames))
-    some = [passes[k] for k in np.unique(np.linspace(0, len(passes) - 1, min(len(passes), frames)).round().astype(int))]
+    some = [passes[k] for k in evenly(len(passes), frames)]
     each = max(1, frames // max(1, len(some)))
     out = [np.zeros((5, 0), int)]
     number = 0
     for p in some:
-        last = len(p) - 1 - step
-        for k in np.unique(np.linspace(0, last, min(last + 1, each)).round().astype(int)) if last >= 0 else ():
+        for k in evenly(max(0, len(p) - step), each):
             a, b = camera_pairs.T
             i, j = p.images[a, k], p.images[b, k + step]
             rows = np.stack([a, b, i, j, np.full(len(a), number % 2)])

@@ -17,6 +17,7 @@ from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.network.tuning.rig import AxesTuning, SynchronisationTuning
 from tiegraph.scene.rig import Rig
+from tiegraph.scene.sampling import evenly
 
 NAMED = 8  # passes told of one by one
 
@@ -115,8 +116,7 @@ def lag_notes(passes: Sequence[Pass], cache: MatchCache, settings: CandidatesSet
     """
     sync = tuning.rig.synchronisation
     found: dict[tuple[int, int], list[tuple[str, str]]] = {}
-    chosen = np.unique(np.linspace(0, len(passes) - 1, min(len(passes), sync.lag_passes)).round().astype(int))
-    for p in (passes[k] for k in chosen if len(passes)):
+    for p in (passes[k] for k in evenly(len(passes), sync.lag_passes)):
         camera_pairs = _neighbours(p.rig, sync.near_deg)
         longest = min(sync.max_lag, (len(p) - 1) // sync.frames_a_lag)
         if not len(camera_pairs) or longest < 1:
