@@ -107,7 +107,7 @@ def _lever(state: State) -> np.ndarray:
     for pose in state.sensor_from_rig[1:]:
         turn, place = pose[:3, :3].T, pose[:3, 3]
         block = np.zeros((_POSE, _POSE))
-        block[:3, :3] = -2 * turn @ skew(place[None])[0]
+        block[:3, :3] = -2 * turn @ skew(place)
         block[:3, 3:] = -turn
         block[3:, :3] = np.degrees(2.0) * np.eye(3)
         out[size : size + _POSE, size : size + _POSE] = block

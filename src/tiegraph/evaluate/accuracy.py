@@ -13,7 +13,9 @@ from tiegraph.evaluate.clouds.nearest import CloudComparison
 from tiegraph.evaluate.clouds.passes import PassAgreement
 from tiegraph.evaluate.trajectory import PoseMatch, TrajectoryError
 from tiegraph.evaluate.tuning import TrajectoryTuning
+from tiegraph.geometry.align import rms_length
 from tiegraph.scene.accuracy import NAN, Accuracy, Figure
+from tiegraph.scene.sampling import evenly
 
 POINT, POINT_90 = "a point of the cloud (median)", "nine in ten points of the cloud"
 _OWN = "the run's own account: an error that it does not know of is not in it"
@@ -178,12 +180,12 @@ def pose_figures(
 def between(estimate: np.ndarray, reference: np.ndarray, distance_m: float, tuning: TrajectoryTuning) -> float:
     """Root mean square error of the vector between two positions (K, 3) about so far apart in the reference, both in
     one frame; of many positions an even part. NaN where no two are."""
-    rows = np.unique(np.linspace(0, len(reference) - 1, min(len(reference), tuning.between_poses)).round().astype(int))
+    rows = evenly(len(reference), tuning.between_poses)
     apart = pdist(reference[rows])
     of = (apart >= distance_m) & (apart <= tuning.max_stretch * distance_m)
     i, j = (k[of] for k in np.triu_indices(len(rows), 1))
     off = (estimate - reference)[rows]
-    return float(np.sqrt(np.mean(np.sum((off[j] - off[i]) ** 2, axis=1)))) if of.any() else NAN
+    return rms_length(off[j] - off[i])
 
 
 def cloud_figure(result: CloudComparison, reach_m: float, predicted: Predicted, aligned: bool) -> Figure:

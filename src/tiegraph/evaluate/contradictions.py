@@ -9,7 +9,7 @@ import scipy
 
 from tiegraph.evaluate.trajectory import PoseMatch
 from tiegraph.evaluate.tuning import JudgeTuning
-from tiegraph.geometry.align import umeyama
+from tiegraph.geometry.align import rms_length, umeyama
 from tiegraph.scene.accuracy import Figure
 
 _AXES = "xyz"
@@ -64,7 +64,7 @@ def _explained(match: PoseMatch, metric: bool, tuning: JudgeTuning, step_s: floa
     tries = [(umeyama(est, ref), umeyama(est, ref).scale)] if metric else []
     if tries:
         fit, scale = tries[0]
-        if _rms(fit(est) - ref) < actual / tuning.explained:
+        if rms_length(fit(est) - ref) < actual / tuning.explained:
             return f"the reference is {scale:.4g} times as large as the model"
     found = min(_hypotheses(match, metric, tuning, step_s), default=(np.inf, ""))
     return found[1] if found[0] < actual / tuning.explained else ""
@@ -118,11 +118,7 @@ def _scaled(points: np.ndarray, axis: int, factor: float) -> np.ndarray:
 
 def _left(est: np.ndarray, ref: np.ndarray, metric: bool) -> float:
     """Root mean square distance after the best alignment."""
-    return _rms(umeyama(est, ref, with_scale=not metric)(est) - ref)
-
-
-def _rms(off: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
+    return rms_length(umeyama(est, ref, with_scale=not metric)(est) - ref)
 
 
 def _m(value: float) -> str:

@@ -33,6 +33,11 @@ class Similarity:
         return Similarity(1 / self.scale, self.rotation.T, -turned @ self.translation)
 
 
+def rms_length(vectors: np.ndarray) -> float:
+    """Root mean square length of vectors (N, D), NaN of none."""
+    return float(np.sqrt(np.mean(np.sum(vectors**2, axis=1)))) if len(vectors) else float("nan")
+
+
 def umeyama(
     source: np.ndarray, target: np.ndarray, weights: np.ndarray | None = None, with_scale: bool = True
 ) -> Similarity:

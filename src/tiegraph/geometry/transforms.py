@@ -36,10 +36,10 @@ def apply(target_from_source: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 
 def skew(v: np.ndarray) -> np.ndarray:
-    """(N, 3, 3) with skew(v) @ x = v x x for vectors v (N, 3)."""
-    out = np.zeros((len(v), 3, 3))
-    out[:, 0, 1], out[:, 0, 2], out[:, 1, 2] = -v[:, 2], v[:, 1], -v[:, 0]
-    return out - np.swapaxes(out, 1, 2)
+    """(..., 3, 3) with skew(v) @ x = v x x for vectors v (..., 3)."""
+    out = np.zeros((*v.shape, 3))
+    out[..., 0, 1], out[..., 0, 2], out[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
+    return out - np.swapaxes(out, -1, -2)
 
 
 def motions(from_middle: np.ndarray) -> np.ndarray:

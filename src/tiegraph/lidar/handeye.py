@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import Similarity, l1_mean_rotation
+from tiegraph.geometry.align import Similarity, l1_mean_rotation, rms_length
 from tiegraph.lidar.pointtie import PointTie
 from tiegraph.lidar.tuning import HandEyeTuning
 
@@ -101,7 +101,7 @@ def hand_eye(rig: Poses, lidar: Poses, given: Given, tuning: HandEyeTuning) -> H
         clock_sigma_s=float(sigma[_CLOCK]),
         scale_sigma=float(np.exp(values[_SCALE]) * sigma[_SCALE]),
         left_open=_left_open(sigma, place_cov, tuning) if not held.all() else (),
-        fit=Fit(found.inside(values[_CLOCK]), float(np.degrees(_rms(turns))), _rms(steps)),
+        fit=Fit(found.inside(values[_CLOCK]), float(np.degrees(rms_length(turns))), rms_length(steps)),
     )
 
 
@@ -361,7 +361,3 @@ def _left_open(sigma: np.ndarray, place_cov: np.ndarray, tuning: HandEyeTuning) 
             said = ", ".join(f"{a:+.2f}" for a in axis)
             out.append(f"the lever arm along ({said}) of the rig (sigma {np.sqrt(variance):.2g} m)")
     return tuple(out)
-
-
-def _rms(rows: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(np.sum(rows**2, axis=1)))) if len(rows) else float("nan")

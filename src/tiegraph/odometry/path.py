@@ -73,5 +73,5 @@ def _carried(covariance: np.ndarray, keyframe: np.ndarray, pose: np.ndarray) -> 
     """The covariance (6, 6) of a pose that hangs on a keyframe rigidly: a turn of the one moves the other."""
     way = transforms.centre(pose) - transforms.centre(keyframe)
     step = np.eye(6)
-    step[:3, 3:] = -transforms.skew(way[None])[0]
+    step[:3, 3:] = -transforms.skew(way)
     return np.asarray(step @ covariance @ step.T)

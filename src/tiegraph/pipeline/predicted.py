@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from tiegraph.evaluate.accuracy import Hold, Predicted, Stated
+from tiegraph.geometry.align import rms_length
 from tiegraph.pipeline.files import checked, load_json, load_model, placement_error
 from tiegraph.pipeline.georef import covered_frames
 from tiegraph.project.run import Run
@@ -34,18 +35,13 @@ def _predicted(run: Run, world: dict, points: Mapping[str, float]) -> Predicted:
     return Predicted(
         inside_m=float(np.hypot(half, most) / np.sqrt(2)),
         scale=float(scale),
-        spread_m=_length(centres - centres.mean(axis=0)) if len(centres) else np.nan,
-        placed_m=_length(error.sigma(centres)) if error is not None and len(centres) else np.nan,
+        spread_m=rms_length(centres - centres.mean(axis=0)),
+        placed_m=np.nan if error is None else rms_length(error.sigma(centres)),
         point_m=points.get("sigma_median_m", np.nan),
         world_m=points.get("world_sigma_median_m", np.nan),
         world_90_m=points.get("world_sigma_p90_m", np.nan),
         between=np.array(world.get("between_frames") or []).reshape(-1, 2),
     )
-
-
-def _length(vectors: np.ndarray) -> float:
-    """Root mean square length of vectors (K, 3)."""
-    return float(np.sqrt(np.mean(np.sum(vectors**2, axis=1))))
 
 
 def _hold(run: Run, world: dict) -> Hold:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import pycolmap
 
+from tiegraph.geometry.align import rms_length
 from tiegraph.geometry.transforms import motions
 from tiegraph.plan.network import Network
 from tiegraph.plan.path import Path
@@ -139,7 +140,7 @@ def _world(shape: Shape, centres: np.ndarray, xyz: np.ndarray, known: Known) -> 
     if not known.placed:
         return np.full(centres.shape, np.nan), np.full(len(xyz), np.nan)
     middle = centres.mean(axis=0)
-    extent = max(float(np.sqrt(np.mean(np.sum((centres - middle) ** 2, axis=1)))), 1e-9)
+    extent = max(rms_length(centres - middle), 1e-9)
     moved = motions(centres - middle).reshape(-1, 7)
     frames = [f.frame for f in known.fixes]
     rows = (3 * np.array(frames)[:, None] + np.arange(3)).ravel()

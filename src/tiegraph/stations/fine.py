@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tiegraph.geometry import transforms
+from tiegraph.geometry.align import rms_length
 from tiegraph.stations.station import Level, engine
 from tiegraph.stations.tuning import PairTuning
 
@@ -87,7 +88,7 @@ def held(target: Level, source: Level, fit: np.ndarray, found: Met, tuning: Pair
     normal = target.normal[found.target]
     middle = xyz.mean(axis=0)
     from_middle = xyz - middle
-    extent = float(np.sqrt(np.mean(np.sum(from_middle**2, axis=1))))
+    extent = rms_length(from_middle)
     design = np.column_stack([np.cross(from_middle, normal) / extent, normal])
     keep = np.abs(found.residual_m) < 3 * found.sigma_m
     design, residual, from_middle = design[keep], found.residual_m[keep], from_middle[keep]

@@ -10,13 +10,14 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from tiegraph.geometry import transforms
+from tiegraph.geometry.align import rms_length
 from tiegraph.stations.pairs import Pair
 from tiegraph.stations.tuning import LoopTuning
 
 
 def motion(error: np.ndarray, xyz: np.ndarray) -> float:
     """RMS by which an error (4, 4) moves points (N, 3)."""
-    return float(np.sqrt(np.mean(np.sum((transforms.apply(error, xyz) - xyz) ** 2, axis=1))))
+    return rms_length(transforms.apply(error, xyz) - xyz)
 
 
 def contradicted(pairs: Sequence[Pair], points: Sequence[np.ndarray], close_m: float, tuning: LoopTuning) -> list[Pair]:

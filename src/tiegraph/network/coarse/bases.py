@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.sparse import csr_array
 
-from tiegraph.geometry.align import umeyama
+from tiegraph.geometry.align import rms_length, umeyama
 from tiegraph.scene.matches import Visibility
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.places import of_frames
@@ -50,7 +50,7 @@ def metres_per_unit(scene: Scene, centre: np.ndarray) -> float:
         return float("nan")
     sigma = np.nan_to_num(scene.position_sigma_m[both])  # a trajectory has none
     spread = np.sqrt(np.sum(np.var(prior[both], axis=0)))
-    if spread <= np.sqrt(np.mean(np.sum(sigma**2, axis=1))):
+    if spread <= rms_length(sigma):
         return float("nan")
     return umeyama(where[both], prior[both]).scale
 

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from tiegraph.errors import InputError
-from tiegraph.geometry.align import robust_umeyama
+from tiegraph.geometry.align import rms_length, robust_umeyama
 from tiegraph.geometry.geodesy import ENU, parse_crs
-from tiegraph.geometry.transforms import interpolate, rigid
+from tiegraph.geometry.transforms import interpolate, rigid, skew
 from tiegraph.scan.priors.poses import poses_by_image
 from tiegraph.scan.priors.positions import Frames, Priors, body_of, from_exif, from_gnss
 from tiegraph.scan.priors.startmodel import StartModel
@@ -307,7 +307,7 @@ def _laid(
         if across > tuning.least_extent_sigmas * np.median(sigma[good, 0]):
             fit, _ = robust_umeyama(poses[good, :3, 3], target[good], sigma[good, 0])
             antenna = fit(poses[:, :3, 3])
-            rms = float(np.sqrt(np.mean(np.sum((antenna[good] - target[good]) ** 2, axis=1))))
+            rms = rms_length(antenna[good] - target[good])
             turned = fit.rotation @ poses[:, :3, :3]
             return _Laid(rotation=turned, antenna=antenna, scale=fit.scale, rms_m=rms, how="by a similarity")
     return _lay_on_gnss(poses, target, sigma, frames, rows, tuning)
@@ -348,7 +348,7 @@ def _lay_on_gnss(
 
 def _turn_to_z(up: np.ndarray) -> np.ndarray:
     axis = np.cross(up, [0.0, 0.0, 1.0])
-    x = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
+    x = skew(axis)
     if up[2] < -1 + 1e-9:
         return np.diag([1.0, -1.0, -1.0])
     return np.eye(3) + x + x @ x / (1 + up[2])

@@ -112,7 +112,7 @@ class Layout:
             a, b = self.frame[tie.first], self.frame[tie.second]
             rows = np.zeros((6, 12))  # shift of the second beside what a turn of the first does; turn of both
             rows[:3, :3], rows[:3, 6:9] = -np.eye(3), np.eye(3)
-            rows[:3, 3:6] = skew((place[tie.second] - place[tie.first])[None])[0]
+            rows[:3, 3:6] = skew(place[tie.second] - place[tie.first])
             rows[3:, 3:6], rows[3:, 9:] = -np.eye(3), np.eye(3)
             at = np.concatenate([a + np.arange(6), b + np.arange(6)])
             if tie.moves is not None:

@@ -100,7 +100,7 @@ def information(
         return [], np.zeros((0, 0))
     outward = _outward(centres, axes, axes[0], tuning.uneven)[1]
     if drawn is not None and drawn.any() and _as_drawn(centres, drawn, drawn[0], tuning.inexact)[1] < outward:
-        turned = np.array([skew(c[None])[0] for c in centres])
+        turned = skew(centres)
         basis = np.concatenate([turned, centres[:, :, None]], axis=2)
     else:
         basis = np.concatenate([np.tile(np.eye(3), (len(centres), 1, 1)), axes[:, :, None]], axis=2)

@@ -12,6 +12,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
+from tiegraph.geometry.align import rms_length
 from tiegraph.geometry.transforms import skew
 from tiegraph.sfm.adjustment.jacobians import Layout
 
@@ -120,8 +121,7 @@ def gauge(layout: Layout) -> np.ndarray:
 
 def extent(layout: Layout) -> float:
     """Root mean square distance of the frames from their middle, model units."""
-    local = layout.centres - layout.centres.mean(axis=0)
-    return max(float(np.sqrt(np.mean(np.sum(local**2, axis=1)))), 1e-12)
+    return max(rms_length(layout.centres - layout.centres.mean(axis=0)), 1e-12)
 
 
 def _anchors(layout: Layout, diagonal: np.ndarray) -> np.ndarray:

@@ -253,7 +253,7 @@ def mounting_errors(
     reference = _unknowns(system, 0)
     for own, k in zip(rows, sensors.tolist()):
         own[:, _unknowns(system, k)], own[:, reference] = np.eye(6), -np.eye(6)
-        own[:3, reference[3:]] += skew(transforms.centre(given[k])[None])[0]  # turned, it swings the others
+        own[:3, reference[3:]] += skew(transforms.centre(given[k]))  # turned, it swings the others
     flat, moment = rows.reshape(-1, len(system.keys)), solution.covariance
     if not followed:
         moment = moment + np.outer(solution.value, solution.value)

@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from scipy.special import bdtr
 
 from tiegraph.geometry import transforms
+from tiegraph.geometry.transforms import skew
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import matrix, model_rigs
 from tiegraph.sfm.rig.observations import Observations, model_observations, retriangulate
@@ -184,7 +185,7 @@ def _against_rig(
         # Half angles to rotation vector, pose to centre: R dc = -dt + dr x t (all in the camera); a body turned by a
         # sees the world turned by -a.
         change = np.zeros((6, 6))
-        change[:3, :3] = -2 * metres_per_unit * rig_from_cam @ _cross_matrix(own[:3, 3])
+        change[:3, :3] = -2 * metres_per_unit * rig_from_cam @ skew(own[:3, 3])
         change[:3, 3:] = -metres_per_unit * rig_from_cam
         change[3:, :3] = -2 * rig_from_cam
         covariance[k] = change @ row.covariance @ change.T
@@ -201,10 +202,6 @@ def _against_rig(
         covariance=covariance,
         rig_pose=rig_pose,
     )
-
-
-def _cross_matrix(v: np.ndarray) -> np.ndarray:
-    return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
 
 
 def sensor_diagnostics(found: Resections, scene: Scene, tuning: DiagnosticsTuning) -> tuple[SensorDiagnostics, ...]:

@@ -12,6 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from tiegraph.geometry.transforms import skew
+
 pyceres: Any
 try:
     import pyceres
@@ -30,14 +32,10 @@ def back_rotated(pose: np.ndarray, point: np.ndarray) -> tuple[np.ndarray, np.nd
     u, w, v = pose[:3], pose[3], point - pose[4:]
     cross = np.cross(u, v)
     place = v - 2 * w * cross + 2 * np.cross(u, cross)
-    skew_u, skew_v = _skew(u), _skew(v)
+    skew_u, skew_v = skew(np.array([u, v]))
     inverse = np.eye(3) - 2 * w * skew_u + 2 * skew_u @ skew_u
     by_u = 2 * w * skew_v + 2 * ((u @ v) * np.eye(3) + np.outer(u, v) - 2 * np.outer(v, u))
     return place, np.hstack([by_u, -2 * cross[:, None], -inverse]), inverse
-
-
-def _skew(v: np.ndarray) -> np.ndarray:
-    return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
 
 
 class PositionCost(_Base):

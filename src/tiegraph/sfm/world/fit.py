@@ -299,7 +299,7 @@ class _Problem:
         if self.up is not None:
             upward = similarity.rotation @ self.up.direction
             by_upward = _upright_by_upward(upward) if self.up.tilt else _roll_by_upward(upward, self.axis)[None]
-            turned(by_upward @ -skew(upward[None])[0] / np.radians(self.up.sigma_deg))
+            turned(by_upward @ -skew(upward) / np.radians(self.up.sigma_deg))
         if evidence.log_scale is not None and with_scale:
             parts.append(free * unit[6:7] / evidence.log_scale.sigma)
         if evidence.arm.estimate:

@@ -8,7 +8,7 @@ import numpy as np
 import pycolmap
 from scipy.spatial.transform import Rotation
 
-from tiegraph.geometry.align import Similarity
+from tiegraph.geometry.align import Similarity, rms_length
 from tiegraph.geometry.geodesy import Origin, vertical_note
 from tiegraph.geometry.placement import PlacementError
 from tiegraph.scene.control import Control
@@ -42,8 +42,8 @@ class HeldOut:
 
     def to_dict(self) -> dict:
         """JSON-ready: how many, root mean square per axis, and of the sigmas together, metres."""
-        sigma = float(np.sqrt(np.mean(np.sum(self.sigma_m**2, axis=1)))) if len(self.sigma_m) else None
-        return {"count": len(self.residual_m), "rms_m": _rms(self.residual_m), "sigma_m": sigma}
+        sigma = rms_length(self.sigma_m) if len(self.sigma_m) else None
+        return {"count": len(self.residual_m), "rms_m": _rms_by_axis(self.residual_m), "sigma_m": sigma}
 
 
 @dataclass(frozen=True)
@@ -58,11 +58,11 @@ class Residuals:
 
     def rms_m(self) -> dict[str, float]:
         """Root mean square of the believed residuals per axis, metres."""
-        return _rms(self.frames_m[self.inlier])
+        return _rms_by_axis(self.frames_m[self.inlier])
 
     def held_out_rms_m(self) -> dict[str, float]:
         """The same of the fixes held back."""
-        return _rms(self.held.residual_m)
+        return _rms_by_axis(self.held.residual_m)
 
 
 @dataclass(frozen=True)
@@ -388,7 +388,7 @@ def _levelled(scene: Scene, view: Model, why: str) -> Georeference:
     )
 
 
-def _rms(residuals: np.ndarray) -> dict[str, float]:
+def _rms_by_axis(residuals: np.ndarray) -> dict[str, float]:
     if len(residuals) == 0:
         return {}
     rms = np.sqrt(np.mean(residuals**2, axis=0))

@@ -7,6 +7,7 @@ from itertools import combinations
 
 import numpy as np
 
+from tiegraph.geometry.align import rms_length
 from tiegraph.scene.evidence import LIMIT, Contradiction, Statement, contradictions, trend
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.world.georef import Findings, Georeference, Uncertainty
@@ -268,7 +269,7 @@ def _check_points(found: Georeference, model_sigma_m: float, targets: list[Targe
     if not len(predicted) or given is None:
         return []
     off = np.array([found.control.rows[k]["off_m"] for k in rows], float)
-    actual, expected = _root_mean_square(off), _root_mean_square(predicted)
+    actual, expected = rms_length(off), rms_length(predicted)
     if actual <= placing.tuning.statements.scatter * expected:
         return []
     far = given.names[rows[int(np.argmax(np.linalg.norm(off / predicted, axis=1)))]]
@@ -283,7 +284,7 @@ def _with_predicted(found: Georeference, model_sigma_m: float, targets: list[Tar
     accuracy = {}
     for role, values in found.control.accuracy.items():
         known = _points_known(found, role, model_sigma_m, targets)[1]
-        more = {"predicted_m": round(_root_mean_square(known), 4)} if len(known) else {}
+        more = {"predicted_m": round(rms_length(known), 4)} if len(known) else {}
         accuracy[role] = {**values, **more}
     return replace(found, control=replace(found.control, accuracy=accuracy))
 
@@ -299,7 +300,3 @@ def _points_known(
     spread = np.array([np.diag(targets[k].covariance) for k in rows])
     known, inside = error.sigma(given.world_m[rows]), np.nan_to_num(model_sigma_m)
     return rows, np.sqrt(given.sigma_m[rows] ** 2 + spread + known**2 + inside**2)
-
-
-def _root_mean_square(vectors: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(np.sum(vectors**2, axis=1))))

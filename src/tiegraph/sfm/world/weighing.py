@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tiegraph.geometry.align import Similarity
+from tiegraph.geometry.align import Similarity, rms_length
 from tiegraph.scene.evidence import LIMIT, Trend, trend
 from tiegraph.sfm.tuning.world import SourceTuning, WorldTuning
 from tiegraph.sfm.world.fit import Evidence, fit_similarity
@@ -188,7 +188,7 @@ def _places(
 
 def _spread(asked: Question) -> float:
     own = asked.evidence.position[: asked.count]
-    return float(np.sqrt(np.mean(np.sum((own - own.mean(axis=0)) ** 2, axis=1))))
+    return rms_length(own - own.mean(axis=0))
 
 
 def _own_trend(asked: Question, source: Source) -> Trend | None:
