@@ -69,6 +69,17 @@ def test_what_does_not_meet_is_refused_with_a_remedy(tmp_path: Path, capsys) -> 
     assert "c.laz (EPSG:32654 by its header): only 0 of" in capsys.readouterr().err
 
 
+def test_constants_of_a_file_reach_the_comparison(tmp_path: Path, capsys) -> None:
+    files = [las(tmp_path / "a.laz", ground(2000, 0)), las(tmp_path / "b.laz", ground(2000, 1))]
+    (tmp_path / "own.toml").write_text("[tuning.evaluate.m3c2]\nleast_points = 2000\n")
+    for name, more, known in (("a", (), True), ("b", ("--tuning", str(tmp_path / "own.toml")), False)):
+        assert main(["evaluate", *files, "-o", str(tmp_path / name), *more]) == 0
+        metrics = json.loads((tmp_path / name / "metrics.json").read_text())["metrics"]
+        assert (next(m["value"] for m in metrics if m["name"] == "m3c2_median") is not None) == known
+    assert main(["evaluate", *files, "--tuning", str(tmp_path / "none.toml")]) == 2
+    assert "none.toml: not there" in capsys.readouterr().err
+
+
 def test_a_reference_that_is_cut_short_or_no_cloud_is_named_once(tmp_path: Path, capsys) -> None:
     cloud = las(tmp_path / "a.las", ground(300, 0))
     whole = (tmp_path / "a.las").read_bytes()

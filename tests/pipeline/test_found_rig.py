@@ -111,6 +111,11 @@ def _run(
     return out
 
 
+def _tune(out: Path, lines: str) -> None:
+    """Other constants of the rig in the settings of a run folder."""
+    (out / "tiegraph.toml").write_text(f'[run]\nimages = "{out}"\n[tuning.sfm.rig.time_calibration]\n{lines}\n')
+
+
 def _mounting(poses: list[np.ndarray], sigma: float = 0.001, turn_deg: float = 0.05) -> dict:
     rows = [[n, *(centre(p) / SCALE).tolist(), sigma, turn_deg] for (n, _), p in list(zip(TURNS, poses))[1:]]
     return {MOUNTING: {"columns": [], "rows": rows}}
@@ -171,6 +176,9 @@ def test_a_camera_that_no_tie_holds_stands_as_it_was_drawn(tmp_path: Path) -> No
     np.testing.assert_allclose(placed[1], poses[1], rtol=0, atol=1e-9)
     np.testing.assert_allclose(placed[2], drawn[2], rtol=0, atol=1e-9)
     assert any("c stands as given: too few ties" in s for s in found.said)
+    _tune(out, "nominal_deg = 3.0\nnominal_m = 0.2")
+    left = _read(rig_file(out).text).sensors[2]
+    assert (left.sigma_deg, left.sigma_m) == (pytest.approx(3.0), pytest.approx(0.2))
 
 
 def test_a_rig_that_was_held_keeps_its_lengths(tmp_path: Path) -> None:
@@ -222,6 +230,8 @@ def test_a_rig_whose_cameras_have_their_own_times_says_what_is_left_out(tmp_path
     found = rig_file(_run(tmp_path / "nominal", _given(), None, tables=tables))  # no images here: no frames
     assert any("b stands as given: too few frames of it" in s for s in found.said)
     assert 0.9 < _read(found.text).sensors[1].sigma_deg < 1.1  # type: ignore[operator]
+    _tune(tmp_path / "nominal", "nominal_deg = 3.0")
+    assert _read(rig_file(tmp_path / "nominal").text).sensors[1].sigma_deg == pytest.approx(3.0)
     receipt = tmp_path / "out" / "receipts" / "sparse.json"
     receipt.write_text(receipt.read_text().replace('"auto"', '"absent"'))
     assert any("sparse.rig = absent" in s for s in rig_file(tmp_path / "out").said)

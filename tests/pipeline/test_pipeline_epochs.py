@@ -132,9 +132,12 @@ def test_what_cannot_be_compared_is_said_and_nothing_written(tmp_path: Path) -> 
     with pytest.raises(InputError, match="a depth of -1 m does not fit: give .* to .* m"):
         compare_epochs((first, elsewhere), tmp_path / "out", EpochOptions(depth_m=-1.0))
     assert not (tmp_path / "out").exists()
-    assert (
-        compare_epochs((first, elsewhere), tmp_path / "out", EpochOptions(depth_m=9.5))["cylinders"]["depth_m"] == 9.5
-    )
+    found = compare_epochs((first, elsewhere), tmp_path / "out", EpochOptions(depth_m=9.5))
+    assert found["cylinders"]["depth_m"] == 9.5
+    (first / "tiegraph.toml").write_text(f'[run]\nimages = "{tmp_path}"\n[tuning.evaluate.m3c2]\nconfidence = 3.92\n')
+    other = compare_epochs((first, elsewhere), tmp_path / "tuned", EpochOptions(depth_m=9.5))
+    sure = "level of detection m"
+    assert other["differences"][sure] == pytest.approx(2 * found["differences"][sure], rel=1e-4)
 
 
 @pytest.mark.slow

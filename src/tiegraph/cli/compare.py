@@ -56,7 +56,7 @@ class _Epochs:
     """What has changed between two surveys of one place, by M3C2 with both surveys' sigmas."""
 
     first: tyro.conf.Positional[Path]
-    """The run folder of the earlier survey."""
+    """The run folder of the earlier survey, whose constants ([tuning.evaluate]) count."""
     second: tyro.conf.Positional[Path]
     """That of the later one."""
     options: Annotated[EpochOptions, tyro.conf.arg(name="")]

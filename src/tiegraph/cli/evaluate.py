@@ -15,6 +15,7 @@ from tiegraph.cli.run import main_stage
 from tiegraph.evaluate.clouds.judge import Question, Register
 from tiegraph.pipeline.clouds import evaluate_clouds
 from tiegraph.pipeline.evaluate import evaluate_poses
+from tiegraph.project.verbtunings import read_tunings
 from tiegraph.scene.cloudchunks import CLOUD_ENDINGS
 
 _OTHERS = (
@@ -73,12 +74,15 @@ class _Clouds:
     """The cloud is far off or turned: start the registration by the shapes of both."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """Folder for metrics.json, the map of differences and both clouds with their distances."""
+    tuning: Path | None = None
+    """A file with other constants: the table [tuning.evaluate]."""
 
 
 def _clouds(arguments: list[str]) -> int:
     asked = options_of(_Clouds, "tiegraph evaluate", arguments)
     question = Question(distances_m=asked.distances_m, register=asked.register, coarse=asked.coarse)
-    _show(evaluate_clouds((asked.cloud, asked.reference), asked.out, question))
+    tuning = read_tunings(asked.tuning).evaluate
+    _show(evaluate_clouds((asked.cloud, asked.reference), asked.out, question, tuning))
     return 0
 
 

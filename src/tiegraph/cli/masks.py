@@ -15,6 +15,8 @@ from tiegraph.cli.run import Common, main_stage
 from tiegraph.errors import InputError
 from tiegraph.masks.compare import compare, compare_classes, table_text
 from tiegraph.pipeline.masks import masks_by
+from tiegraph.project.folder import SETTINGS
+from tiegraph.project.settings import read_settings
 from tiegraph.scene.scene import Scene
 
 
@@ -73,9 +75,10 @@ def _tables(asked: _Compare) -> dict[str, dict]:
     tables = {which: compared(folder / "masks")}
     if asked.beside:
         rows = [["this run", *tables[which]["rows"][-1][1:]]]
+        tuning = read_settings(out / SETTINGS).tuning.masks
         for source in asked.beside:
             with TemporaryDirectory() as scratch:
-                masks_by(source, scene, out / "images", Path(scratch) / "masks")
+                masks_by(source, scene, out / "images", Path(scratch) / "masks", tuning)
                 rows.append([source, *compared(Path(scratch) / "masks")["rows"][-1][1:]])
         tables["beside"] = {"columns": ["source", *tables[which]["columns"][1:]], "rows": rows}
     if asked.classes:

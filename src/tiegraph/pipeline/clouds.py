@@ -23,7 +23,7 @@ from tiegraph.scene.atomic import must_be_new
 from tiegraph.scene.cloudchunks import PointSource, open_cloud
 
 
-def evaluate_clouds(files: tuple[Path, Path], out: Path | None, question: Question) -> dict[str, Any]:
+def evaluate_clouds(files: tuple[Path, Path], out: Path | None, question: Question, tuning: Tuning) -> dict[str, Any]:
     """Judge the first of two cloud files by the second; the content of metrics.json. ``out``: a folder for it, a map
     and clouds.
 
@@ -40,7 +40,7 @@ def evaluate_clouds(files: tuple[Path, Path], out: Path | None, question: Questi
     elif own.crs != truth.crs:
         notes.append(f"only one of both names a CRS ({own.crs or truth.crs}): they are compared as they are")
     with new_folder(out) as folder, tempfile.TemporaryDirectory(dir=folder) as scratch:
-        found = judge_cloud(own, _into(truth, own.crs), Path(scratch), question, Tuning())
+        found = judge_cloud(own, _into(truth, own.crs), Path(scratch), question, tuning)
         result = metrics_to_dict(found.metrics(), found.tables(), [found.notes(), *notes])
         if folder is not None:
             write_judgement(found, folder, _place(own.crs))

@@ -17,14 +17,15 @@ from tiegraph.evaluate.clouds.picture import difference_map
 from tiegraph.evaluate.clouds.register import Registration, registered
 from tiegraph.evaluate.clouds.tiles import tile_clouds
 from tiegraph.evaluate.reference import to_world
-from tiegraph.evaluate.tuning import Tuning
+from tiegraph.evaluate.tuning import RegistrationTuning, Tuning
 from tiegraph.geometry.geodesy import Origin
 from tiegraph.geometry.placement import PlacementError
 from tiegraph.pipeline.clouds import new_folder, refuse_coarse_alone
 from tiegraph.pipeline.evaluate import measured
 from tiegraph.pipeline.files import load_json, load_model
-from tiegraph.project.folder import check_format
+from tiegraph.project.folder import SETTINGS, check_format
 from tiegraph.project.run import save_json
+from tiegraph.project.settings import read_settings
 from tiegraph.project.stages import write_atomic
 from tiegraph.scene.cloudchunks import PointSource, open_cloud
 from tiegraph.scene.colmapmodel import model_centres
@@ -71,10 +72,11 @@ class Pair:
 def compare_epochs(folders: tuple[Path, Path], out: Path, options: EpochOptions) -> dict[str, Any]:
     """Compare the clouds of two runs; writes changes.json, changes.csv, changes.png and changes.laz into a new folder.
 
-    Raises InputError for runs without a cloud, or that are not known to stand in one world, for clouds that do not
-    meet, and for a coarse start of no registration.
+    The constants are those of the first run (``[tuning.evaluate]``). Raises InputError for runs without a cloud, or
+    that are not known to stand in one world, for clouds that do not meet, and for a coarse start of no registration.
     """
     refuse_coarse_alone(options.register, options.coarse, "--register rigid")
+    tuning = read_settings(folders[0] / SETTINGS).tuning.evaluate
     first, second = (_read(folder) for folder in folders)
     other = _in_world_of(first, second, options)
     common: dict[str, Any] = {"first": first.cloud, "cameras": _cameras(first), "origin": first.origin}
@@ -82,19 +84,18 @@ def compare_epochs(folders: tuple[Path, Path], out: Path, options: EpochOptions)
         held = "as the surveys stand on the Earth, with both their sigmas"
         pair = Pair(**common, second=other, held=held, sigma=_placed(first, second))
     else:
-        fitted = _registered(first, other, options.coarse)
+        fitted = _registered(first, other, options.coarse, tuning.registration)
         moved, along = other.moved(fitted.fit), fitted.sigma_along
         held = "by ICP from a start by their shapes" if options.coarse else "by ICP"
         pair = Pair(**common, second=moved, held=held, sigma=along, fitted=fitted)
-    return differences_of(pair, out, options.depth_m)
+    return differences_of(pair, out, tuning, options.depth_m)
 
 
-def differences_of(pair: Pair, out: Path, depth_m: float | None) -> dict[str, Any]:
+def differences_of(pair: Pair, out: Path, tuning: Tuning, depth_m: float | None) -> dict[str, Any]:
     """What changed from the first cloud to the second, written into a new folder.
 
     Raises InputError if they do not meet, or the folder is there.
     """
-    tuning = Tuning()
     with new_folder(out) as folder, tempfile.TemporaryDirectory(dir=folder) as scratch:
         assert folder is not None
         found = m3c2_of(pair, Path(scratch), tuning, depth_m)
@@ -157,9 +158,9 @@ def _in_world_of(first: _Epoch, second: _Epoch, options: EpochOptions) -> PointS
     return second.cloud.moved(lambda xyz: to_world(xyz, b, a))
 
 
-def _registered(first: _Epoch, other: PointSource, coarse: bool) -> Registration:
+def _registered(first: _Epoch, other: PointSource, coarse: bool, tuning: RegistrationTuning) -> Registration:
     try:
-        return registered(other, first.cloud, Tuning().registration, False, coarse)
+        return registered(other, first.cloud, tuning, False, coarse)
     except InputError:
         raise  # names its file
     except ValueError as error:

@@ -19,11 +19,11 @@ from tiegraph.errors import InputError, UnreadableArtefact
 from tiegraph.geometry.transforms import centre
 from tiegraph.pipeline.files import load_json, load_model, load_scene
 from tiegraph.pipeline.foundcameras import with_camera
-from tiegraph.project.folder import check_format, names_run
+from tiegraph.project.folder import SETTINGS, check_format, names_run
 from tiegraph.project.receipts import Receipts
+from tiegraph.project.settings import Tunings, read_settings
 from tiegraph.scan.rigfiles.rigfile import parse_rig_file
 from tiegraph.scan.rigfiles.rigwrite import rig_config, rig_toml
-from tiegraph.scan.tuning import RigTuning
 from tiegraph.scene.colmapmodel import model_rigs
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene
@@ -32,7 +32,6 @@ from tiegraph.sfm.mapping import believed_cameras
 from tiegraph.sfm.rig.mountings import relaxed_mountings
 from tiegraph.sfm.rig.rig import rig_modes
 from tiegraph.sfm.settings import SparseSettings
-from tiegraph.sfm.tuning import Tuning
 
 TOML, CONFIG = "rig", "rig_config"
 _LATE = "time offset ms"
@@ -67,9 +66,9 @@ class _Run:
     world: pycolmap.Reconstruction  # as georef left it; the same without
     metres: _Metres
     antenna_m: tuple[float, float, float] | None
+    tuning: Tunings
     said: list[str] = field(default_factory=list)
     unscaled: list[str] = field(default_factory=list)  # rigs whose lengths are in units of the model
-    tuning: RigTuning = field(default_factory=RigTuning)
 
     def drawn(self, index: int) -> Rig:
         """A rig as candidates left it, before the coarse model turned cameras."""
@@ -84,7 +83,7 @@ def rig_file(folder: Path, form: str = TOML) -> RigFile:
     """The rig as the run in a folder found it, as a rig.toml or (``form`` = "rig_config") COLMAP's rig_config.json.
 
     Raises InputError for a folder without a sparse model, for a rig.toml whose lengths would not be metres, for several
-    rigs in one rig.toml, and for panoramas.
+    rigs in one rig.toml, and for panoramas; SettingsError for its tiegraph.toml.
     """
     try:
         run = _read(Path(folder))
@@ -110,7 +109,7 @@ def rig_file(folder: Path, form: str = TOML) -> RigFile:
     run.said += [f"contradicted in that run: {text}" for text in run.receipt.get("contradictions", ())]
     said = [f"As the run in {folder} found it.", *run.said]
     text = rig_toml(rigs[0], "\n".join(said))
-    parse_rig_file(Path(folder), text, run.tuning)  # what cannot be read again must not be written
+    parse_rig_file(Path(folder), text, run.tuning.scan.rig)  # what cannot be read again must not be written
     return RigFile(text, tuple(run.said))
 
 
@@ -140,26 +139,25 @@ def _read(folder: Path) -> _Run:
             "file of that run, or calibrate them in a run with --scan.fisheye whole"
         )
     mapped = load_model(first)
-    current = placed.get("finished") and placed.get("from", {}).get("sparse") == receipt.get("made")
-    if not current or not (world / "cameras.bin").exists():
-        return _Run(
-            folder=folder,
-            scene=scene,
-            receipt=receipt,
-            mapped=mapped,
-            world=mapped,
-            metres=_Metres(),
-            antenna_m=None,
-        )
-    told = load_json(folder / "world.json")
-    scale = float("nan") if told["scale_source"] == "none" else float(told["scale"])
-    sigma = told.get("sigma", {}).get("scale", receipt.get("counts", {}).get("scale_sigma", 0.0))
-    arm = told.get("antenna_m")
-    return _Run(
+    run = _Run(
         folder=folder,
         scene=scene,
         receipt=receipt,
         mapped=mapped,
+        world=mapped,
+        metres=_Metres(),
+        antenna_m=None,
+        tuning=read_settings(folder / SETTINGS).tuning,
+    )
+    current = placed.get("finished") and placed.get("from", {}).get("sparse") == receipt.get("made")
+    if not current or not (world / "cameras.bin").exists():
+        return run
+    told = load_json(folder / "world.json")
+    scale = float("nan") if told["scale_source"] == "none" else float(told["scale"])
+    sigma = told.get("sigma", {}).get("scale", receipt.get("counts", {}).get("scale_sigma", 0.0))
+    arm = told.get("antenna_m")
+    return replace(
+        run,
         world=load_model(world),
         metres=_Metres(scale, sigma, told["scale_source"]),
         antenna_m=None if arm is None else tuple(arm),
@@ -198,7 +196,7 @@ def _cameras(run: _Run, index: int, found: Rig) -> list[Sensor]:
     first = 1 + run.scene.first_sensor(index)
     out = []
     for key, (given, new) in enumerate(zip(run.scene.rigs[index].sensors, found.sensors), start=first):
-        sensor, said = with_camera(given, new.camera, key in held, run.rows(INTERIOR_TABLE), run.tuning.camera)
+        sensor, said = with_camera(given, new.camera, key in held, run.rows(INTERIOR_TABLE), run.tuning.scan.rig.camera)
         out.append(sensor)
         run.said += said
     return out
@@ -224,7 +222,7 @@ def _with_hanging(run: _Run, found: Rig, whole: Rig) -> Rig:
         hung = _scaled(hung, _units(found, given))
     sensors = []
     for sensor in hung.sensors:
-        with_file, said = with_camera(sensor, sensor.camera, True, (), run.tuning.camera)
+        with_file, said = with_camera(sensor, sensor.camera, True, (), run.tuning.scan.rig.camera)
         sensors.append(with_file)
         run.said += said
     run.said.append(f"{found.name}: {', '.join(s.name for s in sensors)} hang on it: places and lenses are as given")
@@ -247,7 +245,7 @@ def _loose(run: _Run, given: Rig, index: int, mode: str) -> Rig:
         run.said.append(f"{given.name}: its places are as given")
         return given
     seconds = {n: ms / 1000 for n, ms in late.items()}
-    found = relaxed_mountings(run.world, run.scene, index, seconds, Tuning().rig)
+    found = relaxed_mountings(run.world, run.scene, index, seconds, run.tuning.sfm.rig)
     sensors = [given.sensors[0]]
     for sensor in given.sensors[1:]:
         if sensor.name in found:
@@ -257,7 +255,7 @@ def _loose(run: _Run, given: Rig, index: int, mode: str) -> Rig:
             sensors.append(replace(sensor, sensor_from_rig=mounting.sensor_from_rig))
         else:
             run.said.append(f"{given.name}: {sensor.name} stands as given: too few frames of it are in the model")
-            drawn = Tuning().rig.time_calibration
+            drawn = run.tuning.sfm.rig.time_calibration
             if sensor.sensor_from_rig is not None:
                 sensor = replace(sensor, sigma_deg=drawn.nominal_deg, sigma_m=drawn.nominal_m)
             sensors.append(sensor)
@@ -341,7 +339,7 @@ def _with_sigmas(run: _Run, found: Rig, index: int) -> Rig:
             kept.append(sensor.name)
             sigma_deg, sigma_m = before.sigma_deg or sigma_deg, before.sigma_m or sigma_m
             if given.nominal:  # the coarse model may have turned it by ties that did not hold
-                trusted = Tuning().rig.time_calibration
+                trusted = run.tuning.sfm.rig.time_calibration
                 sigma_deg, sigma_m = trusted.nominal_deg, trusted.nominal_m
                 sensor = replace(sensor, sensor_from_rig=run.drawn(index).sensors[place].sensor_from_rig)
         sensors.append(replace(sensor, sigma_deg=_short(sigma_deg), sigma_m=_short(sigma_m)))
@@ -353,7 +351,7 @@ def _with_sigmas(run: _Run, found: Rig, index: int) -> Rig:
 def _sigmas(run: _Run, row: list) -> tuple[float, float]:
     """Sigma of each axis in degrees, and of each coordinate in metres with that of the scale: x, y, z, sigma, turn."""
     scale = float(np.nan_to_num(run.metres.scale, nan=1.0))
-    most_deg, most_m = run.tuning.sigma_deg[1], run.tuning.sigma_m[1]
+    most_deg, most_m = run.tuning.scan.rig.sigma_deg[1], run.tuning.scan.rig.sigma_m[1]
     place = _with_scale(run, scale * row[3] / np.sqrt(3), scale * float(np.linalg.norm(row[:3])))
     return min(row[4] / np.sqrt(3), most_deg), min(place, most_m)
 

@@ -54,11 +54,12 @@ def masks(run: Run) -> Outcome:
     )
 
 
-def masks_by(source: str, scene: Scene, images: Path, target: Path) -> None:
-    """Masks ``target``/<image>.png of all images of a scene by another source, with its defaults, one after another."""
+def masks_by(source: str, scene: Scene, images: Path, target: Path, tuning: Tuning) -> None:
+    """Masks ``target``/<image>.png of all images of a scene by another source with default settings, one after
+    another."""
     choose("mask source", source, {n: None for n in (*SOURCES, *papers.MASKS) if n not in _NEED_A_FILE})
     made = _source(source)
-    settings, tuning = MasksSettings(source=source), Tuning()  # type: ignore[arg-type]
+    settings = MasksSettings(source=source)  # type: ignore[arg-type]
     prepared = made.prepare(_cameras(scene, images), settings, tuning, map)
     for k, name in enumerate(scene.names):
         keep = made.mask(images / name, prepared[int(scene.sensor_key[k])], settings, tuning, scene.mask_name(k))

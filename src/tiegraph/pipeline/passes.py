@@ -68,7 +68,8 @@ def compare_passes(run: Run, out: Path, depth_m: float | None = None) -> dict[st
             "images of each pass in a folder of its own"
         )
     with tempfile.TemporaryDirectory() as scratch:
-        return differences_of(_pair(run, scene, found, Path(scratch), run.settings.cloud, map), out, depth_m)
+        pair = _pair(run, scene, found, Path(scratch), run.settings.cloud, map)
+        return differences_of(pair, out, run.settings.tuning.evaluate, depth_m)
 
 
 def write_agreement(run: Run, scratch: Path, voxel_m: float, mapper: Mapper) -> PassAgreement | None:

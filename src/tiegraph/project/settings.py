@@ -174,6 +174,14 @@ def read_file(path: Path) -> dict[str, Any]:
     return data
 
 
+def read_settings(path: Path) -> Settings:
+    """The settings that the tiegraph.toml of a run folder says, on top of its preset; the defaults if it is not there.
+    Raises SettingsError."""
+    stored = read_file(path)
+    run = stored.pop("run", {})
+    return merged(preset(run.get("preset", "default")), stored, where=str(path))
+
+
 def run_table(data: dict[str, Any], where: str) -> dict[str, str]:
     """The section [run] of a tiegraph.toml: inputs by name. Raises SettingsError for unknown names and for no text."""
     run = data.get("run", {})
