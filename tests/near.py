@@ -5,6 +5,7 @@ import pycolmap
 
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import umeyama
+from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import image_poses
 
@@ -40,3 +41,10 @@ def assert_reconstruction_near(
     assert _COPIED_M < off < m, f"centres off by {off:.3g} m (limit {m:g})"
     assert _COPIED_DEG < angle < deg, f"rotations off by {angle:.3g} deg (limit {deg:g})"
     return fit.scale
+
+
+def baselines_m(rig: Rig) -> np.ndarray:
+    """(S, S) distances between the projection centres of a rig that is known."""
+    centres = np.stack([transforms.centre(s.sensor_from_rig) for s in rig.sensors if s.sensor_from_rig is not None])
+    assert len(centres) == len(rig.sensors)
+    return np.linalg.norm(centres[:, None] - centres[None], axis=-1)

@@ -3,7 +3,8 @@ import pycolmap
 import pytest
 from dense_world import model_of
 
-from tiegraph.dense.neighbours import EPIPOLE, ONE_CENTRE, SCALE, WIDE, choose_partners, plan_images
+from tiegraph.dense import neighbours
+from tiegraph.dense.neighbours import EPIPOLE, ONE_CENTRE, SCALE, WIDE, plan_images
 from tiegraph.dense.settings import DenseSettings
 from tiegraph.dense.tuning import Tuning
 from tiegraph.errors import ReconstructionError
@@ -35,13 +36,19 @@ def model(positions, turns_deg=None, cameras=None, count=400, seed=0):
     return model_of([f"{k}.jpg" for k in range(len(positions))], cameras, poses, world, seen)
 
 
+def considered(model, settings=SETTINGS):
+    """The partners of the first image, those used first."""
+    table = neighbours._table(model)
+    return neighbours._candidates(table, neighbours._shared_counts(table), 0, settings, TUNING.partners)
+
+
 def by_name(partners):
     return {p.view.name: p for p in partners}
 
 
 def test_partners_at_good_angles_are_preferred():
     line = model([(x, 0, 0) for x in (0, 0.05, 0.3, 1.2, 2.0, 5.0)])
-    partners = choose_partners(line, DenseSettings(partners=2), TUNING.partners)["0.jpg"]
+    partners = considered(line, DenseSettings(partners=2))
     used = [p.view.name for p in partners if p.used]
     assert used == ["3.jpg", "4.jpg"]
     assert 5 < partners[0].angle_deg < 9
@@ -51,7 +58,7 @@ def test_partners_at_good_angles_are_preferred():
 def test_forward_motion_wide_angle_and_scale_are_refused():
     close = pycolmap.Camera(model="PINHOLE", width=2000, height=1500, params=[1500, 1500, 1000, 750])
     odd = model([(0, 0, 0), (0.05, 0, 2.5), (9.5, 0, 1), (1, 0, 0)], [0, 0, -45, 0], [CAMERA, CAMERA, CAMERA, close])
-    partners = by_name(choose_partners(odd, SETTINGS, TUNING.partners)["0.jpg"])
+    partners = by_name(considered(odd))
     assert partners["1.jpg"].reason == EPIPOLE
     assert partners["2.jpg"].reason == WIDE
     assert partners["3.jpg"].reason == SCALE

@@ -15,7 +15,7 @@ from tiegraph.network.passes import MatchCache, find_passes
 from tiegraph.network.plots import (
     _matrix,
     funnel_png,
-    funnel_table,
+    funnel_steps,
     map_png,
     matrix_png,
     sections_png,
@@ -149,10 +149,9 @@ def test_weak_links_are_read_from_the_table() -> None:
 
 def test_the_funnel_adds_up() -> None:
     world, network = surveyed()
-    table = funnel_table(network.pairs, len(world.scene))
-    left = [row[2] for row in table["rows"]]
+    _, left, dropped, _ = zip(*funnel_steps(network.pairs, len(world.scene)))
     assert left[0] == len(world.scene) * (len(world.scene) - 1) // 2 and left[1] == len(network.pairs)
-    assert left[1] - sum(row[1] or 0 for row in table["rows"]) == left[-1] == len(network.pairs.kept())
+    assert left[1] - sum(dropped) == left[-1] == len(network.pairs.kept())
     assert opened(funnel_png(network.pairs, len(world.scene))).shape[1] > 800
 
 

@@ -10,6 +10,7 @@ import pytest
 from PIL import Image
 from scan_worlds import data, scan
 
+from near import baselines_m
 from tiegraph.errors import InputError
 from tiegraph.scan.scan import prepare_image
 from tiegraph.scan.settings import ScanSettings
@@ -62,7 +63,7 @@ def test_two_lenses_back_to_back_become_level_views_all_round(tmp_path: Path) ->
     assert (len(scene), scene.frames, len(rig.sensors), rig.fixed) == (18, 3, 6, True)
     assert "fish_b/left/001.png" in scene.names
     assert {scene.source_name(k) for k in range(18)} == {f"fish_{s}/{k:03d}.png" for s in "ab" for k in range(3)}
-    assert np.allclose(rig.baselines_m()[:3, :3], 0) and np.allclose(rig.baselines_m()[:3, 3:], 0.03)
+    assert np.allclose(baselines_m(rig)[:3, :3], 0) and np.allclose(baselines_m(rig)[:3, 3:], 0.03)
     axes = np.stack([s.optical_axis() for s in rig.sensors])
     a, b = np.cos(np.radians(42)), np.sin(np.radians(42))
     assert np.allclose(axes[:3], [[0, 0, 1], [a, 0, b], [-a, 0, b]])

@@ -9,6 +9,7 @@ import pytest
 from PIL import Image
 from scan_worlds import exif_of, picture, scan
 
+from near import baselines_m
 from tiegraph.errors import InputError
 from tiegraph.scan.scan import prepare_image
 from tiegraph.scan.settings import ScanSettings
@@ -53,7 +54,7 @@ def test_each_panorama_is_a_frame_of_views_with_one_centre(walk: tuple[Path, Sce
     assert (len(scene), scene.frames, scene.sequences != ()) == (24, 4, True)
     rig = scene.rigs[0]
     assert rig.fixed and rig.known() and [s.role for s in rig.sensors] == ["side"] * 5 + ["up"]
-    assert np.allclose(rig.baselines_m(), 0)
+    assert np.allclose(baselines_m(rig), 0)
     angles = rig.axis_angles_deg()
     assert np.allclose(angles[0, 1:], [72, 144, 144, 72, 90])
     assert {scene.source_name(k) for k in range(24)} == {f"p{k:02d}.jpg" for k in range(4)}

@@ -9,6 +9,7 @@ import pytest
 from moving_world import moving_world
 from scipy.spatial.transform import Rotation
 
+from near import baselines_m
 from tiegraph.geometry import transforms
 from tiegraph.scene.rig import SensorPair
 from tiegraph.sfm.adjustment import constraints
@@ -82,5 +83,5 @@ def test_a_pair_sets_baseline_and_axis() -> None:
     known = rig_priors(model, _with_sigma(scene, 0.5, 0.05, pairs=(pair,)), [0], RigPriorTuning())
     assert len(known.pairs) == 1
     rig = model_rigs(final_adjustment(model, [], [1, 2, 3], known, tuning=Tuning().adjust).model, scene)[0]
-    assert rig.baselines_m()[1, 2] == pytest.approx(0.83, abs=0.005)
+    assert baselines_m(rig)[1, 2] == pytest.approx(0.83, abs=0.005)
     assert rig.axis_angles_deg()[1, 2] == pytest.approx(90.3, abs=0.05)

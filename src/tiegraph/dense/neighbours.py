@@ -76,15 +76,6 @@ def plan_images(reconstruction: pycolmap.Reconstruction, settings: DenseSettings
     return DensePlan(images=images, dropped=tuple(dropped), notes=tuple(notes), refused=dict(refused))
 
 
-def choose_partners(
-    reconstruction: pycolmap.Reconstruction, settings: DenseSettings, tuning: PartnerTuning
-) -> dict[str, list[Partner]]:
-    """Per image name the partners considered, best first; those not ``used`` say why in ``reason``."""
-    table = _table(reconstruction)
-    shared = _shared_counts(table)
-    return {view.name: _candidates(table, shared, k, settings, tuning) for k, view in enumerate(table.views)}
-
-
 def _table(reconstruction: pycolmap.Reconstruction) -> _Table:
     images = sorted((reconstruction.image(i) for i in reconstruction.reg_image_ids()), key=lambda image: image.name)
     row = {image.image_id: k for k, image in enumerate(images)}
@@ -124,7 +115,8 @@ def _shared_counts(table: _Table) -> sparse.csr_matrix:
 def _candidates(
     table: _Table, shared: sparse.csr_matrix, image: int, settings: DenseSettings, tuning: PartnerTuning
 ) -> list[Partner]:
-    """Partners of one image, used ones first in the order of their choice."""
+    """Partners of one image that are considered: first those used, in the order of their choice; the others say why not
+    in ``reason``."""
     row = slice(shared.indptr[image], shared.indptr[image + 1])
     others, counts = shared.indices[row], shared.data[row]
     keep = (others != image) & (counts >= tuning.min_shared)

@@ -38,12 +38,11 @@ class View:
 
 @dataclass(frozen=True)
 class Backprojection:
-    """Result over all images: rmse_m (eq. 6), points N counted over all images, rms depth, the error that rounding
-    alone predicts, and (image, points, rmse_m) per image."""
+    """Result over all images: rmse_m (eq. 6), points N counted over all images, the error that rounding alone predicts,
+    and (image, points, rmse_m) per image."""
 
     rmse_m: float
     points: int
-    depth_rms_m: float
     rounding_m: float
     images: tuple[tuple[str, int, float], ...]
 
@@ -94,7 +93,7 @@ def backprojection_rmse(
     """
     xyz = np.asarray(points.xyz_m if isinstance(points, Cloud) else points, float).reshape(-1, 3)
     rows: list[tuple[str, int, float]] = []
-    squares = depths = rounding = 0.0
+    squares = rounding = 0.0
     count = 0
     step = max(1, len(xyz) // points_tried)
     for turn, item in enumerate(views):
@@ -106,12 +105,9 @@ def backprojection_rmse(
         square = float(np.sum(difference**2))
         focal = float(np.sqrt(view.K[0, 0] * view.K[1, 1]))
         squares, count = squares + square, count + len(z)
-        depths += float(z @ z)
         rounding += float(z @ z) * (_ROUNDING_PX / focal) ** 2
         rows.append((view.name, len(z), float(np.sqrt(square / len(z)))))
     if not count:
-        return Backprojection(
-            rmse_m=float("nan"), points=0, depth_rms_m=float("nan"), rounding_m=float("nan"), images=tuple(rows)
-        )
-    rmse, depth, expected = (float(np.sqrt(s / count)) for s in (squares, depths, rounding))
-    return Backprojection(rmse_m=rmse, points=count, depth_rms_m=depth, rounding_m=expected, images=tuple(rows))
+        return Backprojection(rmse_m=float("nan"), points=0, rounding_m=float("nan"), images=tuple(rows))
+    rmse, expected = (float(np.sqrt(s / count)) for s in (squares, rounding))
+    return Backprojection(rmse_m=rmse, points=count, rounding_m=expected, images=tuple(rows))

@@ -92,7 +92,6 @@ class TrajectoryError:
     sim3: PositionError
     se3: PositionError
     absolute: PositionError | None
-    absolute_enu_m: tuple[float, float, float] | None
     within: float
     within_m: float
     relative: tuple[RelativeError, ...]
@@ -169,7 +168,6 @@ def evaluate_trajectory(
     est, ref = match.estimate[:, :3, 3], match.reference[:, :3, 3]
     rigid = umeyama(est, ref, with_scale=False)
     se3 = position_error(est, ref, rigid)
-    off = est - ref
     sim3 = position_error(est, ref, umeyama(est, ref))
     errors_m = se3.errors_m if metric else sim3.errors_m
     if not metric:
@@ -181,7 +179,6 @@ def evaluate_trajectory(
         sim3=sim3,
         se3=se3,
         absolute=position_error(est, ref, _AS_IT_IS) if same_frame else None,
-        absolute_enu_m=tuple(np.sqrt(np.mean(off**2, axis=0)).tolist()) if same_frame else None,
         within=within(est, ref, tuning.within_m),
         within_m=tuning.within_m,
         relative=tuple(relative_error(match, d, tuning.max_stretch) for d in distances_m),

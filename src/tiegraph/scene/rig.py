@@ -7,8 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 import pycolmap
 
-from tiegraph.geometry import transforms
-
 ROLES = ("side", "up", "wide")
 
 
@@ -117,14 +115,6 @@ class Rig:
         """(S, S) angles between the optical axes, NaN where unknown."""
         axes = np.stack([s.optical_axis() for s in self.sensors])
         return np.degrees(np.arccos(np.clip(axes @ axes.T, -1, 1)))
-
-    def baselines_m(self) -> np.ndarray:
-        """(S, S) distances between the projection centres, NaN where unknown."""
-        nowhere = np.full(3, np.nan)
-        c = np.stack(
-            [nowhere if s.sensor_from_rig is None else transforms.centre(s.sensor_from_rig) for s in self.sensors]
-        )
-        return np.linalg.norm(c[:, None] - c[None], axis=-1)
 
     def index(self, sensor_name: str) -> int:
         """Place of a sensor by name."""

@@ -22,7 +22,7 @@ from tiegraph.scene.pairs import REASON_LOOKS, REASONS, Pairs
 from tiegraph.scene.scene import Scene
 
 __all__ = [
-    "curves_png", "funnel_png", "funnel_table", "map_png", "matrix_png", "sections_png",
+    "curves_png", "funnel_png", "map_png", "matrix_png", "sections_png",
     "surfaces_png", "weak_pairs",
 ]  # fmt: skip
 MATRIX_CELLS = 1200  # cells a side at most: larger matrices are reduced by their most telling entry
@@ -184,14 +184,6 @@ def funnel_steps(pairs: Pairs, images: int) -> list[tuple[str, int, int, str]]:
             words, colour = REASON_LOOKS[reason]
             steps.append((f"without: {words}", left, count, colour))
     return [*steps, ("used", funnel["used"], 0, BLUE)]
-
-
-def funnel_table(pairs: Pairs, images: int) -> dict:
-    """Receipt table of the funnel: step, pairs dropped, pairs left, share of all pairs."""
-    steps = funnel_steps(pairs, images)
-    every = max(1, steps[0][1])
-    rows = [[name, dropped or None, left, round(100 * left / every, 2)] for name, left, dropped, _ in steps]
-    return {"columns": ["step", "dropped", "left", "% of all pairs"], "rows": rows}
 
 
 def funnel_png(pairs: Pairs, images: int) -> bytes:
