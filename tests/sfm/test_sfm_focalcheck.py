@@ -56,14 +56,14 @@ def test_the_model_that_explains_the_images_better_stays(
     px = truth.camera(1).mean_focal_length()
     costs = {round(2 * px): 1.0, round(px): cost}
     monkeypatch.setattr(mapping, "cost_in_the_end", lambda model, *_: costs[round(model.camera(1).mean_focal_length())])
-    assert mapping._near_given_focal_lengths(job, first, {}, {}, "").mapper == kept
+    assert mapping._near_given_focal_lengths(job, first, "").mapper == kept
     assert asked == ["global"] and f"{cost:.2f} times as large: kept {kept}" in job.account.notes[0]
     fewer = replace(other, registered=1)
     monkeypatch.setattr(mapping, "_run", lambda *_: fewer)
-    assert mapping._near_given_focal_lengths(job, first, {}, {}, "") is first
-    assert mapping._near_given_focal_lengths(job, other, {}, {}, "") is other
+    assert mapping._near_given_focal_lengths(job, first, "") is first
+    assert mapping._near_given_focal_lengths(job, other, "") is other
     ordered = replace(job, settings=SparseSettings(mapper="incremental"))
-    assert mapping._near_given_focal_lengths(ordered, first, {}, {}, "") is first
+    assert mapping._near_given_focal_lengths(ordered, first, "") is first
 
 
 def test_the_cost_is_that_after_the_adjustment(tmp_path: Path) -> None:
@@ -79,7 +79,7 @@ def _job(scene: Scene) -> mapping.Job:
     source = mapping.Source(Path("none.db"), None)
     return mapping.Job(
         source=source, out=Path(), scene=scene, settings=SparseSettings(), tuning=Tuning(), shared=nothing,
-        log=Path("log.txt"), graph=nothing, account=mapping.Account(),
+        log=Path("log.txt"), graph=nothing, account=mapping.Account(), rigs=mapping.RigsUsed({}, {}),
     )  # fmt: skip
 
 

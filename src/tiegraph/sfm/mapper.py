@@ -17,10 +17,21 @@ from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import RegisteredTuning
 from tiegraph.scene.tuning import Tuning as SceneTuning
+from tiegraph.scene.weakties import WeaklyTied
 from tiegraph.sfm.covariance import PositionSigma
 from tiegraph.sfm.database import ViewGraph
 from tiegraph.sfm.finish import FinishResult, finish_model
-from tiegraph.sfm.mapping import SCRATCH, Account, Job, Outcome, Source, believed_cameras, map_images
+from tiegraph.sfm.mapping import (
+    RUN_COLUMNS,
+    SCRATCH,
+    Account,
+    Job,
+    Outcome,
+    RigsUsed,
+    Source,
+    believed_cameras,
+    map_images,
+)
 from tiegraph.sfm.model import frame_poses, registration_tables
 from tiegraph.sfm.placement.doubtful import MatchSource
 from tiegraph.sfm.registrationreport import (
@@ -105,17 +116,14 @@ def reconstruct(
 ) -> SparseResult:
     """Map the images of a database with verified matches; models go to ``out/0``, ``out/1``, ... by size.
 
-    The database is read, never changed. Raises ReconstructionError, with the counts and remedies, when no model can be
-    made; SettingsError for a fixed rig without extrinsics.
+    Cameras that hardly a match ties are left to their rig. Rigs that nobody gave are derived from a model made without
+    them. Then all is mapped, from sections mapped apart where these are asked for, and the models are adjusted to their
+    end and checked. The database is read, never changed. Raises ReconstructionError, with the counts and remedies, when
+    no model can be made; SettingsError for a fixed rig without extrinsics.
     """
-    modes = rig_modes(scene, settings.rig)
-    graph = ViewGraph(source.database, scene, settings.min_matches, source.refused)
-    if len(graph.pairs) == 0:
-        raise ReconstructionError(no_model_text(scene, graph, "no pair of images has enough verified matches"))
-    out.mkdir(parents=True, exist_ok=True)
-    for old in (p for p in out.iterdir() if p.is_dir() and p.name.isdigit()):
-        shutil.rmtree(old)
     job = Job(
+        rigs=RigsUsed.known(scene, rig_modes(scene, settings.rig)),
+        graph=_view_graph(source, scene, settings),
         source=source,
         out=out,
         scene=scene,
@@ -123,47 +131,62 @@ def reconstruct(
         tuning=tuning,
         shared=shared,
         log=log,
-        graph=graph,
         account=Account(),
     )
+    _remove_models(out)
     try:
-        return _reconstruct(_without_unsupported(job, modes), modes)
+        job = _without_unsupported(job)
+        job, outcome = _with_unknown_rigs(job)
+        if outcome is None:
+            job = start_from_sections(job)
+            outcome = map_images(job)
+        finished = _finish(job, outcome)
+        return _account(job, outcome, finished)
     finally:
         shutil.rmtree(out / SCRATCH, ignore_errors=True)
 
 
-def _without_unsupported(job: Job, modes: dict[int, str]) -> Job:
+def _view_graph(source: Source, scene: Scene, settings: SparseSettings) -> ViewGraph:
+    graph = ViewGraph(source.database, scene, settings.min_matches, source.refused)
+    if len(graph.pairs) == 0:
+        raise ReconstructionError(no_model_text(scene, graph, "no pair of images has enough verified matches"))
+    return graph
+
+
+def _remove_models(out: Path) -> None:
+    """Make the folder, without models of an earlier run."""
+    out.mkdir(parents=True, exist_ok=True)
+    for old in (p for p in out.iterdir() if p.is_dir() and p.name.isdigit()):
+        shutil.rmtree(old)
+
+
+def _without_unsupported(job: Job) -> Job:
     """Sensors with too few ties are placed by their rig: the job without their ties, where others are left to map."""
     scene, graph, source = job.scene, job.graph, job.source
-    alone = unsupported_sensors(scene, graph, modes, job.tuning.rig.support)
+    alone = unsupported_sensors(scene, graph, job.rigs.modes, job.tuning.rig.support)
     without = (*source.refused, *ties_of(scene, graph, alone))
     if not alone or len(without) - len(source.refused) >= len(graph.pairs):
         return job
     names = ", ".join(scene.all_sensors[k].name for k in alone)
     job.account.notes.append(f"too few ties of {names}: placed by the rig as given, its own ties are not used")
     graph = ViewGraph(source.database, scene, job.settings.min_matches, without)
-    return replace(job, source=replace(source, refused=without), graph=graph, unsupported=alone)
+    rigs = replace(job.rigs, unsupported=alone)
+    return replace(job, source=replace(source, refused=without), graph=graph, rigs=rigs)
 
 
-def _reconstruct(job: Job, modes: dict[int, str]) -> SparseResult:
-    """Map, first without the rigs that are unknown and derived from that; finish the models; account for the rest."""
-    rigs = {k: job.scene.rigs[k] for k, mode in modes.items() if mode != "derived"}
-    outcome = None
-    unknown = [k for k, mode in modes.items() if mode == "derived"]
-    if unknown:
-        outcome = map_images(job, rigs, modes, "without the unknown rig")
-        derived = _derive(job, unknown, outcome)
-        if derived:
-            rigs = {**rigs, **derived}
-            job = replace(job, scene=job.scene.with_(rigs=tuple(rigs.get(k, r) for k, r in enumerate(job.scene.rigs))))
-            outcome = None
-    if outcome is None and job.source.apart:
-        job = start_from_sections(job, rigs, modes)
-    if outcome is None:
-        outcome = map_images(job, rigs, modes, "")
-    used = "+".join(sorted({modes[k] for k in rigs})) or "absent"
-    finished = _finish(job, outcome, {k: modes[k] for k in rigs})
-    return _account(job, outcome, used, finished)
+def _with_unknown_rigs(job: Job) -> tuple[Job, Outcome | None]:
+    """The job with the extrinsics of rigs that nobody gave, derived from models made without these; and those models,
+    where none could be derived, for then nothing is to be mapped again (else None)."""
+    unknown = [k for k, mode in job.rigs.modes.items() if mode == "derived"]
+    if not unknown:
+        return job, None
+    outcome = map_images(job, "without the unknown rig")
+    derived = _derive(job, unknown, outcome)
+    if not derived:
+        return job, outcome
+    given = {**job.rigs.given, **derived}
+    scene = job.scene.with_(rigs=tuple(given.get(k, r) for k, r in enumerate(job.scene.rigs)))
+    return replace(job, scene=scene, rigs=replace(job.rigs, given=given)), None
 
 
 def _derive(job: Job, unknown: list[int], outcome: Outcome) -> dict[int, Rig]:
@@ -190,15 +213,15 @@ def _derived_note(rig: Rig, result: DerivedRig, tuning: DeriveTuning) -> str:
     )
 
 
-def _finish(job: Job, outcome: Outcome, modes: dict[int, str]) -> FinishResult:
+def _finish(job: Job, outcome: Outcome) -> FinishResult:
     """Adjust, check, colour and write the models to their place; what there is to say of the first."""
-    out = []
+    out, modes = [], job.rigs.used()
     held = Held(
         rigs=() if job.source.rough else tuple(modes),
         fixed=tuple(k for k, mode in modes.items() if mode == "fixed"),
         soft=tuple(k for k, mode in modes.items() if mode == "soft"),
         ordered=tuple(modes) if job.settings.rig == "fixed" else (),
-        unsupported=job.unsupported,
+        unsupported=job.rigs.unsupported,
         cameras=believed_cameras(job.scene, job.settings),
         lenses_ordered=job.settings.refine_intrinsics == "no",
         readout_ms=job.settings.readout_ms,
@@ -223,61 +246,60 @@ def _finish(job: Job, outcome: Outcome, modes: dict[int, str]) -> FinishResult:
     return out[0]
 
 
-def _account(job: Job, outcome: Outcome, rig: str, finished: FinishResult) -> SparseResult:
+def _account(job: Job, outcome: Outcome, finished: FinishResult) -> SparseResult:
     """Say what is in the models and what is not."""
-    scene = job.scene
+    scene, tuning = job.scene, job.tuning
     folders = [job.out / str(k) for k in range(len(outcome.folders))]
     models = [_model(read_model(f), f, scene, job.shared.registered) for f in folders]
-    main = read_model(folders[0])
-    tables = {
-        "models": models_table(models),
-        "runs": {
-            "columns": ["mapper", "rig", "priors", "", "models", "images seeing points", "points", "seconds"],
-            "rows": job.account.runs,
+    first, main = models[0], read_model(folders[0])
+    doubts: list[str] = []
+    weak: tuple[WeaklyTied, ...] = ()
+    weakly: list[str] = []
+    if not job.source.rough:
+        held = [k for k, mode in rig_modes(scene, job.settings.rig).items() if mode in ("fixed", "soft")]
+        doubts = rig_doubts(main, scene, held, first.registered, job.graph.components[0], tuning)
+        weak = few_points(main, scene, first.found, tuning.registration)
+        weakly = weakly_constrained(scene, job.graph, first.found, weak, tuning.registration)
+    return SparseResult(
+        models=tuple(models),
+        mapper=outcome.mapper,
+        rig=job.rigs.text(),
+        scene=scene,
+        components=tuple(job.graph.components),
+        remarks=Remarks(
+            dropped=tuple(unregistered(scene, job.graph, [m.images for m in models], dict(finished.dropped))),
+            notes=(*job.account.notes, *weakly, *camera_notes(main, scene, tuning)),
+            contradictions=(*finished.contradictions, *doubts),
+        ),
+        tables={
+            "models": models_table(models),
+            "runs": {"columns": RUN_COLUMNS, "rows": job.account.runs},
+            **registration_tables(scene, first.found),
+            "cameras": camera_table(main, scene),
+            "rig": rig_table(scene, main),
+            **finished.tables,
+            **job.account.tables,
         },
-        **registration_tables(scene, models[0].found),
-        "cameras": camera_table(main, scene),
-        "rig": rig_table(scene, main),
-        **finished.tables,
-        **job.account.tables,
-    }
+        counts=_counts(job, models, sum(len(group.frames) for group in weak)),
+        sigma=finished.sigma,
+    )
+
+
+def _counts(job: Job, models: list[Model], on_few_points: int) -> dict[str, float]:
     first = models[0]
-    held = [k for k, mode in rig_modes(scene, job.settings.rig).items() if mode in ("fixed", "soft")]
-    doubts = (
-        [] if job.source.rough else rig_doubts(main, scene, held, first.registered, job.graph.components[0], job.tuning)
-    )
-    weak = () if job.source.rough else few_points(main, scene, first.found, job.tuning.registration)
-    held_by = (
-        [] if job.source.rough else weakly_constrained(scene, job.graph, first.found, weak, job.tuning.registration)
-    )
-    counts: dict[str, float] = {
-        "images": len(scene),
+    return {
+        "images": len(job.scene),
         "registered": first.registered,
         "placed_by_rig": len(first.images) - first.registered,
         "frames": first.frames,
         "models": len(models),
         "components": len(job.graph.components),
         "points": first.points,
-        "on_few_points": sum(len(group.frames) for group in weak),
+        "on_few_points": on_few_points,
         "pairs_verified": len(job.graph.pairs),
         "reprojection_px": round(first.reprojection_px, 4),
         "track_length": round(first.track_length, 3),
     }
-    return SparseResult(
-        models=tuple(models),
-        mapper=outcome.mapper,
-        rig=rig,
-        scene=scene,
-        components=tuple(job.graph.components),
-        remarks=Remarks(
-            dropped=tuple(unregistered(scene, job.graph, [m.images for m in models], dict(finished.dropped))),
-            notes=(*job.account.notes, *held_by, *camera_notes(main, scene, job.tuning)),
-            contradictions=(*finished.contradictions, *doubts),
-        ),
-        tables=tables,
-        counts=counts,
-        sigma=finished.sigma,
-    )
 
 
 def _model(reconstruction: pycolmap.Reconstruction, folder: Path, scene: Scene, tuning: RegisteredTuning) -> Model:

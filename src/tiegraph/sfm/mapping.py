@@ -36,10 +36,12 @@ from tiegraph.sfm.run import Fixed, MappingResult, Matches, Method, Request, run
 from tiegraph.sfm.settings import SparseSettings
 from tiegraph.sfm.start.poses import length_of_path
 from tiegraph.sfm.tuning import AdjustTuning, MappingTuning, Tuning
+from tiegraph.sfm.tuning.rig import RigTuning
 from tiegraph.sfm.verified import read_verified
 
 SCRATCH = ".run"
 """Folder, beside the models, in which mappers work."""
+RUN_COLUMNS = ["mapper", "rig", "priors", "", "models", "images seeing points", "points", "seconds"]
 _OTHER = {"global": "incremental", "incremental": "global"}
 
 _log = logging.getLogger(__name__)
@@ -66,9 +68,36 @@ class Source:
 class Account:
     """What the runs of a reconstruction have to say."""
 
-    runs: list[list] = field(default_factory=list)  # rows of the table of runs
+    runs: list[list] = field(default_factory=list)  # rows of ``RUN_COLUMNS``
     notes: list[str] = field(default_factory=list)
     tables: dict[str, dict] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class RigsUsed:
+    """Rigs that the mappers are given, by their index in the scene, how each rig of the scene is to be used
+    (``rig_modes``), and keys of sensors that these rigs place as they are given."""
+
+    given: dict[int, Rig]
+    modes: dict[int, str]
+    unsupported: tuple[int, ...] = ()
+
+    @staticmethod
+    def known(scene: Scene, modes: dict[int, str]) -> RigsUsed:
+        """The rigs whose extrinsics are given."""
+        return RigsUsed({k: scene.rigs[k] for k, mode in modes.items() if mode != "derived"}, modes)
+
+    def used(self) -> dict[int, str]:
+        """How each rig that is given is used."""
+        return {k: self.modes[k] for k in self.given}
+
+    def text(self) -> str:
+        """The same in a word, of several joined by +."""
+        return "+".join(sorted(set(self.used().values()))) or "absent"
+
+    def held_by_mapper(self, tuning: RigTuning) -> list[int]:
+        """The rigs whose extrinsics a mapper keeps."""
+        return [k for k, rig in self.given.items() if held_by_mapper(rig, self.modes[k], tuning)]
 
 
 @dataclass(frozen=True)
@@ -84,7 +113,7 @@ class Job:
     log: Path
     graph: ViewGraph
     account: Account
-    unsupported: tuple[int, ...] = ()  # keys of sensors placed by the rig as given
+    rigs: RigsUsed
 
 
 @dataclass(frozen=True)
@@ -129,7 +158,7 @@ def believed_cameras(scene: Scene, settings: SparseSettings) -> tuple[int, ...]:
     return tuple(out)
 
 
-def map_images(job: Job, rigs: dict[int, Rig], modes: dict[int, str], label: str) -> Outcome:
+def map_images(job: Job, label: str = "") -> Outcome:
     """Start from the coarse model, unless a mapper is asked for; where there is none, or what starts from it does not
     pass the gate, map, a large survey in blocks.
 
@@ -138,24 +167,24 @@ def map_images(job: Job, rigs: dict[int, Rig], modes: dict[int, str], label: str
     large = not in_one_piece(job.scene, job.shared.blocks)
     asked = job.settings.mapper == "auto"
     if not label and job.source.preview is not None and asked:
-        outcome = _run(job, "preview", rigs, modes, label)
+        outcome = _run(job, "preview", label)
         if outcome.folders:
-            return _with_others(job, outcome, rigs, modes)
+            return _with_others(job, outcome)
         job.account.notes.append(
             f"the model could not start from the coarse model: {outcome.refused}; mapped from nothing"
         )
     if not label and large and asked and not job.source.rough:
-        mapper = choose_mapper(job.scene, job.settings, bool(rigs), job.tuning.mapping)
-        request = replace(_request(job, mapper, rigs, modes), positions=False)
+        mapper = choose_mapper(job.scene, job.settings, bool(job.rigs.given), job.tuning.mapping)
+        request = replace(_request(job, mapper), positions=False)
         found = poses_by_blocks(request, job.scene, job.graph, job.shared, job.log, job.source.run_map)
         job.account.notes.extend(found.notes)
-        outcome = _run(_starting_at(job, found.cam_from_world), "preview", rigs, modes, "from blocks")
+        outcome = _run(_starting_at(job, found.cam_from_world), "preview", "from blocks")
         if outcome.folders:
-            return _with_others(job, outcome, rigs, modes)
+            return _with_others(job, outcome)
         job.account.notes.append(f"the blocks do not make one model: {outcome.refused}; mapped whole")
-    outcome = _as_long_as_its_rig(job, _mapped(job, rigs, modes, label), rigs, modes)
+    outcome = _as_long_as_its_rig(job, _mapped(job, label))
     # A rough model and one without the rig are steps on the way; what they leave out is dealt with at its end.
-    return outcome if label or job.source.rough else _with_others(job, outcome, rigs, modes)
+    return outcome if label or job.source.rough else _with_others(job, outcome)
 
 
 def _starting_at(job: Job, poses: np.ndarray) -> Job:
@@ -163,12 +192,12 @@ def _starting_at(job: Job, poses: np.ndarray) -> Job:
     return replace(job, source=replace(job.source, preview=poses))
 
 
-def _as_long_as_its_rig(job: Job, outcome: Outcome, rigs: dict[int, Rig], modes: dict[int, str]) -> Outcome:
+def _as_long_as_its_rig(job: Job, outcome: Outcome) -> Outcome:
     """Map again from the poses found where their path is of quite another length than a rig that must not change says.
 
     Cameras that look away from each other hardly tell a mapper; PandaSet's coarse model was 16 times too large.
     """
-    held = [k for k in rigs if held_by_mapper(rigs[k], modes[k], job.tuning.rig)]
+    held = job.rigs.held_by_mapper(job.tuning.rig)
     if not held:
         return outcome
     verified = read_verified(job.source.database, job.scene, job.source.refused)
@@ -177,7 +206,7 @@ def _as_long_as_its_rig(job: Job, outcome: Outcome, rigs: dict[int, Rig], modes:
     most = job.tuning.mapping.other_length
     if length is None or not np.isfinite(length.scale) or 1 / most < length.scale < most:
         return outcome
-    again = _run(_starting_at(job, poses), "preview", rigs, modes, "with its path as long as its rig says")
+    again = _run(_starting_at(job, poses), "preview", "with its path as long as its rig says")
     if again.registered < job.tuning.mapping.clearly_fewer * outcome.registered:
         job.account.notes.append(
             f"the model's path should be {length.scale:.3g} times as long for its rig, by {length.by}; made so, fewer "
@@ -187,7 +216,7 @@ def _as_long_as_its_rig(job: Job, outcome: Outcome, rigs: dict[int, Rig], modes:
     return again
 
 
-def _with_others(job: Job, outcome: Outcome, rigs: dict[int, Rig], modes: dict[int, str]) -> Outcome:
+def _with_others(job: Job, outcome: Outcome) -> Outcome:
     """Say what nothing ties to the first model: a second survey in the folder, for one.
 
     A start from poses makes one model, so that the rest is mapped now; a mapper has made its models already.
@@ -196,8 +225,8 @@ def _with_others(job: Job, outcome: Outcome, rigs: dict[int, Rig], modes: dict[i
     component = job.graph.component
     rest = np.flatnonzero((component >= 0) & ~np.isin(component, np.unique(component[first])))
     if outcome.mapper == "preview" and len(rest) >= job.tuning.mapping.second_survey:
-        mapper = choose_mapper(job.scene, job.settings, bool(rigs), job.tuning.mapping)
-        other = _run(job, mapper, rigs, modes, "of what is not tied to it", only=rest)
+        mapper = choose_mapper(job.scene, job.settings, bool(job.rigs.given), job.tuning.mapping)
+        other = _run(job, mapper, "of what is not tied to it", only=rest)
         both = sorted([*outcome.folders, *other.folders], key=lambda f: -read_model(f).num_reg_images())
         outcome = replace(outcome, folders=both)
     there = [np.isfinite(image_poses(read_model(f), job.scene)).all(axis=(1, 2)) for f in outcome.folders]
@@ -214,11 +243,11 @@ def _with_others(job: Job, outcome: Outcome, rigs: dict[int, Rig], modes: dict[i
     return outcome
 
 
-def _mapped(job: Job, rigs: dict[int, Rig], modes: dict[int, str], label: str) -> Outcome:
+def _mapped(job: Job, label: str) -> Outcome:
     """Run the chosen mapper; under "auto", when clearly fewer images come back than could, again with another seed
     (one start in a dozen on the example fell apart), then the other mapper."""
-    first = choose_mapper(job.scene, job.settings, bool(rigs), job.tuning.mapping)
-    outcome = _run(job, first, rigs, modes, label)
+    first = choose_mapper(job.scene, job.settings, bool(job.rigs.given), job.tuning.mapping)
+    outcome = _run(job, first, label)
     reachable = job.graph.components[0]
     tuning = job.tuning.mapping
     enough = (tuning.roughly_fewer if job.source.rough else tuning.clearly_fewer) * reachable
@@ -227,7 +256,7 @@ def _mapped(job: Job, rigs: dict[int, Rig], modes: dict[int, str], label: str) -
     for mapper, seed in tries:
         if job.settings.mapper != "auto" or outcome.registered >= enough:
             break
-        second = _run(job, mapper, rigs, modes, label, seed)
+        second = _run(job, mapper, label, seed)
         better = second if second.registered > outcome.registered else outcome
         job.account.notes.append(
             f"{outcome.mapper} mapping {label} placed {outcome.registered} of {reachable} connected images, so "
@@ -240,12 +269,10 @@ def _mapped(job: Job, rigs: dict[int, Rig], modes: dict[int, str], label: str) -
                 job.scene, job.graph, "the mapper found no two images to start from, or nothing held together"
             )
         )
-    return _near_given_focal_lengths(job, outcome, rigs, modes, label)
+    return _near_given_focal_lengths(job, outcome, label)
 
 
-def _near_given_focal_lengths(
-    job: Job, outcome: Outcome, rigs: dict[int, Rig], modes: dict[int, str], label: str
-) -> Outcome:
+def _near_given_focal_lengths(job: Job, outcome: Outcome, label: str) -> Outcome:
     """Try the other mapper where a focal length is far from the one given, and keep what explains the images better."""
     if job.settings.mapper != "auto" or job.source.rough:
         return outcome
@@ -253,10 +280,10 @@ def _near_given_focal_lengths(
     off = ran_off(model, job.scene, job.tuning.mapping.other_focal)
     if off is None:
         return outcome
-    again = _run(job, _OTHER[outcome.mapper], rigs, modes, label)
+    again = _run(job, _OTHER[outcome.mapper], label)
     if again.registered < job.tuning.mapping.clearly_fewer * outcome.registered:
         return outcome
-    fixed = [k + 1 for k in rigs if held_by_mapper(rigs[k], modes[k], job.tuning.rig)]
+    fixed = [k + 1 for k in job.rigs.held_by_mapper(job.tuning.rig)]
     believed = believed_cameras(job.scene, job.settings)
     before, after = (
         cost_in_the_end(m, fixed, believed, job.tuning.adjust) for m in (model, read_model(again.folders[0]))
@@ -269,20 +296,20 @@ def _near_given_focal_lengths(
     return kept
 
 
-def _request(job: Job, mapper: str, rigs: dict[int, Rig], modes: dict[int, str], seed: int = 0) -> Request:
+def _request(job: Job, mapper: str, seed: int = 0) -> Request:
     constant = believed_cameras(job.scene, job.settings)
     return Request(
         method=Method(mapper, seed, rough=job.source.rough),
         matches=Matches(job.source.database, job.settings.min_matches, job.source.refused),
         fixed=Fixed(
-            rigs=tuple(k for k in rigs if held_by_mapper(rigs[k], modes[k], job.tuning.rig)),
+            rigs=tuple(job.rigs.held_by_mapper(job.tuning.rig)),
             cameras=constant,
             all_cameras=len(constant) == len(job.scene.all_sensors),
         ),
         images=job.source.images,
         folder=job.out / SCRATCH / f"{len(job.account.runs)}-{mapper}",
         scene=job.scene.to_json(),
-        rigs=Request.rigs_of(rigs),
+        rigs=Request.rigs_of(job.rigs.given),
         positions=mapper == "incremental" and job.settings.use_positions and job.scene.has_positions(),
         tuning=job.tuning,
         poses=job.source.preview if mapper == "preview" else None,
@@ -292,17 +319,15 @@ def _request(job: Job, mapper: str, rigs: dict[int, Rig], modes: dict[int, str],
 def _run(
     job: Job,
     mapper: str,
-    rigs: dict[int, Rig],
-    modes: dict[int, str],
     label: str,
     seed: int = 0,
     only: np.ndarray | None = None,
 ) -> Outcome:
     scene = job.scene
-    request = _request(job, mapper, rigs, modes, seed)
+    request = _request(job, mapper, seed)
     request = replace(request, matches=replace(request.matches, only=only))
     total = len(scene)
-    per_frame = total / max(scene.frames, 1) if rigs else 1.0
+    per_frame = total / max(scene.frames, 1) if job.rigs.given else 1.0
     job.source.on_progress(0, total)
     start = time.monotonic()
     mapped: MappingResult = run_in_child(
@@ -316,7 +341,7 @@ def _run(
     folders = mapped.folders
     job.account.notes.extend(f"{mapper} model: {note}" for note in mapped.notes)
     registered, points = _seeing(folders[0], scene, job.tuning.adjust.min_points) if folders else (0, 0)
-    rig = "+".join(sorted({modes[k] for k in rigs})) or "absent"
+    rig = job.rigs.text()
     held = "positions" if request.positions else "none"
     job.account.runs.append([mapper, rig, held, label, len(folders), registered, points, round(seconds, 1)])
     _log.info("%s mapping, rig %s: %d images in the first of %d models", mapper, rig, registered, len(folders))

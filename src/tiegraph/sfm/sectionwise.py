@@ -11,7 +11,6 @@ from dataclasses import replace
 import numpy as np
 
 from tiegraph.scene.colmapmodel import read_model
-from tiegraph.scene.rig import Rig
 from tiegraph.sfm.database import ViewGraph
 from tiegraph.sfm.mapping import Account, Job, map_images
 from tiegraph.sfm.model import image_poses
@@ -22,14 +21,16 @@ from tiegraph.sfm.verified import read_verified
 COLUMNS = ["section", "images", *TEST_COLUMNS, "joined"]
 
 
-def start_from_sections(job: Job, rigs: dict[int, Rig], modes: dict[int, str]) -> Job:
-    """The job that starts from the poses of its sections, mapped apart and joined."""
+def start_from_sections(job: Job) -> Job:
+    """The job, starting from the poses of its sections where these are to be mapped apart and joined."""
     scene, source = job.scene, job.source
+    if not source.apart:
+        return job
     refused = tuple(sorted({*source.refused, *source.apart}))
     graph = ViewGraph(source.database, scene, job.settings.min_matches, refused)
     account = Account(runs=job.account.runs)  # that a section has no pair with another need not be said
     alone = replace(job, source=replace(source, refused=refused, apart=()), graph=graph, account=account)
-    models = [read_model(folder) for folder in map_images(alone, rigs, modes, "").folders]
+    models = [read_model(folder) for folder in map_images(alone).folders]
     verified = read_verified(source.database, scene, source.refused)
     joining = Joining(scene, verified, job.tuning.placement, models, {0: models[0]})
     while (found := joining.strongest([k for k in range(len(models)) if k not in joining.world])) is not None:
