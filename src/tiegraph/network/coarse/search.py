@@ -8,14 +8,12 @@ count wherever the model is trusted.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import pycolmap
 
-from tiegraph.geometry import transforms
 from tiegraph.network.coarse.assembled import Assembled
+from tiegraph.network.coarse.calibrated import calibrated_scene, turned_deg
 from tiegraph.network.coarse.model import CoarseModel
 from tiegraph.network.coarse.trust import Trust, trust
 from tiegraph.network.coarse.visible import Overlap
@@ -25,7 +23,6 @@ from tiegraph.network.tuning import Tuning
 from tiegraph.network.tuning.coarse import CoarseTuning
 from tiegraph.scene.matches import PreviewMatches
 from tiegraph.scene.pairs import REASONS, Pairs, pair_key
-from tiegraph.scene.rig import Rig, calibrated, camera_from_dict, camera_to_dict
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.strongest import strongest_pairs
 
@@ -63,8 +60,8 @@ class Search:
         self._pairs, self._scene = candidates
         self._cache, self._tuning = cache, tuning
         self._settings, self._per_image = settings[0], float(settings[1].pairs_per_image)
-        self._without = np.zeros(0, np.int64)
-        self._best = np.zeros(0, np.int64), np.zeros(0, np.int64)
+        self._left_out = np.zeros(0, np.int64)  # keys of pairs
+        self._asked = np.zeros(0, np.int64), np.zeros(0, np.int64)
         self._tries: list[_Try] = []
         self._over = False
 
@@ -75,17 +72,17 @@ class Search:
         best = strongest_pairs(self._pairs, self._scene, round(self._per_image))
         if any(t.right() for t in self._tries):  # only a camera was turned too far: no reason to look at more
             best = best.where(np.isfinite(self._cache.known(best.i, best.j)))
-        self._best = best.i, best.j
-        return _ties(best, self._cache, self._without, self._tuning.tie_matches)
+        self._asked = best.i, best.j
+        return _ties(best, self._cache, self._left_out, self._tuning.tie_matches)
 
     def take(self, ties: PreviewMatches, made: Assembled) -> None:
-        """Judge the models made of the ties that were wanted."""
-        tried = self._tried(ties, made)
+        """Judge the models made of the ties that were wanted, and learn from them what to make the next of."""
+        tried = self._judged_try(ties, made)
         self._tries.append(tried)
+        self._over = not tried.models or (tried.right() and not self._loose(tried).any())
         suspects = pair_key(*tried.trust.suspects)
-        self._over = not tried.models or (tried.right() and not tried.loose(self._tries, self._tuning).any())
         if len(suspects):
-            self._without = np.union1d(self._without, suspects)
+            self._left_out = np.union1d(self._left_out, suspects)
         else:
             self._per_image *= self._tuning.more_pairs
 
@@ -95,42 +92,44 @@ class Search:
         Kept pairs that share less than ``candidates.min_overlap`` are dropped for ``overlap``; all others that share as
         much are added with the source ``model``.
         """
-        pairs, scene, tuning, tries = self._pairs, self._scene, self._tuning, self._tries
-        best = max(tries, key=lambda t: (t.right(), not t.loose(tries, tuning).any(), t.trust.explained))
-        said = (f"coarse model: made {len(tries)} times, {tries[0].wrong()}",) if len(tries) > 1 else ()
+        best = self._best()
         if not best.models:
-            return Coarse(
-                pairs=pairs, scene=scene, model=None, trusted=np.zeros(len(scene), bool), notes=(NO_MODEL, *best.notes)
-            )
-        loose = best.loose(tries, tuning)
-        trusted = best.trust.images & ~loose[scene.sensor_key]
-        judged = _judged(pairs, best.overlap, np.where(trusted, best.part, -1), self._settings)
-        judged = judged.drop(_never_tied(judged, scene, self._cache, self._settings, tuning), "votes")
-        model = best.models[0]
-        notes = (*_notes(scene, best), *best.notes, *said, *_loose_notes(scene, loose, best.turned))
-        if model.placed().sum() < tuning.calibrates * len(scene):
-            return Coarse(pairs=judged, scene=scene, model=model, trusted=trusted, notes=notes)
-        rigs, moved = calibrated_rigs(scene.rigs, model.rigs, tuning.most_focal, loose)
-        return Coarse(pairs=judged, scene=scene.with_(rigs=rigs), model=model, trusted=trusted, notes=notes + moved)
+            nowhere = np.zeros(len(self._scene), bool)
+            return Coarse(self._pairs, self._scene, model=None, trusted=nowhere, notes=(NO_MODEL, *best.notes))
+        model, loose = best.models[0], self._loose(best)
+        trusted = best.trust.images & ~loose[self._scene.sensor_key]
+        pairs = _judged(self._pairs, best.overlap, np.where(trusted, best.part, -1), self._settings)
+        pairs = pairs.drop(_never_tied(pairs, self._scene, self._cache, self._settings, self._tuning), "votes")
+        scene, moved = calibrated_scene(self._scene, model, loose, self._tuning)
+        notes = (*self._notes(best, loose), *moved)
+        return Coarse(pairs=pairs, scene=scene, model=model, trusted=trusted, notes=notes)
 
-    def _tried(self, ties: PreviewMatches, made: Assembled) -> _Try:
+    def _best(self) -> _Try:
+        return max(self._tries, key=lambda t: (t.right(), not self._loose(t).any(), t.trust.explained))
+
+    def _loose(self, tried: _Try) -> np.ndarray:
+        """(S,) bool: sensors turned further than a mounting is guessed wrong, and not so in another try: few points
+        hold them (four of nine models of ``canal_demo`` turned the up camera by 55 deg, the others by 1)."""
+        out = tried.turned > self._tuning.most_turn_deg
+        for other in (t for t in self._tries if t is not tried and t.models):
+            out &= np.abs(other.turned - tried.turned) > self._tuning.same_turn_deg
+        return out
+
+    def _notes(self, best: _Try, loose: np.ndarray) -> tuple[str, ...]:
+        again = f"coarse model: made {len(self._tries)} times, {self._tries[0].wrong()}"
+        said = (again,) if len(self._tries) > 1 else ()
+        return (*_notes(self._scene, best), *best.notes, *said, *_loose_notes(self._scene, loose, best.turned))
+
+    def _judged_try(self, ties: PreviewMatches, made: Assembled) -> _Try:
+        """The models with what they predict, and where they are believed."""
         scene, models = self._scene, made.models
-        part = np.full(len(scene), -1)
         if not models:
-            none = np.zeros(len(scene.all_sensors))
-            return _Try(
-                models=(),
-                part=part,
-                overlap=Overlap.together(()),
-                trust=Trust.none(len(scene)),
-                ties=len(ties),
-                notes=made.notes,
-                turned=none,
-            )
+            return _Try.failed(scene, len(ties), made.notes)
+        part = np.full(len(scene), -1)
         for k, one in enumerate(models):
             part[one.placed()] = k
         overlap = Overlap.together([one.overlap(self._settings.axes_deg, self._tuning) for one in models])
-        believed = trust(scene, self._cache, self._best, overlap, part, self._settings, self._tuning.trust)
+        believed = trust(scene, self._cache, self._asked, overlap, part, self._settings, self._tuning.trust)
         i, j = (np.concatenate(both) for both in zip(believed.suspects, made.suspects))
         believed = replace(believed, suspects=(i, j))
         return _Try(
@@ -140,7 +139,7 @@ class Search:
             trust=believed,
             ties=len(ties),
             notes=made.notes,
-            turned=_turned_deg(scene.rigs, models[0].rigs),
+            turned=turned_deg(scene.rigs, models[0].rigs),
         )
 
 
@@ -163,13 +162,18 @@ class _Try:
     notes: tuple[str, ...]
     turned: np.ndarray  # (S,) degrees by which the first model turns the nominal mounting of a sensor, 0 = not nominal
 
-    def loose(self, tries: Sequence[_Try], tuning: CoarseTuning) -> np.ndarray:
-        """(S,) bool: sensors turned further than a mounting is guessed wrong, and not so in another try: few points
-        hold them (four of nine models of ``canal_demo`` turned the up camera by 55 deg, the others by 1)."""
-        out = self.turned > tuning.most_turn_deg
-        for other in (t for t in tries if t is not self and t.models):
-            out &= np.abs(other.turned - self.turned) > tuning.same_turn_deg
-        return out
+    @staticmethod
+    def failed(scene: Scene, ties: int, notes: tuple[str, ...]) -> _Try:
+        """Ties that no model could be made of."""
+        return _Try(
+            models=(),
+            part=np.full(len(scene), -1),
+            overlap=Overlap.together(()),
+            trust=Trust.none(len(scene)),
+            ties=ties,
+            notes=notes,
+            turned=np.zeros(len(scene.all_sensors)),
+        )
 
     def wrong(self) -> str:
         """What was wrong with a try that was not the last."""
@@ -186,68 +190,6 @@ def _ties(best: Pairs, cache: MatchCache, without: np.ndarray, least: int) -> Pr
     ties = cache.matches()
     key = pair_key(ties.i, ties.j)
     return ties.where(np.isin(key, pair_key(best.i, best.j)) & ~np.isin(key, without) & (ties.counts() >= least))
-
-
-def _turned_deg(given: Sequence[Rig], found: Sequence[Rig]) -> np.ndarray:
-    """(S,) by how much the model turns each nominal mounting, 0 for those that are not nominal or not known."""
-    out = []
-    for old, new in zip(given, found):
-        for a, b in zip(old.sensors, new.sensors):
-            known = old.nominal and a.sensor_from_rig is not None and b.sensor_from_rig is not None
-            poses = np.stack(
-                [np.eye(4) if not known or p is None else p for p in (a.sensor_from_rig, b.sensor_from_rig)]
-            )
-            out.append(float(transforms.angle_deg(*poses[:, :3, :3])))
-    return np.array(out)
-
-
-def calibrated_rigs(
-    given: Sequence[Rig], found: Sequence[Rig], most_focal: float, loose: np.ndarray | None = None
-) -> tuple[tuple[Rig, ...], tuple[str, ...]]:
-    """Rigs with what was only guessed replaced by what the model found: cameras that were not calibrated, and of a
-    nominal rig the rotations (its centres nearly coincide: the model's lever arms have no scale to be told by).
-    ``most_focal``: by which factor a focal length of a data sheet may be corrected. Sensors that are ``loose`` (S,) in
-    the model stay as given."""
-    rigs, notes = [], []
-    held = iter(np.zeros(sum(len(r.sensors) for r in given), bool) if loose is None else loose)
-    for old, new in zip(given, found):
-        sensors = []
-        turned = []
-        for a, b in zip(old.sensors, new.sensors):
-            if next(held):
-                sensors.append(a)
-                continue
-            camera = _better_camera(a.camera, b.camera, old.fixed, most_focal)
-            extrinsics = a.sensor_from_rig
-            if old.nominal and extrinsics is not None and b.sensor_from_rig is not None:
-                centre = transforms.centre(extrinsics)
-                rotation = b.sensor_from_rig[:3, :3]
-                turned.append(transforms.angle_deg(extrinsics[:3, :3], rotation))
-                extrinsics = transforms.rigid(rotation, -rotation @ centre)
-            elif extrinsics is None:
-                extrinsics = b.sensor_from_rig
-            sensors.append(replace(a, camera=camera, sensor_from_rig=extrinsics))
-        guessed = old.nominal or not old.known()
-        rigs.append(replace(old, sensors=tuple(sensors), nominal=guessed))
-        if turned:
-            notes.append(f"rig {old.name}: its cameras turned by up to {max(turned):.2f} deg from nominal")
-    return tuple(rigs), tuple(notes)
-
-
-def _better_camera(
-    given: pycolmap.Camera | None, found: pycolmap.Camera | None, fixed: bool, most_focal: float
-) -> pycolmap.Camera | None:
-    """The camera to go on with. A focal length of a data sheet or of EXIF is right to some per cent and says nothing of
-    principal point and distortion; at the side of an image that is more than the degree ``filter`` allows."""
-    if given is None or found is None:
-        return given
-    if not given.has_prior_focal_length:
-        return found
-    change = found.mean_focal_length() / given.mean_focal_length()
-    if fixed or calibrated(given) or not 1 / most_focal < change < most_focal:
-        return given
-    # It was not calibrated: what follows may go on adjusting it.
-    return camera_from_dict({**(camera_to_dict(found) or {}), "prior_focal": False})
 
 
 def _judged(pairs: Pairs, overlap: Overlap, part: np.ndarray, settings: CandidatesSettings) -> Pairs:
