@@ -67,32 +67,71 @@ def join(
     The frame is that of the known poses, if there are some; else that of the first station of the largest part that
     hangs together. Raises ValueError if no two join and no pose is known.
     """
-    pairs = _first_pairs(stations, tuning, told)
-    close, points = tuning.loops.close * stations[0].coarse.side, [_some(s.coarse.xyz) for s in stations]
-    pairs = contradicted(pairs, points, close, tuning.loops)
+    pairs = _uncontradicted(_first_pairs(stations, tuning, told), stations, tuning)
     found = _adjusted_parts(pairs, len(stations), tuning)
+    pairs, found = _grown(pairs, found, stations, tuning)
+    pairs = _without_repeats(pairs, found, stations, tuning)
+    found = _adjusted_parts(pairs, len(stations), tuning)
+    poses, left_out = _in_world(stations, found)
+    loops = _loops_m(found)
+    rows = [loops[p.first, p.second] for p in pairs if not p.why_not]
+    return Joined(
+        poses=poses,
+        sigma_m=_sigma_m(found, len(stations)),
+        pairs=pairs,
+        loop_m=np.array(rows).reshape(-1, 2),
+        left_out=left_out,
+    )
+
+
+def _uncontradicted(pairs: list[Pair], stations: Sequence[Station], tuning: Tuning) -> list[Pair]:
+    """The pairs, of which those have a reason not to be believed that loops of three contradict."""
+    return contradicted(pairs, _points_shown(stations), _close_m(stations, tuning), tuning.loops)
+
+
+def _grown(
+    pairs: list[Pair], found: list[Part], stations: Sequence[Station], tuning: Tuning
+) -> tuple[list[Pair], list[Part]]:
+    """Pairs and adjusted parts after further pairs that the adjusted poses say overlap, until there are none."""
     for _ in range(tuning.loops.rounds):
         more = _further(stations, pairs, found, tuning)
         if not more:
             break
-        pairs = contradicted(pairs + more, points, close, tuning.loops)
+        anew = {(p.first, p.second) for p in more}
+        others = [p for p in pairs if (p.first, p.second) not in anew]
+        pairs = _uncontradicted(others + more, stations, tuning)
         found = _adjusted_parts(pairs, len(stations), tuning)
-    pairs = taken_apart(pairs, _left(found), points, close, tuning.loops)
-    found = _adjusted_parts(pairs, len(stations), tuning)
-    poses, left_out = _in_world(stations, found)
-    sigma = np.full(len(stations), np.nan)
-    loops: dict[tuple[int, int], np.ndarray] = {}
+    return pairs, found
+
+
+def _without_repeats(pairs: list[Pair], found: list[Part], stations: Sequence[Station], tuning: Tuning) -> list[Pair]:
+    """The pairs, of which those have a reason not to be believed that lay a shape that repeats on itself."""
+    left = {ends: float(row[1]) for ends, row in _loops_m(found).items()}
+    return taken_apart(pairs, left, _points_shown(stations), _close_m(stations, tuning), tuning.loops)
+
+
+def _loops_m(found: Sequence[Part]) -> dict[tuple[int, int], np.ndarray]:
+    """By how much the loop of each believed pair does not close before and after the adjustment (2,), metres."""
+    return {(p.first, p.second): row for part in found for p, row in zip(part.pairs, part.loop_m)}
+
+
+def _sigma_m(found: Sequence[Part], count: int) -> np.ndarray:
+    """(count,) sigma of the middle of each cloud against the first of its part; NaN = it is a part alone."""
+    sigma = np.full(count, np.nan)
     for part in found:
-        loops |= {(p.first, p.second): row for p, row in zip(part.pairs, part.loop_m)}
-        for k in part.members:
-            sigma[k] = np.sqrt(np.trace(part.covariance[k, 3:, 3:]) / 3) if len(part.members) > 1 else np.nan
-    rows = [loops[p.first, p.second] for p in pairs if not p.why_not]
-    return Joined(poses=poses, sigma_m=sigma, pairs=pairs, loop_m=np.array(rows).reshape(-1, 2), left_out=left_out)
+        for k in part.members if len(part.members) > 1 else ():
+            sigma[k] = np.sqrt(np.trace(part.covariance[k, 3:, 3:]) / 3)
+    return sigma
 
 
-def _left(found: Sequence[Part]) -> dict[tuple[int, int], float]:
-    """By how much believed pairs contradict the adjusted poses, metres in the middle of the overlap."""
-    return {(p.first, p.second): float(row[1]) for part in found for p, row in zip(part.pairs, part.loop_m)}
+def _close_m(stations: Sequence[Station], tuning: Tuning) -> float:
+    """How far at most an error moves stations that agree."""
+    return tuning.loops.close * stations[0].coarse.side
+
+
+def _points_shown(stations: Sequence[Station]) -> list[np.ndarray]:
+    """Some points (N, 3) of each station."""
+    return [_some(s.coarse.xyz) for s in stations]
 
 
 def _some(xyz: np.ndarray) -> np.ndarray:
@@ -138,9 +177,9 @@ def _by_poses(stations: Sequence[Station], i: int, j: int, start: np.ndarray, tu
     return from_start(i, j, stations, start, tuning)
 
 
-def _further(stations: Sequence[Station], pairs: list[Pair], found: list[Part], tuning: Tuning) -> list[Pair]:
+def _further(stations: Sequence[Station], pairs: Sequence[Pair], found: Sequence[Part], tuning: Tuning) -> list[Pair]:
     """Pairs that overlap by the adjusted poses and have not been believed yet, laid on each other from there."""
-    close = tuning.loops.close * stations[0].coarse.side
+    close = _close_m(stations, tuning)
     believed = {(p.first, p.second) for p in pairs if not p.why_not}
     out = []
     for part in found:
@@ -153,8 +192,6 @@ def _further(stations: Sequence[Station], pairs: list[Pair], found: list[Part], 
                 continue
             if motion(pair.first_from_second @ transforms.invert(start), _some(stations[i].coarse.xyz)) <= close:
                 out.append(pair)
-    ends = {(p.first, p.second) for p in out}
-    pairs[:] = [p for p in pairs if (p.first, p.second) not in ends]
     return out
 
 
