@@ -82,36 +82,81 @@ def design(
     also the strongest pairs of every image and part (``holding``), within a share of a budget of pairs.
     Where they may lose accuracy and all pairs are matched at little ``cost``, nothing is chosen.
     """
-    kept = np.flatnonzero(pairs.dropped == 0)
-    if takes_all(settings, cost, tuning.cost) or not len(kept):
-        said = () if settings.method == "all" or cost is None or not len(kept) else (cost.said(tuning.cost),)
-        return _made(pairs, pairs, said, {})
+    if takes_all(settings, cost, tuning.cost) or not (pairs.dropped == 0).any():
+        return _all_of(pairs, settings, cost, tuning)
     expected = expected_matches(pairs, ties, tuning.expected)
     if settings.method not in _OWN:
-        method = cast(Method, choose_entry("design method", settings.method, METHODS))
-        thin = method(pairs, scene, expected)
-        return _made(pairs, thin.pairs, thin.notes, dict(thin.counts))
-    i, j, strength = pairs.i[kept], pairs.j[kept], expected[kept]
-    known = ties
-    if visibility is not None:
-        seen = predict_matches(i, j, counted_matches(pairs, ties)[kept], visibility, tuning.match_prediction)
-        known, strength = seen.matches, np.where(np.isfinite(seen.expected), seen.expected, strength)
-    start = _start(i, j, strength, scene, _room(settings, len(scene), tuning), tuning)
+        return _by_method(pairs, scene, expected, settings)
+    kept = _kept(pairs, expected, ties, visibility, tuning)
+    start = _start(kept, scene, _room(settings, len(scene), tuning), tuning)
+    choice = _chosen(kept, start, scene, settings, tuning)
+    second = _second_links(kept, choice.places, scene)
+    chosen = pairs.drop(~_mask(len(pairs), kept.row[np.concatenate([choice.places, second])]), "cut")
+    notes = _budget_notes(choice, settings, len(start), len(kept.row), len(scene))
+    return _made(pairs, chosen, notes, _steps(choice, start, second))
+
+
+@dataclass(frozen=True)
+class _Kept:
+    """K kept pairs: their rows in the table, their images, the matches expected of them (K,), and preview matches:
+    those that are known, or would be by the coarse model."""
+
+    row: np.ndarray
+    i: np.ndarray
+    j: np.ndarray
+    strength: np.ndarray
+    known: PreviewMatches | None
+
+
+def _all_of(pairs: Pairs, settings: DesignSettings, cost: Cost | None, tuning: Tuning) -> DesignResult:
+    """All kept pairs, and why."""
+    if settings.method == "all" or cost is None or not (pairs.dropped == 0).any():
+        return _made(pairs, pairs, (), {})
+    return _made(pairs, pairs, (cost.said(tuning.cost),), {})
+
+
+def _by_method(pairs: Pairs, scene: Scene, expected: np.ndarray, settings: DesignSettings) -> DesignResult:
+    """The pairs that a method beside those of this module leaves."""
+    method = cast(Method, choose_entry("design method", settings.method, METHODS))
+    thin = method(pairs, scene, expected)
+    return _made(pairs, thin.pairs, thin.notes, dict(thin.counts))
+
+
+def _kept(
+    pairs: Pairs, expected: np.ndarray, ties: PreviewMatches | None, visibility: Visibility | None, tuning: Tuning
+) -> _Kept:
+    """The kept pairs; the coarse model, where it sees both images, predicts matches better than the previews."""
+    row = np.flatnonzero(pairs.dropped == 0)
+    i, j, strength = pairs.i[row], pairs.j[row], expected[row]
+    if visibility is None:
+        return _Kept(row=row, i=i, j=j, strength=strength, known=ties)
+    seen = predict_matches(i, j, counted_matches(pairs, ties)[row], visibility, tuning.match_prediction)
+    strength = np.where(np.isfinite(seen.expected), seen.expected, strength)
+    return _Kept(row=row, i=i, j=j, strength=strength, known=seen.matches)
+
+
+def _chosen(kept: _Kept, start: np.ndarray, scene: Scene, settings: DesignSettings, tuning: Tuning) -> Choice:
+    """From the start, the strongest pairs of each image, or those that the accuracy gains most by within the budget."""
     if settings.method == "top":
-        chosen = np.union1d(start, strongest_places(i, j, strength, scene, settings.pairs_per_image))
-        choice = Choice(chosen, np.nan, 0)
-    else:
-        candidates = Candidates.make(i, j, strength, known, len(scene))
-        judge = Predictor(candidates, tuning.net, _units(scene)) if settings.budget == "loss" else None
-        choice = choose(candidates, start, _budget(settings, scene), tuning, judge)
-    second = _second_links(i, j, strength, choice.places, scene)
-    keep = np.zeros(len(pairs), bool)
-    keep[kept[np.concatenate([choice.places, second])]] = True
+        top = strongest_places(kept.i, kept.j, kept.strength, scene, settings.pairs_per_image)
+        return Choice(np.union1d(start, top), np.nan, 0)
+    candidates = Candidates.make(kept.i, kept.j, kept.strength, kept.known, len(scene))
+    judge = Predictor(candidates, tuning.net, _units(scene)) if settings.budget == "loss" else None
+    return choose(candidates, start, _budget(settings, scene), tuning, judge)
+
+
+def _mask(count: int, rows: np.ndarray) -> np.ndarray:
+    out = np.zeros(count, bool)
+    out[rows] = True
+    return out
+
+
+def _steps(choice: Choice, start: np.ndarray, second: np.ndarray) -> dict[str, float]:
+    """What the steps chose, by name."""
     counts = {"start": float(len(start)), "second_links": float(len(second)), "rounds": float(choice.rounds)}
     if np.isfinite(choice.loss):
         counts["preview_loss_percent"] = round(100 * choice.loss, 2)
-    notes = _budget_notes(choice, settings, len(start), len(kept), len(scene))
-    return _made(pairs, pairs.drop(~keep, "cut"), notes, counts)
+    return counts
 
 
 def _units(scene: Scene) -> np.ndarray:
@@ -174,9 +219,10 @@ def with_coverage(made: DesignResult, found: Coverage) -> DesignResult:
     )
 
 
-def _start(i: np.ndarray, j: np.ndarray, strength: np.ndarray, scene: Scene, room: int, tuning: Tuning) -> np.ndarray:
+def _start(kept: _Kept, scene: Scene, room: int, tuning: Tuning) -> np.ndarray:
     """Places of the pairs every design keeps: a maximum spanning forest, two links of every group, and within ``room``
     pairs in all what holds every image and part."""
+    i, j, strength = kept.i, kept.j, kept.strength
     chance = verified_chance(strength, tuning.match_prediction)
     rounds = holding(i, j, strength, chance, len(scene), tuning.holding)
     places = np.unique(np.concatenate([rounds[0], *(two_links(i, j, g.member, strength) for g in groups(scene))]))
@@ -185,12 +231,13 @@ def _start(i: np.ndarray, j: np.ndarray, strength: np.ndarray, scene: Scene, roo
     return np.concatenate([places, more[: max(room - len(places), 0)]])
 
 
-def _second_links(i: np.ndarray, j: np.ndarray, strength: np.ndarray, chosen: np.ndarray, scene: Scene) -> np.ndarray:
+def _second_links(kept: _Kept, chosen: np.ndarray, scene: Scene) -> np.ndarray:
     """Places of pairs that give every single link between frames a second one, where there is a candidate for it.
 
     A spanning forest over the pieces that hold together doubly: it crosses every cut that the chosen pairs cross once
     and another candidate crosses too (Nagamochi and Ibaraki 1992).
     """
+    i, j, strength = kept.i, kept.j, kept.strength
     links = frame_links(i[chosen], j[chosen], scene)
     bridge = cuts(links.a, links.b, scene.frames, links.independent > 1).bridge
     piece = parts(links.a[~bridge], links.b[~bridge], scene.frames)[scene.frame]

@@ -28,23 +28,48 @@ LOOKED = "design/matches.npz"
 
 def design(run: Run) -> Outcome:
     """Which of the candidate pairs are matched at full resolution; COLMAP pair lists, one a section and one for all."""
-    scene = checked(run)
-    candidates, known = pairs_of(run, "network.npz"), ties_of(run)
-    settings, tuning = run.settings, run.settings.tuning
-    # In passes false pairs of walls that repeat cost more than time: canal_demo with all 2734 pairs 9.1 mm, with the
-    # 1604 chosen ones 4.8 mm.
-    loose = bool(np.all(scene.sequence[scene.frame] < 0))
-    ties, previews, spent = known, 0, _cost(run, scene, candidates) if loose else None
-    if not takes_all(settings.design, spent, tuning.design.cost):
-        candidates, ties, previews = with_previews(
-            candidates, ties, run.folder, settings.preview, tuning.features.preview, run.map
-        )
-    papers.plug_in(papers.DESIGNS, settings.design.method, METHODS)
-    if settings.design.method in papers.DESIGNS:
-        candidates = with_accuracy(candidates, scene, ties, run.folder, run.map, tuning.sfm.two_view)
-    made = select_pairs(candidates, scene, ties, settings.design, tuning.design, visibility_of(run), spent)
+    scene, candidates, known = checked(run), pairs_of(run, "network.npz"), ties_of(run)
+    spent = _cost_of_all(run, scene, candidates)
+    candidates, ties, previews = _previewed(run, candidates, known, spent)
+    made = _selected(run, scene, candidates, ties, spent)
     made, ties = _covered(run, made, scene, ties)
-    pairs = made.pairs
+    _save(run, scene, made.pairs, ties.where(known.find(ties.i, ties.j) < 0))
+    _draw_map(run, scene, made)
+    again, said = _surface_drawn(run)
+    without = int(np.sum(made.pairs.degree(len(scene)) == 0))
+    counts = {"images_without": without, "previews": previews, **made.counts}
+    looked = (f"{previews} pairs of which nothing was known were previewed first",) if previews else ()
+    return Outcome(counts, notes=(*looked, *made.notes, *said), tables={**made.tables, **again})
+
+
+def _cost_of_all(run: Run, scene: Scene, candidates: Pairs) -> Cost | None:
+    """Of matching all candidates, if these are loose photographs: in passes false pairs of walls that repeat cost more
+    than time (canal_demo with all 2734 pairs 9.1 mm, with the 1604 chosen ones 4.8 mm)."""
+    loose = bool(np.all(scene.sequence[scene.frame] < 0))
+    return _cost(run, scene, candidates) if loose else None
+
+
+def _previewed(
+    run: Run, candidates: Pairs, ties: PreviewMatches, spent: Cost | None
+) -> tuple[Pairs, PreviewMatches, int]:
+    """Candidates and ties after previews of what nothing is known of, where a choice is to be made; how many."""
+    settings, tuning = run.settings, run.settings.tuning
+    if takes_all(settings.design, spent, tuning.design.cost):
+        return candidates, ties, 0
+    return with_previews(candidates, ties, run.folder, settings.preview, tuning.features.preview, run.map)
+
+
+def _selected(run: Run, scene: Scene, candidates: Pairs, ties: PreviewMatches, spent: Cost | None) -> DesignResult:
+    """The engine's choice; a paper's method is plugged in first, with the accuracy that it goes by."""
+    settings, tuning = run.settings.design, run.settings.tuning
+    papers.plug_in(papers.DESIGNS, settings.method, METHODS)
+    if settings.method in papers.DESIGNS:
+        candidates = with_accuracy(candidates, scene, ties, run.folder, run.map, tuning.sfm.two_view)
+    return select_pairs(candidates, scene, ties, settings, tuning.design, visibility_of(run), spent)
+
+
+def _save(run: Run, scene: Scene, pairs: Pairs, looked: PreviewMatches) -> None:
+    """The table of pairs, COLMAP's lists of all and of each section, and the previews that were ``looked`` at here."""
     save_npz(run.path("pairs.npz"), **pairs.to_npz())
     write_atomic(run.path("pairs.txt"), pairs.to_text(scene.names))
     run.path("pairs").mkdir(exist_ok=True)
@@ -52,16 +77,16 @@ def design(run: Run) -> Outcome:
     for number in np.unique(section):
         own = pairs.where((section[pairs.i] == number) | (section[pairs.j] == number))
         write_atomic(run.path("pairs", f"section_{max(number, 0)}.txt"), own.to_text(scene.names))
-    counts = {"images_without": int(np.sum(pairs.degree(len(scene)) == 0)), "previews": previews, **made.counts}
     run.path("design").mkdir(exist_ok=True)
-    save_npz(run.path(*LOOKED.split("/")), **ties.where(known.find(ties.i, ties.j) < 0).to_npz())
+    save_npz(run.path(*LOOKED.split("/")), **looked.to_npz())
+
+
+def _draw_map(run: Run, scene: Scene, made: DesignResult) -> None:
+    """The pairs on a map, the weak ones marked."""
     positions = scene.world_from_rig[:, :3, 3]
     weak = weak_pairs(made.tables.get("weak links", {}), scene)
-    picture = map_png(pairs, positions if np.isfinite(positions).any() else None, scene, weak=weak)
+    picture = map_png(made.pairs, positions if np.isfinite(positions).any() else None, scene, weak=weak)
     write_atomic(run.path("design", "map.png"), picture)
-    tables, said = _surface_drawn(run)
-    looked = (f"{previews} pairs of which nothing was known were previewed first",) if previews else ()
-    return Outcome(counts, notes=(*looked, *made.notes, *said), tables={**made.tables, **tables})
 
 
 def coverage_of(run: Run, chosen: bool) -> Coverage:
