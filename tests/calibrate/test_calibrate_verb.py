@@ -48,7 +48,7 @@ def survey(tmp_path_factory):
 @pytest.fixture(scope="module")
 def made(survey):
     arguments = ["calibrate", str(survey / "images"), "--board", WORDS, "-o", str(survey / "rig.toml")]
-    assert main([*arguments, "--quiet"]) == 0
+    assert main([*arguments, "--pool", "serial", "--quiet"]) == 0
     return survey
 
 
@@ -97,7 +97,7 @@ def test_scan_takes_the_rig_as_it_is_written(made, tmp_path):
     out = tmp_path / "run"
     shutil.copytree(made / "images", tmp_path / "images")
     assert main(["run", str(tmp_path / "images"), "-o", str(out), "--rig", str(made / "rig.toml"), "--until", "scan",
-                 "--quiet"]) == 0  # fmt: skip
+                 "--pool", "serial", "--quiet"]) == 0  # fmt: skip
     sensors = json.loads((out / "scene.json").read_text())["rigs"][0]["sensors"]
     assert [s["name"] for s in sensors] == NAMES
     assert all(s["sigma"][0] > 0 and s["sigma"][1] > 0 for s in sensors[1:])

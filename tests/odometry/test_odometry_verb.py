@@ -80,7 +80,7 @@ def test_a_run_follows_its_own_images(survey, tmp_path):
     assert np.allclose(read_poses(tmp_path / "out" / "odometry" / "path.tum").poses, scene.world_from_rig, atol=1e-6)
     again = open_project(out=tmp_path / "out")
     assert str(again.inputs.trajectory) == "auto" and again.status()[0][1] == ""
-    plain = open_project(out=tmp_path / "out", unset=("trajectory",)).run("scan")
+    plain = open_project(out=tmp_path / "out", pool="serial", unset=("trajectory",)).run("scan")
     assert plain.scene().prior == "none" and not (tmp_path / "out" / "odometry").exists()
 
 

@@ -101,6 +101,7 @@ def test_absent_folder_and_a_file_as_folder(run: Run, images: Path, tmp_path: Pa
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("children_are_functions")
 def test_two_images_make_no_survey_but_a_clear_answer(run: Run, survey: worlds.Survey, tmp_path: Path) -> None:
     pair = tmp_path / "pair"
     pair.mkdir()
@@ -269,6 +270,7 @@ def test_pairs_and_control_points_are_held_against_the_images_at_scan_and_before
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("children_are_functions")
 def test_no_matches_at_all(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     for k in range(5):

@@ -46,7 +46,7 @@ def test_the_guess_of_a_camera(tmp_path: Path) -> None:
 def test_a_run_takes_them_from_its_settings(tmp_path: Path) -> None:
     images, out = papers_rig(tmp_path / "in", cameras=2, frames=2), tmp_path / "out"
     changed = {"scan": {"rig": {"camera": {"guessed_focal": 0.5}}}}
-    project = open_project(images, out, settings={"tuning": changed})
+    project = open_project(images, out, pool="serial", settings={"tuning": changed})
     project.run("scan")
     camera = project.scene().sensor_of(0).camera
     assert camera is not None and camera.mean_focal_length() == 32.0
