@@ -14,7 +14,7 @@ from tiegraph.project import settings as project_settings
 from tiegraph.project.folder import SETTINGS, check_format, names_run, write_settings
 from tiegraph.project.inputs import FOLLOW, Inputs
 from tiegraph.project.progress import Reporter
-from tiegraph.project.run import Run, check_run, let_go, reads_inputs, run_stages, status
+from tiegraph.project.run import Run, check_run, let_go, run_stages, status, without_inputs
 from tiegraph.project.settings import SETTING_OF, Settings
 from tiegraph.project.stages import Stage
 from tiegraph.scene.bags.topics import source_of
@@ -59,7 +59,7 @@ class Project:
     def _run(self, stages: tuple[Stage, ...], until: str | None, reporter: Reporter | None) -> None:
         run = self.as_run(reporter)
         check_run(stages, run)
-        if reads_inputs(stages, run, until):
+        if not without_inputs(stages, run, until):
             check_given(stages, run)
         run_stages(stages, run, until, self.save)
 

@@ -313,7 +313,7 @@ def test_a_setting_that_was_stored_can_be_taken_out_again(run: Run, tmp_path: Pa
     stored = tmp_path / "out/tiegraph.toml"
     assert code == 0 and "folder =" in stored.read_text(), said
     (tmp_path / "masks").rmdir()
-    assert run(until="scan")[0] == 2
+    assert run(until="masks")[0] == 2
     code, said = run("--unset", "masks.folder", "--unset", "masks.source", until="scan")
     assert code == 0 and "folder =" not in stored.read_text(), said
 

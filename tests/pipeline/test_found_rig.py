@@ -414,15 +414,16 @@ def test_a_folder_that_cannot_be_meant_stores_nothing(
 
 def test_a_calibration_that_a_rig_file_names_counts_among_the_inputs(tmp_path: Path) -> None:
     from tiegraph.project.inputs import Inputs
+    from tiegraph.project.stamps import Stamps
 
     (tmp_path / "images").mkdir()
     (tmp_path / "rig.toml").write_text('[[sensors]]\nname = "a"\ncamera = {file = "left.yaml"}\n')
     (tmp_path / "left.yaml").write_text("one")
     given = Inputs(tmp_path / "images", rig=str(tmp_path / "rig.toml"))
-    before = given.key()
-    assert given.key() == before
+    before = given.key(Stamps(tmp_path))
+    assert given.key(Stamps(tmp_path)) == before
     (tmp_path / "left.yaml").write_text("another")
-    assert given.key() != before
+    assert given.key(Stamps(tmp_path)) != before
 
 
 def test_a_camera_with_a_sigma_is_adjusted_and_one_without_is_held() -> None:

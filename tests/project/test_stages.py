@@ -12,7 +12,7 @@ from tiegraph.errors import InputError
 from tiegraph.project.folder import working_in
 from tiegraph.project.inputs import Inputs
 from tiegraph.project.pool import map_items, open_pool
-from tiegraph.project.run import Run, let_go, reads_inputs, run_stages, status
+from tiegraph.project.run import Run, let_go, run_stages, status, without_inputs
 from tiegraph.project.stages import Outcome, Stage, write_atomic
 from tiegraph.settings import Section
 
@@ -178,11 +178,14 @@ def test_one_file_that_is_gone_is_a_change_and_a_folder_that_is_gone_counts_as_i
     images.rename(tmp_path / "elsewhere")
     assert [why for _, why, _ in status(STAGES, make())] == ["", "", ""]
     assert run_stages(STAGES, make(third=One(value=9))) == ["third"]
-    assert not reads_inputs((*STAGES[:2], replace(STAGES[2], alone=True)), make(third=One(value=4)), None)
-    assert reads_inputs(STAGES, make(third=One(value=4)), None)
+    alone = (*STAGES[:2], replace(STAGES[2], alone=True))
+    assert without_inputs(alone, make(third=One(value=4)), None)
+    assert not without_inputs(STAGES, make(third=One(value=4)), None)
+    assert not without_inputs(STAGES, make(third=One(value=9), second=Two(file=tmp_path / "nowhere")), "third")
     (tmp_path / "elsewhere").rename(images)
     later(images / "a.jpg", images / "b.jpg")
     assert run_stages(STAGES, make(third=One(value=9))) == []
+    assert not without_inputs(alone, make(third=One(value=4)), None)  # they are there: they are looked at
     (images / "b.jpg").unlink()
     assert run_stages(STAGES, make(third=One(value=9))) == ["first", "second", "third"]
 

@@ -174,7 +174,7 @@ def _held(headings_deg, pitch_deg, roll_deg, rng):
     return turned @ Rotation.from_euler("z", rolls[:, None], degrees=True).as_matrix()
 
 
-@pytest.mark.parametrize("pitch_deg", [25.0, -50.0, -90.0], ids=["up a facade", "down at a find", "a drone"])
+@pytest.mark.parametrize("pitch_deg", [25.0, 60.0, -50.0], ids=["up a facade", "up at a bridge", "down at a find"])
 def test_photographs_held_level_say_which_way_is_up_however_they_are_pitched(pitch_deg: float) -> None:
     rng = np.random.default_rng(3)
     up = _up(_held(rng.uniform(-60, 60, 30), pitch_deg, 4.0, rng))
@@ -187,6 +187,7 @@ def test_photographs_of_one_heading_tell_the_roll_only_and_those_held_anyhow_not
     facade = _up(_held(rng.uniform(-4, 4, 30), 10.0, 2.0, rng))
     assert not facade.tilt and 8 < _off_deg(facade) < 12 and facade.sigma_deg == TUNING.up.lone_sigma_deg
     assert _up(_held([0.0, 180.0] * 10, -90.0, 1.0, rng)) is None  # lines of a drone, to and fro
+    assert _up(_held(rng.uniform(-180, 180, 30), -90.0, 1.0, rng)) is None  # straight down, or straight up?
     assert _up(Rotation.random(40, random_state=5).as_matrix()) is None
 
 

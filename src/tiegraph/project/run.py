@@ -133,10 +133,11 @@ def _given_by_settings(settings: Any) -> dict[str, Path]:
     return {f"--{s}.{n.replace('_', '-')}": value for s, n, value in named if isinstance(value, Path)}
 
 
-def reads_inputs(stages: Sequence[Stage], run: Run, until: str | None) -> bool:
-    """Whether a stage that is out of date, up to and including ``until``, reads what the user gave."""
+def without_inputs(stages: Sequence[Stage], run: Run, until: str | None) -> bool:
+    """Whether inputs are gone, and no stage that is out of date, up to and including ``until``, reads any."""
     names = {s.name for s in needed(stages, until) if not s.alone}
-    return any(why for name, why, _ in status(stages, run) if name in names)
+    stale = any(why for name, why, _ in status(stages, run) if name in names)
+    return not stale and run.stamps.gone
 
 
 def run_stages(

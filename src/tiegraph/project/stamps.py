@@ -28,6 +28,12 @@ class Stamps:
         self._seen: dict[str, _Entry] = {}
         self._asked: dict[str, Any] = {}
 
+    @property
+    def gone(self) -> bool:
+        """Whether something of what was asked for is gone, and all that is not there was there once."""
+        lacking = [name for name in self._asked if not _there(name)]
+        return all(n in self._given for n in lacking) and any(self._given[n] is not None for n in lacking)
+
     def __call__(self, path: Path) -> Any:
         """Names, sizes and times of a file, or of all files below a folder; None if it was never there."""
         return self.of(path, lambda: self.now(path))

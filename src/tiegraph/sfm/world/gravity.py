@@ -59,13 +59,17 @@ def up_vector(cam_from_world: np.ndarray, scene: Scene, tuning: UpTuning) -> Up 
 
 
 def _across_horizon(turns: np.ndarray, tuning: UpTuning) -> Up | None:
-    """The direction across the x axes of cameras (N, 3, 3); None where it is not better known than by their tops.
+    """The direction across the x axes of cameras (N, 3, 3); None where it is not better known than by their tops, or
+    where these do not tell its sense: cameras that look straight up and straight down see alike.
 
     Along the axes' second direction the sigma is that of one camera over their spread in it: 1 for headings all round.
     """
-    x, down = turns[:, 0], turns[:, 1] + turns[:, 2]
+    x = turns[:, 0]
     spread, axes = np.linalg.eigh(x.T @ x / len(x))
-    up = axes[:, 0] * (-1.0 if np.sum(down @ axes[:, 0]) > 0 else 1.0)
+    top = -float(np.mean(turns[:, 1] @ axes[:, 0]))
+    if abs(top) < 1 - tuning.agreement:
+        return None
+    up = axes[:, 0] * np.sign(top)
     lean = np.degrees(np.sqrt(np.mean(np.arcsin(np.clip(x @ up, -1, 1)) ** 2)))
     sigma = max(tuning.ring_sigma_deg, float(lean)) / float(np.sqrt(max(2 * spread[1], 1e-12)))
     if sigma >= tuning.lone_sigma_deg:

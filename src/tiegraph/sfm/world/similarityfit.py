@@ -293,7 +293,7 @@ def _refuse_upside_down(now: Fitted, tuning: WorldTuning) -> None:
     Two passes side by side and mirrored are the same passes turned over, so that the residuals of a fit tell nothing.
     """
     evidence, fixes, up = now.evidence, now.fixes, now.up
-    if up is None or not up.tilt or len(fixes) < tuning.similarity_fit.min_positions:
+    if up is None or not up.ring or len(fixes) < tuning.similarity_fit.min_positions:
         return
     rows = np.arange(len(evidence.frame)) < len(fixes)
     free = replace(evidence.where(rows), sigma=fixes.sigma).with_arm(estimate=True).without_orientations()

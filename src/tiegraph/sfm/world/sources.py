@@ -166,8 +166,9 @@ def rig_statement(scale: RigScale | None, result: Similarity, used: bool) -> lis
 
 
 def up_statements(up: Up | None, result: Similarity, used: bool) -> list[Statement]:
-    """What the cameras say of the tilt. Tops of cameras to one side say nothing: they may look down or be held so."""
-    if up is None or not (up.tilt or used):
+    """What a ring of cameras says of the tilt. Those to one side say nothing unless they are needed: they may be held or
+    mounted anyhow, upside down too."""
+    if up is None or not (up.ring or used):
         return []
     lean = result.rotation @ up.direction
     values = np.degrees([-np.arctan2(lean[1], lean[2]), -np.arctan2(lean[0], lean[2])])
