@@ -166,8 +166,8 @@ def rig_statement(scale: RigScale | None, result: Similarity, used: bool) -> lis
 
 
 def up_statements(up: Up | None, result: Similarity, used: bool) -> list[Statement]:
-    """What a ring of cameras says of the tilt. Those to one side say nothing unless they are needed: they may be held or
-    mounted anyhow, upside down too."""
+    """What a ring of cameras says of the tilt. Those to one side say nothing unless they are needed: they may be held
+    or mounted anyhow, upside down too."""
     if up is None or not (up.ring or used):
         return []
     lean = result.rotation @ up.direction
