@@ -8,6 +8,7 @@ from tiegraph.pipeline import STAGES
 from tiegraph.project.folder import SETTINGS
 from tiegraph.project.settings import PRESETS, Settings, changed, merged, preset, read_file, sections
 from tiegraph.project.stages import stage_keys
+from tiegraph.project.stamps import Stamps
 
 
 def test_every_preset_is_valid_and_changes_what_it_says():
@@ -46,7 +47,7 @@ def test_the_constants_of_an_engine_are_in_reach_and_in_the_keys_of_its_stages(t
     assert open_project(out=out).settings == project.settings
     changed_values = {"filter": {"min_agree": 9, "motion": {"trials": 300, "steps": 4}}}
     assert read_file(out / SETTINGS)["tuning"] == changed_values == changed(project.settings)["tuning"]
-    before, after = (stage_keys(STAGES, s, "images") for s in (Settings(), project.settings))
+    before, after = (stage_keys(STAGES, s, "images", Stamps(out)) for s in (Settings(), project.settings))
     needs_filter = {"filter", "sparse", "georef", "refine", "dense", "cloud", "evaluate", "report"}
     assert {name for name in before if before[name] != after[name]} == needs_filter
 

@@ -135,9 +135,11 @@ def _given_by_settings(settings: Any) -> dict[str, Path]:
 
 def without_inputs(stages: Sequence[Stage], run: Run, until: str | None) -> bool:
     """Whether inputs are gone, and no stage that is out of date, up to and including ``until``, reads any."""
+    run.keys(stages)  # asks for every input
+    if not run.stamps.gone:
+        return False
     names = {s.name for s in needed(stages, until) if not s.alone}
-    stale = any(why for name, why, _ in status(stages, run) if name in names)
-    return not stale and run.stamps.gone
+    return not any(why for name, why, _ in status(stages, run) if name in names)
 
 
 def run_stages(

@@ -62,27 +62,14 @@ def digest(data: Any) -> str:
     return hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
 
 
-def stamp(path: Path) -> Any:
-    """Names, sizes and modification times of a file or of all files below a folder; None if it is not there."""
-    if path.is_dir():
-        files = sorted(p for p in path.rglob("*") if p.is_file())
-        return [[p.relative_to(path).as_posix(), *stamp(p)] for p in files]
-    if not path.exists():
-        return None
-    info = path.stat()
-    return [info.st_size, info.st_mtime_ns]
-
-
-def settings_key(section: Any, stamp: Callable[[Path], Any] = stamp) -> Any:
+def settings_key(section: Any, stamp: Callable[[Path], Any]) -> Any:
     """A settings section as data; the files and folders it names count with their stamps."""
     values = section.model_dump(mode="json")
     files = {n: stamp(v) for n in type(section).model_fields if isinstance(v := getattr(section, n), Path)}
     return {"values": values, "files": files}
 
 
-def key_parts(
-    stage: Stage, settings: Any, sources: Mapping[str, Any], stamp: Callable[[Path], Any] = stamp
-) -> dict[str, str]:
+def key_parts(stage: Stage, settings: Any, sources: Mapping[str, Any], stamp: Callable[[Path], Any]) -> dict[str, str]:
     """What a stage's key counts beside the keys of what it needs: name -> digest. ``sources``: what counts of each
     input of the run, by what the user calls it; it counts for the stages that need no other."""
     parts: dict[str, Any] = {} if stage.needs else dict(sources)
@@ -119,9 +106,7 @@ def remove(path: Path) -> None:
         path.unlink(missing_ok=True)
 
 
-def stage_keys(
-    stages: Iterable[Stage], settings: Any, source_key: str, stamp: Callable[[Path], Any] = stamp
-) -> dict[str, str]:
+def stage_keys(stages: Iterable[Stage], settings: Any, source_key: str, stamp: Callable[[Path], Any]) -> dict[str, str]:
     """The key of every stage; ``stamp``: by what a change of a file is noticed."""
     keys = {"source": source_key}
     for stage in stages:
