@@ -44,7 +44,7 @@ def up_vector(cam_from_world: np.ndarray, scene: Scene, tuning: UpTuning) -> Up 
     count, (top, looking) = _of_frames(scene.frame[use], (-turns[:, 1], turns[:, 2]))
     several = count > 1
     ring = several.any() and float(np.linalg.norm(looking[several], axis=1).mean()) < tuning.round
-    horizon = None if ring else _across_horizon(turns, tuning)
+    horizon = None if ring else across_horizon(turns, tuning)
     if horizon is not None:
         return horizon
     mean = -turns[:, 1].mean(axis=0)
@@ -58,7 +58,7 @@ def up_vector(cam_from_world: np.ndarray, scene: Scene, tuning: UpTuning) -> Up 
     return Up(direction=mean, sigma_deg=sigma, ring=True, tilt=True, cameras="the ring of side cameras")
 
 
-def _across_horizon(turns: np.ndarray, tuning: UpTuning) -> Up | None:
+def across_horizon(turns: np.ndarray, tuning: UpTuning) -> Up | None:
     """The direction across the x axes of cameras (N, 3, 3); None where it is not better known than by their tops, or
     where these do not tell its sense: cameras that look straight up and straight down see alike.
 
