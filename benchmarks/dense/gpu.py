@@ -98,20 +98,17 @@ def measure(name: str, left: np.ndarray, right: np.ndarray, device: cuda.Matcher
     row["pyramid by kernel"] = by_kernel(device, lambda: pyramid(TsgmTuning()))
 
     options = tsgm._options(TsgmTuning(cost="census"), True)
-    strip = slice(0, int(256e6 / left.shape[1] / disparities) or 1)
-    a, b = device.upload(left[strip]), device.upload(right[strip])
+    strips = tsgm._strips(np.full(len(left), left.shape[1] * disparities), TsgmTuning().strip_overlap_px)
+    a, b = device.upload(left), device.upload(right)
 
     def full() -> object:
-        return device.match_dense(a, b, 0, disparities, options)
+        return device.match_dense(a, b, (0, disparities), options, None, strips)
 
-    cells = a.size * disparities
     row["full gpu ms"] = median_ms(full, REPEATS, wait)
     row["full by kernel"] = by_kernel(device, full)
-    row["full cells"] = cells
-    row["full gpu Gdisp/s"] = cells / row["full gpu ms"] / 1e6
-    row["full native ms"] = median_ms(
-        lambda: tsgm._sgm.match_dense(left[strip], right[strip], 0, disparities, options, tsgm._workspace()), 2
-    )
+    row["full gpu Gdisp/s"] = a.size * disparities / row["full gpu ms"] / 1e6
+    native = tsgm._Native()
+    row["full native ms"] = median_ms(lambda: native.match_dense(left, right, (0, disparities), options, None, strips), 1)
     return row
 
 

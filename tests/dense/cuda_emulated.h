@@ -38,9 +38,13 @@ static unsigned* exchange(unsigned value) {
 static void __syncwarp(unsigned) { pause_lane(); }
 static unsigned __shfl_xor_sync(unsigned, unsigned v, int mask, int) { const int l = lane; return exchange(v)[l ^ mask]; }
 static unsigned __shfl_sync(unsigned, unsigned v, int from, int) { return exchange(v)[from]; }
-static unsigned __shfl_up_sync(unsigned, unsigned v, int by, int) {
+static unsigned __shfl_up_sync(unsigned, unsigned v, int by, int width) {
   const int l = lane;
-  return exchange(v)[l >= by ? l - by : l];
+  return exchange(v)[l % width >= by ? l - by : l];
+}
+static unsigned __shfl_down_sync(unsigned, unsigned v, int by, int width) {
+  const int l = lane;
+  return exchange(v)[l % width + by < width ? l + by : l];
 }
 static int __popcll(unsigned long long v) { return __builtin_popcountll(v); }
 static int __float2int_rn(float v) { return static_cast<int>(std::lrintf(v)); }

@@ -5,6 +5,7 @@ import shutil
 import subprocess
 from functools import lru_cache
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 
@@ -44,8 +45,12 @@ class Emulated:
     empty, zeros, full = staticmethod(np.empty), staticmethod(np.zeros), staticmethod(np.full)
     asarray, asnumpy = staticmethod(np.array), staticmethod(np.array)
 
-    def __init__(self, folder):
-        self.folder = folder
+    def __init__(self, folder, room=1 << 40):
+        self.folder, self.room = folder, room
+        self.cuda = SimpleNamespace(runtime=SimpleNamespace(memGetInfo=lambda: (self.room, 1 << 40)))
+
+    def get_default_memory_pool(self):
+        return SimpleNamespace(free_bytes=lambda: 0, free_all_blocks=lambda: None)
 
     def RawModule(self, code, options):
         source = self.folder / "tsgm.cpp"

@@ -25,12 +25,17 @@ Array = Any  # of the device, (CuPy's classes have no types)
 _THREADS = 128
 _SHARED_BYTES = 48 << 10  # of shared memory that every GPU gives a block without being asked
 _GUARDS = 16  # bytes around the path costs of a pixel
-_GROUPS = (4, 8, 16, 32)  # lanes that walk a path together, four disparities each
+_GROUPS = (4, 8, 16, 32)  # lanes that walk a path together, words of four disparities each
+_DENSE = ((4, 1), (4, 2), (8, 2), (16, 2), (32, 2), (32, 4), (32, 8), (32, 16))  # lanes and words of the kernels for one range
 _BLOCK = 16  # disparities of a block
-_MAX_DISPARITIES = 16 * 255
+_MAX_BLOCKS = 255
 _PATHS = 8
+_CELL_BYTES = 1 + _PATHS  # a matching cost, and what each path adds to it
+_PIXEL_BYTES = 64  # everything else that a match holds
 _FARTHEST = 0xFFFFFFFF
-_LARGEST_COST = 127  # with 127 of a path it fits a byte: what the native module never has to cut off
+_LARGEST_COST = 127  # with 127 of a path it fits a byte
+
+Strips = list[tuple[slice, slice]]  # rows matched together, and which of them count
 
 
 @lru_cache(maxsize=1)
@@ -97,10 +102,10 @@ class Matcher:
         self._run("joint_greys", left.size, left, right, disparity, *sizes, counts)
         return self.download(counts)
 
-    def ranges(self, coarse: Array, width: int, height: int, rules: RangeRules) -> tuple[Array, Array, int]:
-        """First disparity (h, w) i2, blocks of 16 (h, w) u1 of each pixel, and their disparities in all."""
-        if not 1 <= rules.count <= _MAX_DISPARITIES:
-            raise ValueError(f"1 to {_MAX_DISPARITIES} disparities")
+    def ranges(self, coarse: Array, width: int, height: int, rules: RangeRules) -> tuple[Array, Array]:
+        """First disparity (h, w) i2 and blocks of 16 (h, w) u1 of each pixel."""
+        if not 1 <= rules.count <= _BLOCK * _MAX_BLOCKS:
+            raise ValueError(f"1 to {_BLOCK * _MAX_BLOCKS} disparities")
         xp, (h, w) = self.xp, coarse.shape
         sizes = [(h, w)]
         while sizes[-1] != (1, 1) or len(sizes) < 3:
@@ -120,94 +125,153 @@ class Matcher:
         first, blocks = xp.empty((height, width), np.int16), xp.empty((height, width), np.uint8)
         numbers = (width, height, rules.low, rules.count, rules.margin, rules.hole_limit)
         self._run("find_ranges", h * w, *near, *grids, *(np.int32(n) for n in numbers), first, blocks)
-        return first, blocks, _BLOCK * int(blocks.sum(dtype=np.int64))
+        return first, blocks
+
+    def row_blocks(self, blocks: Array) -> tuple[np.ndarray, np.ndarray]:
+        """(h,) blocks of each row of ``blocks`` (h, w) u1, and of its pixel that has most; not on the device."""
+        height, width = blocks.shape
+        rows = self.xp.empty((2, height), np.uint32)
+        self._run("row_blocks", 32 * height, blocks, *_ints(width, height), rows[0], rows[1])
+        sums, most = self.download(rows).astype(np.int64)
+        return sums, most
 
     def match_dense(
         self,
         left: Array,
         right: Array,
-        low: int,
-        count: int,
+        span: tuple[int, int],
         options: Options,
-        mutual: np.ndarray | None = None,
+        mutual: np.ndarray | None,
+        strips: Strips,
     ) -> Array:
-        """Disparity (h, w) f4, NaN = none, over one range for all pixels."""
-        padded = -(-count // _BLOCK) * _BLOCK
-        ranges = (*4 * (np.uint64(0),), np.int32(low), np.int32(count), np.int32(padded), np.int32(left.shape[1]))
-        return self._match(left, right, ranges, left.size * padded, padded, padded, options, mutual)
+        """Disparity (h, w) f4, NaN = none, over one range for all pixels: ``span`` = (lowest, number)."""
+        group, words = next(d for d in _DENSE if 4 * d[0] * d[1] >= span[1])
+        padded = -(-span[1] // max(_BLOCK, 4 * words)) * max(_BLOCK, 4 * words)
+        width = left.shape[1]
+
+        def match(batch: Strips) -> Array:
+            job = _Job(self, left, right, batch, options, mutual)
+            ranges = (np.uint64(0), *_ints(*span, padded, width, job.height))
+            job.cost(ranges, job.height * width * padded, padded)
+            walk = job.left, job.table, *ranges, job.bounds, *_ints(len(batch), options.small)
+            job.walk(f"dense_paths_{group}_{words}", group, _THREADS, 0, walk)
+            return job.finished(ranges, padded)
+
+        return self._in_batches(match, strips, np.full(left.shape[0], width * padded), width)
 
     def match_ragged(
         self,
         left: Array,
         right: Array,
-        first: Array,
-        blocks: Array,
-        options: Options,
-        mutual: np.ndarray | None = None,
-    ) -> Array:
-        """The same with ``blocks`` of 16 disparities from ``first`` on for each pixel."""
-        xp, (height, width) = self.xp, left.shape
-        place, rows = xp.empty((height, width), np.uint32), xp.empty((2, height), np.uint32)
-        self._run("lay_out", 32 * height, blocks, np.int32(width), np.int32(height), place, rows)
-        sums, most = self.download(rows).astype(np.uint64)
-        starts = np.concatenate([[np.uint64(0)], np.cumsum(sums, dtype=np.uint64)])
-        none = np.int32(0)
-        ranges = (first, blocks, place, self.upload(starts[:-1]), none, none, none, np.int32(width))
-        cells = int(starts[-1])
-        return self._match(left, right, ranges, cells, cells / left.size, _BLOCK * int(most.max()), options, mutual)
-
-    def _match(
-        self,
-        left: Array,
-        right: Array,
-        ranges: tuple[Any, ...],
-        cells: int,
-        mean: float,
-        most: int,
+        ranges: tuple[Array, Array],
         options: Options,
         mutual: np.ndarray | None,
+        strips: Strips,
     ) -> Array:
-        xp, (height, width), right_width = self.xp, left.shape, right.shape[1]
-        rx, ry = options.radius_x, options.radius_y
-        bits = [xp.empty(image.shape, np.uint64) for image in (left, right)]
-        for image, out in zip((left, right), bits):
-            self._run("census", image.size, image, *_ints(image.shape[1], height, rx, ry), out)
-        outside = ((2 * rx + 1) * (2 * ry + 1) - 1) * 2 // 3
-        told = self.upload(mutual) if mutual is not None else np.uint64(0)
-        cost, parts = xp.empty(cells, np.uint8), xp.empty(_PATHS * cells, np.uint8)
-        group = _group(mean)
-        pixels = left.size * group
-        here = (*ranges, np.int32(height))
-        tail = _ints(right_width, options.mode, outside)
-        self._run(f"costs_{group}", pixels, *bits, left, right, told, *here, *tail, cost)
-        self._walk(_fitting(group, most), (cost, left, self._table(options), *here), options, most, cells, parts)
-        best, around = xp.empty((height, width), np.int16), xp.empty((3, height, width), np.uint16)
-        right_best = xp.full((height, right_width), _FARTHEST, np.uint32)
-        tail = (np.uint64(cells), *_ints(right_width, options.uniqueness))
-        self._run(f"winners_{group}", pixels, cost, parts, *here, *tail, best, around, right_best)
-        disparity = xp.empty((height, width), np.float32)
-        tail = _ints(width, height, right_width, options.left_right, options.parabola)
-        self._run("finish", left.size, best, around, right_best, *tail, disparity)
-        return disparity
+        """The same with a range for each pixel: ``ranges`` = (first disparities, blocks of 16)."""
+        first, blocks = ranges
+        width = left.shape[1]
+        sums, largest = self.row_blocks(blocks)
+        most = _BLOCK * int(largest.max())
 
-    def _table(self, options: Options) -> Array:
-        return self.upload(np.array(options.large_by_step or [options.large] * 16, np.uint8))
+        def match(batch: Strips) -> Array:
+            job = _Job(self, left, right, batch, options, mutual)
+            starts = np.concatenate([[0], np.cumsum(self._rows(sums, batch))])
+            pixels = self.xp.empty((job.height, width), np.uint64)
+            own = self._rows(first, batch), self._rows(blocks, batch), self.upload(starts[:-1].astype(np.uint32))
+            self._run("lay_out", 32 * job.height, job.left, *own, *_ints(width, job.height), pixels)
+            here = (pixels, *_ints(0, 0, 0, width, job.height))
+            mean = _BLOCK * starts[-1] / pixels.size
+            job.cost(here, _BLOCK * int(starts[-1]), mean)
+            group, threads, shared = _shared(_group(mean), most + _GUARDS)
+            walk = job.table, *here, job.bounds, *_ints(len(batch), options.small, most + _GUARDS)
+            job.walk(f"ragged_paths_{group}", group, threads, shared, walk)
+            return job.finished(here, mean)
 
-    def _walk(self, group: int, begin: tuple[Any, ...], options: Options, most: int, cells: int, parts: Array) -> None:
-        """All eight paths of every pixel."""
-        height, width = begin[1].shape
-        pitch = most + _GUARDS
-        bytes_of_warp = 2 * (32 // group) * pitch
-        warps = max(1, min(_THREADS // 32, _SHARED_BYTES // bytes_of_warp))
-        chains = max(height, width)
-        blocks = -(-chains // (warps * 32 // group))
-        kernel = self._module.get_function(f"paths_{group}")
-        arguments = (*begin, *_ints(options.small, pitch), np.uint64(cells), parts)
-        kernel((blocks, _PATHS), (32 * warps,), arguments, shared_mem=warps * bytes_of_warp)
+        return self._in_batches(match, strips, _BLOCK * sums, width)
+
+    def _rows(self, array: Array, batch: Strips) -> Array:
+        """The rows of strips, one strip after another."""
+        return array[batch[0][0]] if len(batch) == 1 else np.concatenate([array[outer] for outer, _ in batch])
+
+    def _in_batches(self, match: Callable[[Strips], Array], strips: Strips, cells: np.ndarray, width: int) -> Array:
+        """The rows that count, of as many strips at a time as the device has room for; ``cells`` (h,) of each row."""
+        room, batches, used = self._room(), [[strips[0]]], 0
+        for strip in strips:
+            needs = _CELL_BYTES * int(cells[strip[0]].sum()) + _PIXEL_BYTES * width * (strip[0].stop - strip[0].start)
+            if used and used + needs > room:
+                batches.append([])
+                used = 0
+            if strip is not strips[0]:
+                batches[-1].append(strip)
+            used += needs
+        parts = []
+        for batch in batches:
+            found, begin = match(batch), 0
+            for outer, inner in batch:
+                parts.append(found[begin + inner.start : begin + inner.stop])
+                begin += outer.stop - outer.start
+        return parts[0] if len(parts) == 1 else np.concatenate(parts)
+
+    def _room(self) -> int:
+        """Bytes of the device that are free, or kept by this process for its next pair."""
+        return self.xp.cuda.runtime.memGetInfo()[0] + self.xp.get_default_memory_pool().free_bytes()
 
     def _run(self, name: str, threads: int, *arguments: Any) -> None:
         kernel: Callable[..., None] = self._module.get_function(name)
         kernel((-(-threads // _THREADS),), (_THREADS,), arguments)
+
+
+class _Job:
+    """One launch after another for some strips of a pair."""
+
+    def __init__(
+        self, device: Matcher, left: Array, right: Array, batch: Strips, options: Options, mutual: np.ndarray | None
+    ) -> None:
+        self.device, self.xp, self.options = device, device.xp, options
+        self.left, self.right = (device._rows(image, batch) for image in (left, right))
+        heights = [outer.stop - outer.start for outer, _ in batch]
+        self.height, self.strips = sum(heights), len(batch)
+        self.bounds = device.upload(np.concatenate([[0], np.cumsum(heights)]).astype(np.int32))
+        self.table = device.upload(np.array(options.large_by_step or [options.large] * 16, np.uint8))
+        if mutual is not None and mutual.max() > _LARGEST_COST:
+            raise ValueError(f"costs of mutual information go up to {_LARGEST_COST}")
+        self.mutual = np.uint64(0) if mutual is None else device.upload(mutual)
+
+    def cost(self, ranges: tuple[Any, ...], cells: int, mean: float) -> None:
+        """The matching costs of all disparities."""
+        rx, ry = self.options.radius_x, self.options.radius_y
+        bits = []
+        for image in (self.left, self.right):
+            out = self.xp.empty(image.shape, np.uint64)
+            self.device._run("census", out.size, image, *_ints(*out.shape[::-1]), self.bounds, *_ints(rx, ry), out)
+            bits.append(out)
+        outside = ((2 * rx + 1) * (2 * ry + 1) - 1) * 2 // 3
+        tail = _ints(self.right.shape[1], self.options.mode, outside)
+        self.volume, self.cells, group = self.xp.empty(cells, np.uint8), cells, _group(mean)
+        images = *bits, self.left, self.right, self.mutual
+        self.device._run(f"costs_{group}", group * self.left.size, *images, *ranges, *tail, self.volume)
+
+    def walk(self, name: str, group: int, threads: int, shared: int, arguments: tuple[Any, ...]) -> None:
+        """All eight paths of every pixel."""
+        each = 32 // group
+        warps = max(-(-self.height // each), self.strips * -(-self.left.shape[1] // each))
+        self.parts = self.xp.empty(_PATHS * self.cells, np.uint8)
+        kernel = self.device._module.get_function(name)
+        arguments = self.volume, *arguments, np.uint64(self.cells), self.parts
+        kernel((-(-32 * warps // threads), _PATHS), (threads,), arguments, shared_mem=shared)
+
+    def finished(self, ranges: tuple[Any, ...], mean: float) -> Array:
+        """Disparities (h, w) f4 of all rows."""
+        xp, options, right_width, group = self.xp, self.options, self.right.shape[1], _group(mean)
+        best, around = xp.empty(self.left.shape, np.int16), xp.empty((3, *self.left.shape), np.uint16)
+        right_best = xp.full(self.right.shape, _FARTHEST, np.uint32)
+        tail = np.uint64(self.cells), *_ints(right_width, options.uniqueness), best, around, right_best
+        self.device._run(f"winners_{group}", group * self.left.size, self.volume, self.parts, *ranges, *tail)
+        disparity = xp.empty(self.left.shape, np.float32)
+        tail = _ints(*self.left.shape[::-1], right_width, options.left_right, options.parabola)
+        self.device._run("finish", self.left.size, best, around, right_best, *tail, disparity)
+        return disparity
 
 
 def _ints(*numbers: int) -> tuple[np.int32, ...]:
@@ -215,10 +279,13 @@ def _ints(*numbers: int) -> tuple[np.int32, ...]:
 
 
 def _group(mean: float) -> int:
-    """Lanes for a path whose pixels have ``mean`` disparities."""
+    """Lanes for a pixel that has ``mean`` disparities."""
     return next((g for g in _GROUPS if 4 * g >= mean), _GROUPS[-1])
 
 
-def _fitting(group: int, most: int) -> int:
-    """The same or more lanes, so that the path costs of a warp fit into shared memory."""
-    return next(g for g in _GROUPS if g >= group and 2 * (32 // g) * (most + _GUARDS) <= _SHARED_BYTES)
+def _shared(group: int, pitch: int) -> tuple[int, int, int]:
+    """(lanes for a path, threads of a block, its bytes of shared memory), where a path costs twice ``pitch`` bytes."""
+    group = next(g for g in _GROUPS if g >= group and 2 * (32 // g) * pitch <= _SHARED_BYTES)
+    warp = 2 * (32 // group) * pitch
+    warps = max(1, min(_THREADS // 32, _SHARED_BYTES // warp))
+    return group, 32 * warps, warps * warp

@@ -1,8 +1,8 @@
 // The matcher of native/sgm on a GPU: the same whole numbers, so the same bits. Compiled at run time (dense/cuda.py).
 //
-// Each of the eight paths is walked by a group of G lanes, four neighbouring disparities a lane; what a path adds to
-// the matching cost (0 .. P2, one byte) goes to memory, and one more kernel sums up and finds the winners. Path costs of
-// the pixel before stay in shared memory, with 255 beyond both ends. The right image is not mirrored here.
+// Each of the eight paths is walked by a group of G lanes, words of four neighbouring disparities a lane; what a path
+// adds to the matching cost (0 .. P2, one byte) goes to memory, and one more kernel sums up and finds the winners. The
+// right image is not mirrored here.
 // Units: disparity d = x_left - x_right in pixels; costs are whole numbers. No libraries are included.
 
 typedef unsigned char u8;
@@ -22,28 +22,33 @@ __device__ inline int clamped(int x, int low, int high) { return x < low ? low :
 __device__ inline u32 even(u32 v) { return v & BYTES; }
 __device__ inline u32 odd(u32 v) { return v >> 8 & BYTES; }
 
-// The disparities of each pixel: of one range (first null), or of its own, some blocks of 16.
-struct Ranges {
-  const i16* first;
-  const u8* blocks;
-  const u32* place;     // (height, width): where a pixel begins in its row of the volumes
-  const u64* row;       // (height): where a row begins in the volumes
-  int low, count, padded, width;
-};
-
+// The disparities of a pixel in the volumes.
 struct Span {
   int first, n;         // n: as stored, a multiple of 16
-  u64 cell;             // where it begins in the volumes
+  u64 cell;             // where it begins
 };
 
-__device__ inline Span span_of(const Ranges& r, int x, int y) {
-  const u64 pixel = (u64)y * r.width + x;
-  if (!r.first) return {r.low, r.padded, pixel * r.padded};
-  return {r.first[pixel], 16 * r.blocks[pixel], r.row[y] + r.place[pixel]};
+// A pixel with a range of its own, eight bytes: one load.
+struct Pixel {
+  u32 block;            // where it begins in the volumes, in blocks of 16
+  i16 first;
+  u8 blocks, grey;
+};
+
+// The disparities of all pixels: one range (pixels null), or each its own.
+struct Ranges {
+  const Pixel* pixels;
+  int low, count, padded, width, height;
+};
+
+__device__ inline Span span_of(const Ranges& r, u64 pixel) {
+  if (!r.pixels) return {r.low, r.padded, pixel * r.padded};
+  const Pixel p = r.pixels[pixel];
+  return {p.first, 16 * p.blocks, 16ull * p.block};
 }
 
-#define RANGES const i16 *first, const u8 *blocks, const u32 *place, const u64 *row, int low, int count, int padded, int width
-#define RANGES_HERE const Ranges ranges = {first, blocks, place, row, low, count, padded, width}
+#define RANGES const Pixel *pixels, int low, int count, int padded, int width, int height
+#define RANGES_HERE const Ranges ranges = {pixels, low, count, padded, width, height}
 #define THREAD ((u64)blockIdx.x * blockDim.x + threadIdx.x)
 
 // --- between the levels ----------------------------------------------------------------------------------------------
@@ -187,39 +192,60 @@ extern "C" __global__ void find_ranges(const i16* lows, const i16* highs, const 
   }
 }
 
-// Where each pixel begins in its row of the volumes; a warp a row. rows (2, height): cells of a row, blocks of its
-// pixel that has most.
-extern "C" __global__ void lay_out(const u8* blocks, int width, int height, u32* place, u32* rows) {
+// Blocks (height) of each row, and of its pixel that has most (height); a warp a row.
+extern "C" __global__ void row_blocks(const u8* blocks, int width, int height, u32* sums, u32* most) {
   const int y = (int)(THREAD / 32), lane = threadIdx.x % 32;
   if (y >= height) return;
-  u32 before = 0, most = 0;
+  u32 sum = 0, largest = 0;
+  for (int x = lane; x < width; x += 32) {
+    sum += blocks[(u64)y * width + x];
+    largest = max(largest, (u32)blocks[(u64)y * width + x]);
+  }
+  for (int other = 16; other; other /= 2) {
+    sum += __shfl_xor_sync(ALL, sum, other, 32);
+    largest = max(largest, __shfl_xor_sync(ALL, largest, other, 32));
+  }
+  if (lane) return;
+  sums[y] = sum;
+  most[y] = largest;
+}
+
+// The pixels of each row, which begins at `starts` in blocks of 16; a warp a row.
+extern "C" __global__ void lay_out(const u8* image, const i16* first, const u8* blocks, const u32* starts, int width,
+                                   int height, Pixel* pixels) {
+  const int y = (int)(THREAD / 32), lane = threadIdx.x % 32;
+  if (y >= height) return;
+  u32 before = starts[y];
   for (int x = lane; x - lane < width; x += 32) {
-    const u32 own = x < width ? 16u * blocks[(u64)y * width + x] : 0u;
+    const u64 at = (u64)y * width + x;
+    const u32 own = x < width ? (u32)blocks[at] : 0u;
     u32 sum = own;
-    most = max(most, own / 16);
     for (int step = 1; step < 32; step *= 2) {
       const u32 other = __shfl_up_sync(ALL, sum, step, 32);
       if (lane >= step) sum += other;
     }
-    if (x < width) place[(u64)y * width + x] = before + sum - own;
+    if (x < width) pixels[at] = {before + sum - own, first[at], (u8)own, image[at]};
     before += __shfl_sync(ALL, sum, 31, 32);
   }
-  for (int other = 16; other; other /= 2) most = max(most, __shfl_xor_sync(ALL, most, other, 32));
-  if (lane) return;
-  rows[y] = before;
-  rows[height + y] = most;
 }
 
 // --- matching --------------------------------------------------------------------------------------------------------
 
+// Rows are those of one strip after another, which know nothing of each other: `strips` (strips + 1) says where each
+// begins.
+
 // One bit for each pixel of the window around the centre: 1 where it is not brighter.
-extern "C" __global__ void census(const u8* image, int width, int height, int radius_x, int radius_y, u64* out) {
+extern "C" __global__ void census(const u8* image, int width, int height, const int* strips, int radius_x, int radius_y,
+                                  u64* out) {
   if (THREAD >= (u64)width * height) return;
   const int x = (int)(THREAD % width), y = (int)(THREAD / width);
+  int strip = 0;
+  while (strips[strip + 1] <= y) ++strip;
+  const int top = strips[strip], last = strips[strip + 1] - 1;
   const u8 centre = image[THREAD];
   u64 bits = 0;
   for (int dy = -radius_y; dy <= radius_y; ++dy) {
-    const u8* line = image + (u64)clamped(y + dy, 0, height - 1) * width;
+    const u8* line = image + (u64)clamped(y + dy, top, last) * width;
     for (int dx = -radius_x; dx <= radius_x; ++dx) {
       if (dx || dy) bits = bits << 1 | (u64)(line[clamped(x + dx, 0, width - 1)] <= centre);
     }
@@ -230,14 +256,14 @@ extern "C" __global__ void census(const u8* image, int width, int height, int ra
 // Matching costs; mode 0 census, 1 its mean with mutual information, 2 that alone. 255 beyond one range's `count`.
 template <int G>
 __device__ void costs(const u64* left_bits, const u64* right_bits, const u8* left, const u8* right, const u8* mutual,
-                      const Ranges& r, int height, int right_width, int mode, int outside, u8* cost) {
+                      const Ranges& r, int right_width, int mode, int outside, u8* cost) {
   const u64 pixel = THREAD / G;
-  if (pixel >= (u64)r.width * height) return;
+  if (pixel >= (u64)r.width * r.height) return;
   const int x = (int)(pixel % r.width), y = (int)(pixel / r.width);
-  const Span span = span_of(r, x, y);
+  const Span span = span_of(r, pixel);
   const u64 bits = left_bits[pixel], there = (u64)y * right_width;
   const u8* table = mode ? mutual + 256 * left[pixel] : left;
-  const int limit = r.first ? span.n : r.count;
+  const int limit = r.pixels ? span.n : r.count;
   for (int b = 4 * (int)(threadIdx.x % G); b < span.n; b += 4 * G) {
     u32 word = 0;
     for (int k = 0; k < 4; ++k) {
@@ -263,41 +289,125 @@ __device__ inline u32 least_of_group(u32 key) {
   return key;
 }
 
-// A pixel on the way of a path.
-struct Stop {
-  Span span;
-  u8 grey;
-  bool begins;          // the path begins here: there is no pixel before
-};
-
+// A path through one strip. Diagonal paths that leave the image begin anew on the other side.
 struct Way {
-  int x, y, step_x, step_y, i, length;
+  int x, y, step_x, step_y, i, length, width;
+  bool begins;          // there is no pixel before
+
+  __device__ bool ended() const { return i >= length; }
+  __device__ u64 pixel() const { return (u64)y * width + x; }
+  __device__ void go_on() {
+    x += step_x;
+    y += step_y;
+    ++i;
+    begins = x < 0 || x >= width;
+    if (begins && step_y) x += x < 0 ? width : -width;
+  }
 };
 
-// The pixel at which the way stands; moves it on. Diagonal paths that leave the image begin anew on the other side.
-__device__ inline Stop fetch(Way& way, const Ranges& r, const u8* image, bool& wrapped) {
-  if (way.i >= way.length) return {{0, 0, 0}, 0, true};
-  const Stop stop = {span_of(r, way.x, way.y), image[(u64)way.y * r.width + way.x], way.i == 0 || wrapped};
-  way.x += way.step_x;
-  way.y += way.step_y;
-  ++way.i;
-  wrapped = way.step_y && (way.x < 0 || way.x >= r.width);
-  if (wrapped) way.x += way.x < 0 ? r.width : -r.width;
-  return stop;
+// Directions 0 to 3 are the native module's first sweep, 4 to 7 the second. A warp's paths, 32 / G, lie in one strip and
+// are equally long; those too many do the last one again.
+template <int G>
+__device__ inline Way way_of(const Ranges& r, const int* strips) {
+  const int forward = blockIdx.y < 4 ? 1 : -1, kind = blockIdx.y % 4, each = 32 / G, own = threadIdx.x % 32 / G;
+  const int warp = (int)(THREAD / 32), warps = (r.width + each - 1) / each;
+  const int row = min(warp * each + own, r.height - 1);
+  if (!kind) return {forward > 0 ? 0 : r.width - 1, row, forward, 0, 0, r.width, r.width, true};
+  const int strip = warp / warps, top = strips[strip], rows = strips[strip + 1] - top;
+  const int x = min(warp % warps * each + own, r.width - 1), y = forward > 0 ? top : top + rows - 1;
+  return {x, y, forward * (kind == 3 ? -1 : kind == 1), forward, 0, rows, r.width, true};
 }
 
-// What the path adds to the costs of four disparities that stand at `at` in the range of the pixel before (n
-// disparities, whose path costs with their guards are `before`): min(L(d), L(d - 1) + P1, L(d + 1) + P1, min L + P2) -
-// min L, and P2 outside that range.
-__device__ inline u32 added(const u32* before, int at, int n, u32 base, u32 penalty, u32 small) {
+// Whether this warp has paths at all: a launch has the same number of warps for all directions.
+template <int G>
+__device__ inline bool idle(const Ranges& r, int number) {
+  const int each = 32 / G, warp = (int)(THREAD / 32);
+  return blockIdx.y % 4 ? warp >= number * ((r.width + each - 1) / each) : warp * each >= r.height;
+}
+
+__device__ inline u32 doubled(u32 v) { return v * 0x10001u; }
+__device__ inline u32 packed(u32 even, u32 odd) { return even + (odd << 8); }
+
+// What a path adds to the costs of disparities, from the path costs of the pixel before:
+// min(L(d), L(d - 1) + P1, L(d + 1) + P1, min L + P2) - min L.
+__device__ inline u32 added(u32 less, u32 same, u32 more, u32 small, u32 jump, u32 base) {
+  return __vminu2(__vminu2(__vminu2(less, more) + small, same), jump) - base;
+}
+
+__device__ inline u32 penalty_of(const u8* table, bool begins, int grey, int before) {
+  return begins ? 0u : (u32)table[min(abs(grey - before) >> 2, 15)];
+}
+
+// One range for all pixels: path costs stay in registers, W words of four disparities a lane.
+template <int W>
+struct alignas(W < 4 ? 4 * W : 16) Words {
+  u32 v[W];
+};
+
+template <int G, int W>
+__device__ void dense_paths(const u8* cost, const u8* image, const u8* table, const Ranges& r, const int* strips,
+                            int number, int small, u64 cells, u8* parts) {
+  const int own = threadIdx.x % G, b = 4 * W * own;
+  if (idle<G>(r, number)) return;
+  Way way = way_of<G>(r, strips);
+  const bool has = b < r.padded;
+  const u8* from = cost + b;
+  u8* out = parts + blockIdx.y * cells + b;
+  const u32 step = doubled(small);
+  u32 e[W], o[W], base = 0;
+  Words<W> ahead;
+  for (int w = 0; w < W; ++w) {
+    e[w] = o[w] = 0;
+    ahead.v[w] = ALL;
+  }
+  u64 cell = way.pixel() * r.padded;
+  bool begins = true;
+  int grey = image[way.pixel()], grey_before = grey;
+  if (has) ahead = *(const Words<W>*)(from + cell);
+  while (!way.ended()) {
+    const Words<W> now = ahead;
+    const u64 cell_now = cell;
+    const u32 penalty = penalty_of(table, begins, grey, grey_before);
+    grey_before = grey;
+    way.go_on();
+    begins = way.begins;
+    if (!way.ended()) {
+      cell = way.pixel() * r.padded;
+      grey = image[way.pixel()];
+      if (has) ahead = *(const Words<W>*)(from + cell);
+    }
+    const u32 before = __shfl_up_sync(ALL, o[W - 1], 1, G), after = __shfl_down_sync(ALL, e[0], 1, G);
+    const u32 low = doubled(base), jump = low + doubled(penalty);
+    u32 least = ALL, last = own ? before : 0xff0000u;  // odd disparities of the word before
+    Words<W> part;
+#pragma unroll
+    for (int w = 0; w < W; ++w) {
+      const u32 next = w + 1 < W ? e[w + 1 < W ? w + 1 : w] : own + 1 < G ? after : 0xffu;
+      const u32 pe = added(__byte_perm(last, o[w], 0x5432), e[w], o[w], step, jump, low);
+      const u32 po = added(e[w], o[w], __byte_perm(e[w], next, 0x5432), step, jump, low);
+      last = o[w];
+      part.v[w] = packed(pe, po);
+      e[w] = even(now.v[w]) + pe;
+      o[w] = odd(now.v[w]) + po;
+      least = __vminu2(least, __vminu2(e[w], o[w]));
+    }
+    if (has) *(Words<W>*)(out + cell_now) = part;
+    base = least_of_group<G>(min(least & 0xffffu, least >> 16));
+  }
+}
+
+// Ranges of their own: the path costs of the pixel before stand in shared memory, with 255 beyond both ends. What the
+// path adds to the costs of four disparities that stand at `at` in the range of the pixel before (n disparities): P2
+// outside it.
+__device__ inline u32 added_at(const u32* before, int at, int n, u32 base, u32 penalty, u32 small) {
   const int i = clamped(at, -4, n), a = i - 1 + GUARD, shift = (a & 3) * 8;
   const u32 *p = before + (a >> 2), p0 = p[0], p1 = p[1], p2 = p[2];
   const u32 less = __funnelshift_r(p0, p1, shift), more = __funnelshift_r(p1, p2, shift);
   const u32 same = __byte_perm(less, more, 0x4321), next = __byte_perm(less, more, 0x5432);
-  const u32 low = base * 0x10001u, jump = low + penalty * 0x10001u;
-  const u32 e = __vminu2(__vminu2(__vminu2(even(less), even(next)) + small, even(same)), jump) - low;
-  const u32 o = __vminu2(__vminu2(__vminu2(odd(less), odd(next)) + small, odd(same)), jump) - low;
-  u32 part = e | o << 8;
+  const u32 low = doubled(base), jump = low + doubled(penalty);
+  const u32 e = added(even(less), even(same), even(next), small, jump, low);
+  const u32 o = added(odd(less), odd(same), odd(next), small, jump, low);
+  u32 part = packed(e, o);
   if (i < 0 || i > n - 4) {
     u32 inside = i == -4 ? 0u : i < 0 ? ALL << (-8 * i) : ALL;
     const int left = n - i;
@@ -307,55 +417,74 @@ __device__ inline u32 added(const u32* before, int at, int n, u32 base, u32 pena
   return part;
 }
 
-__device__ inline u32 cost_at(const u8* cost, const Stop& stop, int b) {
-  return b < stop.span.n ? *(const u32*)(cost + stop.span.cell + b) : ALL;
+__device__ inline Pixel pixel_at(const Ranges& r, const Way& way) {
+  return way.ended() ? Pixel{0, 0, 0, 0} : r.pixels[way.pixel()];
 }
 
-// Directions 0 to 3 are the native module's first sweep, 4 to 7 the second. `table`: adaptive P2 by grey step.
+#define FETCHED 4  // words a lane holds of the costs of the next pixel: more are read when they are needed
+
 template <int G>
-__device__ void paths(const u8* cost, const u8* image, const u8* table, const Ranges& r, int height, int small,
-                      int pitch, u64 cells, u8* parts) {
+__device__ inline void fetch(const u8* cost, const Pixel& p, int own, u32* words) {
+  const u32* from = (const u32*)(cost + 16ull * p.block) + own;
+#pragma unroll
+  for (int w = 0; w < FETCHED; ++w) words[w] = 4 * (own + w * G) < 16 * p.blocks ? from[w * G] : ALL;
+}
+
+template <int G>
+__device__ void ragged_paths(const u8* cost, const u8* table, const Ranges& r, const int* strips, int number, int small,
+                             int pitch, u64 cells, u8* parts) {
   extern __shared__ u32 shared[];
-  const int direction = blockIdx.y, forward = direction < 4 ? 1 : -1, kind = direction % 4;
-  Way way = {0, 0, forward * (kind == 3 ? -1 : kind != 2), forward * (kind != 0), 0, kind ? height : r.width};
-  const int chains = kind ? r.width : height, lane = threadIdx.x % 32, own = lane % G;
-  const int first_chain = (int)(THREAD / 32) * (32 / G);
-  if (first_chain >= chains) return;
-  const int chain = min(first_chain + lane / G, chains - 1);  // groups too many do the last one again
-  way.x = kind ? chain : forward > 0 ? 0 : r.width - 1;
-  way.y = kind ? (forward > 0 ? 0 : height - 1) : chain;
+  if (idle<G>(r, number)) return;
+  const int own = threadIdx.x % G;
+  Way way = way_of<G>(r, strips);
   u32 *line = shared + threadIdx.x / G * 2 * (pitch / 4), *before = line + pitch / 4;
   for (int i = own; i < pitch / 4; i += G) line[i] = before[i] = ALL;
-  u8* out = parts + direction * cells;
-  const u32 step = (u32)small * 0x10001u;
-  bool wrapped = false;
-  Stop here = fetch(way, r, image, wrapped), next = fetch(way, r, image, wrapped);
-  u32 ahead = cost_at(cost, here, 4 * own), base = 0;
-  int first_before = 0, n_before = 0, grey_before = 0;
+  u8* out = parts + blockIdx.y * cells;
+  const u32 step = doubled(small);
+  bool begins = true;
+  Pixel here = pixel_at(r, way);
+  way.go_on();
+  bool begins_next = way.begins;
+  Pixel next = pixel_at(r, way), last = {0, 0, 0, 0};
+  u32 ahead[FETCHED], base = 0;
+  fetch<G>(cost, here, own, ahead);
   __syncwarp(ALL);
-  for (int i = 0; i < way.length; ++i) {
-    const u32 now = ahead;
-    ahead = cost_at(cost, next, 4 * own);
-    const Stop later = fetch(way, r, image, wrapped);
-    const u32 penalty = here.begins ? 0 : table[min(abs(here.grey - grey_before) >> 2, 15)];
-    const int n = here.span.n, offset = here.span.first - first_before;
-    u32 low = BYTES;
-    for (int b = 4 * own; b < n; b += 4 * G) {
-      const u32 c = b == 4 * own ? now : *(const u32*)(cost + here.span.cell + b);
-      const u32 part = added(before, offset + b, n_before, base, penalty, step);
-      *(u32*)(out + here.span.cell + b) = part;
-      const u32 e = __vminu2(even(c) + even(part), BYTES), o = __vminu2(odd(c) + odd(part), BYTES);
-      line[(GUARD + b) / 4] = e | o << 8;
-      low = __vminu2(low, __vminu2(e, o));
+  while (here.blocks) {
+    u32 now[FETCHED];
+#pragma unroll
+    for (int w = 0; w < FETCHED; ++w) now[w] = ahead[w];
+    fetch<G>(cost, next, own, ahead);
+    if (!way.ended()) way.go_on();
+    const Pixel later = pixel_at(r, way);
+    const u32 penalty = penalty_of(table, begins, here.grey, last.grey);
+    const int n = 16 * here.blocks, n_before = 16 * last.blocks, offset = here.first - last.first;
+    const u64 cell = 16ull * here.block;
+    u32 least = ALL;
+#pragma unroll
+    for (int w = 0; w < FETCHED; ++w) {
+      const int b = 4 * (own + w * G);
+      if (b >= n) break;
+      const u32 part = added_at(before, offset + b, n_before, base, penalty, step), c = now[w];
+      *(u32*)(out + cell + b) = part;
+      const u32 e = even(c) + even(part), o = odd(c) + odd(part);
+      line[(GUARD + b) / 4] = packed(e, o);
+      least = __vminu2(least, __vminu2(e, o));
+    }
+    for (int b = 4 * (own + FETCHED * G); b < n; b += 4 * G) {
+      const u32 part = added_at(before, offset + b, n_before, base, penalty, step);
+      const u32 c = *(const u32*)(cost + cell + b);
+      *(u32*)(out + cell + b) = part;
+      const u32 e = even(c) + even(part), o = odd(c) + odd(part);
+      line[(GUARD + b) / 4] = packed(e, o);
+      least = __vminu2(least, __vminu2(e, o));
     }
     if (own < GUARD / 4) line[(GUARD + n) / 4 + own] = ALL;
-    base = min(low & 0xffffu, low >> 16);
-    base = least_of_group<G>(base);
-    first_before = here.span.first;
-    n_before = n;
-    grey_before = here.grey;
+    base = least_of_group<G>(min(least & 0xffffu, least >> 16));
+    last = here;
     here = next;
     next = later;
+    begins = begins_next;
+    begins_next = way.begins;
     u32* other = line;
     line = before;
     before = other;
@@ -392,12 +521,12 @@ __device__ inline u32 total_of(const u8* cost, const u8* parts, u64 cells, u64 c
 
 // The winner of each pixel, total costs before, at and after it, and for each right pixel the cheapest left one.
 template <int G>
-__device__ void winners(const u8* cost, const u8* parts, const Ranges& r, int height, u64 cells, int right_width,
-                        int uniqueness, i16* best, u16* around, u32* right_best) {
-  const u64 pixels = (u64)r.width * height, mine = THREAD / G, pixel = mine < pixels ? mine : pixels - 1;
+__device__ void winners(const u8* cost, const u8* parts, const Ranges& r, u64 cells, int right_width, int uniqueness,
+                        i16* best, u16* around, u32* right_best) {
+  const u64 pixels = (u64)r.width * r.height, mine = THREAD / G, pixel = mine < pixels ? mine : pixels - 1;
   const int x = (int)(pixel % r.width), y = (int)(pixel / r.width), own = threadIdx.x % G;
-  const Span span = span_of(r, x, y);
-  const int limit = r.first ? span.n : r.count;
+  const Span span = span_of(r, pixel);
+  const int limit = r.pixels ? span.n : r.count;
   u32 key = ALL;
   for (int b = 4 * own; b < limit; b += 4 * G) {
     const Total t = total_at(cost, parts, cells, span.cell + b);
@@ -449,23 +578,37 @@ extern "C" __global__ void finish(const i16* best, const u16* around, const u32*
 
 #define FOR_GROUP(G)                                                                                                  \
   extern "C" __global__ void costs_##G(const u64* left_bits, const u64* right_bits, const u8* left, const u8* right, \
-                                       const u8* mutual, RANGES, int height, int right_width, int mode, int outside, \
-                                       u8* cost) {                                                                    \
+                                       const u8* mutual, RANGES, int right_width, int mode, int outside, u8* cost) {  \
     RANGES_HERE;                                                                                                      \
-    costs<G>(left_bits, right_bits, left, right, mutual, ranges, height, right_width, mode, outside, cost);           \
+    costs<G>(left_bits, right_bits, left, right, mutual, ranges, right_width, mode, outside, cost);                   \
   }                                                                                                                   \
-  extern "C" __global__ void paths_##G(const u8* cost, const u8* image, const u8* table, RANGES, int height,          \
-                                       int small, int pitch, u64 cells, u8* parts) {                                  \
+  extern "C" __global__ void ragged_paths_##G(const u8* cost, const u8* table, RANGES, const int* strips, int number, \
+                                              int small, int pitch, u64 cells, u8* parts) {                           \
     RANGES_HERE;                                                                                                      \
-    paths<G>(cost, image, table, ranges, height, small, pitch, cells, parts);                                         \
+    ragged_paths<G>(cost, table, ranges, strips, number, small, pitch, cells, parts);                                 \
   }                                                                                                                   \
-  extern "C" __global__ void winners_##G(const u8* cost, const u8* parts, RANGES, int height, u64 cells,              \
-                                         int right_width, int uniqueness, i16* best, u16* around, u32* right_best) {  \
+  extern "C" __global__ void winners_##G(const u8* cost, const u8* parts, RANGES, u64 cells, int right_width,         \
+                                         int uniqueness, i16* best, u16* around, u32* right_best) {                   \
     RANGES_HERE;                                                                                                      \
-    winners<G>(cost, parts, ranges, height, cells, right_width, uniqueness, best, around, right_best);                \
+    winners<G>(cost, parts, ranges, cells, right_width, uniqueness, best, around, right_best);                        \
+  }
+
+#define FOR_WORDS(G, W)                                                                                               \
+  extern "C" __global__ void dense_paths_##G##_##W(const u8* cost, const u8* image, const u8* table, RANGES,          \
+                                                   const int* strips, int number, int small, u64 cells, u8* parts) {  \
+    RANGES_HERE;                                                                                                      \
+    dense_paths<G, W>(cost, image, table, ranges, strips, number, small, cells, parts);                               \
   }
 
 FOR_GROUP(4)
 FOR_GROUP(8)
 FOR_GROUP(16)
 FOR_GROUP(32)
+FOR_WORDS(4, 1)
+FOR_WORDS(4, 2)
+FOR_WORDS(8, 2)
+FOR_WORDS(16, 2)
+FOR_WORDS(32, 2)
+FOR_WORDS(32, 4)
+FOR_WORDS(32, 8)
+FOR_WORDS(32, 16)

@@ -122,17 +122,53 @@ class _Native:
     upload = download = staticmethod(np.ascontiguousarray)
 
     def __init__(self) -> None:
-        self.halve, self.joint_greys, self.ranges = _sgm.halve, _sgm.joint_greys, _sgm.ranges
+        self.halve, self.joint_greys = _sgm.halve, _sgm.joint_greys
 
-    def match_dense(self, left: Array, right: Array, low: int, count: int, options: _sgm.Options, mutual: Array) -> Array:
-        """One range for all pixels."""
-        return _sgm.match_dense(left, right, low, count, options, _workspace(), mutual)[0]
+    def ranges(self, coarse: Array, width: int, height: int, rules: _sgm.RangeRules) -> tuple[Array, Array]:
+        """First disparities and blocks of each pixel."""
+        first, blocks, _ = _sgm.ranges(coarse, width, height, rules)
+        return first, blocks
+
+    def row_blocks(self, blocks: Array) -> tuple[np.ndarray, np.ndarray]:
+        """(h,) blocks of each row, and of its pixel that has most."""
+        return blocks.sum(axis=1, dtype=np.int64), blocks.max(axis=1)
+
+    def match_dense(
+        self,
+        left: Array,
+        right: Array,
+        span: tuple[int, int],
+        options: _sgm.Options,
+        mutual: Array | None,
+        strips: cuda.Strips,
+    ) -> Array:
+        """One range for all pixels, (lowest, number); the rows that count."""
+
+        def match(rows: slice) -> Array:
+            return _sgm.match_dense(left[rows], right[rows], *span, options, _workspace(), mutual)[0]
+
+        return _joined([match(outer)[inner] for outer, inner in strips])
 
     def match_ragged(
-        self, left: Array, right: Array, first: Array, blocks: Array, options: _sgm.Options, mutual: Array
+        self,
+        left: Array,
+        right: Array,
+        ranges: tuple[Array, Array],
+        options: _sgm.Options,
+        mutual: Array | None,
+        strips: cuda.Strips,
     ) -> Array:
-        """A range for each pixel."""
-        return _sgm.match_ragged(left, right, first, blocks, options, _workspace(), mutual)[0]
+        """A range for each pixel, (first disparities, blocks of 16); the rows that count."""
+
+        def match(rows: slice) -> Array:
+            own = (part[rows] for part in (left, right, *ranges))
+            return _sgm.match_ragged(*own, options, _workspace(), mutual)[0]
+
+        return _joined([match(outer)[inner] for outer, inner in strips])
+
+
+def _joined(parts: list[Array]) -> Array:
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
 def _match(
@@ -179,11 +215,9 @@ def _match(
             found = kernels.upload(without_speckles(kernels.download(found) - rules.low, size_px, jump_px) + rules.low)
         coarser = level
     assert found is not None
-    found = kernels.download(found)
-    found += np.float32(aligned)
+    found = found + np.float32(aligned)
     inside = (found > -0.5) & (found < disparities - 0.5)  # whole blocks reach a little over the range
-    found[~inside] = np.nan
-    return found
+    return kernels.download(np.where(inside, found, np.float32(np.nan)))
 
 
 def _halved(use: Array | None) -> Array | None:
@@ -243,28 +277,21 @@ class _Level:
     def full(self, mutual: np.ndarray | None = None) -> Array:
         """Every disparity at every pixel."""
         height, width = self.left.shape
-        low, count = self.rules.low, self.rules.count
-        parts = []
-        for strip, inner in _strips(np.full(height, width * count), self.overlap):  # bytes
-            found = self.kernels.match_dense(self.left[strip], self.right[strip], low, count, self.options, mutual)
-            parts.append(found[inner])
-        return parts[0] if len(parts) == 1 else np.concatenate(parts)
+        span = self.rules.low, self.rules.count
+        strips = _strips(np.full(height, width * span[1]), self.overlap)  # bytes
+        return self.kernels.match_dense(self.left, self.right, span, self.options, mutual, strips)
 
     def within(self, coarse: Array, mutual: np.ndarray | None, use: Array | None) -> Array:
         """The disparities that the coarser level leaves."""
         height, width = self.left.shape
-        first, blocks, cells = self.kernels.ranges(coarse, width, height, self.rules)
-        _log.debug("%.1f disparities a pixel at %s", cells / self.left.size, self.left.shape)
+        first, blocks = self.kernels.ranges(coarse, width, height, self.rules)
         if use is not None:  # one block in the middle of the range
             first = np.where(use, first, first + _BLOCK // 2 * (blocks.astype(np.int16) - 1))
             blocks = np.where(use, blocks, np.uint8(1))
-        parts = []
-        volume = self.kernels.download(_CELL_BYTES * _BLOCK * blocks.sum(axis=1, dtype=np.int64))
-        for strip, inner in _strips(volume, self.overlap):
-            images, ranges = (self.left[strip], self.right[strip]), (first[strip], blocks[strip])
-            found = self.kernels.match_ragged(*images, *ranges, self.options, mutual)
-            parts.append(found[inner])
-        return parts[0] if len(parts) == 1 else np.concatenate(parts)
+        sums, _ = self.kernels.row_blocks(blocks)
+        _log.debug("%.1f disparities a pixel at %s", _BLOCK * sums.sum() / self.left.size, self.left.shape)
+        strips = _strips(_CELL_BYTES * _BLOCK * sums, self.overlap)
+        return self.kernels.match_ragged(self.left, self.right, (first, blocks), self.options, mutual, strips)
 
 
 def _strips(volume: np.ndarray, overlap: int) -> list[tuple[slice, slice]]:
