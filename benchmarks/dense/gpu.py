@@ -10,6 +10,7 @@ import argparse
 import json
 import os
 import statistics
+import sys
 import time
 from collections import defaultdict
 from collections.abc import Callable
@@ -83,7 +84,7 @@ def measure(name: str, left: np.ndarray, right: np.ndarray, device: cuda.Matcher
     """One pair: the pyramid, and one match over all disparities at full size."""
     disparities = SIZES[name][2]
     wait = device.xp.cuda.runtime.deviceSynchronize
-    cpu = TsgmTuning(kernel=tsgm.kernels()[1])
+    cpu = TsgmTuning(kernel=tsgm.kernels()[0])
     row: dict[str, Any] = {"pair": name, "native kernel": cpu.kernel}
 
     def pyramid(tuning: TsgmTuning) -> np.ndarray:
@@ -108,7 +109,9 @@ def measure(name: str, left: np.ndarray, right: np.ndarray, device: cuda.Matcher
     row["full by kernel"] = by_kernel(device, full)
     row["full gpu Gdisp/s"] = a.size * disparities / row["full gpu ms"] / 1e6
     native = tsgm._Native()
-    row["full native ms"] = median_ms(lambda: native.match_dense(left, right, (0, disparities), options, None, strips), 1)
+    row["full native ms"] = median_ms(
+        lambda: native.match_dense(left, right, (0, disparities), options, None, strips), 1
+    )
     return row
 
 
@@ -127,7 +130,7 @@ def main() -> None:
     with np.load(args.pairs) as pairs:
         for name in SIZES:
             rows.append(measure(name, pairs[name + " left"], pairs[name + " right"], device))
-            print(json.dumps(rows[-1], indent=1))
+            sys.stdout.write(json.dumps(rows[-1], indent=1) + "\n")
     if args.out:
         args.out.write_text(json.dumps({"device": cuda.device_name(), "rows": rows}, indent=1) + "\n")
 

@@ -1,4 +1,4 @@
-// Enough of CUDA to run tsgm.cu on a CPU, warp by warp: the lanes of a warp are contexts that take turns at each
+// Enough of CUDA to run the kernels of src/tiegraph/dense/kernels on a CPU, warp by warp: the lanes of a warp are contexts that take turns at each
 // function that all lanes call together.
 #include <ucontext.h>
 
@@ -12,9 +12,10 @@ using std::min;
 #define __global__
 #define __device__
 #define __shared__
+#define __align__(n)
 struct Index { unsigned x, y; };
 static Index blockIdx, blockDim, threadIdx;
-unsigned shared[1 << 16];
+alignas(16) unsigned shared[1 << 16];
 
 constexpr int kLanes = 32, kStack = 64 << 10;
 static ucontext_t lanes[kLanes], driver;

@@ -1,4 +1,4 @@
-"""A stand-in for CuPy that runs the kernels of ``tsgm.cu`` on the CPU (``cuda_emulated.h``), compiled with g++."""
+"""A stand-in for CuPy that runs the kernels of ``dense.cuda`` on the CPU (``cuda_emulated.h``), compiled with g++."""
 
 import ctypes
 import shutil

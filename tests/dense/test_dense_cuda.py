@@ -1,4 +1,4 @@
-"""The kernels of the GPU against the native module, bit by bit: on a GPU where there is one, and emulated everywhere."""
+"""The kernels of the GPU against the native module, bit by bit: on a GPU where there is one, and emulated."""
 
 import cuda_emulated
 import numpy as np
@@ -11,9 +11,18 @@ from tiegraph.dense.tuning import TsgmTuning
 sgm = pytest.importorskip("tiegraph.dense._sgm")
 
 VARIANTS = [
-    {"shape": (9, 17, 17), "low": -7, "count": 37},
+    {"shape": (9, 17, 17), "low": -7, "count": 37, "radius_x": 6, "radius_y": 2},
     {"shape": (8, 37, 50), "low": 0, "count": 16, "large_by_step": TABLE, "uniqueness": 5},
-    {"shape": (1, 40, 40), "low": 3, "count": 1, "radius_x": 2, "radius_y": 2, "small": 8, "large": 40, "parabola": False},
+    {
+        "shape": (1, 40, 40),
+        "low": 3,
+        "count": 1,
+        "radius_x": 2,
+        "radius_y": 2,
+        "small": 8,
+        "large": 40,
+        "parabola": False,
+    },
     {"shape": (6, 70, 45), "low": -20, "count": 70, "left_right": -1, "small": 0, "large": 127},
     {"shape": (5, 8, 300), "low": -250, "count": 260, "large_by_step": TABLE},
     {"shape": (23, 1, 1), "low": 0, "count": 130},

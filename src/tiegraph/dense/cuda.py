@@ -1,5 +1,6 @@
-"""The matcher's kernels on a GPU (``tsgm.cu``) by CuPy: the functions of the native module ``_sgm`` on arrays that stay
-on the device, equal to it bit for bit. Used where CuPy and a GPU are there (``pip install 'tiegraph[cuda12]'``).
+"""The matcher's kernels on a GPU (``kernels/*.cu``) by CuPy: the functions of the native module ``_sgm`` on arrays
+that stay on the device, equal to it bit for bit. Used where CuPy and a GPU are there (``pip install
+'tiegraph[cuda12]'``).
 
 Nothing here touches the device before ``matcher()`` is called: a process that has done so must not be forked.
 """
@@ -9,8 +10,8 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from functools import lru_cache
-from importlib import resources
 from importlib.util import find_spec
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,11 +23,24 @@ _log = logging.getLogger(__name__)
 
 Array = Any  # of the device, (CuPy's classes have no types)
 
+_KERNELS = Path(__file__).parent / "kernels"
+_PARTS = ("common", "levels", "costs", "paths", "winners", "launched")  # in the order they are compiled
 _THREADS = 128
 _SHARED_BYTES = 48 << 10  # of shared memory that every GPU gives a block without being asked
-_GUARDS = 16  # bytes around the path costs of a pixel
-_GROUPS = (4, 8, 16, 32)  # lanes that walk a path together, words of four disparities each
-_DENSE = ((4, 1), (4, 2), (8, 2), (16, 2), (32, 2), (32, 4), (32, 8), (32, 16))  # lanes and words of the kernels for one range
+_GUARDS = 64  # bytes around the path costs of a pixel
+_GROUPS = (1, 2, 4, 8, 16, 32)  # lanes that work on a pixel together
+_WORD = 4  # disparities of a lane where costs are made; elsewhere it has a block
+_CENSUS_ROWS = 8  # of a warp, as in costs.cu
+_DENSE = (
+    (4, 1),
+    (4, 2),
+    (8, 2),
+    (16, 2),
+    (32, 2),
+    (32, 4),
+    (32, 8),
+    (32, 16),
+)  # lanes and words of the kernels for one range
 _BLOCK = 16  # disparities of a block
 _MAX_BLOCKS = 255
 _PATHS = 8
@@ -39,29 +53,38 @@ Strips = list[tuple[slice, slice]]  # rows matched together, and which of them c
 
 
 @lru_cache(maxsize=1)
-def matcher() -> Matcher | None:
-    """The matcher of this process's GPU; None where there is none that works, with a warning where one is there."""
+def _found() -> tuple[Matcher | None, str]:
+    """(this process's GPU, what is missing)."""
     if find_spec("cupy") is None:
-        return None
+        return None, "CuPy is not installed (pip install 'tiegraph[cuda12]' or 'tiegraph[cuda13]', by the driver)"
     try:
         import cupy
 
         if cupy.cuda.runtime.getDeviceCount() < 1:
-            return None
-        found = Matcher(cupy)
-        found.halve(found.upload(np.zeros((2, 2), np.uint8)))
-        return found
-    except Exception as error:  # noqa: BLE001 - drivers, compilers and libraries fail in ways of their own
-        _log.warning("the GPU is not used, %s: %s", type(error).__name__, str(error).strip().split("\n")[0])
-        return None
+            return None, "there is none"
+        device = Matcher(cupy)
+        device.halve(device.upload(np.zeros((2, 2), np.uint8)))  # compiles
+        return device, ""
+    except Exception as error:  # drivers, compilers and libraries fail in ways of their own
+        said = f"{type(error).__name__}: {str(error).strip().splitlines()[0] if str(error).strip() else ''}"
+        _log.warning("the GPU is not used: %s", said)
+        return None, said
+
+
+def matcher() -> Matcher | None:
+    """The matcher of this process's GPU; None where there is none that works, with a warning where CuPy is there."""
+    return _found()[0]
+
+
+def reason() -> str:
+    """Why there is none, in words for a user."""
+    return _found()[1]
 
 
 def device_name() -> str | None:
     """The name of the GPU that matches; None without."""
-    found = matcher()
-    if found is None:
-        return None
-    return found.xp.cuda.runtime.getDeviceProperties(0)["name"].decode()
+    device = matcher()
+    return None if device is None else device.xp.cuda.runtime.getDeviceProperties(0)["name"].decode()
 
 
 class Matcher:
@@ -72,7 +95,7 @@ class Matcher:
 
     def __init__(self, xp: Any) -> None:
         self.xp = xp
-        source = (resources.files("tiegraph.dense") / "tsgm.cu").read_text()
+        source = "\n".join((_KERNELS / f"{part}.cu").read_text(encoding="utf-8") for part in _PARTS)
         self._module = xp.RawModule(code=source, options=("--std=c++14", "--fmad=false"))
 
     def upload(self, array: np.ndarray) -> Array:
@@ -183,8 +206,9 @@ class Matcher:
             here = (pixels, *_ints(0, 0, 0, width, job.height))
             mean = _BLOCK * starts[-1] / pixels.size
             job.cost(here, _BLOCK * int(starts[-1]), mean)
-            group, threads, shared = _shared(_group(mean), most + _GUARDS)
-            walk = job.table, *here, job.bounds, *_ints(len(batch), options.small, most + _GUARDS)
+            group, threads, pitch = _shared(_group(mean / _BLOCK), most + _GUARDS)
+            shared = threads // group * 2 * pitch
+            walk = job.table, *here, job.bounds, *_ints(len(batch), options.small, pitch)
             job.walk(f"ragged_paths_{group}", group, threads, shared, walk)
             return job.finished(here, mean)
 
@@ -217,9 +241,9 @@ class Matcher:
         """Bytes of the device that are free, or kept by this process for its next pair."""
         return self.xp.cuda.runtime.memGetInfo()[0] + self.xp.get_default_memory_pool().free_bytes()
 
-    def _run(self, name: str, threads: int, *arguments: Any) -> None:
+    def _run(self, name: str, threads: int, *arguments: Any, shared: int = 0) -> None:
         kernel: Callable[..., None] = self._module.get_function(name)
-        kernel((-(-threads // _THREADS),), (_THREADS,), arguments)
+        kernel((-(-threads // _THREADS),), (_THREADS,), arguments, shared_mem=shared)
 
 
 class _Job:
@@ -241,16 +265,21 @@ class _Job:
     def cost(self, ranges: tuple[Any, ...], cells: int, mean: float) -> None:
         """The matching costs of all disparities."""
         rx, ry = self.options.radius_x, self.options.radius_y
-        bits = []
-        for image in (self.left, self.right):
-            out = self.xp.empty(image.shape, np.uint64)
-            self.device._run("census", out.size, image, *_ints(*out.shape[::-1]), self.bounds, *_ints(rx, ry), out)
-            bits.append(out)
+        bits = [self._census(image, rx, ry) for image in (self.left, self.right)]
         outside = ((2 * rx + 1) * (2 * ry + 1) - 1) * 2 // 3
         tail = _ints(self.right.shape[1], self.options.mode, outside)
-        self.volume, self.cells, group = self.xp.empty(cells, np.uint8), cells, _group(mean)
+        self.volume, self.cells, group = self.xp.empty(cells, np.uint8), cells, _group(mean / _WORD)
         images = *bits, self.left, self.right, self.mutual
         self.device._run(f"costs_{group}", group * self.left.size, *images, *ranges, *tail, self.volume)
+
+    def _census(self, image: Array, rx: int, ry: int) -> Array:
+        height, width = image.shape
+        out = self.xp.empty(image.shape, np.uint64)
+        warps = -(-width // 32) * -(-height // _CENSUS_ROWS)
+        shared = _THREADS // 32 * (32 + 2 * rx) * (_CENSUS_ROWS + 2 * ry)
+        arguments = image, *_ints(width, height), self.bounds, *_ints(rx, ry), out
+        self.device._run("census", 32 * warps, *arguments, shared=shared)
+        return out
 
     def walk(self, name: str, group: int, threads: int, shared: int, arguments: tuple[Any, ...]) -> None:
         """All eight paths of every pixel."""
@@ -263,7 +292,7 @@ class _Job:
 
     def finished(self, ranges: tuple[Any, ...], mean: float) -> Array:
         """Disparities (h, w) f4 of all rows."""
-        xp, options, right_width, group = self.xp, self.options, self.right.shape[1], _group(mean)
+        xp, options, right_width, group = self.xp, self.options, self.right.shape[1], _group(mean / _BLOCK)
         best, around = xp.empty(self.left.shape, np.int16), xp.empty((3, *self.left.shape), np.uint16)
         right_best = xp.full(self.right.shape, _FARTHEST, np.uint32)
         tail = np.uint64(self.cells), *_ints(right_width, options.uniqueness), best, around, right_best
@@ -279,13 +308,16 @@ def _ints(*numbers: int) -> tuple[np.int32, ...]:
 
 
 def _group(mean: float) -> int:
-    """Lanes for a pixel that has ``mean`` disparities."""
-    return next((g for g in _GROUPS if 4 * g >= mean), _GROUPS[-1])
+    """Lanes for a pixel that has work for ``mean`` of them."""
+    return next((g for g in _GROUPS if g >= mean), _GROUPS[-1])
 
 
 def _shared(group: int, pitch: int) -> tuple[int, int, int]:
-    """(lanes for a path, threads of a block, its bytes of shared memory), where a path costs twice ``pitch`` bytes."""
-    group = next(g for g in _GROUPS if g >= group and 2 * (32 // g) * pitch <= _SHARED_BYTES)
-    warp = 2 * (32 // group) * pitch
-    warps = max(1, min(_THREADS // 32, _SHARED_BYTES // warp))
-    return group, 32 * warps, warps * warp
+    """(lanes for a path, threads of a block, bytes for the path costs of a pixel, at least ``pitch``): two pixels a
+    path fit into shared memory, and the paths of a warp begin in different banks of it."""
+    for lanes in (g for g in _GROUPS if g >= group):
+        own = pitch + (8 * lanes - pitch) % 64 // 16 * 16
+        warps = min(_THREADS // 32, _SHARED_BYTES // (2 * (32 // lanes) * own))
+        if warps:
+            return lanes, 32 * warps, own
+    raise MemoryError(f"no room for {pitch} disparities of a pixel")

@@ -48,10 +48,16 @@ def available() -> bool:
 
 
 def kernels() -> list[str]:
-    """The kernels that this machine runs, the fastest first; [] without the native module. Touches the GPU."""
-    if _sgm is None:
-        return []
-    return [*([_CUDA] if cuda.matcher() else []), *_sgm.kernels()]
+    """The native kernels that this machine runs, the fastest first; [] without the native module."""
+    return [] if _sgm is None else list(_sgm.kernels())
+
+
+def kernel_in_use(tuning: TsgmTuning) -> str:
+    """The kernel that pairs are matched with in this process, a GPU with its name; touches the GPU. All kernels give
+    the same bits."""
+    if tuning.kernel in ("", _CUDA) and (name := cuda.device_name()) is not None:
+        return f"{_CUDA} ({name})"
+    return tuning.kernel or kernels()[0]
 
 
 def volume_bytes(height: int, width: int, disparities: int, tuning: TsgmTuning) -> int:
@@ -113,6 +119,11 @@ def match(
         except MemoryError:
             device.release()
             _log.debug("%s and %d disparities do not fit the GPU's memory", left.shape, disparities)
+    elif tuning.kernel == _CUDA:
+        raise EngineMissing(
+            "no GPU that CuPy works with: pip install 'tiegraph[cuda12]' (or cuda13), or leave the kernel of "
+            "[tuning.dense.tsgm] empty"
+        )
     return _match(left, right, shift, disparities, tuning, use, _Native())
 
 
@@ -161,8 +172,8 @@ class _Native:
         """A range for each pixel, (first disparities, blocks of 16); the rows that count."""
 
         def match(rows: slice) -> Array:
-            own = (part[rows] for part in (left, right, *ranges))
-            return _sgm.match_ragged(*own, options, _workspace(), mutual)[0]
+            images, own = (left[rows], right[rows]), (ranges[0][rows], ranges[1][rows])
+            return _sgm.match_ragged(*images, *own, options, _workspace(), mutual)[0]
 
         return _joined([match(outer)[inner] for outer, inner in strips])
 
@@ -182,8 +193,13 @@ def _match(
 ) -> np.ndarray:
     levels = _levels(disparities, tuning)
     aligned = -(-shift >> levels) << levels  # so that every level's shift is whole
-    right = cv2.copyMakeBorder(right, 0, 0, aligned - shift, 0, cv2.BORDER_REPLICATE)
-    lefts, rights, uses = [kernels.upload(left)], [kernels.upload(right)], [None if use is None else kernels.upload(use)]
+    if aligned > shift:
+        right = cv2.copyMakeBorder(right, 0, 0, aligned - shift, 0, cv2.BORDER_REPLICATE)
+    lefts, rights, uses = (
+        [kernels.upload(left)],
+        [kernels.upload(right)],
+        [None if use is None else kernels.upload(use)],
+    )
     for _ in range(levels):
         lefts.append(kernels.halve(lefts[-1]))
         rights.append(kernels.halve(rights[-1]))
