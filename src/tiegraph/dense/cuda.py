@@ -220,14 +220,13 @@ class Matcher:
 
     def _in_batches(self, match: Callable[[Strips], Array], strips: Strips, cells: np.ndarray, width: int) -> Array:
         """The rows that count, of as many strips at a time as the device has room for; ``cells`` (h,) of each row."""
-        room, batches, used = self._room(), [[strips[0]]], 0
+        room, batches, used = self._room(), list[Strips](), 0
         for strip in strips:
             needs = _CELL_BYTES * int(cells[strip[0]].sum()) + _PIXEL_BYTES * width * (strip[0].stop - strip[0].start)
-            if used and used + needs > room:
+            if not batches or used + needs > room:
                 batches.append([])
                 used = 0
-            if strip is not strips[0]:
-                batches[-1].append(strip)
+            batches[-1].append(strip)
             used += needs
         parts = []
         for batch in batches:
