@@ -16,6 +16,7 @@ import pyproj.network
 
 from tiegraph.cli.options import options_of
 from tiegraph.cli.output import say
+from tiegraph.dense import cuda
 from tiegraph.dense.tsgm import kernels
 from tiegraph.project.software import software
 
@@ -42,6 +43,7 @@ def findings() -> Iterator[tuple[str, str]]:
     yield "disk", _disk(Path.cwd)
     yield "disk, temporary files", _disk(lambda: Path(tempfile.gettempdir()))
     yield "native kernels", _kernels()
+    yield "GPU", _gpu()
     yield "pycolmap with CUDA", "yes" if pycolmap.has_cuda else "no (not needed)"
     yield "ONNX Runtime", _onnx()
     yield "PROJ grids", _grids()
@@ -63,6 +65,13 @@ def _kernels() -> str:
     if found:
         return f"{', '.join(found)} (the fastest first)"
     return "not built: depth maps are made by OpenCV's matcher (install a C++ compiler, then tiegraph again)"
+
+
+def _gpu() -> str:
+    name = cuda.device_name()
+    if name is not None:
+        return f"{name}: depth maps are matched on it"
+    return f"not used: {cuda.reason()}"
 
 
 def _onnx() -> str:

@@ -16,7 +16,10 @@ answer on the coarser level get up to 254 disparities, because thin foreground s
 never come back. A level whose volumes would take more than 256 MB is matched in strips with 64 rows of overlap (0.2 %
 of the pixels change, 6 in 100 000 by more than a pixel); the bound is in the receipt. Masked pixels are hardly
 searched: sky is a hole on every coarser level. An install without a C++ compiler succeeds: scikit-build-core tries
-again without the native part, the stage takes OpenCV's matcher (``sgbm``), and its receipt says so.
+again without the native part, the stage takes OpenCV's matcher (``sgbm``), and its receipt says so. On a GPU
+(``cuda``, ``kernels/*.cu``) each of eight paths is walked by a group of lanes, and what it adds to the costs goes to
+memory, a byte a disparity and path; one more kernel sums up in the order that gives the native module's rounding. The
+strips are the same, since they show in the last bits; all of a level are matched in one launch.
 
 **Triangulation** (``triangulate``) intersects the rays of all partners: consensus, then residuals from the mean with
 Huber weights. The sigma of a disparity is each image's own: from the differences of its partners where they agree, of

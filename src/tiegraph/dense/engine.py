@@ -19,7 +19,7 @@ from tiegraph.dense.plan import DepthRange
 from tiegraph.dense.settings import DenseSettings
 from tiegraph.dense.sgbm import match_sgbm
 from tiegraph.dense.triangulate import Candidates, triangulate
-from tiegraph.dense.tsgm import available, match_tsgm, volume_bytes
+from tiegraph.dense.tsgm import available, kernel_in_use, match_tsgm, volume_bytes
 from tiegraph.dense.tuning import PairTuning, RayTuning, Tuning
 from tiegraph.geometry.stereo import Pinhole, Rectification, rectify
 from tiegraph.scene.results import DepthMap
@@ -132,6 +132,11 @@ def installed(name: str) -> tuple[str, str]:
             "install a compiler and tiegraph again for tsgm"
         )
     return name, ""
+
+
+def matched_by(settings: DenseSettings, tuning: Tuning) -> str:
+    """What matches the pairs in this process: OpenCV, or a kernel of tsgm."""
+    return "OpenCV" if installed(settings.engine)[0] == "sgbm" else kernel_in_use(tuning.tsgm)
 
 
 def most_volume_bytes(size: tuple[int, int], tuning: Tuning) -> int:

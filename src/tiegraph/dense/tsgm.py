@@ -1,7 +1,8 @@
 """Hierarchical semi-global matching of a rectified pair, tSGM (paper 004, section 5.2; kernels in the native module).
 
 A pyramid level is matched over the full range where that is cheap; below it each pixel keeps the disparities its
-neighbourhood had on the level above. The costs are census, on the last level blended with mutual information.
+neighbourhood had on the level above. The costs are census, on the last level blended with mutual information. Where
+there is a GPU (``cuda``) the same steps run on it, with the same bits.
 """
 
 from __future__ import annotations
@@ -9,11 +10,12 @@ from __future__ import annotations
 import logging
 import threading
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
 
+from tiegraph.dense import cuda
 from tiegraph.dense.settings import DenseSettings
 from tiegraph.dense.speckles import without_speckles
 from tiegraph.dense.tuning import TsgmTuning, Tuning
@@ -35,6 +37,9 @@ _VOLUME_BYTES = 256_000_000  # of the cost volumes held at once; a level that ne
 _CELL_BYTES = 2  # a cost and half a sum for each pixel and disparity; over the full range costs are made anew
 _BLOCK = 16  # disparities that the kernels take at once
 _MODES = {"census": 0, "blend": 1, "mutual": 2}
+_CUDA = "cuda"  # the kernel's name
+
+Array = Any  # of NumPy, or of the device
 
 
 def available() -> bool:
@@ -45,6 +50,14 @@ def available() -> bool:
 def kernels() -> list[str]:
     """The native kernels that this machine runs, the fastest first; [] without the native module."""
     return [] if _sgm is None else list(_sgm.kernels())
+
+
+def kernel_in_use(tuning: TsgmTuning) -> str:
+    """The kernel that pairs are matched with in this process, a GPU with its name; touches the GPU. All kernels give
+    the same bits."""
+    if tuning.kernel in ("", _CUDA) and (name := cuda.device_name()) is not None:
+        return f"{_CUDA} ({name})"
+    return tuning.kernel or kernels()[0]
 
 
 def volume_bytes(height: int, width: int, disparities: int, tuning: TsgmTuning) -> int:
@@ -100,15 +113,97 @@ def match(
         raise EngineMissing(
             "the native matcher is not installed: install a C++ compiler and tiegraph again, or use --dense.engine sgbm"
         )
+    if tuning.kernel in ("", _CUDA) and (device := cuda.matcher()) is not None:
+        try:
+            return _match(left, right, shift, disparities, tuning, use, device)
+        except MemoryError:
+            device.release()
+            _log.debug("%s and %d disparities do not fit the GPU's memory", left.shape, disparities)
+    elif tuning.kernel == _CUDA:
+        raise EngineMissing(
+            "no GPU that CuPy works with: pip install 'tiegraph[cuda12]' (or cuda13), or leave the kernel of "
+            "[tuning.dense.tsgm] empty"
+        )
+    return _match(left, right, shift, disparities, tuning, use, _Native())
+
+
+class _Native:
+    """The native module's functions on arrays of NumPy: what ``cuda.Matcher`` has for those of the device."""
+
+    upload = download = staticmethod(np.ascontiguousarray)
+
+    def __init__(self) -> None:
+        self.halve, self.joint_greys = _sgm.halve, _sgm.joint_greys
+
+    def ranges(self, coarse: Array, width: int, height: int, rules: _sgm.RangeRules) -> tuple[Array, Array]:
+        """First disparities and blocks of each pixel."""
+        first, blocks, _ = _sgm.ranges(coarse, width, height, rules)
+        return first, blocks
+
+    def row_blocks(self, blocks: Array) -> tuple[np.ndarray, np.ndarray]:
+        """(h,) blocks of each row, and of its pixel that has most."""
+        return blocks.sum(axis=1, dtype=np.int64), blocks.max(axis=1)
+
+    def match_dense(
+        self,
+        left: Array,
+        right: Array,
+        span: tuple[int, int],
+        options: _sgm.Options,
+        mutual: Array | None,
+        strips: cuda.Strips,
+    ) -> Array:
+        """One range for all pixels, (lowest, number); the rows that count."""
+
+        def match(rows: slice) -> Array:
+            return _sgm.match_dense(left[rows], right[rows], *span, options, _workspace(), mutual)[0]
+
+        return _joined([match(outer)[inner] for outer, inner in strips])
+
+    def match_ragged(
+        self,
+        left: Array,
+        right: Array,
+        ranges: tuple[Array, Array],
+        options: _sgm.Options,
+        mutual: Array | None,
+        strips: cuda.Strips,
+    ) -> Array:
+        """A range for each pixel, (first disparities, blocks of 16); the rows that count."""
+
+        def match(rows: slice) -> Array:
+            images, own = (left[rows], right[rows]), (ranges[0][rows], ranges[1][rows])
+            return _sgm.match_ragged(*images, *own, options, _workspace(), mutual)[0]
+
+        return _joined([match(outer)[inner] for outer, inner in strips])
+
+
+def _joined(parts: list[Array]) -> Array:
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)
+
+
+def _match(
+    left: np.ndarray,
+    right: np.ndarray,
+    shift: int,
+    disparities: int,
+    tuning: TsgmTuning,
+    use: np.ndarray | None,
+    kernels: _Native | cuda.Matcher,
+) -> np.ndarray:
     levels = _levels(disparities, tuning)
     aligned = -(-shift >> levels) << levels  # so that every level's shift is whole
-    right = cv2.copyMakeBorder(right, 0, 0, aligned - shift, 0, cv2.BORDER_REPLICATE)
-    lefts, rights, uses = [np.ascontiguousarray(left)], [np.ascontiguousarray(right)], [use]
+    if aligned > shift:
+        right = cv2.copyMakeBorder(right, 0, 0, aligned - shift, 0, cv2.BORDER_REPLICATE)
+    lefts, rights, uses = (
+        [kernels.upload(left)],
+        [kernels.upload(right)],
+        [None if use is None else kernels.upload(use)],
+    )
     for _ in range(levels):
-        lefts.append(_sgm.halve(lefts[-1]))
-        rights.append(_sgm.halve(rights[-1]))
+        lefts.append(kernels.halve(lefts[-1]))
+        rights.append(kernels.halve(rights[-1]))
         uses.append(_halved(uses[-1]))
-    workspace = _workspace()
     found = None
     coarser = levels
     for level in (levels, 0) if tuning.everywhere else range(levels, -1, -1):
@@ -121,7 +216,7 @@ def match(
             right=rights[level],
             rules=rules,
             options=options,
-            workspace=workspace,
+            kernels=kernels,
             overlap=tuning.strip_overlap_px,
         )
         if found is None:
@@ -129,20 +224,19 @@ def match(
         else:
             above = (lefts[coarser], rights[coarser], found)
             blended = level == 0 and tuning.cost != "census"
-            mutual = mutual_information(_sgm.joint_greys(*above), tuning) if blended else None
+            mutual = mutual_information(kernels.joint_greys(*above), tuning) if blended else None
             found = pair.full(mutual) if tuning.everywhere else pair.within(found, mutual, uses[level])
         if level and tuning.coarse_speckle_px:
             size_px, jump_px = tuning.coarse_speckle_px, tuning.coarse_speckle_jump_px
-            found = without_speckles(found - rules.low, size_px, jump_px) + rules.low
+            found = kernels.upload(without_speckles(kernels.download(found) - rules.low, size_px, jump_px) + rules.low)
         coarser = level
     assert found is not None
-    found += np.float32(aligned)
+    found = found + np.float32(aligned)
     inside = (found > -0.5) & (found < disparities - 0.5)  # whole blocks reach a little over the range
-    found[~inside] = np.nan
-    return found
+    return kernels.download(np.where(inside, found, np.float32(np.nan)))
 
 
-def _halved(use: np.ndarray | None) -> np.ndarray | None:
+def _halved(use: Array | None) -> Array | None:
     """(ceil(h / 2), ceil(w / 2)) bool: any of the 2 x 2 pixels is in use."""
     if use is None:
         return None
@@ -181,7 +275,7 @@ def _options(tuning: TsgmTuning, last: bool) -> _sgm.Options:
     options.uniqueness = tuning.uniqueness_percent if last else 0
     options.left_right = tuning.left_right_px
     options.mode = _MODES[tuning.cost] if last else 0
-    options.kernel = tuning.kernel
+    options.kernel = "" if tuning.kernel == _CUDA else tuning.kernel
     return options
 
 
@@ -189,41 +283,31 @@ def _options(tuning: TsgmTuning, last: bool) -> _sgm.Options:
 class _Level:
     """One level of the pyramid: images, the disparities there, options, rows that strips share."""
 
-    left: np.ndarray
-    right: np.ndarray
+    left: Array
+    right: Array
     rules: _sgm.RangeRules
     options: _sgm.Options
-    workspace: _sgm.Workspace
+    kernels: _Native | cuda.Matcher
     overlap: int
 
-    def full(self, mutual: np.ndarray | None = None) -> np.ndarray:
+    def full(self, mutual: np.ndarray | None = None) -> Array:
         """Every disparity at every pixel."""
         height, width = self.left.shape
-        low, count = self.rules.low, self.rules.count
-        parts = []
-        for strip, inner in _strips(np.full(height, width * count), self.overlap):  # bytes
-            found, _ = _sgm.match_dense(
-                self.left[strip], self.right[strip], low, count, self.options, self.workspace, mutual
-            )
-            parts.append(found[inner])
-        return parts[0] if len(parts) == 1 else np.concatenate(parts)
+        span = self.rules.low, self.rules.count
+        strips = _strips(np.full(height, width * span[1]), self.overlap)  # bytes
+        return self.kernels.match_dense(self.left, self.right, span, self.options, mutual, strips)
 
-    def within(self, coarse: np.ndarray, mutual: np.ndarray | None, use: np.ndarray | None) -> np.ndarray:
+    def within(self, coarse: Array, mutual: np.ndarray | None, use: Array | None) -> Array:
         """The disparities that the coarser level leaves."""
         height, width = self.left.shape
-        first, blocks, cells = _sgm.ranges(coarse, width, height, self.rules)
-        _log.debug("%.1f disparities a pixel at %s", cells / self.left.size, self.left.shape)
+        first, blocks = self.kernels.ranges(coarse, width, height, self.rules)
         if use is not None:  # one block in the middle of the range
             first = np.where(use, first, first + _BLOCK // 2 * (blocks.astype(np.int16) - 1))
             blocks = np.where(use, blocks, np.uint8(1))
-        parts = []
-        volume = _CELL_BYTES * _BLOCK * blocks.sum(axis=1, dtype=np.int64)
-        for strip, inner in _strips(volume, self.overlap):
-            found, _ = _sgm.match_ragged(
-                self.left[strip], self.right[strip], first[strip], blocks[strip], self.options, self.workspace, mutual
-            )
-            parts.append(found[inner])
-        return parts[0] if len(parts) == 1 else np.concatenate(parts)
+        sums, _ = self.kernels.row_blocks(blocks)
+        _log.debug("%.1f disparities a pixel at %s", _BLOCK * sums.sum() / self.left.size, self.left.shape)
+        strips = _strips(_CELL_BYTES * _BLOCK * sums, self.overlap)
+        return self.kernels.match_ragged(self.left, self.right, (first, blocks), self.options, mutual, strips)
 
 
 def _strips(volume: np.ndarray, overlap: int) -> list[tuple[slice, slice]]:

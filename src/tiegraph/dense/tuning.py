@@ -178,7 +178,7 @@ class TsgmTuning(Section):
     coarse_speckle_jump_px: float = Field(1.0, gt=0)
     """... and end at steps above this many of the level's pixels."""
     kernel: str = ""
-    """Name of the native kernel; empty = the fastest of this machine. All give the same."""
+    """Name of a native kernel, or cuda; empty = the fastest of this machine. All give the same."""
 
 
 class SpeckleTuning(Section):

@@ -1,7 +1,8 @@
 """From an image file and its mask file to features: what one task of the features stage does.
 
-SIFT by COLMAP's own extractor (VLFeat), one image at a time. Not ``pycolmap.extract_features``: that leaves out images
-with a missing mask, reads a mask of another size as if it fitted, and numbers images by the order its threads finish.
+SIFT by COLMAP's own extractor (VLFeat, or on a GPU), one image at a time. Not ``pycolmap.extract_features``: that
+leaves out images with a missing mask, reads a mask of another size as if it fitted, and numbers images by the order its
+threads finish.
 One extractor call runs no worker threads, so its errors are plain exceptions and no child process is needed.
 """
 
@@ -18,6 +19,7 @@ from tiegraph.errors import InputError, choose
 from tiegraph.features.settings import FeaturesSettings
 from tiegraph.features.sift import check_input, extract_sift, on_mask, shrunk
 from tiegraph.features.tuning import SiftTuning
+from tiegraph.gpu import device, on_gpu
 from tiegraph.scene.images import read_pixels
 
 Extractor = Callable[[np.ndarray, np.ndarray | None, FeaturesSettings, SiftTuning], tuple[np.ndarray, np.ndarray]]
@@ -71,7 +73,7 @@ def extract_colmap(
     to_full = np.array([gray.shape[1] / small.shape[1], gray.shape[0] / small.shape[0]])
     level, pycolmap.logging.minloglevel = pycolmap.logging.minloglevel, 1  # it announces each extractor
     try:
-        extractor = pycolmap.FeatureExtractor.create(_options(settings, tuning), pycolmap.Device.cpu)
+        extractor = pycolmap.FeatureExtractor.create(_options(settings, tuning), device())
         points, descriptors = extractor.extract_from_uint8_array(np.ascontiguousarray(small))
     finally:
         pycolmap.logging.minloglevel = level
@@ -83,7 +85,7 @@ def extract_colmap(
 
 
 def _options(settings: FeaturesSettings, tuning: SiftTuning) -> pycolmap.FeatureExtractionOptions:
-    options = pycolmap.FeatureExtractionOptions(num_threads=1, use_gpu=False)
+    options = pycolmap.FeatureExtractionOptions(num_threads=1, use_gpu=on_gpu())
     options.sift.max_num_features = settings.max_features
     options.sift.octave_resolution = tuning.octave_layers
     options.sift.peak_threshold = settings.contrast / tuning.octave_layers

@@ -21,6 +21,7 @@ import pycolmap
 from tiegraph.child import run_in_child, run_in_children
 from tiegraph.errors import InputError, ReconstructionError
 from tiegraph.features.settings import MatchSettings
+from tiegraph.gpu import device, on_gpu
 from tiegraph.scene.colmapdatabase import copy_features, take_matches
 from tiegraph.scene.pairs import Pairs
 
@@ -118,13 +119,14 @@ def match_blocks(
             matching_options=matching,
             pairing_options=pycolmap.ImportedPairingOptions(match_list_path=pair_list, block_size=len(block)),
             verification_options=verification,
+            device=device(),
         )
         send((name, len(block)))
 
 
 def colmap_options(settings: MatchSettings) -> tuple[pycolmap.FeatureMatchingOptions, pycolmap.TwoViewGeometryOptions]:
     """COLMAP's options of our settings."""
-    matching = pycolmap.FeatureMatchingOptions(num_threads=1, use_gpu=False)
+    matching = pycolmap.FeatureMatchingOptions(num_threads=1, use_gpu=on_gpu())
     matching.guided_matching = settings.guided
     matching.skip_image_pairs_in_same_frame = False  # what is listed is matched: the network decides
     matching.sift.max_ratio = settings.max_ratio

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from tiegraph.dense.depth import confirmed_map, depth_map
-from tiegraph.dense.engine import installed, most_volume_bytes
+from tiegraph.dense.engine import installed, matched_by, most_volume_bytes
 from tiegraph.dense.neighbours import plan_images
 from tiegraph.dense.plan import DensePlan, ImagePlan
 from tiegraph.dense.settings import DenseSettings
@@ -50,7 +50,7 @@ def dense(run: Run) -> Outcome:
     volumes = _volumes(plan.images, settings, tuning)
     _log.info("%d images; %s", len(names), volumes)
     run.reporter.total(2 * len(names), 2 * len(names) - len(first) - len(todo))
-    run.map(_first_item, first, *args)
+    kernels = Counter(run.map(_first_item, first, *args))
     run.map(_confirm_item, todo, *args)
     # A confirmed map's first form may still be asked for as a witness, so all of them stay until the end.
     remove(run.path("depth", FIRST))
@@ -58,7 +58,8 @@ def dense(run: Run) -> Outcome:
     refused = {"columns": ["reason", "stereo pairs"], "rows": [[k, n] for k, n in plan.refused.items()]}
     counts: dict[str, float] = {"images": len(names), "pixels": int(sum(pixels)), "images_without": len(plan.dropped)}
     remark = installed(settings.engine)[1]
-    notes = (*plan.notes, volumes, *([remark] if remark else []))
+    matched = [f"{n} images matched by {kernel}" for kernel, n in sorted(kernels.items())]
+    notes = (*plan.notes, volumes, *matched, *([remark] if remark else []))
     return Outcome(counts=counts, dropped=plan.dropped, notes=notes, tables={"refused stereo pairs": refused})
 
 
@@ -92,10 +93,12 @@ def _volumes(plans: dict[str, ImagePlan], settings: DenseSettings, tuning: Tunin
     return f"cost volumes of a pair: at most {most / 1e6:.0f} MB in each worker"
 
 
-def _first_item(name: str, folder: Path, plans: dict[str, ImagePlan], settings: DenseSettings, tuning: Tuning) -> None:
+def _first_item(name: str, folder: Path, plans: dict[str, ImagePlan], settings: DenseSettings, tuning: Tuning) -> str:
+    """Saves the depth map of an image before it is compared with others; what matched its pairs."""
     masks = folder / FINAL / "masks"
     found = depth_map(plans[name], folder / "images", masks, settings, tuning, cv2.getNumThreads())
     save_depth(found, depth_path(folder, name, FIRST))
+    return matched_by(settings, tuning)
 
 
 def _confirm_item(

@@ -9,6 +9,7 @@ import numpy as np
 from tiegraph.features.extract import extract_image
 from tiegraph.features.settings import FeaturesSettings
 from tiegraph.features.tuning import SiftTuning
+from tiegraph.gpu import on_gpu
 from tiegraph.pipeline.files import mask_path, scanned
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome
@@ -36,7 +37,8 @@ def features(run: Run) -> Outcome:
     counts = np.array(list(database.feature_counts(path).values()))
     lost = database.lost_features(path, scene, range(len(scene)))
     out = {"images": len(scene), "features": int(counts.sum()), "median_features": float(np.median(counts))}
-    return Outcome(out, dropped=tuple(lost))
+    on_device = run.settings.features.engine == "colmap" and on_gpu()
+    return Outcome(out, dropped=tuple(lost), notes=("features by COLMAP on a GPU",) if on_device else ())
 
 
 def _features_item(

@@ -9,6 +9,7 @@ import numpy as np
 from tiegraph.child import cores
 from tiegraph.features.match import match_pairs
 from tiegraph.features.matchblocks import Side
+from tiegraph.gpu import on_gpu
 from tiegraph.pipeline.files import checked, pairs_of, save_npz
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome
@@ -33,7 +34,8 @@ def match(run: Run) -> Outcome:
     pairs, report = match_pairs(run.path("database.db"), scene, asked, run.settings.match, run.log, progress, side)
     save_npz(run.path("match.npz"), **pairs.to_npz())
     alone = np.flatnonzero(pairs.degree(len(scene)) == 0)
-    notes = (f"{len(alone)} images have no verified pair: {_some(scene.names, alone)}",) if len(alone) else ()
+    lonely = (f"{len(alone)} images have no verified pair: {_some(scene.names, alone)}",) if len(alone) else ()
+    notes = (*lonely, *(("matched by COLMAP on a GPU",) if on_gpu() else ()))
     kinds = {"columns": ["two-view geometry", "pairs"], "rows": [[k, n] for k, n in report.configurations.items()]}
     counts = {n: getattr(report, n) for n in ("asked", "matched", "verified", "matches", "inliers")}
     return Outcome(counts, dropped=report.lost, notes=notes, tables={"two-view geometries": kinds})

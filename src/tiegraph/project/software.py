@@ -8,7 +8,7 @@ from importlib.metadata import PackageNotFoundError, version
 
 from tiegraph.__version__ import __version__
 
-_PACKAGES = ("pycolmap", "numpy", "opencv-python-headless", "scipy", "laspy", "pyproj")
+_PACKAGES = ("pycolmap", "pycolmap-cuda12", "numpy", "opencv-python-headless", "scipy", "laspy", "pyproj")
 
 
 def software() -> dict[str, str]:
