@@ -23,11 +23,11 @@ from tiegraph.sfm.rig.confront import (
     mounting_errors,
     open_times,
     refine,
-    statements,
 )
 from tiegraph.sfm.rig.diagnostics import RigDiagnostics, rig_diagnostics
 from tiegraph.sfm.rig.priortest import PriorTest
 from tiegraph.sfm.rig.resections import COLUMNS
+from tiegraph.sfm.rig.rigevidence import statements
 from tiegraph.sfm.rig.support import units_per_metre
 from tiegraph.sfm.rig.timecalibration import (
     TimeCalibration,
