@@ -1,12 +1,12 @@
 """Matching, combination, comparison and normals, each on surfaces with exact truth."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import cv2
 import numpy as np
 import pytest
 
-from tiegraph.dense.consistency import check
+from tiegraph.dense.consistency import Consistency, check
 from tiegraph.dense.depth import with_normals
 from tiegraph.dense.settings import DenseSettings
 from tiegraph.dense.sgbm import match_sgbm
@@ -158,6 +158,12 @@ def test_a_wrong_patch_is_dropped_and_said_why():
     result, counts = check(wrong, [], ["bb", "ccc"], maps.get, SETTINGS, TUNING.rays)
     assert np.isnan(result.depth_m[50:60, 70:90]).all()  # two views only
     assert counts.few_views >= 200
+    assert counts.before == counts.kept + counts.few_views + counts.seen_through
+    both = Consistency.total([counts, counts])
+    assert both == Consistency(*(2 * getattr(counts, f.name) for f in fields(counts)))
+    assert Consistency.total([]).table()["rows"][0][1:] == [0, 0.0]
+    share = [100 * n / counts.before for n in (counts.few_views, counts.seen_through)]
+    assert [row[2] for row in both.table()["rows"][3:]] == pytest.approx(share, abs=0.05)
 
 
 def test_points_that_most_images_see_through_are_dropped_hidden_ones_are_not():

@@ -4,6 +4,7 @@ import base64
 import csv
 import json
 import re
+import shutil
 from pathlib import Path
 
 import laspy
@@ -152,8 +153,25 @@ def test_receipts_account_for_everything(project):
         == project.receipt("design")["counts"]["pairs"]
         == len((project.folder / "pairs.txt").read_text().splitlines())
     )
+    dense = project.receipt("dense")
+    matched, kept, two, few, through = (row[1] for row in dense["tables"]["comparison of depth maps"]["rows"])
+    assert matched == kept + few + through and 0 <= two < kept and few > 0 and through > 0
+    assert kept == dense["counts"]["pixels"]
     world = json.loads((project.folder / "world.json").read_text())
     assert world["placed"] and world["crs"] == "EPSG:32654"
+
+
+def test_reasons_of_dense_survive_the_loss_of_a_depth_map(project, tmp_path):
+    """Its first maps are made again anyway; the others' reasons with them, and every byte is what it was."""
+    folder = tmp_path / "out"
+    shutil.copytree(project.folder, folder, symlinks=True)
+    told = project.receipt("dense")["tables"]
+    before = {p: p.read_bytes() for p in (folder / "depth").rglob("*.npz")}
+    next(iter(before)).unlink()
+    again = tiegraph.open(out=folder, pool="serial")
+    again.run(until="dense")
+    assert again.receipt("dense")["tables"] == told
+    assert {p: p.read_bytes() for p in (folder / "depth").rglob("*.npz")} == before
 
 
 @pytest.mark.parametrize("preset", ["conventional", "meguro2024", "meguro2025"])

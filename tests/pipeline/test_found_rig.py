@@ -176,9 +176,25 @@ def test_a_camera_that_no_tie_holds_stands_as_it_was_drawn(tmp_path: Path) -> No
     np.testing.assert_allclose(placed[1], poses[1], rtol=0, atol=1e-9)
     np.testing.assert_allclose(placed[2], drawn[2], rtol=0, atol=1e-9)
     assert any("c stands as given: too few ties" in s for s in found.said)
-    _tune(out, "nominal_deg = 3.0\nnominal_m = 0.2")
+
+
+def test_constants_are_those_the_model_was_made_with_and_before_them_those_of_the_settings(tmp_path: Path) -> None:
+    poses = [*_poses(0.37, 1.5)[:2], _poses(0.3)[2]]
+    out = _run(tmp_path / "out", _given(), poses, tables=_mounting(poses, sigma=0.3))
+    receipt = out / "receipts" / "sparse.json"
+    sparse = json.loads(receipt.read_text())
+    made = {"sfm": {"rig": {"time_calibration": {"nominal_deg": 4.0, "nominal_m": 0.2}}}}
+    receipt.write_text(json.dumps({**sparse, "tuning": made}))
+    left = _read(rig_file(out).text).sensors[2]
+    assert (left.sigma_deg, left.sigma_m) == (pytest.approx(4.0), pytest.approx(0.2))
+    (out / "tiegraph.toml").write_text((out / "tiegraph.toml").read_text() + '[sparse]\nrig = "fixed"\n')
+    assert _read(rig_file(out).text).sensors[2].sigma_deg == pytest.approx(4.0), "the run did not hold the rig"
+    _tune(out, "nominal_deg = 3.0")
     left = _read(rig_file(out).text).sensors[2]
     assert (left.sigma_deg, left.sigma_m) == (pytest.approx(3.0), pytest.approx(0.2))
+    receipt.write_text(json.dumps({**sparse, "tuning": {"sfm": {"gone": 1}}}))
+    with pytest.raises(InputError, match="sparse.json.*gone.*finish that run again"):
+        rig_file(out)
 
 
 def test_a_rig_that_was_held_keeps_its_lengths(tmp_path: Path) -> None:

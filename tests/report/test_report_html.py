@@ -2,14 +2,17 @@
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 from fake_survey_run import FRAMES, make_run
+from scipy.spatial.transform import Rotation
 
 from tiegraph.errors import InputError
+from tiegraph.geometry import transforms
 from tiegraph.report import charts, formatting, summary, viewer
 from tiegraph.report.evaluation import metric_text
 from tiegraph.report.html import environment, write_report
@@ -17,6 +20,7 @@ from tiegraph.report.networkpart import network_part
 from tiegraph.report.plan import frame_positions, tracks
 from tiegraph.report.runfolder import read_run
 from tiegraph.report.settings import ReportSettings
+from tiegraph.report.spatial import scenery
 from tiegraph.scene.registered import Registration
 
 SMALL = ReportSettings(viewer_points=2000)
@@ -129,8 +133,6 @@ def test_verdict_levels(tmp_path: Path, full: Path) -> None:
     run = read_run(full)
     assert summary.verdict(run).level == "check"
     assert run.model is not None
-    from dataclasses import replace
-
     everything = Registration(np.ones(60, bool), np.full(60, 10), 10)
     complete = replace(run, model=replace(run.model, images=everything))
     assert summary.verdict(complete).level == "check", "the tolerance is not held"
@@ -167,6 +169,19 @@ def test_settings_name_files_without_their_folders(tmp_path: Path) -> None:
     path.write_text(json.dumps({**receipt, "settings": {"reference": "/home/somebody/truth/poses.tum", "ratio": 0.8}}))
     text = write_report(folder, SMALL).read_text(encoding="utf-8")
     assert "poses.tum" in text and "0.800" in text and "somebody" not in text
+
+
+def test_a_model_without_a_world_is_drawn_upright(full: Path) -> None:
+    """However its frame lies: as high as where it is placed, and the way along x."""
+    run = read_run(full)
+    placed = scenery(run)
+    assert run.model is not None and placed is not None
+    anyhow = transforms.rigid(Rotation.random(random_state=2).as_matrix(), np.array([5.0, 2, -9]))
+    turned = replace(run.model, world_from_camera=anyhow @ run.model.world_from_camera)
+    free = scenery(replace(run, model=turned, world=None, cloud=None))
+    assert free is not None and not free.north
+    assert np.ptp(free.path[:, 2]) == pytest.approx(np.ptp(placed.path[:, 2]), abs=0.05)
+    assert np.ptp(free.path[:, 0]) > 2 * np.ptp(free.path[:, 1]) > 0.5
 
 
 def test_missing_frames_are_put_between_their_neighbours(full: Path) -> None:

@@ -10,6 +10,7 @@ from sfm_worlds import with_positions
 
 from tiegraph.geometry import transforms
 from tiegraph.geometry.geodesy import Origin
+from tiegraph.geometry.gravity import Up
 from tiegraph.scene.control import Control, Marks
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
@@ -18,7 +19,6 @@ from tiegraph.sfm.tuning.world import WorldTuning
 from tiegraph.sfm.world import georef
 from tiegraph.sfm.world.fixes import Measurements
 from tiegraph.sfm.world.georef import Georeference
-from tiegraph.sfm.world.gravity import Up
 from tiegraph.sfm.world.marks import Target, without_blunders
 from tiegraph.sfm.world.scale import RigScale
 from tiegraph.sfm.world.similarityfit import Model, fit_to_world

@@ -10,9 +10,9 @@ from scipy.optimize import approx_fprime
 from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry.align import Similarity
+from tiegraph.geometry.gravity import Up
 from tiegraph.sfm.tuning.world import FitTuning
 from tiegraph.sfm.world.fit import Evidence, _Problem, _sigma, fit_similarity
-from tiegraph.sfm.world.gravity import Up
 from tiegraph.sfm.world.unknowns import LeverArm, LogScale
 
 TUNING = FitTuning()

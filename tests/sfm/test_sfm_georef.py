@@ -10,17 +10,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 from sfm_worlds import make_world, true_frames, with_positions
 
-from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity
-from tiegraph.scene.rig import Rig, Sensor
-from tiegraph.scene.scene import simple_scene
+from tiegraph.geometry.gravity import Up
 from tiegraph.sfm.model import frame_poses, image_poses
 from tiegraph.sfm.settings import GeorefSettings
 from tiegraph.sfm.tuning.world import WorldTuning
 from tiegraph.sfm.world.fit import Evidence, fit_similarity
 from tiegraph.sfm.world.fixes import Measurements
 from tiegraph.sfm.world.georef import georeference
-from tiegraph.sfm.world.gravity import Up, up_vector
 from tiegraph.sfm.world.unknowns import LeverArm
 
 import pycolmap  # isort: skip
@@ -133,62 +130,6 @@ def test_images_that_hardly_carry_the_baseline_widen_the_scale_of_the_rig(world)
     assert vague.world_from_model.scale == pytest.approx(1.03 * true_scale, rel=0.01)  # the positions have their say
     alone = georeference(_moved(truth), scene, GeorefSettings(), TUNING, Measurements(model_scale_sigma=0.05))
     assert alone.scale_source == "rig baseline" and any("scale good to 5.0%" in n for n in alone.findings.notes)
-
-
-LEVEL = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]], float)  # world_from_cam of a level camera that looks north
-
-
-def _up(turns, cameras=1):
-    """What images of ``cameras`` cameras, turned (N, 3, 3) world_from_cam and frame by frame, say of up."""
-    frames = len(turns) // cameras
-    sensors = tuple(Sensor(f"cam{k}", None, None, "side") for k in range(cameras))
-    names = [f"cam{k}/{f:03d}.jpg" for f in range(frames) for k in range(cameras)]
-    frame, sensor = np.repeat(np.arange(frames), cameras), np.tile(np.arange(cameras), frames)
-    scene = simple_scene(Rig("rig", sensors), names, frame, sensor, np.zeros(frames))
-    return up_vector(transforms.rigid(np.swapaxes(turns, 1, 2), np.zeros((len(names), 3))), scene, TUNING.up)
-
-
-def _off_deg(up):
-    return np.degrees(np.arccos(min(1.0, up.direction[2])))
-
-
-@pytest.mark.parametrize(("yaws", "ring"), [((80, -80), True), ((0, 180), True), ((0, 10), False), ((0, 60), False)])
-def test_cameras_all_round_say_which_way_is_up(yaws: tuple[float, float], ring: bool) -> None:
-    """Two that look away from each other do; of a stereo pair that drives in a circle only the x axes do."""
-    for size in (0.0, 12.0):
-        up = _up([
-            Rotation.from_euler("ZXZ", [30.0 * f, size * (-1) ** (f // 2), yaws[k]], degrees=True).as_matrix() @ LEVEL
-            for f in range(12) for k in range(2)
-        ], cameras=2)  # fmt: skip
-        assert up is not None and up.ring == ring and up.tilt
-        assert up.direction[2] > 0.99
-        if ring:
-            assert up.sigma_deg == pytest.approx(max(size, 3.0), rel=0.1)
-
-
-def _held(headings_deg, pitch_deg, roll_deg, rng):
-    """Photographs (N, 3, 3) world_from_cam: all pitched alike, rolled with a sigma."""
-    rolls = roll_deg * rng.standard_normal(len(headings_deg))
-    angles = [[h, pitch_deg, 0.0] for h in headings_deg]
-    turned = Rotation.from_euler("ZXZ", angles, degrees=True).as_matrix() @ LEVEL
-    return turned @ Rotation.from_euler("z", rolls[:, None], degrees=True).as_matrix()
-
-
-@pytest.mark.parametrize("pitch_deg", [25.0, 60.0, -50.0], ids=["up a facade", "up at a bridge", "down at a find"])
-def test_photographs_held_level_say_which_way_is_up_however_they_are_pitched(pitch_deg: float) -> None:
-    rng = np.random.default_rng(3)
-    up = _up(_held(rng.uniform(-60, 60, 30), pitch_deg, 4.0, rng))
-    assert up.tilt and not up.ring
-    assert _off_deg(up) < min(4.0, 1.5 * up.sigma_deg) and 3.0 <= up.sigma_deg < 9.0
-
-
-def test_photographs_of_one_heading_tell_the_roll_only_and_those_held_anyhow_nothing() -> None:
-    rng = np.random.default_rng(4)
-    facade = _up(_held(rng.uniform(-4, 4, 30), 10.0, 2.0, rng))
-    assert not facade.tilt and 8 < _off_deg(facade) < 12 and facade.sigma_deg == TUNING.up.lone_sigma_deg
-    assert _up(_held([0.0, 180.0] * 10, -90.0, 1.0, rng)) is None  # lines of a drone, to and fro
-    assert _up(_held(rng.uniform(-180, 180, 30), -90.0, 1.0, rng)) is None  # straight down, or straight up?
-    assert _up(Rotation.random(40, random_state=5).as_matrix()) is None
 
 
 def test_trajectory_orientations_hold_the_roll(world) -> None:

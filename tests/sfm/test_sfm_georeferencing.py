@@ -12,6 +12,7 @@ from sfm_worlds import make_world, true_frames, with_positions
 from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
 from tiegraph.geometry.geodesy import Origin
+from tiegraph.geometry.gravity import Up
 from tiegraph.scene.colmapmodel import matrix
 from tiegraph.scene.control import Control, Marks
 from tiegraph.scene.rig import Rig, Sensor
@@ -25,7 +26,6 @@ from tiegraph.sfm.world import worldadjust
 from tiegraph.sfm.world.fixes import Measurements, PositionRows, make_fixes
 from tiegraph.sfm.world.georef import georeference
 from tiegraph.sfm.world.georeferencing import georeference_model
-from tiegraph.sfm.world.gravity import Up
 from tiegraph.sfm.world.similarityfit import Model, fit_to_world
 from tiegraph.sfm.world.worldadjust import ConstantParameters, Constraints, Receiver
 

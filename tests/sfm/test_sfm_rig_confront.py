@@ -19,7 +19,8 @@ from tiegraph.sfm.adjustment.adjust import final_adjustment
 from tiegraph.sfm.adjustment.constraints import available
 from tiegraph.sfm.finish import FinishResult, finish_model
 from tiegraph.sfm.model import image_poses
-from tiegraph.sfm.rig.confront import hear, lever_sigmas, open_times, statements
+from tiegraph.sfm.rig.confront import hear, lever_sigmas, open_times
+from tiegraph.sfm.rig.rigevidence import statements
 from tiegraph.sfm.rigcheck import FinishRequest, Held
 from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.tuning.rig import PriorTestTuning, RigTuning

@@ -105,8 +105,8 @@ def test_a_relaxed_model_that_loses_images_is_not_kept(tmp_path: Path, monkeypat
     )
     for relaxed, kept in ((free, model), (pycolmap.Reconstruction(model), None)):
         monkeypatch.setattr(rigcheck, "calibrate_times", lambda *_, to=relaxed: TimeCalibration(to, {}, ""))
-        notes: list[str] = []
-        checked = rigcheck.checked_rig(model, model, scene, request, notes)
+        checked = rigcheck.checked_rig(model, model, scene, request)
+        assert found.notes[0] in checked.notes
         assert checked.model is (kept or relaxed)
         said = [line for line in checked.contradictions if "stays rigid" in line and scene.names[poor] in line]
         assert bool(said) == (kept is model)

@@ -6,11 +6,9 @@ from functools import partial
 import numpy as np
 import pycolmap
 import pytest
-from scipy.spatial.transform import Rotation
 
 from boat_world import photos
 from tiegraph.geometry import transforms
-from tiegraph.geometry.levelled import levelled
 from tiegraph.pipeline.watch.ties import resect_previews
 from tiegraph.scene.matches import PreviewMatches
 from tiegraph.watch.frames import Known, place_frames
@@ -64,18 +62,6 @@ def test_points_without_base_and_ties_of_another_wall_place_nothing():
     rng = np.random.default_rng(2)
     wrong = [xy if k < 2 else rng.uniform(0, 480, xy.shape) for k, xy in enumerate(seen)]
     assert np.isnan(placed(poses, wrong, ties, known=[0, 1])[2:]).all()
-
-
-def test_the_plan_is_level_whatever_the_frame_of_the_model():
-    rng = np.random.default_rng(3)
-    heading = np.linspace(0, 2, 9)
-    turns = Rotation.from_rotvec(np.outer(heading, [0, 1, 0])).as_matrix()
-    upright = transforms.rigid(turns, np.column_stack([0.3 * heading, np.full(9, 0.01), np.ones(9)]))
-    poses = upright @ transforms.rigid(Rotation.from_rotvec(rng.normal(size=3)).as_matrix(), rng.normal(size=3))
-    plan = levelled(poses)
-    down = plan[:3, :3] @ np.mean(poses[:, 1, :3], axis=0)
-    assert down[2] == pytest.approx(-1, abs=1e-3)
-    assert np.linalg.det(plan[:3, :3]) == pytest.approx(1)
 
 
 def test_positions_tell_what_is_up_where_cameras_look_down():

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import astuple, dataclass, fields, replace
 
 import cv2
 import numpy as np
@@ -28,6 +28,23 @@ class Consistency:
     few_views: int
     seen_through: int
     two_rays: int
+
+    @staticmethod
+    def total(parts: Iterable[Consistency]) -> Consistency:
+        """Of several depth maps together."""
+        return Consistency(*(sum(column) for column in zip((0,) * len(fields(Consistency)), *map(astuple, parts))))
+
+    def table(self) -> dict:
+        """The table {"columns", "rows"} of a receipt: what became of the pixels, and how many percent that is."""
+        rows = {
+            "matched with the partners, before the comparison": self.before,
+            "kept": self.kept,
+            "of these seen by two images, for no third could see them": self.two_rays,
+            "dropped: too few depth maps say the same": self.few_views,
+            "dropped: as many images see through them as confirm them": self.seen_through,
+        }
+        columns = ["pixels of the depth maps", "pixels", "%"]
+        return {"columns": columns, "rows": [[k, n, round(100 * n / max(self.before, 1), 1)] for k, n in rows.items()]}
 
 
 def check(

@@ -18,9 +18,11 @@ _INSIDE = (1.0, 99.0)  # percentiles of the cells that the picture shows
 
 
 @plain_text()
-def surface_png(surface: SurfaceMap, places: Sequence[WeakPlace], cam_from_world: np.ndarray) -> bytes:
-    """PNG of the map; cam_from_world (N, 4, 4) of the images, NaN = no pose."""
-    plan = levelled(cam_from_world)
+def surface_png(
+    surface: SurfaceMap, places: Sequence[WeakPlace], cam_from_world: np.ndarray, frame: np.ndarray
+) -> bytes:
+    """PNG of the map; cam_from_world (N, 4, 4) of the images, NaN = no pose, and the frame (N,) of each."""
+    plan = levelled(cam_from_world, frame)
     cells = transforms.apply(plan, surface.xyz)
     path = transforms.apply(plan, transforms.centre(cam_from_world))
     figure = Figure(figsize=(11.0, 6.0), dpi=_DPI, layout="constrained")

@@ -138,10 +138,10 @@ def light(scene: Scene, images: Path, apply: Callable[..., list[Any]]) -> UpLigh
     sky is as dark as the deck of a bridge that an automatic exposure has lightened, and it is the pixels that are
     divided, not the means of images: exposure moves these by as much as a bridge does.
     """
-    up = [k for k, name in enumerate(scene.names) if scene.sensor_of(k).role == "up"]
+    up = np.flatnonzero(scene.of_role("up"))
     counts = apply(brightness_counts, [images / scene.names[k] for k in up])
     share = np.full(len(scene), np.nan)
-    if up:
+    if len(up):
         share[up] = bright_share(np.array(counts))
     return UpLight(np.full(len(scene), np.nan), share, measure="bright share of the pixels")
 

@@ -60,7 +60,7 @@ STAGES = (
            tuned=("scene", "network", "features", "sfm")),
     _stage("network", ("scan", "masks", "preview", "coarse"), ("network.npz", "network.csv", "network"), version=8,
            uses=("candidates",), tuned=("scene",)),
-    _stage("design", ("masks", "coarse", "network"), ("pairs.npz", "pairs.txt", "pairs", "design"), version=8,
+    _stage("design", ("masks", "coarse", "network"), ("pairs.npz", "pairs.txt", "pairs", "design"), version=9,
            uses=("features",), tuned=("features", "sfm")),
     _stage("features", ("scan", "masks"), ("database.db",), "image", version=2, scratch=_BESIDE_DATABASE),
     _stage("match", ("network", "design", "features"), ("match.npz",), "block of pairs",
@@ -77,7 +77,7 @@ STAGES = (
            scratch=(".tiles",), tuned=("evaluate",)),
     _stage("evaluate", ("filter", "georef", "refine", "dense", "cloud"), ("metrics.json", "accuracy.csv", "evaluate"),
            version=7, scratch=("evaluate/.tiles",), tuned=("scene",)),
-    _stage("report", ("evaluate",), ("report.html", "report.json"), version=7, alone=True),
+    _stage("report", ("evaluate",), ("report.html", "report.json"), version=8, alone=True),
 )
 # fmt: on
 

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import json
 import logging
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 
 import cv2
 import numpy as np
 
+from tiegraph.dense.consistency import Consistency
 from tiegraph.dense.depth import confirmed_map, depth_map
 from tiegraph.dense.engine import installed, matched_by, most_volume_bytes
 from tiegraph.dense.neighbours import plan_images
@@ -22,9 +25,9 @@ from tiegraph.dense.undistort import load_view, pinhole
 from tiegraph.dense.workspace import write_workspace
 from tiegraph.errors import InputError, ReconstructionError, TiegraphError
 from tiegraph.limits import explained
-from tiegraph.pipeline.files import FINAL, load_map, load_model, whole
+from tiegraph.pipeline.files import FINAL, load_json, load_map, load_model, whole
 from tiegraph.project.run import Run
-from tiegraph.project.stages import Outcome, remove
+from tiegraph.project.stages import Outcome, remove, write_atomic
 from tiegraph.scene.depthfile import save_depth
 from tiegraph.scene.hanging import carries
 from tiegraph.scene.names import inside
@@ -45,22 +48,24 @@ def dense(run: Run) -> Outcome:
     names = sorted(plan.images)
     settings, tuning = run.settings.dense, run.settings.tuning.dense
     args = (run.folder, plan.images, settings, tuning)
-    todo = [n for n in names if not depth_path(run.folder, n).exists()]
+    todo = _to_confirm(names, run.folder)
     first = [n for n in names if not depth_path(run.folder, n, FIRST).exists()] if todo else []
     volumes = _volumes(plan.images, settings, tuning)
     _log.info("%d images; %s", len(names), volumes)
     run.reporter.total(2 * len(names), 2 * len(names) - len(first) - len(todo))
     kernels = Counter(run.map(_first_item, first, *args))
     run.map(_confirm_item, todo, *args)
+    found = _what_became(names, run.folder)
     # A confirmed map's first form may still be asked for as a witness, so all of them stay until the end.
     remove(run.path("depth", FIRST))
     pixels = run.map(_known_pixels, names, run.folder)
     refused = {"columns": ["reason", "stereo pairs"], "rows": [[k, n] for k, n in plan.refused.items()]}
+    tables = {"refused stereo pairs": refused, **({} if found is None else {"comparison of depth maps": found.table()})}
     counts: dict[str, float] = {"images": len(names), "pixels": int(sum(pixels)), "images_without": len(plan.dropped)}
     remark = installed(settings.engine)[1]
     matched = [f"{n} images matched by {kernel}" for kernel, n in sorted(kernels.items())]
     notes = (*plan.notes, volumes, *matched, *([remark] if remark else []))
-    return Outcome(counts=counts, dropped=plan.dropped, notes=notes, tables={"refused stereo pairs": refused})
+    return Outcome(counts=counts, dropped=plan.dropped, notes=notes, tables=tables)
 
 
 def plan_of(run: Run) -> DensePlan:
@@ -110,8 +115,31 @@ def _confirm_item(
 
     first = load(name)
     assert first is not None
-    confirmed, _ = confirmed_map(plans[name], first, load, settings, tuning)
+    confirmed, counts = confirmed_map(plans[name], first, load, settings, tuning)
+    write_atomic(_counts_path(folder, name), json.dumps(asdict(counts)))
     save_depth(confirmed, depth_path(folder, name))
+
+
+def _counts_path(folder: Path, name: str) -> Path:
+    """What the comparison dropped of a depth map and why, until the stage is done: written before the map is."""
+    return inside(folder / "depth" / FIRST, f"{name}.json")
+
+
+def _to_confirm(names: list[str], folder: Path) -> list[str]:
+    """Images without a finished depth map, and if there are some those whose reasons for what was dropped are gone:
+    one map was lost after the stage was done, and the first maps of all are to be made again anyway."""
+    missing = [n for n in names if not depth_path(folder, n).exists()]
+    if not missing:
+        return []
+    return [n for n in names if not depth_path(folder, n).exists() or not _counts_path(folder, n).exists()]
+
+
+def _what_became(names: list[str], folder: Path) -> Consistency | None:
+    """What the comparison dropped of all depth maps, and why; None where nothing was to be done any more."""
+    paths = [_counts_path(folder, n) for n in names]
+    if not all(p.exists() for p in paths):
+        return None
+    return Consistency.total(Consistency(**load_json(p)) for p in paths)
 
 
 def _known_pixels(name: str, folder: Path) -> int:

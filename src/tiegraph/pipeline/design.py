@@ -114,7 +114,8 @@ def _surface_drawn(run: Run) -> tuple[dict[str, dict], tuple[str, ...]]:
     if surface is None:
         return {}, ()
     poses = load_npz(run.path("coarse", "model.npz"))["cam_from_world"]
-    write_atomic(run.path("design", "surface.png"), surface_png(surface.cells, surface.places, poses))
+    drawn = surface_png(surface.cells, surface.places, poses, checked(run).frame)
+    write_atomic(run.path("design", "surface.png"), drawn)
     return {"where to go again": surface.table()}, surface.lines()
 
 

@@ -4,6 +4,9 @@ Where what from: cameras and places from ``sparse/world`` once ``georef`` has ma
 that was held as given keeps its own lengths: what the positions say of the scale of a survey does not change a measured
 rig. A rig that was adjusted has the lengths of the world, and is refused where nothing told metres. Cameras that hang
 on a wide one (``scene.hanging``) are in no model and stay as given.
+
+How the model was made its receipt says: which rigs and lenses were held, and the constants. A line of tiegraph.toml
+that was written since counts before a constant of the receipt, but never says that a rig was held that was not.
 """
 
 from __future__ import annotations
@@ -15,13 +18,13 @@ from typing import Any
 import numpy as np
 import pycolmap
 
-from tiegraph.errors import InputError, UnreadableArtefact
+from tiegraph.errors import InputError, SettingsError, UnreadableArtefact
 from tiegraph.geometry.transforms import centre
 from tiegraph.pipeline.files import load_json, load_model, load_scene
 from tiegraph.pipeline.foundcameras import with_camera
 from tiegraph.project.folder import SETTINGS, check_format, names_run
 from tiegraph.project.receipts import Receipts
-from tiegraph.project.settings import Tunings, read_settings
+from tiegraph.project.settings import Tunings, merged, read_settings
 from tiegraph.scan.rigfiles.rigfile import parse_rig_file
 from tiegraph.scan.rigfiles.rigwrite import rig_config, rig_toml
 from tiegraph.scene.colmapmodel import model_rigs
@@ -147,7 +150,7 @@ def _read(folder: Path) -> _Run:
         world=mapped,
         metres=_Metres(),
         antenna_m=None,
-        tuning=read_settings(folder / SETTINGS).tuning,
+        tuning=_constants(folder, receipts),
     )
     current = placed.get("finished") and placed.get("from", {}).get("sparse") == receipt.get("made")
     if not current or not (world / "cameras.bin").exists():
@@ -162,6 +165,19 @@ def _read(folder: Path) -> _Run:
         metres=_Metres(scale, sigma, told["scale_source"]),
         antenna_m=None if arm is None else tuple(arm),
     )
+
+
+def _constants(folder: Path, receipts: Receipts) -> Tunings:
+    """Those that scan read the rig and sparse made the model with; before them count those of tiegraph.toml."""
+    made: dict[str, Any] = {}
+    for stage in ("scan", "sparse"):
+        own = receipts.read(stage).get("tuning", {})
+        try:
+            merged({"tuning": own})
+        except SettingsError as error:
+            raise UnreadableArtefact(receipts.path(stage), error) from None
+        made |= own
+    return read_settings(folder / SETTINGS, {"tuning": made}).tuning
 
 
 def _found(run: _Run, index: int) -> Rig:

@@ -9,6 +9,7 @@ import numpy as np
 import pycolmap
 from scipy.spatial import cKDTree
 
+from tiegraph.geometry.gravity import up_vector
 from tiegraph.masks.classes import NAMES, USE, WATER
 from tiegraph.masks.frames import full_size
 from tiegraph.masks.skypoints import places, without_points
@@ -40,7 +41,6 @@ from tiegraph.project.stages import Outcome
 from tiegraph.scene.atomic import same_file
 from tiegraph.scene.colmapmodel import matrix
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.world.gravity import up_vector
 
 
 def refine(run: Run) -> Outcome:
@@ -102,7 +102,8 @@ def _lines(
     for k, name in enumerate(scene.names):
         if name in poses:
             matrices[k] = matrix(poses[name])
-    up = up_vector(matrices, scene, run.settings.tuning.sfm.world.up)
+    side = scene.of_role("side")
+    up = up_vector(matrices[side], scene.frame[side], run.settings.tuning.sfm.world.up)
     if up is None or not up.ring:
         return {}, ("no ring of cameras shows which way is up: the water stays as it was learnt",)
     views = _views(run, scene, model, matrices)

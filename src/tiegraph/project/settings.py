@@ -174,12 +174,12 @@ def read_file(path: Path) -> dict[str, Any]:
     return data
 
 
-def read_settings(path: Path) -> Settings:
-    """The settings that the tiegraph.toml of a run folder says, on top of its preset; the defaults if it is not there.
-    Raises SettingsError."""
+def read_settings(path: Path, made_with: dict[str, dict[str, Any]] | None = None) -> Settings:
+    """The settings that the tiegraph.toml of a run folder says, on top of those that what is asked of was made with
+    (sections of receipts) and of its preset; the defaults if it is not there. Raises SettingsError."""
     stored = read_file(path)
     run = stored.pop("run", {})
-    return merged(preset(run.get("preset", "default")), stored, where=str(path))
+    return merged(preset(run.get("preset", "default")), made_with or {}, stored, where=str(path))
 
 
 def run_table(data: dict[str, Any], where: str) -> dict[str, str]:

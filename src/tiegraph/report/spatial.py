@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
+from tiegraph.geometry import transforms
+from tiegraph.geometry.levelled import levelled
 from tiegraph.geometry.placement import PlacementError
 from tiegraph.report import formatting, plan, viewer
 from tiegraph.report.cloudview import brightened, by_height, inliers, standard_views, with_scale_bar
@@ -54,7 +56,9 @@ def scenery(run: RunFolder) -> Scenery | None:
     """None without a model."""
     if run.scene is None or run.model is None or not run.model.placed.any():
         return None
-    upright = np.eye(3) if run.world else _upright(run.model.world_from_camera)
+    upright = np.eye(3)
+    if not run.world:
+        upright = levelled(transforms.invert(run.model.world_from_camera), run.scene.frame)[:3, :3]
     placed = run.georeferenced or bool((run.world or {}).get("placed"))
     found = plan.tracks(run.scene, plan.frame_positions(run.scene, run.model.centres @ upright.T))
     prior = run.scene.world_from_rig[:, :3, 3]
@@ -71,15 +75,6 @@ def scenery(run: RunFolder) -> Scenery | None:
         unit="m" if run.metric else t("units"),
         north=run.georeferenced,
     )
-
-
-def _upright(world_from_camera: np.ndarray) -> np.ndarray:
-    """Rotation (3, 3) that stands a free model up: images are taken upright on the whole, so "up" is their mean -y."""
-    up = -np.nanmean(world_from_camera[:, :3, 1], axis=0)
-    up = up / max(float(np.linalg.norm(up)), 1e-9)
-    side = np.cross(up, [1.0, 0, 0] if abs(up[0]) < 0.9 else [0, 1.0, 0])
-    side /= np.linalg.norm(side)
-    return np.stack([side, np.cross(up, side), up])
 
 
 def survey_map(seen: Scenery) -> Markup:

@@ -36,8 +36,7 @@ def wide_first(roles: Sequence[str]) -> list[int]:
 def carries(scene: Scene) -> np.ndarray:
     """(N,) bool: the image takes part in structure from motion: of a wide camera, or of a rig without one."""
     wide = np.array([any(s.role == WIDE for s in r.sensors) for r in scene.rigs], bool)[scene.rig[scene.frame]]
-    own = np.array([s.role == WIDE for s in scene.all_sensors], bool)[scene.sensor_key]
-    return own | ~wide
+    return scene.of_role(WIDE) | ~wide
 
 
 def carrying(scene: Scene) -> Scene:

@@ -164,6 +164,10 @@ class Scene:
         sigma = np.where(keep[:, None], self.position_sigma_m, np.nan)
         return replace(self, world_from_rig=pose, position_sigma_m=sigma)
 
+    def of_role(self, role: str) -> np.ndarray:
+        """(N,) bool: images of cameras with this role in their rig."""
+        return np.array([s.role == role for s in self.all_sensors], bool)[self.sensor_key]
+
     def image_priors(self) -> np.ndarray:
         """(N, 4, 4) world_from_sensor by prior pose and rig extrinsics, NaN where either is unknown."""
         rig_from_sensor = np.full((len(self), 4, 4), np.nan)

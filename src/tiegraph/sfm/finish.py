@@ -30,52 +30,53 @@ from tiegraph.text import known_to
 
 @dataclass(frozen=True)
 class FinishResult:
-    """What the finishing of a model has to say of it."""
+    """What the finishing of a model, or one of its steps, has to say of it."""
 
-    sigma: PositionSigma | None
-    notes: list[str]
+    notes: list[str] = field(default_factory=list)
     tables: dict[str, dict] = field(default_factory=dict)
     dropped: list[tuple[str, str]] = field(default_factory=list)  # images left out for their place
     contradictions: list[str] = field(default_factory=list)
+    sigma: PositionSigma | None = None
 
 
 def finish_model(request: FinishRequest, send: Callable[[Any], None]) -> FinishResult:
-    """Final adjustment, rig diagnostics, colours and position sigmas of one model; writes it to its target folder."""
+    """Finish one mapped model and write it to its target folder.
+
+    Frames whose matches contradict their place are left out, the rest is adjusted robustly and its rigs are tested
+    against the images, of key points without what a rolling shutter did to them where there is one. The matches between
+    cameras are compared with what comes out. Cameras that hardly a match ties are placed by their rig, points get
+    colours, and the covariances of the adjustment are estimated.
+    """
     scene = Scene.from_json(request.scene)
-    model = read_model(request.folder)
-    mapped, placed = _placed(model, scene, request)
+    mapped, placement = _without_doubtful(read_model(request.folder), scene, request)
     claim(request.target)
     request.target.mkdir(parents=True, exist_ok=True)
-    checked = _without_rolling(_finished(mapped, scene, request), mapped, scene, request)
-    model, tables, notes = checked.model, checked.tables, placed.notes + checked.notes
-    if checked.statements:
-        tables["what was given, and the images"] = statement_table(checked.statements)
-    _ties_between(checked, scene, request, notes)
+    checked = _without_rolling(_adjusted(mapped, scene, request), mapped, scene, request)
+    between = _camera_matches(checked, scene, request)
     if request.held.unsupported:
-        place_as_given(model, scene, request.held.unsupported, request.tuning.rig.support)
-    try:
-        if request.images is not None:
-            model.extract_colors_for_all_images(request.images)
-    except (RuntimeError, ValueError) as error:
-        notes.append(f"the points have no colours: {error}")
-    model.write(request.target)
-    if placed.table is not None:
-        tables["placement"] = placed.table
-    sigma = _sigma(checked, scene, request, notes)
-    if sigma is not None:
-        sigma = replace(sigma, mounting=_in_their_time(sigma.mounting, checked.levers))
-        if checked.misfit:  # a rig that is contradicted by so much gives no scale better than that
-            sigma = replace(sigma, scale=max(sigma.scale or 0.0, checked.misfit))
-        names = {k + 1: s.name for k, s in enumerate(scene.all_sensors)}
-        tables |= {**sigma.tables(names), **between_frames(model, sigma, request.tuning.sigma.between_pairs)}
-        tables |= own_paths(model, sigma, names) if checked.ties else {}
-        notes += _open_notes(sigma, names, request.tuning.sigma)
+        place_as_given(checked.model, scene, request.held.unsupported, request.tuning.rig.support)
+    colours = _coloured(checked.model, request)
+    checked.model.write(request.target)
+    precision = _precision(checked, scene, request)
+    return _combined(placement, _rig_findings(checked), between, colours, precision)
+
+
+def _combined(placement: PlacementCheck, *steps: FinishResult) -> FinishResult:
+    """What the steps say, one after another; the table of frames left out stands behind those of the rigs."""
+    *adjusted, precision = steps
+    tables = {name: table for step in adjusted for name, table in step.tables.items()}
+    if placement.table is not None:
+        tables["placement"] = placement.table
     return FinishResult(
-        sigma=sigma, notes=notes, tables=tables, dropped=placed.dropped, contradictions=checked.contradictions
+        notes=[*placement.notes, *(note for step in steps for note in step.notes)],
+        tables={**tables, **precision.tables},
+        dropped=placement.dropped,
+        contradictions=[line for step in steps for line in step.contradictions],
+        sigma=precision.sigma,
     )
 
 
-def _placed(
+def _without_doubtful(
     model: pycolmap.Reconstruction, scene: Scene, request: FinishRequest
 ) -> tuple[pycolmap.Reconstruction, PlacementCheck]:
     """The model without the frames whose place is doubtful, and what is to be said of them."""
@@ -88,18 +89,36 @@ def _placed(
         return model, PlacementCheck([f"the place of the frames could not be tested: {error}"])
 
 
-def _finished(mapped: pycolmap.Reconstruction, scene: Scene, request: FinishRequest) -> Checked:
+def _adjusted(mapped: pycolmap.Reconstruction, scene: Scene, request: FinishRequest) -> Checked:
     """A mapped model adjusted, its rigs checked."""
     model: pycolmap.Reconstruction = mapped
     notes: list[str] = []
     try:
         if not request.rough:
-            model = _adjusted(mapped, scene, request, notes)
+            model, notes = _bundle_adjusted(mapped, scene, request)
     except (RuntimeError, ValueError) as error:
-        notes.append(f"the final adjustment failed, the mapper's own stays: {error}")
-    checked = checked_rig(model, mapped, scene, request, notes)
-    checked.notes = notes
+        notes = [f"the final adjustment failed, the mapper's own stays: {error}"]
+    checked = checked_rig(model, mapped, scene, request)
+    checked.notes[:0] = notes
     return checked
+
+
+def _bundle_adjusted(
+    model: pycolmap.Reconstruction, scene: Scene, request: FinishRequest
+) -> tuple[pycolmap.Reconstruction, list[str]]:
+    """By the rig's priors: with their sigmas in metres, or held where those cannot be used."""
+    rig, notes = request.tuning.rig, []
+    known = rig_priors(model, scene, (), rig.priors)
+    fixed = [k + 1 for k in request.held.fixed]
+    if request.held.soft and constraints.available():
+        scale = 1 / units_per_metre(model, scene, rig.support)
+        model.transform(pycolmap.Sim3d(scale, pycolmap.Rotation3d(), np.zeros(3)))
+        known = rig_priors(model, scene, request.held.soft, rig.priors)
+    elif request.held.soft:
+        fixed += [k + 1 for k in request.held.soft]
+        notes.append("the rig's sigmas are not used, its extrinsics stay as mapped: the package pyceres is missing")
+    adjustment = final_adjustment(model, fixed, request.held.cameras, known, tuning=request.tuning.adjust)
+    return adjustment.model, [*notes, adjustment.note]
 
 
 def _without_rolling(
@@ -109,7 +128,7 @@ def _without_rolling(
     given, tuning = request.held.readout_ms, request.tuning.shutter
 
     def anew(last: Checked, seconds: float) -> Checked:
-        return _finished(shutter.unrolled(mapped, last.model, scene, seconds, tuning), scene, request)
+        return _adjusted(shutter.unrolled(mapped, last.model, scene, seconds, tuning), scene, request)
 
     if given == 0 or request.rough or (given is None and not request.covariance_frames):
         return checked
@@ -159,38 +178,64 @@ def _with_found(
     return last
 
 
-def _adjusted(
-    model: pycolmap.Reconstruction, scene: Scene, request: FinishRequest, notes: list[str]
-) -> pycolmap.Reconstruction:
-    rig = request.tuning.rig
-    known = rig_priors(model, scene, (), rig.priors)
-    fixed = [k + 1 for k in request.held.fixed]
-    if request.held.soft and constraints.available():
-        scale = 1 / units_per_metre(model, scene, rig.support)
-        model.transform(pycolmap.Sim3d(scale, pycolmap.Rotation3d(), np.zeros(3)))
-        known = rig_priors(model, scene, request.held.soft, rig.priors)
-    elif request.held.soft:
-        fixed += [k + 1 for k in request.held.soft]
-        notes.append("the rig's sigmas are not used, its extrinsics stay as mapped: the package pyceres is missing")
-    adjustment = final_adjustment(model, fixed, request.held.cameras, known, tuning=request.tuning.adjust)
-    notes.append(adjustment.note)
-    return adjustment.model
+def _rig_findings(checked: Checked) -> FinishResult:
+    """What the confrontation of rigs and lenses with the images has to say."""
+    given = {"what was given, and the images": statement_table(checked.statements)} if checked.statements else {}
+    return FinishResult(checked.notes, {**checked.tables, **given}, contradictions=checked.contradictions)
 
 
-def _ties_between(checked: Checked, scene: Scene, request: FinishRequest, notes: list[str]) -> None:
-    """Say whether the verified matches between the cameras of rigs agree with the model as it is in the end."""
+def _camera_matches(checked: Checked, scene: Scene, request: FinishRequest) -> FinishResult:
+    """Whether the verified matches between the cameras of rigs agree with the model as it is in the end."""
     if request.matched is None or request.rough or not request.held.rigs:
-        return
+        return FinishResult()
     try:
         seen = image_observations(checked.model, scene, request.tuning.placement.agreement)
         verified = read_verified(request.matched.database, scene, request.matched.refused)
         found = cameramatches.camera_matches(verified, seen, scene, request.tuning.rig.camera_matches)
     except (RuntimeError, ValueError, np.linalg.LinAlgError) as error:
-        notes.append(f"the matches between cameras could not be checked: {error}")
-        return
-    if found:
-        checked.tables["matches between cameras"] = cameramatches.table(found, scene)
-    checked.contradictions += cameramatches.sentence(found, scene)
+        return FinishResult([f"the matches between cameras could not be checked: {error}"])
+    tables = {"matches between cameras": cameramatches.table(found, scene)} if found else {}
+    return FinishResult(tables=tables, contradictions=cameramatches.sentence(found, scene))
+
+
+def _coloured(model: pycolmap.Reconstruction, request: FinishRequest) -> FinishResult:
+    """Give the points the colours of the images, if they can be read."""
+    try:
+        if request.images is not None:
+            model.extract_colors_for_all_images(request.images)
+    except (RuntimeError, ValueError) as error:
+        return FinishResult([f"the points have no colours: {error}"])
+    return FinishResult()
+
+
+def _precision(checked: Checked, scene: Scene, request: FinishRequest) -> FinishResult:
+    """The sigmas of positions, lenses and mountings, between frames and along the cameras' own paths."""
+    frames = checked.model.num_reg_frames()
+    if frames > request.covariance_frames:
+        many = f"position sigmas not computed: {frames} frames, more than sparse.covariance_frames"
+        return FinishResult([many] if request.covariance_frames > 0 else [])
+    try:
+        sigma = _position_sigma(checked, scene, request)
+    except (ValueError, RuntimeError, np.linalg.LinAlgError) as error:
+        return FinishResult([f"position sigmas could not be computed: {error}"])
+    names = {k + 1: s.name for k, s in enumerate(scene.all_sensors)}
+    tables = {**sigma.tables(names), **between_frames(checked.model, sigma, request.tuning.sigma.between_pairs)}
+    tables |= own_paths(checked.model, sigma, names) if checked.ties else {}
+    return FinishResult(_open_notes(sigma, names, request.tuning.sigma), tables, sigma=sigma)
+
+
+def _position_sigma(checked: Checked, scene: Scene, request: FinishRequest) -> PositionSigma:
+    """By the covariance of the adjustment, and by what the rigs were found to be off beyond it."""
+    model = checked.model
+    free = free_cameras(model, request.tuning.adjust) - set(request.held.cameras)
+    rigs = set(model.rigs) - {k + 1 for k in request.held.fixed}
+    sigma = position_sigma(
+        model, free, rigs, checked.ties, nominal_geometry(model, scene), checked.off, tuning=request.tuning
+    )
+    sigma = replace(sigma, mounting=_in_their_time(sigma.mounting, checked.levers))
+    if checked.misfit:  # a rig that is contradicted by so much gives no scale better than that
+        sigma = replace(sigma, scale=max(sigma.scale or 0.0, checked.misfit))
+    return sigma
 
 
 def _in_their_time(mounting: Mapping[int, Mounting], levers: Mapping[int, float]) -> dict[int, Mounting]:
@@ -205,21 +250,3 @@ def _open_notes(sigma: PositionSigma, names: Mapping[int, str], tuning: SigmaTun
         "cameras; measured and given in a rig file it would place its images"
         for camera, share in sigma.open_mountings(tuning).items()
     ]
-
-
-def _sigma(checked: Checked, scene: Scene, request: FinishRequest, notes: list[str]) -> PositionSigma | None:
-    model = checked.model
-    frames = model.num_reg_frames()
-    if frames > request.covariance_frames:
-        if request.covariance_frames > 0:
-            notes.append(f"position sigmas not computed: {frames} frames, more than sparse.covariance_frames")
-        return None
-    try:
-        free = free_cameras(model, request.tuning.adjust) - set(request.held.cameras)
-        rigs = set(model.rigs) - {k + 1 for k in request.held.fixed}
-        return position_sigma(
-            model, free, rigs, checked.ties, nominal_geometry(model, scene), checked.off, tuning=request.tuning
-        )
-    except (ValueError, RuntimeError, np.linalg.LinAlgError) as error:
-        notes.append(f"position sigmas could not be computed: {error}")
-        return None

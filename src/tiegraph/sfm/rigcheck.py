@@ -23,11 +23,11 @@ from tiegraph.sfm.rig.confront import (
     mounting_errors,
     open_times,
     refine,
-    statements,
 )
 from tiegraph.sfm.rig.diagnostics import RigDiagnostics, rig_diagnostics
 from tiegraph.sfm.rig.priortest import PriorTest
 from tiegraph.sfm.rig.resections import COLUMNS
+from tiegraph.sfm.rig.rigevidence import statements
 from tiegraph.sfm.rig.support import units_per_metre
 from tiegraph.sfm.rig.timecalibration import (
     TimeCalibration,
@@ -88,33 +88,29 @@ class Checked:
 
 
 def checked_rig(
-    model: pycolmap.Reconstruction,
-    mapped: pycolmap.Reconstruction,
-    scene: Scene,
-    request: FinishRequest,
-    notes: list[str],
+    model: pycolmap.Reconstruction, mapped: pycolmap.Reconstruction, scene: Scene, request: FinishRequest
 ) -> Checked:
     """Rig diagnostics into its file; a rig that the images contradict gives way, unless it was ordered to stay: said
     so."""
     out = Checked(model)
     if not request.rough:
-        _single_lenses(out, scene, request, notes)
+        _single_lenses(out, scene, request)
     if not request.held.rigs:
         return out
     metres = 1 / units_per_metre(model, scene, request.tuning.rig.support)
     try:
         found = rig_diagnostics(model, scene, metres, request.tuning, mapped)
     except (RuntimeError, ValueError, np.linalg.LinAlgError) as error:
-        notes.append(f"the rig could not be checked: {error}")
+        out.notes.append(f"the rig could not be checked: {error}")
         return out
     with (request.target / DIAGNOSTICS_FILE).open("w", newline="") as stream:
         csv.writer(stream).writerows([COLUMNS, *found.rows])
-    notes += found.notes
-    relaxed = _relaxed(out, mapped, scene, request, found, metres, notes)
+    out.notes += found.notes
+    relaxed = _relaxed(out, mapped, scene, request, found, metres)
     last: dict[int, PriorTest] = {}
     for index, heard in found.heard.items():
         if index not in relaxed and index in request.held.fixed:
-            notes += open_times(heard, scene, index)
+            out.notes += open_times(heard, scene, index)
         elif index not in relaxed:
             out.levers |= {k: v / metres for k, v in lever_sigmas(heard, scene, index).items()}
         last[index] = _confronted(out, scene, request, index, heard, index in relaxed)
@@ -129,7 +125,7 @@ def checked_rig(
     return out
 
 
-def _single_lenses(out: Checked, scene: Scene, request: FinishRequest, notes: list[str]) -> None:
+def _single_lenses(out: Checked, scene: Scene, request: FinishRequest) -> None:
     """Confront the calibrations of single cameras that were held with the images."""
     first = 0
     for index, rig in enumerate(scene.rigs):
@@ -138,7 +134,7 @@ def _single_lenses(out: Checked, scene: Scene, request: FinishRequest, notes: li
         try:
             heard = hear_lens(out.model, scene, index, request.tuning) if held else None
         except (RuntimeError, ValueError, np.linalg.LinAlgError) as error:
-            notes.append(f"the calibration of {rig.sensors[0].name} could not be checked: {error}")
+            out.notes.append(f"the calibration of {rig.sensors[0].name} could not be checked: {error}")
             continue
         if heard is not None:
             _confronted(out, scene, request, index, heard, False)
@@ -151,7 +147,6 @@ def _relaxed(
     request: FinishRequest,
     found: RigDiagnostics,
     metres: float,
-    notes: list[str],
 ) -> dict[int, TimeCalibration]:
     """Relax the rigs that move, into ``out.model``; what stays rigid though it moves is a contradiction."""
     relaxed: dict[int, TimeCalibration] = {}
@@ -185,7 +180,7 @@ def _relaxed(
             out.contradictions.append(_lost_note(scene, index, lost, found.notes))
             continue
         relaxed[index], out.model = free, free.model
-        notes.append(_relaxed_note(scene, index, free, found))
+        out.notes.append(_relaxed_note(scene, index, free, found))
     return relaxed
 
 

@@ -23,7 +23,7 @@ def plan_from_world(cam_from_world: np.ndarray, scene: Scene) -> tuple[np.ndarra
     With measured positions of three frames and more, in metres and with north up; else the path lies along x and the
     unit stays. Positions that lie along a line do not tell its roll: there the cameras say what is up.
     """
-    plan = levelled(cam_from_world)
+    plan = levelled(cam_from_world, scene.frame)
     placed = np.isfinite(cam_from_world).all(axis=(1, 2))
     frames, centre = scene.frame[placed], transforms.centre(cam_from_world[placed])
     known = scene.measured_positions()[frames] & scene.metric_positions()

@@ -126,7 +126,7 @@ def read_cues(scene: Scene, passes: Sequence[Pass], light: UpLight, tuning: Sect
 
 def by_up_frame(scene: Scene, values: np.ndarray) -> np.ndarray:
     """(F,) mean of the values (N,) of the up cameras of each frame; NaN = none."""
-    up = np.array([s.role == "up" for s in scene.all_sensors], bool)[scene.sensor_key]
+    up = scene.of_role("up")
     values = np.asarray(values, float)
     use = up & np.isfinite(values)
     count = np.bincount(scene.frame[use], minlength=scene.frames)

@@ -1,18 +1,16 @@
-"""The rig as given against the images: what is said of it, and a model that gives way where it should."""
+"""The rig as given against the images: what they want otherwise, and a model that gives way where it should."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pycolmap
-from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import transforms
 from tiegraph.geometry.transforms import skew
-from tiegraph.scene.evidence import LIMIT, Contradiction, Statement
-from tiegraph.scene.rig import Rig
+from tiegraph.scene.evidence import LIMIT
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjustment.adjust import final_adjustment
 from tiegraph.sfm.adjustment.constraints import PoseConstraints, SensorPrior
@@ -23,8 +21,6 @@ from tiegraph.sfm.tuning import AdjustTuning, Tuning
 from tiegraph.sfm.tuning.rig import RigTuning
 
 _EXACTLY = 1e-6
-GIVEN, IMAGES = "rig as given", "images"
-_ONE_CAUSE = "the file of another rig, focal lengths or distortions unlike their calibration, or a torn model?"
 
 
 def hear(
@@ -145,79 +141,6 @@ def _calibrated(model: pycolmap.Reconstruction, scene: Scene, index: int) -> set
     return out
 
 
-@dataclass(frozen=True)
-class RigEvidence:
-    """Statements on each camera of a rig, the sentences where two of them cannot both be right, and ``misfit``: by how
-    much of its lever arm a camera stands elsewhere than given, where that is contradicted (root mean square of all)."""
-
-    statements: tuple[Statement, ...]
-    contradictions: tuple[str, ...]
-    misfit: float = 0.0
-
-
-def statements(
-    heard: PriorTest, scene: Scene, index: int, refined: pycolmap.Reconstruction | None = None
-) -> RigEvidence:
-    """Place, turn, lens of each camera and times: as given, and by the images.
-
-    ``refined``: a model adjusted with the freed mountings, which says better how far they are off than a first step.
-    """
-    rig, system = scene.rigs[index], heard.system
-    rows: list[Statement] = []
-    lines: list[str] = []
-    off, elsewhere = np.zeros(len(rig.sensors)), set()
-    if heard.beyond and len(rig.sensors) == 1:
-        lines.append(
-            f"camera {rig.sensors[0].name}: the images contradict its calibration by more than can be told: the focal "
-            "length or distortion of another lens, zoom or image size?"
-        )
-    elif heard.beyond:
-        names = ", ".join(rig.sensors[k].name for k in heard.beyond)
-        lines.append(f"rig {rig.name}: the images contradict it by more than can be told apart ({names}): {_ONE_CAUSE}")
-    for sensor, camera in enumerate(rig.sensors):
-        if ("mount", sensor) in heard.freed:
-            for pair in _mounting(heard, scene, index, sensor, refined):
-                rows += pair
-                found = _sentence(pair, f"camera {camera.name} is mounted otherwise than the rig file says, or moved")
-                lines += found
-                elsewhere |= {camera.name} if found else set()
-                if found and pair[0].unit == "m":
-                    off[sensor] = abs(pair[1].value)
-        if ("lens", sensor) in heard.freed:
-            pair = _focal(heard, scene, index, sensor)
-            rows += pair
-            lines += _sentence(pair, f"camera {camera.name} has another lens than its calibration says, or zoomed")
-    if len(elsewhere) > 1:  # one cause: a bent model says little of which camera it is
-        lines.append(
-            f"rig {rig.name}: {len(elsewhere)} of its {len(rig.sensors)} cameras stand otherwise than its file says: "
-            f"{_ONE_CAUSE}"
-        )
-    if rig.synchronised:
-        for sensor, (late, sigma) in heard.times_s().items():
-            unit = "ms" if system.timed else "% of the frame interval"
-            factor = 1000.0 if system.timed else 100.0
-            name, held_to = f"time of {rig.sensors[sensor].name}", heard.known.tuning.confront.held_to_time
-            pair = (
-                Statement(
-                    quantity=name, source="rig file (synchronised)", value=0.0, sigma=held_to, unit=unit, used=True
-                ),
-                Statement(quantity=name, source=IMAGES, value=factor * late, sigma=factor * sigma, unit=unit),
-            )
-            rows += pair
-            lines += _sentence(pair, "the cameras do not fire at one instant")
-    return RigEvidence(tuple(rows), tuple(lines), _misfit(off, rig))
-
-
-def _misfit(off: np.ndarray, rig: Rig) -> float:
-    """Root mean square of the shares of their lever arms that the S cameras of a rig are off by (S,), metres."""
-    if not off.any():
-        return 0.0
-    poses = np.stack([np.eye(4) if s.sensor_from_rig is None else s.sensor_from_rig for s in rig.sensors])
-    lever = np.linalg.norm(transforms.centre(poses), axis=1)
-    lever[0] = np.median(lever[1:])  # the reference's own is nothing
-    return float(np.sqrt(np.sum((off / np.maximum(lever, 1e-3)) ** 2) / (len(lever) - 1)))
-
-
 def mounting_errors(
     heard: PriorTest | None,
     scene: Scene,
@@ -272,77 +195,6 @@ def _unknowns(system: RigSystem, sensor: int) -> np.ndarray:
     return np.array(at, int)
 
 
-def _mounting(
-    heard: PriorTest, scene: Scene, index: int, sensor: int, refined: pycolmap.Reconstruction | None
-) -> list[tuple[Statement, Statement]]:
-    """Of place and turn the axis that is off most, as given (0) and by the images, in the frame of the rig."""
-    system, camera, held_to = heard.system, scene.rigs[index].sensors[sensor], heard.known.tuning.confront
-    solution = heard.until(("mount", sensor))
-    sigma = solution.sigma()
-    out = []
-    found = None if refined is None else _moved(refined, scene, index, sensor, system.metres_per_unit)
-    for what, given, factor, unit in (
-        ("place", max(camera.sigma_m or 0.0, held_to.held_to_m), 1.0, "m"),
-        ("turn", max(camera.sigma_deg or 0.0, held_to.held_to_deg), 180 / np.pi, "deg"),
-    ):
-        at = [k for k in system.where(what) if system.keys[k][1] == sensor]
-        values = factor * solution.value[at] if found is None else found[what]
-        wide = np.hypot(factor * sigma[at], given)
-        axis = int(np.argmax(np.abs(values) / wide))
-        name = f"{what} of {camera.name} ({('right', 'down', 'forward')[axis]})"
-        own = float(factor * sigma[at][axis])
-        out.append(
-            (
-                Statement(quantity=name, source=GIVEN, value=0.0, sigma=given, unit=unit, used=True),
-                Statement(quantity=name, source=IMAGES, value=float(values[axis]), sigma=own, unit=unit),
-            )
-        )
-    return out
-
-
-def _moved(
-    model: pycolmap.Reconstruction, scene: Scene, index: int, sensor: int, metres_per_unit: float
-) -> dict[str, np.ndarray]:
-    """How a camera of the model's rig stands off the file: place (m) and turn (deg) in the rig frame."""
-    rig = model_rigs(model, scene)[index]
-    own, given = rig.sensors[sensor].sensor_from_rig, scene.rigs[index].sensors[sensor].sensor_from_rig
-    assert own is not None and given is not None
-    there, told = transforms.invert(_scaled_pose(own, metres_per_unit)), transforms.invert(given)
-    turned = np.degrees(Rotation.from_matrix(there[:3, :3] @ told[:3, :3].T).as_rotvec())
-    return {"place": there[:3, 3] - told[:3, 3], "turn": turned}
-
-
-def _scaled_pose(pose: np.ndarray, factor: float) -> np.ndarray:
-    return transforms.rigid(pose[:3, :3], factor * pose[:3, 3])
-
-
-def _focal(heard: PriorTest, scene: Scene, index: int, sensor: int) -> tuple[Statement, Statement]:
-    system, camera = heard.system, scene.rigs[index].sensors[sensor]
-    assert camera.camera is not None
-    at = next(k for k in system.where("lens") if system.keys[k][1:] == (sensor, 0))
-    focal = float(camera.camera.mean_focal_length())
-    name = f"focal length of {camera.name}"
-    solution = heard.until(("lens", sensor))
-    own = float(solution.sigma()[at])
-    return (
-        Statement(
-            quantity=name,
-            source="calibration",
-            value=focal,
-            sigma=heard.known.tuning.confront.held_to_lens * focal,
-            unit="px",
-            used=True,
-        ),
-        Statement(quantity=name, source=IMAGES, value=focal + float(solution.value[at]), sigma=own, unit="px"),
-    )
-
-
-def _sentence(pair: tuple[Statement, Statement], culprit: str) -> list[str]:
-    first, second = pair
-    sigmas = abs(first.value - second.value) / float(np.hypot(first.sigma, second.sigma))
-    return [Contradiction(first, second, sigmas).text(culprit)] if sigmas > LIMIT else []
-
-
 def refine(
     model: pycolmap.Reconstruction,
     scene: Scene,
@@ -360,6 +212,10 @@ def refine(
     priors = _priors(scene, index, known, heard)
     others = [k for k in fixed if k != index + 1]
     return final_adjustment(model, others, constant_cameras, PoseConstraints(sensors=priors), tuning=tuning).model
+
+
+def _scaled_pose(pose: np.ndarray, factor: float) -> np.ndarray:
+    return transforms.rigid(pose[:3, :3], factor * pose[:3, 3])
 
 
 def _priors(scene: Scene, index: int, known: Expected, heard: PriorTest) -> list[SensorPrior]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field
 
+from tiegraph.geometry.gravity import UpTuning
 from tiegraph.scene.tuning import TrendTuning
 from tiegraph.settings import Section
 
@@ -52,19 +53,6 @@ class NoiseTuning(Section):
     """Median steps in time, within which two positions are neighbours."""
     outlier: float = Field(4.0, ge=1)
     """Times the median product of neighbours, at which one is capped: an outlier must not decide."""
-
-
-class UpTuning(Section):
-    """Which way is up in a model (`gravity.py`)."""
-
-    ring_sigma_deg: float = Field(3.0, gt=0)
-    """Cameras all round a levelled platform: what trim and mounting leave."""
-    lone_sigma_deg: float = Field(10.0, gt=0)
-    """A person holding a camera, or cameras to one side."""
-    agreement: float = Field(0.8, ge=0, le=1)
-    """Length of the mean of the unit vectors at least; nadir photographs of many headings have about 0."""
-    round: float = Field(0.5, ge=0, le=1)
-    """Length of the mean viewing direction of a frame, below which its cameras look all round."""
 
 
 class MarkTuning(Section):

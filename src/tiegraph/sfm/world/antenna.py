@@ -10,11 +10,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tiegraph.geometry.align import Similarity
+from tiegraph.geometry.gravity import Up
 from tiegraph.sfm.tuning.world import WorldTuning
 from tiegraph.sfm.world import noise
 from tiegraph.sfm.world.fit import Evidence, Fit, fit_similarity
 from tiegraph.sfm.world.fixes import Fixes
-from tiegraph.sfm.world.gravity import Up
 from tiegraph.sfm.world.unknowns import Clock
 from tiegraph.text import known_to
 

@@ -21,11 +21,11 @@ from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity, umeyama
+from tiegraph.geometry.gravity import up_vector
 from tiegraph.scene.colmapmodel import tracks
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import image_poses
 from tiegraph.sfm.tuning.world import CloudTuning, WorldTuning
-from tiegraph.sfm.world.gravity import up_vector
 
 _MOST_CELLS = 3e7  # of the grid that is correlated: 0.5 GB
 
@@ -77,7 +77,8 @@ def surface_of(models: Sequence[pycolmap.Reconstruction], scene: Scene, tuning: 
         xyz, image, point = tracks(model, scene)
         seen.append(xyz)
         ranges.append(np.linalg.norm(xyz[point] - transforms.centre(own)[image], axis=1))
-    up = up_vector(poses, scene, tuning.up)
+    side = scene.of_role("side")
+    up = up_vector(poses[side], scene.frame[side], tuning.up)
     if up is None or not sum(map(len, ranges)):
         return None
     range_, every = float(np.median(np.concatenate(ranges))), np.concatenate(seen)

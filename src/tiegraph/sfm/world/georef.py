@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry.align import Similarity, rms_length
 from tiegraph.geometry.geodesy import Origin, vertical_note
+from tiegraph.geometry.gravity import up_vector
 from tiegraph.geometry.placement import PlacementError
 from tiegraph.scene.control import Control
 from tiegraph.scene.evidence import Statement, contradictions, table
@@ -22,7 +23,6 @@ from tiegraph.sfm.world.antenna import RIGHT_ANGLE_DEG
 from tiegraph.sfm.world.bars import BarsFound, bars_in
 from tiegraph.sfm.world.fit import Fit, jackknife_sigma
 from tiegraph.sfm.world.fixes import Fixes, Measurements
-from tiegraph.sfm.world.gravity import up_vector
 from tiegraph.sfm.world.marks import point_table, targets, without_blunders
 from tiegraph.sfm.world.scale import RIG, rig_scale
 from tiegraph.sfm.world.similarityfit import Model, SimilarityFit, fit_to_world
@@ -205,7 +205,8 @@ def georeference(
     rig = rig_scale(model, images, scene, tuning.scale, given.model_scale_sigma)
     bars = bars_in(model, scene, given.bars, tuning.marks)
     by_bars = None if bars is None else bars.scale
-    up = up_vector(images, scene, tuning.up)
+    side = scene.of_role("side")
+    up = up_vector(images[side], scene.frame[side], tuning.up)
     view = Model(
         images=images,
         up=up,

@@ -127,47 +127,92 @@ def one_world(
     given: Measurements,
     tuning: Tuning,
 ) -> OneWorld:
-    """Bring the first model into the world by its positions, then the others to it. ``given`` is of the first."""
+    """Bring the first model into the world by its positions, then the others to it, one after another: by matches, else
+    by their own positions, else by their points. ``given`` is of the first."""
     first, world = place.whole(models[0], given)
     if len(models) == 1:
         return OneWorld(first, world)
     joining = Joining(scene, verified, tuning.placement, models, {0: world})
     blind = replace(given, model_sigma=float("nan"), model_scale_sigma=float("nan"))
-    alone = {k: place.similarity(models[k], blind) for k in range(1, len(models))}
-    others: dict[int, Joined] = {}
-    contradictions: list[str] = []
-
-    def by_positions(number: int) -> Joined:
-        return _by_positions(number, models[number], first, alone[number], joining, tuning)
-
-    while left := [k for k in alone if k not in others]:
-        tied = joining.strongest(left)
-        if tied is not None:
-            number, fit, test = tied
-            off, sigma, said = _against_positions(number, first, alone[number], fit)
-            contradictions += said
-            images = models[number].num_reg_images()
-            others[number] = Joined(number, images, by="matches", test=test, off=off, sigma_m=sigma)
-            joining.add(number, moved(models[number], fit.first_from_second))
-            continue
-        asked = [by_positions(k) for k in left]
-        found = next((j for j in asked if j.by), None)
-        if found is not None:
-            others[found.number] = found
-            joining.add(found.number, place.whole(models[found.number], blind)[1])
-            continue
-        ground = surface_of(list(joining.world.values()), scene, tuning.world)
-        by_points = [_by_points(j, models, (first, alone[j.number]), (ground, scene), tuning.world) for j in asked]
-        best = max(by_points, key=lambda j: j.cloud.explained if j.by and j.cloud is not None else -1.0)
-        if best.cloud is None or not best.by:
-            others |= {j.number: j for j in by_points}
+    assembly = _Assembly(models, first, joining, place, blind, tuning)
+    while left := assembly.left():
+        if not (assembly.by_matches(left) or assembly.by_positions(left) or assembly.by_points(left)):
             break
-        others[best.number] = best
-        joining.add(best.number, moved(models[best.number], best.cloud.world_from_model))
-    whole = merged([joining.world[k] for k in sorted(joining.world)])
-    return OneWorld(
-        first=first, model=whole, others=tuple(others[k] for k in sorted(others)), contradictions=tuple(contradictions)
-    )
+    return assembly.result()
+
+
+class _Assembly:
+    """The models in the world so far (``joining``), and how each further one came there or why it did not.
+
+    Each way of placing tries the models that are left and says whether one of them came into the world.
+    """
+
+    def __init__(
+        self,
+        models: Sequence[pycolmap.Reconstruction],
+        first: Georeference,
+        joining: Joining,
+        place: ByPositions,
+        given: Measurements,
+        tuning: Tuning,
+    ) -> None:
+        self._models, self._first, self._joining, self._tuning = models, first, joining, tuning
+        self._whole = lambda number: place.whole(models[number], given)[1]
+        self._alone = {k: place.similarity(models[k], given) for k in range(1, len(models))}
+        self._others: dict[int, Joined] = {}
+        self._contradictions: list[str] = []
+
+    def left(self) -> list[int]:
+        """The models of which nothing is said yet."""
+        return [k for k in self._alone if k not in self._others]
+
+    def by_matches(self, left: Sequence[int]) -> bool:
+        """The one that most matches join to those in the world."""
+        tied = self._joining.strongest(left)
+        if tied is None:
+            return False
+        number, fit, test = tied
+        off, sigma, said = _against_positions(number, self._first, self._alone[number], fit)
+        self._contradictions += said
+        images = self._models[number].num_reg_images()
+        joined = Joined(number, images, by="matches", test=test, off=off, sigma_m=sigma)
+        self._add(joined, moved(self._models[number], fit.first_from_second))
+        return True
+
+    def by_positions(self, left: Sequence[int]) -> bool:
+        """The first whose own positions place it."""
+        found = next((j for j in map(self._placed_alone, left) if j.by), None)
+        if found is not None:
+            self._add(found, self._whole(found.number))
+        return found is not None
+
+    def by_points(self, left: Sequence[int]) -> bool:
+        """The one whose points lie on the others' best; where none's do, all that are left stay out."""
+        scene, tuning = self._joining.scene, self._tuning.world
+        ground = surface_of(list(self._joining.world.values()), scene, tuning), scene
+        tried = [
+            _by_points(self._placed_alone(k), self._models, (self._first, self._alone[k]), ground, tuning) for k in left
+        ]
+        best = max(tried, key=lambda j: j.cloud.explained if j.by and j.cloud is not None else -1.0)
+        if best.cloud is None or not best.by:
+            self._others |= {j.number: j for j in tried}
+            return False
+        self._add(best, moved(self._models[best.number], best.cloud.world_from_model))
+        return True
+
+    def result(self) -> OneWorld:
+        """All that came into the world as one model."""
+        whole = merged([self._joining.world[k] for k in sorted(self._joining.world)])
+        others = tuple(self._others[k] for k in sorted(self._others))
+        return OneWorld(first=self._first, model=whole, others=others, contradictions=tuple(self._contradictions))
+
+    def _add(self, joined: Joined, model: pycolmap.Reconstruction) -> None:
+        self._others[joined.number] = joined
+        self._joining.add(joined.number, model)
+
+    def _placed_alone(self, number: int) -> Joined:
+        own = self._alone[number]
+        return _by_positions(number, self._models[number], self._first, own, self._joining, self._tuning)
 
 
 def _by_positions(

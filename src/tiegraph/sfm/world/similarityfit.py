@@ -9,6 +9,7 @@ import numpy as np
 
 from tiegraph.errors import InputError
 from tiegraph.geometry.align import umeyama
+from tiegraph.geometry.gravity import Up
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import frame_poses
 from tiegraph.sfm.settings import GeorefSettings
@@ -27,7 +28,6 @@ from tiegraph.sfm.world.antenna import (
 from tiegraph.sfm.world.bars import BarsFound
 from tiegraph.sfm.world.fit import Evidence, Fit, fit_similarity
 from tiegraph.sfm.world.fixes import Fixes, Measurements, make_fixes
-from tiegraph.sfm.world.gravity import Up
 from tiegraph.sfm.world.marks import Target
 from tiegraph.sfm.world.scale import RigScale
 from tiegraph.sfm.world.sources import POSITIONS, common_of

@@ -13,12 +13,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry.align import Similarity
+from tiegraph.geometry.gravity import Up
 from tiegraph.geometry.placement import PlacementError
 from tiegraph.scene.evidence import Statement
 from tiegraph.sfm.tuning.world import NoiseTuning, SourceTuning, WorldTuning
 from tiegraph.sfm.world import noise
 from tiegraph.sfm.world.fit import Evidence, Fit, fit_similarity
-from tiegraph.sfm.world.gravity import Up
 from tiegraph.sfm.world.scale import RigScale
 
 POSITIONS = {"gnss": "GNSS positions", "exif": "EXIF positions", "trajectory": "trajectory positions"}

@@ -11,6 +11,7 @@ import pycolmap
 
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity, umeyama
+from tiegraph.geometry.gravity import Up
 from tiegraph.scene.control import Control, Marks, ScaleBars
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjustment.adjust import free_cameras, solve_points
@@ -23,7 +24,6 @@ from tiegraph.sfm.tuning import AdjustTuning, Tuning
 from tiegraph.sfm.tuning.world import AdjustmentTuning
 from tiegraph.sfm.world import costs, noise
 from tiegraph.sfm.world.fixes import Fixes
-from tiegraph.sfm.world.gravity import Up
 from tiegraph.sfm.world.marks import Target, mark_sigma
 
 
