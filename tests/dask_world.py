@@ -1,71 +1,80 @@
 """A Dask cluster started by its commands on 127.0.0.1, and what its workers are asked to do in tests."""
 
+from __future__ import annotations
+
 import os
 import re
-import subprocess
-import sys
-import threading
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
+import psutil
 
 from tiegraph.child import run_in_child
 from tiegraph.scene.filecache import cached_by_file
 
-_TESTS = Path(__file__).parent
+if TYPE_CHECKING:
+    from campaign.process import Server
+
 _PATIENCE_S = 120
 
 
-@contextmanager
-def commands(workers: int = 2, options: tuple[str, ...] = ()) -> Iterator[tuple[str, list[subprocess.Popen]]]:
-    """(address, [scheduler, worker, ...]) of `dask scheduler` and `dask worker`; all are ended in the end."""
-    quiet = ["--dashboard-address", "127.0.0.1:0"]
-    with _started("dask_scheduler", ["--host", "127.0.0.1", "--port", "0", *quiet]) as (scheduler, line):
-        address = re.search(r"tcp://[\d.:]+", line("Scheduler at")).group()
-        with ExitStack() as stack:
-            yield address, [scheduler, *(stack.enter_context(worker(address, options)) for _ in range(workers))]
+class Commands:
+    """Starts `dask scheduler` and `dask worker` as children of a process that has imported everything once."""
 
+    def __init__(self, server: Server, folder: Path) -> None:
+        self._server, self._folder, self._count = server, folder, 0
 
-@contextmanager
-def worker(address: str, options: tuple[str, ...] = ()) -> Iterator[subprocess.Popen]:
-    """One more worker of one thread of the scheduler there."""
-    given = [address, "--nthreads", "1", "--dashboard-address", "127.0.0.1:0", *options]
-    with _started("dask_worker", given) as (process, line):
-        line("Starting established connection")
-        yield process
+    @contextmanager
+    def cluster(self, workers: int = 2) -> Iterator[tuple[str, list[psutil.Process]]]:
+        """(address, [scheduler, worker, ...]); all are ended in the end."""
+        given = ["--host", "127.0.0.1", "--port", "0", "--dashboard-address", "127.0.0.1:0"]
+        with self._started("dask_scheduler", given, "Scheduler at") as (scheduler, line):
+            address = re.search(r"tcp://[\d.:]+", line).group()
+            with ExitStack() as stack:
+                yield address, [scheduler, *(stack.enter_context(self.worker(address)) for _ in range(workers))]
 
+    @contextmanager
+    def worker(self, address: str) -> Iterator[psutil.Process]:
+        """One more worker of one thread, without a nanny, of the scheduler there."""
+        given = [address, "--nthreads", "1", "--no-nanny", "--dashboard-address", "127.0.0.1:0"]
+        with self._started("dask_worker", given, "Starting established connection") as (process, _):
+            yield process
 
-@contextmanager
-def _started(module: str, arguments: list[str]) -> Iterator[tuple]:
-    path = os.pathsep.join([str(_TESTS.parent / "src"), str(_TESTS), os.environ.get("PYTHONPATH", "")])
-    process = subprocess.Popen(
-        [sys.executable, "-m", f"distributed.cli.{module}", *arguments],
-        stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True, env={**os.environ, "PYTHONPATH": path},
-    )  # fmt: skip
-    lines: list[str] = []
-    reader = threading.Thread(target=lambda: lines.extend(iter(process.stderr.readline, "")), daemon=True)
-    reader.start()
-
-    def line(text: str) -> str:
+    @contextmanager
+    def _started(self, module: str, arguments: list[str], ready: str) -> Iterator[tuple[psutil.Process, str]]:
+        """The process and the line by which it says that it is ready."""
+        self._count += 1
+        folder = self._folder / f"{self._count}-{module}"
+        process = self._server.start_module(f"distributed.cli.{module}", arguments, folder)
         end = time.monotonic() + _PATIENCE_S
-        while time.monotonic() < end and process.poll() is None:
-            if found := [one for one in lines if text in one]:
-                return found[0]
-            time.sleep(0.05)
-        raise AssertionError(f"{module} does not say {text!r}: {''.join(lines)}")
-
-    try:
-        yield process, line
-    finally:
-        process.terminate()
         try:
-            process.wait(20)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
+            while not (found := [one for one in _lines(folder) if ready in one]):
+                assert time.monotonic() < end and _runs(process), f"{module} does not say {ready!r}: {_lines(folder)}"
+                time.sleep(0.05)
+            yield process, found[0]
+        finally:
+            _end(process)
+
+
+def _lines(folder: Path) -> list[str]:
+    return (folder / "said.txt").read_text().splitlines()
+
+
+def _runs(process: psutil.Process) -> bool:
+    return process.is_running() and process.status() != psutil.STATUS_ZOMBIE
+
+
+def _end(process: psutil.Process) -> None:
+    end = time.monotonic() + 20
+    with suppress(psutil.NoSuchProcess):
+        process.terminate()
+        while _runs(process) and time.monotonic() < end:
+            time.sleep(0.02)
+        process.kill()
 
 
 def where(number: int, factor: float = 1) -> tuple[float, int]:

@@ -60,6 +60,15 @@ class Server:
 
     def start(self, argv: list[str], folder: Path, **limits: int | None) -> Running:
         """Start `tiegraph argv`; ``folder`` (made) takes its output; limits: file_bytes."""
+        pid = self._ask(argv, folder, memory_bytes=MEMORY_BYTES, **limits)
+        return Running(self, pid, folder / "said.txt")
+
+    def start_module(self, module: str, argv: list[str], folder: Path) -> psutil.Process:
+        """Start `python -m module argv` beside what else runs; ``folder`` (made) takes its output."""
+        return psutil.Process(self._ask(argv, folder, module=module))
+
+    def _ask(self, argv: list[str], folder: Path, **more: int | str | None) -> int:
+        """The process id of what was asked for."""
         if self._process.poll() is not None:
             self._open()
         folder.mkdir(parents=True, exist_ok=True)
@@ -70,8 +79,7 @@ class Server:
             "cwd": str(folder),
             "log": str(log),
             "mark": folder.name,
-            "memory_bytes": MEMORY_BYTES,
-            **limits,
+            **more,
         }
         assert self._process.stdin is not None
         self._process.stdin.write((json.dumps(request) + "\n").encode())
@@ -79,7 +87,7 @@ class Server:
         answer = self.answer(60)
         if answer is None:
             raise RuntimeError("the fork server did not start a command")
-        return Running(self, answer["pid"], log)
+        return answer["pid"]
 
     def answer(self, limit_s: float) -> dict | None:
         """The next answer, None if there is none in time."""

@@ -2,11 +2,13 @@
 
 Reads one JSON request a line on standard input: {"argv", "cwd", "log", "mark", "file_bytes", "memory_bytes"}; answers
 {"pid"} when the child runs and {"status"} (as of waitpid) when it has ended. The child has a session of its own,
-leaves through the interpreter's own end, and its helpers start like those of `python -m tiegraph.cli.main`.
+leaves through the interpreter's own end, and its helpers start like those of `python -m tiegraph.cli.main`. With
+{"module"} it is `python -m module argv` in their place, is not waited for, and the next request may come at once.
 """
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import gc
 import importlib
@@ -43,7 +45,7 @@ def end_with_parent() -> None:
 
 
 def become(request: dict) -> int:
-    """Turn the forked child into `tiegraph <argv>`; its exit code."""
+    """Turn the forked child into `tiegraph <argv>`, or into another program; its exit code."""
     end_with_parent()
     os.setsid()
     log = os.open(request["log"], os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
@@ -59,16 +61,26 @@ def become(request: dict) -> int:
     for name in ("SIGHUP", "SIGTERM", "SIGQUIT", "SIGUSR1"):  # whoever started the campaign may have them ignored
         signal.signal(getattr(signal, name), signal.SIG_DFL)
     signal.signal(signal.SIGINT, signal.default_int_handler)
+    name = request.get("module", "tiegraph.cli.main")
+    main = importlib.import_module(name)
+    main.__spec__ = importlib.util.find_spec(name)
+    _KEPT.append(sys.modules["__main__"])
+    sys.modules["__main__"] = main
+    if "module" in request:
+        sys.argv = [str(main.__file__), *request["argv"]]
+        return main.main()
     from tiegraph import forking
-    from tiegraph.cli import main
 
     forking.allow()  # this process is that of `tiegraph <argv>` alone
-
     sys.argv = ["tiegraph", *request["argv"]]
-    _KEPT.append(sys.modules["__main__"])
-    main.__spec__ = importlib.util.find_spec("tiegraph.cli.main")
-    sys.modules["__main__"] = main
     return main.main(request["argv"])
+
+
+def reap() -> None:
+    """Let go of what was not waited for and has ended."""
+    with contextlib.suppress(ChildProcessError):
+        while os.waitpid(-1, os.WNOHANG)[0]:
+            pass
 
 
 def serve() -> int:
@@ -78,13 +90,18 @@ def serve() -> int:
     sys.stdout.write(json.dumps({"ready": os.getpid()}) + "\n")
     sys.stdout.flush()
     for line in iter(sys.stdin.readline, ""):
+        reap()
         request = json.loads(line)
         request["argv"] = [os.fsdecode(bytes.fromhex(a)) for a in request["argv"]]
+        if other := request.get("module"):
+            importlib.import_module(other)
         pid = os.fork()
         if pid == 0:
             return become(request)
         sys.stdout.write(json.dumps({"pid": pid}) + "\n")
         sys.stdout.flush()
+        if other:
+            continue
         _, status = os.waitpid(pid, 0)
         sys.stdout.write(json.dumps({"status": status}) + "\n")
         sys.stdout.flush()

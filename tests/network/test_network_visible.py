@@ -6,13 +6,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import transforms
-from tiegraph.network.coarse import visible
+from tiegraph.network.coarse import pairshare, visible
+from tiegraph.network.coarse.pairshare import pair_share
 from tiegraph.network.coarse.visible import (
     Overlap,
     Proxy,
     assumed_proxy,
     observed_proxy,
-    pair_share,
     shared_surface,
 )
 from tiegraph.network.tuning import Tuning
@@ -153,6 +153,24 @@ def test_pair_share_is_the_same_measure(monkeypatch: pytest.MonkeyPatch) -> None
     listed = found.between(i, j)
     # votes are by image cell there and by point here
     assert np.abs(np.where(direct < 0.02, 0, direct) - listed).max() < 0.08
+
+
+def test_pair_share_of_cameras_of_several_kinds_is_that_of_each_pair(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of the barrel the corners have no rays, so that images have unequally many points."""
+    barrel = pycolmap.Camera(model="SIMPLE_RADIAL", width=640, height=480, params=[320.0, 320.0, 240.0, -0.35])
+    cameras, poses = [CAMERA, barrel, None] * 3, row_of_cameras(9)
+    poses[4] = np.nan
+    counts = np.bincount(assumed_proxy(poses, cameras, 10.0, TUNING).image, minlength=9)
+    assert counts[1] < counts[0] and counts[4] == 0
+    i, j = np.triu_indices(9, 1)
+    at_once = pair_share(poses, cameras, i, j, 10.0, TUNING)
+    monkeypatch.setattr(pairshare, "_POINTS", 1)
+    one_by_one = [pair_share(poses, cameras, i[k : k + 1], j[k : k + 1], 10.0, TUNING)[0] for k in range(len(i))]
+    np.testing.assert_array_equal(at_once, one_by_one)
+    np.testing.assert_array_equal(np.isnan(at_once), (i == 4) | (j == 4))
+    listed = shared(poses, cameras, assumed_proxy(poses, cameras, 10.0, TUNING)).between(i, j)
+    known = np.isfinite(at_once) & (at_once > 0.02)
+    assert known.sum() > 10 and np.abs(at_once - listed)[known].max() < 0.12
 
 
 def test_slack_widens_the_view_of_unsure_poses() -> None:

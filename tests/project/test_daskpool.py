@@ -53,6 +53,11 @@ def pool(cluster):
     executor.shutdown(cancel_futures=True)
 
 
+@pytest.fixture
+def commands(server, tmp_path_factory):
+    return dask_world.Commands(server, tmp_path_factory.mktemp("dask"))
+
+
 def on_workers(cluster, function, *args):
     import distributed
 
@@ -181,10 +186,10 @@ def test_what_is_no_address_is_named(spec):
         open_pool(spec)
 
 
-def test_a_scheduler_without_workers_is_said(monkeypatch):
+def test_a_scheduler_without_workers_is_said(commands, monkeypatch):
     monkeypatch.setattr(daskcluster, "_CONNECT_S", 60.0)  # on a busy machine
     monkeypatch.setattr(daskpool, "_WORKERS_S", 1.0)
-    with dask_world.commands(0) as (address, _):
+    with commands.cluster(0) as (address, _):
         with pytest.raises(InputError, match="no workers"):
             open_pool(f"dask:{address}")
 
@@ -270,8 +275,8 @@ def test_workers_stop_when_the_run_is_killed(cluster, tmp_path):
     assert 0 < count == len(list(work.iterdir())) < 40  # a chunk has 25
 
 
-def test_a_lost_worker_costs_its_chunk_and_one_that_comes_later_takes_part(tmp_path, caplog):
-    with dask_world.commands(2, ("--no-nanny",)) as (address, (_, first, _)):
+def test_a_lost_worker_costs_its_chunk_and_one_that_comes_later_takes_part(commands, tmp_path, caplog):
+    with commands.cluster(2) as (address, (_, first, _)):
         executor, workers = open_pool(f"dask:{address}")
         lost = threading.Timer(2.0, first.kill)
         lost.start()
@@ -282,15 +287,15 @@ def test_a_lost_worker_costs_its_chunk_and_one_that_comes_later_takes_part(tmp_p
         assert 1 <= sum(len(writers) - 1 for writers in lines) <= chunk, "made twice: what the lost one was at"
         assert "was lost" in caplog.text and caplog.text.count("the others do its work") == 1
         before = {pid for _, pid in made} - {first.pid}
-        with dask_world.worker(address, ("--no-nanny",)):
+        with commands.worker(address):
             more = map_items(executor, workers, dask_world.write_down, range(100, 132), (tmp_path, 0.1))
         assert len(before) == 1 and before < {pid for _, pid in more}, "and the new one"
         executor.shutdown()
 
 
 @pytest.mark.parametrize("lost", ["worker", "scheduler"])
-def test_the_loss_of_the_last_worker_or_of_the_scheduler_ends_the_run(lost, capfd):
-    with dask_world.commands(1, ("--no-nanny",)) as (address, (scheduler, worker)):
+def test_the_loss_of_the_last_worker_or_of_the_scheduler_ends_the_run(lost, commands, capfd):
+    with commands.cluster(1) as (address, (scheduler, worker)):
         executor, workers = open_pool(f"dask:{address}")
         futures = [executor.submit(dask_world.span, k, 60.0) for k in range(4)]
         time.sleep(0.5)

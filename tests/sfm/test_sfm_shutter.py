@@ -41,7 +41,7 @@ def walk(readout_s: float) -> tuple[pycolmap.Reconstruction, Scene]:
     rng = np.random.default_rng(3)
     camera = pycolmap.Camera(model="PINHOLE", width=800, height=600, params=[600.0, 600.0, 400.5, 300.0], camera_id=1)
     camera.has_prior_focal_length = True
-    points = rng.uniform([-5, -4, 4], [1.2 * FRAMES / FPS + 5, 4, 9], (1200, 3))
+    points = rng.uniform([-5, -4, 4], [1.2 * FRAMES / FPS + 5, 4, 9], (800, 3))
     model, identity = pycolmap.Reconstruction(), pycolmap.sensor_t(pycolmap.SensorType.CAMERA, 1)
     model.add_camera(camera)
     rig = pycolmap.Rig(rig_id=1)

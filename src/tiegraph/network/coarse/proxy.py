@@ -128,14 +128,13 @@ def assumed_proxy(
     views = {key: View.of(c, tuning.visible.guessed_view_deg) for key, c in {id(c): c for c in cameras}.items()}
     rays = {key: _grid_rays(view, tuning.proxy.assumed_grid) for key, view in views.items()}
     steps = np.array(tuning.proxy.assumed_ranges)
-    points, towards, reach, image = [], [], [], []
-    for k in known:
+    centres = transforms.centre(cam_from_world[known])
+    points, towards, count = [], [], []
+    for k, centre in zip(known, centres):
         world = rays[id(cameras[int(k)])] @ cam_from_world[k, :3, :3]
-        centre = transforms.centre(cam_from_world[k])
         points.append((centre + world[None] * (steps * ranges[k])[:, None, None]).reshape(-1, 3))
-        towards.append(np.tile(-world, (len(steps), 1)))
-        reach.append(np.full(len(world) * len(steps), tuning.proxy.assumed_reach * ranges[k]))
-        image.append(np.full(len(world) * len(steps), k))
+        towards += [-world] * len(steps)
+        count.append(len(points[-1]))
     if not points:
         return Proxy(
             points=np.zeros((0, 3)),
@@ -145,13 +144,12 @@ def assumed_proxy(
             point=np.zeros(0, int),
             assumed=True,
         )
-    count = len(points) * len(points[0])
     return Proxy(
         points=np.concatenate(points),
-        reach=np.concatenate(reach),
+        reach=np.repeat(tuning.proxy.assumed_reach * ranges[known], count),
         towards=np.concatenate(towards),
-        image=np.concatenate(image),
-        point=np.arange(count),
+        image=np.repeat(known, count),
+        point=np.arange(sum(count)),
         assumed=True,
     )
 

@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 
 from tiegraph.geometry import transforms
 from tiegraph.network.coarse.proxy import Proxy, View, assumed_proxy, observed_proxy
-from tiegraph.network.tuning.coarse import CoarseTuning, VisibleTuning
+from tiegraph.network.tuning.coarse import VisibleTuning
 from tiegraph.scene.matches import Visibility
 from tiegraph.scene.pairs import pair_key
 
@@ -107,20 +107,27 @@ class _Sight:
     distance: np.ndarray
 
 
-def _visible(
-    eye: _Eye, proxy: Proxy, near: np.ndarray, tuning: VisibleTuning
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of points ``near`` (K,): whether in view and not seen from behind (K,) bool, image cell, distance."""
-    pose, half = eye.pose, tuning.cone_widens * eye.view.half + eye.slack
-    ray = proxy.points[near] - transforms.centre(pose)
+@dataclass(frozen=True)
+class Rays:
+    """From images of one view to points ``point`` (K,) of a proxy: in the world (K, 3), in the image's frame (K, 3)."""
+
+    view: View
+    slack: float
+    point: np.ndarray
+    world: np.ndarray
+    local: np.ndarray
+
+
+def in_view(rays: Rays, proxy: Proxy, tuning: VisibleTuning) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of points (K,): whether in view and not seen from behind (K,) bool, image cell, distance."""
+    half = tuning.cone_widens * rays.view.half + rays.slack
+    ray, local, towards = rays.world, rays.local, proxy.towards[rays.point]
     distance = np.linalg.norm(ray, axis=1)
-    local = ray @ pose[:3, :3].T
-    ahead = (local[:, 2] > max(np.cos(min(half, np.pi)), 1e-6) * distance) & (distance < proxy.reach[near])
-    towards = proxy.towards[near]
+    ahead = (local[:, 2] > max(np.cos(min(half, np.pi)), 1e-6) * distance) & (distance < proxy.reach[rays.point])
     facing = -np.einsum("kc,kc->k", ray, towards) > tuning.front_cos * distance
     seen = ahead & (facing | ~towards.any(axis=1))
-    shares = np.full((len(near), 2), np.nan)
-    shares[seen] = eye.view.project(local[seen], eye.slack)
+    shares = np.full((len(ray), 2), np.nan)
+    shares[seen] = rays.view.project(local[seen], rays.slack)
     seen &= np.isfinite(shares).all(axis=1)
     return seen, (np.where(seen[:, None], shares, 0.0) * tuning.cells).astype(int) @ (1, tuning.cells[0]), distance
 
@@ -128,7 +135,9 @@ def _visible(
 def _sight(eye: _Eye, proxy: Proxy, boxes: _Boxes, own: np.ndarray, tuning: VisibleTuning) -> _Sight:
     half = tuning.cone_widens * eye.view.half + eye.slack
     near = boxes.near(transforms.centre(eye.pose), eye.pose[2, :3], half)
-    seen, cell, distance = _visible(eye, proxy, near, tuning)
+    ray = proxy.points[near] - transforms.centre(eye.pose)
+    rays = Rays(eye.view, eye.slack, near, world=ray, local=ray @ eye.pose[:3, :3].T)
+    seen, cell, distance = in_view(rays, proxy, tuning)
     point, cell, distance = near[seen], cell[seen], distance[seen]
     if not proxy.assumed:
         nearest = np.full(tuning.cells[0] * tuning.cells[1], np.inf)
@@ -359,32 +368,3 @@ def _undirected(rows: np.ndarray) -> Overlap:
         angle_deg=np.degrees(np.arccos(np.clip(rows[3, keep], -1, 1))),
         scale=np.exp(ratio[keep]),
     )
-
-
-def pair_share(
-    cam_from_world: np.ndarray,
-    cameras: Sequence[pycolmap.Camera | None],
-    i: np.ndarray,
-    j: np.ndarray,
-    range_m: float,
-    tuning: CoarseTuning,
-) -> np.ndarray:
-    """(K,) predicted overlap of a few given pairs by poses alone, at an assumed range; NaN where a pose is unknown.
-
-    The same measure as ``shared_surface`` of an ``assumed_proxy``, one pair after another.
-    """
-    asked = np.isin(np.arange(len(cameras)), np.concatenate([i, j]))
-    proxy = assumed_proxy(np.where(asked[:, None, None], cam_from_world, np.nan), cameras, range_m, tuning)
-    views = {key: View.of(c, tuning.visible.guessed_view_deg) for key, c in {id(c): c for c in cameras}.items()}
-    order = np.argsort(proxy.image, kind="stable")
-    starts = np.searchsorted(proxy.image[order], np.arange(len(cameras) + 1))
-    known = np.all(np.isfinite(cam_from_world[:, :3]), axis=(1, 2))
-    out = np.full(len(i), np.nan)
-    for k in np.flatnonzero(known[i] & known[j]):
-        seen = []
-        for a, b in ((i[k], j[k]), (j[k], i[k])):
-            own = order[starts[a] : starts[a + 1]]
-            eye = _Eye(cam_from_world[b], views[id(cameras[b])], 0.0)
-            seen.append(np.mean(_visible(eye, proxy, own, tuning.visible)[0]) if len(own) else 0.0)
-        out[k] = max(seen)
-    return out
