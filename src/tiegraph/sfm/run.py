@@ -29,6 +29,7 @@ class Method:
 
     mapper: str  # incremental, global, or preview: from the poses of the coarse model
     seed: int = 0  # of every random choice: the same input gives the same model
+    few_tracks: bool = False  # images are placed by few; the other points are found when they stand
     rough: bool = False  # few tracks, none found later
 
 
@@ -145,6 +146,7 @@ def _options(request: Request, free: bool) -> pycolmap.IncrementalPipelineOption
     return pycolmap.IncrementalPipelineOptions(
         random_seed=request.method.seed,
         num_threads=THREADS,
+        ba_use_gpu=False,  # the same bits with and without one
         min_num_matches=request.matches.least,
         min_model_size=request.tuning.mapping.min_model_images,
         extract_colors=False,
@@ -177,12 +179,13 @@ def _incremental(
 def _global(request: Request, working: Path, raw: Path) -> dict[int, pycolmap.Reconstruction]:
     refine_rig = len(request.fixed.rigs) < len(request.rigs)
     mapper = pycolmap.GlobalMapperOptions(refine_sensor_from_rig=refine_rig)
+    mapper.global_positioning.use_gpu = False
     mapper.bundle_adjustment.refine_focal_length = not request.fixed.all_cameras  # it knows no single constant cameras
     mapper.bundle_adjustment.refine_extra_params = not request.fixed.all_cameras
     factorised(mapper.bundle_adjustment, *sizes(working))
-    if request.method.rough:
-        mapper.track_required_tracks_per_view = request.tuning.mapping.rough_tracks
-        mapper.skip_retriangulation = True
+    if request.method.few_tracks or request.method.rough:
+        mapper.track_required_tracks_per_view = request.tuning.mapping.few_tracks
+    mapper.skip_retriangulation = request.method.rough
     options = pycolmap.GlobalPipelineOptions(
         random_seed=request.method.seed,
         num_threads=THREADS,  # these two count, not the mapper's own
