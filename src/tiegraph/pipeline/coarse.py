@@ -130,7 +130,7 @@ def coarse_model(run: Run, scene: Scene, ties: PreviewMatches, rough: bool) -> C
     write_preview_database(database, scene, previews, ties, min_matches=1)
     settings = SparseSettings(covariance_frames=0, use_positions=False)
     try:
-        source, tuning = Source(database, None, few_tracks=True, rough=rough), run.settings.tuning
+        source, tuning = Source(database, None, rough=rough), run.settings.tuning
         made = reconstruct(source, folder, scene.measured(), settings, tuning.sfm, tuning.scene, run.log)
         model = made.load(0)
     except ReconstructionError as error:

@@ -52,13 +52,11 @@ Progress = Callable[[int, int], None]
 @dataclass(frozen=True)
 class Source:
     """What to map: a database with verified matches, the image folder (None: the points get no colours), pairs (scene
-    indices) not to use; ``few_tracks``: few place the images, which takes two thirds of the time; ``rough``: and the
-    rest is not looked for, a third of the time: poses good to 0.1 degrees will do."""
+    indices) not to use; ``rough``: poses good to 0.1 degrees will do, a fifth of the time."""
 
     database: Path
     images: Path | None
     refused: tuple[tuple[int, int], ...] = ()
-    few_tracks: bool = False
     rough: bool = False
     apart: tuple[tuple[int, int], ...] = ()  # pairs between sections that are mapped apart first (``sectionwise``)
     preview: np.ndarray | None = None  # (N, 4, 4) cam_from_world of the images in a rough model that is believed
@@ -301,7 +299,7 @@ def _near_given_focal_lengths(job: Job, outcome: Outcome, label: str) -> Outcome
 def _request(job: Job, mapper: str, seed: int = 0) -> Request:
     constant = believed_cameras(job.scene, job.settings)
     return Request(
-        method=Method(mapper, seed, few_tracks=job.source.few_tracks, rough=job.source.rough),
+        method=Method(mapper, seed, rough=job.source.rough),
         matches=Matches(job.source.database, job.settings.min_matches, job.source.refused),
         fixed=Fixed(
             rigs=tuple(job.rigs.held_by_mapper(job.tuning.rig)),

@@ -29,7 +29,6 @@ class Method:
 
     mapper: str  # incremental, global, or preview: from the poses of the coarse model
     seed: int = 0  # of every random choice: the same input gives the same model
-    few_tracks: bool = False  # images are placed by few; the other points are found when they stand
     rough: bool = False  # few tracks, none found later
 
 
@@ -183,9 +182,9 @@ def _global(request: Request, working: Path, raw: Path) -> dict[int, pycolmap.Re
     mapper.bundle_adjustment.refine_focal_length = not request.fixed.all_cameras  # it knows no single constant cameras
     mapper.bundle_adjustment.refine_extra_params = not request.fixed.all_cameras
     factorised(mapper.bundle_adjustment, *sizes(working))
-    if request.method.few_tracks or request.method.rough:
-        mapper.track_required_tracks_per_view = request.tuning.mapping.few_tracks
-    mapper.skip_retriangulation = request.method.rough
+    if request.method.rough:
+        mapper.track_required_tracks_per_view = request.tuning.mapping.rough_tracks
+        mapper.skip_retriangulation = True
     options = pycolmap.GlobalPipelineOptions(
         random_seed=request.method.seed,
         num_threads=THREADS,  # these two count, not the mapper's own
