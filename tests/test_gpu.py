@@ -11,6 +11,9 @@ import pytest
 from tiegraph import gpu
 from tiegraph.features import matchblocks
 from tiegraph.features.settings import MatchSettings
+from tiegraph.sfm import run
+from tiegraph.sfm.solver import repeatable
+from tiegraph.sfm.tuning import Tuning
 
 
 @pytest.fixture
@@ -59,3 +62,24 @@ def test_matching_is_told_where(monkeypatch, tmp_path: Path, there):
     matchblocks.match_blocks("database.db", blocks, MatchSettings(), lambda message: None)
     assert told[0]["device"] == (pycolmap.Device.cuda if there else pycolmap.Device.cpu)
     assert told[0]["matching_options"].use_gpu is there
+
+
+def test_adjustments_stay_on_the_cpu_where_their_bits_are_the_same_everywhere():
+    options = pycolmap.BundleAdjustmentOptions()
+    ceres = options.ceres
+    ceres.use_gpu = True
+    options.ceres = ceres
+    repeatable(options)
+    assert not options.ceres.use_gpu
+
+
+def test_a_mapper_is_told_to_adjust_and_place_on_the_cpu(monkeypatch, tmp_path):
+    told = []
+    monkeypatch.setattr(pycolmap, "global_mapping", lambda database, images, out, options: told.append(options) or {})
+    monkeypatch.setattr(run, "sizes", lambda database: (2, 2))
+    fixed, matches = run.Fixed(), run.Matches(tmp_path / "a.db", 15)
+    scene, tuning = "", Tuning()
+    request = run.Request(run.Method("global"), matches, fixed, None, tmp_path, scene, {}, False, tuning)
+    run._global(request, tmp_path / "a.db", tmp_path)
+    assert not told[0].mapper.global_positioning.use_gpu and not told[0].mapper.bundle_adjustment.ceres.use_gpu
+    assert not run._options(request, True).ba_use_gpu

@@ -154,6 +154,7 @@ def problem(
         refine_sensor_from_rig=free,
     )
     ceres = options.ceres
+    ceres.use_gpu = False
     ceres.loss_function_type = pycolmap.LossFunctionType.CAUCHY
     ceres.loss_function_scale = scale_px
     solver = ceres.solver_options

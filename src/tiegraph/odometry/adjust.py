@@ -98,6 +98,7 @@ def _solve(model: pycolmap.Reconstruction, held: Collection[int], loss_px: float
         refine_sensor_from_rig=False,
     )
     ceres = options.ceres
+    ceres.use_gpu = False
     ceres.loss_function_type = pycolmap.LossFunctionType.CAUCHY
     ceres.loss_function_scale = loss_px
     solver = ceres.solver_options

@@ -145,6 +145,7 @@ def _options(request: Request, free: bool) -> pycolmap.IncrementalPipelineOption
     return pycolmap.IncrementalPipelineOptions(
         random_seed=request.method.seed,
         num_threads=THREADS,
+        ba_use_gpu=False,  # the same bits with and without one
         min_num_matches=request.matches.least,
         min_model_size=request.tuning.mapping.min_model_images,
         extract_colors=False,
@@ -177,6 +178,7 @@ def _incremental(
 def _global(request: Request, working: Path, raw: Path) -> dict[int, pycolmap.Reconstruction]:
     refine_rig = len(request.fixed.rigs) < len(request.rigs)
     mapper = pycolmap.GlobalMapperOptions(refine_sensor_from_rig=refine_rig)
+    mapper.global_positioning.use_gpu = False
     mapper.bundle_adjustment.refine_focal_length = not request.fixed.all_cameras  # it knows no single constant cameras
     mapper.bundle_adjustment.refine_extra_params = not request.fixed.all_cameras
     factorised(mapper.bundle_adjustment, *sizes(working))

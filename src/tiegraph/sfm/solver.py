@@ -28,8 +28,9 @@ def factorised(options: pycolmap.BundleAdjustmentOptions, frames: int, images: i
 
 
 def repeatable(options: pycolmap.BundleAdjustmentOptions) -> None:
-    """Let an adjustment give the same bits each time."""
+    """Let an adjustment give the same bits each time, and on a machine with a GPU those of one without."""
     ceres = options.ceres
+    ceres.use_gpu = False
     solver = ceres.solver_options
     solver.num_threads = THREADS
     ceres.solver_options = solver
