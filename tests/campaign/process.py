@@ -11,6 +11,7 @@ import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import psutil
@@ -58,9 +59,13 @@ class Server:
         if "ready" not in (self.answer(300) or {}):
             raise RuntimeError("the fork server did not start")
 
-    def start(self, argv: list[str], folder: Path, **limits: int | None) -> Running:
-        """Start `tiegraph argv`; ``folder`` (made) takes its output; limits: file_bytes."""
-        pid = self._ask(argv, folder, memory_bytes=MEMORY_BYTES, **limits)
+    def start(
+        self, argv: list[str], folder: Path, *, file_bytes: int | None = None, copies: Path | None = None
+    ) -> Running:
+        """Start `tiegraph argv`; ``folder`` (made) takes its output. ``file_bytes``: a limit to the size of a file;
+        ``copies``: where the run folder is copied to, by the name of the stage, when the next one is to begin."""
+        more = {"file_bytes": file_bytes, "copies": copies and str(copies)}
+        pid = self._ask(argv, folder, memory_bytes=MEMORY_BYTES, **more)
         return Running(self, pid, folder / "said.txt")
 
     def start_module(self, module: str, argv: list[str], folder: Path) -> psutil.Process:
@@ -104,9 +109,9 @@ class Server:
         line, self._buffer = self._buffer.split(b"\n", 1)
         return json.loads(line)
 
-    def run(self, argv: list[str], folder: Path, limit_s: float, **limits: int | None) -> Ended:
-        """Run `tiegraph argv` to its end."""
-        return self.start(argv, folder, **limits).wait(limit_s)
+    def run(self, argv: list[str], folder: Path, limit_s: float, **more: Any) -> Ended:
+        """Run `tiegraph argv` to its end; ``more`` as ``start`` has it."""
+        return self.start(argv, folder, **more).wait(limit_s)
 
     def recover(self) -> None:
         """Start anew after an error."""

@@ -1,9 +1,10 @@
 """A fork server: tiegraph and its libraries are imported once, then every command line runs in a forked child.
 
-Reads one JSON request a line on standard input: {"argv", "cwd", "log", "mark", "file_bytes", "memory_bytes"}; answers
-{"pid"} when the child runs and {"status"} (as of waitpid) when it has ended. The child has a session of its own,
-leaves through the interpreter's own end, and its helpers start like those of `python -m tiegraph.cli.main`. With
-{"module"} it is `python -m module argv` in their place, is not waited for, and the next request may come at once.
+Reads one JSON request a line on standard input: {"argv", "cwd", "log", "mark", "file_bytes", "memory_bytes",
+"copies"}; answers {"pid"} when the child runs and {"status"} (as of waitpid) when it has ended. The child has a
+session of its own, leaves through the interpreter's own end, and its helpers start like those of
+`python -m tiegraph.cli.main`. With {"module"} it is `python -m module argv` in their place, is not waited for, and the
+next request may come at once.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import json
 import os
 import pkgutil
 import resource
+import shutil
 import signal
 import sys
 
@@ -71,9 +73,26 @@ def become(request: dict) -> int:
         return main.main()
     from tiegraph import forking
 
+    if request.get("copies"):
+        copy_after_stages(request["copies"])
     forking.allow()  # this process is that of `tiegraph <argv>` alone
     sys.argv = ["tiegraph", *request["argv"]]
     return main.main(request["argv"])
+
+
+def copy_after_stages(to: str) -> None:
+    """Copy the run folder as it is after a stage, when the next one is to begin."""
+    from tiegraph.project import run as stages
+
+    real, done = stages._run_one, []
+
+    def run_one(stage, key, run, artefacts):
+        for name in done[-1:]:
+            shutil.copytree(run.folder, os.path.join(to, name), symlinks=True)
+        real(stage, key, run, artefacts)
+        done.append(stage.name)
+
+    stages._run_one = run_one
 
 
 def reap() -> None:

@@ -181,6 +181,9 @@ def test_presets_run_to_a_model_and_compare(preset, finished, server, tmp_path):
     more = ["--masks.source", "none", "--rig", finished.inputs / "rig.toml", "--quiet"]
     ended = server.run([*asked, *more], tmp_path / "said", _PATIENCE_S)
     assert ended.good, ended
+    names = [s.name for s in STAGES]
+    later = [n for n in names[names.index("sparse") + 1 :] if (out / "receipts" / f"{n}.json").exists()]
+    assert not later, "a run ends with the stage that it is to end with"
     project, ours = tiegraph.open(out=out), tiegraph.open(out=finished.clean["report"])
     if preset == "conventional":  # first claim of paper 000: it looks at every pair, the network at a part
         every = len(project.scene()) * (len(project.scene()) - 1) // 2

@@ -21,8 +21,8 @@ def test_serial_and_processes_make_the_same_bytes(finished, server, tmp_path):
         given = [word for name in ("gnss", "times") for word in (f"--{name}", survey / f"{name}.csv")]
         return [str(word) for word in (*asked, *given)]
 
-    # The server's order of hashes is drawn; the other run has children.
-    serial = server.run(command("serial"), tmp_path / "said", _PATIENCE_S, children=False)
+    # The server's order of hashes is drawn.
+    serial = server.run(command("serial"), tmp_path / "said", _PATIENCE_S)
     assert serial.good, serial
     subprocess.run(
         [sys.executable, "-m", "tiegraph", *command("local:2")],

@@ -17,7 +17,7 @@ def off_plane(way: np.ndarray, ray: np.ndarray, normal: np.ndarray) -> np.ndarra
     way, ray (K, 3): from the first centre to the second, and the first ray; normal (K, 3): first ray x second ray, both
     of unit length in the axes of ``way``.
     """
-    across = np.maximum(np.linalg.norm(np.cross(way, ray), axis=1), 1e-12)
+    across = np.maximum(np.linalg.norm(cross(way, ray), axis=1), 1e-12)
     return np.abs(np.sum(way * normal, axis=1)) / across
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import pycolmap
 
 from tiegraph.geometry import transforms
+from tiegraph.geometry.rays import cross
 from tiegraph.scene.colmapdatabase import Rows, image_ids
 from tiegraph.scene.colmapmodel import matrix
 from tiegraph.scene.rays import rays_or_axis
@@ -110,11 +111,11 @@ def _explained(
     """(M,) bool: rays a and b (M, 3) meet, ahead of both and within reach (or far off, without parallax)."""
     turned = a @ b_from_a[:3, :3].T
     step = b_from_a[:3, 3]
-    normal = np.cross(turned, b)
+    normal = cross(turned, b)
     squared = np.maximum(np.sum(normal**2, axis=1), 1e-18)
     # turned * s + step = b * t in least squares
-    s = np.sum(np.cross(b, step) * normal, axis=1) / squared
-    t = np.sum(np.cross(turned, step) * normal, axis=1) / squared
+    s = np.sum(cross(b, step[None]) * normal, axis=1) / squared
+    t = np.sum(cross(turned, step[None]) * normal, axis=1) / squared
     gap = np.linalg.norm(turned * s[:, None] + step - b * t[:, None], axis=1)
     tolerance = tuning.tolerance_rad
     meets = gap < tolerance * np.maximum(np.abs(s), np.abs(t))

@@ -16,7 +16,7 @@ import numpy as np
 import pycolmap
 
 from tiegraph.geometry import transforms
-from tiegraph.geometry.rays import off_plane
+from tiegraph.geometry.rays import cross, off_plane
 from tiegraph.scene.rays import rays_or_axis
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.tuning.start import ScaleTuning
@@ -81,7 +81,7 @@ def _rays(
         b = _turned(scene, j, verified.xy[j][matches[:, 1]], pose_j, cam_from_rig[j])
         lever = pose_j[:3, :3] @ centre[j] - pose_i[:3, :3] @ centre[i]
         path = pose_j[:3, 3] - pose_i[:3, 3]
-        rows.append((a, np.cross(a, b), np.tile(path, (len(a), 1)), np.tile(lever, (len(a), 1))))
+        rows.append((a, cross(a, b), np.tile(path, (len(a), 1)), np.tile(lever, (len(a), 1))))
     if not rows:
         return None
     return _Rays(*(np.concatenate(column) for column in zip(*rows)))
