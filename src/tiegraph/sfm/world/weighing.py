@@ -188,7 +188,7 @@ def _places(
 
 def _spread(asked: Question) -> float:
     own = asked.evidence.position[: asked.count]
-    return rms_length(own - own.mean(axis=0))
+    return rms_length(own - own.mean(axis=0)) if len(own) else float("nan")
 
 
 def _own_trend(asked: Question, source: Source) -> Trend | None:
