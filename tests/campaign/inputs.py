@@ -114,27 +114,43 @@ _BY_NAME = {k.name: k for k in KINDS}
 _ROUND = [k for k in KINDS for _ in range(k.weight)]
 
 
-def prepare(world: World, server: Server, short: bool) -> dict[str, tuple[Path, str]]:
-    """{kind: (clean run folder, what it said)} of the kinds that need other options than the clean run."""
-    out: dict = {"short": short}
-    for kind in KINDS:
-        until = "scan" if short and not kind.after else kind.until
-        folder = world.root / "kinds" / f"{kind.name.replace(' ', '-')}-{until}"
-        if kind.options or kind.name == "video":
-            ended = None
-            if not (folder / "said.txt").exists():
-                shutil.rmtree(folder, ignore_errors=True)
-                run_folder = world.after(kind.after, folder / "out")
-                command = _command(kind, world, world.inputs, run_folder, until)
-                ended = server.run(command, folder, PATIENCE_S)
-            if ended is not None and not ended.good and kind.name != "mask model":  # without ONNX Runtime it fails
-                raise RuntimeError(f"the clean run of {kind.name} failed: {ended}")
-            said = _all_said(folder / "out", (folder / "said.txt").read_text(), world.inputs)
-            out[kind.name] = (folder / "out", said)
-        else:
-            said = "\n".join((world.root / "clean" / "said.txt").read_text().splitlines())
-            out[kind.name] = (world.clean[kind.until], _all_said(world.clean["report"], said, world.inputs))
-    return out
+class Clean(dict):
+    """{kind: (clean run folder, what it said)}, made when it is asked for: of the kinds that need other options than
+    the clean run a run of its own. ``short``: whether the campaign is."""
+
+    def __init__(self, world: World, server: Server, short: bool) -> None:
+        super().__init__(short=short)
+        self._world, self._server = world, server
+
+    def __missing__(self, name: str) -> tuple[Path, str]:
+        kind = next(k for k in KINDS if k.name == name)
+        self[name] = self._made(kind) if kind.options or name == "video" else self._as_clean(kind)
+        return self[name]
+
+    def _made(self, kind: Kind) -> tuple[Path, str]:
+        until = "scan" if self["short"] and not kind.after else kind.until
+        folder = self._world.root / "kinds" / f"{kind.name.replace(' ', '-')}-{until}"
+        ended = None
+        if not (folder / "said.txt").exists():
+            shutil.rmtree(folder, ignore_errors=True)
+            run_folder = self._world.after(kind.after, folder / "out")
+            command = _command(kind, self._world, self._world.inputs, run_folder, until)
+            ended = self._server.run(command, folder, PATIENCE_S)
+        if ended is not None and not ended.good and kind.name != "mask model":  # without ONNX Runtime it fails
+            raise RuntimeError(f"the clean run of {kind.name} failed: {ended}")
+        return folder / "out", _all_said(folder / "out", (folder / "said.txt").read_text(), self._world.inputs)
+
+    def _as_clean(self, kind: Kind) -> tuple[Path, str]:
+        said = "\n".join((self._world.root / "clean" / "said.txt").read_text().splitlines())
+        return self._world.clean[kind.until], _all_said(self._world.clean["report"], said, self._world.inputs)
+
+
+def prepare(world: World, server: Server, short: bool) -> Clean:
+    """What clean runs said; in the long form, whose workers go side by side, of all kinds at once."""
+    clean = Clean(world, server, short)
+    for kind in () if short else KINDS:
+        clean[kind.name]
+    return clean
 
 
 def _command(kind: Kind, world: World, inputs: Path, out: Path, until: str = "") -> list[str]:
