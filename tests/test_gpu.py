@@ -1,5 +1,6 @@
 """COLMAP goes to a GPU only where there is one, and is never left to decide."""
 
+import ctypes
 import subprocess
 from pathlib import Path
 from types import SimpleNamespace
@@ -18,8 +19,8 @@ from tiegraph.sfm.tuning import Tuning
 
 @pytest.fixture
 def asked(monkeypatch):
-    """What the driver is said to answer: an exit code and a count."""
-    answer = SimpleNamespace(returncode=0, stdout="1\n")
+    """What the driver is said to answer: 0 where it has a GPU."""
+    answer = SimpleNamespace(returncode=0)
     monkeypatch.setattr(pycolmap, "has_cuda", True)
     monkeypatch.setattr(subprocess, "run", lambda *a, **k: answer)
     gpu.on_gpu.cache_clear()
@@ -31,10 +32,29 @@ def test_a_gpu_that_answers_is_used(asked):
     assert gpu.on_gpu() and gpu.device() == pycolmap.Device.cuda
 
 
-@pytest.mark.parametrize(("code", "said"), [(0, "0\n"), (1, "")])
-def test_a_build_with_cuda_on_a_machine_without_a_gpu_works_on_the_cpu(asked, code, said):
-    asked.returncode, asked.stdout = code, said
+@pytest.mark.parametrize("code", [1, -11])
+def test_a_build_with_cuda_on_a_machine_without_a_gpu_works_on_the_cpu(asked, code):
+    asked.returncode = code
     assert not gpu.on_gpu() and gpu.device() == pycolmap.Device.cpu
+
+
+@pytest.mark.parametrize(("status", "count", "there"), [(0, 2, True), (0, 0, False), (100, 2, False)])
+def test_the_driver_is_asked_for_its_gpus(monkeypatch, status, count, there):
+    class Driver:
+        def __init__(self, name):
+            self.name = name
+
+        def cuInit(self, flags):
+            return status
+
+        def cuDeviceGetCount(self, number):
+            number._obj.value = count
+            return status
+
+    monkeypatch.setattr(ctypes, "CDLL", Driver)
+    with pytest.raises(SystemExit) as ended:
+        exec(gpu._PROBE, {})
+    assert (not ended.value.code) is there
 
 
 def test_a_driver_that_hangs_is_not_used(asked, monkeypatch):

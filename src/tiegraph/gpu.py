@@ -9,12 +9,11 @@ from functools import lru_cache
 import pycolmap
 
 _SECONDS = 60  # a driver that does not answer within is not used
-_COUNT = """
-import ctypes
+_PROBE = """
+import ctypes, sys
 driver, count = ctypes.CDLL("libcuda.so.1"), ctypes.c_int()
-assert driver.cuInit(0) == 0 and driver.cuDeviceGetCount(ctypes.byref(count)) == 0
-print(count.value)
-"""
+sys.exit(driver.cuInit(0) != 0 or driver.cuDeviceGetCount(ctypes.byref(count)) != 0 or count.value < 1)
+"""  # ends with 0 where the driver has a GPU
 
 
 @lru_cache(maxsize=1)
@@ -24,10 +23,9 @@ def on_gpu() -> bool:
     if not pycolmap.has_cuda:
         return False
     try:
-        said = subprocess.run([sys.executable, "-c", _COUNT], capture_output=True, text=True, timeout=_SECONDS)
+        return subprocess.run([sys.executable, "-c", _PROBE], capture_output=True, timeout=_SECONDS).returncode == 0
     except (OSError, subprocess.SubprocessError):
         return False
-    return said.returncode == 0 and int(said.stdout) > 0
 
 
 def device() -> pycolmap.Device:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 
-Array = Any  # of the device, (CuPy's classes have no types)
+Array = Any  # of the device (CuPy's classes have no types)
 
 _KERNELS = Path(__file__).parent / "kernels"
 _PARTS = ("common", "levels", "costs", "paths", "winners", "launched")  # in the order they are compiled
@@ -31,16 +31,8 @@ _GUARDS = 64  # bytes around the path costs of a pixel
 _GROUPS = (1, 2, 4, 8, 16, 32)  # lanes that work on a pixel together
 _WORD = 4  # disparities of a lane where costs are made; elsewhere it has a block
 _CENSUS_ROWS = 8  # of a warp, as in costs.cu
-_DENSE = (
-    (4, 1),
-    (4, 2),
-    (8, 2),
-    (16, 2),
-    (32, 2),
-    (32, 4),
-    (32, 8),
-    (32, 16),
-)  # lanes and words of the kernels for one range
+# Lanes and words of the kernels for one range.
+_DENSE = ((4, 1), (4, 2), (8, 2), (16, 2), (32, 2), (32, 4), (32, 8), (32, 16))
 _BLOCK = 16  # disparities of a block
 _MAX_BLOCKS = 255
 _PATHS = 8
@@ -50,6 +42,11 @@ _FARTHEST = 0xFFFFFFFF
 _LARGEST_COST = 127  # with 127 of a path it fits a byte
 
 Strips = list[tuple[slice, slice]]  # rows matched together, and which of them count
+
+
+def joined(parts: list[Array]) -> Array:
+    """Rows of NumPy or of the device, one part after another."""
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
 @lru_cache(maxsize=1)
@@ -216,7 +213,7 @@ class Matcher:
 
     def _rows(self, array: Array, batch: Strips) -> Array:
         """The rows of strips, one strip after another."""
-        return array[batch[0][0]] if len(batch) == 1 else np.concatenate([array[outer] for outer, _ in batch])
+        return joined([array[outer] for outer, _ in batch])
 
     def _in_batches(self, match: Callable[[Strips], Array], strips: Strips, cells: np.ndarray, width: int) -> Array:
         """The rows that count, of as many strips at a time as the device has room for; ``cells`` (h,) of each row."""
@@ -234,7 +231,7 @@ class Matcher:
             for outer, inner in batch:
                 parts.append(found[begin + inner.start : begin + inner.stop])
                 begin += outer.stop - outer.start
-        return parts[0] if len(parts) == 1 else np.concatenate(parts)
+        return joined(parts)
 
     def _room(self) -> int:
         """Bytes of the device that are free, or kept by this process for its next pair."""

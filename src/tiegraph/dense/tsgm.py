@@ -158,7 +158,7 @@ class _Native:
         def match(rows: slice) -> Array:
             return _sgm.match_dense(left[rows], right[rows], *span, options, _workspace(), mutual)[0]
 
-        return _joined([match(outer)[inner] for outer, inner in strips])
+        return cuda.joined([match(outer)[inner] for outer, inner in strips])
 
     def match_ragged(
         self,
@@ -175,11 +175,7 @@ class _Native:
             images, own = (left[rows], right[rows]), (ranges[0][rows], ranges[1][rows])
             return _sgm.match_ragged(*images, *own, options, _workspace(), mutual)[0]
 
-        return _joined([match(outer)[inner] for outer, inner in strips])
-
-
-def _joined(parts: list[Array]) -> Array:
-    return parts[0] if len(parts) == 1 else np.concatenate(parts)
+        return cuda.joined([match(outer)[inner] for outer, inner in strips])
 
 
 def _match(
@@ -195,11 +191,8 @@ def _match(
     aligned = -(-shift >> levels) << levels  # so that every level's shift is whole
     if aligned > shift:
         right = cv2.copyMakeBorder(right, 0, 0, aligned - shift, 0, cv2.BORDER_REPLICATE)
-    lefts, rights, uses = (
-        [kernels.upload(left)],
-        [kernels.upload(right)],
-        [None if use is None else kernels.upload(use)],
-    )
+    lefts, rights = [kernels.upload(left)], [kernels.upload(right)]
+    uses = [None if use is None else kernels.upload(use)]
     for _ in range(levels):
         lefts.append(kernels.halve(lefts[-1]))
         rights.append(kernels.halve(rights[-1]))

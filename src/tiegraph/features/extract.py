@@ -2,8 +2,8 @@
 
 SIFT by COLMAP's own extractor (VLFeat, or on a GPU), one image at a time. Not ``pycolmap.extract_features``: that
 leaves out images with a missing mask, reads a mask of another size as if it fitted, and numbers images by the order its
-threads finish.
-One extractor call runs no worker threads, so its errors are plain exceptions and no child process is needed.
+threads finish. One extractor call runs no worker threads, so its errors are plain exceptions and no child process is
+needed.
 """
 
 from __future__ import annotations
