@@ -6,6 +6,7 @@ Tuning classes, module constants that are numbers outside them, and file names t
 
 from __future__ import annotations
 
+import argparse
 import ast
 import sys
 from collections import Counter
@@ -60,8 +61,12 @@ def _is_number(node: ast.stmt) -> bool:
 
 def main(argv: list[str] | None = None) -> int:
     """Command line; 0."""
-    roots = [Path(a) for a in (sys.argv[1:] if argv is None else argv)] or [Path(__file__).parents[1]]
-    found = [house(root) for root in roots]
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("checkouts", nargs="*", type=Path, default=[Path(__file__).parents[1]], metavar="CHECKOUT")
+    args = parser.parse_args(argv)
+    for root in (r for r in args.checkouts if not (r / "src").is_dir()):
+        parser.error(f"{root}: no checkout of the project, it has no folder src")
+    found = [house(root) for root in args.checkouts]
     for row in _ROWS:
         sys.stdout.write(f"| {row} | " + " | ".join(f"{f[row]:g}" for f in found) + " |\n")
     return 0

@@ -50,6 +50,8 @@ def main(argv: list[str] | None = None) -> int:
     """Run what the command line asks; 0 if every run was done, 1 if one failed."""
     args = _arguments(argv)
     results = load_results(args.output, args.note)
+    if args.work is not None:
+        args.work.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix="tiegraph-benchmark-", dir=args.work) as folder:
         for name in args.sets:
             dataset = datasets.load(name, Path(folder) / "inputs")
