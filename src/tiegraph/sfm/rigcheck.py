@@ -16,12 +16,12 @@ from tiegraph.sfm.adjustment import constraints
 from tiegraph.sfm.adjustment.jacobians import RigConstraints
 from tiegraph.sfm.placement.doubtful import MatchSource
 from tiegraph.sfm.rig.confront import (
-    hear,
-    hear_lens,
     in_units,
+    lens_prior_test,
     lever_sigmas,
     mounting_errors,
     open_times,
+    prior_test,
     refine,
 )
 from tiegraph.sfm.rig.diagnostics import RigDiagnostics, rig_diagnostics
@@ -108,12 +108,12 @@ def checked_rig(
     out.notes += found.notes
     relaxed = _relaxed(out, mapped, scene, request, found, metres)
     last: dict[int, PriorTest] = {}
-    for index, heard in found.heard.items():
+    for index, test in found.prior_tests.items():
         if index not in relaxed and index in request.held.fixed:
-            out.notes += open_times(heard, scene, index)
+            out.notes += open_times(test, scene, index)
         elif index not in relaxed:
-            out.levers |= {k: v / metres for k, v in lever_sigmas(heard, scene, index).items()}
-        last[index] = _confronted(out, scene, request, index, heard, index in relaxed)
+            out.levers |= {k: v / metres for k, v in lever_sigmas(test, scene, index).items()}
+        last[index] = _confronted(out, scene, request, index, test, index in relaxed)
     for index, free in relaxed.items():
         ties_of = free.constraints
         if _measured(index, request):
@@ -132,12 +132,12 @@ def _single_lenses(out: Checked, scene: Scene, request: FinishRequest) -> None:
         held = len(rig.sensors) == 1 and first + 1 in request.held.cameras
         first += len(rig.sensors)
         try:
-            heard = hear_lens(out.model, scene, index, request.tuning) if held else None
+            test = lens_prior_test(out.model, scene, index, request.tuning) if held else None
         except (RuntimeError, ValueError, np.linalg.LinAlgError) as error:
             out.notes.append(f"the calibration of {rig.sensors[0].name} could not be checked: {error}")
             continue
-        if heard is not None:
-            _confronted(out, scene, request, index, heard, False)
+        if test is not None:
+            _confronted(out, scene, request, index, test, False)
 
 
 def _relaxed(
@@ -162,7 +162,7 @@ def _relaxed(
             why = "it stays rigid in the model: relaxing it needs the package pyceres"
             out.contradictions.append(f"rig {name} does not move as one ({'; '.join(found.notes)}); {why}")
             break
-        freed = found.heard[index].freed if index in found.heard else ()
+        freed = found.prior_tests[index].freed if index in found.prior_tests else ()
         # What the rigid adjustment threw out is wanted here: the points the mapper had.
         start = with_observations_of(out.model, mapped) if found.unstable or freed else out.model
         # What calibrated lenses do beyond their model looks like turned cameras; lenses that are adjusted do not.
@@ -189,28 +189,28 @@ def _measured(index: int, request: FinishRequest) -> bool:
 
 
 def _confronted(
-    out: Checked, scene: Scene, request: FinishRequest, index: int, heard: PriorTest, relaxed: bool
+    out: Checked, scene: Scene, request: FinishRequest, index: int, test: PriorTest, relaxed: bool
 ) -> PriorTest:
     """Say where the file of a measured rig contradicts the images, and return what they want otherwise in the end; a
     turned or shifted camera may be adjusted."""
-    metres = heard.system.metres_per_unit
+    metres = test.system.metres_per_unit
     if relaxed:  # with its times free, other things may be left to say, or none
-        again = hear(out.model, scene, index, metres, request.tuning)
-        heard = heard if again is None else again
+        again = prior_test(out.model, scene, index, metres, request.tuning)
+        test = test if again is None else again
     refined = None
-    bent = any(what == "mount" for what, _ in heard.freed)
+    bent = any(what == "mount" for what, _ in test.freed)
     if bent and not relaxed and index in request.held.fixed and constraints.available():
         fixed = [k + 1 for k in request.held.fixed]
-        refined = refine(out.model, scene, index, heard, fixed, request.held.cameras, request.tuning.adjust)
+        refined = refine(out.model, scene, index, test, fixed, request.held.cameras, request.tuning.adjust)
     if refined is not None:  # where the rest is no longer bent by it, the sigmas are better
-        again = hear(refined, scene, index, metres, request.tuning)
+        again = prior_test(refined, scene, index, metres, request.tuning)
         if again is not None and any(what == "mount" for what, _ in again.freed):
-            heard = again
-    said = statements(heard, scene, index, refined)
+            test = again
+    said = statements(test, scene, index, refined)
     out.statements += said.statements
     out.misfit = max(out.misfit, said.misfit)
     if not said.contradictions:
-        return heard
+        return test
     how, followed = "", False
     if index in request.held.ordered:
         how = "; held as given all the same (sparse.rig = fixed)"
@@ -221,9 +221,9 @@ def _confronted(
     count, first = len(scene.rigs[index].sensors), scene.first_sensor(index)
     if count > 1 and not relaxed and _measured(index, request):
         cameras = range(first + 1, first + count)
-        off = mounting_errors(heard, scene, index, cameras, request.tuning.rig, followed, relaxed=False)
+        off = mounting_errors(test, scene, index, cameras, request.tuning.rig, followed, relaxed=False)
         out.off[index + 1] = in_units(off, metres)
-    return heard
+    return test
 
 
 def _lost_note(scene: Scene, index: int, lost: Sequence[int], why: Sequence[str]) -> str:
