@@ -38,7 +38,8 @@ def prior_test(
     if measured:
         system = rig_system(model, scene, index, lenses, metres_per_unit, tuning)
     else:  # lengths of the model's rig are brought to metres, so that those of the system are
-        found = [_scaled(s.sensor_from_rig, metres_per_unit) for s in model_rigs(model, scene)[index].sensors]
+        poses = (s.sensor_from_rig for s in model_rigs(model, scene)[index].sensors)
+        found = [None if p is None else _scaled(p, metres_per_unit) for p in poses]
         sensors = tuple(replace(s, sensor_from_rig=p) for s, p in zip(rig.sensors, found))
         rigs = tuple(replace(r, sensors=sensors) if k == index else r for k, r in enumerate(scene.rigs))
         system = rig_system(model, scene.with_(rigs=rigs), index, lenses, metres_per_unit, tuning)
@@ -123,8 +124,8 @@ def _measured(scene: Scene, index: int) -> bool:
     return rig.measured() or rig.soft()
 
 
-def _scaled(pose: np.ndarray | None, factor: float) -> np.ndarray | None:
-    return None if pose is None else transforms.rigid(pose[:3, :3], factor * pose[:3, 3])
+def _scaled(pose: np.ndarray, factor: float) -> np.ndarray:
+    return transforms.rigid(pose[:3, :3], factor * pose[:3, 3])
 
 
 def _calibrated(model: pycolmap.Reconstruction, scene: Scene, index: int) -> set[int]:
@@ -214,10 +215,6 @@ def refine(
     return final_adjustment(model, others, constant_cameras, PoseConstraints(sensors=priors), tuning=tuning).model
 
 
-def _scaled_pose(pose: np.ndarray, factor: float) -> np.ndarray:
-    return transforms.rigid(pose[:3, :3], factor * pose[:3, 3])
-
-
 def _priors(scene: Scene, index: int, known: Expected, test: PriorTest) -> list[SensorPrior]:
     """The file's extrinsics; where the reference itself is the one that is off, all the others are free against it."""
     rig, units = scene.rigs[index], 1 / test.system.metres_per_unit
@@ -235,7 +232,7 @@ def _priors(scene: Scene, index: int, known: Expected, test: PriorTest) -> list[
             SensorPrior(
                 rig_id=index + 1,
                 camera_id=first + k + 1,
-                sensor_from_rig=_scaled_pose(sensor.sensor_from_rig, units),
+                sensor_from_rig=_scaled(sensor.sensor_from_rig, units),
                 covariance=covariance,
             )
         )
