@@ -18,7 +18,7 @@ from tiegraph.sfm.adjustment.normal import Normal, gauge, reduced
 from tiegraph.sfm.covariance import LENS, position_sigma, positions_free_gauge
 from tiegraph.sfm.model import frame_poses, image_poses, matrix
 from tiegraph.sfm.settings import SparseSettings
-from tiegraph.sfm.systematic import two_sizes
+from tiegraph.sfm.systematic.mountings import two_sizes
 from tiegraph.sfm.tuning import Tuning
 
 import pycolmap  # isort: skip
