@@ -9,7 +9,7 @@ import numpy as np
 from scipy import sparse
 
 from tiegraph.sfm.adjustment.jacobians import Layout, System
-from tiegraph.sfm.adjustment.normal import Normal, at_their_minimum, by_blocks, point_inverse
+from tiegraph.sfm.adjustment.normal import Normal, at_their_minimum, by_blocks, point_inverse, reduced
 from tiegraph.sfm.tuning import SharedErrorTuning
 
 RIDGE = 1e-6  # of the information: directions that the unknowns take up whole
@@ -52,7 +52,8 @@ class EffectWeights:
         self._jc, self.jp = (self._root @ seen.cameras).tocsr(), (self._root @ seen.points).tocsr()
         self._inverse = by_blocks(point_inverse(self.jp))
         self.cross = (self._jc.T @ self.jp).tocsr()
-        own = self._jc.T @ self._jc - self.cross @ self._inverse @ self.cross.T
+        self._crossed = self.cross.T.tocsr()  # (3P, C)
+        own = reduced(self._jc, self._crossed, self._inverse, 6 * len(layout.frame_ids))
         self.normal = Normal(own / share + prior, layout)
         self._pull = at_their_minimum(seen.points, np.sqrt(weights[1]), self._first * seen.residual, self._inverse)
         self._of_point = gradients(seen.cameras, seen.points, self._pull)
@@ -82,16 +83,22 @@ class EffectWeights:
         own = (sparse.diags(self._root.diagonal()[rows]) @ columns).tocsr()
         by_point = (jp.T @ own).tocsr()
         taken = (self._inverse @ by_point).tocsr()
-        gradient = (jc.T @ own - self.cross @ taken).toarray()
+        gradient = (jc.T @ own).toarray() - _transposed_product(self._crossed, taken)
         solved = self.normal.solve(gradient)
         information = (own.T @ own - by_point.T @ taken).toarray() - gradient.T @ solved / self.share
         each = gradients(columns, self.seen.points[rows], self._pull[rows])
         solved /= self.share
-        mixed = np.asarray(each.T @ self._of_point @ solved)
+        mixed = _transposed_product(self._of_point, each).T @ solved
         noise = (each.T @ each).toarray() - mixed - mixed.T + solved.T @ (self.scatter @ solved)
         score = np.asarray(each.sum(axis=0)).ravel() - self._whole @ solved
         score -= own.T @ self._known[rows]
         return Score(gradient=gradient / self.share, score=score, noise=noise, information=information)
+
+
+def _transposed_product(a: sparse.csr_matrix, b: sparse.csr_matrix) -> np.ndarray:
+    """(C, K) a'b of (R, C) and (R, K), of which few rows of ``b`` hold anything."""
+    rows = np.flatnonzero(np.diff(b.indptr))
+    return np.asarray((a[rows].T @ b[rows]).toarray())
 
 
 def gradients(jc: sparse.csr_matrix, jp: sparse.csr_matrix, weighted: np.ndarray) -> sparse.csr_matrix:
