@@ -33,17 +33,19 @@ def moving_world(
     loose_deg: Sequence[float] = (0.0, 0.0, 0.0),
     frames: int = 18,
     readout_s: float = 0.0,
+    points: int = 2500,
 ) -> tuple[pycolmap.Reconstruction, Scene]:
     """Model as a mapper with a rigid rig would start it (true points and frames), and its calibrated scene.
 
-    ``readout_s``: from the first row of an image to the last; the middle one is seen at the camera's time.
+    ``points``: half of them are beside the road. ``readout_s``: from the first row of an image to the last; the middle
+    one is seen at the camera's time.
     """
     rng = np.random.default_rng(5)
     camera = pycolmap.Camera(model="PINHOLE", width=800, height=600, params=[400.0, 400.0, 400.0, 300.0])
     yaws, levers = (0.0, -45.0, 45.0), ([0.0, 0, 0], [-0.4, 0, 0.1], [0.4, 0, 0.1])
     places = [transforms.invert(transforms.rigid(orient(y, 0, 0), np.array(c))) for y, c in zip(yaws, levers)]
     rig = Rig("car", tuple(Sensor(f"cam{k}", camera, p) for k, p in enumerate(places)), fixed=True)
-    model, points = _empty(camera, places), _points(rng)
+    model, street = _empty(camera, places), _points(rng, points)
     tracks: dict[int, list[tuple[int, int]]] = {}
     for f in range(frames):
         frame = pycolmap.Frame(frame_id=f + 1, rig_id=1)
@@ -55,7 +57,7 @@ def moving_world(
             time_s = INTERVAL_S * f + late_s[s]
             rows_s = time_s + readout_s * np.array([-0.5, 0.0, 0.5])
             poses = [turn @ places[s] @ transforms.invert(pose_at(t)) for t in rows_s]
-            seen, xy = sighted(camera, poses, points, rng)
+            seen, xy = sighted(camera, poses, street, rng)
             image.points2D = pycolmap.Point2DList([pycolmap.Point2D(p) for p in xy])
             for row, point in enumerate(seen):
                 tracks.setdefault(int(point), []).append((image.image_id, row))
@@ -68,7 +70,7 @@ def moving_world(
         model.register_frame(f + 1)
     for point, elements in tracks.items():
         if len(elements) > 2:
-            model.add_point3D(points[point], pycolmap.Track([pycolmap.TrackElement(*e) for e in elements]))
+            model.add_point3D(street[point], pycolmap.Track([pycolmap.TrackElement(*e) for e in elements]))
     return model, _scene(rig, frames)
 
 
@@ -91,8 +93,8 @@ def _empty(camera: pycolmap.Camera, places: Sequence[np.ndarray]) -> pycolmap.Re
     return model
 
 
-def _points(rng: np.random.Generator) -> np.ndarray:
-    sides = rng.uniform([-9, -2, -5], [9, 2, 45], (2500, 3))
+def _points(rng: np.random.Generator, count: int) -> np.ndarray:
+    sides = rng.uniform([-9, -2, -5], [9, 2, 45], (count, 3))
     return sides[np.abs(sides[:, 0]) > 4]
 
 

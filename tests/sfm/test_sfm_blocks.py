@@ -24,7 +24,7 @@ from tiegraph.sfm.tuning import Tuning
 
 @pytest.fixture
 def world(tmp_path: Path) -> tuple[np.ndarray, Scene]:
-    model, scene = moving_world(frames=24)
+    model, scene = moving_world(frames=24, points=1500)
     write_database(model, tmp_path / "database.db")
     return image_poses(model, scene), scene
 
@@ -69,7 +69,7 @@ def _cut(folder: Path, scene: Scene, frame: int) -> None:
 @pytest.mark.slow
 def test_two_surveys_in_one_folder_by_the_default_mapper(tmp_path: Path) -> None:
     """The mapper makes two models by itself; that they are two surveys, and which images, is said."""
-    model, scene = moving_world(frames=12)
+    model, scene = moving_world(frames=12, points=1500)
     write_database(model, tmp_path / "database.db")
     _cut(tmp_path, scene, 7)
     settings = SparseSettings(covariance_frames=0)

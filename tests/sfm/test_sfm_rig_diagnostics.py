@@ -114,7 +114,7 @@ def test_a_relaxed_model_that_loses_images_is_not_kept(tmp_path: Path, monkeypat
 
 @pytest.mark.slow
 def test_a_loose_camera_is_named() -> None:
-    model, scene = moving_world(loose_deg=(0, 0, 0.2))
+    model, scene = moving_world(loose_deg=(0, 0, 0.2), points=1500)
     found = rig_diagnostics(_rigid(model), scene, 1.0, Tuning())
     assert found.moving == (0,)
     assert any("cam2 is not rigid" in note for note in found.notes)
@@ -123,7 +123,7 @@ def test_a_loose_camera_is_named() -> None:
 @pytest.mark.slow
 def test_a_camera_that_comes_off_is_named_and_let_go() -> None:
     """At 2 degrees the adjustment throws its sightings out: that gives it away."""
-    model, scene = moving_world(loose_deg=(0, 0, 2.0))
+    model, scene = moving_world(loose_deg=(0, 0, 2.0), points=1500)
     found = rig_diagnostics(_rigid(model), scene, 1.0, Tuning(), model)
     assert found.moving == (0,) and 2 in found.unstable
 
@@ -131,7 +131,7 @@ def test_a_camera_that_comes_off_is_named_and_let_go() -> None:
 @pytest.mark.slow
 def test_resection_finds_the_lateness_of_one_camera() -> None:
     """Of three cameras one is late: in the true model it stands off by its offset times the speed."""
-    model, scene = moving_world(late_s=(0, 0, LATE_S))
+    model, scene = moving_world(late_s=(0, 0, LATE_S), points=1500)
     found = resect_all(model, scene, 1.0, RIG.diagnostics)
     assert {h.name for h in sensor_diagnostics(found, scene, RIG.diagnostics)} == {"cam0", "cam1", "cam2"}
     poses = transforms.invert(image_poses(model, scene)[: scene.frames])  # cam0 is the rig
@@ -153,7 +153,7 @@ def test_constant_speed_tells_no_offset_from_a_lever() -> None:
 @pytest.mark.slow
 @pytest.mark.skipif(not available(), reason="pyceres is not there")
 def test_a_late_camera_is_relaxed() -> None:
-    model, scene = moving_world(late_s=(0, 0, LATE_S))
+    model, scene = moving_world(late_s=(0, 0, LATE_S), points=1500)
     rigid = _rigid(model)
     found = rig_diagnostics(rigid, scene, 1.0, Tuning())
     assert found.moving == (0,) and any("not synchronised" in note for note in found.notes)
@@ -173,7 +173,7 @@ def test_a_late_camera_is_relaxed() -> None:
 @pytest.mark.skipif(not available(), reason="pyceres is not there")
 def test_a_relaxed_calibrated_rig_keeps_its_rotations_though_the_lenses_are_not_as_told() -> None:
     """Distortion that the calibration leaves out must not turn the cameras; the offset is found all the same."""
-    model, scene = moving_world(late_s=(0, 0, LATE_S))
+    model, scene = moving_world(late_s=(0, 0, LATE_S), points=1500)
     for image_id in model.reg_image_ids():
         for point in model.image(image_id).points2D:
             ray = (point.xy - [400, 300]) / 400

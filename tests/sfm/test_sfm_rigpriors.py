@@ -49,10 +49,11 @@ def _swapped(rig: Rig) -> Rig:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("wrong", "frames", "named"), [(_turned, 12, "camera cam2 is mounted otherwise"), (_swapped, 6, "rig car")]
+    ("wrong", "frames", "points", "named"),
+    [(_turned, 12, 2500, "camera cam2 is mounted otherwise"), (_swapped, 6, 1500, "rig car")],
 )
-def test_a_rig_that_contradicts_the_images_is_named(wrong, frames, named, tmp_path: Path) -> None:
-    model, scene = moving_world(frames=frames)
+def test_a_rig_that_contradicts_the_images_is_named(wrong, frames, points, named, tmp_path: Path) -> None:
+    model, scene = moving_world(frames=frames, points=points)
     write_database(model, tmp_path / "database.db")
     result = reconstruct(
         Source(tmp_path / "database.db", None), tmp_path / "sparse", scene.with_(rigs=(wrong(scene.rigs[0]),)),

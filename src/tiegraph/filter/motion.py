@@ -92,7 +92,7 @@ def refine(
     lengths = [size * s for s in tuning.first_lengths] if size > 0 else [1.0]
     starts = [transforms.rigid(motion[:3, :3], direction * length) for length in lengths]
     rays = _thinned(rays, tuning.refine_matches)
-    best = min(starts, key=lambda m: _cost(rays, m, bound_rad))
+    best = min(starts, key=lambda m: _cost(residuals(rays, m), bound_rad))
     return adjust(rays, best, bound_rad, tuning.steps, turning)
 
 
@@ -101,17 +101,19 @@ def adjust(rays: Rays, motion: np.ndarray, bound_rad: float, steps: int, turning
 
     ``turning`` False: the rotation stays.
     """
-    cost = _cost(rays, motion, bound_rad)
+    value = residuals(rays, motion)
+    cost = _cost(value, bound_rad)
     for k in range(steps):
         scale = bound_rad * max(0.5, 1.5 - 0.5 * k)
-        value, jacobian = residuals(rays, motion), _jacobian(rays, motion)
+        jacobian = _jacobian(rays, motion, value)
         if not turning:
             jacobian[:, :3] = 0.0
         weight = 1 / (1 + (value / scale) ** 2)
         normal = jacobian.T @ (weight[:, None] * jacobian)
         damping = 1e-6 * np.trace(normal) * np.eye(6) + 1e-12 * np.eye(6)
         candidate = _moved(motion, np.linalg.solve(normal + damping, -jacobian.T @ (weight * value)))
-        lower = _cost(rays, candidate, bound_rad)
+        value = residuals(rays, candidate)
+        lower = _cost(value, bound_rad)
         if not lower < cost:
             break
         motion, done = candidate, cost - lower < 1e-4 * cost
@@ -163,8 +165,8 @@ def _thinned(rays: Rays, most: int) -> Rays:
     return rays.where(np.linspace(0, len(rays.pair) - 1, most).astype(int))
 
 
-def _cost(rays: Rays, motion: np.ndarray, bound_rad: float) -> float:
-    return float(np.log1p((residuals(rays, motion) / bound_rad) ** 2).sum())
+def _cost(value: np.ndarray, bound_rad: float) -> float:
+    return float(np.log1p((value / bound_rad) ** 2).sum())
 
 
 def _moved(motion: np.ndarray, step: np.ndarray) -> np.ndarray:
@@ -173,16 +175,17 @@ def _moved(motion: np.ndarray, step: np.ndarray) -> np.ndarray:
     return transforms.rigid(turn @ motion[:3, :3], motion[:3, 3] + scale * step[3:])
 
 
-def _jacobian(rays: Rays, motion: np.ndarray) -> np.ndarray:
-    """(K, 6) of rotation, then translation in parts of its length; by forward differences."""
-    base, length = residuals(rays, motion), max(float(np.linalg.norm(motion[:3, 3])), 1e-9)
+def _jacobian(rays: Rays, motion: np.ndarray, value: np.ndarray) -> np.ndarray:
+    """(K, 6) of rotation, then translation in parts of its length; by forward differences from residuals (K,)."""
+    length = max(float(np.linalg.norm(motion[:3, 3])), 1e-9)
     columns = []
     for turn in _SMALL_TURNS:
         rotated = motion.copy()
         rotated[:3, :3] = turn @ motion[:3, :3]
-        columns.append(residuals(rays, rotated) - base)
+        columns.append(residuals(rays, rotated) - value)
+    turned, centre = rays.ray_m @ motion[:3, :3].T, rays.centre_m @ motion[:3, :3].T
     for axis in range(3):
-        moved = motion.copy()
-        moved[axis, 3] += _SMALL * length
-        columns.append(residuals(rays, moved) - base)
+        moved = motion[:3, 3].copy()
+        moved[axis] += _SMALL * length
+        columns.append(sampson(rays.ray_n, turned, centre + moved - rays.centre_n) - value)
     return np.stack(columns, axis=1) / _SMALL
