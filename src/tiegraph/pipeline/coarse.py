@@ -23,13 +23,12 @@ from tiegraph.network.coarse.model import CoarseModel
 from tiegraph.network.coarse.search import Coarse, Search, worth_a_model
 from tiegraph.network.coarse.surface import with_surface
 from tiegraph.network.passes import MatchCache
-from tiegraph.network.tuning.coarse import CoarseTuning
 from tiegraph.pipeline.files import load_npz, load_scene, pairs_of, reading, save_npz, ties_of
 from tiegraph.pipeline.preview import read_preview
 from tiegraph.pipeline.previews import Matcher
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, remove, write_atomic
-from tiegraph.scene.blocks import Block, blocks_of
+from tiegraph.scene.blocks import Block, blocks_of, in_one_piece
 from tiegraph.scene.matches import PreviewMatches, Visibility
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
@@ -57,22 +56,27 @@ def coarse(run: Run) -> Outcome:
         poses, tuning = found.model.cam_from_world, run.settings.tuning.network.coarse
         reach = found.model.reach(tuning)
         save_npz(run.path("coarse", "model.npz"), cam_from_world=poses, reach=reach, trusted=found.trusted)
-        seen = surface_seen(run.folder, found, cache.matches(), tuning)
-        save_npz(run.path("coarse", "visibility.npz"), **seen.to_npz())
+        save_npz(run.path("coarse", "visibility.npz"), **surface_seen(run, found, cache.matches()).to_npz())
         counts |= {"images": int(found.model.placed().sum()), "trusted": int(found.trusted.sum())}
     remove(run.path(*BLOCKS.split("/")))
     matcher.forget()
     return Outcome(counts, notes=found.notes)
 
 
-def surface_seen(folder: Path, found: Coarse, ties: PreviewMatches, tuning: CoarseTuning) -> Visibility:
-    """What each image sees of the surface, by the tracks of the previews that the model believes."""
+def surface_seen(run: Run, found: Coarse, ties: PreviewMatches) -> Visibility:
+    """What each image sees of the surface, by all tracks of the previews that the model believes.
+
+    Of a survey mapped in blocks by the tracks that placed its images: for all of 1200 images the design wanted 30 pairs
+    an image, for these 14, which place them to 4 mm.
+    """
     assert found.model is not None
-    kept = found.pairs.kept()
-    believed = np.isin(np.arange(len(ties)), ties.find(kept.i, kept.j))
-    names = found.scene.names
-    features = partial(_pixels, folder=folder, names=names)
-    return with_surface(found.model, ties.where(believed), features, tuning.tracks).visibility(tuning)
+    tuning, model = run.settings.tuning, found.model
+    if in_one_piece(found.scene, tuning.scene.blocks):
+        kept, names = found.pairs.kept(), found.scene.names
+        believed = np.isin(np.arange(len(ties)), ties.find(kept.i, kept.j))
+        features = partial(_pixels, folder=run.folder, names=names)
+        model = with_surface(model, ties.where(believed), features, tuning.network.coarse.tracks)
+    return model.visibility(tuning.network.coarse)
 
 
 def _pixels(image: int, folder: Path, names: tuple[str, ...]) -> np.ndarray:
