@@ -29,12 +29,14 @@ def preload() -> None:
     """Import all of tiegraph and, with it, every library it uses."""
     import tiegraph
 
+    gc.disable()  # nothing of what is loaded is garbage
     for module in pkgutil.walk_packages(tiegraph.__path__, "tiegraph."):
         try:
             importlib.import_module(module.name)
         except ImportError:  # an extra that is not installed
             continue
     gc.freeze()  # a child's collector would touch, and so copy, every page of it
+    gc.enable()
 
 
 def end_with_parent() -> None:

@@ -19,7 +19,7 @@ from tiegraph.sfm.adjustment.adjust import final_adjustment
 from tiegraph.sfm.adjustment.constraints import available
 from tiegraph.sfm.finish import FinishResult, finish_model
 from tiegraph.sfm.model import image_poses
-from tiegraph.sfm.rig.confront import hear, lever_sigmas, open_times
+from tiegraph.sfm.rig.confront import lever_sigmas, open_times, prior_test
 from tiegraph.sfm.rig.rigevidence import statements
 from tiegraph.sfm.rigcheck import FinishRequest, Held
 from tiegraph.sfm.tuning import Tuning
@@ -51,20 +51,20 @@ WANTED = (
 @pytest.mark.parametrize(("case", "first"), WANTED)
 def test_what_the_images_want_otherwise_is_told_apart(case: str, first: tuple[str, int] | None) -> None:
     model, scene = _rigid(case)
-    heard = hear(model, scene, 0, 1.0, Tuning())
-    assert heard is not None
+    test = prior_test(model, scene, 0, 1.0, Tuning())
+    assert test is not None
     if first is None:
-        assert heard.freed == ()  # a rig whose size alone is wrong contradicts no image
-        assert statements(heard, scene, 0).statements == ()
+        assert test.freed == ()  # a rig whose size alone is wrong contradicts no image
+        assert statements(test, scene, 0).statements == ()
         return
-    assert heard.freed[0] == first
-    assert ("times", -1) in heard.freed or first[0] != "times"
+    assert test.freed[0] == first
+    assert ("times", -1) in test.freed or first[0] != "times"
     if case == "late":
-        late = [heard.times_s()[s][0] for s in range(1, 6)]
+        late = [test.times_s()[s][0] for s in range(1, 6)]
         assert np.corrcoef(late, LATE_S[1:])[0, 1] > 0.95
         assert 0.7 * max(LATE_S) < max(late) < 2.5 * max(LATE_S)  # a first step from where all was bent
     else:
-        said = statements(heard, scene, 0).contradictions
+        said = statements(test, scene, 0).contradictions
         assert len(said) >= 1 and all("cam2" in line for line in said)
 
 
@@ -72,14 +72,14 @@ def test_what_the_images_want_otherwise_is_told_apart(case: str, first: tuple[st
 def test_times_that_the_images_leave_open_are_said() -> None:
     """Six cameras that see each other's surfaces tell their times; one of them without such ties does not."""
     model, scene = _rigid("as given")
-    heard = hear(model, scene, 0, 1.0, Tuning())
-    assert heard is not None and open_times(heard, scene, 0) == []
+    test = prior_test(model, scene, 0, 1.0, Tuning())
+    assert test is not None and open_times(test, scene, 0) == []
     alone = _without_shared_points(model, camera=4)
-    heard = hear(alone, scene, 0, 1.0, Tuning())
-    assert heard is not None
-    (said,) = open_times(heard, scene, 0)
+    test = prior_test(alone, scene, 0, 1.0, Tuning())
+    assert test is not None
+    (said,) = open_times(test, scene, 0)
     assert "whether cam3 fires" in said and "ms" in said and "synchronised = true" in said
-    assert open_times(heard, with_sync(scene), 0) == []
+    assert open_times(test, with_sync(scene), 0) == []
 
 
 def _without_shared_points(model: pycolmap.Reconstruction, camera: int) -> pycolmap.Reconstruction:
@@ -99,9 +99,9 @@ def _without_shared_points(model: pycolmap.Reconstruction, camera: int) -> pycol
 def test_what_one_step_cannot_tell_is_said_without_figures() -> None:
     """A model 128 times too long (PandaSet, standing): cameras "turned by 4522 deg" and "829 m off"."""
     model, scene = _rigid("turned")
-    heard = hear(model, scene, 0, 1.0, Tuning(rig=RigTuning(prior_test=PriorTestTuning(freed_deg=0.05))))
-    assert heard is not None and heard.beyond == (2,) and heard.freed == ()
-    said = statements(heard, scene, 0)
+    test = prior_test(model, scene, 0, 1.0, Tuning(rig=RigTuning(prior_test=PriorTestTuning(freed_deg=0.05))))
+    assert test is not None and test.beyond == (2,) and test.freed == ()
+    said = statements(test, scene, 0)
     assert said.statements == () and len(said.contradictions) == 1 and "(cam2)" in said.contradictions[0]
 
 
@@ -117,10 +117,10 @@ def test_a_camera_that_stands_elsewhere_widens_the_scale_of_its_rig() -> None:
     moved[:3, 3] -= pose[:3, :3] @ [0.0, 0.04, 0.0]
     sensors = tuple(replace(s, sensor_from_rig=moved) if k == 1 else s for k, s in enumerate(rig.sensors))
     wrong = scene.with_(rigs=(replace(rig, sensors=sensors, synchronised=True),))
-    heard = hear(model, wrong, 0, 1.0, Tuning())
-    assert heard is not None and ("mount", 1) in heard.freed
-    assert statements(heard, wrong, 0).misfit == pytest.approx(0.04 / lever / np.sqrt(5), rel=0.4)
-    right = hear(model, scene, 0, 1.0, Tuning())
+    test = prior_test(model, wrong, 0, 1.0, Tuning())
+    assert test is not None and ("mount", 1) in test.freed
+    assert statements(test, wrong, 0).misfit == pytest.approx(0.04 / lever / np.sqrt(5), rel=0.4)
+    right = prior_test(model, scene, 0, 1.0, Tuning())
     assert right is not None and statements(right, scene, 0).misfit == 0
 
 
@@ -177,9 +177,9 @@ def test_a_lever_arm_that_a_model_found_is_not_known_along_the_way() -> None:
     drawn = scene.with_(rigs=(replace(scene.rigs[0], fixed=False, nominal=True),))
     free, said = ({}, {})
     for out, one in ((free, drawn), (said, with_sync(drawn))):
-        heard = hear(model, one, 0, 1.0, Tuning())
-        assert heard is not None and heard.freed == ()
-        out.update(lever_sigmas(heard, one, 0))
+        test = prior_test(model, one, 0, 1.0, Tuning())
+        assert test is not None and test.freed == ()
+        out.update(lever_sigmas(test, one, 0))
     assert sorted(free) == sorted(said) == [2, 3, 4, 5, 6]
     for camera in (3, 4, 5):
         assert 1.3 * said[camera] < free[camera] < 10 * said[camera] and 0.0005 < said[camera] < 0.05

@@ -73,7 +73,7 @@ def _scattered(frames: int, times: float, seed: int) -> SensorDiagnostics:
         image=rows, points=np.full(frames, 40), rms_px=np.full(frames, 0.5), shift_m=off[:, :3],
         turn_deg=np.degrees(off[:, 3:]), sigma_m=np.tile(sigma[:3], (frames, 1)),
         sigma_deg=np.degrees(np.tile(sigma[3:], (frames, 1))), covariance=np.tile(np.diag(sigma**2), (frames, 1, 1)),
-        rig_pose=np.tile(np.eye(4), (frames, 1, 1)), effect_px=np.zeros(frames),
+        rig_pose=np.tile(np.eye(4), (frames, 1, 1)),
     )  # fmt: skip
     return sensor_diagnostics(found, scene, RIG.diagnostics)[0]
 

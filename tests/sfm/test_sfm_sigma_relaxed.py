@@ -25,7 +25,7 @@ from tiegraph.sfm.adjustment.jacobians import Layout, RigConstraint, RigConstrai
 from tiegraph.sfm.adjustment.timecost import TimeOffsetPriors
 from tiegraph.sfm.covariance import position_sigma
 from tiegraph.sfm.model import image_poses, rigid3d
-from tiegraph.sfm.rig.confront import hear, mounting_errors
+from tiegraph.sfm.rig.confront import mounting_errors, prior_test
 from tiegraph.sfm.rig.timecalibration import TrustedCalibration, calibrate_times, with_errors
 from tiegraph.sfm.tuning import Tuning
 
@@ -102,8 +102,8 @@ def test_positions_of_a_relaxed_rig_are_known_as_well_as_its_file_is_right() -> 
         cameras = sorted(model.cameras)
         rigid = final_adjustment(model, [1], cameras, tuning=TUNING.adjust).model
         found = calibrate_times(rigid, scene, 0, TrustedCalibration(1.0, True, cameras, lenses_held=True), TUNING)
-        heard = hear(found.model, scene, 0, 1.0, TUNING)
-        moment = mounting_errors(heard, scene, 0, found.constraints.cameras, TUNING.rig)
+        test = prior_test(found.model, scene, 0, 1.0, TUNING)
+        moment = mounting_errors(test, scene, 0, found.constraints.cameras, TUNING.rig)
         for row, ties in enumerate((found.constraints, with_errors(found.constraints, moment))):
             stated[row, seed] = _stated(found.model, ties)
         actual[seed] = _actual(found.model, scene, true, drive)

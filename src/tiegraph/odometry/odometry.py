@@ -256,7 +256,7 @@ class Odometry:
     def _join(self, number: int, found: Recalled, segment: int, own: Tracks) -> bool:
         """Bring the segment of a keyframe into the world of another; whether it can be."""
         last = self.world.keyframes[number]
-        scale = 1.0 if self.metric else scale_to(self.cameras, found, self.world, own, last.rig_from_world)
+        scale = 1.0 if self.metric else scale_to(found, self.world, own, last.rig_from_world)
         if not np.isfinite(scale):
             return False
         before = last.rig_from_world.copy()

@@ -13,7 +13,6 @@ import cv2
 import numpy as np
 
 from tiegraph.geometry import transforms
-from tiegraph.odometry.cameras import Cameras
 from tiegraph.odometry.covariance import resection_covariance
 from tiegraph.odometry.follow import CORNER_PX, Images, Tracks
 from tiegraph.odometry.resect import Resection, resect
@@ -143,7 +142,7 @@ def _matches(known: np.ndarray, described: Sequence[np.ndarray], ratio: float) -
     return rows[clear], best[clear]
 
 
-def scale_to(cameras: Cameras, recalled: Recalled, world: WorldMap, own: Tracks, pose: np.ndarray) -> float:
+def scale_to(recalled: Recalled, world: WorldMap, own: Tracks, pose: np.ndarray) -> float:
     """Old unit of length over the new one, by points that a frame sees in both: of the map (``recalled``) and of its
     own corners (``own``), whose map has the frame at ``pose``; NaN if they share none."""
     mine = world.xyz[own.point[recalled.row]]

@@ -117,7 +117,7 @@ def _vote_constant(
     if p is not q:  # a few frames show the heading, then the axes rule pairs of cameras out
         few = np.isin(np.arange(len(rows)), evenly(len(rows), tuning.offsets.constant.heading_frames))[:, None]
         scores = _measured_oblong(scores, wanted & few, cache)
-        excess = commonview.above(scores, scores.inliers, settings.min_matches)
+        excess = commonview.above(scores.inliers, settings.min_matches)
         allowed = facing(scores, excess, settings, tuning.rig)
         said = commonview.in_words(scores, excess, tuning.rig)
         notes = (said,) if said else ()

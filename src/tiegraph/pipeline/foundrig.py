@@ -11,25 +11,22 @@ that was written since counts before a constant of the receipt, but never says t
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pycolmap
 
-from tiegraph.errors import InputError, SettingsError, UnreadableArtefact
+from tiegraph.errors import InputError, UnreadableArtefact
 from tiegraph.geometry.transforms import centre
-from tiegraph.pipeline.files import load_json, load_model, load_scene
+from tiegraph.pipeline.files import load_scene
 from tiegraph.pipeline.foundcameras import with_camera
-from tiegraph.project.folder import SETTINGS, check_format, names_run
-from tiegraph.project.receipts import Receipts
-from tiegraph.project.settings import Tunings, merged, read_settings
+from tiegraph.pipeline.foundrun import FoundRun, found_run
+from tiegraph.project.folder import names_run
 from tiegraph.scan.rigfiles.rigfile import parse_rig_file
 from tiegraph.scan.rigfiles.rigwrite import rig_config, rig_toml
 from tiegraph.scene.colmapmodel import model_rigs
 from tiegraph.scene.rig import Rig, Sensor
-from tiegraph.scene.scene import Scene
 from tiegraph.sfm.covariance import INTERIOR_TABLE, MOUNTING
 from tiegraph.sfm.mapping import believed_cameras
 from tiegraph.sfm.rig.mountings import relaxed_mountings
@@ -49,39 +46,6 @@ class RigFile:
     said: tuple[str, ...]
 
 
-@dataclass(frozen=True)
-class _Metres:
-    """What a unit of ``sparse/0`` is in metres (NaN = nothing told), the sigma of that (a share), and who told."""
-
-    scale: float = np.nan
-    sigma: float = np.nan
-    source: str = "none"
-
-
-@dataclass
-class _Run:
-    """What of a run folder the rigs are read from."""
-
-    folder: Path
-    scene: Scene
-    receipt: dict[str, Any]  # of sparse
-    mapped: pycolmap.Reconstruction  # as sparse left it
-    world: pycolmap.Reconstruction  # as georef left it; the same without
-    metres: _Metres
-    antenna_m: tuple[float, float, float] | None
-    tuning: Tunings
-    said: list[str] = field(default_factory=list)
-    unscaled: list[str] = field(default_factory=list)  # rigs whose lengths are in units of the model
-
-    def drawn(self, index: int) -> Rig:
-        """A rig as candidates left it, before the coarse model turned cameras."""
-        return load_scene(self.folder / "candidates" / "scene.json").rigs[index]
-
-    def rows(self, table: str) -> list[list]:
-        """Rows of a table of the receipt of sparse."""
-        return list(self.receipt.get("tables", {}).get(table, {}).get("rows", ()))
-
-
 def rig_file(folder: Path, form: str = TOML) -> RigFile:
     """The rig as the run in a folder found it, as a rig.toml or (``form`` = "rig_config") COLMAP's rig_config.json.
 
@@ -89,7 +53,7 @@ def rig_file(folder: Path, form: str = TOML) -> RigFile:
     rigs in one rig.toml, and for panoramas; SettingsError for its tiegraph.toml.
     """
     try:
-        run = _read(Path(folder))
+        run = found_run(Path(folder))
     except UnreadableArtefact as error:
         raise InputError(f"{error}; finish that run again") from None
     rigs = [_found(run, index) for index in range(len(run.scene.rigs))]
@@ -121,66 +85,7 @@ def rig_of_run(rig: str | None) -> RigFile | None:
     return rig_file(Path(rig)) if rig is not None and names_run(rig) else None
 
 
-# --- what the run left ------------------------------------------------------------------------------------------------
-
-
-def _read(folder: Path) -> _Run:
-    if not names_run(str(folder)):
-        raise InputError(f"{folder} is no run folder: give one that `tiegraph run IMAGES -o FOLDER` made")
-    check_format(folder)
-    receipts = Receipts(folder)
-    receipt, placed = receipts.read("sparse"), receipts.read("georef")
-    first, world = folder / "sparse" / "0", folder / "sparse" / "world"
-    if not receipt.get("finished") or not (first / "cameras.bin").exists():
-        raise InputError(f"{folder}: this run has no sparse model yet; `tiegraph sparse {folder}` makes it")
-    scene = load_scene(folder / "network" / "scene.json")
-    if any(s.source is not None and s.source.panorama for s in scene.all_sensors):
-        raise InputError(f"{folder}: its cameras are views of panoramas, which need no rig file: give --rig panorama")
-    if any(s.source is not None and s.source.view is not None for s in scene.all_sensors):
-        raise InputError(
-            f"{folder}: its cameras are views of fisheye images, whose lenses it used as they were given: give the rig "
-            "file of that run, or calibrate them in a run with --scan.fisheye whole"
-        )
-    mapped = load_model(first)
-    run = _Run(
-        folder=folder,
-        scene=scene,
-        receipt=receipt,
-        mapped=mapped,
-        world=mapped,
-        metres=_Metres(),
-        antenna_m=None,
-        tuning=_constants(folder, receipts),
-    )
-    current = placed.get("finished") and placed.get("from", {}).get("sparse") == receipt.get("made")
-    if not current or not (world / "cameras.bin").exists():
-        return run
-    told = load_json(folder / "world.json")
-    scale = float("nan") if told["scale_source"] == "none" else float(told["scale"])
-    sigma = told.get("sigma", {}).get("scale", receipt.get("counts", {}).get("scale_sigma", 0.0))
-    arm = told.get("antenna_m")
-    return replace(
-        run,
-        world=load_model(world),
-        metres=_Metres(scale, sigma, told["scale_source"]),
-        antenna_m=None if arm is None else tuple(arm),
-    )
-
-
-def _constants(folder: Path, receipts: Receipts) -> Tunings:
-    """Those that scan read the rig and sparse made the model with; before them count those of tiegraph.toml."""
-    made: dict[str, Any] = {}
-    for stage in ("scan", "sparse"):
-        own = receipts.read(stage).get("tuning", {})
-        try:
-            merged({"tuning": own})
-        except SettingsError as error:
-            raise UnreadableArtefact(receipts.path(stage), error) from None
-        made |= own
-    return read_settings(folder / SETTINGS, {"tuning": made}).tuning
-
-
-def _found(run: _Run, index: int) -> Rig:
+def _found(run: FoundRun, index: int) -> Rig:
     """A rig with the cameras, places and sigmas of the model."""
     given, several = run.scene.rigs[index], len(run.scene.rigs[index].sensors) > 1
     mode = rig_modes(run.scene.measured(), run.receipt.get("settings", {}).get("rig", "auto")).get(index, "")
@@ -205,7 +110,7 @@ def _found(run: _Run, index: int) -> Rig:
     return replace(found, sensors=sensors, antenna_m=run.antenna_m or given.antenna_m)
 
 
-def _cameras(run: _Run, index: int, found: Rig) -> list[Sensor]:
+def _cameras(run: FoundRun, index: int, found: Rig) -> list[Sensor]:
     """The sensors of a rig with the cameras of the model."""
     settings = SparseSettings(refine_intrinsics=run.receipt.get("settings", {}).get("refine_intrinsics", "auto"))
     held = believed_cameras(run.scene, settings)
@@ -218,7 +123,7 @@ def _cameras(run: _Run, index: int, found: Rig) -> list[Sensor]:
     return out
 
 
-def _say_held(run: _Run, found: Rig, given: Rig) -> None:
+def _say_held(run: FoundRun, found: Rig, given: Rig) -> None:
     pairs = [(s.name, s.sensor_from_rig, g.sensor_from_rig) for s, g in zip(found.sensors, given.sensors)]
     moved = [n for n, a, b in pairs if a is not None and b is not None and not np.allclose(a, b, rtol=0, atol=1e-6)]
     if moved:
@@ -228,7 +133,7 @@ def _say_held(run: _Run, found: Rig, given: Rig) -> None:
         run.said.append(f"{given.name}: its places are as given: the run held them")
 
 
-def _with_hanging(run: _Run, found: Rig, whole: Rig) -> Rig:
+def _with_hanging(run: FoundRun, found: Rig, whole: Rig) -> Rig:
     """The rig with the cameras that hang on it: no match says anything of these, so they stay as they were given."""
     own = {s.name for s in found.sensors}
     given, hung = (
@@ -246,7 +151,7 @@ def _with_hanging(run: _Run, found: Rig, whole: Rig) -> Rig:
     return replace(found, sensors=(*found.sensors, *sensors), pairs=(*found.pairs, *pairs))
 
 
-def _loose(run: _Run, given: Rig, index: int, mode: str) -> Rig:
+def _loose(run: FoundRun, given: Rig, index: int, mode: str) -> Rig:
     """A rig that the model does not have as one: whose cameras fire at their own times, or that was not used."""
     if not mode:
         run.said.append(f"{given.name}: its places are as given: the run did not use the rig (sparse.rig = absent)")
@@ -280,7 +185,7 @@ def _loose(run: _Run, given: Rig, index: int, mode: str) -> Rig:
     return rig
 
 
-def _late_ms(run: _Run, rig: Rig) -> dict[str, float]:
+def _late_ms(run: FoundRun, rig: Rig) -> dict[str, float]:
     """When each camera but the first fires against it, milliseconds; {} if the run has no times."""
     columns = run.receipt.get("tables", {}).get("rig diagnostics", {}).get("columns", [])
     at = columns.index(_LATE) if _LATE in columns else -1
@@ -289,19 +194,19 @@ def _late_ms(run: _Run, rig: Rig) -> dict[str, float]:
     return {r[0]: r[at] for r in rows if r[0] in names and r[at] is not None}
 
 
-def _with_scale(run: _Run, sigma_m: float, length_m: float) -> float:
+def _with_scale(run: FoundRun, sigma_m: float, length_m: float) -> float:
     """Sigma of a coordinate with that of the scale of all lengths."""
     return float(np.hypot(sigma_m, length_m * float(np.nan_to_num(run.metres.sigma)) / np.sqrt(3)))
 
 
-def _in_model(run: _Run, index: int) -> bool:
+def _in_model(run: FoundRun, index: int) -> bool:
     """Whether the model has the rig as one, with the reference of the scene."""
     first = 1 + run.scene.first_sensor(index)
     reference = pycolmap.sensor_t(pycolmap.SensorType.CAMERA, first)
     return index + 1 in run.mapped.rigs and run.mapped.rigs[index + 1].is_ref_sensor(reference)
 
 
-def _say_scale(run: _Run, rig: Rig) -> None:
+def _say_scale(run: FoundRun, rig: Rig) -> None:
     metres = run.metres
     if np.isfinite(metres.scale):
         known = f", known to {100 * metres.sigma:.2g} %" if metres.sigma > 0 else ""
@@ -334,7 +239,7 @@ def _units(held: Rig, given: Rig) -> float:
 # --- sigmas -----------------------------------------------------------------------------------------------------------
 
 
-def _with_sigmas(run: _Run, found: Rig, index: int) -> Rig:
+def _with_sigmas(run: FoundRun, found: Rig, index: int) -> Rig:
     """Sigmas of the adjustment for each axis. Sensors that hardly a tie held stand as the rig file of the run had them,
     those of a drawing with what one is trusted with.
 
@@ -364,7 +269,7 @@ def _with_sigmas(run: _Run, found: Rig, index: int) -> Rig:
     return replace(found, sensors=tuple(sensors), nominal=False, pairs=())
 
 
-def _sigmas(run: _Run, row: list) -> tuple[float, float]:
+def _sigmas(run: FoundRun, row: list) -> tuple[float, float]:
     """Sigma of each axis in degrees, and of each coordinate in metres with that of the scale: x, y, z, sigma, turn."""
     scale = float(np.nan_to_num(run.metres.scale, nan=1.0))
     most_deg, most_m = run.tuning.scan.rig.sigma_deg[1], run.tuning.scan.rig.sigma_m[1]
@@ -383,7 +288,7 @@ def _short(value: float) -> float:
     return float(f"{value:.{_DIGITS}g}")
 
 
-def _check_prefixes(run: _Run, rigs: list[Rig]) -> None:
+def _check_prefixes(run: FoundRun, rigs: list[Rig]) -> None:
     """Say where COLMAP would not find the images: its prefixes begin a name, folders of passes come before them."""
     folders = [s.folder for r in rigs for s in r.sensors]
     if any(f and not any(n.startswith(f"{f}/") for n in run.scene.names) for f in folders):

@@ -27,16 +27,9 @@ from tiegraph.scene.sampling import evenly
 from tiegraph.sfm.adjustment.jacobians import Layout, RigConstraints, jacobians
 from tiegraph.sfm.adjustment.leverarmprior import NominalGeometry
 from tiegraph.sfm.adjustment.normal import Normal, by_blocks, point_inverse
-from tiegraph.sfm.systematic import (
-    AssumedErrors,
-    Effect,
-    EffectWeights,
-    LensError,
-    Unrest,
-    lens_errors,
-    misplaced,
-    unrest,
-)
+from tiegraph.sfm.systematic.effects import Effect, EffectWeights
+from tiegraph.sfm.systematic.lenses import AssumedErrors, LensError, lens_errors
+from tiegraph.sfm.systematic.mountings import Unrest, misplaced, unrest
 from tiegraph.sfm.tuning import SigmaTuning, Tuning
 
 _SEED = 0
@@ -142,7 +135,7 @@ def position_sigma(
 
     Intrinsics and rig extrinsics are unknowns unless told otherwise (ids of cameras, of rigs); ``ties`` hold
     the frames of relaxed rigs; ``nominal``: geometry of rigs by rig id; ``off``: how far the cameras of rigs that are
-    contradicted may be off (``systematic.misplaced``). The gauge is taken out
+    contradicted may be off (``systematic.mountings.misplaced``). The gauge is taken out
     by the S-transformation over all positions, so a sigma is that of a position after the best alignment to the truth.
     (pycolmap's estimate_ba_covariance refuses rigs.) Raises ValueError for a model without redundancy.
     """

@@ -16,18 +16,18 @@ from tiegraph.sfm.adjustment import constraints
 from tiegraph.sfm.adjustment.jacobians import RigConstraints
 from tiegraph.sfm.placement.doubtful import MatchSource
 from tiegraph.sfm.rig.confront import (
-    hear,
-    hear_lens,
     in_units,
+    lens_prior_test,
     lever_sigmas,
     mounting_errors,
     open_times,
+    prior_test,
     refine,
 )
 from tiegraph.sfm.rig.diagnostics import RigDiagnostics, rig_diagnostics
 from tiegraph.sfm.rig.priortest import PriorTest
 from tiegraph.sfm.rig.resections import COLUMNS
-from tiegraph.sfm.rig.rigevidence import statements
+from tiegraph.sfm.rig.rigevidence import RigEvidence, statements
 from tiegraph.sfm.rig.support import units_per_metre
 from tiegraph.sfm.rig.timecalibration import (
     TimeCalibration,
@@ -87,6 +87,39 @@ class Checked:
     misfit: float = 0.0  # of the lever arms as given, where they are contradicted: a share
 
 
+@dataclass(frozen=True)
+class _Rig:
+    """Rig ``index`` of the scene, and what is asked of it."""
+
+    scene: Scene
+    index: int
+    request: FinishRequest
+
+    @property
+    def name(self) -> str:
+        return self.scene.rigs[self.index].name
+
+    @property
+    def ordered(self) -> bool:
+        return self.index in self.request.held.ordered
+
+    @property
+    def fixed(self) -> bool:
+        return self.index in self.request.held.fixed
+
+    @property
+    def measured(self) -> bool:
+        return self.fixed or self.index in self.request.held.soft
+
+    def prior_test(self, model: pycolmap.Reconstruction, metres_per_unit: float) -> PriorTest | None:
+        """What the images of a model want otherwise of it."""
+        return prior_test(model, self.scene, self.index, metres_per_unit, self.request.tuning)
+
+    def lost(self, model: pycolmap.Reconstruction, changed: pycolmap.Reconstruction) -> tuple[int, ...]:
+        """Images that lose their place in the changed model (``lost_images``)."""
+        return lost_images(model, changed, self.scene, self.request.tuning.adjust.min_points)
+
+
 def checked_rig(
     model: pycolmap.Reconstruction, mapped: pycolmap.Reconstruction, scene: Scene, request: FinishRequest
 ) -> Checked:
@@ -94,7 +127,7 @@ def checked_rig(
     so."""
     out = Checked(model)
     if not request.rough:
-        _single_lenses(out, scene, request)
+        _confront_single_lenses(out, scene, request)
     if not request.held.rigs:
         return out
     metres = 1 / units_per_metre(model, scene, request.tuning.rig.support)
@@ -108,36 +141,32 @@ def checked_rig(
     out.notes += found.notes
     relaxed = _relaxed(out, mapped, scene, request, found, metres)
     last: dict[int, PriorTest] = {}
-    for index, heard in found.heard.items():
-        if index not in relaxed and index in request.held.fixed:
-            out.notes += open_times(heard, scene, index)
-        elif index not in relaxed:
-            out.levers |= {k: v / metres for k, v in lever_sigmas(heard, scene, index).items()}
-        last[index] = _confronted(out, scene, request, index, heard, index in relaxed)
-    for index, free in relaxed.items():
-        ties_of = free.constraints
-        if _measured(index, request):
-            off = mounting_errors(last.get(index), scene, index, ties_of.cameras, request.tuning.rig)
-            ties_of = with_errors(ties_of, in_units(off, metres))
-        out.ties.append(ties_of)
+    for index, test in found.prior_tests.items():
+        rig = _Rig(scene, index, request)
+        if index in relaxed:
+            last[index] = _confront_relaxed(out, rig, test)
+        else:
+            _say_what_times_leave_open(out, rig, test)
+            _confront_rigid(out, rig, test)
+    out.ties += [_ties(_Rig(scene, index, request), free, last.get(index), metres) for index, free in relaxed.items()]
     offsets = {k: o for r in relaxed.values() for k, o in r.offsets.items()}
     out.tables["rig diagnostics"] = found.table(offsets, request.tuning.rig)
     return out
 
 
-def _single_lenses(out: Checked, scene: Scene, request: FinishRequest) -> None:
-    """Confront the calibrations of single cameras that were held with the images."""
+def _confront_single_lenses(out: Checked, scene: Scene, request: FinishRequest) -> None:
+    """The calibrations of single cameras that were held."""
     first = 0
     for index, rig in enumerate(scene.rigs):
         held = len(rig.sensors) == 1 and first + 1 in request.held.cameras
         first += len(rig.sensors)
         try:
-            heard = hear_lens(out.model, scene, index, request.tuning) if held else None
+            test = lens_prior_test(out.model, scene, index, request.tuning) if held else None
         except (RuntimeError, ValueError, np.linalg.LinAlgError) as error:
             out.notes.append(f"the calibration of {rig.sensors[0].name} could not be checked: {error}")
             continue
-        if heard is not None:
-            _confronted(out, scene, request, index, heard, False)
+        if test is not None:
+            _confront_rigid(out, _Rig(scene, index, request), test)
 
 
 def _relaxed(
@@ -151,31 +180,19 @@ def _relaxed(
     """Relax the rigs that move, into ``out.model``; what stays rigid though it moves is a contradiction."""
     relaxed: dict[int, TimeCalibration] = {}
     for index in found.moving:
-        name = scene.rigs[index].name
-        if index in request.held.ordered:
+        rig = _Rig(scene, index, request)
+        if rig.ordered:
             out.contradictions.append(
-                f"rig {name} was ordered to stay as given (sparse.rig = fixed) and does; the images contradict it: "
+                f"rig {rig.name} was ordered to stay as given (sparse.rig = fixed) and does; the images contradict it: "
                 + "; ".join(found.notes)
             )
             continue
         if not constraints.available():
             why = "it stays rigid in the model: relaxing it needs the package pyceres"
-            out.contradictions.append(f"rig {name} does not move as one ({'; '.join(found.notes)}); {why}")
+            out.contradictions.append(f"rig {rig.name} does not move as one ({'; '.join(found.notes)}); {why}")
             break
-        freed = found.heard[index].freed if index in found.heard else ()
-        # What the rigid adjustment threw out is wanted here: the points the mapper had.
-        start = with_observations_of(out.model, mapped) if found.unstable or freed else out.model
-        # What calibrated lenses do beyond their model looks like turned cameras; lenses that are adjusted do not.
-        bent = not request.held.cameras and any(what == "mount" for what, _ in freed)
-        calibrated = _measured(index, request) and not bent
-        believed = TrustedCalibration(
-            metres_per_unit=metres,
-            calibrated=calibrated,
-            constant_cameras=request.held.cameras,
-            lenses_held=request.held.lenses_ordered,
-        )
-        free = calibrate_times(start, scene, index, believed, request.tuning, found.unstable)
-        lost = lost_images(out.model, free.model, scene, request.tuning.adjust.min_points)
+        free = _times_calibrated(out.model, mapped, rig, found, metres)
+        lost = rig.lost(out.model, free.model)
         if lost:
             out.contradictions.append(_lost_note(scene, index, lost, found.notes))
             continue
@@ -184,46 +201,111 @@ def _relaxed(
     return relaxed
 
 
-def _measured(index: int, request: FinishRequest) -> bool:
-    return index in request.held.fixed or index in request.held.soft
+def _times_calibrated(
+    model: pycolmap.Reconstruction, mapped: pycolmap.Reconstruction, rig: _Rig, found: RigDiagnostics, metres: float
+) -> TimeCalibration:
+    """The model adjusted with a time for each camera of a rig that moves."""
+    held = rig.request.held
+    freed = found.prior_tests[rig.index].freed if rig.index in found.prior_tests else ()
+    # What the rigid adjustment threw out is wanted here: the points the mapper had.
+    start = with_observations_of(model, mapped) if found.unstable or freed else model
+    # What calibrated lenses do beyond their model looks like turned cameras; lenses that are adjusted do not.
+    bent = not held.cameras and any(what == "mount" for what, _ in freed)
+    believed = TrustedCalibration(
+        metres_per_unit=metres,
+        calibrated=rig.measured and not bent,
+        constant_cameras=held.cameras,
+        lenses_held=held.lenses_ordered,
+    )
+    return calibrate_times(start, rig.scene, rig.index, believed, rig.request.tuning, found.unstable)
 
 
-def _confronted(
-    out: Checked, scene: Scene, request: FinishRequest, index: int, heard: PriorTest, relaxed: bool
-) -> PriorTest:
-    """Say where the file of a measured rig contradicts the images, and return what they want otherwise in the end; a
-    turned or shifted camera may be adjusted."""
-    metres = heard.system.metres_per_unit
-    if relaxed:  # with its times free, other things may be left to say, or none
-        again = hear(out.model, scene, index, metres, request.tuning)
-        heard = heard if again is None else again
-    refined = None
-    bent = any(what == "mount" for what, _ in heard.freed)
-    if bent and not relaxed and index in request.held.fixed and constraints.available():
-        fixed = [k + 1 for k in request.held.fixed]
-        refined = refine(out.model, scene, index, heard, fixed, request.held.cameras, request.tuning.adjust)
-    if refined is not None:  # where the rest is no longer bent by it, the sigmas are better
-        again = hear(refined, scene, index, metres, request.tuning)
-        if again is not None and any(what == "mount" for what, _ in again.freed):
-            heard = again
-    said = statements(heard, scene, index, refined)
+def _say_what_times_leave_open(out: Checked, rig: _Rig, test: PriorTest) -> None:
+    """Of a rigid rig: whether its cameras fire together, where it is held; else how well its levers are known."""
+    if rig.fixed:
+        out.notes += open_times(test, rig.scene, rig.index)
+        return
+    metres = test.system.metres_per_unit
+    out.levers |= {k: v / metres for k, v in lever_sigmas(test, rig.scene, rig.index).items()}
+
+
+def _confront_relaxed(out: Checked, rig: _Rig, test: PriorTest) -> PriorTest:
+    """Say where the file of a relaxed rig contradicts the images, and return what they want otherwise: with its times
+    free that may be other things than before, or none."""
+    again = rig.prior_test(out.model, test.system.metres_per_unit)
+    last = test if again is None else again
+    _say(out, statements(last, rig.scene, rig.index), "")
+    return last
+
+
+def _confront_rigid(out: Checked, rig: _Rig, test: PriorTest) -> None:
+    """Say where the file of a rigid rig contradicts the images; a turned or shifted camera of a held one is adjusted,
+    unless images would lose their place by it."""
+    refined = _refined(out.model, rig, test)
+    last = _tested_again(refined, rig, test)
+    said = statements(last, rig.scene, rig.index, refined)
+    followed = _followed(out.model, rig, refined) if said.contradictions else None
+    if rig.ordered:
+        how = "; held as given all the same (sparse.rig = fixed)"
+    else:
+        how = "" if followed is None else "; the images were followed, the other cameras held as given"
+    _say(out, said, how)
+    if followed is not None:
+        out.model = followed
+    if said.contradictions and rig.measured:
+        _say_off(out, rig, last, followed is not None)
+
+
+def _refined(model: pycolmap.Reconstruction, rig: _Rig, test: PriorTest) -> pycolmap.Reconstruction | None:
+    """The model with the cameras that the images want elsewhere adjusted; None where none is, or none may be."""
+    held = rig.request.held
+    if not (_mounts_freed(test) and rig.fixed and constraints.available()):
+        return None
+    fixed = [k + 1 for k in held.fixed]
+    return refine(model, rig.scene, rig.index, test, fixed, held.cameras, rig.request.tuning.adjust)
+
+
+def _tested_again(refined: pycolmap.Reconstruction | None, rig: _Rig, test: PriorTest) -> PriorTest:
+    """The test in a refined model, where the rest is no longer bent and the sigmas are better; else as it was."""
+    again = None if refined is None else rig.prior_test(refined, test.system.metres_per_unit)
+    return again if again is not None and _mounts_freed(again) else test
+
+
+def _mounts_freed(test: PriorTest) -> bool:
+    return any(what == "mount" for what, _ in test.freed)
+
+
+def _followed(
+    model: pycolmap.Reconstruction, rig: _Rig, refined: pycolmap.Reconstruction | None
+) -> pycolmap.Reconstruction | None:
+    """The refined model, if it is to be taken."""
+    if rig.ordered or refined is None or rig.lost(model, refined):
+        return None
+    return refined
+
+
+def _say(out: Checked, said: RigEvidence, how: str) -> None:
+    """Statements and contradictions into what is handed on; ``how`` the contradictions were dealt with."""
     out.statements += said.statements
     out.misfit = max(out.misfit, said.misfit)
-    if not said.contradictions:
-        return heard
-    how, followed = "", False
-    if index in request.held.ordered:
-        how = "; held as given all the same (sparse.rig = fixed)"
-    elif refined is not None and not lost_images(out.model, refined, scene, request.tuning.adjust.min_points):
-        out.model, followed = refined, True
-        how = "; the images were followed, the other cameras held as given"
     out.contradictions += [f"{line}{how}" for line in said.contradictions]
-    count, first = len(scene.rigs[index].sensors), scene.first_sensor(index)
-    if count > 1 and not relaxed and _measured(index, request):
+
+
+def _say_off(out: Checked, rig: _Rig, test: PriorTest, followed: bool) -> None:
+    """How far off the mountings of a contradicted rig may be."""
+    count, first = len(rig.scene.rigs[rig.index].sensors), rig.scene.first_sensor(rig.index)
+    if count > 1:
         cameras = range(first + 1, first + count)
-        off = mounting_errors(heard, scene, index, cameras, request.tuning.rig, followed, relaxed=False)
-        out.off[index + 1] = in_units(off, metres)
-    return heard
+        off = mounting_errors(test, rig.scene, rig.index, cameras, rig.request.tuning.rig, followed, relaxed=False)
+        out.off[rig.index + 1] = in_units(off, test.system.metres_per_unit)
+
+
+def _ties(rig: _Rig, free: TimeCalibration, last: PriorTest | None, metres: float) -> RigConstraints:
+    """What ties the cameras of a relaxed rig, with the errors of their mountings where these were measured."""
+    if not rig.measured:
+        return free.constraints
+    off = mounting_errors(last, rig.scene, rig.index, free.constraints.cameras, rig.request.tuning.rig)
+    return with_errors(free.constraints, in_units(off, metres))
 
 
 def _lost_note(scene: Scene, index: int, lost: Sequence[int], why: Sequence[str]) -> str:

@@ -219,7 +219,7 @@ def _seed_across(
         centre = _minimum_cost_path(scores, least, tuning)
         beside = _beside(scores, centre, offsets.window_nodes + offsets.window_margin_nodes)
         scores = replace(scores, noise_floor=noise_floor_away(scores, beside, least, tuning))
-    excess = commonview.above(scores, scores.smoothed(least, tuning), least) * beside
+    excess = commonview.above(scores.smoothed(least, tuning), least) * beside
     backwards, _ = commonview.direction(scores, excess, tuning.rig.common_view)
     scores = replace(scores, allowed=facing(scores, excess, settings, tuning.rig))
     centre = _path(excess.sum(axis=(0, 1))) if centre is None else centre
@@ -294,7 +294,7 @@ def _said(scores: ScoreMatrix, smooth: np.ndarray, min_matches: int, tuning: Rig
     """How two passes lie to each other as a note, or their names if they have nothing in common."""
     if scores.same:
         return (), ""
-    excess = commonview.above(scores, smooth, min_matches)
+    excess = commonview.above(smooth, min_matches)
     if not excess.any():
         return (), f"{scores.p.name} - {scores.q.name}"
     said = commonview.in_words(scores, excess, tuning)

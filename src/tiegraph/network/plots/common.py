@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 DPI = 110
-BLUE, RED, GREY, INK = "#1b6ca8", "#c0392b", "#9a9a9a", "#444444"
+BLUE, RED, INK = "#1b6ca8", "#c0392b", "#444444"
 
 
 def edges_of(nodes: np.ndarray) -> np.ndarray:

@@ -76,7 +76,7 @@ def _frames(scores: ScoreMatrix, excess: np.ndarray, tuning: CommonViewTuning) -
     return f"; common view: {' and '.join(said)}" if partly else ""
 
 
-def above(scores: ScoreMatrix, smooth: np.ndarray, min_matches: int) -> np.ndarray:
+def above(smooth: np.ndarray, min_matches: int) -> np.ndarray:
     """(S, T, A, B) smoothed matches above ``min_matches``, 0 where less or not measured."""
     return np.maximum(0, np.nan_to_num(smooth) - min_matches)
 
@@ -85,7 +85,7 @@ def without_chance(scores: ScoreMatrix, smooth: np.ndarray, min_matches: int, tu
     """``smooth`` lowered to chance between two passes when too few nodes of all are above ``min_matches``."""
     view = tuning.rig.common_view
     least = min(view.least_votes, view.least_share * int(np.isfinite(scores.inliers).sum()))
-    if scores.same or votes(above(scores, smooth, min_matches)) >= least:
+    if scores.same or votes(above(smooth, min_matches)) >= least:
         return smooth
     chance = tuning.counts.floor * min_matches
     return np.where(np.isnan(smooth), smooth, np.minimum(smooth, chance)).astype(np.float32)

@@ -19,6 +19,7 @@ from tiegraph.sfm.adjustment.jacobians import Layout
 _RIDGE = 1e-9  # of the stiffness: a frame that no point holds gets a huge sigma instead of a singular matrix
 _KNOWN = 1e-8  # of the stiffness: a scale held by more is known (a rig of fixed size), by less it is rounding
 _AT_ONCE = 300  # right sides solved together: memory
+_ROWS = 90_000  # unknowns of points whose dense products are held at once: memory
 
 
 def point_inverse(jp: sparse.csr_matrix) -> np.ndarray:
@@ -49,10 +50,31 @@ def at_their_minimum(
     return np.asarray(weighted - root * (jp @ step))
 
 
-def reduced(jc: sparse.csr_matrix, jp: sparse.csr_matrix) -> sparse.csr_matrix:
-    """Reduced camera system: Jc'Jc - Jc'Jp (Jp'Jp)^-1 Jp'Jc."""
-    cross = (jc.T @ jp).tocsr()
-    return (jc.T @ jc - cross @ by_blocks(point_inverse(jp)) @ cross.T).tocsr()
+def reduced(
+    jc: sparse.csr_matrix, crossed: sparse.csr_matrix, inverse: sparse.bsr_matrix, own: int
+) -> sparse.csr_matrix:
+    """Reduced camera system (C, C): Jc'Jc - Jc'Jp (Jp'Jp)^-1 Jp'Jc, by ``jc`` (2O, C), Jp'Jc (3P, C) and (Jp'Jp)^-1.
+
+    The first ``own`` unknowns are those of frames, each known to few points. What follows, lenses and mountings, is
+    known to most: products with it are dense, or they take ten times as long as all others.
+    """
+    frames, shared = crossed[:, :own].tocsr(), crossed[:, own:].tocsr()
+    blocks = frames.tobsr(blocksize=(3, 6))
+    between = (blocks.T @ (inverse @ blocks)).tocsr()
+    beside, among = np.zeros((own, shared.shape[1])), np.zeros((shared.shape[1], shared.shape[1]))
+    for k in range(0, shared.shape[0], _ROWS):
+        rows = slice(k, k + _ROWS)
+        dense = shared[rows].toarray()
+        taken = _of_blocks(inverse, rows) @ dense
+        beside += frames[rows].T @ taken
+        among += dense.T @ taken
+    eliminated = sparse.bmat([[between, sparse.csr_matrix(beside)], [beside.T, among]])
+    return (jc.T @ jc - eliminated).tocsr()
+
+
+def _of_blocks(blocks: sparse.bsr_matrix, rows: slice) -> sparse.bsr_matrix:
+    """The part of these rows, whole blocks, of a matrix of ``by_blocks``."""
+    return by_blocks(blocks.data[rows.start // 3 : rows.stop // 3])
 
 
 class Normal:

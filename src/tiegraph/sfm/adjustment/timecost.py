@@ -16,9 +16,10 @@ import pycolmap.cost_functions
 from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import transforms
-from tiegraph.sfm.model import rigid3d, rigids3d
+from tiegraph.sfm.model import rigids3d
 
 _STEPS = np.array([1e-5, *[1e-6] * 6])
+_ASIDE = np.concatenate([np.zeros((1, 7)), np.diag(_STEPS), -np.diag(_STEPS)])
 
 
 @dataclass(frozen=True)
@@ -45,10 +46,11 @@ class TimeOffsetPriors:
 def expected(tie: TimeOffsetPrior, unknowns: np.ndarray) -> np.ndarray:
     """second_from_first (..., 4, 4) of a tie under unknowns (..., 7)."""
     moved = unknowns[..., :1] * tie.columns
-    later = transforms.rigid(Rotation.from_rotvec(moved[..., 3:]).as_matrix(), moved[..., :3])
+    turns = np.stack([moved[..., 3:], unknowns[..., 4:]])
+    motion, turn = Rotation.from_rotvec(turns.reshape(-1, 3)).as_matrix().reshape(*turns.shape, 3)
+    later = transforms.rigid(motion, moved[..., :3])
     # The constant turns the camera about its own centre.
     lever = transforms.centre(tie.sensor_from_first)
-    turn = Rotation.from_rotvec(unknowns[..., 4:]).as_matrix()
     mounting = transforms.rigid(turn, unknowns[..., 1:4] + lever - turn @ lever)
     return tie.sensor_from_first @ transforms.invert(later @ mounting)
 
@@ -88,21 +90,23 @@ def _tie_cost(tie: TimeOffsetPrior, weight: float) -> Any:
 
         def Evaluate(self, parameters: Any, residuals: Any, jacobians: Any) -> bool:
             second, first, unknowns = (np.array(p) for p in parameters)
+            slope = jacobians is not None and jacobians[2] is not None
+            # Turns are worked out for all steps at once: scipy's calls take longer than what they calculate.
+            at = unknowns + _ASIDE if slope else unknowns[None]
 
             def against(prior: pycolmap.Rigid3d) -> tuple[np.ndarray, list[np.ndarray]]:
                 cost = pycolmap.cost_functions.RelativePosePriorCost(covariance, prior)
                 value, slopes = cost.evaluate(second, first)
                 return np.asarray(value).ravel(), slopes
 
-            value, slopes = against(rigid3d(expected(tie, unknowns)))
+            here, *beside = rigids3d(expected(tie, at))
+            value, slopes = against(here)
             residuals[:] = value
             if jacobians is not None:
                 for block in (0, 1):
                     if jacobians[block] is not None:
                         jacobians[block][:] = np.asarray(slopes[block]).ravel()
-                if jacobians[2] is not None:
-                    steps = np.diag(_STEPS)
-                    beside = rigids3d(expected(tie, unknowns + np.concatenate([steps, -steps])))
+                if slope:
                     up, down = np.array([against(prior)[0] for prior in beside]).reshape(2, 7, 6)
                     jacobians[2][:] = ((up - down) / (2 * _STEPS[:, None])).T.ravel()
             return True

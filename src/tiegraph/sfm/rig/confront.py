@@ -23,7 +23,7 @@ from tiegraph.sfm.tuning.rig import RigTuning
 _EXACTLY = 1e-6
 
 
-def hear(
+def prior_test(
     model: pycolmap.Reconstruction, scene: Scene, index: int, metres_per_unit: float, tuning: Tuning
 ) -> PriorTest | None:
     """What the images of a model want otherwise of rig ``index``; None where too little tells.
@@ -38,7 +38,8 @@ def hear(
     if measured:
         system = rig_system(model, scene, index, lenses, metres_per_unit, tuning)
     else:  # lengths of the model's rig are brought to metres, so that those of the system are
-        found = [_scaled(s.sensor_from_rig, metres_per_unit) for s in model_rigs(model, scene)[index].sensors]
+        poses = (s.sensor_from_rig for s in model_rigs(model, scene)[index].sensors)
+        found = [None if p is None else _scaled(p, metres_per_unit) for p in poses]
         sensors = tuple(replace(s, sensor_from_rig=p) for s, p in zip(rig.sensors, found))
         rigs = tuple(replace(r, sensors=sensors) if k == index else r for k, r in enumerate(scene.rigs))
         system = rig_system(model, scene.with_(rigs=rigs), index, lenses, metres_per_unit, tuning)
@@ -58,7 +59,7 @@ def hear(
     return contradicted_priors(system, known, groups)
 
 
-def hear_lens(model: pycolmap.Reconstruction, scene: Scene, index: int, tuning: Tuning) -> PriorTest | None:
+def lens_prior_test(model: pycolmap.Reconstruction, scene: Scene, index: int, tuning: Tuning) -> PriorTest | None:
     """The same of the calibration of a single camera, which is all that there is to contradict."""
     rig = scene.rigs[index]
     lenses = _calibrated(model, scene, index) if len(rig.sensors) == 1 and rig.measured() else ()
@@ -73,9 +74,9 @@ def hear_lens(model: pycolmap.Reconstruction, scene: Scene, index: int, tuning: 
     return contradicted_priors(system, expected(alone, system.timed, tuning.rig), [("lens", 0)])
 
 
-def lever_sigmas(heard: PriorTest, scene: Scene, index: int) -> dict[int, float]:
+def lever_sigmas(test: PriorTest, scene: Scene, index: int) -> dict[int, float]:
     """Camera id -> sigma (m, root sum of squares) of its place against the reference, with times free unless said."""
-    rig, system, tuning = scene.rigs[index], heard.system, heard.known.tuning
+    rig, system, tuning = scene.rigs[index], test.system, test.known.tuning
     first = scene.first_sensor(index)
     others = len(rig.sensors) - 1
     known = replace(
@@ -93,14 +94,14 @@ def lever_sigmas(heard: PriorTest, scene: Scene, index: int) -> dict[int, float]
     return out
 
 
-def open_times(heard: PriorTest, scene: Scene, index: int) -> list[str]:
+def open_times(test: PriorTest, scene: Scene, index: int) -> list[str]:
     """A sentence on cameras of a rigid rig whose times the images leave open, which are then taken to fire together.
 
     At constant speed a camera's time and its place along the way are one unknown: all that is given beside the times is
     believed here. None of a rig that is said to be synchronised, nor where it moves nothing by more than is asked of
     a calibration.
     """
-    rig, system, tuning = scene.rigs[index], heard.system, heard.known.tuning
+    rig, system, tuning = scene.rigs[index], test.system, test.known.tuning
     known = expected(rig, system.timed, tuning)
     if not known.late_s:
         return []
@@ -123,8 +124,8 @@ def _measured(scene: Scene, index: int) -> bool:
     return rig.measured() or rig.soft()
 
 
-def _scaled(pose: np.ndarray | None, factor: float) -> np.ndarray | None:
-    return None if pose is None else transforms.rigid(pose[:3, :3], factor * pose[:3, 3])
+def _scaled(pose: np.ndarray, factor: float) -> np.ndarray:
+    return transforms.rigid(pose[:3, :3], factor * pose[:3, 3])
 
 
 def _calibrated(model: pycolmap.Reconstruction, scene: Scene, index: int) -> set[int]:
@@ -142,7 +143,7 @@ def _calibrated(model: pycolmap.Reconstruction, scene: Scene, index: int) -> set
 
 
 def mounting_errors(
-    heard: PriorTest | None,
+    test: PriorTest | None,
     scene: Scene,
     index: int,
     cameras: Sequence[int],
@@ -163,15 +164,15 @@ def mounting_errors(
     place = np.maximum([s.sigma_m or 0.0 for s in rig.sensors], bounds.held_to_m)
     turn = np.maximum([s.sigma_deg or 0.0 for s in rig.sensors], bounds.held_to_deg)
     sensors = np.array(cameras, int) - scene.first_sensor(index)
-    if heard is None or heard.beyond:
-        worse = (0.0, 0.0) if heard is None else (tuning.prior_test.freed_m, tuning.prior_test.freed_deg)
+    if test is None or test.beyond:
+        worse = (0.0, 0.0) if test is None else (tuning.prior_test.freed_m, tuning.prior_test.freed_deg)
         sigma = [np.maximum(place, worse[0]), np.radians(np.maximum(turn, worse[1]))]
         return np.diag(np.repeat(np.stack(sigma, axis=1)[sensors].ravel(), 3) ** 2)
-    system = heard.system
+    system = test.system
     known = expected(rig, system.timed, tuning)
     if not followed:
         known = replace(known, place_m=place.tolist(), turn_deg=turn.tolist())
-    solution = system.solve(known.sigma(system, heard.freed, times=relaxed))
+    solution = system.solve(known.sigma(system, test.freed, times=relaxed))
     rows = np.zeros((len(sensors), 6, len(system.keys)))
     reference = _unknowns(system, 0)
     for own, k in zip(rows, sensors.tolist()):
@@ -199,7 +200,7 @@ def refine(
     model: pycolmap.Reconstruction,
     scene: Scene,
     index: int,
-    heard: PriorTest,
+    test: PriorTest,
     fixed: Sequence[int],
     constant_cameras: Collection[int],
     tuning: AdjustTuning,
@@ -208,26 +209,22 @@ def refine(
 
     ``fixed``: COLMAP ids of the other rigs that stay. Needs pyceres.
     """
-    known = expected(scene.rigs[index], heard.system.timed, heard.known.tuning)
-    priors = _priors(scene, index, known, heard)
+    known = expected(scene.rigs[index], test.system.timed, test.known.tuning)
+    priors = _priors(scene, index, known, test)
     others = [k for k in fixed if k != index + 1]
     return final_adjustment(model, others, constant_cameras, PoseConstraints(sensors=priors), tuning=tuning).model
 
 
-def _scaled_pose(pose: np.ndarray, factor: float) -> np.ndarray:
-    return transforms.rigid(pose[:3, :3], factor * pose[:3, 3])
-
-
-def _priors(scene: Scene, index: int, known: Expected, heard: PriorTest) -> list[SensorPrior]:
+def _priors(scene: Scene, index: int, known: Expected, test: PriorTest) -> list[SensorPrior]:
     """The file's extrinsics; where the reference itself is the one that is off, all the others are free against it."""
-    rig, units = scene.rigs[index], 1 / heard.system.metres_per_unit
+    rig, units = scene.rigs[index], 1 / test.system.metres_per_unit
     first = scene.first_sensor(index)
-    every = ("mount", 0) in heard.freed
+    every = ("mount", 0) in test.freed
     out = []
     for k, sensor in enumerate(rig.sensors):
         if k == 0 or sensor.sensor_from_rig is None:
             continue
-        free = every or ("mount", k) in heard.freed
+        free = every or ("mount", k) in test.freed
         place = (known.tuning.prior_test.freed_m if free else known.place_m[k]) * units
         turn = np.radians(known.tuning.prior_test.freed_deg if free else known.turn_deg[k])
         covariance = np.diag([turn**2] * 3 + [place**2] * 3)
@@ -235,7 +232,7 @@ def _priors(scene: Scene, index: int, known: Expected, heard: PriorTest) -> list
             SensorPrior(
                 rig_id=index + 1,
                 camera_id=first + k + 1,
-                sensor_from_rig=_scaled_pose(sensor.sensor_from_rig, units),
+                sensor_from_rig=_scaled(sensor.sensor_from_rig, units),
                 covariance=covariance,
             )
         )

@@ -11,7 +11,7 @@ import pycolmap
 
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import frame_poses, image_poses, model_rigs, observations
-from tiegraph.sfm.rig.confront import hear
+from tiegraph.sfm.rig.confront import prior_test
 from tiegraph.sfm.rig.priortest import PriorTest
 from tiegraph.sfm.rig.resections import Resections, SensorDiagnostics, resect_all, sensor_diagnostics, table_rows
 from tiegraph.sfm.rig.timeoffset import TimeOffset, rig_motion, time_offset
@@ -29,7 +29,7 @@ class RigDiagnostics:
     notes: list[str]
     timed: bool
     unstable: dict[int, float]  # sensor key -> scatter of its rotation, deg
-    heard: Mapping[int, PriorTest] = field(default_factory=dict)  # by rig: what the images want otherwise
+    prior_tests: Mapping[int, PriorTest] = field(default_factory=dict)  # by rig: what the images want otherwise
 
     def table(self, offsets: Mapping[int, TimeOffset], tuning: RigTuning) -> dict:
         """Table of the receipt; ``offsets`` by sensor key, of relaxed rigs."""
@@ -61,25 +61,27 @@ def rig_diagnostics(
     tuning: Tuning,
     before: pycolmap.Reconstruction | None = None,
 ) -> RigDiagnostics:
-    """Resect every camera against its rig, hear what the images want otherwise of it, and judge what comes out.
+    """Resect every camera against its rig, test its priors by the images, and judge what comes out.
 
     ``before``: the model before its adjustment. A camera that sits loose loses most of its sightings there.
     """
     found = resect_all(model, scene, metres_per_unit, tuning.rig.diagnostics)
     health = sensor_diagnostics(found, scene, tuning.rig.diagnostics)
-    heard = {k: j for k in range(len(scene.rigs)) if (j := hear(model, scene, k, metres_per_unit, tuning)) is not None}
-    late = _late(heard, health, scene, tuning.rig.time_offset)
+    tests = {
+        k: j for k in range(len(scene.rigs)) if (j := prior_test(model, scene, k, metres_per_unit, tuning)) is not None
+    }
+    late = _late(tests, health, scene, tuning.rig.time_offset)
     rig_of = np.concatenate([[k] * len(r.sensors) for k, r in enumerate(scene.rigs)]) if scene.rigs else np.zeros(0)
-    in_time = _in_time(found, model, scene, heard, metres_per_unit, tuning.rig.time_offset)
+    in_time = _in_time(found, model, scene, tests, metres_per_unit, tuning.rig.time_offset)
     scattered = {h.sensor: h for h in sensor_diagnostics(in_time, scene, tuning.rig.diagnostics)}
     still = {k for k, h in scattered.items() if h.rigid(tuning.rig.diagnostics)}
     torn = _torn_off(before, model, scene, tuning.rig.torn)
-    torn = {k: v for k, v in torn.items() if k not in still or not _explained(heard, scene, k)}
+    torn = {k: v for k, v in torn.items() if k not in still or not _explained(tests, scene, k)}
     moving, notes, loose = {int(rig_of[k]) for k in (*late, *torn)}, [], dict(torn)
     for key in torn:
         name = scene.all_sensors[key].name
         notes.append(f"camera {name} is not rigid or not synchronised: most of its sightings contradict the rig")
-    notes += [_late_note(scene, key, *late[key], heard[int(rig_of[key])]) for key in late]
+    notes += [_late_note(scene, key, *late[key], tests[int(rig_of[key])]) for key in late]
     for h in (scattered[h.sensor] for h in health):
         scatter = (
             f"against the rig by {h.place_m.scatter:.3f} m and {h.turn_deg.scatter:.2f} deg ({h.scatter_px:.1f} px), "
@@ -93,7 +95,7 @@ def rig_diagnostics(
             notes.append(f"camera {h.name} scatters {scatter}: too little to be seen, nothing is made of it")
     if len(loose) > 1:
         notes.append("of several cameras that scatter, the one with the largest ratio is the cause: they share points")
-    timed = all(j.system.timed for j in heard.values())
+    timed = all(j.system.timed for j in tests.values())
     return RigDiagnostics(
         rows=table_rows(found, scene),
         sensors=health,
@@ -101,41 +103,41 @@ def rig_diagnostics(
         notes=notes,
         timed=timed,
         unstable=loose,
-        heard=heard,
+        prior_tests=tests,
     )
 
 
 def _late(
-    heard: Mapping[int, PriorTest], health: Sequence[SensorDiagnostics], scene: Scene, tuning: TimeOffsetTuning
+    tests: Mapping[int, PriorTest], health: Sequence[SensorDiagnostics], scene: Scene, tuning: TimeOffsetTuning
 ) -> dict[int, tuple[float, float]]:
     """Sensor key -> time after the reference and sigma, where it surely fires apart and that can be seen."""
     expected = {h.sensor: h.place_m.expected for h in health}
     out = {}
     first = 0
     for index, rig in enumerate(scene.rigs):
-        for sensor, (time, sigma) in heard[index].times_s().items() if index in heard else ():
-            moves = abs(time) * heard[index].system.speed
+        for sensor, (time, sigma) in tests[index].times_s().items() if index in tests else ():
+            moves = abs(time) * tests[index].system.speed
             if abs(time) > tuning.sigmas * sigma and moves > tuning.min_effect * expected.get(first + sensor, 0.0):
                 out[first + sensor] = (time, sigma)
         first += len(rig.sensors)
     return out
 
 
-def _late_note(scene: Scene, key: int, time: float, sigma: float, heard: PriorTest) -> str:
-    unit, factor = ("ms", 1000.0) if heard.system.timed else ("% of the frame interval", 100.0)
+def _late_note(scene: Scene, key: int, time: float, sigma: float, test: PriorTest) -> str:
+    unit, factor = ("ms", 1000.0) if test.system.timed else ("% of the frame interval", 100.0)
     return (
         f"camera {scene.all_sensors[key].name} is not synchronised: it stands off its place in the rig along the "
-        f"motion, by up to {abs(time) * heard.system.speed:.2f} m, as if it fired {factor * time:+.0f} +- "
+        f"motion, by up to {abs(time) * test.system.speed:.2f} m, as if it fired {factor * time:+.0f} +- "
         f"{factor * sigma:.0f} {unit} after the first"
     )
 
 
-def _explained(heard: Mapping[int, PriorTest], scene: Scene, key: int) -> bool:
+def _explained(tests: Mapping[int, PriorTest], scene: Scene, key: int) -> bool:
     """Whether times, or a mounting or lens other than given, say why a camera's sightings contradict the rig."""
     first = 0
     for index, rig in enumerate(scene.rigs):
         if first <= key < first + len(rig.sensors):
-            freed = heard[index].freed if index in heard else ()
+            freed = tests[index].freed if index in tests else ()
             return any(what == "times" or sensor == key - first for what, sensor in freed)
         first += len(rig.sensors)
     return False
@@ -145,12 +147,12 @@ def _in_time(
     found: Resections,
     model: pycolmap.Reconstruction,
     scene: Scene,
-    heard: Mapping[int, PriorTest],
+    tests: Mapping[int, PriorTest],
     metres: float,
     tuning: TimeOffsetTuning,
 ) -> Resections:
     """The resections less what the motion does to cameras that fire apart: what is left is how loose they sit."""
-    if not any(j.times_s() for j in heard.values()):
+    if not any(j.times_s() for j in tests.values()):
         return found
     poses = frame_poses(image_poses(model, scene), scene.with_(rigs=model_rigs(model, scene)))
     poses[:, :3, 3] *= metres

@@ -128,9 +128,9 @@ def rig_system(
     first = np.repeat(1 / (1 + square / tuning.adjust.robust_px**2), 2)
     both = sparse.hstack([jc @ columns, sparse.csr_matrix((jc @ off)[:, None])]).tocsr()
     weight = sparse.diags(first)  # the curvature's weights are the gradient's squared
-    whole = reduced((weight @ both).tocsr(), (weight @ jp).tocsr()).toarray() / share
-    size = columns.shape[1]
-    inverse = by_blocks(point_inverse((weight @ jp).tocsr()))
+    size, own, of_points = columns.shape[1], (weight @ both).tocsr(), (weight @ jp).tocsr()
+    inverse = by_blocks(point_inverse(of_points))
+    whole = reduced(own, (of_points.T @ own).tocsr(), inverse, 6 * images.frames).toarray() / share
     weighted = at_their_minimum(jp, first, first * residual, inverse)
     gradient = columns.T @ (jc.T @ weighted) / share - whole[:size, size]
     number = jp.indices[jp.indptr[:-1]] // 3  # an observation touches one point

@@ -44,7 +44,6 @@ class Resections:
     sigma_deg: np.ndarray  # (K, 3) expected of the turn
     covariance: np.ndarray  # (K, 6, 6) of shift (m) and turn (rad)
     rig_pose: np.ndarray  # (K, 4, 4) sensor_from_rig of the model, metres
-    effect_px: np.ndarray  # (K,) median distance between the points seen from the own and from the rig's place
 
     def residual(self) -> np.ndarray:
         """(K, 6) shift (m) and turn (rad)."""
@@ -109,7 +108,7 @@ def resect_all(
             part = part.where(sharp)
             camera = reconstruction.camera(reconstruction.find_image_with_name(scene.names[image]).camera_id)
             enough = len(part.image) >= tuning.min_points
-            row = _resect(int(image), part, others.xyz, camera, pose, tuning) if enough else None
+            row = _resect(int(image), part, others.xyz, camera, tuning) if enough else None
             if row is not None:
                 rows.append(row)
     return _against_rig(rows, seen, scene, reconstruction, metres_per_unit)
@@ -122,7 +121,6 @@ class _Resected:
     image: int
     inliers: int
     sigma_px: float
-    effect_px: float
     cam_from_world: np.ndarray
     covariance: np.ndarray
 
@@ -132,7 +130,6 @@ def _resect(
     part: Observations,
     xyz: np.ndarray,
     camera: pycolmap.Camera,
-    pose: np.ndarray,
     tuning: DiagnosticsTuning,
 ) -> _Resected | None:
     """The pose of an image by points alone; None with too few that agree."""
@@ -146,16 +143,14 @@ def _resect(
         return None
     own = matrix(found["cam_from_world"])
     points = points[found["inlier_mask"]]
-    here, expected = (np.asarray(camera.img_from_cam(transforms.apply(p, points))) for p in (own, pose))
+    here = np.asarray(camera.img_from_cam(transforms.apply(own, points)))
     error = np.linalg.norm(here - part.xy[found["inlier_mask"]], axis=1)
-    effect = float(np.nanmedian(np.linalg.norm(here - expected, axis=1)))
     # One coordinate's sigma, from the median length of a two-dimensional normal error: 1.1774 sigma.
     sigma_px = float(np.median(error)) / 1.1774
     return _Resected(
         image=image,
         inliers=int(found["num_inliers"]),
         sigma_px=sigma_px,
-        effect_px=effect,
         cam_from_world=own,
         covariance=found["covariance"] * max(sigma_px, tuning.least_sigma_px) ** 2,
     )
@@ -194,7 +189,6 @@ def _against_rig(
         image=np.array([row.image for row in rows], int),
         points=np.array([row.inliers for row in rows], int),
         rms_px=np.array([row.sigma_px for row in rows], float),
-        effect_px=np.array([row.effect_px for row in rows], float),
         shift_m=shift,
         turn_deg=turn,
         sigma_m=sigma[:, :3],

@@ -46,7 +46,7 @@ class _Pair:
 
 
 def statements(
-    heard: PriorTest, scene: Scene, index: int, refined: pycolmap.Reconstruction | None = None
+    test: PriorTest, scene: Scene, index: int, refined: pycolmap.Reconstruction | None = None
 ) -> RigEvidence:
     """Place, turn, lens of each camera and times: as given, and by the images.
 
@@ -56,18 +56,18 @@ def statements(
     mounted: list[_Pair] = []
     pairs: list[_Pair] = []
     for sensor in range(len(rig.sensors)):
-        if ("mount", sensor) in heard.freed:
-            own = _mounting(heard, scene, index, sensor, refined)
+        if ("mount", sensor) in test.freed:
+            own = _mounting(test, scene, index, sensor, refined)
             mounted += own
             pairs += own
-        if ("lens", sensor) in heard.freed:
-            pairs.append(_focal(heard, scene, index, sensor))
+        if ("lens", sensor) in test.freed:
+            pairs.append(_focal(test, scene, index, sensor))
     elsewhere = [p for p in mounted if p.contradiction()]
-    times = _times(heard, rig) if rig.synchronised else []
+    times = _times(test, rig) if rig.synchronised else []
     return RigEvidence(
         statements=tuple(s for p in (*pairs, *times) for s in (p.given, p.found)),
         contradictions=(
-            *_beyond_telling(heard, rig),
+            *_beyond_telling(test, rig),
             *(line for p in pairs for line in p.contradiction()),
             *_one_cause({p.sensor for p in elsewhere}, rig),
             *(line for p in times for line in p.contradiction()),
@@ -76,16 +76,16 @@ def statements(
     )
 
 
-def _beyond_telling(heard: PriorTest, rig: Rig) -> list[str]:
+def _beyond_telling(test: PriorTest, rig: Rig) -> list[str]:
     """What is off by so much that no figure is given."""
-    if not heard.beyond:
+    if not test.beyond:
         return []
     if len(rig.sensors) == 1:
         return [
             f"camera {rig.sensors[0].name}: the images contradict its calibration by more than can be told: the focal "
             "length or distortion of another lens, zoom or image size?"
         ]
-    names = ", ".join(rig.sensors[k].name for k in heard.beyond)
+    names = ", ".join(rig.sensors[k].name for k in test.beyond)
     return [f"rig {rig.name}: the images contradict it by more than can be told apart ({names}): {_ONE_CAUSE}"]
 
 
@@ -97,12 +97,12 @@ def _one_cause(sensors: Collection[int], rig: Rig) -> list[str]:
     return [f"rig {rig.name}: {many} stand otherwise than its file says: {_ONE_CAUSE}"]
 
 
-def _times(heard: PriorTest, rig: Rig) -> list[_Pair]:
+def _times(test: PriorTest, rig: Rig) -> list[_Pair]:
     """When the cameras of a rig fire that is said to be synchronised."""
-    timed, held_to = heard.system.timed, heard.known.tuning.confront.held_to_time
+    timed, held_to = test.system.timed, test.known.tuning.confront.held_to_time
     unit, factor = ("ms", 1000.0) if timed else ("% of the frame interval", 100.0)
     out = []
-    for sensor, (late, sigma) in heard.times_s().items():
+    for sensor, (late, sigma) in test.times_s().items():
         name, source = f"time of {rig.sensors[sensor].name}", "rig file (synchronised)"
         given = Statement(quantity=name, source=source, value=0.0, sigma=held_to, unit=unit, used=True)
         found = Statement(quantity=name, source=IMAGES, value=factor * late, sigma=factor * sigma, unit=unit)
@@ -123,11 +123,11 @@ def _misfit(off_m: Mapping[int, float], rig: Rig) -> float:
 
 
 def _mounting(
-    heard: PriorTest, scene: Scene, index: int, sensor: int, refined: pycolmap.Reconstruction | None
+    test: PriorTest, scene: Scene, index: int, sensor: int, refined: pycolmap.Reconstruction | None
 ) -> list[_Pair]:
     """Of place and turn the axis that is off most, as given (0) and by the images, in the frame of the rig."""
-    system, camera, held_to = heard.system, scene.rigs[index].sensors[sensor], heard.known.tuning.confront
-    solution = heard.until(("mount", sensor))
+    system, camera, held_to = test.system, scene.rigs[index].sensors[sensor], test.known.tuning.confront
+    solution = test.until(("mount", sensor))
     sigma = solution.sigma()
     out = []
     culprit = f"camera {camera.name} is mounted otherwise than the rig file says, or moved"
@@ -166,16 +166,16 @@ def _moved(
     return {"place": there[:3, 3] - told[:3, 3], "turn": turned}
 
 
-def _focal(heard: PriorTest, scene: Scene, index: int, sensor: int) -> _Pair:
+def _focal(test: PriorTest, scene: Scene, index: int, sensor: int) -> _Pair:
     """Of the calibrated focal length."""
-    system, camera = heard.system, scene.rigs[index].sensors[sensor]
+    system, camera = test.system, scene.rigs[index].sensors[sensor]
     assert camera.camera is not None
     at = next(k for k in system.where("lens") if system.keys[k][1:] == (sensor, 0))
     focal = float(camera.camera.mean_focal_length())
     name = f"focal length of {camera.name}"
-    solution = heard.until(("lens", sensor))
+    solution = test.until(("lens", sensor))
     own = float(solution.sigma()[at])
-    held_to = heard.known.tuning.confront.held_to_lens * focal
+    held_to = test.known.tuning.confront.held_to_lens * focal
     return _Pair(
         sensor=sensor,
         given=Statement(quantity=name, source="calibration", value=focal, sigma=held_to, unit="px", used=True),

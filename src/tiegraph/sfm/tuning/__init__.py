@@ -127,7 +127,7 @@ class AdjustTuning(Section):
 
 
 class SharedErrorTuning(Section):
-    """Errors that many observations share (`systematic.py`)."""
+    """Errors that many observations share (`systematic`)."""
 
     bins: tuple[int, int] = (12, 8)
     """Of an image, along its longer side and the other."""

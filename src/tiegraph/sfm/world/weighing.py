@@ -125,51 +125,66 @@ class _Scale:
 
 
 def _scale(asked: Question, found: dict[str, Source]) -> _Scale:
-    """Which sources tell the scale."""
-    nothing = np.zeros(3)
+    """Which sources tell the scale: most against one; of two the one whose residuals have no trend."""
     most = asked.tuning.sources.any_scale
     told = {n: s for n, s in found.items() if np.isfinite(s.scale_sigma) and s.scale_sigma < most}
-    rig = asked.scale if asked.scale is not None and asked.scale.trusted else None
-    names = (*told, *((rig.source,) if rig is not None else ()))
-    apart = {n: abs(np.log(s.similarity.scale / rig.metres_per_unit)) for n, s in told.items()} if rig else {}
-    against = [n for n in apart if rig and apart[n] > LIMIT * np.hypot(told[n].scale_sigma, rig.sigma)]
-    if rig is None or not against:
-        return _positions_scale(asked, told, names)
-    agreeing = [n for n in told if n not in against]
+    lengths = asked.scale if asked.scale is not None and asked.scale.trusted else None
+    if lengths is None:
+        return _without_contradiction(asked, told, tuple(told))
+    against = _against(lengths, told)
+    if not against:
+        return _without_contradiction(asked, told, (*told, lengths.source))
+    agreeing = tuple(n for n in told if n not in against)
     if agreeing and asked.name in against:
-        extra = apart[asked.name] * _spread(asked) * np.ones(3)
-        return _Scale(
-            (rig.source, *agreeing),
-            0.0,
-            extra_m=extra,
-            why=f"{asked.name} stand alone against the others and are not used for it",
-        )
+        return _positions_alone(asked, (lengths.source, *agreeing), against[asked.name])
     if agreeing or len(against) > 1:
-        verbs = ("stands", "is") if rig.source == RIG else ("stand", "are")
-        why = f"the {rig.source} {verbs[0]} alone against the others and {verbs[1]} not used for it"
-        return _Scale(tuple(told), 0.0, nothing, why=why)
-    name, wide = against[0], float(apart[against[0]])
-    if rig.source == BARS:  # they are there for the scale and nothing else
-        return _Scale((BARS,), wide, wide * _spread(asked) * np.ones(3), why=f"that of the {BARS} is used")
-    own = _own_trend(asked, told[name]) if name == asked.name else None
-    with_rig = _with_scale(asked, rig, told[name]) if name == asked.name else ""
-    if own is None:
-        fits = float(np.median(np.linalg.norm(told[name].residual, axis=1)))
-        why = f"{with_rig}without the rig's scale they fit to {fits:.2g} m (median), so that of the {name} is used"
-        return _Scale((name,), wide, nothing, why=why)
-    why = f"the residuals of the {name} {own.text()} even by themselves, so that of the rig is used"
-    return _Scale((RIG,), wide, wide * _spread(asked) * np.ones(3), why=why)
+        return _lengths_alone(lengths, tuple(told))
+    ((name, apart),) = against.items()
+    return _one_against_one(asked, lengths, told[name], apart)
 
 
-def _positions_scale(asked: Question, told: dict[str, Source], names: tuple[str, ...]) -> _Scale:
-    """The same where the rig contradicts nobody: positions against control points."""
+def _against(lengths: RigScale, told: dict[str, Source]) -> dict[str, float]:
+    """Sources whose scale contradicts that of known lengths: name -> by how much (logarithm)."""
+    apart = {n: abs(np.log(s.similarity.scale / lengths.metres_per_unit)) for n, s in told.items()}
+    return {n: float(a) for n, a in apart.items() if a > LIMIT * np.hypot(told[n].scale_sigma, lengths.sigma)}
+
+
+def _without_contradiction(asked: Question, told: dict[str, Source], names: tuple[str, ...]) -> _Scale:
+    """Known lengths contradict nobody, or there are none: positions against control points."""
     if asked.name in told and CONTROL in told:
         a, b = told[asked.name], told[CONTROL]
         apart = abs(float(np.log(a.similarity.scale / b.similarity.scale)))
         if apart > LIMIT * np.hypot(a.scale_sigma, b.scale_sigma):
             names = tuple(n for n in names if n != asked.name)
-            return _Scale(names, 0.0, apart * _spread(asked) * np.ones(3), why=f"that of the {CONTROL} is used")
+            return _Scale(names, 0.0, _at_the_ends(asked, apart), why=f"that of the {CONTROL} is used")
     return _Scale(names, 0.0, np.zeros(3), why="")
+
+
+def _positions_alone(asked: Question, others: tuple[str, ...], apart: float) -> _Scale:
+    """The positions contradict the lengths, and somebody agrees with these."""
+    why = f"{asked.name} stand alone against the others and are not used for it"
+    return _Scale(others, 0.0, _at_the_ends(asked, apart), why=why)
+
+
+def _lengths_alone(lengths: RigScale, told: tuple[str, ...]) -> _Scale:
+    """Others than the positions contradict the lengths, or all do."""
+    verbs = ("stands", "is") if lengths.source == RIG else ("stand", "are")
+    why = f"the {lengths.source} {verbs[0]} alone against the others and {verbs[1]} not used for it"
+    return _Scale(told, 0.0, np.zeros(3), why=why)
+
+
+def _one_against_one(asked: Question, lengths: RigScale, other: Source, apart: float) -> _Scale:
+    """Nothing else says who is right: the sigma of the scale covers both."""
+    if lengths.source == BARS:  # they are there for the scale and nothing else
+        return _Scale((BARS,), apart, _at_the_ends(asked, apart), why=f"that of the {BARS} is used")
+    own = _own_trend(asked, other) if other.name == asked.name else None
+    if own is not None:
+        why = f"the residuals of the {other.name} {own.text()} even by themselves, so that of the rig is used"
+        return _Scale((RIG,), apart, _at_the_ends(asked, apart), why=why)
+    with_rig = _with_scale(asked, lengths, other) if other.name == asked.name else ""
+    fits = float(np.median(np.linalg.norm(other.residual, axis=1)))
+    why = f"{with_rig}without the rig's scale they fit to {fits:.2g} m (median), so that of the {other.name} is used"
+    return _Scale((other.name,), apart, np.zeros(3), why=why)
 
 
 def _places(
@@ -184,6 +199,11 @@ def _places(
     bad = np.abs(off) > LIMIT * np.hypot([s.sigma for s in a], [s.sigma for s in b])
     bad[:2] |= bad[:2].any()
     return (CONTROL,) if bad.any() else tuple(found), np.where(bad, np.abs(off), 0.0)
+
+
+def _at_the_ends(asked: Question, apart: float) -> np.ndarray:
+    """(3,) m that a scale off by so much (logarithm) moves positions by (root mean square)."""
+    return apart * _spread(asked) * np.ones(3)
 
 
 def _spread(asked: Question) -> float:

@@ -1,0 +1,138 @@
+"""What observations say of an error that many of them share, beside the unknowns of the adjustment."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+
+from tiegraph.sfm.adjustment.jacobians import Layout, System
+from tiegraph.sfm.adjustment.normal import Normal, at_their_minimum, by_blocks, point_inverse, reduced
+from tiegraph.sfm.tuning import SharedErrorTuning
+
+RIDGE = 1e-6  # of the information: directions that the unknowns take up whole
+
+
+@dataclass(frozen=True)
+class Effect:
+    """A shared error: what its coefficients do to the gradient (C, K), and their second moment (K, K)."""
+
+    gradient: np.ndarray
+    moment: np.ndarray
+
+    def covariance(self, solved: np.ndarray) -> np.ndarray:
+        """(F, F) of functions of the unknowns, by their solutions (C, F)."""
+        moved = solved.T @ self.gradient
+        return np.asarray(moved @ self.moment @ moved.T)
+
+
+@dataclass(frozen=True)
+class Score:
+    """What the observations say of K more unknowns at zero (``EffectWeights.score``)."""
+
+    gradient: np.ndarray  # (C, K) effect on the gradient of all points
+    score: np.ndarray  # (K,)
+    noise: np.ndarray  # (K, K) its covariance
+    information: np.ndarray  # (K, K) that the other unknowns leave of them
+
+
+class EffectWeights:
+    """The observations with their robust weights, and the factor of their normal equations."""
+
+    def __init__(
+        self, seen: System, weights: tuple[np.ndarray, np.ndarray], share: float, prior: sparse.spmatrix, layout: Layout
+    ) -> None:
+        """``weights`` (2O,) of the gradient and of the curvature; ``share``: of the points that are in ``seen``;
+        ``prior`` (C, C): information beside the observations, times the variance of a pixel."""
+        self.seen, self.share, self._first = seen, share, weights[0]
+        self._known = np.zeros(len(seen.residual))
+        self._root = sparse.diags(np.sqrt(weights[1]))
+        self._jc, self.jp = (self._root @ seen.cameras).tocsr(), (self._root @ seen.points).tocsr()
+        self._inverse = by_blocks(point_inverse(self.jp))
+        self.cross = (self._jc.T @ self.jp).tocsr()
+        self._crossed = self.cross.T.tocsr()  # (3P, C)
+        own = reduced(self._jc, self._crossed, self._inverse, 6 * len(layout.frame_ids))
+        self.normal = Normal(own / share + prior, layout)
+        self._pull = at_their_minimum(seen.points, np.sqrt(weights[1]), self._first * seen.residual, self._inverse)
+        self._of_point = gradients(seen.cameras, seen.points, self._pull)
+        self._whole = np.asarray(self._of_point.sum(axis=0)).ravel()
+        self.scatter = (self._of_point.T @ self._of_point).tocsr()  # (C, C)
+
+    def without(self, known: np.ndarray) -> EffectWeights:
+        """The same with what this part (2O,) of the observations' errors leaves in the residuals taken away."""
+        own = self._root @ known
+        by_point = self._inverse @ (self.jp.T @ own)
+        moved = self.normal.solve((self._jc.T @ own - self.cross @ by_point)[:, None])[:, 0] / self.share
+        points = by_point - self._inverse @ (self.cross.T @ moved)
+        out = copy.copy(self)
+        out._known = self._known + own - self._jc @ moved - self.jp @ points
+        return out
+
+    def weight(self, observations: np.ndarray) -> np.ndarray:
+        """Weights of these observations in the gradient."""
+        return np.asarray(self._first[2 * observations])
+
+    def score(self, columns: sparse.csr_matrix) -> Score:
+        """Of more unknowns with these columns (2O, K), at zero: effect on the gradient (C, K) of all points; and of the
+        points looked at, score (K,), its covariance (K, K), and the information (K, K) that the others leave of them.
+        """
+        rows = np.flatnonzero(np.diff(columns.indptr))  # one camera or frame in a large model: a small part of all
+        columns, jc, jp = columns[rows], self._jc[rows], self.jp[rows]
+        own = (sparse.diags(self._root.diagonal()[rows]) @ columns).tocsr()
+        by_point = (jp.T @ own).tocsr()
+        taken = (self._inverse @ by_point).tocsr()
+        gradient = (jc.T @ own).toarray() - _transposed_product(self._crossed, taken)
+        solved = self.normal.solve(gradient)
+        information = (own.T @ own - by_point.T @ taken).toarray() - gradient.T @ solved / self.share
+        each = gradients(columns, self.seen.points[rows], self._pull[rows])
+        solved /= self.share
+        mixed = _transposed_product(self._of_point, each).T @ solved
+        noise = (each.T @ each).toarray() - mixed - mixed.T + solved.T @ (self.scatter @ solved)
+        score = np.asarray(each.sum(axis=0)).ravel() - self._whole @ solved
+        score -= own.T @ self._known[rows]
+        return Score(gradient=gradient / self.share, score=score, noise=noise, information=information)
+
+
+def _transposed_product(a: sparse.csr_matrix, b: sparse.csr_matrix) -> np.ndarray:
+    """(C, K) a'b of (R, C) and (R, K), of which few rows of ``b`` hold anything."""
+    rows = np.flatnonzero(np.diff(b.indptr))
+    return np.asarray((a[rows].T @ b[rows]).toarray())
+
+
+def gradients(jc: sparse.csr_matrix, jp: sparse.csr_matrix, weighted: np.ndarray) -> sparse.csr_matrix:
+    """(P, C) gradient of each point's share of the cost by its weighted residuals (2O,), its own three unknowns at
+    their minimum."""
+    number = jp.indices[jp.indptr[:-1]] // 3  # an observation touches one point
+    rows = np.arange(len(weighted))
+    gather = sparse.csr_matrix((weighted, (number, rows)), shape=(jp.shape[1] // 3, len(weighted)))
+    return (gather @ jc).tocsr()
+
+
+def likeliest(
+    score: np.ndarray, noise: np.ndarray, effect: np.ndarray, tuning: SharedErrorTuning
+) -> tuple[float, float]:
+    """Gain in log likelihood over none, and size, of the effect (K, K) in a score (K,) with this noise (K, K)."""
+    root = np.linalg.cholesky(noise)
+    half = np.linalg.solve(root, np.linalg.solve(root, effect).T)
+    values, vectors = np.linalg.eigh((half + half.T) / 2)
+    values, seen = np.maximum(values, 0), (vectors.T @ np.linalg.solve(root, score)) ** 2
+    if values.max(initial=0.0) <= 0:
+        return 0.0, 0.0
+    tried = np.geomspace(*tuning.tried_effects) / values.max()
+    wider = 1 + tried[:, None] * values
+    gain = 0.5 * np.sum(seen * (1 - 1 / wider) - np.log(wider), axis=1)
+    most = int(np.argmax(gain))
+    return (float(gain[most]), float(tried[most])) if gain[most] > 0 else (0.0, 0.0)
+
+
+def posterior(
+    score: np.ndarray, noise: np.ndarray, information: np.ndarray, field: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Mean (K,) and second moment (K, K) of coefficients with covariance ``field`` once their score is seen: what is
+    known of them stays in the moment, for the model is not corrected for it."""
+    across = field @ information
+    kept = np.linalg.solve(noise + information @ across, across.T).T
+    mean = kept @ score
+    return mean, np.asarray(field - kept @ across.T + np.outer(mean, mean))

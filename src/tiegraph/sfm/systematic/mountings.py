@@ -1,0 +1,167 @@
+"""Cameras that do not stand where the rig has them: in all shots, or from shot to shot."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import pycolmap
+from scipy import sparse
+
+from tiegraph.geometry.transforms import skew
+from tiegraph.scene.sampling import evenly
+from tiegraph.sfm.adjustment.jacobians import System, frame_pose
+from tiegraph.sfm.systematic.effects import RIDGE, Effect, EffectWeights, Score, posterior
+from tiegraph.sfm.tuning import SharedErrorTuning
+
+
+@dataclass(frozen=True)
+class Unrest:
+    """How far cameras (ids) are off their places in the rig: sigma of an axis, from shot to shot, or for all shots."""
+
+    cameras: tuple[int, ...]
+    place: float  # model units
+    turn: float  # rad
+    always: bool = False
+
+
+def misplaced(
+    model: pycolmap.Reconstruction,
+    weighed: EffectWeights,
+    held: Collection[int],
+    off: Mapping[int, np.ndarray],
+    tuning: SharedErrorTuning,
+) -> tuple[list[tuple[Unrest, Effect]], np.ndarray]:
+    """How far the cameras of rigs (ids) that the adjustment held are off their places, as far as the images show it;
+    (2O,) what of the residuals it explains.
+
+    ``off``: rig id -> (6S, 6S) mean products of place (model units) and turn of its S cameras beside the reference,
+    where that is known otherwise."""
+    out, explained = [], np.zeros(2 * len(weighed.seen.image))
+    for rig_id in sorted(set(held) & set(model.rigs)):
+        every = sorted(s.id for s, pose in model.rig(rig_id).non_ref_sensors.items() if pose is not None)
+        cameras = [c for c in every if (weighed.seen.camera == c).any()]
+        if not cameras:
+            continue
+        columns = sparse.hstack([_of_mounting(model, weighed.seen, c) for c in cameras]).tocsr()
+        told = weighed.score(columns)
+        if rig_id in off:
+            at = (6 * np.searchsorted(every, cameras)[:, None] + np.arange(6)).ravel()
+            out.append(_known_off(cameras, told, off[rig_id][np.ix_(at, at)]))
+        elif (shown := _shown_off(cameras, told, tuning)) is not None:
+            out.append(shown[:2])
+            explained += columns @ shown[2]
+    return out, explained
+
+
+def _known_off(cameras: list[int], told: Score, moment: np.ndarray) -> tuple[Unrest, Effect]:
+    """By what is known otherwise: ``moment`` (6S, 6S) of these S cameras."""
+    place, turn = np.diag(moment).reshape(-1, 2, 3).mean(axis=(0, 2))
+    found = Unrest(cameras=tuple(cameras), place=float(np.sqrt(place)), turn=float(np.sqrt(turn)), always=True)
+    return found, Effect(told.gradient, moment)
+
+
+def _shown_off(cameras: list[int], told: Score, tuning: SharedErrorTuning) -> tuple[Unrest, Effect, np.ndarray] | None:
+    """By the images, with the mean (6S,) of the shifts and turns of S cameras; None where they show nothing."""
+    score, information = told.score, told.information
+    noise = told.noise + RIDGE * np.diag(np.maximum(np.diag(information), 1e-300))
+    place, turn = two_sizes(score[None], noise[None], information[None], tuning)
+    if place + turn <= 0:
+        return None
+    field = np.diag(np.tile(np.repeat([place, turn], 3), len(cameras)))
+    mean, moment = posterior(score, noise, information, field)
+    found = Unrest(cameras=tuple(cameras), place=float(np.sqrt(place)), turn=float(np.sqrt(turn)), always=True)
+    return found, Effect(told.gradient, moment), mean
+
+
+def unrest(
+    model: pycolmap.Reconstruction, weighed: EffectWeights, tuning: SharedErrorTuning
+) -> list[tuple[Unrest, Effect]]:
+    """How far cameras stray from their places in the rig from shot to shot, where the observations show any.
+
+    All cameras alike, the reference too; what the pose of a frame takes up of its images' shifts is counted in.
+    """
+    images, counts = np.unique(weighed.seen.image, return_counts=True)
+    of_frame: dict[int, list[int]] = {}
+    for image, count in zip(images.tolist(), counts.tolist()):
+        if count >= tuning.least_observations:
+            of_frame.setdefault(model.image(image).frame_id, []).append(image)
+    shared = [own for _, own in sorted(of_frame.items()) if len(own) > 1]
+    if not shared:
+        return []
+    chosen = [shared[k] for k in evenly(len(shared), tuning.most_shots)]
+    size = 6 * max(len(own) for own in chosen)
+    gradient, score = [], np.zeros((len(chosen), size))
+    noise, information = np.tile(np.eye(size), (len(chosen), 1, 1)), np.zeros((len(chosen), size, size))
+    for k, own in enumerate(chosen):
+        part = slice(0, 6 * len(own))
+        told = weighed.score(_of_images(weighed.seen, own))
+        score[k, part], noise[k, part, part], information[k, part, part] = told.score, told.noise, told.information
+        gradient.append(told.gradient)
+    least = np.maximum(np.diagonal(information, axis1=1, axis2=2), 1e-300)
+    place, turn = two_sizes(score, noise + RIDGE * least[:, :, None] * np.eye(size), information, tuning)
+    if place + turn <= 0:
+        return []
+    moved = np.hstack(gradient)
+    moment = np.tile(np.repeat([place, turn], 3), moved.shape[1] // 6) * len(shared) / len(chosen)
+    cameras = sorted({model.image(i).camera_id for own in shared for i in own})
+    found = Unrest(tuple(cameras), float(np.sqrt(place)), float(np.sqrt(turn)))
+    return [(found, Effect(moved * np.sqrt(moment), np.eye(len(moment))))]
+
+
+def _of_images(seen: System, images: list[int]) -> sparse.csr_matrix:
+    """(2O, 6K) derivatives by the shift of the centre and the turn of each of these images alone."""
+    rows = np.flatnonzero(np.isin(seen.image, images))
+    return _columns(seen, rows, _by_shift(seen, rows), 6 * np.searchsorted(images, seen.image[rows]), 6 * len(images))
+
+
+def _of_mounting(model: pycolmap.Reconstruction, seen: System, camera: int) -> sparse.csr_matrix:
+    """(2O, 6) derivatives by the shift and the turn, along the axes of the rig, of a camera in it."""
+    rows = np.flatnonzero(seen.camera == camera)
+    images, number = np.unique(seen.image[rows], return_inverse=True)
+    frames = [model.frame(model.image(i).frame_id) for i in images.tolist()]
+    axes = np.stack([frame_pose(f).rotation.matrix().T for f in frames])[number]
+    by_shift = _by_shift(seen, rows)
+    values = np.concatenate([by_shift[:, :, :3] @ axes, by_shift[:, :, 3:] @ axes], axis=2)
+    return _columns(seen, rows, values, np.zeros(len(rows), int), 6)
+
+
+def _by_shift(seen: System, rows: np.ndarray) -> np.ndarray:
+    """(R, 2, 6) derivatives of observations by the shift of the image's centre and its turn, axes of the model."""
+    by_point = seen.by_point[rows]
+    return np.concatenate([-by_point, by_point @ skew(seen.lever[rows])], axis=2)
+
+
+def _columns(seen: System, rows: np.ndarray, values: np.ndarray, first: np.ndarray, width: int) -> sparse.csr_matrix:
+    """(2O, width) with the values (R, 2, 6) of some observations in six columns from ``first`` (R,)."""
+    row = np.repeat((2 * rows[:, None] + np.arange(2)).ravel(), 6)
+    column = np.repeat(first[:, None] + np.arange(6), 2, axis=0).ravel()
+    return sparse.csr_matrix((values.ravel(), (row, column)), shape=(2 * len(seen.image), width))
+
+
+def two_sizes(
+    score: np.ndarray, noise: np.ndarray, information: np.ndarray, tuning: SharedErrorTuning
+) -> tuple[float, float]:
+    """Variances of place and turn, three numbers each in turn, that make scores (G, K) with this noise and information
+    (G, K, K) likeliest: the best of a coarse grid, then of a finer one about it."""
+    is_place = np.arange(score.shape[1]) % 6 < 3
+    parts = [information[:, :, own] @ information[:, own] for own in (is_place, ~is_place)]
+    sizes = [float(np.median(_trace(noise) / np.maximum(_trace(part), 1e-300))) for part in parts]
+
+    def best(places: np.ndarray, turns: np.ndarray) -> tuple[float, float]:
+        pairs = [(p, t) for p in places.tolist() for t in turns.tolist()]
+        return max(pairs, key=lambda pair: _log_likelihood(score, noise + pair[0] * parts[0] + pair[1] * parts[1]))
+
+    coarse, finer = np.append(0.0, np.geomspace(*tuning.tried_shifts)), np.geomspace(*tuning.finer_shifts)
+    place, turn = best(*(size * coarse for size in sizes))
+    return best(place * finer, turn * finer)
+
+
+def _trace(matrices: np.ndarray) -> np.ndarray:
+    return np.asarray(np.trace(matrices, axis1=1, axis2=2))
+
+
+def _log_likelihood(score: np.ndarray, covariance: np.ndarray) -> float:
+    solved = np.linalg.solve(covariance, score[:, :, None])[:, :, 0]
+    return float(-0.5 * np.sum(score * solved) - 0.5 * np.sum(np.linalg.slogdet(covariance)[1]))
