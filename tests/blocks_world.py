@@ -68,8 +68,8 @@ class Mapper:
         self.noise_m, self.broken = noise_m, broken
         self.sizes: list[int] = []
 
-    def __call__(self, scene: Scene, ties: PreviewMatches, rough: bool) -> CoarseModel:
-        assert ties.i.max() < len(scene) and rough == (len(scene) < len(self.truth))
+    def __call__(self, scene: Scene, ties: PreviewMatches) -> CoarseModel:
+        assert ties.i.max() < len(scene)
         pose = np.stack([self.truth[name] for name in scene.names])
         centre = transforms.centre(pose) + self.rng.normal(0, self.noise_m, (len(pose), 3))
         if self.broken == len(self.sizes):

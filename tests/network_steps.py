@@ -21,9 +21,7 @@ from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import Tuning as SceneTuning
 
-Make = Callable[
-    [Scene, PreviewMatches, bool], CoarseModel | None
-]  # scene and ties of a block, whether a rough model will do
+Make = Callable[[Scene, PreviewMatches], CoarseModel | None]  # of the scene of a block and its ties
 
 
 @dataclass(frozen=True)
@@ -100,5 +98,5 @@ class Mapper:
         self.blocks = self.blocks or blocks_of(self._scene, ties, self._scenes.blocks)
         whole = is_whole(self.blocks, self._scene)
         parts = [(self._scene, ties)] if whole else [block.part_of(self._scene, ties) for block in self.blocks]
-        models = [self._make(part, inside, not whole) if len(inside) else None for part, inside in parts]
+        models = [self._make(part, inside) if len(inside) else None for part, inside in parts]
         return assembled(self._scene, self.blocks, models, self._tuning.coarse, self._scenes.joining)

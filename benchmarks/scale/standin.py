@@ -59,7 +59,7 @@ def without_pixels(world: CanalWorld) -> Iterator[dict[str, Spent]]:
     def light_of(name: str, _: Any) -> tuple[float, float]:
         return float(world.brightness[world.scene.image_index[name]]), float("nan")
 
-    def model(_: Any, scene: Scene, ties: PreviewMatches, rough: bool) -> CoarseModel | None:
+    def model(_: Any, scene: Scene, ties: PreviewMatches) -> CoarseModel | None:
         with spent["mapping"]:
             return block_model(world, scene, ties)
 

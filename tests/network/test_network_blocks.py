@@ -155,8 +155,8 @@ def test_a_block_that_cannot_be_mapped_is_said(world) -> None:
     scene, truth, ties = world
     mapper = Mapper(scene, truth)
 
-    def make(part: Scene, inside: PreviewMatches, rough: bool) -> CoarseModel | None:
-        model = mapper(part, inside, rough)
+    def make(part: Scene, inside: PreviewMatches) -> CoarseModel | None:
+        model = mapper(part, inside)
         return None if len(mapper.sizes) == 2 else model
 
     made = Steps(scene, Tuning(), make, TUNING)(ties)

@@ -50,8 +50,7 @@ def network_of(world: World, model: CoarseModel | Callable[[], CoarseModel] | No
     """The network with a model, the same each time or the next one; the ties that the models were made of."""
     asked = []
 
-    def make(scene, ties, rough):
-        assert not rough
+    def make(scene, ties):
         asked.append(ties)
         return model() if callable(model) else model
 

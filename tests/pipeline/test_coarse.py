@@ -48,10 +48,10 @@ def test_blocks_that_were_mapped_before_a_kill_stay(world, tmp_path, monkeypatch
     mapper = Mapper(scene, truth)
     stop_at = [2]
 
-    def made(run, part, inside, rough):
+    def made(run, part, inside):
         if len(mapper.sizes) == stop_at[0]:
             raise Killed
-        return mapper(part, inside, rough)
+        return mapper(part, inside)
 
     monkeypatch.setattr(coarse, "coarse_model", made)
     with pytest.raises(Killed):

@@ -126,7 +126,7 @@ def trusted_poses(folder: Path) -> tuple[np.ndarray, np.ndarray] | None:
 
 
 def visibility_of(run: Run) -> Visibility | None:
-    """What each image sees of the coarse model, if there is one."""
+    """What each image sees of the surface by all tracks of the coarse model, if there is one."""
     path = run.path("coarse", "visibility.npz")
     if not path.exists():
         return None

@@ -1,9 +1,10 @@
 """The coarse model of a survey of any size: mapped whole, or in blocks that are joined by the images they share.
 
-Time grows linearly with the images. A survey of some hundred images is mapped whole. Beyond, ``scene.blocks`` cuts the
-graph of frames into blocks that keep both passes of a place together and share the frames at their borders. Each
-block is mapped by itself, roughly (few tracks, no final adjustment), and ``scene.joining`` puts the models into one
-frame by the images they share. Joins that the shared images or the other joins contradict are refused and reported.
+A model is made roughly (few tracks, no final adjustment): good to decimetres, which is enough to choose pairs by and to
+start from. Time grows linearly with the images. A survey of some hundred images is mapped whole. Beyond,
+``scene.blocks`` cuts the graph of frames into blocks that keep both passes of a place together and share the frames at
+their borders. Each block is mapped by itself, and ``scene.joining`` puts the models into one frame by the images they
+share. Joins that the shared images or the other joins contradict are refused and reported.
 Where two blocks have a group of images elsewhere, the ties that hold it there are found (``false_ties``), and the next
 try is made without them. Parts that do not hold together in the end are judged each by itself, and the counts decide
 between them. The previews of an image are bounded (``offsets``), pairs that the axes rule out are counted and not

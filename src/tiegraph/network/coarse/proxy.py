@@ -91,10 +91,7 @@ class Proxy:
 def observed_proxy(
     points: np.ndarray, image: np.ndarray, point: np.ndarray, cam_from_world: np.ndarray, tuning: ProxyTuning
 ) -> Proxy:
-    """Proxy of model points (P, 3) and their observations: ``image`` (O,) sees ``point`` (O,).
-
-    Points with few observers are left out, unless that would take too many of them.
-    """
+    """Proxy of model points (P, 3) and their observations: ``image`` (O,) sees ``point`` (O,)."""
     centre = transforms.centre(cam_from_world)
     known = np.isfinite(centre[image]).all(axis=1)
     image, point = np.asarray(image)[known], np.asarray(point)[known]
@@ -106,11 +103,8 @@ def observed_proxy(
     reach = np.zeros(len(points))
     np.maximum.at(reach, point, tuning.far_observers * distance)
     observers = np.bincount(point, minlength=len(points))
-    proxy = Proxy(
-        points=points, reach=np.where(observers > 0, reach, np.inf), towards=towards, image=image, point=point
-    )
-    good = observers >= tuning.min_track
-    return proxy.keep(good) if good.sum() >= tuning.tracked_share * len(points) else proxy
+    reach = np.where(observers > 0, reach, np.inf)
+    return Proxy(points=points, reach=reach, towards=towards, image=image, point=point)
 
 
 def assumed_proxy(

@@ -43,10 +43,6 @@ class ProxyTuning(Section):
 
     far_observers: float = Field(2.0, ge=1)
     """A point is not seen from further than this times its farthest observer."""
-    min_track: int = Field(3, ge=0)
-    """Observers a point needs ..."""
-    tracked_share: float = Field(0.5, ge=0, le=1)
-    """... where at least this share of the points has so many."""
     assumed_grid: tuple[int, int] = (6, 5)
     """Rays across and down an image for a proxy at an assumed range."""
     assumed_ranges: tuple[float, ...] = (0.25, 0.5, 1.0, 2.0)
@@ -82,6 +78,18 @@ class TrustTuning(Section):
     """Below: the two are not where the model has them."""
 
 
+class TracksTuning(Section):
+    """Points where the rays of tracks meet (`surface.py`); the angles are those of COLMAP's global mapper."""
+
+    images: int = Field(2, ge=2)
+    """Rays of a point. With 3 it is half as many points, the design is content with fewer pairs, and canals of 120
+    images are 10 % less accurate (benchmarks/README.md)."""
+    off_deg: float = Field(1.0, gt=0, lt=90)
+    """By which a ray may miss its point."""
+    angle_deg: float = Field(1.0, gt=0, lt=180)
+    """Between two of its rays at least."""
+
+
 class CoarseTuning(Section):
     """The coarse model (`search.py`, `model.py`)."""
 
@@ -111,5 +119,7 @@ class CoarseTuning(Section):
     """Which images see the same surface."""
     proxy: ProxyTuning = Field(default_factory=ProxyTuning)
     """Points that stand for the surface."""
+    tracks: TracksTuning = Field(default_factory=TracksTuning)
+    """Points of its tracks."""
     trust: TrustTuning = Field(default_factory=TrustTuning)
     """Where the model is believed."""

@@ -15,6 +15,7 @@ import numpy as np
 from tiegraph.child import run_in_child
 from tiegraph.design.surface import SurfaceMap, WeakPlace, surface_map, weak_places
 from tiegraph.errors import TiegraphError
+from tiegraph.network.coarse.surface import with_surface
 from tiegraph.network.retrieval.loose import supported
 from tiegraph.network.retrieval.retrieval import nearest_images
 from tiegraph.pipeline.coarse import coarse_model
@@ -71,9 +72,10 @@ def make_model(wanted: Wanted, send: Callable[[Any], None]) -> Modelled:
     best = strongest_pairs(pairs, scene, settings.coarse.pairs_per_image)
     used = ties.where(np.isin(np.arange(len(ties)), ties.find(best.i, best.j)))
     run = Run(wanted.folder, Inputs(wanted.folder), settings, "serial")
-    model = coarse_model(run, scene, used, rough=False) if len(used) else None
+    model = coarse_model(run, scene, used) if len(used) else None
     if model is None:
         return Modelled(ties.to_npz(), None, rigs=(), surface=None, places=())
+    model = with_surface(model, used, lambda k: read_preview(wanted.folder, scene.names[k]).xy, network.coarse.tracks)
     focal = np.array([camera.mean_focal_length() for camera in model.cameras])
     surface = surface_map(model.visibility(network.coarse), focal, settings.tuning.design.surface)
     places = weak_places(surface, settings.tuning.design.surface)
