@@ -8,6 +8,7 @@ frame_from_world and its translation.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -97,6 +98,25 @@ class PriorCost(_Base):
         residuals[:] = self.weight * (parameters[0] - self.value)
         if jacobians is not None and jacobians[0] is not None:
             jacobians[0][:] = np.diag(self.weight).ravel()
+        return True
+
+
+class ZeroCost(_Base):
+    """Nothing, of two residuals like a sighting: to Ceres its blocks (of these sizes) are neighbours all the same."""
+
+    def __init__(self, sizes: Sequence[int]) -> None:
+        super().__init__()
+        self.sizes = list(sizes)
+        if pyceres is not None:
+            self.set_num_residuals(2)
+            self.set_parameter_block_sizes(self.sizes)
+
+    def Evaluate(self, parameters: Any, residuals: Any, jacobians: Any) -> bool:
+        """Zeros."""
+        residuals[:] = 0.0
+        for jacobian in jacobians or ():
+            if jacobian is not None:
+                jacobian[:] = 0.0
         return True
 
 

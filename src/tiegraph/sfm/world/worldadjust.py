@@ -244,7 +244,21 @@ def _add_positions(
             kept.append(prior)
         else:
             problem.set_parameter_block_constant(block)
-    return kept
+    return kept + _not_with_points(problem, model, [block for block, _, free, _ in weak if free])
+
+
+def _not_with_points(problem: Any, model: pycolmap.Reconstruction, shared: list[np.ndarray]) -> list:
+    """Keep Ceres from eliminating unknowns that all frames share together with the points: a neighbour among these.
+
+    It eliminates blocks of which no two are neighbours, those with few neighbours first, and a lever arm has none but
+    poses. That coupled the poses of all positions (a full matrix), and summed rows of any size one by one.
+    """
+    few = min(model.points3D.values(), key=lambda p: p.track.length(), default=None)
+    if few is None or not shared or not problem.has_parameter_block(few.xyz):
+        return []
+    cost = costs.ZeroCost([3, *map(len, shared)])
+    problem.add_residual_block(cost, None, [few.xyz, *shared])
+    return [cost]
 
 
 def _add(problem: Any, cost: Any, loss: Any, old: list, new: list, new_first: bool = False) -> None:
