@@ -38,7 +38,7 @@ def _check(cost, blocks: list[np.ndarray], size: int) -> None:
 
 def test_back_rotation_is_that_of_the_pose() -> None:
     pose, point = _pose(1), np.array([1.0, -2.0, 0.5])
-    place, _, inverse = back_rotated(pose, point)
+    place, inverse = back_rotated(pose, point)
     rotation = Rotation.from_quat(pose[:4]).as_matrix()
     np.testing.assert_allclose(place, rotation.T @ (point - pose[4:]), atol=1e-12)
     np.testing.assert_allclose(inverse, rotation.T, atol=1e-12)
