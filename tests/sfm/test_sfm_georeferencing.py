@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 
 import numpy as np
@@ -337,50 +336,3 @@ def test_what_nothing_tells_stays_as_the_similarity_has_it(world) -> None:
     found, placed = georeference_model(_moved(truth), survey, GeorefSettings(adjust="yes"), tuning)
     np.testing.assert_allclose(found.receiver.antenna_m, arm, atol=0.03)
     assert 0.002 < _error(placed, truth, scene) < 0.04
-
-
-@needs_pyceres
-@pytest.mark.parametrize("unknown", [(True, False), (True, True), (False, True), (False, False)])
-def test_only_points_are_eliminated_before_the_poses(world, monkeypatch, unknown) -> None:
-    """A lever arm or a clock eliminated with them couples the poses of all positions: a full matrix."""
-    truth, scene = world
-    solved, create = [], pycolmap.create_default_ceres_bundle_adjuster
-
-    def watched(*given):
-        adjuster = create(*given)
-
-        class Watched:
-            problem = adjuster.problem
-
-            def solve(self):
-                solved.append(adjuster.solve().ceres_summary)
-
-        return Watched()
-
-    model = _short_tracks(truth, 8)
-    survey = with_positions(scene, true_frames(truth, scene)[:, :3, 3], 0.05)
-    receiver = Receiver(np.zeros(3), 0.0, free_antenna=unknown[0], free_offset=unknown[1])
-    given = Constraints(
-        fixes=make_fixes(survey, np.ones(scene.frames, bool), Measurements(), 0.0, WORLD.fixes),
-        factor=np.ones(scene.frames),
-        receiver=receiver,
-        held=ConstantParameters(),
-        tuning=TUNING,
-    )
-    monkeypatch.setattr(pycolmap, "create_default_ceres_bundle_adjuster", watched)
-    worldadjust.adjust_in_world(model, survey, given, 1)
-    assert [s.schur_structure_used for s in solved] == ["2,3,d"]  # rows of two: sightings, of points only
-    order = re.search(r"Linear solver ordering +AUTOMATIC +(\d+),", solved[0].FullReport())
-    assert order is not None and int(order[1]) == model.num_points3D()
-
-
-def _short_tracks(truth, frames: int):
-    """The model with each point seen from so many frames in a row, as on a way of some length."""
-    model = pycolmap.Reconstruction(truth)
-    place = {f: k for k, f in enumerate(sorted(model.reg_frame_ids()))}
-    for n, key in enumerate(sorted(model.point3D_ids())):
-        first = n % (len(place) - frames + 1)
-        for image_id, feature in [(e.image_id, e.point2D_idx) for e in model.point3D(key).track.elements]:
-            if not first <= place[model.image(image_id).frame_id] < first + frames:
-                model.delete_observation(image_id, feature)
-    return model
