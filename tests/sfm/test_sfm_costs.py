@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tiegraph.sfm.world.costs import LengthCost, PositionCost, PriorCost, UpCost, back_rotated
+from tiegraph.sfm.world.costs import LengthCost, PositionCost, PriorCost, UpCost, ZeroCost, back_rotated
 
 _STEP = 1e-6
 
@@ -38,7 +38,7 @@ def _check(cost, blocks: list[np.ndarray], size: int) -> None:
 
 def test_back_rotation_is_that_of_the_pose() -> None:
     pose, point = _pose(1), np.array([1.0, -2.0, 0.5])
-    place, _, inverse = back_rotated(pose, point)
+    place, inverse = back_rotated(pose, point)
     rotation = Rotation.from_quat(pose[:4]).as_matrix()
     np.testing.assert_allclose(place, rotation.T @ (point - pose[4:]), atol=1e-12)
     np.testing.assert_allclose(inverse, rotation.T, atol=1e-12)
@@ -85,3 +85,10 @@ def test_a_length_is_the_distance_of_its_ends() -> None:
     a, b = np.array([1.0, 2.0, 3.0]), np.array([1.3, 2.0, 3.4])
     np.testing.assert_allclose(_value(LengthCost(0.4, 0.05), [a, b], 1), [2.0], atol=1e-9)
     _check(LengthCost(0.4, 0.05), [a, b], 1)
+
+
+def test_a_cost_of_nothing_clears_what_the_solver_left_in_its_memory() -> None:
+    cost, blocks = ZeroCost([3, 1]), [np.ones(3), np.ones(1)]
+    residuals, jacobians = np.full(2, 7.0), [np.full(6, 7.0), None]
+    assert cost.Evaluate(blocks, residuals, jacobians)
+    np.testing.assert_array_equal([*residuals, *jacobians[0]], np.zeros(8))

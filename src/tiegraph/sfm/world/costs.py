@@ -8,6 +8,7 @@ frame_from_world and its translation.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -20,22 +21,31 @@ try:
 except ImportError:  # the adjustment then says what to install
     pyceres = None
 
+_UNIT = np.eye(3)
 _Base: Any = object if pyceres is None else pyceres.CostFunction
 
 
-def back_rotated(pose: np.ndarray, point: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """R^T (point - t) of a pose block (7,), its Jacobian to the block (3, 7) and R^T (3, 3).
+def back_rotated(pose: np.ndarray, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """R^T (point - t) of pose blocks (..., 7) and points (..., 3), and R^T (..., 3, 3).
 
     With the quaternion (u, w): R^T v = v - 2 w u x v + 2 u x (u x v). Off the unit sphere the formula goes on as it is;
     the solver only uses directions along it.
     """
-    u, w, v = pose[:3], pose[3], point - pose[4:]
-    cross = np.cross(u, v)
-    place = v - 2 * w * cross + 2 * np.cross(u, cross)
-    skew_u, skew_v = skew(np.array([u, v]))
-    inverse = np.eye(3) - 2 * w * skew_u + 2 * skew_u @ skew_u
-    by_u = 2 * w * skew_v + 2 * ((u @ v) * np.eye(3) + np.outer(u, v) - 2 * np.outer(v, u))
-    return place, np.hstack([by_u, -2 * cross[:, None], -inverse]), inverse
+    across = skew(pose[..., :3])
+    inverse = _UNIT + 2 * (across - pose[..., 3, None, None] * _UNIT) @ across
+    return (inverse @ (point - pose[..., 4:])[..., None])[..., 0], inverse
+
+
+def by_pose(pose: np.ndarray, point: np.ndarray, inverse: np.ndarray) -> np.ndarray:
+    """(..., 3, 7) Jacobian of ``back_rotated`` to the blocks; ``inverse``: its R^T."""
+    u, w, v = pose[..., :3], pose[..., 3, None, None], point - pose[..., 4:]
+    across, outer = skew(v), u[..., :, None] * v[..., None, :]
+    out = np.empty((*u.shape[:-1], 3, 7))
+    out[..., :3] = 2 * (w * across + np.sum(u * v, axis=-1)[..., None, None] * _UNIT + outer)
+    out[..., :3] -= 4 * np.swapaxes(outer, -1, -2)
+    out[..., 3] = 2 * (across @ u[..., None])[..., 0]  # v x u
+    out[..., 4:] = -inverse
+    return out
 
 
 class PositionCost(_Base):
@@ -64,21 +74,17 @@ class PositionCost(_Base):
         """Residual and Jacobians; a Jacobian is None where its block is constant."""
         count = len(self.weights)
         arm, clock = np.asarray(parameters[count]), float(parameters[count + 1][0])
-        total, speed, by_arm = np.zeros(3), np.zeros(3), np.zeros((3, 3))
-        for k in range(count):
-            weight = self.weights[k] + clock * self.rates[k]
-            point = self.turn[k, :3, :3] @ arm + self.turn[k, :3, 3]
-            place, by_pose, inverse = back_rotated(np.asarray(parameters[k]), point)
-            total += weight * place
-            speed += self.rates[k] * place
-            by_arm += weight * inverse @ self.turn[k, :3, :3]
-            if jacobians is not None and jacobians[k] is not None:
-                jacobians[k][:] = (self.weight[:, None] * weight * by_pose).ravel()
-        residuals[:] = self.weight * (total - self.position)
-        if jacobians is not None and jacobians[count] is not None:
-            jacobians[count][:] = (self.weight[:, None] * by_arm).ravel()
-        if jacobians is not None and jacobians[count + 1] is not None:
-            jacobians[count + 1][:] = self.weight * speed
+        pose, turn = np.array(parameters[:count]), self.turn[:, :3, :3]
+        point, weights = turn @ arm + self.turn[:, :3, 3], self.weights + clock * self.rates
+        place, inverse = back_rotated(pose, point)
+        residuals[:] = self.weight * (weights @ place - self.position)
+        if jacobians is None:
+            return True
+        slopes = (weights[:, None, None] * self.weight[:, None]) * by_pose(pose, point, inverse)
+        by_arm = self.weight[:, None] * np.tensordot(weights, inverse @ turn, axes=1)
+        for jacobian, slope in zip(jacobians, (*slopes, by_arm, self.weight * (self.rates @ place))):
+            if jacobian is not None:
+                jacobian[:] = slope.ravel()
         return True
 
 
@@ -97,6 +103,25 @@ class PriorCost(_Base):
         residuals[:] = self.weight * (parameters[0] - self.value)
         if jacobians is not None and jacobians[0] is not None:
             jacobians[0][:] = np.diag(self.weight).ravel()
+        return True
+
+
+class ZeroCost(_Base):
+    """Nothing, of two residuals like a sighting: to Ceres its blocks (of these sizes) are neighbours all the same."""
+
+    def __init__(self, sizes: Sequence[int]) -> None:
+        super().__init__()
+        self.sizes = list(sizes)
+        if pyceres is not None:
+            self.set_num_residuals(2)
+            self.set_parameter_block_sizes(self.sizes)
+
+    def Evaluate(self, parameters: Any, residuals: Any, jacobians: Any) -> bool:
+        """Zeros."""
+        residuals[:] = 0.0
+        for jacobian in jacobians or ():
+            if jacobian is not None:
+                jacobian[:] = 0.0
         return True
 
 
@@ -139,9 +164,10 @@ class UpCost(_Base):
         """Residual and Jacobian."""
         pose = np.array(parameters[0])
         pose[4:] = 0.0  # a direction: the translation does not act
-        place, by_pose, _ = back_rotated(pose, self.up)
+        place, inverse = back_rotated(pose, self.up)
         residuals[:] = self.axes @ place / self.sigma
         if jacobians is not None and jacobians[0] is not None:
-            by_pose[:, 4:] = 0.0
-            jacobians[0][:] = (self.axes @ by_pose / self.sigma).ravel()
+            slope = by_pose(pose, self.up, inverse)
+            slope[:, 4:] = 0.0
+            jacobians[0][:] = (self.axes @ slope / self.sigma).ravel()
         return True

@@ -80,7 +80,9 @@ def _georeferenced(
     if not checked and settings.adjust == "auto":
         return _with(first, f"the similarity stays, a bundle adjustment with the positions was refused: {why}"), world
     bounds = tuning.world.adjustment
-    made = adjust_in_world(settled, scene, constraints, bounds.rounds)
+    # What four fifths of the positions took out of a long way needs not be taken out again.
+    near = check.model if checked and check.model is not None else settled
+    made = adjust_in_world(near, scene, constraints, bounds.rounds)
     if made.after_px > bounds.worse_pixels * made.before_px and settings.adjust == "auto":
         text = f"the images fit worse with it ({made.before_px:.3f} -> {made.after_px:.3f} px)"
         return _with(first, f"the similarity stays, a bundle adjustment with the positions was refused: {text}"), world
@@ -184,11 +186,15 @@ def _lengths(
 
 @dataclass(frozen=True)
 class _Check:
-    """Whether an adjustment may be kept, why, and how it meets the positions it did not know."""
+    """Whether an adjustment may be kept, why, how it meets the positions it did not know, and the model it made.
+
+    That is, where the similarity of all positions puts it.
+    """
 
     good: bool
     why: str
     held: HeldOut | None = None
+    model: pycolmap.Reconstruction | None = None
 
 
 def _check(world: pycolmap.Reconstruction, scene: Scene, placing: SimilarityFit, constraints: Constraints) -> _Check:
@@ -211,7 +217,7 @@ def _check(world: pycolmap.Reconstruction, scene: Scene, placing: SimilarityFit,
         factor=placing.factor[keep],
         receiver=replace(constraints.receiver, antenna=blind.arm.place, offset_s=blind.clock.offset_s),
     )
-    made = adjust_in_world(start, scene, known, bounds.check_rounds)
+    made = adjust_in_world(start, scene, known, bounds.check_rounds, filtered=False)
     held = fixes.where(fixes.held)
     sigma = held.sigma * placing.factor[out, None]
     before = worldadjust.residuals(start, scene, held, blind.arm.place, blind.clock.offset_s) / sigma
@@ -219,7 +225,9 @@ def _check(world: pycolmap.Reconstruction, scene: Scene, placing: SimilarityFit,
     a, b = _score(before, bounds.clip_sigmas), _score(after, bounds.clip_sigmas)
     believed = placing.fit.inlier[out]
     text = f"{len(out)} positions held back are met within {b:.2f} of their sigmas, with the similarity {a:.2f}"
-    return _Check(b <= bounds.not_worse * a, text, HeldOut((after * sigma)[believed], held.stated[believed]))
+    met = HeldOut((after * sigma)[believed], held.stated[believed])
+    made.model.transform(_between(blind.similarity, placing.fit.similarity))  # weak positions would not bring it back
+    return _Check(b <= bounds.not_worse * a, text, met, made.model)
 
 
 def _score(residual: np.ndarray, clip: float) -> float:

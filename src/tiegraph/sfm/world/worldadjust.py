@@ -96,13 +96,16 @@ def available() -> bool:
     return True
 
 
-def adjust_in_world(world: pycolmap.Reconstruction, scene: Scene, given: Constraints, rounds: int) -> AdjustmentResult:
+def adjust_in_world(
+    world: pycolmap.Reconstruction, scene: Scene, given: Constraints, rounds: int, filtered: bool = True
+) -> AdjustmentResult:
     """Adjust a model that stands in the world by images, positions and control points; its points are where its rays
     meet (``settled``).
 
     Positions have a Cauchy loss over the vector, reprojections one of their own. Both weigh by their
     sigmas: that of a pixel comes from the residuals before. Between rounds, the factors of the positions' sigmas are
     estimated anew: where the images allow the model to follow the positions, they shrink; where they do not, they stay.
+    ``filtered``: without the points that fit no more; to go on from it they stay, for the rest rests on them.
     """
     model = pycolmap.Reconstruction(world)
     before = float(model.compute_mean_reprojection_error())
@@ -115,10 +118,11 @@ def adjust_in_world(world: pycolmap.Reconstruction, scene: Scene, given: Constra
         residual = residuals(model, scene, given.fixes, arm, float(clock[0]))
         if len(given.fixes):
             factor = noise.factors(residual / given.fixes.sigma, given.fixes.level, given.fixes.time_s, known)
-    manager = pycolmap.ObservationManager(model)
-    manager.filter_observations_with_negative_depth()
-    manager.filter_all_points3D(given.tuning.adjust.filter_px, given.tuning.adjust.filter_angle_deg)
-    model.update_point_3d_errors()
+    if filtered:
+        manager = pycolmap.ObservationManager(model)
+        manager.filter_observations_with_negative_depth()
+        manager.filter_all_points3D(given.tuning.adjust.filter_px, given.tuning.adjust.filter_angle_deg)
+        model.update_point_3d_errors()
     after = float(model.compute_mean_reprojection_error())
     return AdjustmentResult(
         model=model,
@@ -244,7 +248,21 @@ def _add_positions(
             kept.append(prior)
         else:
             problem.set_parameter_block_constant(block)
-    return kept
+    return kept + _not_with_points(problem, model, [block for block, _, free, _ in weak if free])
+
+
+def _not_with_points(problem: Any, model: pycolmap.Reconstruction, shared: list[np.ndarray]) -> list:
+    """Keep Ceres from eliminating unknowns that all frames share together with the points: a neighbour among these.
+
+    It eliminates blocks of which no two are neighbours, those with few neighbours first, and a lever arm has none but
+    poses. That coupled the poses of all positions (a full matrix), and summed rows of any size one by one.
+    """
+    few = min(model.points3D.values(), key=lambda p: p.track.length(), default=None)
+    if few is None or not shared or not problem.has_parameter_block(few.xyz):
+        return []
+    cost = costs.ZeroCost([3, *map(len, shared)])
+    problem.add_residual_block(cost, None, [few.xyz, *shared])
+    return [cost]
 
 
 def _add(problem: Any, cost: Any, loss: Any, old: list, new: list, new_first: bool = False) -> None:
