@@ -83,6 +83,7 @@ def _georeferenced(
     # What four fifths of the positions took out of a long way needs not be taken out again.
     near = check.model if checked and check.model is not None else settled
     made = adjust_in_world(near, scene, constraints, bounds.rounds)
+    made = replace(made, before_px=float(settled.compute_mean_reprojection_error()))  # not of what these have bent
     if made.after_px > bounds.worse_pixels * made.before_px and settings.adjust == "auto":
         text = f"the images fit worse with it ({made.before_px:.3f} -> {made.after_px:.3f} px)"
         return _with(first, f"the similarity stays, a bundle adjustment with the positions was refused: {text}"), world
