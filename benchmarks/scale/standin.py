@@ -21,10 +21,12 @@ from benchmarks.scale.survey import Descriptors
 from tiegraph.features.preview import PreviewMatch
 from tiegraph.geometry import transforms
 from tiegraph.network.coarse.model import CoarseModel
+from tiegraph.network.coarse.search import Coarse
 from tiegraph.pipeline import candidates as candidates_glue
 from tiegraph.pipeline import coarse as coarse_glue
 from tiegraph.pipeline import previews as previews_glue
-from tiegraph.scene.matches import PreviewMatches
+from tiegraph.project.run import Run
+from tiegraph.scene.matches import PreviewMatches, Visibility
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 
@@ -63,12 +65,17 @@ def without_pixels(world: CanalWorld) -> Iterator[dict[str, Spent]]:
         with spent["mapping"]:
             return block_model(world, scene, ties)
 
+    def surface(run: Run, found: Coarse, _: PreviewMatches) -> Visibility:
+        assert found.model is not None
+        return found.model.visibility(run.settings.tuning.network.coarse)  # by its own points: previews have no pixels
+
     with ExitStack() as stack:
         for owner, name, value in (
             (previews_glue, "match_item", match_item),
             (previews_glue, "_light_of", light_of),
             (candidates_glue, "_Descriptors", lambda *_: Descriptors(world, spent["descriptors"])),
             (coarse_glue, "coarse_model", model),
+            (coarse_glue, "surface_seen", surface),
         ):
             stack.enter_context(patch.object(owner, name, value))
         yield spent

@@ -228,7 +228,7 @@ def _check(world: pycolmap.Reconstruction, scene: Scene, placing: SimilarityFit,
     text = f"{len(out)} positions held back are met within {b:.2f} of their sigmas, with the similarity {a:.2f}"
     met = HeldOut((after * sigma)[believed], held.stated[believed])
     made.model.transform(_between(blind.similarity, placing.fit.similarity))  # weak positions would not bring it back
-    return _Check(b <= bounds.not_worse * a, text, met, made.model)
+    return _Check(good=b <= bounds.not_worse * a, why=text, held=met, model=made.model)
 
 
 def _score(residual: np.ndarray, clip: float) -> float:

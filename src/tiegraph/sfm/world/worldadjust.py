@@ -104,7 +104,8 @@ def adjust_in_world(
 
     Positions have a Cauchy loss over the vector, reprojections one of their own. Both weigh by their
     sigmas: that of a pixel comes from the residuals before. Between rounds, the factors of the positions' sigmas are
-    estimated anew: where the images allow the model to follow the positions, they shrink; where they do not, they stay.
+    estimated anew: where the images allow the model to follow the positions, they shrink; where they do not, they stay,
+    and there is no further round.
     ``filtered``: without the points that fit no more; to go on from it they stay, for the rest rests on them.
     """
     model = pycolmap.Reconstruction(world)
@@ -117,7 +118,10 @@ def adjust_in_world(
         _solve(model, scene, replace(given, factor=factor), ties, (arm, clock))
         residual = residuals(model, scene, given.fixes, arm, float(clock[0]))
         if len(given.fixes):
-            factor = noise.factors(residual / given.fixes.sigma, given.fixes.level, given.fixes.time_s, known)
+            last, weighed = factor, residual / given.fixes.sigma
+            factor = noise.factors(weighed, given.fixes.level, given.fixes.time_s, known)
+            if np.all(np.abs(factor / last - 1) <= given.tuning.world.adjustment.same_factor):
+                break
     if filtered:
         manager = pycolmap.ObservationManager(model)
         manager.filter_observations_with_negative_depth()
