@@ -67,7 +67,7 @@ def surface_seen(run: Run, found: Coarse, ties: PreviewMatches) -> Visibility:
     """What each image sees of the surface, by all tracks of the previews that the model believes.
 
     Of a survey mapped in blocks by the tracks that placed its images: for all of 1200 images the design wanted 30 pairs
-    an image, for these 14, which place them to 4 mm.
+    an image, for these 8, which place them to 4 mm.
     """
     assert found.model is not None
     tuning, model = run.settings.tuning, found.model

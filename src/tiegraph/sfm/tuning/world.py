@@ -233,8 +233,8 @@ class AdjustmentTuning(Section):
     rounds: int = Field(2, gt=0)
     """Of adjustment and new noise factors, at most."""
     same_factor: float = Field(0.05, ge=0)
-    """Change of every factor, as a share, after which there is no further round: those of a rendered canal of 300 and
-    4020 images changed by 0.01, and the round moved no frame by 0.01 mm."""
+    """Change of every factor, as a share, after which there is no further round: 0.01 and less on canal and PandaSet,
+    where one more moved no frame by 0.0001 mm."""
     check_rounds: int = Field(1, gt=0)
     """The same for the check by positions held back."""
     iterations: int = Field(15, gt=0)

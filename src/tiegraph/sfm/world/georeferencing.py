@@ -80,8 +80,11 @@ def _georeferenced(
     if not checked and settings.adjust == "auto":
         return _with(first, f"the similarity stays, a bundle adjustment with the positions was refused: {why}"), world
     bounds = tuning.world.adjustment
-    # What four fifths of the positions took out of a long way needs not be taken out again.
-    near = check.model if checked and check.model is not None else settled
+    near = settled
+    if checked and check.model is not None:  # what four fifths of the positions took out of a long way is out
+        near, receiver = check.model, constraints.receiver
+        off = worldadjust.residuals(near, scene, constraints.fixes, np.array(receiver.antenna), receiver.offset_s)
+        constraints = replace(constraints, factor=worldadjust.factors(off, constraints))
     made = adjust_in_world(near, scene, constraints, bounds.rounds)
     made = replace(made, before_px=float(settled.compute_mean_reprojection_error()))  # not of what these have bent
     if made.after_px > bounds.worse_pixels * made.before_px and settings.adjust == "auto":

@@ -112,16 +112,13 @@ def adjust_in_world(
     before = float(model.compute_mean_reprojection_error())
     factor, arm, clock = given.factor, np.array(given.receiver.antenna, float), np.array([given.receiver.offset_s])
     residual = residuals(model, scene, given.fixes, arm, float(clock[0]))
-    known = given.tuning.world.noise
     ties = relaxed_frames(world, scene, given.tuning.rig.time_calibration)
     for _ in range(rounds):
         _solve(model, scene, replace(given, factor=factor), ties, (arm, clock))
         residual = residuals(model, scene, given.fixes, arm, float(clock[0]))
-        if len(given.fixes):
-            last, weighed = factor, residual / given.fixes.sigma
-            factor = noise.factors(weighed, given.fixes.level, given.fixes.time_s, known)
-            if np.all(np.abs(factor / last - 1) <= given.tuning.world.adjustment.same_factor):
-                break
+        last, factor = factor, factors(residual, given)
+        if len(given.fixes) and np.all(np.abs(factor / last - 1) <= given.tuning.world.adjustment.same_factor):
+            break
     if filtered:
         manager = pycolmap.ObservationManager(model)
         manager.filter_observations_with_negative_depth()
@@ -137,6 +134,14 @@ def adjust_in_world(
         before_px=before,
         after_px=after,
     )
+
+
+def factors(residual: np.ndarray, given: Constraints) -> np.ndarray:
+    """(K,) of the fixes' sigmas, by residuals (K, 3), metres; those given where there is no fix."""
+    if not len(given.fixes):
+        return given.factor
+    known, fixes = given.tuning.world.noise, given.fixes
+    return noise.factors(residual / fixes.sigma, fixes.level, fixes.time_s, known)
 
 
 def settled(world: pycolmap.Reconstruction, tuning: AdjustTuning) -> pycolmap.Reconstruction:
