@@ -43,12 +43,16 @@ def test_only_what_is_far_from_a_given_focal_length_ran_off(tmp_path: Path) -> N
     assert ran_off(_with_focal(truth, 2.0), guessed, MOST) is None
 
 
-@pytest.mark.parametrize(("cost", "kept"), [(0.9, "global"), (1.1, "incremental")])
+@pytest.mark.parametrize(
+    ("cost", "kept", "rough"), [(0.9, "global", False), (1.1, "incremental", False), (0.9, "global", True)]
+)
 def test_the_model_that_explains_the_images_better_stays(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cost: float, kept: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cost: float, kept: str, rough: bool
 ) -> None:
+    """A coarse model too: no adjustment comes back from poses with a wrong focal length."""
     truth, scene = make_world(tmp_path / "database.db", cameras=1, frames=4)
     job = _job(scene)
+    job = replace(job, source=replace(job.source, rough=rough))
     first = mapping.Outcome("incremental", [_written(_with_focal(truth, 2.0), tmp_path / "first")], len(scene))
     other = mapping.Outcome("global", [_written(truth, tmp_path / "other")], len(scene))
     asked: list[str] = []

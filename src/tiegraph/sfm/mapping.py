@@ -274,7 +274,7 @@ def _mapped(job: Job, label: str) -> Outcome:
 
 def _near_given_focal_lengths(job: Job, outcome: Outcome, label: str) -> Outcome:
     """Try the other mapper where a focal length is far from the one given, and keep what explains the images better."""
-    if job.settings.mapper != "auto" or job.source.rough:
+    if job.settings.mapper != "auto":
         return outcome
     model = read_model(outcome.folders[0])
     off = ran_off(model, job.scene, job.tuning.mapping.other_focal)
