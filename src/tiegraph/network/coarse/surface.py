@@ -17,16 +17,15 @@ from tiegraph.network.tuning.coarse import TracksTuning
 from tiegraph.scene.matches import PreviewMatches
 from tiegraph.scene.rays import pixel_rays
 
-_MOST_LEFT_OUT = 3  # rays of a point: with more wrong ones it is no point
-
 
 def with_surface(
     model: CoarseModel, ties: PreviewMatches, features: Callable[[int], np.ndarray], tuning: TracksTuning
 ) -> CoarseModel:
     """The model with the points of all tracks that ``ties`` join between its images.
 
-    ``features``: pixels (K, 2) of an image's preview. Of the rays of a point the worst are left out one after another
-    while they miss it by more than ``off_deg``; it needs ``images`` others, two of them ``angle_deg`` apart.
+    ``features``: pixels (K, 2) of an image's preview. Of the rays of a point the worst are left out one after another,
+    at most ``most_left_out``, while they miss it by more than ``off_deg``; it needs ``images`` others, two of them
+    ``angle_deg`` apart.
     """
     placed = model.placed()
     track, image, feature = ties.where(placed[ties.i] & placed[ties.j]).observations()
@@ -37,7 +36,7 @@ def with_surface(
         towards[own] = pixel_rays(model.cameras[k], features(int(k))[feature[own]]) @ model.cam_from_world[k, :3, :3]
     use = np.isfinite(towards).all(axis=1) & _alone(track, image)
     points, off = np.zeros((0, 3)), np.zeros(len(track))
-    for _ in range(_MOST_LEFT_OUT + 1):
+    for _ in range(tuning.most_left_out + 1):
         use &= ~_worst(track, np.where(use, off, 0.0), tuning.off_deg)
         use &= _held(track, towards, use, tuning)[track]
         points = _nearest(track, centre, np.where(use[:, None], towards, np.nan))

@@ -82,8 +82,10 @@ class TracksTuning(Section):
     """Points where the rays of tracks meet (`surface.py`); the angles are those of COLMAP's global mapper."""
 
     images: int = Field(2, ge=2)
-    """Rays of a point. With 3 it is half as many points, the design is content with fewer pairs, and canals of 120
-    images are 10 % less accurate (benchmarks/README.md)."""
+    """Rays of a point. With 3 it is half as many points and the design is content with fewer pairs: sigmas of canals of
+    120 images are 1.10 times those over a model mapped whole, with 2 they are 1.03 times (benchmarks/README.md)."""
+    most_left_out: int = Field(3, ge=0)
+    """Rays of a point that are left out: with more wrong ones it is no point."""
     off_deg: float = Field(1.0, gt=0, lt=90)
     """By which a ray may miss its point."""
     angle_deg: float = Field(1.0, gt=0, lt=180)
