@@ -352,6 +352,8 @@ def write_rig(rig: Rig, work: Path) -> Path:
 LOADERS: dict[str, Callable[[Path, Path], Dataset]] = {
     "canal_demo": _canal,
     "canal": _canal,
+    "canal_480": _canal,
+    "canal_1200": _canal,
     "pandaset": _pandaset,
     "kitti_stereo": _kitti,
     "fountain-P11": _strecha,
@@ -362,6 +364,8 @@ LOADERS: dict[str, Callable[[Path, Path], Dataset]] = {
 _FOLDERS = {
     "canal_demo": "canal_demo",
     "canal": "canal",
+    "canal_480": "canal_480",  # these two are rendered (README.md)
+    "canal_1200": "canal_1200",
     "pandaset": "pandaset",
     "kitti_stereo": "kitti_stereo/KITTI_sequence_1",
     "fountain-P11": "strecha/fountain-P11",

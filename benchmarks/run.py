@@ -36,12 +36,16 @@ from tiegraph.scan.tuning import RigTuning
 from tiegraph.scene.rig import camera_to_dict
 
 _COMPETITORS = Path(__file__).resolve().parent / "competitors"
-_PROGRAMS = {
-    "tiegraph": "tiegraph_run.py",
-    "colmap_exhaustive": "colmap_exhaustive.py",
-    "colmap_sequential": "colmap_sequential.py",
-    "colmap_rig": "colmap_rig.py",
-    "openmvg": "openmvg.py",
+_PROGRAMS: dict[str, tuple[str, ...]] = {  # program and its words
+    "tiegraph": ("tiegraph_run.py",),
+    "colmap_exhaustive": ("colmap.py",),
+    "colmap_sequential": ("colmap.py", "sequential"),
+    "colmap_rig": ("colmap.py", "rig"),
+    "colmap_sequential_rig": ("colmap.py", "sequential", "rig"),
+    "glomap": ("colmap.py", "global"),
+    "glomap_sequential": ("colmap.py", "sequential", "global"),
+    "glomap_sequential_rig": ("colmap.py", "sequential", "rig", "global"),
+    "openmvg": ("openmvg.py",),
 }
 _PACKAGES = ("tiegraph", "pycolmap", "opencv-python-headless", "numpy", "scipy")
 
@@ -132,7 +136,8 @@ def _given(dataset: datasets.Dataset, competitor: str, args: argparse.Namespace)
 
 def _command(dataset: datasets.Dataset, competitor: str, work: Path, args: argparse.Namespace) -> list[str]:
     program, _, preset = competitor.partition(":")
-    command = [sys.executable, str(_COMPETITORS / _PROGRAMS[program])]
+    file, *words = _PROGRAMS[program]
+    command = [sys.executable, str(_COMPETITORS / file)]
     command += ["--images", str(dataset.images), "--out", str(work / "out"), "--json", str(work / "figures.json")]
     if program == "tiegraph":
         files = {"rig": dataset.rig, "gnss": dataset.gnss, "trajectory": dataset.trajectory, "times": dataset.times}
@@ -144,9 +149,9 @@ def _command(dataset: datasets.Dataset, competitor: str, work: Path, args: argpa
     if _given(dataset, competitor, args):
         (work / "cameras.json").write_text(json.dumps({k: _colmap_camera(c) for k, c in dataset.cameras.items()}))
         command += ["--cameras", str(work / "cameras.json")]
-    if program == "colmap_rig" and dataset.rig is not None:
+    if "rig" in words and dataset.rig is not None:
         command += _colmap_rig(dataset.rig, work / "rig_config.json")
-    return command
+    return [*command, *(["--", *words] if words else [])]
 
 
 def _colmap_rig(rig: Path, path: Path) -> list[str]:

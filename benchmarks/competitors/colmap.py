@@ -1,4 +1,7 @@
-"""What the competitors share: their command line; and those of COLMAP, its defaults (``tiegraph.papers.colmap``).
+"""What the competitors share, their command line; and those of COLMAP, with its defaults (``tiegraph.papers.colmap``).
+
+COLMAP's words, after ``--``: ``sequential`` in place of every pair; ``rig``; ``global``, GLOMAP's mapper (COLMAP has it
+since 4.0), after the calibration of the view graph that comes before it.
 
 The program writes ``--json`` again after each stage, so that a time-out or an abort of the native library loses only
 the stage that was running.
@@ -8,10 +11,13 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Callable
 from pathlib import Path
 
-from tiegraph.papers.colmap import Given, Stages, reconstruct
+from tiegraph.papers.colmap import SEED, Given, Models, Stages, incremental, reconstruct
+
+import pycolmap  # isort: skip
+
+WORDS = ("sequential", "rig", "global")
 
 
 def arguments(description: str) -> argparse.Namespace:
@@ -29,20 +35,31 @@ def arguments(description: str) -> argparse.Namespace:
     return parser.parse_args()
 
 
-def run(args: argparse.Namespace, match: Callable[[Path], None], with_rig: bool = False) -> None:
-    """Extract, match, map with pycolmap's defaults: one camera a folder, incremental mapper.
-
-    ``with_rig``: ``--rig`` is a rig_config.json, whose extrinsics the mapper refines (its default) unless they are
-    calibrated. A set without a rig has nothing to be run on and fails with that reason.
-    """
+def main() -> None:
+    """Extract, match, map with pycolmap's defaults: one camera a folder."""
+    args = arguments(__doc__.splitlines()[0])
+    unknown = set(args.options) - set(WORDS)
+    if unknown:
+        raise SystemExit(f"unknown {', '.join(sorted(unknown))}: valid are {', '.join(WORDS)}")
     stages = Stages(args.json)
     cameras = json.loads(args.cameras.read_text()) if args.cameras else {}
-    if not with_rig:
-        return reconstruct(stages, args.images, args.out, match, Given(cameras))
+    match = pycolmap.match_sequential if "sequential" in args.options else pycolmap.match_exhaustive
+    mapped = global_models if "global" in args.options else incremental
+    if "rig" not in args.options:
+        return reconstruct(stages, args.images, args.out, match, Given(cameras), mapped)
     if args.rig is None:
         return stages.end("the set has no rig")
     images, names = _folders_of_sensors(args.images, Path(args.rig), args.out / "images")
-    reconstruct(stages, images, args.out, match, Given(cameras, Path(args.rig), args.hold_rig, names))
+    reconstruct(stages, images, args.out, match, Given(cameras, Path(args.rig), args.hold_rig, names), mapped)
+
+
+def global_models(database: Path, images: Path, sparse: Path, given: Given) -> Models:
+    """The models of GLOMAP's mapper by number; the view graph is calibrated first where no calibration is given."""
+    if not given.cameras:
+        pycolmap.calibrate_view_graph(database)
+    options = pycolmap.GlobalPipelineOptions(random_seed=SEED)
+    options.mapper.refine_sensor_from_rig = not given.held
+    return pycolmap.global_mapping(database, images, sparse, options)
 
 
 def _folders_of_sensors(images: Path, rig: Path, target: Path) -> tuple[Path, dict[str, str]]:
@@ -61,3 +78,7 @@ def _folders_of_sensors(images: Path, rig: Path, target: Path) -> tuple[Path, di
             (target / new).symlink_to(path.resolve())
             names[new] = old.as_posix()
     return target, names
+
+
+if __name__ == "__main__":
+    main()

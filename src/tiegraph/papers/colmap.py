@@ -76,25 +76,34 @@ class Given:
     names: Mapping[str, str] = field(default_factory=dict)
 
 
+Models = dict[int, pycolmap.Reconstruction]
+
+
+def incremental(database: Path, images: Path, sparse: Path, given: Given) -> Models:
+    """The models of COLMAP's incremental mapper by number."""
+    options = pycolmap.IncrementalPipelineOptions(random_seed=SEED)
+    options.ba_refine_sensor_from_rig = not given.held
+    return pycolmap.incremental_mapping(database, images, sparse, options)
+
+
 def reconstruct(
     stages: Stages,
     images: Path,
     out: Path,
     match: Callable[[Path], None] = pycolmap.match_exhaustive,
     given: Given = Given(),
+    mapped: Callable[[Path, Path, Path, Given], Models] = incremental,
 ) -> None:
     """Extract, match and map into ``out``: ``database.db`` and ``sparse/<number>``."""
     database, sparse = out / "database.db", out / "sparse"
     sparse.mkdir(parents=True, exist_ok=True)
-    options = pycolmap.IncrementalPipelineOptions(random_seed=SEED)
-    options.ba_refine_sensor_from_rig = not given.held
     stages.run("features", lambda: _extract(database, images, given))
     if given.rig is not None:
         with pycolmap.Database.open(str(database)) as opened:
             pycolmap.apply_rig_config(pycolmap.read_rig_config(given.rig), opened)
     stages.run("match", lambda: match(database))
     stages.data["pairs"] = pairs_of(database)
-    models = stages.run("sparse", lambda: pycolmap.incremental_mapping(database, images, sparse, options)) or {}
+    models = stages.run("sparse", lambda: mapped(database, images, sparse, given)) or {}
     for key, model in models.items():
         for image in model.images.values():
             image.name = given.names.get(image.name, image.name)
