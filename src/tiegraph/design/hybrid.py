@@ -57,20 +57,20 @@ def choose(
     chosen[start] = True
     weight[start] = candidates.expected[start]
     tracks.choose(start, tracks.new())
-    order, loss, rounds, looked, before = [start], np.nan, 0, 0, 0
+    order, loss, rounds, looked, before = [start], np.nan, 0, 0, tracks
     growth = own.fine if candidates.images <= own.many_images else own.coarse
     while True:
         count = int(chosen.sum())
         done = count == len(candidates)
         if judge is not None and budget.loss is not None and (done or count >= (1 + own.look) * looked):
-            before, looked = looked, count
             loss = judge.loss(tracks.chosen, tracks)
             _log.info("round %d: %d of %d pairs, loss over previews %.1f %%", rounds, count, len(chosen), 100 * loss)
             if loss <= budget.loss:
                 places = np.concatenate(order)
-                between = max(before, len(start)), count
-                end, loss = _shortest(places, len(chosen), between, (loss, budget.loss), judge, own)
+                between = max(looked, len(start)), count
+                end, loss = _shortest(places, before, between, (loss, budget.loss), judge, own)
                 return Choice(places[:end], loss, rounds)
+            before, looked = tracks.copy(), count
         room = min(budget.pairs, len(candidates)) - count
         if room <= 0:
             break
@@ -98,23 +98,28 @@ def _gains(c: Candidates, weight: np.ndarray, new: np.ndarray, tuning: NetTuning
 
 def _shortest(
     places: np.ndarray,
-    pairs: int,
+    tracks: Tracks,
     between: tuple[int, int],
     losses: tuple[float, float],
     judge: Predictor,
     tuning: GrowthTuning,
 ) -> tuple[int, float]:
-    """The least number of the first places of ``pairs``, within bounds, of an allowed loss, and it; ``losses``: that
-    at the upper bound, allowed."""
+    """The least number of the first places, within bounds, of an allowed loss, and it; ``tracks``: of those up to the
+    lower bound; ``losses``: that at the upper bound, allowed."""
     (low, high), (loss, allowed) = between, losses
     for _ in range(tuning.halvings):
         middle = (low + high) // 2
         if middle <= low:
             break
-        chosen = np.zeros(pairs, bool)
-        chosen[places[:middle]] = True
-        there = judge.loss(chosen)
-        low, high, loss = (low, middle, there) if there <= allowed else (middle, high, loss)
+        further = tracks.copy()
+        more = places[low:middle]
+        further.chosen[more] = True
+        further.join(more[tracks.candidates.seen[more]])
+        there = judge.loss(further.chosen, further)
+        if there <= allowed:
+            high, loss = middle, there
+        else:
+            low, tracks = middle, further
     return high, loss
 
 

@@ -59,26 +59,24 @@ def predict_matches(
     # Whether a point is detected in an image is alike for all its pairs.
     detected = _uniform(visibility.point, image, image) < np.sqrt(law.rate)
     expected = np.full(len(i), np.nan)
-    rows: list[int] = []
-    matches: list[np.ndarray] = []
-    for both in _in_common(i, j, visibility):
+    count, matches = np.zeros(len(i), int), [np.zeros((0, 2), np.uint16)]
+    by_image = np.lexsort((j, i))
+    for both in _in_common(i, j, visibility, by_image):
         likely = law.likely(*_geometry(both, visibility))
         size = np.bincount(both.number, minlength=len(both.pairs))
         promised = law.rate * np.bincount(both.number, likely, len(both.pairs))
         looked = measured[both.pairs]
         shared = np.sqrt((np.maximum(np.nan_to_num(looked) - law.by_chance, 0.0) + 1.0) * (promised + 1.0)) - 1.0
-        count = np.where(np.isfinite(looked), shared, promised)
+        foreseen = np.where(np.isfinite(looked), shared, promised)
         there = size > 0
-        expected[both.pairs[there]] = np.maximum(count, 1.0)[there]
-        rows += both.pairs[there].tolist()
-        chance = likely * (count / np.maximum(promised, 1e-9))[both.number]
-        left, right = both.rows(visibility)
-        chosen = detected[left] & detected[right] & (_uniform(both.point, both.image, both.other) < chance)
-        own = np.bincount(both.number[chosen], minlength=len(both.pairs))
-        pair = np.stack([both.left[chosen], both.right[chosen]], axis=1).astype(np.uint16)
-        matches += [m for m, kept in zip(np.split(pair, np.cumsum(own)[:-1]), there) if kept]
-    at = np.array(rows, int)
-    return PredictedMatches(expected, PreviewMatches.make(i[at], j[at], matches))
+        expected[both.pairs[there]] = np.maximum(foreseen, 1.0)[there]
+        chosen = _chosen(both, visibility, detected, likely, foreseen / np.maximum(promised, 1e-9))
+        count[both.pairs] = np.bincount(both.number[chosen], minlength=len(both.pairs))
+        matches.append(np.stack([both.left[chosen], both.right[chosen]], axis=1).astype(np.uint16))
+    order = by_image[np.isfinite(expected[by_image])]
+    start = np.concatenate([[0], np.cumsum(count[order])])
+    ties = PreviewMatches(i=i[order], j=j[order], start=start, matches=np.concatenate(matches))
+    return PredictedMatches(expected, ties)
 
 
 @dataclass(frozen=True)
@@ -99,40 +97,55 @@ class _Common:
         return visibility.start[self.image] + self.left, visibility.start[self.other] + self.right
 
 
-def _in_common(i: np.ndarray, j: np.ndarray, visibility: Visibility) -> Iterator[_Common]:
-    """What the pairs i, j (P,) see in common, image by image."""
-    place = np.full(len(visibility.xyz), -1)
-    order = np.argsort(i, kind="stable")
-    first = np.flatnonzero(np.r_[True, np.diff(i[order]) != 0]) if len(i) else np.zeros(0, int)
-    for rows in np.split(order, first[1:]) if len(i) else ():
+def _in_common(i: np.ndarray, j: np.ndarray, visibility: Visibility, by_image: np.ndarray) -> Iterator[_Common]:
+    """What the pairs i, j (P,) see in common, image by image; ``by_image`` (P,): their order by i, then j."""
+    place = np.full(len(visibility.xyz), -1, np.int32)
+    first = np.flatnonzero(np.r_[True, np.diff(i[by_image]) != 0]) if len(i) else np.zeros(0, int)
+    for rows in np.split(by_image, first[1:]) if len(i) else ():
         image = int(i[rows[0]])
         own = visibility.of(image)
         place[own] = np.arange(len(own))
         begin, count = visibility.start[j[rows]], visibility.start[j[rows] + 1] - visibility.start[j[rows]]
-        number = np.repeat(np.arange(len(rows)), count)
-        right = np.arange(len(number)) - np.repeat(np.cumsum(count) - count, count)
-        point = visibility.point[begin[number] + right]
-        left = place[point]
-        hit = left >= 0
+        at = np.repeat(begin - (np.cumsum(count) - count), count) + np.arange(count.sum())
+        left = place[visibility.point[at]]
         place[own] = -1
+        hit = np.flatnonzero(left >= 0)
+        number = np.repeat(np.arange(len(rows)), count)[hit]
         yield _Common(
             image=image,
             pairs=rows,
-            number=number[hit],
-            other=j[rows][number[hit]],
-            point=point[hit],
+            number=number,
+            other=j[rows][number],
+            point=visibility.point[at[hit]],
             left=left[hit],
-            right=right[hit],
+            right=at[hit] - begin[number],
         )
 
 
+def _chosen(
+    both: _Common, visibility: Visibility, detected: np.ndarray, likely: np.ndarray, times: np.ndarray
+) -> np.ndarray:
+    """Places of the common points that match: ``detected`` (sights,) in both images and then drawn, ``likely`` (K,)
+    ``times`` what the pair has more or less of them."""
+    left, right = both.rows(visibility)
+    kept = np.flatnonzero(detected[left] & detected[right])
+    chance = likely[kept] * times[both.number[kept]]
+    return kept[_uniform(both.point[kept], both.image, both.other[kept]) < chance]
+
+
 def _geometry(both: _Common, visibility: Visibility) -> tuple[np.ndarray, np.ndarray]:
-    """(K,) angles between the rays of two images to their common points, degrees; octaves between the distances."""
-    xyz = visibility.xyz[both.point]
-    ray_a, ray_b = xyz - visibility.centre[both.image], xyz - visibility.centre[both.other]
-    far_a, far_b = np.linalg.norm(ray_a, axis=1), np.linalg.norm(ray_b, axis=1)
-    cosine = np.sum(ray_a * ray_b, axis=1) / np.maximum(far_a * far_b, 1e-12)
-    octaves = np.abs(np.log2(np.maximum(far_a, 1e-12) / np.maximum(far_b, 1e-12)))
+    """(K,) angles between the rays of two images to their common points, degrees; octaves between the distances.
+
+    Coordinate by coordinate: columns of three numbers would take three times as long.
+    """
+    own = visibility.xyz[visibility.of(both.image)] - visibility.centre[both.image]
+    rays = [
+        (own[:, k][both.left], visibility.xyz[:, k][both.point] - visibility.centre[:, k][both.other]) for k in range(3)
+    ]
+    far_a = np.maximum(np.sqrt(sum(np.square(own).T))[both.left], 1e-12)
+    far_b = np.maximum(np.sqrt(sum(np.square(b) for _, b in rays)), 1e-12)
+    cosine = sum(a * b for a, b in rays) / (far_a * far_b)
+    octaves = np.abs(np.log2(far_a / far_b))
     return np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))), octaves
 
 
@@ -146,7 +159,7 @@ def _fitted(
     rows, columns = tuning.cells
     cells = rows * columns
     table = np.zeros((len(known), cells), np.float32)
-    for both in _in_common(i[known], j[known], visibility):
+    for both in _in_common(i[known], j[known], visibility, np.lexsort((j[known], i[known]))):
         angle, octaves = _geometry(both, visibility)
         row = np.minimum((angle / tuning.cell_deg).astype(int), rows - 1)
         cell = row * columns + np.minimum((octaves / tuning.cell_octaves).astype(int), columns - 1)

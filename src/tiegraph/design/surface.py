@@ -8,7 +8,7 @@ alone (the inverse of the normal matrix of the intersection); its largest half a
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +18,7 @@ from tiegraph.design.tuning import SurfaceTuning
 from tiegraph.geometry.rays import normal_matrices
 from tiegraph.scene.graph import parts
 from tiegraph.scene.matches import Visibility
+from tiegraph.scene.unite import blocks
 
 VERDICTS = ("well covered", "one image", "few images", "narrow angle", "imprecise")
 _COLUMNS = ("why", "near image", "cells", "area", "images", "largest angle, degrees", "sigma")
@@ -63,32 +64,60 @@ class WeakPlace:
 
 def surface_map(seen: Visibility, focal_px: np.ndarray, tuning: SurfaceTuning) -> SurfaceMap:
     """The cells of what N images of known place see; ``focal_px`` (N,) of each, NaN = not known, then it counts not."""
-    image, point = np.repeat(np.arange(len(seen.start) - 1), np.diff(seen.start)), np.asarray(seen.point)
-    ray = seen.xyz[point] - seen.centre[image]
-    distance = np.linalg.norm(ray, axis=1)
-    good = np.isfinite(distance) & (distance > 0) & np.isfinite(focal_px[image])
-    if not good.any():
+    distances = np.concatenate([np.zeros(0), *(sights.distance for sights in _sights(seen, focal_px, np.inf))])
+    if not len(distances):
         none = np.zeros(0, int)
         return SurfaceMap(
             xyz=np.zeros((0, 3)), images=none, angle_deg=none, sigma=none, verdict=none, best=none, side=0.0
         )
-    usual = float(np.median(distance[good]))
-    good &= distance <= tuning.farthest * usual
-    image, point, ray = image[good], point[good], ray[good] / distance[good, None]
-    cell = _cells(seen.xyz, point, ray, tuning.cell * usual, tuning.least_points)
+    usual = float(np.median(distances))
+    farthest = tuning.farthest * usual
+    cell = _cells(seen, focal_px, farthest, tuning.cell * usual, tuning.least_points)
     kept = cell >= 0
     count = np.bincount(cell[kept], minlength=int(cell.max(initial=-1)) + 1)
     middle = np.column_stack([np.bincount(cell[kept], seen.xyz[kept, a]) / count for a in range(3)])
-    pair = cell[point].astype(np.int64) * len(focal_px) + image
-    pair, times = np.unique(pair[kept[point]], return_counts=True)
-    cell_of, image_of = pair // len(focal_px), pair % len(focal_px)
-    enough = times >= tuning.seen_share * count[cell_of]
+    pairs, times = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
+    for sights in _sights(seen, focal_px, farthest):  # the images of two blocks are others
+        pair = cell[sights.point].astype(np.int64) * len(focal_px) + sights.image
+        found = np.unique(pair[kept[sights.point]], return_counts=True)
+        pairs.append(found[0])
+        times.append(found[1])
+    pair, often = np.concatenate(pairs), np.concatenate(times)
+    order = np.argsort(pair)
+    cell_of, image_of = np.divmod(pair[order], len(focal_px))
+    enough = often[order] >= tuning.seen_share * count[cell_of]
     return _judged(middle, cell_of[enough], image_of[enough], (seen.centre, focal_px), tuning, usual)
 
 
-def _cells(xyz: np.ndarray, point: np.ndarray, ray: np.ndarray, side: float, least: int) -> np.ndarray:
+@dataclass(frozen=True)
+class _Sights:
+    """S rays: image (S,), point (S,), ``towards`` (S, 3) unit vectors from the point to the image, distance (S,)."""
+
+    image: np.ndarray
+    point: np.ndarray
+    towards: np.ndarray
+    distance: np.ndarray
+
+
+def _sights(seen: Visibility, focal_px: np.ndarray, farthest: float) -> Iterator[_Sights]:
+    """The rays of images of known focal length to points not too far away, in blocks of images."""
+    for own in blocks(seen.start):
+        image = np.repeat(np.arange(own.start, own.stop), np.diff(seen.start[own.start : own.stop + 1]))
+        point = np.asarray(seen.point[seen.start[own.start] : seen.start[own.stop]])
+        ray = seen.centre[image] - seen.xyz[point]
+        distance = np.linalg.norm(ray, axis=1)
+        good = (distance > 0) & (distance <= farthest) & np.isfinite(distance) & np.isfinite(focal_px[image])
+        towards = ray[good] / distance[good, None]
+        yield _Sights(image=image[good], point=point[good], towards=towards, distance=distance[good])
+
+
+def _cells(seen: Visibility, focal_px: np.ndarray, farthest: float, side: float, least: int) -> np.ndarray:
     """(P,) cell of each point, numbered without gaps; -1 = seen by nobody, or one of too few."""
-    towards = np.column_stack([np.bincount(point, -ray[:, a], len(xyz)) for a in range(3)])
+    xyz = seen.xyz
+    towards = np.zeros((len(xyz), 3))
+    for sights in _sights(seen, focal_px, farthest):
+        for a in range(3):
+            towards[:, a] += np.bincount(sights.point, sights.towards[:, a], len(xyz))
     length = np.linalg.norm(towards, axis=1)
     there = np.flatnonzero(length > 0)
     towards = towards[there] / length[there, None]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,8 +10,7 @@ from scipy.sparse import coo_array, csr_array, diags_array
 
 from tiegraph.design.tuning import NetTuning
 from tiegraph.scene.matches import PreviewMatches
-
-_BLOCK = 1 << 22  # matches looked at together: bounds the memory
+from tiegraph.scene.unite import BLOCK, blocks, spread, unite
 
 
 @dataclass(frozen=True)
@@ -48,25 +48,29 @@ class Candidates:
         row = ties.find(i, j)
         count = np.where(row >= 0, np.append(ties.counts(), 0)[row], 0)
         start = np.concatenate([[0], np.cumsum(count)])
-        at = np.repeat(ties.start[row] - start[:-1], count) + np.arange(start[-1])
-        match = ties.matches[at]
-        width = int(match.max(initial=0)) + 1
-        left = np.repeat(i.astype(np.int64), count) * width + match[:, 0]
-        right = np.repeat(j.astype(np.int64), count) * width + match[:, 1]
-        used = np.zeros(images * width + 1, bool)
-        used[left] = used[right] = True
-        number = np.concatenate([[0], np.cumsum(used[:-1], dtype=np.int32)]).astype(np.int32)
-        first = number[::width][: images + 1].copy()
-        seen = (row >= 0) & (count > 0)
+        width = int(ties.matches.max(initial=0)) + 1
+        whole = np.int32 if images * width < 1 << 31 else np.int64
+        left, right = np.empty(start[-1], whole), np.empty(start[-1], whole)
+        number = np.zeros(images * width + 1, np.int32)  # of the feature of every image, used or not
+        for pairs in blocks(start):
+            own = slice(start[pairs.start], start[pairs.stop])
+            match = ties.matches[spread(ties.start[row[pairs]], count[pairs])]
+            left[own] = np.repeat(i[pairs].astype(whole), count[pairs]) * width + match[:, 0]
+            right[own] = np.repeat(j[pairs].astype(whole), count[pairs]) * width + match[:, 1]
+            number[1:][left[own]] = number[1:][right[own]] = 1
+        np.cumsum(number, out=number)
+        for ends in (left, right):
+            for k in range(0, len(ends), BLOCK):
+                ends[k : k + BLOCK] = number[ends[k : k + BLOCK]]
         return Candidates(
             i=i,
             j=j,
             expected=np.maximum(expected, 1.0),
-            seen=seen,
+            seen=(row >= 0) & (count > 0),
             start=start,
-            left=number[left],
-            right=number[right],
-            first=first,
+            left=left,
+            right=right,
+            first=number[::width][: images + 1].copy(),
         )
 
 
@@ -105,8 +109,8 @@ class Tracks:
         """(E,) matches whose two nodes are not joined yet."""
         c = self.candidates
         apart = np.zeros(int(c.start[-1]), bool)
-        for k in range(0, len(apart), _BLOCK):
-            block = slice(k, k + _BLOCK)
+        for k in range(0, len(apart), BLOCK):
+            block = slice(k, k + BLOCK)
             apart[block] = self.parent[c.left[block]] != self.parent[c.right[block]]
         total = np.concatenate([[0], np.cumsum(apart, dtype=np.int32)])
         return np.diff(total[c.start]).astype(float)
@@ -125,28 +129,20 @@ class Tracks:
                 self._expect(unseen, new[unseen], matrix)
 
     def join(self, places: np.ndarray) -> None:
-        """Join the matches of the candidates at places (K,), all of them seen."""
+        """Join the matches of the candidates at places (K,), all of them seen. A track is named by its first node, in
+        whatever order it was joined."""
         self._joint = None
         c = self.candidates
         count = np.diff(c.start)[places]
-        at = np.repeat(c.start[places] - np.cumsum(count) + count, count) + np.arange(count.sum())
-        a, b = self.parent[c.left[at]], self.parent[c.right[at]]
-        while True:
-            apart = a != b
-            if not apart.any():
-                break
-            low, high = np.minimum(a[apart], b[apart]), np.maximum(a[apart], b[apart])
-            self.parent[high] = low  # of several partners the last wins; the others come back in the next turn
-            a, b = self._root(low), self._root(high)
-        self.parent = self._root(self.parent)
+        for own in blocks(np.concatenate([[0], np.cumsum(count)])):
+            at = spread(c.start[places[own]], count[own])
+            self.parent = unite(self.parent, self.parent[c.left[at]], self.parent[c.right[at]])
 
-    def _root(self, nodes: np.ndarray) -> np.ndarray:
-        up = self.parent[nodes]
-        while True:
-            higher = self.parent[up]
-            if np.array_equal(higher, up):
-                return up
-            up = higher
+    def copy(self) -> Tracks:
+        """The same, to be joined further by itself."""
+        other = copy(self)
+        other.parent, other.chosen, other.extra = self.parent.copy(), self.chosen.copy(), self.extra.copy()
+        return other
 
     def _expect(self, places: np.ndarray, new: np.ndarray, joint: csr_array) -> None:
         """Carry the tracks joined by unseen pairs over to the pairs beside them."""

@@ -23,7 +23,7 @@ def levelled(cam_from_world: np.ndarray, frame: np.ndarray) -> np.ndarray:
     up = up / max(float(np.linalg.norm(up)), 1e-9)
     flat = centre - centre.mean(axis=0)
     flat = flat - np.outer(flat @ up, up)
-    along = np.linalg.svd(flat)[2][0] if np.abs(flat).max() > 1e-9 else rotation[0, 0]
+    along = np.linalg.svd(flat, full_matrices=False)[2][0] if np.abs(flat).max() > 1e-9 else rotation[0, 0]
     along = along - (along @ up) * up
     along /= np.linalg.norm(along)
     out[:3, :3] = np.stack([along, np.cross(up, along), up])

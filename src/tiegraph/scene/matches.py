@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from tiegraph.scene.graph import parts
 from tiegraph.scene.pairs import pair_key
+from tiegraph.scene.unite import blocks, unite
 
 
 @dataclass(frozen=True)
@@ -83,11 +83,22 @@ class PreviewMatches:
     def observations(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(K,) each: track, image and feature (row of the image's preview) of every feature that has a match; what
         matches join is one track."""
-        pair = np.repeat(np.arange(len(self)), self.counts())
-        ends = np.stack([self.i[pair], self.j[pair]]).astype(np.int64) << 16 | self.matches.T
-        feature, node = np.unique(ends, return_inverse=True)
-        one, other = node.reshape(ends.shape)
-        return parts(one, other, len(feature)), feature >> 16, feature & 0xFFFF
+        width = int(self.matches.max(initial=0)) + 1
+        used = np.zeros((int(self.j.max(initial=-1)) + 1) * width, bool)
+        for ends in self._ends(width):
+            used[ends] = True
+        feature = np.flatnonzero(used)
+        number = np.cumsum(used, dtype=np.int32) - 1
+        track = np.arange(len(feature), dtype=np.int32)
+        for one, other in self._ends(width):
+            track = unite(track, track[number[one]], track[number[other]])
+        return np.cumsum(track == np.arange(len(track)))[track] - 1, feature // width, feature % width
+
+    def _ends(self, width: int) -> Iterator[np.ndarray]:
+        """(2, K) i8 features of matches, a block of pairs at a time; those of an image are ``width`` numbers."""
+        for own in blocks(self.start):
+            image = np.repeat(np.stack([self.i[own], self.j[own]]).astype(np.int64), self.counts()[own], axis=1)
+            yield image * width + self.matches[self.start[own.start] : self.start[own.stop]].T
 
     def tracks(self) -> tuple[np.ndarray, np.ndarray]:
         """(K,), (K,) track and image of ``observations``."""

@@ -151,7 +151,7 @@ def _track(evidence: Evidence, similarity: Similarity) -> tuple[np.ndarray, np.n
     """Unit direction (3,) in which the positions spread most, in the world, and their middle."""
     world = similarity(evidence.pose[:, :3, 3])
     middle = world.mean(axis=0)
-    return np.linalg.svd(world - middle)[2][0], middle
+    return np.linalg.svd(world - middle, full_matrices=False)[2][0], middle
 
 
 def jackknife_sigma(
