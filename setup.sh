@@ -14,10 +14,10 @@ install() {
 }
 # Debian and Ubuntu ship venv in a package of its own.
 "$python" -c 'import ensurepip, venv' 2>/dev/null || install python3-venv
-# The dense matcher is built here; without a compiler everything else still installs.
+# The native matchers are built here; without a compiler everything else still installs.
 headers='import os, sys, sysconfig; sys.exit(not os.path.exists(os.path.join(sysconfig.get_path("include"), "Python.h")))'
 if ! command -v "${CXX:-c++}" >/dev/null || ! "$python" -c "$headers"; then
-    install g++ python3-dev || echo "No C++ compiler: the dense stage will use OpenCV's matcher." >&2
+    install g++ python3-dev || echo "No C++ compiler: the dense stage will use OpenCV's matcher, features are matched by NumPy." >&2
 fi
 [ -x .venv/bin/python ] || "$python" -m venv .venv
 if [ "${1:-}" = dev ]; then

@@ -17,12 +17,12 @@ import sys
 
 import pytest
 
-path = next(pathlib.Path(sys.argv[1]).glob("_sgm*.so"))
-spec = importlib.util.spec_from_file_location("tiegraph.dense._sgm", path)
-sys.modules["tiegraph.dense._sgm"] = module = importlib.util.module_from_spec(spec)
-spec.loader.exec_module(module)
-import tiegraph.dense
-
-tiegraph.dense._sgm = module
-sys.exit(pytest.main(["-q", "-p", "no:cacheprovider", "tests/dense/test_dense_sgm.py", "tests/dense/test_dense_tsgm.py"]))
+for package, name in (("dense", "_sgm"), ("features", "_nearest")):
+    path = next(pathlib.Path(sys.argv[1]).glob(f"{name}*.so"))
+    spec = importlib.util.spec_from_file_location(f"tiegraph.{package}.{name}", path)
+    sys.modules[spec.name] = module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    setattr(importlib.import_module(f"tiegraph.{package}"), name, module)
+tests = ["dense/test_dense_sgm.py", "dense/test_dense_tsgm.py", "features/test_features_nearest.py"]
+sys.exit(pytest.main(["-q", "-p", "no:cacheprovider", *(f"tests/{name}" for name in tests)]))
 END

@@ -64,7 +64,10 @@ def _kernels() -> str:
     found = kernels()
     if found:
         return f"{', '.join(found)} (the fastest first)"
-    return "not built: depth maps are made by OpenCV's matcher (install a C++ compiler, then tiegraph again)"
+    return (
+        "not built: depth maps are made by OpenCV's matcher, and features are matched by NumPy, several times slower "
+        "(install a C++ compiler, then tiegraph again)"
+    )
 
 
 def _gpu() -> str:

@@ -20,9 +20,10 @@ import pycolmap
 
 from tiegraph.child import run_in_child, run_in_children
 from tiegraph.errors import InputError, ReconstructionError
+from tiegraph.features import nearest
 from tiegraph.features.settings import MatchSettings
 from tiegraph.gpu import device, on_gpu
-from tiegraph.scene.colmapdatabase import copy_features, take_matches
+from tiegraph.scene.colmapdatabase import Rows, copy_features, remove, take_matches
 from tiegraph.scene.pairs import Pairs
 
 _SEED = 0  # of RANSAC: the same matches give the same inliers
@@ -109,19 +110,54 @@ def match_blocks(
 ) -> None:
     """Match blocks, each into the database named beside it, and send its name and number of pairs. Runs in a child."""
     pycolmap.logging.minloglevel = 1
-    matching, verification = colmap_options(settings)
+    matched = _by_colmap if by_colmap(settings) else _by_nearest
     for name, block in blocks:
-        pair_list = Path(name).with_suffix(".txt")
-        pair_list.write_text("".join(f"{_alias(a)} {_alias(b)}\n" for a, b in block), encoding="utf-8")
-        copy_features(Path(database), Path(name), np.unique(block), _ALIAS)
-        pycolmap.match_image_pairs(
-            name,
-            matching_options=matching,
-            pairing_options=pycolmap.ImportedPairingOptions(match_list_path=pair_list, block_size=len(block)),
-            verification_options=verification,
-            device=device(),
-        )
+        matched(Path(database), Path(name), block, settings)
         send((name, len(block)))
+
+
+def by_colmap(settings: MatchSettings) -> bool:
+    """Whether COLMAP looks for the matches too: on a GPU, and along epipolar lines; else it verifies them."""
+    return settings.guided or on_gpu()
+
+
+def _by_colmap(database: Path, target: Path, block: np.ndarray, settings: MatchSettings) -> None:
+    """Match and verify a block (B, 2) by COLMAP's matcher, in a database that has the features of its images."""
+    matching, verification = colmap_options(settings)
+    pair_list = target.with_suffix(".txt")
+    pair_list.write_text("".join(f"{_alias(a)} {_alias(b)}\n" for a, b in block), encoding="utf-8")
+    copy_features(database, target, np.unique(block), _ALIAS)
+    pycolmap.match_image_pairs(
+        target,
+        matching_options=matching,
+        pairing_options=pycolmap.ImportedPairingOptions(match_list_path=pair_list, block_size=len(block)),
+        verification_options=verification,
+        device=device(),
+    )
+
+
+def _by_nearest(database: Path, target: Path, block: np.ndarray, settings: MatchSettings) -> None:
+    """Match a block (B, 2) by ``nearest`` and verify it by COLMAP, pair by pair, into a database of nothing else.
+
+    Rows are as COLMAP writes them: a pair of too few matches has none, and is degenerate.
+    """
+    matching, verification = colmap_options(settings)
+    remove(target)
+    with Rows(database) as rows, pycolmap.Database.open(target) as found:
+        cameras = rows.cameras()
+        points = {k: rows.keypoints_of(k) for k in (np.unique(block) + 1).tolist()}
+        descriptors = {k: rows.descriptors_of(k) for k in points}
+        for a, b in (block + 1).tolist():
+            pairs = nearest.matches(descriptors[a], descriptors[b], matching.sift)
+            geometry = pycolmap.TwoViewGeometry()
+            if len(pairs) < settings.min_inliers:
+                pairs, geometry.config = pairs[:0], int(pycolmap.TwoViewGeometryConfiguration.DEGENERATE)
+            else:
+                geometry = pycolmap.estimate_two_view_geometry(
+                    cameras[a], points[a], cameras[b], points[b], pairs, verification
+                )
+            found.write_matches(a, b, pairs)
+            found.write_two_view_geometry(a, b, geometry)
 
 
 def colmap_options(settings: MatchSettings) -> tuple[pycolmap.FeatureMatchingOptions, pycolmap.TwoViewGeometryOptions]:

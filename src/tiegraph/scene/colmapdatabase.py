@@ -92,6 +92,24 @@ class Rows:
         row = self._connection.execute(query, (image,)).fetchone()
         return _points(*row) if row and row[0] else np.zeros((0, 2))
 
+    def descriptors_of(self, image: int) -> np.ndarray:
+        """(K, 128) u1 descriptors of an image; none if there are none."""
+        query = "SELECT rows, data FROM descriptors WHERE image_id = ?"
+        row = self._connection.execute(query, (image,)).fetchone()
+        return np.frombuffer(row[1] if row and row[0] else b"", np.uint8).reshape(-1, 128)
+
+    def cameras(self) -> dict[int, pycolmap.Camera]:
+        """Camera of each image by the image's id; images of one camera share it."""
+        query = "SELECT camera_id, model, width, height, params, prior_focal_length FROM cameras"
+        cameras = {}
+        for key, model, width, height, params, prior in self._connection.execute(query):
+            model, params = pycolmap.CameraModelId(model), np.frombuffer(params)
+            cameras[key] = pycolmap.Camera(camera_id=key, model=model, width=width, height=height, params=params)
+            cameras[key].has_prior_focal_length = bool(prior)
+        return {
+            image: cameras[key] for image, key in self._connection.execute("SELECT image_id, camera_id FROM images")
+        }
+
 
 def _images(pair_id: int) -> tuple[int, int]:
     return pair_id // MAX_IMAGES, pair_id % MAX_IMAGES

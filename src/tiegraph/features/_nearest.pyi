@@ -1,0 +1,6 @@
+"""Nearest descriptors of two images, both ways (native, sources in native/nearest)."""
+
+import numpy as np
+
+def kernels() -> list[str]: ...
+def search(a: np.ndarray, b: np.ndarray, kernel: str = "") -> tuple[np.ndarray, np.ndarray]: ...
