@@ -79,7 +79,9 @@ def test_matching_is_told_where(monkeypatch, tmp_path: Path, there):
     monkeypatch.setattr(matchblocks, "copy_features", lambda *a: None)
     monkeypatch.setattr(pycolmap, "match_image_pairs", lambda name, **options: told.append(options))
     blocks = [(str(tmp_path / "0.db"), np.array([[0, 1]]))]
-    matchblocks.match_blocks("database.db", blocks, MatchSettings(guided=not there), lambda message: None)
+    matchblocks.match_blocks(
+        "database.db", blocks, matchblocks.Rules(MatchSettings(guided=not there)), lambda message: None
+    )
     assert told[0]["device"] == (pycolmap.Device.cuda if there else pycolmap.Device.cpu)
     assert told[0]["matching_options"].use_gpu is there
 

@@ -19,8 +19,7 @@ import tiegraph  # noqa: F401  (zlib before pycolmap)
 
 import pycolmap  # isort: skip
 
-from tiegraph.features.matchblocks import colmap_options
-from tiegraph.features.settings import MatchSettings
+from tiegraph.features.matchblocks import Rules, colmap_options
 
 _MADE = ("matches", "two_view_geometries")
 
@@ -61,7 +60,7 @@ def _matched(bare: Path, pairs: Path, threads: int) -> str:
     """A hash over all matches."""
     work = bare.with_name("work.db")
     shutil.copyfile(bare, work)
-    matching, verification = colmap_options(MatchSettings())
+    matching, verification = colmap_options(Rules())
     matching.num_threads = threads
     pairing = pycolmap.ImportedPairingOptions(match_list_path=pairs, block_size=500)
     pycolmap.match_image_pairs(

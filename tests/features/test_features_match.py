@@ -14,13 +14,12 @@ from features_world import FRAMES, features, filled_database, scene
 from tiegraph.errors import InputError, ReconstructionError
 from tiegraph.features import matchblocks
 from tiegraph.features.match import match_pairs, read_matches
-from tiegraph.features.matchblocks import Side
-from tiegraph.features.settings import MatchSettings
+from tiegraph.features.matchblocks import Rules, Side
 from tiegraph.scene.colmapdatabase import images_with_features, pair_ids, write_features
 from tiegraph.scene.colmaprows import create_database
 from tiegraph.scene.pairs import REASONS, Pairs
 
-SETTINGS = MatchSettings()
+RULES = Rules()
 EMPTY = 5  # the image without features: cam1 of frame 2
 
 
@@ -43,7 +42,7 @@ def done(tmp_path_factory):
     path = filled_database(folder / "database.db", scene(), empty=(EMPTY,))
     progress: list[tuple[int, int]] = []
     pairs, report = match_pairs(
-        path, scene(), listed(), SETTINGS, folder / "log.txt", lambda a, b: progress.append((a, b)), side=Side(1)
+        path, scene(), listed(), RULES, folder / "log.txt", lambda a, b: progress.append((a, b)), side=Side(1)
     )
     return folder, pairs, report, progress
 
@@ -78,14 +77,14 @@ def test_any_number_of_processes_any_history_and_a_cluster_make_the_same_bytes(d
         function(items[0], *args)
         return [function(item, *args) for item in items]
 
-    match_pairs(path, scene(), few.drop(few.i > 3, "cut"), SETTINGS, tmp_path / "log.txt", side=Side(2))
-    match_pairs(path, scene(), listed(), SETTINGS, tmp_path / "log.txt", side=Side(2, over_a_cluster))
+    match_pairs(path, scene(), few.drop(few.i > 3, "cut"), RULES, tmp_path / "log.txt", side=Side(2))
+    match_pairs(path, scene(), listed(), RULES, tmp_path / "log.txt", side=Side(2, over_a_cluster))
     assert path.read_bytes() == (folder / "database.db").read_bytes()
 
 
 def test_no_process_matches_on_two_threads():
     """Then COLMAP does not always find the same (see the module); a run of these small images seldom shows it."""
-    assert matchblocks.colmap_options(SETTINGS)[0].num_threads == 1
+    assert matchblocks.colmap_options(RULES)[0].num_threads == 1
 
 
 @pytest.mark.slow
@@ -113,7 +112,7 @@ def test_a_second_run_does_nothing_and_gives_the_same(done, monkeypatch):
     monkeypatch.setattr(matchblocks, "run_in_children", lambda *a, **k: pytest.fail("matched again"))
     progress: list[tuple[int, int]] = []
     again, second = match_pairs(
-        folder / "database.db", scene(), listed(), SETTINGS, folder / "log.txt", lambda a, b: progress.append((a, b))
+        folder / "database.db", scene(), listed(), RULES, folder / "log.txt", lambda a, b: progress.append((a, b))
     )
     assert progress == [(report.matched, report.matched)] and second == report
     assert all(np.array_equal(getattr(again, n), getattr(pairs, n)) for n in ("i", "j", "dropped", "inliers"))
@@ -127,7 +126,7 @@ def test_pairs_of_another_list_and_half_written_pairs_leave_the_database(tmp_pat
         database.write_matches(1, 3, np.array([[0, 0]], np.uint32))  # asked, no two-view geometry
     pairs = Pairs.make([0], [2], "file")
     progress: list[tuple[int, int]] = []
-    result, _ = match_pairs(path, scene(), pairs, SETTINGS, tmp_path / "log.txt", lambda a, b: progress.append((a, b)))
+    result, _ = match_pairs(path, scene(), pairs, RULES, tmp_path / "log.txt", lambda a, b: progress.append((a, b)))
     assert progress == [(0, 1), (1, 1)] and result.inliers[0] > 60
     assert [r[0] for r in rows(path, "matches")] == pair_ids(pairs).tolist()
 
@@ -144,12 +143,12 @@ def test_killed_run_resumes_to_the_same_database_and_survives_names_with_spaces(
         "def stop(done, total):\n    if done:\n        os.kill(os.getpid(), signal.SIGKILL)\n"
         "if __name__ == '__main__':\n"
         f"    match_module.BLOCK_PAIRS = 4\n    folder = Path({str(tmp_path)!r})\n"
-        "    match_pairs(folder / 'database.db', scene(space=True), listed(), SETTINGS, folder / 'log.txt', stop)\n"
+        "    match_pairs(folder / 'database.db', scene(space=True), listed(), RULES, folder / 'log.txt', stop)\n"
     )
     assert subprocess.run([sys.executable, str(script)]).returncode == -9
     progress: list[tuple[int, int]] = []
     pairs, report = match_pairs(
-        path, scene(space=True), listed(), SETTINGS, tmp_path / "log.txt", lambda a, b: progress.append((a, b)), Side(2)
+        path, scene(space=True), listed(), RULES, tmp_path / "log.txt", lambda a, b: progress.append((a, b)), Side(2)
     )
     folder, expected, full, _ = done
     assert 4 <= progress[0][0] < full.matched
@@ -169,11 +168,11 @@ def test_no_verified_pair_is_an_error_with_the_counts(tmp_path):
     noise = [(k, rng.random((50, 4)) * 400, rng.integers(0, 90, (50, 128)).astype(np.uint8)) for k in range(4)]
     write_features(path, noise)
     with pytest.raises(ReconstructionError, match="no pair verified: 1 asked, 1 compared.*lower match.min_inliers"):
-        match_pairs(path, scene(), Pairs.make([0], [2], "file"), SETTINGS, tmp_path / "log.txt")
+        match_pairs(path, scene(), Pairs.make([0], [2], "file"), RULES, tmp_path / "log.txt")
     with pytest.raises(ReconstructionError, match="no features in cam0/img_03.jpg"):
-        match_pairs(path, scene(), Pairs.make([0], [6], "file"), SETTINGS, tmp_path / "log.txt")
+        match_pairs(path, scene(), Pairs.make([0], [6], "file"), RULES, tmp_path / "log.txt")
     with pytest.raises(ReconstructionError, match="the pair list is empty"):
-        match_pairs(path, scene(), Pairs.empty(), SETTINGS, tmp_path / "log.txt")
+        match_pairs(path, scene(), Pairs.empty(), RULES, tmp_path / "log.txt")
     assert images_with_features(path) == {0, 1, 2, 3}
 
 
@@ -181,7 +180,7 @@ def test_database_of_another_scene_is_refused(tmp_path):
     path = filled_database(tmp_path / "database.db", scene())
     renamed = scene().with_(names=tuple(f"x{n}" for n in scene().names))
     with pytest.raises(InputError, match="other images than the scene"):
-        match_pairs(path, renamed, listed(), SETTINGS, tmp_path / "log.txt")
+        match_pairs(path, renamed, listed(), RULES, tmp_path / "log.txt")
 
 
 def test_blocks_hold_every_pair_once():
@@ -203,7 +202,7 @@ def test_watermarks_are_struck_out(tmp_path):
         database.write_two_view_geometry(1, 3, geometry)
     pairs = Pairs.make([0], [2], "file")
     with pytest.raises(ReconstructionError, match="1 compared, 20 feature matches"):
-        match_pairs(path, scene(), pairs, SETTINGS, tmp_path / "log.txt")
+        match_pairs(path, scene(), pairs, RULES, tmp_path / "log.txt")
     table = read_matches(path, pairs)
     assert (table.matches[0], table.inliers[0], table.config[0]) == (20, 0, geometry.config)
 
@@ -216,4 +215,4 @@ def test_full_disk_while_matching_is_an_input_error(tmp_path, monkeypatch):
 
     monkeypatch.setattr(matchblocks, "run_in_children", abort)
     with pytest.raises(InputError, match="no room on the disk"):
-        match_pairs(path, scene(), listed(), SETTINGS, tmp_path / "log.txt")
+        match_pairs(path, scene(), listed(), RULES, tmp_path / "log.txt")

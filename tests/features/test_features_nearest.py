@@ -7,6 +7,7 @@ import pytest
 
 from features_world import filled_database, scene
 from tiegraph.features import matchblocks, nearest
+from tiegraph.features.matchblocks import Rules
 from tiegraph.features.settings import MatchSettings
 
 KERNELS = nearest.kernels()
@@ -65,14 +66,14 @@ def test_a_kernel_that_is_not_there_is_refused() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("without", [False, True])
 def test_rows_are_those_of_colmaps_exact_matcher(tmp_path, monkeypatch, without) -> None:
-    settings = MatchSettings(min_inliers=200)  # some pairs have fewer matches, some fewer inliers
+    rules = Rules(MatchSettings(min_inliers=200))  # some pairs have fewer matches, some fewer inliers
     database = filled_database(tmp_path / "database.db", scene())
     block = np.array([(a, b) for a in range(12) for b in range(a + 1, 12)])
     if without:
         monkeypatch.setattr(nearest, "_nearest", None)
-    matchblocks._by_nearest(database, tmp_path / "ours.db", block, settings)
+    matchblocks._by_nearest(database, tmp_path / "ours.db", block, rules)
     monkeypatch.setattr(matchblocks, "colmap_options", exact)
-    matchblocks._by_colmap(database, tmp_path / "colmap.db", block, settings)
+    matchblocks._by_colmap(database, tmp_path / "colmap.db", block, rules)
     for table in ("matches", "two_view_geometries"):
         ours, theirs = (rows(tmp_path / name, table) for name in ("ours.db", "colmap.db"))
         assert ours == theirs and len(ours) == len(block)
@@ -80,8 +81,8 @@ def test_rows_are_those_of_colmaps_exact_matcher(tmp_path, monkeypatch, without)
     assert 20 < sum(n >= 200 for n in verified) < len(block) - 10 and 0 in verified
 
 
-def exact(settings: MatchSettings, options=matchblocks.colmap_options):
-    matching, verification = options(settings)
+def exact(rules: Rules, options=matchblocks.colmap_options):
+    matching, verification = options(rules)
     matching.sift.cpu_brute_force_matcher = True
     return matching, verification
 

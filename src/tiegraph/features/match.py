@@ -10,7 +10,7 @@ import numpy as np
 import pycolmap
 
 from tiegraph.errors import InputError, ReconstructionError
-from tiegraph.features.matchblocks import Side, cut, run_blocks
+from tiegraph.features.matchblocks import Rules, Side, cut, run_blocks
 from tiegraph.features.settings import MatchSettings
 from tiegraph.scene.colmapdatabase import Rows, feature_counts, keep_finished, match_counts, strike, write_anew
 from tiegraph.scene.pairs import Pairs
@@ -51,7 +51,7 @@ def match_pairs(
     database: Path,
     scene: Scene,
     pairs: Pairs,
-    settings: MatchSettings,
+    rules: Rules,
     log: Path,
     on_progress: Progress = lambda done, total: None,
     side: Side = _ALONE,
@@ -70,12 +70,12 @@ def match_pairs(
     finished = keep_finished(database, kept) & comparable
     todo = kept.where(comparable & ~finished)
     told = _counted(on_progress, int(finished.sum()), int(comparable.sum()))
-    run_blocks(database, _blocks(todo, side), settings, side, log, told)
+    run_blocks(database, _blocks(todo, side), rules, side, log, told)
     strike(database, _WATERMARK)
     write_anew(database)
     table = read_matches(database, kept)
     report = _report(scene, kept, table, features)
-    _check_verified(report, settings, log)
+    _check_verified(report, rules.settings, log)
     return _with_inliers(pairs, table), report
 
 

@@ -22,6 +22,7 @@ from tiegraph.child import run_in_child, run_in_children
 from tiegraph.errors import InputError, ReconstructionError
 from tiegraph.features import nearest
 from tiegraph.features.settings import MatchSettings
+from tiegraph.features.tuning import VerificationTuning
 from tiegraph.gpu import device, on_gpu
 from tiegraph.scene.colmapdatabase import Rows, copy_features, remove, take_matches
 from tiegraph.scene.pairs import Pairs
@@ -29,6 +30,14 @@ from tiegraph.scene.pairs import Pairs
 _SEED = 0  # of RANSAC: the same matches give the same inliers
 _ALIAS = "tiegraph:"
 _ROUND = 2  # blocks a worker of a cluster makes before they are written
+
+
+@dataclass(frozen=True)
+class Rules:
+    """What is a match, and how the matches of a pair are verified."""
+
+    settings: MatchSettings = MatchSettings()
+    verification: VerificationTuning = VerificationTuning()
 
 
 @dataclass(frozen=True)
@@ -49,7 +58,7 @@ def cut(pairs: Pairs, size: int) -> list[np.ndarray]:
 def run_blocks(
     database: Path,
     blocks: Sequence[np.ndarray],
-    settings: MatchSettings,
+    rules: Rules,
     side: Side,
     log: Path,
     on_pairs: Callable[[int], None],
@@ -79,12 +88,12 @@ def run_blocks(
     try:
         if side.run_map is None:
             count = min(side.processes, len(blocks))
-            calls = [(str(database), named[k::count], settings) for k in range(count)]
+            calls = [(str(database), named[k::count], rules) for k in range(count)]
             run_in_children(match_blocks, calls, log=log, on_message=take, task="match")
         else:
             step = _ROUND * side.processes
             for start in range(0, len(named), step):
-                for message in side.run_map(match_block, named[start : start + step], str(database), settings, log):
+                for message in side.run_map(match_block, named[start : start + step], str(database), rules, log):
                     take(message)
     except ReconstructionError as error:
         if "disk is full" in str(error) or "disk I/O error" in str(error):
@@ -96,34 +105,34 @@ def run_blocks(
         shutil.rmtree(scratch, ignore_errors=True)
 
 
-def match_block(block: tuple[str, np.ndarray], database: str, settings: MatchSettings, log: Path) -> tuple[str, int]:
+def match_block(block: tuple[str, np.ndarray], database: str, rules: Rules, log: Path) -> tuple[str, int]:
     """``match_blocks`` of one block in a child of this process; its name and number of pairs."""
-    run_in_child(match_blocks, database, [block], settings, log=log, task="match")
+    run_in_child(match_blocks, database, [block], rules, log=log, task="match")
     return block[0], len(block[1])
 
 
 def match_blocks(
     database: str,
     blocks: Sequence[tuple[str, np.ndarray]],
-    settings: MatchSettings,
+    rules: Rules,
     send: Callable[[tuple[str, int]], None],
 ) -> None:
     """Match blocks, each into the database named beside it, and send its name and number of pairs. Runs in a child."""
     pycolmap.logging.minloglevel = 1
-    matched = _by_colmap if by_colmap(settings) else _by_nearest
+    matched = _by_colmap if by_colmap(rules) else _by_nearest
     for name, block in blocks:
-        matched(Path(database), Path(name), block, settings)
+        matched(Path(database), Path(name), block, rules)
         send((name, len(block)))
 
 
-def by_colmap(settings: MatchSettings) -> bool:
+def by_colmap(rules: Rules) -> bool:
     """Whether COLMAP looks for the matches too: on a GPU, and along epipolar lines; else it verifies them."""
-    return settings.guided or on_gpu()
+    return rules.settings.guided or on_gpu()
 
 
-def _by_colmap(database: Path, target: Path, block: np.ndarray, settings: MatchSettings) -> None:
+def _by_colmap(database: Path, target: Path, block: np.ndarray, rules: Rules) -> None:
     """Match and verify a block (B, 2) by COLMAP's matcher, in a database that has the features of its images."""
-    matching, verification = colmap_options(settings)
+    matching, verification = colmap_options(rules)
     pair_list = target.with_suffix(".txt")
     pair_list.write_text("".join(f"{_alias(a)} {_alias(b)}\n" for a, b in block), encoding="utf-8")
     copy_features(database, target, np.unique(block), _ALIAS)
@@ -136,12 +145,12 @@ def _by_colmap(database: Path, target: Path, block: np.ndarray, settings: MatchS
     )
 
 
-def _by_nearest(database: Path, target: Path, block: np.ndarray, settings: MatchSettings) -> None:
+def _by_nearest(database: Path, target: Path, block: np.ndarray, rules: Rules) -> None:
     """Match a block (B, 2) by ``nearest`` and verify it by COLMAP, pair by pair, into a database of nothing else.
 
     Rows are as COLMAP writes them: a pair of too few matches has none, and is degenerate.
     """
-    matching, verification = colmap_options(settings)
+    matching, verification = colmap_options(rules)
     remove(target)
     with Rows(database) as rows, pycolmap.Database.open(target) as found:
         cameras = rows.cameras()
@@ -150,7 +159,7 @@ def _by_nearest(database: Path, target: Path, block: np.ndarray, settings: Match
         for a, b in (block + 1).tolist():
             pairs = nearest.matches(descriptors[a], descriptors[b], matching.sift)
             geometry = pycolmap.TwoViewGeometry()
-            if len(pairs) < settings.min_inliers:
+            if len(pairs) < rules.settings.min_inliers:
                 pairs, geometry.config = pairs[:0], int(pycolmap.TwoViewGeometryConfiguration.DEGENERATE)
             else:
                 geometry = pycolmap.estimate_two_view_geometry(
@@ -160,8 +169,9 @@ def _by_nearest(database: Path, target: Path, block: np.ndarray, settings: Match
             found.write_two_view_geometry(a, b, geometry)
 
 
-def colmap_options(settings: MatchSettings) -> tuple[pycolmap.FeatureMatchingOptions, pycolmap.TwoViewGeometryOptions]:
-    """COLMAP's options of our settings."""
+def colmap_options(rules: Rules) -> tuple[pycolmap.FeatureMatchingOptions, pycolmap.TwoViewGeometryOptions]:
+    """COLMAP's options of our rules."""
+    settings, tuning = rules.settings, rules.verification
     matching = pycolmap.FeatureMatchingOptions(num_threads=1, use_gpu=on_gpu())
     matching.guided_matching = settings.guided
     matching.skip_image_pairs_in_same_frame = False  # what is listed is matched: the network decides
@@ -169,6 +179,8 @@ def colmap_options(settings: MatchSettings) -> tuple[pycolmap.FeatureMatchingOpt
     verification = pycolmap.TwoViewGeometryOptions(min_num_inliers=settings.min_inliers)
     verification.ransac.max_error = settings.max_error_px
     verification.ransac.random_seed = _SEED
+    verification.ransac.min_num_trials = tuning.min_trials
+    verification.ransac.min_inlier_ratio = tuning.least_inlier_share
     verification.filter_stationary_matches = settings.stationary
     return matching, verification
 

@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 import pycolmap
 
+from tiegraph.features import nearest
 from tiegraph.features.settings import PreviewSettings
 from tiegraph.features.sift import DESCRIPTOR_NORM, root_sift
 from tiegraph.features.tuning import PreviewTuning
@@ -195,18 +196,12 @@ def tentative(
     nothing = np.zeros(0, int)
     if len(a) < 2 or len(b) < 2:
         return nothing, nothing
-    product = a.descriptors.astype(np.float32) @ b.descriptors.astype(np.float32).T  # whole numbers: exact
-    rows = np.arange(len(a))
-    nearest = product.argmax(axis=1)
-    most = product[rows, nearest]
-    highest = product.max(axis=0)
-    product[rows, nearest] = -1.0
-    cosines = (most / DESCRIPTOR_NORM**2, product.max(axis=1) / DESCRIPTOR_NORM**2)
-    best, second = (np.sqrt(np.maximum(0, 2 - 2 * c)) for c in cosines)
-    good = (most == highest[nearest]) & (best <= settings.ratio * second) & (best <= tuning.max_distance)
-    product[rows, nearest] = most
-    good[good] = product[:, nearest[good]].argmax(axis=0) == rows[good]  # of equals the first; slow, so of few
-    return rows[good], nearest[good]
+    of_a, of_b = nearest.search(a.descriptors, b.descriptors)
+    rows, partner = np.arange(len(a)), of_a[0]
+    cosines = of_a[1:].astype(np.float32) / DESCRIPTOR_NORM**2
+    best, second = np.sqrt(np.maximum(0, 2 - 2 * cosines))
+    good = (of_b[0][partner] == rows) & (best <= settings.ratio * second) & (best <= tuning.max_distance)
+    return rows[good], partner[good].astype(int)
 
 
 def _essential(

@@ -44,6 +44,20 @@ class SiftTuning(Section):
     """Of such; an image with fewer (an up camera, which sees little but roof lines) keeps the others too."""
 
 
+class VerificationTuning(Section):
+    """COLMAP's RANSAC over the matches of a pair (`matchblocks.py`).
+
+    Both halve its time on facades, telephone photographs, two vehicles and a rendered boat, and change inliers by less
+    than another seed does (benchmarks/README.md, *Matching*).
+    """
+
+    min_trials: int = Field(30, gt=0)
+    """At least, of each geometry; COLMAP's 100 are more than pairs need of which nine matches in ten agree."""
+    least_inlier_share: float = Field(0.4, gt=0, le=1)
+    """Trials are enough to find a geometry that this share of the matches agrees with, in COLMAP a quarter: then a pair
+    that shares nothing costs four times as much."""
+
+
 class Tuning(Section):
     """Constants of the engine that are the same for every user."""
 
@@ -51,3 +65,5 @@ class Tuning(Section):
     """Previews."""
     sift: SiftTuning = Field(default_factory=SiftTuning)
     """Full resolution."""
+    verification: VerificationTuning = Field(default_factory=VerificationTuning)
+    """Of matches at full resolution."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from tiegraph.child import cores
 from tiegraph.features.match import match_pairs
-from tiegraph.features.matchblocks import Side
+from tiegraph.features.matchblocks import Rules, Side
 from tiegraph.gpu import on_gpu
 from tiegraph.pipeline.files import checked, pairs_of, save_npz
 from tiegraph.project.run import Run
@@ -31,7 +31,8 @@ def match(run: Run) -> Outcome:
     scene = checked(run)
     asked = pairs_of(run, "pairs.npz")
     side = Side(run.workers, run.map_untold) if run.distributed else Side(min(run.workers, cores()))
-    pairs, report = match_pairs(run.path("database.db"), scene, asked, run.settings.match, run.log, progress, side)
+    rules = Rules(run.settings.match, run.settings.tuning.features.verification)
+    pairs, report = match_pairs(run.path("database.db"), scene, asked, rules, run.log, progress, side)
     save_npz(run.path("match.npz"), **pairs.to_npz())
     alone = np.flatnonzero(pairs.degree(len(scene)) == 0)
     lonely = (f"{len(alone)} images have no verified pair: {_some(scene.names, alone)}",) if len(alone) else ()
