@@ -1,4 +1,4 @@
-"""What the competitors share, their command line; and those of COLMAP, with its defaults (``tiegraph.papers.colmap``).
+"""The competitors of COLMAP, with its defaults (``tiegraph.papers.colmap``).
 
 COLMAP's words, after ``--``: ``sequential`` in place of every pair; ``rig``; ``global``, GLOMAP's mapper (COLMAP has it
 since 4.0), after the calibration of the view graph that comes before it.
@@ -9,30 +9,17 @@ the stage that was running.
 
 from __future__ import annotations
 
-import argparse
 import json
 from pathlib import Path
 
-from tiegraph.papers.colmap import SEED, Given, Models, Stages, incremental, reconstruct
+from command import arguments
+
+from tiegraph.papers.colmap import SEED, Given, Models, incremental, reconstruct
+from tiegraph.papers.measured import Stages
 
 import pycolmap  # isort: skip
 
 WORDS = ("sequential", "rig", "global")
-
-
-def arguments(description: str) -> argparse.Namespace:
-    """The command line every competitor has; it ignores what it has no use for."""
-    parser = argparse.ArgumentParser(description=description)
-    parser.add_argument("--images", type=Path, required=True)
-    parser.add_argument("--out", type=Path, required=True, help="empty work folder")
-    parser.add_argument("--json", type=Path, required=True, help="where the figures go")
-    parser.add_argument("--cameras", type=Path, help="JSON: image folder -> COLMAP camera; default: guessed by COLMAP")
-    for name in ("rig", "gnss", "trajectory", "times"):
-        parser.add_argument(f"--{name}")
-    parser.add_argument("--until", default="georef")
-    parser.add_argument("--hold-rig", action="store_true", help="the extrinsics of the rig are not refined")
-    parser.add_argument("options", nargs="*", help="passed on to the competitor as they are")
-    return parser.parse_args()
 
 
 def main() -> None:

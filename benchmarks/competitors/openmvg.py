@@ -8,9 +8,9 @@ import os
 from pathlib import Path
 
 import numpy as np
-from colmap import arguments
+from command import arguments
 
-from tiegraph.papers.colmap import Stages
+from tiegraph.papers.measured import Stages
 
 import pycolmap  # isort: skip
 

@@ -8,10 +8,12 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from colmap import arguments
+from command import arguments
 
-from tiegraph.papers.colmap import Stages, pairs_of
-from tiegraph.pipeline import STAGES
+from tiegraph.cli.verbs import VERBS
+from tiegraph.papers.measured import Stages, pairs_of
+
+_STAGES = [name for name, verb in VERBS.items() if verb.about.startswith("stage:")]  # of pipeline.STAGES, unloaded
 
 
 def main() -> None:
@@ -29,7 +31,7 @@ def main() -> None:
 
 def figures(out: Path) -> dict[str, Any]:
     """Stages (wall, CPU, memory, counts), pairs, models and origin of a run folder, as far as the run came."""
-    paths = [out / "receipts" / f"{stage.name}.json" for stage in STAGES]
+    paths = [out / "receipts" / f"{stage}.json" for stage in _STAGES]
     receipts = [json.loads(path.read_text()) for path in paths if path.exists()]
     receipts = [receipt for receipt in receipts if "finished" in receipt]
     data: dict[str, Any] = {"stages": [_row(receipt) for receipt in receipts], "models": _models(out / "sparse")}

@@ -179,14 +179,7 @@ def _exhaustive_database(dataset: datasets.Dataset, work: Path, args: argparse.N
         return path
     shutil.rmtree(folder, ignore_errors=True)
     path.parent.mkdir(parents=True)
-    program = [
-        "-c",
-        _MATCH_ALL,
-        path,
-        dataset.images,
-        folder / "figures.json",
-        Path(run.__file__).parent / "competitors",
-    ]
+    program = ["-c", _MATCH_ALL, path, dataset.images, folder / "figures.json"]
     said = measured([sys.executable, *map(str, program)], folder / "log.txt", args.timeout)
     if said["returncode"] != 0:
         raise InputError(f"{dataset.name}: exhaustive matching ended with {said['returncode']}, see {folder}/log.txt")
@@ -196,10 +189,9 @@ def _exhaustive_database(dataset: datasets.Dataset, work: Path, args: argparse.N
 
 _MATCH_ALL = """
 import sys, zlib
-sys.path.insert(0, sys.argv[4])
 from pathlib import Path
 import pycolmap
-from colmap import Stages
+from tiegraph.papers.measured import Stages
 database, images, figures = map(Path, sys.argv[1:4])
 stages = Stages(figures)
 mode = pycolmap.CameraMode.PER_FOLDER

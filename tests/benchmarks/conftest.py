@@ -4,3 +4,6 @@ import sys
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+sys.path.append(
+    str(Path(__file__).resolve().parents[2] / "benchmarks" / "competitors")
+)  # its programs import each other

@@ -8,10 +8,6 @@ the process: call it in one of its own.
 
 from __future__ import annotations
 
-import json
-import os
-import resource
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,47 +15,9 @@ from typing import Any
 
 import pycolmap
 
+from tiegraph.papers.measured import Stages, pairs_of
+
 SEED = 0
-
-DONE, FAILED = "done", "failed"
-
-
-class Stages:
-    """Measures stages and keeps a JSON file: ``status``, ``stages`` (wall_s, cpu_s, peak_mib), ``models``."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self.data: dict[str, Any] = {"status": "started", "stages": [], "models": []}
-        self.save()
-
-    def run(self, stage: str, function: Callable[[], Any]) -> Any:
-        """Call ``function`` and note its wall time, CPU time (all threads) and the peak memory so far."""
-        self.data["running"] = stage
-        self.save()
-        wall, before = time.monotonic(), _cpu_s()
-        result = function()
-        peak_mib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-        row = {"stage": stage, "wall_s": time.monotonic() - wall, "cpu_s": _cpu_s() - before, "peak_mib": peak_mib}
-        self.data["stages"].append(row)
-        self.data.pop("running")
-        self.save()
-        return result
-
-    def end(self, reason: str = "") -> None:
-        """The last word: done, or (``reason``) why there is nothing to show."""
-        self.data |= {"status": FAILED, "reason": reason} if reason else {"status": DONE}
-        self.save()
-
-    def save(self) -> None:
-        """Write the JSON file in one step."""
-        temporary = self._path.with_suffix(".part")
-        temporary.write_text(json.dumps(self.data))
-        os.replace(temporary, self._path)
-
-
-def _cpu_s() -> float:
-    usage = resource.getrusage(resource.RUSAGE_SELF)
-    return usage.ru_utime + usage.ru_stime
 
 
 @dataclass(frozen=True)
@@ -132,11 +90,3 @@ def _give_calibration(database: Path, cameras: Mapping[str, Mapping[str, Any]]) 
             camera.camera_id = image.camera_id
             camera.has_prior_focal_length = True
             opened.update_camera(camera)
-
-
-def pairs_of(database: Path) -> dict[str, int]:
-    """Number of pairs with raw matches, and of those with inliers of two-view geometry (empty rows do not count)."""
-    with pycolmap.Database.open(str(database)) as opened:
-        _, matches = opened.read_num_matches()
-        _, inliers = opened.read_two_view_geometry_num_inliers()
-    return {"matched": sum(n > 0 for n in matches), "verified": sum(n > 0 for n in inliers)}

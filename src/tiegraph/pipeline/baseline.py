@@ -14,7 +14,7 @@ from tiegraph.errors import InputError, ReconstructionError
 from tiegraph.evaluate.baseline.block import stretch
 from tiegraph.evaluate.baseline.equal import Reference, Side, compare_sides
 from tiegraph.evaluate.reference import model_poses, read_reference_poses, reference_places
-from tiegraph.papers import colmap
+from tiegraph.papers import colmap, measured
 from tiegraph.pipeline.files import checked, load_json, load_model
 from tiegraph.project.folder import check_format
 from tiegraph.project.run import Run, needed, save_json
@@ -114,7 +114,7 @@ def run_colmap(block: Block, images: Path) -> None:
     """COLMAP on the prepared images of the block. What was not finished is begun again, for its times count."""
     out = block.side("colmap")
     record = out / "stages.json"
-    if record.exists() and load_json(record)["status"] in (colmap.DONE, colmap.FAILED):
+    if record.exists() and load_json(record)["status"] in (measured.DONE, measured.FAILED):
         return
     remove(out)
     out.mkdir(parents=True)

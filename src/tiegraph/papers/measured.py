@@ -1,0 +1,63 @@
+"""What is noted of a method while it runs, stage by stage; of the standard library alone, for who measures another
+program pays for all that he loads himself."""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import sqlite3
+import time
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+DONE, FAILED = "done", "failed"
+
+
+class Stages:
+    """Measures stages and keeps a JSON file: ``status``, ``stages`` (wall_s, cpu_s, peak_mib), ``models``."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self.data: dict[str, Any] = {"status": "started", "stages": [], "models": []}
+        self.save()
+
+    def run(self, stage: str, function: Callable[[], Any]) -> Any:
+        """Call ``function`` and note its wall time, CPU time (all threads) and the peak memory so far."""
+        self.data["running"] = stage
+        self.save()
+        wall, before = time.monotonic(), _cpu_s()
+        result = function()
+        peak_mib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+        row = {"stage": stage, "wall_s": time.monotonic() - wall, "cpu_s": _cpu_s() - before, "peak_mib": peak_mib}
+        self.data["stages"].append(row)
+        self.data.pop("running")
+        self.save()
+        return result
+
+    def end(self, reason: str = "") -> None:
+        """The last word: done, or (``reason``) why there is nothing to show."""
+        self.data |= {"status": FAILED, "reason": reason} if reason else {"status": DONE}
+        self.save()
+
+    def save(self) -> None:
+        """Write the JSON file in one step."""
+        temporary = self._path.with_suffix(".part")
+        temporary.write_text(json.dumps(self.data))
+        os.replace(temporary, self._path)
+
+
+def _cpu_s() -> float:
+    usage = resource.getrusage(resource.RUSAGE_SELF)
+    return usage.ru_utime + usage.ru_stime
+
+
+def pairs_of(database: Path) -> dict[str, int]:
+    """Number of pairs in COLMAP's database with raw matches, and of those with inliers of two-view geometry (empty rows
+    do not count)."""
+    count = "SELECT count(*) FROM {} WHERE rows > 0"
+    with closing(sqlite3.connect(f"{database.absolute().as_uri()}?mode=ro", uri=True)) as opened:
+        tables = {"matched": "matches", "verified": "two_view_geometries"}
+        return {name: opened.execute(count.format(table)).fetchone()[0] for name, table in tables.items()}
