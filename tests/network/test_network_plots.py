@@ -160,7 +160,7 @@ def test_surfaces_follow_the_way_back() -> None:
     world = boat((14, 14), (4.0, 4.0))
     p, q = find_passes(world.scene)
     scores = score_matrix(p, q, 1, np.ones((6, 6), bool), TUNING.offsets.scores)
-    scores = scores.measured(scores.exists(), MatchCache(world.match, len(world.scene)))
+    scores = scores.measured(np.nonzero(np.isnan(scores.inliers)), MatchCache(world.match, len(world.scene)))
     surfaces = surfaces_of(scores, scores.smoothed(12, TUNING), 12, TUNING)
     assert surfaces[0].sensors == "" and 2 < len(surfaces) <= 13 and surfaces[0].evidence.shape == (14, 14)
     known = np.isfinite(surfaces[0].path)

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from scipy.ndimage import gaussian_filter
 
 from boat_world import Result, boat
@@ -46,9 +47,37 @@ def test_frontier_are_the_unmeasured_neighbours_of_hits() -> None:
     inliers[1, 2, 3, 3] = 30
     inliers[1, 2, 3, 4] = 8
     grown = replace(scores(), inliers=inliers)
-    frontier = grown.frontier(np.nan_to_num(inliers), 12)
-    assert frontier.sum() == 7 and not frontier[1, 2, 3, 3:5].any()
-    assert frontier[1, 2, 2:5, 2].all()
+    frontier = set(zip(*(x.tolist() for x in grown.frontier(inliers, 12, np.ones((6, 5), bool)))))
+    around = {(1, 2, a, b) for a in (2, 3, 4) for b in (2, 3, 4)}
+    assert frontier == around - {(1, 2, 3, 3), (1, 2, 3, 4)}
+    beside = np.ones((6, 5), bool)
+    beside[:, 2] = False
+    assert len(grown.frontier(inliers, 12, beside)[0]) == 4
+
+
+@pytest.mark.parametrize("same", [True, False])
+def test_the_frontier_of_a_long_band_is_that_of_the_whole_lattice(same) -> None:
+    rng = np.random.default_rng(3)
+    frames = np.arange(150)
+    images = np.stack([frames, frames + 150])
+    images[0, 40:44] = -1
+    p, q = (replace(x, frames=frames, images=images + 300 * k) for k, x in enumerate(find_passes(boat().scene)))
+    band = score_matrix(p, p if same else q, 1, np.array([[1, 1], [1, 0]], bool), TUNING.offsets.scores)
+    a, b = np.ogrid[:150, :150]
+    known = (np.abs(a - b) < 6) | (rng.random((2, 2, 150, 150)) < 0.001)
+    counts = rng.integers(0, 20, known.shape).astype(np.float32)
+    band = replace(band, inliers=np.where(known, counts, np.nan).astype(np.float32))
+    beside = np.abs(a - b) < 60
+    hot = np.pad(np.nan_to_num(band.inliers) >= 18, ((0, 0), (0, 0), (1, 1), (1, 1)))
+    grown = np.any([hot[:, :, i : i + 150, j : j + 150] for i in range(3) for j in range(3)], axis=0)
+    left, right = band.p.images[:, None, :, None], band.q.images[None, :, None, :]
+    grown &= (left >= 0) & (right >= 0) & (left != right) & band.allowed[:, :, None, None]
+    grown &= np.isnan(band.inliers) & beside
+    if same:
+        c, d = np.ogrid[:2, :2]
+        grown &= (c < d)[:, :, None, None] | ((c == d)[:, :, None, None] & (a < b))
+    found = band.frontier(band.inliers, 18, beside)
+    assert 100 < len(found[0]) and all(np.array_equal(x, y) for x, y in zip(found, np.nonzero(grown)))
 
 
 def test_faint_patches_are_not_confirmed() -> None:
@@ -103,7 +132,7 @@ def test_one_pass_is_symmetric_and_never_asks_twice() -> None:
     asked = []
     cache = MatchCache(lambda pairs: asked.extend(pairs.tolist()) or [Result(20) for _ in pairs], len(world.scene))
     empty = score_matrix(p, p, 2, np.ones((6, 6), bool), TUNING.offsets.scores)
-    full = empty.measured(np.ones(empty.inliers.shape, bool), cache)
+    full = empty.measured(np.nonzero(np.isnan(empty.inliers)), cache)
     assert len(asked) == len({tuple(a) for a in asked}) == 30 * 29 // 2
     assert np.array_equal(full.inliers, full.inliers.transpose(1, 0, 3, 2), equal_nan=True)
     assert np.isnan(full.inliers[0, 0, 1, 1]) and full.inliers[0, 1, 1, 1] == 20

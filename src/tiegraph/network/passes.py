@@ -76,7 +76,8 @@ class MatchCache:
 
     def measure(self, i: np.ndarray, j: np.ndarray) -> np.ndarray:
         """Inliers (K,) f4 of image pairs (K,), (K,)."""
-        new = np.setdiff1d(self._key(np.asarray(i), np.asarray(j)), self._keys)
+        asked = np.unique(self._key(np.asarray(i), np.asarray(j)))
+        new = asked[~self._has(asked)]
         if len(new):
             self._remember(new, self._matched(new))
         return self.known(i, j)
@@ -86,7 +87,7 @@ class MatchCache:
         keys = self._key(np.asarray(i), np.asarray(j))
         unique, place = np.unique(keys, return_inverse=True)
         found = self._matched(unique)
-        new = ~np.isin(unique, self._keys)
+        new = ~self._has(unique)
         self._remember(unique[new], [r for r, n in zip(found, new) if n])
         return [found[k] for k in place]
 
@@ -103,10 +104,16 @@ class MatchCache:
     def known(self, i: np.ndarray, j: np.ndarray) -> np.ndarray:
         """Inliers (K,) f4 of image pairs; NaN = not measured."""
         keys = self._key(np.asarray(i), np.asarray(j))
+        there, out = self._has(keys), np.full(len(keys), np.nan, np.float32)
+        out[there] = self._counts[np.searchsorted(self._keys, keys[there])]
+        return out
+
+    def _has(self, keys: np.ndarray) -> np.ndarray:
+        """(K,) bool: which pairs are known."""
         if not len(self._keys):
-            return np.full(len(keys), np.nan, np.float32)
+            return np.zeros(len(keys), bool)
         at = np.minimum(np.searchsorted(self._keys, keys), len(self._keys) - 1)
-        return np.where(self._keys[at] == keys, self._counts[at], np.nan).astype(np.float32)
+        return self._keys[at] == keys
 
     def matches(self) -> PreviewMatches:
         """The matches of everything measured."""

@@ -17,6 +17,8 @@ from tiegraph.network.passes import MatchCache, Pass
 from tiegraph.network.tuning import CountsTuning, Tuning
 from tiegraph.network.tuning.offsets import ScoreMatrixTuning
 
+Nodes = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+"""Cameras of both passes, rows and columns of some nodes of a lattice, (K,) each."""
 _ROWS = 64  # of a lattice smoothed together, or frames interpolated together: bounds the memory
 
 
@@ -74,15 +76,18 @@ class ScoreMatrix:
         c, d, a, b = np.nonzero(nodes)
         return self.p.images[c, self.rows[a]], self.q.images[d, self.columns[b]]
 
-    def measured(self, nodes: np.ndarray, cache: MatchCache) -> ScoreMatrix:
-        """With the nodes of a mask (S, T, A, B) previewed; nodes that do not exist are left out."""
-        nodes = nodes & self.exists() & np.isnan(self.inliers)
-        if not nodes.any():
+    def measured(self, nodes: Nodes, cache: MatchCache) -> ScoreMatrix:
+        """With the nodes (K,) previewed; those that do not exist are left out."""
+        c, d, a, b = nodes
+        i, j = self.p.images[c, self.rows[a]], self.q.images[d, self.columns[b]]
+        new = (i >= 0) & (j >= 0) & (i != j) & self.allowed[c, d] & np.isnan(self.inliers[nodes])
+        if not new.any():
             return self
-        inliers = self.inliers.copy()
-        inliers[nodes] = cache.measure(*self.images(nodes))
+        c, d, a, b = (axis[new] for axis in nodes)
+        inliers, count = self.inliers.copy(), cache.measure(i[new], j[new])
+        inliers[c, d, a, b] = count
         if self.same:  # (c, a)-(d, b) is (d, b)-(c, a)
-            inliers = np.fmax(inliers, inliers.transpose(1, 0, 3, 2))
+            inliers[d, c, b, a] = count
         return replace(self, inliers=inliers)
 
     def smoothed(self, min_matches: int, tuning: Tuning) -> np.ndarray:
@@ -113,14 +118,26 @@ class ScoreMatrix:
         """Matches by which a pair is believed whatever its neighbours say."""
         return tuning.ceiling * min_matches if self.noise_floor is None else self.noise_floor.most
 
-    def frontier(self, smooth: np.ndarray, min_matches: float) -> np.ndarray:
-        """(S, T, A, B) bool: unmeasured neighbours of nodes whose smoothed count reaches ``min_matches``."""
-        hot = np.nan_to_num(smooth) >= min_matches
-        grown = np.zeros_like(hot)
-        for da in (-1, 0, 1):
-            for db in (-1, 0, 1):
-                grown |= _shifted(hot, da, db)
-        return grown & self.exists() & np.isnan(self.inliers)
+    def frontier(self, smooth: np.ndarray, min_matches: float, beside: np.ndarray) -> Nodes:
+        """(K,) each, in C order: unmeasured neighbours of nodes whose smoothed count reaches ``min_matches``, where
+        ``beside`` (A, B) is set. Of a pass with itself one of the two nodes that hold the same image pair."""
+        found = [(np.zeros(0, int),) * 4]
+        for c, d in np.argwhere(self.allowed & (not self.same or np.tri(*self.allowed.shape, dtype=bool).T)):
+            left, right = self.p.images[c, self.rows], self.q.images[d, self.columns]
+            for inside, (high, wide) in _boxes(smooth[c, d] >= min_matches, 1):
+                wide = slice(max(wide.start - 1, 0), wide.stop + 1)
+                hot = smooth[c, d, high, wide] >= min_matches
+                grown = np.any([_shifted(hot, da, db) for da in (-1, 0, 1) for db in (-1, 0, 1)], axis=0)[inside]
+                rows = slice(high.start + inside.start, high.start + inside.stop)
+                grown &= np.isnan(self.inliers[c, d, rows, wide]) & beside[rows, wide]
+                a, b = np.nonzero(grown)
+                a, b = a + rows.start, b + wide.start
+                there = (left[a] >= 0) & (right[b] >= 0) & (left[a] != right[b])
+                if self.same and c == d:
+                    there &= a < b
+                found.append((np.full(there.sum(), c), np.full(there.sum(), d), a[there], b[there]))
+        c, d, a, b = (np.concatenate(axis) for axis in zip(*found))
+        return c, d, a, b
 
     def confirmed(self, smooth: np.ndarray, min_matches: float, tuning: Tuning) -> np.ndarray:
         """(S, T, A, B) f4 ``smooth`` with patches above ``min_matches`` that nowhere reach ``peak`` times it lowered to

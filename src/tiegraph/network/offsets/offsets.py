@@ -148,15 +148,13 @@ def _survey(
     else:
         scores, backwards, path = _seed_across(couple, stride, cache, settings, tuning, budget)
     path = path if min(len(p), len(q)) >= tuning.offsets.background.long_frames else None
+    beside = _beside(scores, path, reach)
     while True:
         smooth = scores.smoothed(settings.min_matches, tuning)
-        spreads = tuning.offsets.flood_excess * settings.min_matches
-        frontier = scores.frontier(smooth, spreads) & _beside(scores, path, reach)
-        if p is q:
-            frontier &= _upper(scores)
-        if not frontier.any():
+        frontier = scores.frontier(smooth, tuning.offsets.flood_excess * settings.min_matches, beside)
+        if not len(frontier[0]):
             return _Survey(scores=scores, smooth=smooth, reversed=backwards, path=path, reach=reach)
-        if len(cache) + int(frontier.sum()) > budget:
+        if len(cache) + len(frontier[0]) > budget:
             text = f"{p.name} - {q.name}: the budget of previews was spent before every hit was followed"
             return _Survey(
                 scores=scores,
@@ -192,7 +190,7 @@ def _seed_same(p: Pass, stride: int, cache: MatchCache, settings: CandidatesSett
     a, b = np.ogrid[: len(scores.rows), : len(scores.columns)]
     sampled = np.isin(np.arange(len(scores.rows)), evenly(len(scores.rows), settings.sample_frames))
     near = sampled[:, None] & (np.abs(a - b) <= tuning.offsets.window_nodes)
-    return scores.measured(_upper(scores) & near, cache)
+    return scores.measured(np.nonzero(_upper(scores) & near), cache)
 
 
 def _seed_across(
@@ -212,7 +210,7 @@ def _seed_across(
     coarse = np.isin(np.arange(len(scores.rows)), evenly(len(scores.rows), nodes))[:, None] & np.isin(
         np.arange(len(scores.columns)), evenly(len(scores.columns), nodes)
     )
-    scores = scores.measured(np.broadcast_to(coarse, scores.inliers.shape), cache)
+    scores = scores.measured(np.nonzero(np.broadcast_to(coarse, scores.inliers.shape)), cache)
     centre = None
     beside = np.ones(scores.inliers.shape[2:], bool)
     if min(len(p), len(q)) >= offsets.background.long_frames:
@@ -227,7 +225,8 @@ def _seed_across(
         return scores, backwards, None
     sampled = np.isin(np.arange(len(scores.rows)), evenly(len(scores.rows), settings.sample_frames))
     near = np.abs(np.arange(len(scores.columns)) - centre[:, None]) <= offsets.window_nodes
-    return scores.measured(np.broadcast_to(sampled[:, None] & near, scores.inliers.shape), cache), backwards, centre
+    nodes = np.nonzero(np.broadcast_to(sampled[:, None] & near, scores.inliers.shape))
+    return scores.measured(nodes, cache), backwards, centre
 
 
 def _minimum_cost_path(scores: ScoreMatrix, min_matches: int, tuning: Tuning) -> np.ndarray:
