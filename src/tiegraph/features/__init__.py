@@ -1,11 +1,14 @@
 """Key points, COLMAP's database, matching and verification of exactly the listed pairs.
 
-Errors in COLMAP's worker threads abort the process, so matching runs in child processes (``tiegraph.child``) whose
-abort becomes an error with the end of the log. COLMAP does not report what it skipped: what was asked for and what
-came back is compared after each step. COLMAP matches with one thread a process, because with two it does not always
-find the same matches (``benchmarks/sfm/matching_threads.py``). So ``matchblocks`` runs several processes, each with a
-small database for each block of pairs. ``database.db`` is written anew after ``match``, so that its bytes do not
-depend on the order in which blocks were finished.
+``nearest`` finds which descriptors match, exactly and natively (``native/nearest``); COLMAP verifies the matches. On a
+GPU, or along epipolar lines (``guided``), COLMAP finds them too.
+
+Errors in COLMAP's threads abort the process, so matching runs in child processes (``tiegraph.child``) whose abort
+becomes an error with the end of the log. What was asked for and what came back is compared after each step. Each
+process has one thread, because with two COLMAP does not always find the same matches
+(``benchmarks/sfm/matching_threads.py``). So ``matchblocks`` runs several processes, each with a small database for each
+block of pairs. ``database.db`` is written anew after ``match``, so that its bytes do not depend on the order in which
+blocks were finished.
 
 Key points whose support reaches into the mask are left out: they lean towards the sky.
 """

@@ -63,9 +63,16 @@ class Rows:
         """Number of key points by image id."""
         return dict(self._connection.execute("SELECT image_id, rows FROM keypoints"))
 
+    def match_counts(self) -> np.ndarray:
+        """(P, 3) i8: both image ids and the number of matches of each pair that was compared."""
+        return self._counts("SELECT pair_id, rows FROM matches")
+
     def inlier_counts(self) -> np.ndarray:
         """(P, 3) i8: both image ids and the number of verified matches of each verified pair."""
-        found = self._connection.execute("SELECT pair_id, rows FROM two_view_geometries WHERE rows > 0").fetchall()
+        return self._counts("SELECT pair_id, rows FROM two_view_geometries WHERE rows > 0")
+
+    def _counts(self, query: str) -> np.ndarray:
+        found = self._connection.execute(query).fetchall()
         return np.array([(*_images(pair), count) for pair, count in found], int).reshape(-1, 3)
 
     def verified(self) -> Iterator[tuple[int, int, np.ndarray]]:
