@@ -17,7 +17,7 @@ from tiegraph.network.passes import MatchCache, Pass
 from tiegraph.network.tuning import CountsTuning, Tuning
 from tiegraph.network.tuning.offsets import ScoreMatrixTuning
 
-Nodes = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+Nodes = tuple[np.ndarray, ...]
 """Cameras of both passes, rows and columns of some nodes of a lattice, (K,) each."""
 _ROWS = 64  # of a lattice smoothed together, or frames interpolated together: bounds the memory
 
