@@ -141,7 +141,8 @@ class Tracks:
     def copy(self) -> Tracks:
         """The same, to be joined further by itself."""
         other = copy(self)
-        other.parent, other.chosen, other.extra = self.parent.copy(), self.chosen.copy(), self.extra.copy()
+        other.parent, other.chosen = self.parent.copy(), self.chosen.copy()
+        other.extra, other.shared = self.extra.copy(), self.shared.copy()
         return other
 
     def _expect(self, places: np.ndarray, new: np.ndarray, joint: csr_array) -> None:
