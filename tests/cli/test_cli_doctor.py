@@ -27,7 +27,17 @@ def lines(capsys, monkeypatch):
 
 def test_what_doctor_names(lines):
     said = lines()
-    assert {"tiegraph", "python", "pycolmap", "numpy", "cores", "memory", "disk", "native kernels"} <= set(said)
+    assert {
+        "tiegraph",
+        "python",
+        "pycolmap",
+        "numpy",
+        "cores",
+        "memory",
+        "disk",
+        "native kernels",
+        "descriptor kernels",
+    } <= set(said)
     assert {"ONNX Runtime", "PROJ grids", "dask", "pycolmap with CUDA", "disk, temporary files"} <= set(said)
     assert all(said.values())
 

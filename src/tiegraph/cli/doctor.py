@@ -18,6 +18,7 @@ from tiegraph.cli.options import options_of
 from tiegraph.cli.output import say
 from tiegraph.dense import cuda
 from tiegraph.dense.tsgm import kernels
+from tiegraph.features import nearest
 from tiegraph.project.software import software
 
 _GRIDS = ("*.tif", "*.gtx", "*.gsb")  # GeoTIFF, and the older formats of vertical and horizontal grids
@@ -43,6 +44,7 @@ def findings() -> Iterator[tuple[str, str]]:
     yield "disk", _disk(Path.cwd)
     yield "disk, temporary files", _disk(lambda: Path(tempfile.gettempdir()))
     yield "native kernels", _kernels()
+    yield "descriptor kernels", ", ".join(nearest.kernels()) or "not built: NumPy finds the nearest descriptors"
     yield "GPU", _gpu()
     yield "pycolmap with CUDA", "yes" if pycolmap.has_cuda else "no (not needed)"
     yield "ONNX Runtime", _onnx()
@@ -64,10 +66,7 @@ def _kernels() -> str:
     found = kernels()
     if found:
         return f"{', '.join(found)} (the fastest first)"
-    return (
-        "not built: depth maps are made by OpenCV's matcher, and features are matched by NumPy, several times slower "
-        "(install a C++ compiler, then tiegraph again)"
-    )
+    return "not built: depth maps are made by OpenCV's matcher (install a C++ compiler, then tiegraph again)"
 
 
 def _gpu() -> str:
