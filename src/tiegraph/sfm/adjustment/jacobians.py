@@ -172,35 +172,31 @@ class System:
 def jacobians(model: pycolmap.Reconstruction, layout: Layout, point_ids: list[int]) -> System:
     """Jacobians of all observations of these points, and residuals."""
     seen = _Observations.of(model, point_ids)
-    parts_c, parts_p, residuals, by_point, levers, cameras = [], [], [], [], [], []
+    found, levers, cameras = [], [], []
     for image_id, rows in seen.of_images():
         image, world = model.image(image_id), seen.xyz[rows]
-        found = of_image(layout, image, world, seen.xy[rows])
-        dense, columns, of_point, residual = found.dense, found.columns, found.of_point, found.residual
-        count = len(residual)
-        index = np.repeat(np.arange(2 * count), len(columns))
-        parts_c.append(
-            sparse.csr_matrix((dense.ravel(), (index, np.tile(columns, 2 * count))), shape=(2 * count, layout.size))
-        )
-        three = np.repeat(3 * seen.point[rows][:, None] + np.arange(3), 2, axis=0)
-        index = np.repeat(np.arange(2 * count), 3)
-        parts_p.append(
-            sparse.csr_matrix((of_point.ravel(), (index, three.ravel())), shape=(2 * count, 3 * len(point_ids)))
-        )
-        residuals.append(residual.ravel())
-        by_point.append(of_point)
+        found.append(of_image(layout, image, world, seen.xy[rows]))
         levers.append(world - image.projection_center())
-        cameras.append(np.full(count, image.camera_id))
+        cameras.append(np.full(len(world), image.camera_id))
+    by_point = np.concatenate([part.of_point for part in found])
+    point = np.repeat(3 * seen.point[:, None] + np.arange(3), 2, axis=0)  # (2O, 3) columns
     return System(
-        cameras=sparse.vstack(parts_c).tocsr(),
-        points=sparse.vstack(parts_p).tocsr(),
-        residual=np.concatenate(residuals),
+        cameras=_by_rows([(p.dense, np.tile(p.columns, (2 * len(p.dense), 1))) for p in found], layout.size),
+        points=_by_rows([(by_point, point)], 3 * len(point_ids)),
+        residual=np.concatenate([part.residual.ravel() for part in found]),
         image=seen.image,
         camera=np.concatenate(cameras),
         xy=seen.xy,
-        by_point=np.concatenate(by_point),
+        by_point=by_point,
         lever=np.concatenate(levers),
     )
+
+
+def _by_rows(parts: list[tuple[np.ndarray, np.ndarray]], width: int) -> sparse.csr_matrix:
+    """(2O, width) of observations (O, 2, D) and their columns (2O, D), part below part."""
+    each = np.concatenate([np.full(len(columns), columns.shape[1]) for _, columns in parts])
+    data, index = (np.concatenate([part[k].ravel() for part in parts]) for k in (0, 1))
+    return sparse.csr_matrix((data, index, np.append(0, np.cumsum(each))), shape=(len(each), width))
 
 
 @dataclass(frozen=True)
