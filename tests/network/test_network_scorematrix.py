@@ -126,6 +126,34 @@ def test_a_band_of_evidence_is_smoothed_and_interpolated_as_the_whole_lattice() 
     assert np.array_equal(count[at], counts[tuple(expected.T)])
 
 
+@pytest.mark.parametrize("same", [False, True])
+def test_a_lattice_that_grows_is_smoothed_and_followed_as_the_whole_of_it(same: bool) -> None:
+    rng = np.random.default_rng(5)
+    frames = np.arange(300)
+    p, q = (
+        replace(x, frames=frames, images=np.stack([frames, frames + 300]) + 600 * k)
+        for k, x in enumerate(find_passes(boat().scene))
+    )
+    q = p if same else q
+    near = 40 * np.exp(-(((frames[:, None] - frames) / 4) ** 2)) + rng.integers(0, 9, (300, 300))
+    cache = MatchCache(lambda pairs: [Result(int(near[i % 300, j % 300])) for i, j in pairs], 1200)
+    grow = score_matrix(p, q, 1, np.array([[1, 1], [1, 0]], bool), TUNING.offsets.scores)
+    seeds = np.zeros(grow.inliers.shape, bool)
+    seeds[:, :, [40, 41, 170], 38:43] = seeds[:, :, 170, 165:175] = True
+    grow = grow.measured(np.nonzero(seeds), cache)
+    smooth, touched, steps, beside = grow.smoothed(12, TUNING), np.ones(300, bool), 0, np.ones((300, 300), bool)
+    while True:
+        frontier, whole = grow.frontier(smooth, 12, beside, touched), grow.frontier(smooth, 12, beside)
+        assert all(np.array_equal(some, all_) for some, all_ in zip(frontier, whole, strict=True))
+        if not len(frontier[0]):
+            break
+        touched = grow.smooth_again(smooth, grow.measure(frontier, cache), 12, TUNING)
+        assert np.array_equal(smooth, grow.smoothed(12, TUNING), equal_nan=True)
+        steps += 1
+        assert steps < 5 or not touched.all()
+    assert steps > 20 and np.isfinite(grow.inliers).sum() > 3 * 300 * 8
+
+
 def test_one_pass_is_symmetric_and_never_asks_twice() -> None:
     world = boat((9,), (2.0,))
     (p,) = find_passes(world.scene)

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import gaussian_filter, label, maximum
+from scipy.ndimage import gaussian_filter, label, maximum, maximum_filter1d
 
 from tiegraph.network.passes import MatchCache, Pass
 from tiegraph.network.tuning import CountsTuning, Tuning
@@ -78,60 +78,87 @@ class ScoreMatrix:
 
     def measured(self, nodes: Nodes, cache: MatchCache) -> ScoreMatrix:
         """With the nodes (K,) previewed; those that do not exist are left out."""
+        made = replace(self, inliers=self.inliers.copy())
+        made.measure(nodes, cache)
+        return made
+
+    def measure(self, nodes: Nodes, cache: MatchCache) -> np.ndarray:
+        """Preview the nodes (K,) in place, those that do not exist left out: (A,) bool, the rows where one is new."""
+        rows = np.zeros(len(self.rows), bool)
         c, d, a, b = nodes
         i, j = self.p.images[c, self.rows[a]], self.q.images[d, self.columns[b]]
         new = (i >= 0) & (j >= 0) & (i != j) & self.allowed[c, d] & np.isnan(self.inliers[nodes])
-        if not new.any():
-            return self
-        c, d, a, b = (axis[new] for axis in nodes)
-        inliers, count = self.inliers.copy(), cache.measure(i[new], j[new])
-        inliers[c, d, a, b] = count
-        if self.same:  # (c, a)-(d, b) is (d, b)-(c, a)
-            inliers[d, c, b, a] = count
-        return replace(self, inliers=inliers)
+        if new.any():
+            c, d, a, b = (axis[new] for axis in nodes)
+            count = cache.measure(i[new], j[new])
+            self.inliers[c, d, a, b] = count
+            rows[a] = True
+            if self.same:  # (c, a)-(d, b) is (d, b)-(c, a)
+                self.inliers[d, c, b, a] = count
+                rows[b] = True
+        return rows
 
     def smoothed(self, min_matches: int, tuning: Tuning) -> np.ndarray:
         """(S, T, A, B) f4 kernel mean of the counts, limited to what they tell (``CountsTuning``), above the level of
         unrelated frames; NaN where the node was not measured. An image counts as tied to itself, which carries
         evidence to its neighbours in time."""
+        out = np.full(self.inliers.shape, np.nan, np.float32)
+        self.smooth_again(out, np.ones(len(self.rows), bool), min_matches, tuning)
+        return out
+
+    def smooth_again(self, smooth: np.ndarray, rows: np.ndarray, min_matches: int, tuning: Tuning) -> np.ndarray:
+        """Work ``smoothed`` out anew in place where the nodes of rows (A,) bool tell: (A,) bool, the rows that may
+        differ. A lattice grows at few fronts: to smooth all of it at each step took time with the square of a pass."""
         low, high = tuning.counts.floor * min_matches, tuning.counts.ceiling * min_matches
         sigma, cut = tuning.counts.sigma_nodes, tuning.offsets.scores.kernel_cut_sigmas
-        out = np.full(self.inliers.shape, np.nan, np.float32)
+        radius = int(cut * sigma + 0.5)
+        touched = _widened(rows, radius)
         for c, d in np.ndindex(self.inliers.shape[:2]):
-            inliers = self.inliers[c, d]
-            if self.same:
-                left, right = self.p.images[c, self.rows, None], self.q.images[None, d, self.columns]
-                inliers = np.where((left == right) & (left >= 0), high, inliers)
-            known = np.isfinite(inliers)
-            for inside, box in _boxes(known, int(cut * sigma + 0.5)):
-                seen = known[box]
-                excess = np.where(seen, np.clip(inliers[box], low, high) - low, 0)
+            for own, box in _boxes(touched, radius):
+                inliers = self.inliers[c, d, box]
+                if self.same:
+                    left, right = self.p.images[c, self.rows[box], None], self.q.images[None, d, self.columns]
+                    inliers = np.where((left == right) & (left >= 0), high, inliers)
+                known = np.isfinite(inliers)
+                wide = _span(known)
+                if wide is None:
+                    continue
+                seen = known[:, wide]
+                excess = np.where(seen, np.clip(inliers[:, wide], low, high) - low, 0)
                 mean = _blurred(excess, sigma, cut) / np.maximum(_blurred(seen, sigma, cut), 1e-6)
                 mean = low + mean
                 if self.noise_floor is not None:
                     mean = self.noise_floor.above(mean, (c, d))
-                rows = slice(box[0].start + inside.start, box[0].start + inside.stop)
-                out[c, d, rows, box[1]] = np.where(seen, mean, np.nan)[inside]
-        return out
+                inside = slice(own.start - box.start, own.stop - box.start)
+                smooth[c, d, own, wide] = np.where(seen, mean, np.nan)[inside]
+        return touched
 
     def sure(self, min_matches: int, tuning: CountsTuning) -> float:
         """Matches by which a pair is believed whatever its neighbours say."""
         return tuning.ceiling * min_matches if self.noise_floor is None else self.noise_floor.most
 
-    def frontier(self, smooth: np.ndarray, min_matches: float, beside: np.ndarray) -> Nodes:
+    def frontier(
+        self, smooth: np.ndarray, min_matches: float, beside: np.ndarray, touched: np.ndarray | None = None
+    ) -> Nodes:
         """(K,) each, in C order: unmeasured neighbours of nodes whose smoothed count reaches ``min_matches``, where
-        ``beside`` (A, B) is set. Of a pass with itself one of the two nodes that hold the same image pair."""
+        ``beside`` (A, B) is set. Of a pass with itself one of the two nodes that hold the same image pair. ``touched``
+        (A,) bool: the rows that were smoothed anew, where the neighbours of all others are measured."""
+        asked = np.ones(len(self.rows), bool) if touched is None else _widened(touched, 1)
         found = [(np.zeros(0, int),) * 4]
         for c, d in np.argwhere(self.allowed & (not self.same or np.tri(*self.allowed.shape, dtype=bool).T)):
             left, right = self.p.images[c, self.rows], self.q.images[d, self.columns]
-            for inside, (high, wide) in _boxes(smooth[c, d] >= min_matches, 1):
+            for own, box in _boxes(asked, 1):
+                hot = smooth[c, d, box] >= min_matches
+                wide = _span(hot)
+                if wide is None:
+                    continue
                 wide = slice(max(wide.start - 1, 0), wide.stop + 1)
-                hot = smooth[c, d, high, wide] >= min_matches
+                hot = hot[:, wide]
+                inside = slice(own.start - box.start, own.stop - box.start)
                 grown = np.any([_shifted(hot, da, db) for da in (-1, 0, 1) for db in (-1, 0, 1)], axis=0)[inside]
-                rows = slice(high.start + inside.start, high.start + inside.stop)
-                grown &= np.isnan(self.inliers[c, d, rows, wide]) & beside[rows, wide]
+                grown &= np.isnan(self.inliers[c, d, own, wide]) & beside[own, wide]
                 a, b = np.nonzero(grown)
-                a, b = a + rows.start, b + wide.start
+                a, b = a + own.start, b + wide.start
                 there = (left[a] >= 0) & (right[b] >= 0) & (left[a] != right[b])
                 if self.same and c == d:
                     there &= a < b
@@ -186,16 +213,26 @@ def score_matrix(
     return ScoreMatrix(p=p, q=q, rows=rows, columns=columns, allowed=allowed, inliers=inliers, noise_floor=noise_floor)
 
 
-def _boxes(known: np.ndarray, radius: int) -> Iterator[tuple[slice, tuple[slice, slice]]]:
-    """Parts of a lattice (A, B) that hold what is ``known``, some rows after the other: the rows of a box that are its
-    own, and the box, which has as many rows more on either side as a kernel reaches. Between two long passes only a
-    band is known: the time to smooth it grows with their length, not with its square."""
-    for first in range(0, len(known), _ROWS):
-        last = min(first + _ROWS, len(known))
-        above, below = max(first - radius, 0), min(last + radius, len(known))
-        columns = np.flatnonzero(known[above:below].any(axis=0))
-        if len(columns):
-            yield slice(first - above, last - above), np.index_exp[above:below, columns[0] : columns[-1] + 1]
+def _boxes(rows: np.ndarray, radius: int) -> Iterator[tuple[slice, slice]]:
+    """The rows (A,) bool of a lattice, some after the other, and the box of each part: as many rows more on either
+    side as a kernel reaches."""
+    ends = np.flatnonzero(np.diff(rows, prepend=False, append=False))
+    for start, stop in ends.reshape(-1, 2).tolist():
+        for first in range(start, stop, _ROWS):
+            last = min(first + _ROWS, stop)
+            yield slice(first, last), slice(max(first - radius, 0), min(last + radius, len(rows)))
+
+
+def _span(known: np.ndarray) -> slice | None:
+    """The columns of a box (A, B) bool between the first and the last that hold something; None: nothing does.
+    Between two long passes only a band is known: time grows with their length, not with its square."""
+    columns = np.flatnonzero(known.any(axis=0))
+    return slice(int(columns[0]), int(columns[-1]) + 1) if len(columns) else None
+
+
+def _widened(rows: np.ndarray, radius: int) -> np.ndarray:
+    """(A,) bool: rows that are at most so many from one of these."""
+    return np.asarray(maximum_filter1d(rows, 2 * radius + 1, mode="constant"))
 
 
 def _blurred(grid: np.ndarray, sigma: float, cut: float) -> np.ndarray:

@@ -149,23 +149,18 @@ def _survey(
         scores, backwards, path = _seed_across(couple, stride, cache, settings, tuning, budget)
     path = path if min(len(p), len(q)) >= tuning.offsets.background.long_frames else None
     beside = _beside(scores, path, reach)
+    grow = replace(scores, inliers=scores.inliers.copy())
+    smooth = grow.smoothed(settings.min_matches, tuning)
+    touched, notes = np.ones(len(grow.rows), bool), ()
     while True:
-        smooth = scores.smoothed(settings.min_matches, tuning)
-        frontier = scores.frontier(smooth, tuning.offsets.flood_excess * settings.min_matches, beside)
+        frontier = grow.frontier(smooth, tuning.offsets.flood_excess * settings.min_matches, beside, touched)
         if not len(frontier[0]):
-            return _Survey(scores=scores, smooth=smooth, reversed=backwards, path=path, reach=reach)
+            break
         if len(cache) + len(frontier[0]) > budget:
-            text = f"{p.name} - {q.name}: the budget of previews was spent before every hit was followed"
-            return _Survey(
-                scores=scores,
-                smooth=smooth,
-                reversed=backwards,
-                path=path,
-                reach=reach,
-                notes=(text,),
-                complete=False,
-            )
-        scores = scores.measured(frontier, cache)
+            notes = (f"{p.name} - {q.name}: the budget of previews was spent before every hit was followed",)
+            break
+        touched = grow.smooth_again(smooth, grow.measure(frontier, cache), settings.min_matches, tuning)
+    return _Survey(grow, smooth, backwards, path, reach, notes=notes, complete=not notes)
 
 
 def _beside(scores: ScoreMatrix, path: np.ndarray | None, reach: int) -> np.ndarray:
