@@ -2,6 +2,7 @@
 
 import io
 import warnings
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -172,6 +173,19 @@ def test_surfaces_follow_the_way_back() -> None:
     assert len(alone) == 1 and np.isnan(alone[0].path).all()
     image = opened(surfaces_png((*surfaces, *alone)))
     assert 700 < image.shape[0] < 1100 and 1200 < image.shape[1] < 1600
+
+
+def test_of_long_passes_as_many_nodes_are_drawn_as_a_panel_has_pixels() -> None:
+    frames = np.arange(1500)
+    p, q = (replace(x, frames=frames, images=frames[None] + 1500 * k) for k, x in enumerate(find_passes(boat().scene)))
+    scores = score_matrix(p, q, 1, np.ones((1, 1), bool), TUNING.offsets.scores)
+    a, b = np.ogrid[:1500, :1500]
+    band = np.where(np.abs(a - b - 30) < 12, 30 - np.abs(a - b - 30), np.nan).astype(np.float32)[None, None]
+    scores = replace(scores, inliers=band)
+    (rig,) = surfaces_of(scores, scores.smoothed(12, TUNING), 12, TUNING)
+    assert rig.evidence.shape == rig.kept.shape == (500, 500) == (len(rig.rows), len(rig.columns))
+    assert np.array_equal(rig.rows, frames[::3]) and np.isfinite(rig.path).sum() > 450
+    assert np.nanmax(np.abs(rig.path - (rig.rows - 30))[rig.rows > 60]) <= 6
 
 
 def test_the_ridge_passes_a_lone_peak_by() -> None:

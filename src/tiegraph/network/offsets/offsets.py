@@ -274,8 +274,9 @@ def _local(survey: _Survey, settings: CandidatesSettings, tuning: Tuning) -> Off
         strong &= near
     voted = np.nan_to_num(smooth).max(axis=(2, 3), initial=0) >= least
     reason = np.where(voted | strong.any(axis=(2, 3)), REASONS.index("weak"), REASONS.index("votes"))
-    code = np.where(strong, 0, np.broadcast_to(reason[:, :, None, None], seen.shape))
-    measured = Pairs.make(*scores.images(seen), "offsets", score=scores.inliers[seen], dropped=code[seen])
+    nodes = np.nonzero(seen)  # of two long passes a small part: arrays of all nodes took 2 GiB each
+    code = np.where(strong[nodes], 0, reason[nodes[:2]])
+    measured = Pairs.make(*scores.images(seen), "offsets", score=scores.inliers[nodes], dropped=code)
     curves = curves_of(scores, survey.reversed, voted, least, counts)
     surfaces = surfaces_of(scores, smooth, least, tuning)
     note, stranger = _said(scores, smooth, least, tuning.rig)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
@@ -11,6 +11,7 @@ from tiegraph.network.scorematrix import ScoreMatrix
 from tiegraph.network.tuning import Tuning
 
 MAX_CAMERA_PAIRS = 12  # of a couple of passes: those with the most evidence
+MAX_NODES = 600  # of either pass, which is more than a panel has pixels: all of two long ones took 20 GiB to draw
 
 
 @dataclass(frozen=True)
@@ -34,8 +35,12 @@ class OffsetSurface:
 
 def surfaces_of(scores: ScoreMatrix, smooth: np.ndarray, threshold: float, tuning: Tuning) -> tuple[OffsetSurface, ...]:
     """The surface of the rig and of its strongest camera pairs; ``smooth`` (S, T, A, B) as ``ScoreMatrix.smoothed``,
-    kept where it reaches ``threshold``."""
+    kept where it reaches ``threshold``. Of long passes every so many-th node."""
     surface = tuning.offsets.surface
+    every = -(-max(smooth.shape[2:]) // MAX_NODES)
+    thin = np.index_exp[:, :, ::every, ::every]
+    rows, columns = scores.rows[::every], scores.columns[::every]
+    scores, smooth = replace(scores, rows=rows, columns=columns, inliers=scores.inliers[thin]), smooth[thin]
     kept = np.nan_to_num(smooth) >= threshold
     excess = _excess(scores, threshold, tuning)
     if scores.same:  # a frame and itself
