@@ -160,7 +160,9 @@ def _survey(
             notes = (f"{p.name} - {q.name}: the budget of previews was spent before every hit was followed",)
             break
         touched = grow.smooth_again(smooth, grow.measure(frontier, cache), settings.min_matches, tuning)
-    return _Survey(grow, smooth, backwards, path, reach, notes=notes, complete=not notes)
+    return _Survey(
+        scores=grow, smooth=smooth, reversed=backwards, path=path, reach=reach, notes=notes, complete=not notes
+    )
 
 
 def _beside(scores: ScoreMatrix, path: np.ndarray | None, reach: int) -> np.ndarray:
