@@ -149,19 +149,18 @@ def _survey(
         scores, backwards, path = _seed_across(couple, stride, cache, settings, tuning, budget)
     path = path if min(len(p), len(q)) >= tuning.offsets.background.long_frames else None
     beside = _beside(scores, path, reach)
-    grow = replace(scores, inliers=scores.inliers.copy())
-    smooth = grow.smoothed(settings.min_matches, tuning)
-    touched, notes = np.ones(len(grow.rows), bool), ()
+    smooth = scores.smoothed(settings.min_matches, tuning)
+    touched, notes = np.ones(len(scores.rows), bool), ()
     while True:
-        frontier = grow.frontier(smooth, tuning.offsets.flood_excess * settings.min_matches, beside, touched)
+        frontier = scores.frontier(smooth, tuning.offsets.flood_excess * settings.min_matches, beside, touched)
         if not len(frontier[0]):
             break
         if len(cache) + len(frontier[0]) > budget:
             notes = (f"{p.name} - {q.name}: the budget of previews was spent before every hit was followed",)
             break
-        touched = grow.smooth_again(smooth, grow.measure(frontier, cache), settings.min_matches, tuning)
+        touched = scores.smooth_again(smooth, scores.measure(frontier, cache), settings.min_matches, tuning)
     return _Survey(
-        scores=grow, smooth=smooth, reversed=backwards, path=path, reach=reach, notes=notes, complete=not notes
+        scores=scores, smooth=smooth, reversed=backwards, path=path, reach=reach, notes=notes, complete=not notes
     )
 
 
