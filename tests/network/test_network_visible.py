@@ -1,12 +1,14 @@
 """Shared visible surface: corridors and rings with exact truth, occlusion, backs of walls, unknown poses, size."""
 
+from dataclasses import replace
+
 import numpy as np
 import pycolmap
 import pytest
 from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import transforms
-from tiegraph.network.coarse import pairshare, visible
+from tiegraph.network.coarse import boxes, pairshare, visible
 from tiegraph.network.coarse.pairshare import pair_share
 from tiegraph.network.coarse.visible import (
     Overlap,
@@ -188,6 +190,41 @@ def test_many_points_are_thinned_without_loss() -> None:
     assert found.between(np.array([3]), np.array([4]))[0] == pytest.approx(0.8, abs=0.05)
     fewer = shared(poses, [CAMERA] * 10, proxy, mean_visible=(300, 300))
     assert fewer.between(np.array([3]), np.array([4]))[0] == pytest.approx(0.8, abs=0.12)
+
+
+def test_the_table_is_the_same_in_blocks_of_any_size(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A block names only the images that see anything of it: three images or all at once."""
+    poses, points = row_of_cameras(40, 2.0), wall(width=80)
+    poses[11, :3] = np.nan
+    proxy = replace(points_proxy(points), reach=np.full(len(points), 30.0))
+    whole = shared(poses, [CAMERA] * len(poses), proxy)
+    monkeypatch.setattr(visible, "_BLOCK", 3)
+    parts = shared(poses, [CAMERA] * len(poses), proxy)
+    assert len(whole) > 100 and 11 not in np.r_[whole.i, whole.j] and np.ptp(whole.j) == 38
+    for name in ("i", "j", "share", "angle_deg", "scale"):
+        assert np.array_equal(getattr(whole, name), getattr(parts, name))
+
+
+def test_groups_of_groups_leave_out_only_what_no_member_touches(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Balls over balls name the points of the boxes that touch the cone, one by one looked at, in the same order."""
+    monkeypatch.setattr(boxes, "_FAN", 3)
+    monkeypatch.setattr(boxes, "_LEAF", 4)
+    rng = np.random.default_rng(4)
+    points = np.column_stack([rng.uniform(0, 200, 3000), rng.normal(0, 8, 3000), rng.uniform(0, 6, 3000)])
+    proxy = replace(points_proxy(points), reach=rng.uniform(5, 40, len(points)))
+    held = boxes.Boxes(proxy)
+    assert len(held.levels) > 5
+    fewest, most = len(points), 0
+    for half in (0.2, 0.7, 1.4, 3.0):
+        for _ in range(20):
+            centre, axis = points[rng.integers(len(points))] + rng.normal(0, 5, 3), rng.normal(size=3)
+            axis /= np.linalg.norm(axis)
+            every = held.levels[0].touching(np.arange(len(held.levels[0].radius)), centre, axis, half)
+            rows = (every[:, None] * 4 + np.arange(4)).ravel()
+            near = held.near(centre, axis, half)
+            assert np.array_equal(near, held.order[rows[rows < len(points)]])
+            fewest, most = min(fewest, len(near)), max(most, len(near))
+    assert fewest < 300 < most < len(points)
 
 
 def test_nothing_in_nothing_out() -> None:

@@ -134,9 +134,9 @@ class Tracks:
         self._joint = None
         c = self.candidates
         count = np.diff(c.start)[places]
-        for own in blocks(np.concatenate([[0], np.cumsum(count)])):
-            at = spread(c.start[places[own]], count[own])
-            self.parent = unite(self.parent, self.parent[c.left[at]], self.parent[c.right[at]])
+        own = blocks(np.concatenate([[0], np.cumsum(count)]))
+        rows = (spread(c.start[places[k]], count[k]) for k in own)
+        self.parent = unite(self.parent, ((c.left[at], c.right[at]) for at in rows))
 
     def copy(self) -> Tracks:
         """The same, to be joined further by itself."""
@@ -213,11 +213,5 @@ def _symmetric(i: np.ndarray, j: np.ndarray, value: np.ndarray, n: int) -> csr_a
 
 def entries(matrix: csr_array, i: np.ndarray, j: np.ndarray) -> np.ndarray:
     """(K,) entries of a sparse matrix at rows i and columns j (K,), zero where it has none."""
-    if not len(i) or not matrix.nnz:
-        return np.zeros(len(i))
-    matrix.sort_indices()
-    n = matrix.shape[1]
-    key = np.repeat(np.arange(matrix.shape[0], dtype=np.int64), np.diff(matrix.indptr)) * n + matrix.indices
-    wanted = i.astype(np.int64) * n + j
-    at = np.minimum(np.searchsorted(key, wanted), len(key) - 1)
-    return np.where(key[at] == wanted, matrix.data[at], 0.0)
+    matrix.sum_duplicates()
+    return np.asarray(matrix[i, j]) if len(i) else np.zeros(0)

@@ -89,9 +89,8 @@ class PreviewMatches:
             used[ends] = True
         feature = np.flatnonzero(used)
         number = np.cumsum(used, dtype=np.int32) - 1
-        track = np.arange(len(feature), dtype=np.int32)
-        for one, other in self._ends(width):
-            track = unite(track, track[number[one]], track[number[other]])
+        links = ((number[one], number[other]) for one, other in self._ends(width))
+        track = unite(np.arange(len(feature), dtype=np.int32), links)
         return np.cumsum(track == np.arange(len(track)))[track] - 1, feature // width, feature % width
 
     def _ends(self, width: int) -> Iterator[np.ndarray]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from itertools import pairwise
 
 import numpy as np
@@ -10,25 +10,27 @@ import numpy as np
 BLOCK = 1 << 22  # links looked at together
 
 
-def unite(first: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """(nodes,) first node of what each node is in, after links between the sets ``a`` and ``b`` (K,) are added to those
-    of ``first`` (nodes,), which is written to. In whatever order links come the outcome is the same."""
-    while True:
-        apart = a != b
-        if not apart.any():
-            return _roots(first, first)
-        low, high = np.minimum(a[apart], b[apart]), np.maximum(a[apart], b[apart])
-        first[high] = low  # of several partners the last wins; the others come back in the next turn
-        a, b = _roots(first, first[low]), _roots(first, first[high])
+def unite(first: np.ndarray, links: Iterable[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+    """(nodes,) first node of what each node is in, after links between nodes (K,) and (K,), a block at a time, are
+    added to those of ``first`` (nodes,), which is written to. In whatever order links come the outcome is the same."""
+    for a, b in links:
+        while len(a):
+            a, b = _roots(first, a), _roots(first, b)
+            apart = a != b
+            a, b = np.minimum(a[apart], b[apart]), np.maximum(a[apart], b[apart])
+            first[b] = a  # of several partners the last wins; the others come back in the next turn
+    while not np.array_equal(further := first[first], first):
+        first = further
+    return first
 
 
-def _roots(first: np.ndarray, up: np.ndarray) -> np.ndarray:
-    """(K,) the ends of the ways up from nodes (K,)."""
-    while True:
-        higher = first[up]
-        if np.array_equal(higher, up):
-            return up
+def _roots(first: np.ndarray, nodes: np.ndarray) -> np.ndarray:
+    """(K,) the ends of the ways up from nodes (K,), which from now on are one step long."""
+    up = first[nodes]
+    while not np.array_equal(higher := first[up], up):
         up = higher
+    first[nodes] = up
+    return up
 
 
 def blocks(start: np.ndarray) -> Iterator[slice]:

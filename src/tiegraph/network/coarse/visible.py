@@ -17,6 +17,7 @@ from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
 from tiegraph.geometry import transforms
+from tiegraph.network.coarse.boxes import Boxes
 from tiegraph.network.coarse.proxy import Proxy, View, assumed_proxy, observed_proxy
 from tiegraph.network.tuning.coarse import VisibleTuning
 from tiegraph.scene.matches import Visibility
@@ -24,7 +25,6 @@ from tiegraph.scene.pairs import pair_key
 
 __all__ = ["Overlap", "Proxy", "assumed_proxy", "observed_proxy", "shared_surface"]
 
-_LEAF = 64  # points of a box that is tested as one
 _BLOCK = 128  # rows of the pair table worked out at once
 _OWNERS = 256  # images whose assumed points are worked out at once
 
@@ -73,31 +73,6 @@ class _Eye:
     slack: float
 
 
-class _Boxes:
-    """Points in compact groups, so that an image looks only at the groups near its field of view."""
-
-    def __init__(self, proxy: Proxy) -> None:
-        self.order = np.asarray(cKDTree(proxy.points, leafsize=_LEAF).indices)
-        self.starts = np.arange(0, len(proxy), _LEAF)
-        sorted_ = proxy.points[self.order]
-        low, high = np.minimum.reduceat(sorted_, self.starts), np.maximum.reduceat(sorted_, self.starts)
-        self.middle, self.radius = (low + high) / 2, np.linalg.norm(high - low, axis=1) / 2
-        self.reach = np.maximum.reduceat(proxy.reach[self.order], self.starts)
-
-    def near(self, centre: np.ndarray, axis: np.ndarray, half: float) -> np.ndarray:
-        """Indices of the points whose group touches a cone of half angle ``half`` and is within reach."""
-        way = self.middle - centre
-        along = way @ axis
-        distance = np.linalg.norm(way, axis=1)
-        touches = distance - self.radius < self.reach
-        if half < np.pi / 2:
-            across = np.sqrt(np.maximum(distance**2 - along**2, 0))
-            touches &= across * np.cos(half) - along * np.sin(half) < self.radius
-        first = self.starts[touches]
-        rows = (first[:, None] + np.arange(_LEAF)).ravel()
-        return self.order[rows[rows < len(self.order)]]
-
-
 @dataclass(frozen=True)
 class _Sight:
     """What an image sees: points (K,), their cells (K,) and distances (K,)."""
@@ -132,7 +107,7 @@ def in_view(rays: Rays, proxy: Proxy, tuning: VisibleTuning) -> tuple[np.ndarray
     return seen, (np.where(seen[:, None], shares, 0.0) * tuning.cells).astype(int) @ (1, tuning.cells[0]), distance
 
 
-def _sight(eye: _Eye, proxy: Proxy, boxes: _Boxes, own: np.ndarray, tuning: VisibleTuning) -> _Sight:
+def _sight(eye: _Eye, proxy: Proxy, boxes: Boxes, own: np.ndarray, tuning: VisibleTuning) -> _Sight:
     half = tuning.cone_widens * eye.view.half + eye.slack
     near = boxes.near(transforms.centre(eye.pose), eye.pose[2, :3], half)
     ray = proxy.points[near] - transforms.centre(eye.pose)
@@ -254,9 +229,9 @@ def _owned(proxy: Proxy, images: np.ndarray) -> list[np.ndarray]:
     return [point[a:b] for a, b in zip(low, high)]
 
 
-def _thinned(eyes: list[_Eye], proxy: Proxy, tuning: VisibleTuning) -> tuple[Proxy, _Boxes]:
+def _thinned(eyes: list[_Eye], proxy: Proxy, tuning: VisibleTuning) -> tuple[Proxy, Boxes]:
     """A random part of the points, where images would see far more than is needed."""
-    boxes = _Boxes(proxy)
+    boxes = Boxes(proxy)
     enough = float(np.clip(tuning.sights / len(eyes), *tuning.mean_visible))
     if proxy.assumed or len(proxy) <= enough:
         return proxy, boxes
@@ -268,7 +243,7 @@ def _thinned(eyes: list[_Eye], proxy: Proxy, tuning: VisibleTuning) -> tuple[Pro
         return proxy, boxes
     # At random: spread evenly over the surface they predicted worse on ``canal`` (textured near surfaces tie).
     proxy = proxy.keep(rng.random(len(proxy)) < enough / count)
-    return proxy, _Boxes(proxy)
+    return proxy, Boxes(proxy)
 
 
 def _votes(image: np.ndarray, cell: np.ndarray, voter: np.ndarray, cells: int) -> np.ndarray:
@@ -319,19 +294,30 @@ def _directed(seen: _Table, centre: np.ndarray, tuning: VisibleTuning) -> np.nda
     ones = few.turned(np.ones(len(sample.image), np.float32))
     right = [few.turned(ray[:, a]) for a in range(3)]
     depth = few.turned(log_distance)
-    rows = [np.zeros((5, 0))]
+    rows: list[np.ndarray] = [np.zeros((5, 0))]
+    place = np.zeros(seen.shape[0], np.int32)
     for start in range(0, seen.shape[0], _BLOCK):
         part = (start, min(start + _BLOCK, seen.shape[0]))
         if all_.starts[part[0]] == all_.starts[part[1]]:
             continue
-        share = (all_.rows(seen.vote, *part) @ share_right).toarray()
+        shared = all_.rows(seen.vote, *part) @ share_right
+        others = np.unique(shared.indices)  # few of a long survey: tables of all images would grow with its square
+        place[others] = np.arange(len(others))
+        share = _dense(shared, place, len(others))
         a, b = np.nonzero(share >= tuning.min_share)
         own = few.rows(sample.vote, *part)
-        weight = np.where((w := (own @ ones).toarray()[a, b]) > 0, w, np.nan)
-        cosine = sum((few.rows(sample.vote * ray[:, k], *part) @ right[k]).toarray()[a, b] for k in range(3)) / weight
-        ratio = (few.rows(sample.vote * log_distance, *part) @ ones).toarray() - (own @ depth).toarray()
-        rows.append(np.stack([a + start, b, share[a, b], cosine, ratio[a, b] / weight]))
+        weight = np.where((w := _dense(own @ ones, place, len(others))[a, b]) > 0, w, np.nan)
+        along = (few.rows(sample.vote * ray[:, k], *part) @ right[k] for k in range(3))
+        cosine = sum(_dense(p, place, len(others))[a, b] for p in along) / weight
+        nearer = few.rows(sample.vote * log_distance, *part) @ ones, own @ depth
+        ratio = np.subtract(*(_dense(p, place, len(others))[a, b] for p in nearer)) / weight
+        rows.append(np.stack([a + start, others[b], share[a, b], cosine, ratio]))
     return np.concatenate(rows, axis=1)
+
+
+def _dense(table: csr_array, place: np.ndarray, width: int) -> np.ndarray:
+    """(rows, width) a sparse table (rows, N) with its column k at ``place[k]`` (N,)."""
+    return csr_array((table.data, place[table.indices], table.indptr), shape=(table.shape[0], width)).toarray()
 
 
 def _sampled(seen: _Table, tuning: VisibleTuning) -> _Table:
