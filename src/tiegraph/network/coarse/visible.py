@@ -295,14 +295,15 @@ def _directed(seen: _Table, centre: np.ndarray, tuning: VisibleTuning) -> np.nda
     right = [few.turned(ray[:, a]) for a in range(3)]
     depth = few.turned(log_distance)
     rows: list[np.ndarray] = [np.zeros((5, 0))]
-    place = np.zeros(seen.shape[0], np.int32)
+    met, place = np.zeros(seen.shape[0], bool), np.zeros(seen.shape[0], np.int32)
     for start in range(0, seen.shape[0], _BLOCK):
         part = (start, min(start + _BLOCK, seen.shape[0]))
         if all_.starts[part[0]] == all_.starts[part[1]]:
             continue
         shared = all_.rows(seen.vote, *part) @ share_right
-        others = np.unique(shared.indices)  # few of a long survey: tables of all images would grow with its square
-        place[others] = np.arange(len(others))
+        met[shared.indices] = True
+        others = np.flatnonzero(met)  # few of a long survey: tables of all images would grow with its square
+        met[others], place[others] = False, np.arange(len(others))
         share = _dense(shared, place, len(others))
         a, b = np.nonzero(share >= tuning.min_share)
         own = few.rows(sample.vote, *part)
