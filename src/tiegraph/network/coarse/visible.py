@@ -291,9 +291,9 @@ def _directed(seen: _Table, centre: np.ndarray, tuning: VisibleTuning) -> np.nda
     log_distance = np.log(sample.distance)
     all_, few = _Products(seen), _Products(sample)
     share_right = all_.turned(np.ones(len(seen.image), np.float32))
-    ones = few.turned(np.ones(len(sample.image), np.float32))
-    right = [few.turned(ray[:, a]) for a in range(3)]
-    depth = few.turned(log_distance)
+    vote, ones = sample.vote, few.turned(np.ones(len(sample.image), np.float32))
+    products = [(vote, ones), *((vote * ray[:, k], few.turned(ray[:, k])) for k in range(3))]
+    products += [(vote * log_distance, ones), (vote, few.turned(log_distance))]
     rows: list[np.ndarray] = [np.zeros((5, 0))]
     met, place = np.zeros(seen.shape[0], bool), np.zeros(seen.shape[0], np.int32)
     for start in range(0, seen.shape[0], _BLOCK):
@@ -306,12 +306,9 @@ def _directed(seen: _Table, centre: np.ndarray, tuning: VisibleTuning) -> np.nda
         met[others], place[others] = False, np.arange(len(others))
         share = _dense(shared, place, len(others))
         a, b = np.nonzero(share >= tuning.min_share)
-        own = few.rows(sample.vote, *part)
-        weight = np.where((w := _dense(own @ ones, place, len(others))[a, b]) > 0, w, np.nan)
-        along = (few.rows(sample.vote * ray[:, k], *part) @ right[k] for k in range(3))
-        cosine = sum(_dense(p, place, len(others))[a, b] for p in along) / weight
-        nearer = few.rows(sample.vote * log_distance, *part) @ ones, own @ depth
-        ratio = np.subtract(*(_dense(p, place, len(others))[a, b] for p in nearer)) / weight
+        sums = [_dense(few.rows(left, *part) @ right, place, len(others))[a, b] for left, right in products]
+        weight = np.where(sums[0] > 0, sums[0], np.nan)
+        cosine, ratio = (sums[1] + sums[2] + sums[3]) / weight, (sums[4] - sums[5]) / weight
         rows.append(np.stack([a + start, others[b], share[a, b], cosine, ratio]))
     return np.concatenate(rows, axis=1)
 
