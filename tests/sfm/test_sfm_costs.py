@@ -92,3 +92,27 @@ def test_a_cost_of_nothing_clears_what_the_solver_left_in_its_memory() -> None:
     residuals, jacobians = np.full(2, 7.0), [np.full(6, 7.0), None]
     assert cost.Evaluate(blocks, residuals, jacobians)
     np.testing.assert_array_equal([*residuals, *jacobians[0]], np.zeros(8))
+
+
+@pytest.mark.parametrize(
+    ("cost", "sizes"),
+    [
+        (PositionCost(np.ones(1), np.zeros(1), np.eye(4)[None], np.ones(3), np.ones(3)), (7, 3, 1)),
+        (PriorCost(np.ones(2), 1.0), (2,)),
+        (ZeroCost([3, 1]), (3, 1)),
+        (LengthCost(1.0, 0.1), (3, 3)),
+        (UpCost(np.array([0, 0, 1.0]), np.eye(3)[:2], 0.1), (7,)),
+    ],
+    ids=lambda value: type(value).__name__,
+)
+def test_a_residual_of_constant_blocks_does_not_end_the_process(cost, sizes) -> None:
+    """Ceres asks it once, and for no Jacobians; beside it there is something to solve."""
+    pyceres = pytest.importorskip("pyceres")
+    problem, summary = pyceres.Problem(), pyceres.SolverSummary()
+    blocks, free, prior = [0.5 + np.zeros(n) for n in sizes], np.zeros(1), PriorCost(np.full(1, 3.0), 1.0)
+    problem.add_residual_block(cost, None, blocks)
+    for block in blocks:
+        problem.set_parameter_block_constant(block)
+    problem.add_residual_block(prior, None, [free])
+    pyceres.solve(pyceres.SolverOptions(), problem, summary)
+    assert free[0] == pytest.approx(3, abs=1e-4) and all((b == 0.5).all() for b in blocks)

@@ -104,7 +104,8 @@ def add_constraints(
     kept: list[Any] = []
 
     def add(cost: Any, *blocks: np.ndarray) -> None:
-        if all(problem.has_parameter_block(b) for b in blocks):
+        there = all(problem.has_parameter_block(b) for b in blocks)
+        if there and not all(problem.is_parameter_block_constant(b) for b in blocks):  # pyceres: see ``world.costs``
             problem.add_residual_block(cost, None, list(blocks))
             kept.append(cost)
 

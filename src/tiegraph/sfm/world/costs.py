@@ -25,6 +25,22 @@ _UNIT = np.eye(3)
 _Base: Any = object if pyceres is None else pyceres.CostFunction
 
 
+class _Cost(_Base):
+    """A residual of ours: ``_begin`` is the last that its constructor does."""
+
+    def _begin(self, residuals: int, sizes: Sequence[int]) -> None:
+        """Say how many residuals there are, over blocks of which sizes.
+
+        pyceres sets up its arrays at the first call, and reads then where the Jacobians are to go whether any are asked
+        for or not. Ceres asks for none where all blocks of a residual are constant (a position of frames that see no
+        point): the process ended by SIGSEGV. So the first call is made here, and asks for them.
+        """
+        if pyceres is not None:
+            self.set_num_residuals(residuals)
+            self.set_parameter_block_sizes(list(sizes))
+            self.evaluate(*(np.zeros(size) for size in sizes))
+
+
 def back_rotated(pose: np.ndarray, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """R^T (point - t) of pose blocks (..., 7) and points (..., 3), and R^T (..., 3, 3).
 
@@ -48,7 +64,7 @@ def by_pose(pose: np.ndarray, point: np.ndarray, inverse: np.ndarray) -> np.ndar
     return out
 
 
-class PositionCost(_Base):
+class PositionCost(_Cost):
     """Weighted sum of the antenna's places at some frames minus a measured position, over its sigma.
 
     r = sum_i (w_i + dt w'_i) R_i^T (l_i - t_i) - p, with l_i the lever arm in the model's frame of frame i: rotation
@@ -66,9 +82,7 @@ class PositionCost(_Base):
         super().__init__()
         self.weights, self.rates, self.turn = weights, rates, frame_from_rig
         self.position, self.weight = position, 1 / np.asarray(sigma, float)
-        if pyceres is not None:
-            self.set_num_residuals(3)
-            self.set_parameter_block_sizes([7] * len(weights) + [3, 1])
+        self._begin(3, [7] * len(weights) + [3, 1])
 
     def Evaluate(self, parameters: Any, residuals: Any, jacobians: Any) -> bool:
         """Residual and Jacobians; a Jacobian is None where its block is constant."""
@@ -88,15 +102,13 @@ class PositionCost(_Base):
         return True
 
 
-class PriorCost(_Base):
+class PriorCost(_Cost):
     """A vector block minus its prior value, over its sigma."""
 
     def __init__(self, value: np.ndarray, sigma: np.ndarray) -> None:
         super().__init__()
         self.value, self.weight = np.array(value, float), 1 / np.broadcast_to(np.asarray(sigma, float), np.shape(value))
-        if pyceres is not None:
-            self.set_num_residuals(len(self.value))
-            self.set_parameter_block_sizes([len(self.value)])
+        self._begin(len(self.value), [len(self.value)])
 
     def Evaluate(self, parameters: Any, residuals: Any, jacobians: Any) -> bool:
         """Residual and Jacobian."""
@@ -106,15 +118,13 @@ class PriorCost(_Base):
         return True
 
 
-class ZeroCost(_Base):
+class ZeroCost(_Cost):
     """Nothing, of two residuals like a sighting: to Ceres its blocks (of these sizes) are neighbours all the same."""
 
     def __init__(self, sizes: Sequence[int]) -> None:
         super().__init__()
         self.sizes = list(sizes)
-        if pyceres is not None:
-            self.set_num_residuals(2)
-            self.set_parameter_block_sizes(self.sizes)
+        self._begin(2, self.sizes)
 
     def Evaluate(self, parameters: Any, residuals: Any, jacobians: Any) -> bool:
         """Zeros."""
@@ -125,15 +135,13 @@ class ZeroCost(_Base):
         return True
 
 
-class LengthCost(_Base):
+class LengthCost(_Cost):
     """The distance of two points minus its measured length, over its sigma. Blocks: the points (3 each)."""
 
     def __init__(self, length: float, sigma: float) -> None:
         super().__init__()
         self.length, self.sigma = length, sigma
-        if pyceres is not None:
-            self.set_num_residuals(1)
-            self.set_parameter_block_sizes([3, 3])
+        self._begin(1, [3, 3])
 
     def Evaluate(self, parameters: Any, residuals: Any, jacobians: Any) -> bool:
         """Residual and Jacobians."""
@@ -146,7 +154,7 @@ class LengthCost(_Base):
         return True
 
 
-class UpCost(_Base):
+class UpCost(_Cost):
     """The vertical must stay where it was in a frame: components (rows of ``axes``) of R^T u, over one sigma (rad).
 
     ``up`` (3,) is the upward direction in the frame; ``axes`` (n, 3) are horizontal directions of the world along which
@@ -156,9 +164,7 @@ class UpCost(_Base):
     def __init__(self, up: np.ndarray, axes: np.ndarray, sigma: float) -> None:
         super().__init__()
         self.up, self.axes, self.sigma = up, np.atleast_2d(axes), sigma
-        if pyceres is not None:
-            self.set_num_residuals(len(self.axes))
-            self.set_parameter_block_sizes([7])
+        self._begin(len(self.axes), [7])
 
     def Evaluate(self, parameters: Any, residuals: Any, jacobians: Any) -> bool:
         """Residual and Jacobian."""

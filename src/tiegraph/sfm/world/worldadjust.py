@@ -361,7 +361,8 @@ def _blocks_of(model: pycolmap.Reconstruction, image: Any) -> list[np.ndarray]:
 
 def _add_up(problem: Any, model: pycolmap.Reconstruction, scene: Scene, given: Constraints, sigma_px: float) -> list:
     """The upward direction of the cameras in the middle frame, where the positions leave the tilt open."""
-    blocks = _frames_of(model, scene)
+    seeing = _frames_of(model, scene).items()
+    blocks = {f: found for f, found in seeing if problem.has_parameter_block(found[0].params)}
     if given.up is None or not blocks:
         return []
     centres = {f: transforms.centre(matrix(b)) for f, (b, _) in blocks.items()}
