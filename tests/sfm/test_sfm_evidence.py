@@ -21,7 +21,7 @@ from tiegraph.sfm.world.fixes import Measurements
 from tiegraph.sfm.world.georef import Georeference
 from tiegraph.sfm.world.marks import Target, without_blunders
 from tiegraph.sfm.world.scale import RigScale
-from tiegraph.sfm.world.similarityfit import Model, fit_to_world
+from tiegraph.sfm.world.similarityfit import Model, SimilarityFit, fit_to_world
 from tiegraph.sfm.world.statements import with_statements
 
 COUNT = 40
@@ -86,7 +86,7 @@ def found_by(
         found = without_blunders(found, points[0], TUNING.marks)
     view = Model(transforms.invert(poses), up, scale, found, scene.names)
     placing = fit_to_world(view, scene, SETTINGS, given, TUNING)
-    assert placing is not None
+    assert isinstance(placing, SimilarityFit)
     return with_statements(georef._placed(placing, view, scene, given), scene, 0.005, found)
 
 

@@ -153,10 +153,6 @@ class SimilarityFitTuning(Section):
     """Sigma of the roll about the track above which lone cameras' upright direction is used."""
     tilt_share: float = Field(0.5, gt=0)
     """Of the sigma of a ring's upright direction: above that sigma of the tilt it is used."""
-    mirror_gain: float = Field(4.0, ge=1)
-    """Times nearer with exchanged axes: no noise does that."""
-    upside_down: float = Field(-0.7, ge=-1, le=1)
-    """Vertical part of a direction that ought to be up."""
     arm_share: float = Field(0.5, gt=0)
     """Of `antenna_sigma_m`: known better than that in plan, the lever arm is observable."""
     clock_sigmas: float = Field(4.0, ge=0)

@@ -33,6 +33,7 @@ class Measurements:
     covered: np.ndarray | None = None
     model_sigma: float = float("nan")  # of a camera inside the model, model units
     model_scale_sigma: float = float("nan")  # of all its lengths together, relative; NaN = its adjustment holds none
+    firm_frames: float = float("inf")  # of a model that rest on enough points
     bars: ScaleBars | None = None
 
 

@@ -25,7 +25,7 @@ from tiegraph.sfm.world.fit import Fit, jackknife_sigma
 from tiegraph.sfm.world.fixes import Fixes, Measurements
 from tiegraph.sfm.world.marks import point_table, targets, without_blunders
 from tiegraph.sfm.world.scale import RIG, rig_scale
-from tiegraph.sfm.world.similarityfit import Model, SimilarityFit, fit_to_world
+from tiegraph.sfm.world.similarityfit import Model, NotPlaced, SimilarityFit, fit_to_world
 from tiegraph.sfm.world.sources import rig_statement, up_statements
 from tiegraph.text import known_to
 
@@ -217,14 +217,8 @@ def georeference(
         rig=rig if by_bars else None,
     )
     placing = fit_to_world(view, scene, settings, given, tuning)
-    if placing is None:
-        frames = np.isfinite(view.frames(scene)).all(axis=(1, 2))
-        here = frames & np.isfinite(scene.world_from_rig[:, :3, 3]).all(axis=1)
-        places = len(np.unique(scene.world_from_rig[here, :3, 3], axis=0))
-        few = f"{here.sum()} registered frames have a prior position"
-        few += f" ({places} different ones)" if places < here.sum() else ""
-        few += f", {tuning.similarity_fit.min_positions} are needed"
-        return _levelled(scene, view, few)
+    if isinstance(placing, NotPlaced):
+        return _levelled(scene, view, placing)
     return _placed(placing, view, scene, given)
 
 
@@ -356,10 +350,10 @@ def bar_rows(bars: BarsFound | None, metres_per_unit: float) -> tuple[dict, ...]
     return () if bars is None else bars.rows(metres_per_unit)
 
 
-def _levelled(scene: Scene, view: Model, why: str) -> Georeference:
+def _levelled(scene: Scene, view: Model, placing: NotPlaced) -> Georeference:
     """No placement: turned so that up is up, scaled by scale bars or the rig where that can be trusted."""
     up, scale, bars = view.up, view.scale, view.bars
-    notes = [f"not georeferenced: {why}"]
+    notes = [] if placing.contradicts else [f"not georeferenced: {placing.why}"]
     rotation, factor, source = np.eye(3), 1.0, "none"
     if up is not None:
         rotation = Rotation.align_vectors([[0.0, 0.0, 1.0]], [up.direction])[0].as_matrix()
@@ -376,7 +370,8 @@ def _levelled(scene: Scene, view: Model, why: str) -> Georeference:
     here = Similarity(factor, rotation, np.zeros(3))
     said = [*rig_statement(scale, here, True), *rig_statement(view.rig, here, False), *up_statements(up, here, True)]
     rows = bar_rows(bars, factor if source != "none" else float("nan"))
-    against = bars.told(rows, scale.sigma) if bars is not None and scale is not None else ()
+    against = [placing.why] if placing.contradicts else []
+    against += bars.told(rows, scale.sigma) if bars is not None and scale is not None else ()
     return Georeference(
         world_from_model=here,
         scale_source=source,

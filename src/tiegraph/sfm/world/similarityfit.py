@@ -6,10 +6,11 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.special import fdtrc
 
-from tiegraph.errors import InputError
-from tiegraph.geometry.align import umeyama
+from tiegraph.geometry.align import rms_length, umeyama
 from tiegraph.geometry.gravity import Up
+from tiegraph.scene.evidence import CHANCE, LIMIT
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import frame_poses
 from tiegraph.sfm.settings import GeorefSettings
@@ -100,6 +101,14 @@ class SimilarityFit:
 
 
 @dataclass(frozen=True)
+class NotPlaced:
+    """Why nothing places a model, and whether that contradicts it."""
+
+    why: str
+    contradicts: bool = False
+
+
+@dataclass(frozen=True)
 class _Given:
     """What a placement is made of: model, survey, what was measured; ``points``: rows of the control points used."""
 
@@ -113,21 +122,24 @@ class _Given:
 
 def fit_to_world(
     model: Model, scene: Scene, settings: GeorefSettings, given: Measurements, tuning: WorldTuning
-) -> SimilarityFit | None:
-    """Fit the model to everything measured in the world; None with too few positions and points."""
+) -> SimilarityFit | NotPlaced:
+    """Fit the model to everything measured in the world, if that is enough and no mirror image of the model."""
     notes: list[str] = []
     registered = np.all(np.isfinite(model.frames(scene)), axis=(1, 2))
     stated = make_fixes(scene, registered, given, settings.sigma_floor_m, tuning.fixes)
     points = _usable_points(model, given)
-    distinct = len(np.unique(stated.position, axis=0))  # EXIF may give a whole object one place
-    if min(len(np.unique(stated.home)), distinct) + len(points) < tuning.similarity_fit.min_positions:
-        return None
+    frames = len(np.unique(stated.home))
+    places = len(np.unique(stated.position, axis=0))  # EXIF may give a whole object one place
+    if min(frames, places) + len(points) < tuning.similarity_fit.min_positions:
+        few = f"{frames} registered frames have a prior position"
+        few += f" ({places} different ones)" if places < frames else ""
+        return NotPlaced(f"{few}, {tuning.similarity_fit.min_positions} are needed")
     arm = _lever_arm(scene, settings, notes)
     about = _Given(model=model, scene=scene, settings=settings, measured=given, points=points, tuning=tuning)
     weighed, rough = _weighed(about, stated, arm)
     now = believed(rough.evidence, rough.fixes, model.up, rough.fit.similarity, tuning)
-    _refuse_exchanged(now, tuning)
-    _refuse_upside_down(now, tuning)
+    if against := _mirrored(now, about) or _upside_down(now, about):
+        return NotPlaced(against, contradicts=True)
     if arm.estimate is None:
         now = try_lever_arm(now, notes, tuning)
     elif arm.estimate:
@@ -265,36 +277,41 @@ def _point_factor(place: np.ndarray, world: np.ndarray, sigma: np.ndarray, tunin
     return max(1.0, float(np.sqrt(typical * count / (3 * count - 7))))
 
 
-def _refuse_exchanged(now: Fitted, tuning: WorldTuning) -> None:
-    """Raise InputError where the positions fit clearly better with east and north exchanged: a mirror image.
+def _mirrored(now: Fitted, about: _Given) -> str:
+    """What is to be said where the positions fit clearly better with east and north exchanged: a mirror image; else "".
 
+    The ratio of the sums of squares in plan, over what either reading believes, is held against Fisher's distribution.
     A straight track is its own mirror image, so that nothing can be said of it.
     """
-    evidence, fit, reach = now.evidence, now.fit, tuning.fit.antenna_sigma_m
-    if np.median(np.linalg.norm(evidence.position_residuals(fit.similarity, fit.arm.place), axis=1)) < reach:
-        return
-    mirrored = replace(evidence, position=evidence.position[:, [1, 0, 2]])
-    other = fit_similarity(mirrored, None, tuning.fit)
-    sizes = [
-        float(np.median(np.linalg.norm(e.position_residuals(f.similarity, f.arm.place)[:, :2], axis=1)))
-        for e, f in ((evidence, fit), (mirrored, other))
-    ]
-    if sizes[1] < sizes[0] / tuning.similarity_fit.mirror_gain and sizes[0] > reach:
-        raise InputError(
-            f"the positions are a mirror image of the survey: they miss the model by {sizes[0]:.2f} m (median), with "
-            f"their first two coordinates exchanged by {sizes[1]:.2f} m; are latitude and longitude, or north and "
-            "east, exchanged in the GNSS file?"
-        )
+    evidence, fit, tuning = now.evidence, now.fit, about.tuning
+    off = evidence.position_residuals(fit.similarity, fit.arm.place)
+    if np.median(np.linalg.norm(off, axis=1)) < tuning.fit.antenna_sigma_m:
+        return ""
+    stated, turn = np.concatenate([now.fixes.sigma, evidence.sigma[len(now.fixes) :]]), [1, 0, 2]
+    turned = replace(evidence, position=evidence.position[:, turn], sigma=stated[:, turn])
+    start = fit_similarity(turned, None, tuning.fit).similarity
+    other = believed(turned, replace(now.fixes, sigma=now.fixes.sigma[:, turn]), None, start, tuning)
+    rows = fit.inlier | other.fit.inlier
+    against = turned.position_residuals(other.fit.similarity, other.fit.arm.place)
+    sizes = [rms_length(r[rows, :2]) for r in (off, against)]
+    free = 2 * int(rows.sum()) - 4  # a similarity in plan has four unknowns
+    if free <= 0 or fdtrc(free, free, (sizes[0] / sizes[1]) ** 2) > CHANCE or not _whole(evidence.frame[rows], about):
+        return ""
+    return (
+        f"the positions are a mirror image of the model: they miss it by {sizes[0]:.2f} m in plan, with their first "
+        f"two coordinates exchanged by {sizes[1]:.2f} m, which chance does once in {1 / CHANCE:.0f} surveys at most: "
+        "are latitude and longitude, or north and east, exchanged in the GNSS file? They place nothing"
+    )
 
 
-def _refuse_upside_down(now: Fitted, tuning: WorldTuning) -> None:
-    """Raise InputError where the positions alone put a ring of cameras upside down: the mirror image of a track.
+def _upside_down(now: Fitted, about: _Given) -> str:
+    """What is to be said where the positions alone put a ring of cameras upside down: the mirror image of a track.
 
     Two passes side by side and mirrored are the same passes turned over, so that the residuals of a fit tell nothing.
     """
-    evidence, fixes, up = now.evidence, now.fixes, now.up
-    if up is None or not up.ring or len(fixes) < tuning.similarity_fit.min_positions:
-        return
+    evidence, fixes, up, tuning = now.evidence, now.fixes, now.up, about.tuning
+    if up is None or not up.ring or not len(fixes) or not _whole(fixes.home, about):
+        return ""
     rows = np.arange(len(evidence.frame)) < len(fixes)
     free = replace(evidence.where(rows), sigma=fixes.sigma).with_arm(estimate=True).without_orientations()
     alone = fit_similarity(free, None, tuning.fit)
@@ -302,14 +319,24 @@ def _refuse_upside_down(now: Fitted, tuning: WorldTuning) -> None:
     factors = noise.factors(residual, fixes.level, fixes.time_s, tuning.noise)
     free = replace(free, sigma=fixes.sigma * factors[:, None])
     alone = fit_similarity(free, None, tuning.fit, alone.similarity)
-    lean = float((alone.similarity.rotation @ up.direction)[2])
-    if lean < tuning.similarity_fit.upside_down and alone.roll_sigma_deg < tuning.similarity_fit.roll_limit_deg:
-        raise InputError(
-            "the positions turn the survey upside down: the tops of the side cameras' images point to the ground, "
-            f"though the roll about the track is known to {alone.roll_sigma_deg:.1f} deg; are latitude and longitude, "
-            "or north and east, exchanged in the GNSS file (a mirror image)? Or do the cameras hang upside down: then "
-            "turn the images"
-        )
+    lean_deg = float(np.degrees(np.arccos(np.clip((alone.similarity.rotation @ up.direction)[2], -1, 1))))
+    reach_deg = LIMIT * float(np.hypot(alone.roll_sigma_deg, up.sigma_deg))
+    if lean_deg < reach_deg or 180 - lean_deg > reach_deg:
+        return ""
+    return (
+        "the positions turn the survey upside down: the tops of the side cameras' images point to the ground, "
+        f"though the roll about the track is known to {alone.roll_sigma_deg:.1f} deg; are latitude and longitude, "
+        "or north and east, exchanged in the GNSS file (a mirror image)? Or do the cameras hang upside down: then "
+        "turn the images. The positions place nothing"
+    )
+
+
+def _whole(frames: np.ndarray, about: _Given) -> bool:
+    """Whether a model is more than a part of its survey, and that on points enough, by the frames (K,) whose positions
+    speak: a torn or thin one may be a mirror image itself."""
+    asked, known = int(np.isfinite(about.scene.world_from_rig[:, :3, 3]).all(axis=1).sum()), about.tuning.statements
+    speak = len(np.unique(frames[frames >= 0])) if asked else len(frames)
+    return min(speak, about.measured.firm_frames) >= max(known.least_positions, known.agreeing * asked)
 
 
 def _lever_arm(scene: Scene, settings: GeorefSettings, notes: list[str]) -> _Arm:
