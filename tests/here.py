@@ -17,11 +17,11 @@ from tiegraph.sfm import blockwise, mapper, mapping
 def patch(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let the stages match, sparse and georef call what they would run in children."""
     for module in (matchblocks, blockwise, mapper, mapping, georef):
-        monkeypatch.setattr(module, "run_in_child", _here)
+        monkeypatch.setattr(module, "run_in_child", here)
     monkeypatch.setattr(matchblocks, "run_in_children", _all_here)
 
 
-def _here(
+def here(
     function: Callable[..., Any],
     *args: Any,
     log: Path,
@@ -34,7 +34,7 @@ def _here(
 
 
 def _all_here(function: Callable[..., Any], calls: Sequence[tuple], **how: Any) -> list[Any]:
-    return [_here(function, *args, **how) for args in calls]
+    return [here(function, *args, **how) for args in calls]
 
 
 def _sent(value: Any) -> Any:

@@ -14,7 +14,7 @@ from tiegraph.project import settings as project_settings
 from tiegraph.project.folder import SETTINGS, check_format, names_run, write_settings
 from tiegraph.project.inputs import FOLLOW, Inputs
 from tiegraph.project.progress import Reporter
-from tiegraph.project.run import Run, check_run, let_go, run_stages, status, without_inputs
+from tiegraph.project.run import Run, check_run, let_go, needed, run_stages, status, without_inputs
 from tiegraph.project.settings import SETTING_OF, Settings
 from tiegraph.project.stages import Stage
 from tiegraph.scene.bags.topics import source_of
@@ -47,10 +47,15 @@ class Project:
     def run(self, until: str | None = None, reporter: Reporter | None = None) -> Project:
         """Run what is out of date, up to and including a stage; returns itself.
 
-        Raises InputError, SettingsError, ReconstructionError or EngineMissing; what was finished is kept.
+        Where the images give nothing for a stage the report says so; ReconstructionError is raised if that stage was
+        asked for. Raises InputError, SettingsError or EngineMissing too; what was finished is kept.
         """
         self._run(STAGES, until, reporter)
         return self
+
+    def doubtful(self, until: str | None = None) -> bool:
+        """Whether anything contradicts anything, or nothing came of a stage, up to and including one."""
+        return any(self.receipt(s.name).get("contradictions") for s in needed(STAGES, until))
 
     def as_run(self, reporter: Reporter | None = None) -> Run:
         """The project as the stages see it."""

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from tiegraph import forking
-from tiegraph.errors import ProcessLost, ReconstructionError, TiegraphError
+from tiegraph.errors import ChildDied, ProcessLost, TiegraphError
 from tiegraph.limits import explained, explained_text
 
 _TAIL_LINES = 12
@@ -184,9 +184,9 @@ def run_in_child(
     """Run ``function(*args, send=...)`` in a child process and return its result.
 
     ``function`` must be importable (module level); it may call ``send(message)`` for progress, handed to ``on_message``
-    in this process. What the child prints goes to the end of ``log``. Raises ReconstructionError with the last lines
-    of the log if the child aborts, ProcessLost if it was ended from outside, and re-raises what ``function`` raised.
-    Whatever ends the call ends the child.
+    in this process. What the child prints goes to the end of ``log``. Raises ChildDied with the last lines of the log
+    if the child aborts, or for an error that is none of ours, ProcessLost if it was ended from outside, and re-raises
+    what else ``function`` raised. Whatever ends the call ends the child.
     """
     return run_in_children(function, [args], log=log, on_message=on_message, task=task)[0]
 
@@ -264,9 +264,7 @@ def _child_main(sender: Any, log: str, function: Callable[..., Any], args: tuple
         if told is not None or isinstance(error, TiegraphError):
             sender.send(("error", told or error))
             return
-        sender.send(
-            ("error", ReconstructionError(f"{function.__name__}: {type(error).__name__}: {error} (log: {log})"))
-        )
+        sender.send(("error", ChildDied(f"{function.__name__}: {type(error).__name__}: {error} (log: {log})")))
 
 
 def _explain_end(task: str, exitcode: int | None, log: Path) -> None:
@@ -280,4 +278,4 @@ def _explain_end(task: str, exitcode: int | None, log: Path) -> None:
     # glog ends with a stack trace of the library, which would push the message out of the tail.
     lines = [line for line in text.splitlines() if not line.lstrip().startswith(_STACK_TRACE)][-_TAIL_LINES:]
     said = f"{task}: the native library ended its process ({how}). Last lines of {log}:\n  " + "\n  ".join(lines)
-    raise explained_text(said, log.parent) or ReconstructionError(said)
+    raise explained_text(said, log.parent) or ChildDied(said)

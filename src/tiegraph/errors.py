@@ -27,7 +27,11 @@ class SettingsError(TiegraphError, ValueError):
 
 
 class ReconstructionError(TiegraphError, RuntimeError):
-    """The images were readable, but no model could be made of them."""
+    """The images were readable, but what was to be made of them could not be: no model, no depth, no cloud."""
+
+
+class ChildDied(ReconstructionError):
+    """A child process ended by itself: a fault of a native library or of ours, and nothing that the images say."""
 
 
 class ProcessLost(TiegraphError, RuntimeError):

@@ -11,8 +11,8 @@ import pycolmap
 import pytest
 
 from features_world import FRAMES, features, filled_database, scene
-from tiegraph.errors import InputError, ReconstructionError
-from tiegraph.features import matchblocks
+from tiegraph.errors import ChildDied, InputError, ReconstructionError
+from tiegraph.features import match, matchblocks
 from tiegraph.features.match import match_pairs, read_matches
 from tiegraph.features.matchblocks import Rules, Side
 from tiegraph.scene.colmapdatabase import images_with_features, pair_ids, write_features
@@ -216,3 +216,27 @@ def test_full_disk_while_matching_is_an_input_error(tmp_path, monkeypatch):
     monkeypatch.setattr(matchblocks, "run_in_children", abort)
     with pytest.raises(InputError, match="no room on the disk"):
         match_pairs(path, scene(), listed(), RULES, tmp_path / "log.txt")
+
+
+def test_a_block_that_ends_its_process_is_left_away_and_the_others_are_done(tmp_path, monkeypatch):
+    path = filled_database(tmp_path / "database.db", scene())
+    asked, tried = listed(), []
+
+    def some_end(database, blocks, rules, send):
+        for name, block in blocks:
+            tried.append(tuple(map(int, block[0])))
+            Path(name).write_bytes(b"begun")
+            if tried[-1] == (int(asked.kept().i[0]), int(asked.kept().j[0])):
+                raise ChildDied("match: the native library ended its process (signal SIGSEGV)")
+            Path(name).unlink()
+            matchblocks.match_blocks(database, [(name, block)], rules, send)
+
+    def child(function, database, blocks, rules, *, on_message=None, **how):
+        some_end(database, blocks, rules, on_message or (lambda message: None))
+
+    monkeypatch.setattr(matchblocks, "run_in_child", child)
+    monkeypatch.setattr(matchblocks, "run_in_children", lambda f, calls, **how: [child(f, *c, **how) for c in calls])
+    monkeypatch.setattr(match, "BLOCK_PAIRS", 1)
+    pairs, report = match_pairs(path, scene(), asked, RULES, tmp_path / "log.txt")
+    assert tried.count(tried[0]) == 2 and len(tried) == report.asked + 1 and report.matched == report.asked - 1
+    assert any("no result" in why for _, why in report.lost) and pairs.inliers.max() > 0

@@ -2,13 +2,14 @@
 
 import json
 import os
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from pydantic import Field
+from pydantic import Field, create_model
 
-from tiegraph.errors import InputError
+from tiegraph.errors import ChildDied, InputError, ReconstructionError
 from tiegraph.project.folder import working_in
 from tiegraph.project.inputs import Inputs
 from tiegraph.project.pool import map_items, open_pool
@@ -316,3 +317,57 @@ def test_files_of_the_user_stay_where_others_are_let_go(make):
     make().path("first", "mine.txt").write_text("notes")
     let_go(PASSING, make())
     assert [p.name for p in make().path("first").iterdir()] == ["mine.txt"]
+
+
+def told(run):
+    write_atomic(run.path("told.txt"), json.dumps(run.receipts.read("third").get("lost")))
+    return Outcome()
+
+
+@pytest.mark.parametrize("error", [ReconstructionError, ChildDied])
+def test_a_stage_for_which_the_images_give_nothing_ends_no_run(make, error, tmp_path):
+    """What needs it is left out, what can do without it and the report are made, and it is tried again."""
+
+    def nothing(run):
+        if (tmp_path / "worse").exists():
+            raise error("no pair verified")
+        return third(run)
+
+    stages = (
+        STAGES[0],
+        Stage("third", nothing, ("first",), ("third.txt",)),
+        Stage("second", lambda run: Outcome(), ("third",), ()),
+        Stage("without", second, ("first", "third"), ("second.txt",), spares=("third",)),
+        Stage("report", told, ("second",), ("told.txt",), alone=True),
+    )
+    more = {name: (One, One()) for name in ("without", "report")}
+    settings = create_model("Settings", __base__=All, **more)
+
+    def again():
+        return Run(tmp_path / "out", Inputs(tmp_path / "images"), settings(), pool="serial")
+
+    make()
+    assert run_stages(stages, again()) == ["first", "third", "second", "without", "report"]
+    (tmp_path / "worse").touch()
+    again().path("third.txt").unlink()
+    for until, raised in ((None, error is ChildDied), ("third", True), ("report", error is ChildDied)):
+        with pytest.raises(error, match="no pair verified") if raised else nullcontext():
+            assert run_stages(stages, again(), until) == (["without", "report"] if until is None else ["report"])
+    run = again()
+    assert json.loads(run.path("told.txt").read_text()) == "no pair verified" and run.path("second.txt").exists()
+    assert run.receipts.read("third")["contradictions"] == ["no pair verified"] and not run.path("third.txt").exists()
+    why = {name: text for name, text, _ in status(stages, run)}
+    assert why["third"] == "no pair verified" and why["second"] == "it needs the stage third, of which nothing came"
+    (tmp_path / "worse").unlink()
+    assert run_stages(stages, again()) == ["third", "second", "without", "report"]
+    assert json.loads(again().path("told.txt").read_text()) is None
+
+
+def test_nothing_of_the_first_stage_is_an_error(make):
+    stages = (Stage("first", lambda run: raises(ReconstructionError("no pose")), (), ("first",)), STAGES[2])
+    with pytest.raises(ReconstructionError, match="no pose"):
+        run_stages(stages, make())
+
+
+def raises(error):
+    raise error

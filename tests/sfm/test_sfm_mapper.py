@@ -9,15 +9,16 @@ import numpy as np
 import pytest
 from sfm_worlds import make_world, true_frames, with_positions, without_extrinsics
 
+from here import here
 from tiegraph.child import run_in_child
-from tiegraph.errors import ReconstructionError, SettingsError
+from tiegraph.errors import ChildDied, ReconstructionError, SettingsError
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import umeyama
 from tiegraph.scene.colmapdatabase import image_ids
 from tiegraph.scene.colmapmodel import MAX_IMAGES
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import Tuning as SceneTuning
-from tiegraph.sfm import mapping
+from tiegraph.sfm import mapper, mapping
 from tiegraph.sfm.mapper import Source, SparseResult, reconstruct
 from tiegraph.sfm.mapping import choose_mapper
 from tiegraph.sfm.model import frame_poses, held_out_frames, image_poses
@@ -149,6 +150,32 @@ def test_no_verified_pair_says_what_is_there(tmp_path: Path) -> None:
         db.execute("DELETE FROM two_view_geometries")
     with pytest.raises(ReconstructionError, match=r"Of 8 images 8 have features; 0 pairs .*Remedies"):
         _run(tmp_path, scene)
+
+
+@pytest.mark.parametrize("always", [False, True])
+def test_a_child_that_dies_is_tried_in_its_safest_form(tmp_path: Path, monkeypatch, always: bool) -> None:
+    """The other mapper, then the model as mapped; what is missing is said, and once more is too much."""
+    _, scene = make_world(tmp_path / "database.db", cameras=2, frames=6)
+    tried: list[str] = []
+
+    def child(function, request, *, task: str, **how):
+        tried.append(task)
+        rough = getattr(request, "rough", False)
+        if task == "global mapping" or (task == "final adjustment" and (always or not rough)):
+            raise ChildDied(f"{task}: the native library ended its process (signal SIGSEGV)")
+        return here(function, request, task=task, **how)
+
+    for module in (mapper, mapping):
+        monkeypatch.setattr(module, "run_in_child", child)
+    if always:
+        with pytest.raises(ChildDied, match="final adjustment"):
+            _run(tmp_path, scene)
+        return
+    result = _run(tmp_path, scene)
+    assert tried == ["global mapping"] * 2 + ["incremental mapping"] + ["final adjustment"] * 2
+    assert result.mapper == "incremental" and result.counts["registered"] == len(scene) and result.sigma is None
+    assert any("stays as mapped" in c and "SIGSEGV" in c for c in result.remarks.contradictions)
+    assert any("global mapping" in n and "SIGSEGV" in n for n in result.remarks.notes)
 
 
 def test_fixed_rig_needs_extrinsics(tmp_path: Path) -> None:

@@ -60,4 +60,4 @@ def main(arguments: list[str]) -> int:
         gnss=survey / "gnss.csv",
         times=survey / "times.csv",
     )
-    return finish(project, options.until, options.reporter())
+    return finish(project, options.until, options)

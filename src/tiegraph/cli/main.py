@@ -1,4 +1,7 @@
-"""`tiegraph <verb> ...`: one file a verb; a stage's name is a verb too. Exit codes: 0 done, 1 failed, 2 misuse."""
+"""`tiegraph <verb> ...`: one file a verb; a stage's name is a verb too. Exit codes: 0 done, 1 failed, 2 misuse.
+
+With --strict, 3 is done but doubtful.
+"""
 
 from __future__ import annotations
 

@@ -25,5 +25,5 @@ options:
   --preset NAME     fast, close-range, conventional, meguro2024 or meguro2025
   --unset KEY       forget a stored input or setting; --keep results: no depths
   --pool POOL       serial, local, local:<workers> or dask:<address>
-  --json, --quiet   one JSON object a line instead of text; nothing but errors
+  --json, --quiet   JSON lines; nothing but errors; --strict: exit 3 if doubtful
   -h, --help        this page; --help-all: all, as --scan.crs, --masks.folder"""

@@ -15,7 +15,7 @@ from tiegraph import forking
 from tiegraph.api import Project, open_project
 from tiegraph.cli.options import Talk, options_of
 from tiegraph.cli.verbs import HELP, HELP_ALL, wants_page
-from tiegraph.errors import SettingsError, choose
+from tiegraph.errors import ChildDied, ReconstructionError, SettingsError, choose
 from tiegraph.pipeline import load
 from tiegraph.project.progress import Reporter
 from tiegraph.project.settings import PRESETS, SETTING_OF, STAGED, Settings, sections
@@ -23,6 +23,7 @@ from tiegraph.report.accuracy import terminal_lines
 from tiegraph.settings import Section
 
 _MANY = 1 << 20
+DOUBTFUL = 3  # exit code, where it is asked for
 _STATED = (None, "evaluate", "report")  # runs that end with a statement of accuracy
 
 
@@ -34,6 +35,9 @@ class Common(Talk):
     """Where items run: serial, local, local:<workers> or dask:<address>."""
     unset: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
     """An input or setting of tiegraph.toml that no longer holds, such as gnss or masks.folder; once for each."""
+    strict: bool = False
+    """Exit with code 3 where something contradicts something else, or nothing came of a stage: the result is
+    doubtful."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,7 +114,7 @@ def main(arguments: list[str]) -> int:
     project = open_project(images, options.out, settings=settings, **how, **inputs)
     if options.plan:
         return _forecast(project, options.reporter())
-    code = finish(project, options.until, options.reporter())
+    code = finish(project, options.until, options)
     if options.keep == "results" and (freed := project.let_go()):
         options.reporter().say(f"depth maps removed as ordered (--keep results): {freed / 1e9:.2g} GB are free again")
     return code
@@ -157,7 +161,7 @@ def main_stage(stage: str, arguments: list[str], kind: type[Common] = Common, ab
     out, options, given = _cli(run_stage, f"tiegraph {stage}", arguments, description=what)
     settings = _settings(default, given)
     project = open_project(None, out, pool=options.pool, settings=settings, unset=options.unset)
-    return finish(project, stage, options.reporter())
+    return finish(project, stage, options)
 
 
 def _shown(settings: Settings, names: Sequence[str]) -> Any:
@@ -177,16 +181,22 @@ def _settings(before: Settings, given: Section) -> Settings:
     return before.model_copy(update={name: getattr(given, name) for name in type(given).model_fields})
 
 
-def finish(project: Project, until: str | None, reporter: Reporter) -> int:
-    """Run a project and say where its results are."""
+def finish(project: Project, until: str | None, options: Common) -> int:
+    """Run a project and say where its results are; the exit code."""
     forking.prepare(partial(load, until))
-    project.run(until, reporter)
+    reporter = options.reporter()
+    try:
+        project.run(until, reporter)
+    except ChildDied:
+        raise
+    except ReconstructionError:
+        pass  # its stage has said that the images give no more
     for line in terminal_lines(project.folder / "metrics.json") if until in _STATED else ():
         reporter.say(line)
     report = project.folder / "report.html"
     reporter.say(f"report: {report}" if until is None and report.exists() else f"results: {project.folder}")
     reporter.event("done", folder=str(project.folder), report=str(report) if report.exists() else None)
-    return 0
+    return DOUBTFUL if options.strict and project.doubtful(until) else 0
 
 
 def _cli(function: Any, program: str, arguments: list[str], **how: Any) -> Any:

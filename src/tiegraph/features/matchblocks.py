@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ import numpy as np
 import pycolmap
 
 from tiegraph.child import run_in_child, run_in_children
-from tiegraph.errors import InputError, ReconstructionError
+from tiegraph.errors import ChildDied, InputError, ReconstructionError
 from tiegraph.features import nearest
 from tiegraph.features.settings import MatchSettings
 from tiegraph.features.tuning import VerificationTuning
@@ -66,26 +67,30 @@ def run_blocks(
 ) -> None:
     """Match blocks (B, 2) of scene indices, side by side, and write into the database what comes of each.
 
-    ``on_pairs`` is told how many pairs are done. Raises InputError when the disk is full, ReconstructionError if
-    COLMAP's process ends; finished blocks stay.
+    ``on_pairs`` is told how many pairs are done. Of a process that ends by itself, what it has not done is tried once
+    more, block by block, and left away where that ends too. Raises InputError when the disk is full; finished blocks
+    stay.
     """
     if not blocks:
         return
     scratch = database.with_name(database.name + ".match")
     shutil.rmtree(scratch, ignore_errors=True)
     scratch.mkdir()
-    done = 0
+    done, left = 0, {str(scratch / f"{k}.db"): block for k, block in enumerate(blocks)}
 
     def take(message: tuple[str, int]) -> None:
         nonlocal done
-        block = Path(message[0])
-        take_matches(database, block)
-        for path in scratch.glob(f"{block.stem}.*"):
-            path.unlink()
+        del left[message[0]]
+        take_matches(database, Path(message[0]))
+        clear(message[0])
         done += message[1]
         on_pairs(done)
 
-    named = [(str(scratch / f"{k}.db"), block) for k, block in enumerate(blocks)]
+    def clear(name: str) -> None:
+        for path in scratch.glob(f"{Path(name).stem}.*"):
+            path.unlink()
+
+    named = list(left.items())
     try:
         if side.run_map is None:
             count = min(side.processes, len(blocks))
@@ -101,7 +106,12 @@ def run_blocks(
             raise InputError(
                 f"no room on the disk for {database}: free some and run again, what is finished is kept"
             ) from error
-        raise
+        if not isinstance(error, ChildDied):
+            raise
+        for block in list(left.items()):
+            clear(block[0])
+            with suppress(ChildDied):
+                take(match_block(block, str(database), rules, log))
     finally:
         shutil.rmtree(scratch, ignore_errors=True)
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from tiegraph.child import run_in_child
+from tiegraph.errors import ChildDied, InputError, UnreadableArtefact
 from tiegraph.geometry.geodesy import world_from_geodetic
 from tiegraph.pipeline.files import checked, load_json, load_model, refused_pairs, whole
 from tiegraph.pipeline.inputs import control_file
@@ -26,6 +28,7 @@ from tiegraph.sfm.rig.rig import rig_modes
 from tiegraph.sfm.world.fixes import Measurements, PositionRows
 from tiegraph.sfm.world.georef import Georeference
 from tiegraph.sfm.world.georeferencing import GeorefRequest, georeference_folders
+from tiegraph.sfm.world.oneworld import OneWorld
 from tiegraph.sfm.world.worldadjust import ConstantParameters
 
 
@@ -34,14 +37,15 @@ def georef(run: Run) -> Outcome:
     scene = checked(run).measured()
     receipt = run.receipts.read("sparse")
     sigma = receipt.get("counts", {})
-    control, bars, said = _measured_in_images(run, scene)
+    measured = _measured_in_images(run, scene)
     given = Measurements(
         rows=_rows(run, scene),
-        control=control,
-        bars=bars,
+        control=measured.control,
+        bars=measured.bars,
         covered=covered_frames(run, scene),
         model_sigma=sigma.get("position_sigma_median", float("nan")),
         model_scale_sigma=sigma.get("scale_sigma", float("nan")),
+        firm_frames=sigma["frames"] - sigma["on_few_points"],
     )
     folders = sorted((p for p in run.path("sparse").iterdir() if p.name.isdigit()), key=lambda p: int(p.name))
     scratch = run.path("sparse", ".world")
@@ -63,8 +67,8 @@ def georef(run: Run) -> Outcome:
         database=run.path("database.db"),
         refused=refused_pairs(run) if len(folders) > 1 else (),
     )
-    found = run_in_child(georeference_folders, request, log=run.log, task="georeferencing")
-    main, notes = found.first, [*found.notes(), *said]
+    found, missing = _georeferenced(run, request)
+    main, notes = found.first, [*found.notes(), *measured.notes]
     world = main.to_dict()
     if "position_sigma_median" in sigma:
         # Of the bundle adjustment, in the model's units: the shape of the survey, not its place on the Earth.
@@ -79,7 +83,7 @@ def georef(run: Run) -> Outcome:
     scratch.rename(run.path("sparse", "world"))
     save_json(run.path("world.json"), {**world, "models": found.records(), "notes": notes})
     tables = {**_tables(main), **_mounting(receipt, main), **found.table()}
-    contradictions = (*main.findings.contradictions, *found.contradictions)
+    contradictions = (*measured.contradictions, *main.findings.contradictions, *found.contradictions, *missing)
     counts = {
         **main.counts(),
         "models": 1 + sum(bool(o.by) for o in found.others),
@@ -107,16 +111,42 @@ def _hang(run: Run, folder: Path, scale_source: str) -> tuple[int, list[str]]:
     return more, [f"{more} of {count} images that hang on their rig stand where it places them"]
 
 
-def _measured_in_images(run: Run, scene: Scene) -> tuple[Control | None, ScaleBars | None, tuple[str, ...]]:
-    """Control points and scale bars of the settings with their marks, those of coded targets found by the cameras of
-    the largest model; and what is to be said of the search."""
+def _georeferenced(run: Run, request: GeorefRequest) -> tuple[OneWorld, tuple[str, ...]]:
+    """The models in one world; once more by similarities alone if that ends its process, and what is said of it."""
+    try:
+        return run_in_child(georeference_folders, request, log=run.log, task="georeferencing"), ()
+    except ChildDied as error:
+        remove(request.target)
+        plain = replace(request, settings=request.settings.model_copy(update={"adjust": "no"}))
+        found = run_in_child(georeference_folders, plain, log=run.log, task="georeferencing")
+        return found, (f"the model is not adjusted with what was measured in the world: {error}",)
+
+
+@dataclass(frozen=True)
+class _Measured:
+    """Control points and scale bars with their marks, and what is to be said of the search for them."""
+
+    control: Control | None = None
+    bars: ScaleBars | None = None
+    notes: tuple[str, ...] = ()
+    contradictions: tuple[str, ...] = ()
+
+
+def _measured_in_images(run: Run, scene: Scene) -> _Measured:
+    """What the settings' control file gives; the marks of coded targets are found by the cameras of the largest model.
+    Where it does not fit the images, nothing."""
     file = control_file(run)
     if file is None:
-        return None, None, ()
+        return _Measured()
     model = load_model(run.path("sparse", "0")) if file.targets else None
-    seen = target_marks(run, scene, file, model)
-    control = locate(file, scene, run.settings.scan.crs, seen.marks) if file.points else None
-    return control, locate_bars(file, scene, seen.marks), seen.notes
+    try:
+        seen = target_marks(run, scene, file, model)
+        control = locate(file, scene, run.settings.scan.crs, seen.marks) if file.points else None
+        return _Measured(control, locate_bars(file, scene, seen.marks), seen.notes)
+    except UnreadableArtefact:
+        raise
+    except InputError as error:
+        return _Measured(contradictions=(f"no control point is used: {error}",))
 
 
 def _rows(run: Run, scene: Scene) -> PositionRows | None:

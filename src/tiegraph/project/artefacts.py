@@ -30,6 +30,7 @@ from tiegraph.scene.atomic import JOURNAL
 
 _LET_GO = "files let go"
 OTHER_KEY = "its inputs or settings changed"
+LOST = "lost"  # in a receipt without a key: why the images gave nothing for its stage
 _SHOWN = 3
 
 
@@ -71,7 +72,7 @@ class Artefacts:
         if receipt.get("key", receipt.get("began")) != key:
             return OTHER_KEY
         if "key" not in receipt:
-            return "was interrupted"
+            return str(receipt.get(LOST, "was interrupted"))
         anew = [need for need, made in self._made_from(stage).items() if receipt.get("from", {}).get(need) != made]
         if anew:
             return f"{anew[0]} was made anew"
@@ -172,6 +173,11 @@ class Artefacts:
         self.receipts.write(stage.name, receipt)
         (self.folder / JOURNAL).unlink(missing_ok=True)
         return receipt
+
+    def lose(self, stage: Stage, why: str, contradictions: tuple[str, ...]) -> None:
+        """Say in the receipt of a stage that has begun why nothing comes of it. It is tried again by the next run."""
+        began = self.receipts.read(stage.name)
+        self.receipts.write(stage.name, {**began, LOST: why, "contradictions": contradictions})
 
     @staticmethod
     def _of_items(stage: Stage, ledger: Ledger, troubles: Iterable[str]) -> set[str]:

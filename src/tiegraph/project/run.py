@@ -14,7 +14,15 @@ from typing import Any
 
 from tiegraph import forking
 from tiegraph.child import end_helpers, start_server
-from tiegraph.errors import EngineMissing, InputError, SettingsError, TiegraphError, UnreadableArtefact
+from tiegraph.errors import (
+    ChildDied,
+    EngineMissing,
+    InputError,
+    ReconstructionError,
+    SettingsError,
+    TiegraphError,
+    UnreadableArtefact,
+)
 from tiegraph.limits import explained
 from tiegraph.project.artefacts import OTHER_KEY, Artefacts
 from tiegraph.project.folder import LOG, check_folder, check_inputs, working_in
@@ -151,8 +159,9 @@ def run_stages(
     """Run what is out of date, up to and including ``until``; the names of the stages that ran.
 
     ``remember`` keeps the settings in the run folder and gives what takes that back: done if they are refused before
-    any stage was finished with them. Raises InputError for files in the run folder that are not ours, and what the
-    stages raise.
+    any stage was finished with them. A stage for which the images give nothing (ReconstructionError) ends no run: what
+    needs it is left out, and the report says so. Raises InputError for files in the run folder that are not ours, what
+    else the stages raise, and in the end that error if the stage is ``until`` itself, or the fault is the program's.
     """
     wanted = needed(stages, until)
     check_run(stages, run)
@@ -167,7 +176,7 @@ def run_stages(
             for stage in wanted:
                 if artefacts.why(stage, keys[stage.name]):
                     artefacts.refuse(stage)
-            while not _run_through(wanted, keys, run, artefacts, ran):
+            while (lost := _run_through(wanted, keys, run, artefacts, ran)) is None:
                 pass
         except (InputError, SettingsError, EngineMissing):
             if not ran:
@@ -178,13 +187,30 @@ def run_stages(
             raise
         finally:
             run.close()
+    for name, error in lost.items():
+        if name == until or isinstance(error, ChildDied):
+            raise error
     return ran
 
 
-def _run_through(wanted: list[Stage], keys: dict[str, str], run: Run, artefacts: Artefacts, ran: list[str]) -> bool:
-    """Run what is out of date; False if a stage could not read what another had made, which is then out of date."""
+_Lost = dict[str, ReconstructionError]
+
+
+def _run_through(
+    wanted: list[Stage], keys: dict[str, str], run: Run, artefacts: Artefacts, ran: list[str]
+) -> _Lost | None:
+    """Run what is out of date; the stages for which the images gave nothing, and those that need them. None if a stage
+    could not read what another had made, which is then out of date."""
+    lost: _Lost = {}
     for stage in wanted:
-        if not artefacts.why(stage, keys[stage.name]) and not _wanted_back(stage, wanted, keys, artefacts):
+        away = [n for n in stage.needs if n in lost and n not in stage.spares]
+        if away and not stage.alone:
+            artefacts.begin(stage, keys[stage.name])  # what an earlier run made of it is no result of this one
+            _lose(stage, f"it needs the stage {away[0]}, of which nothing came", (), run, artefacts)
+            lost[stage.name] = lost[away[0]]
+            continue
+        told_of = lost and stage.alone  # the report says what was lost, in the words of now
+        if not (told_of or artefacts.why(stage, keys[stage.name]) or _wanted_back(stage, wanted, keys, artefacts)):
             if stage.name not in ran:
                 run.reporter.say(f"{stage.name:>9}  up to date")
                 run.reporter.event("skipped", stage=stage.name)
@@ -196,11 +222,21 @@ def _run_through(wanted: list[Stage], keys: dict[str, str], run: Run, artefacts:
                 ran.append(stage.name)
                 run.reporter.say(f"{stage.name:>9}  {error}")
                 run.close()  # items under way may still write
-                return False
-            raise
+                return None
+            if not stage.needs or not isinstance(error, ReconstructionError):
+                raise
+            _lose(stage, str(error), (str(error),), run, artefacts)
+            lost[stage.name] = error
+            continue
         ran.append(stage.name)
         run.stamps.record()
-    return True
+    return lost
+
+
+def _lose(stage: Stage, why: str, contradictions: tuple[str, ...], run: Run, artefacts: Artefacts) -> None:
+    artefacts.lose(stage, why, contradictions)
+    run.reporter.say(f"{stage.name:>9}  ! {why}")
+    run.reporter.event("lost", stage=stage.name, why=why)
 
 
 def _wanted_back(stage: Stage, wanted: list[Stage], keys: dict[str, str], artefacts: Artefacts) -> bool:

@@ -44,7 +44,8 @@ class Stage:
     uses: tuple[str, ...] = ()  # settings sections of other stages that it follows
     tuned: tuple[str, ...] = ()  # engines whose constants it follows (settings.tuning), beside that of its own name
     scratch: tuple[str, ...] = ()  # what it keeps below the run folder only while it runs
-    alone: bool = False  # reads nothing but the run folder
+    spares: tuple[str, ...] = ()  # of what it needs: can do without, where the images gave nothing for it
+    alone: bool = False  # reads nothing but the run folder, whatever is there
     passing: bool = False  # what it makes serves later stages only and may be let go once they are done
     version: int = 1  # raise it when the stage's results change for the same settings
 

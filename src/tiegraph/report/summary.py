@@ -44,9 +44,10 @@ def verdict(run: RunFolder) -> Verdict:
     if run.model is None or run.scene is None:
         last = [s for s in STAGES if run.done(s) and s != "report"]
         stop = t("The run has finished the stage {}.", last[-1]) if last else t("No stage has finished.")
+        lost = any("lost" in r for r in run.receipts.values())
         return Verdict(
-            level="open",
-            headline=t("No model yet"),
+            level="poor" if lost else "open",
+            headline=t("No model could be made of the images") if lost else t("No model yet"),
             sentences=(stop, *_pairs_sentence(run)),
             warnings=tuple(warnings(run)),
             contradictions=found,

@@ -26,7 +26,7 @@ def warnings(run: RunFolder) -> list[str]:
 def _ranked(run: RunFolder) -> Iterator[tuple[int, str]]:
     """(rank, sentence): 0 the products are not whole, 1 they may be wrong as a whole, 2 in parts, 3 something lacks."""
     for stage, receipt in run.receipts.items():
-        if "key" not in receipt and stage != "report":
+        if not {"key", "lost"} & set(receipt) and stage != "report":
             yield 0, t("The stage {} was interrupted; run the same command again to finish it.", stage)
     dropped = len(dropped_images(run))
     if dropped:

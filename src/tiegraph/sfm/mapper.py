@@ -10,7 +10,7 @@ import numpy as np
 import pycolmap
 
 from tiegraph.child import run_in_child
-from tiegraph.errors import ReconstructionError
+from tiegraph.errors import ChildDied, ReconstructionError
 from tiegraph.scene.colmapmodel import read_model
 from tiegraph.scene.registered import Registration, registration
 from tiegraph.scene.rig import Rig
@@ -241,9 +241,20 @@ def _finish(job: Job, outcome: Outcome) -> FinishResult:
             covariance_frames=0 if number else job.settings.covariance_frames,
             rough=job.source.rough,
         )
-        out.append(run_in_child(finish_model, request, log=job.log, task="final adjustment"))
+        out.append(_finished(request, job.log))
     job.account.notes.extend(out[0].notes)
     return out[0]
+
+
+def _finished(request: FinishRequest, log: Path) -> FinishResult:
+    """Of one model; if that ends its process, of the model as the mapper left it, and what it lacks is said."""
+    try:
+        return run_in_child(finish_model, request, log=log, task="final adjustment")
+    except ChildDied as error:
+        plain = replace(request, matched=None, images=None, covariance_frames=0, rough=True)
+        found = run_in_child(finish_model, plain, log=log, task="final adjustment")
+        lacks = f"the model stays as mapped, without final adjustment, checks, colours and sigmas: {error}"
+        return replace(found, contradictions=[*found.contradictions, lacks])
 
 
 def _account(job: Job, outcome: Outcome, finished: FinishResult) -> SparseResult:

@@ -20,7 +20,7 @@ import numpy as np
 import pycolmap
 
 from tiegraph.child import run_in_child
-from tiegraph.errors import ReconstructionError
+from tiegraph.errors import ChildDied, ReconstructionError
 from tiegraph.scene.blocks import in_one_piece
 from tiegraph.scene.colmapmodel import read_model
 from tiegraph.scene.rig import Rig, calibrated
@@ -330,13 +330,16 @@ def _run(
     per_frame = total / max(scene.frames, 1) if job.rigs.given else 1.0
     job.source.on_progress(0, total)
     start = time.monotonic()
-    mapped: MappingResult = run_in_child(
-        run_mapper,
-        request,
-        log=job.log,
-        on_message=lambda frames: job.source.on_progress(min(total, round(frames * per_frame)), total),
-        task=f"{mapper} mapping",
-    )
+    try:
+        mapped: MappingResult = run_in_child(
+            run_mapper,
+            request,
+            log=job.log,
+            on_message=lambda frames: job.source.on_progress(min(total, round(frames * per_frame)), total),
+            task=f"{mapper} mapping",
+        )
+    except ChildDied as error:  # as if it had found none: what is tried then is the other mapper
+        mapped = MappingResult([], (str(error),), refused=str(error))
     seconds = time.monotonic() - start
     folders = mapped.folders
     job.account.notes.extend(f"{mapper} model: {note}" for note in mapped.notes)
