@@ -21,8 +21,6 @@ from tiegraph.sfm.rig.rig import held_by_mapper, rig_modes
 from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.tuning.rig import RigPriorTuning, RigTuning
 
-needs_pyceres = pytest.mark.skipif(not constraints.available(), reason="pyceres is not there")
-
 
 def test_pair_residuals_are_in_sigmas() -> None:
     turn = transforms.rigid(Rotation.from_euler("y", 40, degrees=True).as_matrix(), np.zeros(3))
@@ -71,7 +69,6 @@ def test_modes() -> None:
 
 
 @pytest.mark.slow
-@needs_pyceres
 @pytest.mark.parametrize(("sigma_m", "least", "most"), [(0.0005, 0.02, 0.04), (0.05, 0.0, 0.012)])
 def test_a_wrong_lever_is_kept_or_left_by_its_sigma(sigma_m: float, least: float, most: float) -> None:
     """The given levers are 3 cm off: with half a millimetre of sigma they stay, with 5 cm the images decide."""
@@ -87,7 +84,6 @@ def test_a_wrong_lever_is_kept_or_left_by_its_sigma(sigma_m: float, least: float
 
 
 @pytest.mark.slow
-@needs_pyceres
 def test_a_pair_sets_baseline_and_axis() -> None:
     model, scene = moving_world(frames=12)
     pair = SensorPair(("cam1", "cam2"), 0.83, 0.0002, 90.3, 0.002)

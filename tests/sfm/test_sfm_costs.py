@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tiegraph.sfm.world.costs import LengthCost, PositionCost, PriorCost, UpCost, ZeroCost, back_rotated
+from tiegraph.sfm.adjustment.costs import PriorCost
+from tiegraph.sfm.world.costs import LengthCost, PositionCost, UpCost, ZeroCost, back_rotated
 
 _STEP = 1e-6
 

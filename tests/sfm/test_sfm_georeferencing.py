@@ -33,8 +33,6 @@ import pycolmap  # isort: skip
 TUNING = Tuning()
 WORLD = TUNING.world
 
-needs_pyceres = pytest.mark.skipif(not worldadjust.available(), reason="pyceres is not installed")
-
 
 @pytest.fixture(scope="module")
 def world(tmp_path_factory):
@@ -81,7 +79,6 @@ def _control(truth, scene, count: int = 6, sigma: float = 0.005, checks: int = 2
 
 
 @pytest.mark.slow
-@needs_pyceres
 def test_control_points_alone_place_and_check_points_stay_out(world) -> None:
     truth, scene = world
     control = _control(truth, scene)
@@ -108,7 +105,6 @@ def test_a_point_with_one_mark_is_said_with_its_line(world) -> None:
 
 
 @pytest.mark.slow
-@needs_pyceres
 def test_adjustment_meets_the_truth_and_says_what_it_did(world) -> None:
     truth, scene = world
     true = true_frames(truth, scene)
@@ -129,7 +125,6 @@ def test_adjustment_meets_the_truth_and_says_what_it_did(world) -> None:
 
 
 @pytest.mark.slow
-@needs_pyceres
 def test_what_the_rig_file_gives_with_a_sigma_holds_among_the_positions_too(world) -> None:
     truth, scene = world
     frames = true_frames(truth, scene)[:, :3, 3]
@@ -168,7 +163,6 @@ def test_every_fifth_gross_outlier_and_a_pass_without_positions(world) -> None:
     assert lost.placed and any("pass 'down' has no position" in n for n in lost.findings.notes)
 
 
-@needs_pyceres
 def test_frames_that_see_no_point_do_not_end_the_process(world) -> None:
     """Their poses are constant to Ceres, and so is all that a position of theirs is compared with."""
     truth, scene = world
@@ -311,7 +305,6 @@ def _drive(time_s: np.ndarray) -> Scene:
 
 
 @pytest.mark.slow
-@needs_pyceres
 def test_the_cameras_of_a_relaxed_rig_stay_together_where_positions_move_their_frames(world) -> None:
     """The second camera sees three points an image: these alone would leave it behind."""
     truth, scene = world
@@ -337,7 +330,6 @@ def test_the_cameras_of_a_relaxed_rig_stay_together_where_positions_move_their_f
     assert np.max(apart, axis=0)[0] < 0.005 and np.max(apart, axis=0)[1] < 0.02
 
 
-@needs_pyceres
 @pytest.mark.parametrize(("radius", "least", "most"), [(solver.NEAR_RADIUS, 0.9, 1.05), (1e4, 0.0, 0.2)])
 def test_an_adjustment_ends_where_positions_and_images_are_in_balance(world, monkeypatch, radius, least, most) -> None:
     """Weak positions along a curve bend the model by a decimetre, and once more changes little; damped as Ceres begins
@@ -361,7 +353,6 @@ def test_an_adjustment_ends_where_positions_and_images_are_in_balance(world, mon
     assert least < _error(tried, truth, scene) / _error(balanced, truth, scene) < most
 
 
-@needs_pyceres
 def test_what_nothing_tells_stays_as_the_similarity_has_it(world) -> None:
     """A ring's scale and a lever arm along its radius are one unknown: solved to the end, a prior of no lever arm took
     the arm to nothing and moved the cameras by its length."""

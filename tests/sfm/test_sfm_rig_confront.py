@@ -16,7 +16,6 @@ from tiegraph.geometry import transforms
 from tiegraph.scene.rig import rig_from_dict, rig_to_dict
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjustment.adjust import final_adjustment
-from tiegraph.sfm.adjustment.constraints import available
 from tiegraph.sfm.finish import FinishResult, finish_model
 from tiegraph.sfm.model import image_poses
 from tiegraph.sfm.rig.confront import lever_sigmas, open_times, prior_test
@@ -135,7 +134,6 @@ def _finished(case: str, folder: Path, **more: object) -> tuple[FinishResult, py
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not available(), reason="pyceres is not there")
 def test_a_turned_camera_is_said_and_followed_the_others_stay(tmp_path: Path) -> None:
     finished, model, _ = _finished("turned", tmp_path)
     assert any("turn of cam2" in line for line in finished.contradictions)
@@ -155,7 +153,6 @@ def test_what_the_user_orders_is_obeyed_and_the_contradiction_said(tmp_path: Pat
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not available(), reason="pyceres is not there")
 def test_cameras_that_fire_apart_no_longer_set_the_scale(tmp_path: Path) -> None:
     finished, model, scene = _finished("late", tmp_path)
     assert any("relaxed" in note for note in finished.notes) and finished.contradictions == []

@@ -12,7 +12,6 @@ from moving_world import moving_world
 from tiegraph.geometry import transforms
 from tiegraph.sfm import rigcheck
 from tiegraph.sfm.adjustment.adjust import final_adjustment
-from tiegraph.sfm.adjustment.constraints import available
 from tiegraph.sfm.model import image_poses
 from tiegraph.sfm.rig.diagnostics import RigDiagnostics, rig_diagnostics
 from tiegraph.sfm.rig.resections import (
@@ -99,7 +98,6 @@ def test_a_relaxed_model_that_loses_images_is_not_kept(tmp_path: Path, monkeypat
     assert lost_images(model, free, scene, 10) == (poor,) and lost_images(free, model, scene, 10) == ()
     found = RigDiagnostics([], (), (0,), ["camera cam2 is not rigid"], True, {})
     monkeypatch.setattr(rigcheck, "rig_diagnostics", lambda *_: found)
-    monkeypatch.setattr(rigcheck.constraints, "available", lambda: True)
     request = rigcheck.FinishRequest(
         tmp_path, tmp_path, scene.to_json(), Tuning(), rigcheck.Held(rigs=(0,), fixed=(0,))
     )
@@ -151,7 +149,6 @@ def test_constant_speed_tells_no_offset_from_a_lever() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not available(), reason="pyceres is not there")
 def test_a_late_camera_is_relaxed() -> None:
     model, scene = moving_world(late_s=(0, 0, LATE_S), points=1500)
     rigid = _rigid(model)
@@ -170,7 +167,6 @@ def test_a_late_camera_is_relaxed() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not available(), reason="pyceres is not there")
 def test_a_relaxed_calibrated_rig_keeps_its_rotations_though_the_lenses_are_not_as_told() -> None:
     """Distortion that the calibration leaves out must not turn the cameras; the offset is found all the same."""
     model, scene = moving_world(late_s=(0, 0, LATE_S), points=1500)

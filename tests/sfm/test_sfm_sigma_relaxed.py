@@ -20,7 +20,7 @@ from tiegraph.geometry.align import umeyama
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjustment import adjust
 from tiegraph.sfm.adjustment.adjust import final_adjustment
-from tiegraph.sfm.adjustment.constraints import PoseConstraints, available
+from tiegraph.sfm.adjustment.constraints import PoseConstraints
 from tiegraph.sfm.adjustment.jacobians import Layout, RigConstraint, RigConstraints
 from tiegraph.sfm.adjustment.timecost import TimeOffsetPriors
 from tiegraph.sfm.covariance import position_sigma
@@ -88,7 +88,6 @@ def _stated(model: pycolmap.Reconstruction, ties: RigConstraints) -> float:
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not available(), reason="pyceres is not there")
 def test_positions_of_a_relaxed_rig_are_known_as_well_as_its_file_is_right() -> None:
     """Files that are off by what calibrations are held to: over two of them sigma and error agree; as the adjustment
     held them, without their errors, it would be too sure."""

@@ -23,8 +23,6 @@ import pycolmap  # isort: skip
 TUNING = Tuning()
 WORLD = TUNING.world
 
-pytestmark = pytest.mark.skipif(not worldadjust.available(), reason="pyceres is not installed")
-
 
 @pytest.fixture(scope="module")
 def world(tmp_path_factory):

@@ -20,6 +20,6 @@ one shot saw are left out: false matches of cameras centimetres apart meet close
 (``covariance``), and ``sfm.world`` places the model.
 
 Adjustments go through pycolmap's Ceres problem. Its wheel names the types of pyceres but holds no ``Problem``, so the
-package pyceres is a dependency; without it rigs stay rigid. Own camera models and an own bundle adjustment are
+package pyceres is a dependency. Own camera models and an own bundle adjustment are
 refused.
 """

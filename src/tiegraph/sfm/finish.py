@@ -14,7 +14,6 @@ from tiegraph.scene.colmapmodel import read_model
 from tiegraph.scene.evidence import table as statement_table
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm import shutter
-from tiegraph.sfm.adjustment import constraints
 from tiegraph.sfm.adjustment.adjust import final_adjustment, free_cameras, robust_cost
 from tiegraph.sfm.adjustment.rigpriors import nominal_geometry, rig_priors
 from tiegraph.sfm.covariance import Mounting, PositionSigma, position_sigma
@@ -106,19 +105,16 @@ def _adjusted(mapped: pycolmap.Reconstruction, scene: Scene, request: FinishRequ
 def _bundle_adjusted(
     model: pycolmap.Reconstruction, scene: Scene, request: FinishRequest
 ) -> tuple[pycolmap.Reconstruction, list[str]]:
-    """By the rig's priors: with their sigmas in metres, or held where those cannot be used."""
-    rig, notes = request.tuning.rig, []
+    """By the rig's priors, with their sigmas in metres."""
+    rig = request.tuning.rig
     known = rig_priors(model, scene, (), rig.priors)
     fixed = [k + 1 for k in request.held.fixed]
-    if request.held.soft and constraints.available():
+    if request.held.soft:
         scale = 1 / units_per_metre(model, scene, rig.support)
         model.transform(pycolmap.Sim3d(scale, pycolmap.Rotation3d(), np.zeros(3)))
         known = rig_priors(model, scene, request.held.soft, rig.priors)
-    elif request.held.soft:
-        fixed += [k + 1 for k in request.held.soft]
-        notes.append("the rig's sigmas are not used, its extrinsics stay as mapped: the package pyceres is missing")
     adjustment = final_adjustment(model, fixed, request.held.cameras, known, tuning=request.tuning.adjust)
-    return adjustment.model, [*notes, adjustment.note]
+    return adjustment.model, [adjustment.note]
 
 
 def _without_rolling(

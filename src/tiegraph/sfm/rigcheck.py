@@ -12,7 +12,6 @@ import pycolmap
 
 from tiegraph.scene.evidence import Statement
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.adjustment import constraints
 from tiegraph.sfm.adjustment.jacobians import RigConstraints
 from tiegraph.sfm.placement.doubtful import MatchSource
 from tiegraph.sfm.rig.confront import (
@@ -187,10 +186,6 @@ def _relaxed(
                 + "; ".join(found.notes)
             )
             continue
-        if not constraints.available():
-            why = "it stays rigid in the model: relaxing it needs the package pyceres"
-            out.contradictions.append(f"rig {rig.name} does not move as one ({'; '.join(found.notes)}); {why}")
-            break
         free = _times_calibrated(out.model, mapped, rig, found, metres)
         lost = rig.lost(out.model, free.model)
         if lost:
@@ -259,7 +254,7 @@ def _confront_rigid(out: Checked, rig: _Rig, test: PriorTest) -> None:
 def _refined(model: pycolmap.Reconstruction, rig: _Rig, test: PriorTest) -> pycolmap.Reconstruction | None:
     """The model with the cameras that the images want elsewhere adjusted; None where none is, or none may be."""
     held = rig.request.held
-    if not (_mounts_freed(test) and rig.fixed and constraints.available()):
+    if not (_mounts_freed(test) and rig.fixed):
         return None
     fixed = [k + 1 for k in held.fixed]
     return refine(model, rig.scene, rig.index, test, fixed, held.cameras, rig.request.tuning.adjust)

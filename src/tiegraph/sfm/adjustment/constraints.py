@@ -1,18 +1,15 @@
-"""What is known of poses with a sigma, as residuals beside the reprojection errors in Ceres' problem.
-
-pycolmap hands out its problem and its own pose priors as objects of the package pyceres, which has to be installed
-beside it (the pycolmap wheel names these types but does not hold them).
-"""
+"""What is known of poses with a sigma, as residuals beside the reprojection errors in Ceres' problem."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cache
 from typing import Any
 
 import numpy as np
+import pyceres
 import pycolmap
+import pycolmap.cost_functions
 
 from tiegraph.sfm.adjustment.leverarmprior import NominalGeometry
 from tiegraph.sfm.adjustment.timecost import TimeOffsetPriors, add_time_offsets, pose_block
@@ -74,24 +71,6 @@ class PoseConstraints:
         return frozenset([*((s.rig_id, s.camera_id) for s in self.sensors), *pairs])
 
 
-@cache
-def available() -> bool:
-    """Whether pyceres is there and of the same making as pycolmap's Ceres."""
-    try:
-        import pyceres  # noqa: F401
-
-        cost = _costs().AbsolutePosePriorCost(np.eye(6), pycolmap.Rigid3d())
-        return bool(cost.num_residuals() == 6)
-    except (ImportError, TypeError, AttributeError):
-        return False
-
-
-def _costs() -> Any:
-    import pycolmap.cost_functions
-
-    return pycolmap.cost_functions
-
-
 def add_constraints(
     adjuster: Any, model: pycolmap.Reconstruction, soft: PoseConstraints, robust_px: float
 ) -> list[Any]:
@@ -105,18 +84,24 @@ def add_constraints(
 
     def add(cost: Any, *blocks: np.ndarray) -> None:
         there = all(problem.has_parameter_block(b) for b in blocks)
-        if there and not all(problem.is_parameter_block_constant(b) for b in blocks):  # pyceres: see ``world.costs``
+        if there and not all(problem.is_parameter_block_constant(b) for b in blocks):  # see ``costs.Cost``
             problem.add_residual_block(cost, None, list(blocks))
             kept.append(cost)
 
     for tie in soft.relative_poses:
         a, b = pose_block(model, tie.first), pose_block(model, tie.second)
-        add(_costs().RelativePosePriorCost(tie.covariance / robust_px**2, rigid3d(tie.second_from_first)), b, a)
+        add(
+            pycolmap.cost_functions.RelativePosePriorCost(
+                tie.covariance / robust_px**2, rigid3d(tie.second_from_first)
+            ),
+            b,
+            a,
+        )
     for prior in soft.sensors:
         block = _extrinsics(model, prior.rig_id, prior.camera_id)
         if block is not None:
             covariance = prior.covariance / robust_px**2
-            add(_costs().AbsolutePosePriorCost(covariance, rigid3d(prior.sensor_from_rig)), block)
+            add(pycolmap.cost_functions.AbsolutePosePriorCost(covariance, rigid3d(prior.sensor_from_rig)), block)
     for pair in soft.pairs:
         found = [_extrinsics(model, pair.rig_id, c) for c in pair.cameras]
         blocks = [b for b in found if b is not None]
@@ -166,7 +151,6 @@ _STEP = 1e-7
 
 def _pair_cost(pair: PairPrior, free: Sequence[bool], weight: float) -> Any:
     """Paper 001's constraint as a Ceres cost; a sensor that is the reference has no block. Numeric derivatives: few."""
-    import pyceres
 
     class PairCost(pyceres.CostFunction):  # type: ignore[misc, name-defined]
         def __init__(self) -> None:

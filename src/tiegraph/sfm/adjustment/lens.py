@@ -8,10 +8,10 @@ on canal_demo and canal (aspect 0.1-0.2 %, decentring 2e-4 to 5e-4) it turned th
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from functools import cache
 from typing import Any
 
 import numpy as np
+import pyceres
 import pycolmap
 
 from tiegraph.scene.rays import on_plane
@@ -20,22 +20,11 @@ from tiegraph.sfm.tuning import AdjustTuning, LensTuning
 UNDISTORTED = ("SIMPLE_PINHOLE", "PINHOLE")  # calibrations that say nothing of distortion
 
 
-@cache
-def available() -> bool:
-    """Whether priors of intrinsics can be added to Ceres' problem (package pyceres)."""
-    try:
-        import pyceres
-
-        return hasattr(pyceres.factors, "NormalPrior")
-    except (ImportError, AttributeError):
-        return False
-
-
 def extensible(
     model: pycolmap.Reconstruction, cameras: Collection[int], kinds: Collection[str] = ("RADIAL",)
 ) -> list[int]:
-    """Those of these cameras (COLMAP ids) whose model is of these kinds; none without pyceres."""
-    return [k for k in sorted(cameras) if available() and model.camera(k).model.name in kinds]
+    """Those of these cameras (COLMAP ids) whose model is of these kinds."""
+    return [k for k in sorted(cameras) if model.camera(k).model.name in kinds]
 
 
 def extended(model: pycolmap.Reconstruction, cameras: Collection[int]) -> pycolmap.Reconstruction:
@@ -73,14 +62,14 @@ def add_priors(
     ``given``: calibrations by camera id, believed but for small changes and distortion.
     """
     kept: list[Any] = []
-    for key, camera in model.cameras.items() if available() else ():
+    for key, camera in model.cameras.items():
         block = camera.params
         if camera.model == pycolmap.CameraModelId.OPENCV and problem.has_parameter_block(block):
             mean: np.ndarray = _full(given.get(key, camera))
             if key not in given:
                 mean[:2], mean[6:] = mean[:2].mean(), 0.0
             expected = covariance(float(mean[0]), tuning.lens, key in given)
-            kept.append(_prior(mean, expected / tuning.robust_px**2))
+            kept.append(pyceres.factors.NormalPrior(mean, expected / tuning.robust_px**2))
             problem.add_residual_block(kept[-1], None, [block])
     return kept
 
@@ -105,9 +94,3 @@ def difference_px(a: pycolmap.Camera, b: pycolmap.Camera) -> float:
     grid = np.array([[u, v] for u in x for v in y])
     rays = np.column_stack([on_plane(a, grid), np.ones(len(grid))])
     return float(np.nanmedian(np.linalg.norm(b.img_from_cam(rays) - grid, axis=1)))
-
-
-def _prior(mean: np.ndarray, expected: np.ndarray) -> Any:
-    import pyceres
-
-    return pyceres.factors.NormalPrior(mean, expected)

@@ -14,10 +14,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import pyceres
 import pycolmap
+import pycolmap.cost_functions
 
 from tiegraph.geometry.transforms import skew
-from tiegraph.sfm.adjustment.lens import available
 from tiegraph.sfm.model import rigid3d
 from tiegraph.sfm.tuning import AdjustTuning
 from tiegraph.sfm.tuning.rig import LeverArmTuning
@@ -124,11 +125,6 @@ def add_priors(
 
     ``known``: (rig id, camera id) of sensors of which more is known; ``nominal``: geometry of rigs by rig id.
     """
-    if not available():
-        return []
-    import pyceres
-    import pycolmap.cost_functions
-
     kept: list[Any] = []
     for rig_id, rig in model.rigs.items():
         expected = expected_centres(rig, tuning.lever_arms, (nominal or {}).get(rig_id))

@@ -13,11 +13,13 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+import pyceres
 import pycolmap
 import pycolmap.cost_functions
 from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import transforms
+from tiegraph.sfm.adjustment.costs import PriorCost
 
 _STEPS = np.array([1e-5, *[1e-6] * 6])
 _ASIDE = np.concatenate([np.zeros((1, 7)), np.diag(_STEPS), -np.diag(_STEPS)])
@@ -111,15 +113,13 @@ def add_time_offsets(problem: Any, model: pycolmap.Reconstruction, timed: TimeOf
             problem.add_residual_block(costs[-1], None, [*blocks, timed.unknowns[tie.sensor]])
     for unknowns in timed.unknowns.values():
         if problem.has_parameter_block(unknowns):
-            costs.append(_expectation(timed.sigma, weight))
+            costs.append(PriorCost(np.zeros(7), timed.sigma / weight))
             problem.add_residual_block(costs[-1], None, [unknowns])
     return costs
 
 
 def _tie_cost(at: Callable[[np.ndarray], list[pycolmap.Rigid3d]], covariance: np.ndarray, weight: float) -> Any:
     """The cost of one tie; ``at``: second_from_first by unknowns (K, 7)."""
-    import pyceres
-
     covariance = covariance / weight**2
 
     class TieCost(pyceres.CostFunction):  # type: ignore[misc, name-defined]
@@ -150,21 +150,3 @@ def _tie_cost(at: Callable[[np.ndarray], list[pycolmap.Rigid3d]], covariance: np
             return True
 
     return TieCost()
-
-
-def _expectation(sigma: np.ndarray, weight: float) -> Any:
-    import pyceres
-
-    class Expectation(pyceres.CostFunction):  # type: ignore[misc, name-defined]
-        def __init__(self) -> None:
-            super().__init__()
-            self.set_num_residuals(7)
-            self.set_parameter_block_sizes([7])
-
-        def Evaluate(self, parameters: Any, residuals: Any, jacobians: Any) -> bool:
-            residuals[:] = weight * np.array(parameters[0]) / sigma
-            if jacobians is not None and jacobians[0] is not None:
-                jacobians[0][:] = np.diag(weight / sigma).ravel()
-            return True
-
-    return Expectation()

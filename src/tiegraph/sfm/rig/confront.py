@@ -207,7 +207,7 @@ def refine(
 ) -> pycolmap.Reconstruction:
     """The model adjusted with the freed mountings of a rigid rig about what is given, the others held.
 
-    ``fixed``: COLMAP ids of the other rigs that stay. Needs pyceres.
+    ``fixed``: COLMAP ids of the other rigs that stay.
     """
     known = expected(scene.rigs[index], test.system.timed, test.known.tuning)
     priors = _priors(scene, index, known, test)

@@ -84,7 +84,7 @@ def calibrate_times(
 ) -> TimeCalibration:
     """Release rig ``index`` of a model in which it was rigid; its cameras' offsets and constants are estimated.
 
-    ``loose``: scatter in degrees of cameras (sensor keys) that do not keep still. Needs pyceres (``soft.available``).
+    ``loose``: scatter in degrees of cameras (sensor keys) that do not keep still.
     """
     metres_per_unit, constant_cameras = believed.metres_per_unit, believed.constant_cameras
     rigs = model_rigs(model, scene)

@@ -1,7 +1,5 @@
-"""Own residuals for COLMAP's Ceres problem: positions with lever arm and clock, priors of vectors, lengths, an upright.
+"""Own residuals for COLMAP's Ceres problem: positions with lever arm and clock, lengths, an upright.
 
-pycolmap hands out its problem and its own cost functions; the classes to extend them are in the package pyceres. Python
-residuals need the interpreter's lock, so such a problem is solved with one thread (more wait for each other for ever).
 Jacobians are analytic and tested against differences. A pose block is COLMAP's Rigid3d: quaternion x y z w of
 frame_from_world and its translation.
 """
@@ -14,31 +12,9 @@ from typing import Any
 import numpy as np
 
 from tiegraph.geometry.transforms import skew
-
-pyceres: Any
-try:
-    import pyceres
-except ImportError:  # the adjustment then says what to install
-    pyceres = None
+from tiegraph.sfm.adjustment.costs import Cost
 
 _UNIT = np.eye(3)
-_Base: Any = object if pyceres is None else pyceres.CostFunction
-
-
-class _Cost(_Base):
-    """A residual of ours: ``_begin`` is the last that its constructor does."""
-
-    def _begin(self, residuals: int, sizes: Sequence[int]) -> None:
-        """Say how many residuals there are, over blocks of which sizes.
-
-        pyceres sets up its arrays at the first call, and reads then where the Jacobians are to go whether any are asked
-        for or not. Ceres asks for none where all blocks of a residual are constant (a position of frames that see no
-        point): the process ended by SIGSEGV. So the first call is made here, and asks for them.
-        """
-        if pyceres is not None:
-            self.set_num_residuals(residuals)
-            self.set_parameter_block_sizes(list(sizes))
-            self.evaluate(*(np.zeros(size) for size in sizes))
 
 
 def back_rotated(pose: np.ndarray, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -64,7 +40,7 @@ def by_pose(pose: np.ndarray, point: np.ndarray, inverse: np.ndarray) -> np.ndar
     return out
 
 
-class PositionCost(_Cost):
+class PositionCost(Cost):
     """Weighted sum of the antenna's places at some frames minus a measured position, over its sigma.
 
     r = sum_i (w_i + dt w'_i) R_i^T (l_i - t_i) - p, with l_i the lever arm in the model's frame of frame i: rotation
@@ -102,23 +78,7 @@ class PositionCost(_Cost):
         return True
 
 
-class PriorCost(_Cost):
-    """A vector block minus its prior value, over its sigma."""
-
-    def __init__(self, value: np.ndarray, sigma: np.ndarray) -> None:
-        super().__init__()
-        self.value, self.weight = np.array(value, float), 1 / np.broadcast_to(np.asarray(sigma, float), np.shape(value))
-        self._begin(len(self.value), [len(self.value)])
-
-    def Evaluate(self, parameters: Any, residuals: Any, jacobians: Any) -> bool:
-        """Residual and Jacobian."""
-        residuals[:] = self.weight * (parameters[0] - self.value)
-        if jacobians is not None and jacobians[0] is not None:
-            jacobians[0][:] = np.diag(self.weight).ravel()
-        return True
-
-
-class ZeroCost(_Cost):
+class ZeroCost(Cost):
     """Nothing, of two residuals like a sighting: to Ceres its blocks (of these sizes) are neighbours all the same."""
 
     def __init__(self, sizes: Sequence[int]) -> None:
@@ -135,7 +95,7 @@ class ZeroCost(_Cost):
         return True
 
 
-class LengthCost(_Cost):
+class LengthCost(Cost):
     """The distance of two points minus its measured length, over its sigma. Blocks: the points (3 each)."""
 
     def __init__(self, length: float, sigma: float) -> None:
@@ -154,7 +114,7 @@ class LengthCost(_Cost):
         return True
 
 
-class UpCost(_Cost):
+class UpCost(Cost):
     """The vertical must stay where it was in a frame: components (rows of ``axes``) of R^T u, over one sigma (rad).
 
     ``up`` (3,) is the upward direction in the frame; ``axes`` (n, 3) are horizontal directions of the world along which

@@ -71,8 +71,6 @@ def _georeferenced(
     placing = first.placing
     if placing is None or settings.adjust == "no":
         return first, world
-    if not worldadjust.available():
-        return _with(first, "not adjusted with the positions: the package pyceres is not installed"), world
     constraints = _constraints(world, scene, first, placing, tuning, given, held)
     settled = worldadjust.settled(world, tuning.adjust)
     check = _check(settled, scene, placing, constraints)

@@ -166,9 +166,9 @@ def rig_statement(scale: RigScale | None, result: Similarity, used: bool) -> lis
 
 
 def up_statements(up: Up | None, result: Similarity, used: bool) -> list[Statement]:
-    """What a ring of cameras says of the tilt. Those to one side say nothing unless they are needed: they may be held
-    or mounted anyhow, upside down too."""
-    if up is None or not (up.ring or used):
+    """What a ring of cameras says of the tilt. Those to one side say nothing unless they are needed for all of it: they
+    may be held or mounted anyhow, upside down or looking straight down too."""
+    if up is None or not (up.ring or (used and up.tilt)):
         return []
     lean = result.rotation @ up.direction
     values = np.degrees([-np.arctan2(lean[1], lean[2]), -np.arctan2(lean[0], lean[2])])

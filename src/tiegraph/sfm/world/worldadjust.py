@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import pyceres
 import pycolmap
 
 from tiegraph.geometry import transforms
@@ -16,6 +17,7 @@ from tiegraph.scene.control import Control, Marks, ScaleBars
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjustment.adjust import free_cameras, solve_points
 from tiegraph.sfm.adjustment.constraints import RelativePosePrior
+from tiegraph.sfm.adjustment.costs import PriorCost
 from tiegraph.sfm.adjustment.priors import add_priors
 from tiegraph.sfm.adjustment.rigpriors import relaxed_frames, rig_priors
 from tiegraph.sfm.model import frame_poses, image_poses, matrix
@@ -83,17 +85,6 @@ class AdjustmentResult:
     factor: np.ndarray
     before_px: float
     after_px: float
-
-
-def available() -> bool:
-    """Whether own residuals can be added to COLMAP's problem (package pyceres, of the same pybind11 as pycolmap)."""
-    if costs.pyceres is None:
-        return False
-    try:
-        pycolmap.BundleAdjustmentOptions().ceres.create_loss_function()
-    except TypeError:
-        return False
-    return True
 
 
 def adjust_in_world(
@@ -240,7 +231,7 @@ def _add_positions(
         cost = costs.PositionCost(
             fixes.weights[k, use], fixes.rates[k, use], np.stack([t for _, t in poses]), fixes.position[k], sigma
         )
-        loss = costs.pyceres.CauchyLoss(known.inlier_sigmas * sigma_px)
+        loss = pyceres.CauchyLoss(known.inlier_sigmas * sigma_px)
         _add(problem, cost, loss, [p.params for p, _ in poses], [arm, clock])
         kept += [cost, loss]
     if not len(fixes):
@@ -252,7 +243,7 @@ def _add_positions(
     )
     for block, value, free, sigma in weak:
         if free:
-            prior = costs.PriorCost(value, sigma / sigma_px)
+            prior = PriorCost(value, sigma / sigma_px)
             problem.add_residual_block(prior, None, [block])
             kept.append(prior)
         else:
@@ -294,7 +285,7 @@ def _add_points(
         place = places[control.names[row]] = np.array(control.world_m[row], float)
         seen = _Sighting(place=place, marks=control.marks, rows=target.marks, sigma_px=sigma_px)
         kept += _add_marks(problem, model, scene, given, seen)
-        prior = costs.PriorCost(place, control.sigma_m[row] * given.point_factor / sigma_px)
+        prior = PriorCost(place, control.sigma_m[row] * given.point_factor / sigma_px)
         problem.add_residual_block(prior, None, [place])
         kept += [prior, place]
     if given.lengths is None:
@@ -335,7 +326,7 @@ def _add_marks(problem: Any, model: pycolmap.Reconstruction, scene: Scene, given
         kind = cost_functions.ReprojErrorCost if len(blocks) == 2 else cost_functions.RigReprojErrorCost
         weight = (sigma[mark] / sigma_px) ** 2 * np.eye(2)
         cost = kind(model.cameras[image.camera_id].model, weight, marks.xy_px[mark])
-        loss = costs.pyceres.CauchyLoss(world.fit.inlier_sigmas * sigma_px)
+        loss = pyceres.CauchyLoss(world.fit.inlier_sigmas * sigma_px)
         _add(problem, cost, loss, blocks, [seen.place], new_first=True)
         kept += [cost, loss]
     return kept
