@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pycolmap
-from scipy.sparse import coo_array, csr_matrix, vstack
+from scipy.sparse import coo_array, csc_matrix, csr_matrix, vstack
 from scipy.sparse.csgraph import connected_components
 
 from tiegraph.features.settings import PreviewSettings
@@ -23,8 +23,7 @@ from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import Tuning as SceneTuning
 from tiegraph.sfm.adjustment.jacobians import Layout, of_image
-from tiegraph.sfm.adjustment.normal import reduced
-from tiegraph.sfm.covariance import positions_free_gauge
+from tiegraph.sfm.adjustment.normal import Normal, reduced
 from tiegraph.sfm.mapper import Source, reconstruct
 from tiegraph.sfm.mapping import believed_cameras
 from tiegraph.sfm.rig.rig import rig_modes
@@ -89,6 +88,15 @@ class Run:
         return [
             m.folder for m in reconstruct(source, out, self.scene, self.settings(), Tuning(), SceneTuning(), log).models
         ]
+
+
+def positions_free_gauge(normal: csc_matrix, layout: Layout) -> np.ndarray:
+    """Covariance (3F, 3F) of the positions by the normal matrix (C, C), with similarities of the whole taken out."""
+    factor = Normal(normal, layout)
+    at = np.arange(6 * len(layout.centres)).reshape(-1, 6)[:, :3].ravel()
+    columns = csc_matrix((np.ones(len(at)), (at, np.arange(len(at)))), shape=(layout.size, len(at)))
+    sides = factor.asked(columns)
+    return np.asarray(sides.T @ factor.solve(sides))
 
 
 def _in_turn(function: Callable[..., Any], items: Sequence[Any], *args: Any) -> list[Any]:

@@ -159,7 +159,7 @@ class Project:
             try:
                 project.run(glue.UNTIL, reporter)
             except ReconstructionError as error:
-                notes.append(glue.lost_note(block, side, error))
+                notes.append(f"{side} made no model: {error}")
         return glue.judged(block, name, STAGES, [n for n in notes if n])
 
     def _as_given(self) -> dict[str, dict[str, Any]]:

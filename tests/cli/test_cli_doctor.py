@@ -1,6 +1,5 @@
 """`tiegraph doctor`: what it names, and that its hints are printed letter by letter."""
 
-import sys
 from importlib.metadata import version
 from pathlib import Path
 from types import SimpleNamespace
@@ -43,8 +42,6 @@ def test_what_doctor_names(lines):
 
 
 def test_hints_for_what_is_not_installed_keep_their_brackets(lines, monkeypatch):
-    for name in ("onnxruntime", "distributed"):
-        monkeypatch.setitem(sys.modules, name, None)
     monkeypatch.setattr(doctor, "version", lambda name: version(f"no-{name}"))
     said = lines()
     assert said["rosbags"] == "not installed (pip install 'tiegraph[ros]' for bags of ROS)"
@@ -53,11 +50,9 @@ def test_hints_for_what_is_not_installed_keep_their_brackets(lines, monkeypatch)
 
 
 def test_what_is_installed_has_its_version(lines, monkeypatch):
-    for name, number in (("onnxruntime", "1.2.3"), ("distributed", "2024.1.0")):
-        monkeypatch.setitem(sys.modules, name, SimpleNamespace(__version__=number))
     monkeypatch.setattr(doctor, "version", lambda name: f"0.11 of {name}")
-    said = lines()
-    assert (said["ONNX Runtime"], said["dask"], said["rosbags"]) == ("1.2.3", "2024.1.0", "0.11 of rosbags")
+    said = [lines()[name] for name in ("ONNX Runtime", "dask", "rosbags")]
+    assert said == ["0.11 of onnxruntime", "0.11 of distributed", "0.11 of rosbags"]
 
 
 def test_native_kernels_there_and_not(lines, monkeypatch):

@@ -207,17 +207,6 @@ def test_watermarks_are_struck_out(tmp_path):
     assert (table.matches[0], table.inliers[0], table.config[0]) == (20, 0, geometry.config)
 
 
-def test_full_disk_while_matching_is_an_input_error(tmp_path, monkeypatch):
-    path = filled_database(tmp_path / "database.db", scene())
-
-    def abort(*args, **kwargs):
-        raise ReconstructionError("match: ... (signal SIGABRT). Last lines: SQLite error: database or disk is full")
-
-    monkeypatch.setattr(matchblocks, "run_in_children", abort)
-    with pytest.raises(InputError, match="no room on the disk"):
-        match_pairs(path, scene(), listed(), RULES, tmp_path / "log.txt")
-
-
 def test_a_block_that_ends_its_process_is_left_away_and_the_others_are_done(tmp_path, monkeypatch):
     path = filled_database(tmp_path / "database.db", scene())
     asked, tried = listed(), []

@@ -5,9 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
-from tiegraph.errors import ReconstructionError
 from tiegraph.pipeline import STAGES
-from tiegraph.pipeline.baseline import Block, interrupted_note, lost_note, run_side
+from tiegraph.pipeline.baseline import Block, interrupted_note, run_side
+from tiegraph.project.artefacts import LOST
+from tiegraph.project.receipts import Receipts
 from tiegraph.project.run import Inputs, Run
 from tiegraph.project.settings import merged
 from tiegraph.scene.rig import Rig, Sensor
@@ -28,7 +29,7 @@ def test_a_run_that_goes_on_is_said_to_have_been_interrupted(tmp_path: Path) -> 
     for _ in range(2):  # also when it has gone on since
         assert "times are too short" in interrupted_note(made, "conventional", STAGES)
     made.side("meguro2024").mkdir()
-    assert lost_note(made, "meguro2024", ReconstructionError("no pair verified")).endswith("no pair verified")
+    Receipts(made.side("meguro2024")).write("georef", {"began": "key", LOST: "it needs the stage match"})
     assert interrupted_note(made, "meguro2024", STAGES) == ""
     side = run_side(made, "meguro2024", STAGES)
     assert side.count == 0 and side.cpu_s == 0 and np.isnan(side.centres).all()

@@ -61,5 +61,5 @@ def test_control_points_that_do_not_fit_are_not_used_and_said(monkeypatch, error
         with pytest.raises(UnreadableArtefact):
             georef._measured_in_images(None, None)  # type: ignore[arg-type]
         return
-    found = georef._measured_in_images(None, None)  # type: ignore[arg-type]
-    assert found.control is None and found.bars is None and "coded targets" in found.contradictions[0]
+    found, _, unfit = georef._measured_in_images(None, None)  # type: ignore[arg-type]
+    assert found.control is None and found.bars is None and "coded targets" in unfit[0]

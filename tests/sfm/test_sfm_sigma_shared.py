@@ -6,6 +6,7 @@ import time
 
 import numpy as np
 import pytest
+from benchmarks.network.matched import positions_free_gauge
 from scipy import sparse
 from scipy.spatial.transform import Rotation
 from sfm_worlds import make_world, true_frames
@@ -15,7 +16,7 @@ from tiegraph.geometry.align import umeyama
 from tiegraph.sfm.adjustment.adjust import _solve
 from tiegraph.sfm.adjustment.jacobians import Layout, RigConstraint, RigConstraints, jacobians
 from tiegraph.sfm.adjustment.normal import Normal, by_blocks, gauge, point_inverse, reduced
-from tiegraph.sfm.covariance import LENS, position_sigma, positions_free_gauge
+from tiegraph.sfm.covariance import LENS, position_sigma
 from tiegraph.sfm.model import frame_poses, image_poses, matrix
 from tiegraph.sfm.settings import SparseSettings
 from tiegraph.sfm.systematic.mountings import two_sizes

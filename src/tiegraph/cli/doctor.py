@@ -47,10 +47,10 @@ def findings() -> Iterator[tuple[str, str]]:
     yield "descriptor kernels", ", ".join(nearest.kernels()) or "not built: NumPy finds the nearest descriptors"
     yield "GPU", _gpu()
     yield "pycolmap with CUDA", "yes" if pycolmap.has_cuda else "no (not needed)"
-    yield "ONNX Runtime", _onnx()
+    yield "ONNX Runtime", _optional("onnxruntime", "onnx", "--masks.source model")
     yield "PROJ grids", _grids()
-    yield "dask", _dask()
-    yield "rosbags", _rosbags()
+    yield "dask", _optional("distributed", "dask", "--pool dask:<address>")
+    yield "rosbags", _optional("rosbags", "ros", "bags of ROS")
 
 
 def _disk(place: Callable[[], Path]) -> str:
@@ -76,19 +76,11 @@ def _gpu() -> str:
     return f"not used: {cuda.reason()}"
 
 
-def _onnx() -> str:
+def _optional(package: str, extra: str, use: str) -> str:
     try:
-        import onnxruntime
-    except ImportError:
-        return "not installed (pip install 'tiegraph[onnx]' for --masks.source model)"
-    return onnxruntime.__version__
-
-
-def _rosbags() -> str:
-    try:
-        return version("rosbags")
+        return version(package)
     except PackageNotFoundError:
-        return "not installed (pip install 'tiegraph[ros]' for bags of ROS)"
+        return f"not installed (pip install 'tiegraph[{extra}]' for {use})"
 
 
 def _grids() -> str:
@@ -101,11 +93,3 @@ def _grids() -> str:
     if online:
         return "none installed; downloaded when needed (PROJ_NETWORK=ON)"
     return "none (for heights above a geoid: PROJ_NETWORK=ON, or pyproj sync --file NAME)"
-
-
-def _dask() -> str:
-    try:
-        import distributed
-    except ImportError:
-        return "not installed (pip install 'tiegraph[dask]' for --pool dask:<address>)"
-    return distributed.__version__

@@ -1,7 +1,4 @@
-"""`tiegraph <verb> ...`: one file a verb; a stage's name is a verb too. Exit codes: 0 done, 1 failed, 2 misuse.
-
-With --strict, 3 is done but doubtful.
-"""
+"""`tiegraph <verb> ...`, a file each; stages are verbs too. Exit codes: 0 done, 1 failed, 2 misuse, 3 by `--strict`."""
 
 from __future__ import annotations
 

@@ -23,7 +23,6 @@ from tiegraph.report.accuracy import terminal_lines
 from tiegraph.settings import Section
 
 _MANY = 1 << 20
-DOUBTFUL = 3  # exit code, where it is asked for
 _STATED = (None, "evaluate", "report")  # runs that end with a statement of accuracy
 
 
@@ -187,16 +186,15 @@ def finish(project: Project, until: str | None, options: Common) -> int:
     reporter = options.reporter()
     try:
         project.run(until, reporter)
-    except ChildDied:
-        raise
-    except ReconstructionError:
-        pass  # its stage has said that the images give no more
+    except ReconstructionError as error:  # its stage has said it
+        if isinstance(error, ChildDied):
+            raise
     for line in terminal_lines(project.folder / "metrics.json") if until in _STATED else ():
         reporter.say(line)
     report = project.folder / "report.html"
     reporter.say(f"report: {report}" if until is None and report.exists() else f"results: {project.folder}")
     reporter.event("done", folder=str(project.folder), report=str(report) if report.exists() else None)
-    return DOUBTFUL if options.strict and project.doubtful(until) else 0
+    return 3 if options.strict and project.doubtful(until) else 0
 
 
 def _cli(function: Any, program: str, arguments: list[str], **how: Any) -> Any:

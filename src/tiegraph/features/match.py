@@ -60,8 +60,7 @@ def match_pairs(
 
     Returns the table with ``inliers`` of the kept pairs (0 = compared and not verified, -1 = could not be compared;
     both are dropped for "match") and the report. ``on_progress`` is told how many pairs of how many are done. Raises
-    InputError for a database of another scene or a full disk, ReconstructionError if COLMAP's process ends or no pair
-    at all is verified.
+    InputError for a database of another scene, ReconstructionError if no pair at all is verified.
     """
     _check_images(database, scene)
     kept = pairs.kept()

@@ -21,7 +21,7 @@ import numpy as np
 import pycolmap
 
 from tiegraph.child import run_in_child, run_in_children
-from tiegraph.errors import ChildDied, InputError, ReconstructionError
+from tiegraph.errors import ChildDied
 from tiegraph.features import nearest
 from tiegraph.features.settings import MatchSettings
 from tiegraph.features.tuning import VerificationTuning
@@ -68,8 +68,7 @@ def run_blocks(
     """Match blocks (B, 2) of scene indices, side by side, and write into the database what comes of each.
 
     ``on_pairs`` is told how many pairs are done. Of a process that ends by itself, what it has not done is tried once
-    more, block by block, and left away where that ends too. Raises InputError when the disk is full; finished blocks
-    stay.
+    more, block by block, and left away where that ends too. Finished blocks stay.
     """
     if not blocks:
         return
@@ -101,13 +100,7 @@ def run_blocks(
             for start in range(0, len(named), step):
                 for message in side.run_map(match_block, named[start : start + step], str(database), rules, log):
                     take(message)
-    except ReconstructionError as error:
-        if "disk is full" in str(error) or "disk I/O error" in str(error):
-            raise InputError(
-                f"no room on the disk for {database}: free some and run again, what is finished is kept"
-            ) from error
-        if not isinstance(error, ChildDied):
-            raise
+    except ChildDied:
         for block in list(left.items()):
             clear(block[0])
             with suppress(ChildDied):

@@ -10,12 +10,13 @@ import numpy as np
 import pycolmap
 
 from tiegraph.child import run_in_child
-from tiegraph.errors import InputError, ReconstructionError
+from tiegraph.errors import InputError
 from tiegraph.evaluate.baseline.block import stretch
 from tiegraph.evaluate.baseline.equal import Reference, Side, compare_sides
 from tiegraph.evaluate.reference import model_poses, read_reference_poses, reference_places
 from tiegraph.papers import colmap, measured
 from tiegraph.pipeline.files import checked, load_json, load_model
+from tiegraph.project.artefacts import LOST
 from tiegraph.project.folder import check_format
 from tiegraph.project.run import Run, needed, save_json
 from tiegraph.project.stages import Stage, remove
@@ -23,7 +24,6 @@ from tiegraph.scene.bags.topics import source_of
 from tiegraph.scene.registered import registration
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.covariance import position_sigma
-from tiegraph.text import one_line
 
 BASELINES = ("conventional", "meguro2024", "meguro2025", "colmap")
 UNTIL = "georef"
@@ -218,17 +218,10 @@ def _reference(block: Block) -> tuple[Reference, str]:
     return Reference(model.world_from_camera[:, :3, 3], False, tuning.within_m), said
 
 
-def lost_note(block: Block, name: str, error: ReconstructionError) -> str:
-    """What to say of a method that made no model; kept, so that its run is not taken for one that was interrupted."""
-    said = f"{name} made no model: {one_line(str(error))}"
-    (block.folder / f"{name}.lost").write_text(said + "\n")
-    return said
-
-
 def interrupted_note(block: Block, name: str, stages: tuple[Stage, ...]) -> str:
     """A sentence if the run of a method was begun before and goes on: its stage under way has lost its first part."""
     mark, run = block.folder / f"{name}.interrupted", Run(block.side(name), block.run.inputs, block.run.settings)
-    begun = run.folder.is_dir() and run.folder != block.run.folder and not (block.folder / f"{name}.lost").exists()
-    if begun and "finished" not in run.receipts.read(needed(stages, UNTIL)[-1].name):
+    begun = run.folder.is_dir() and run.folder != block.run.folder
+    if begun and not {"finished", LOST} & set(run.receipts.read(needed(stages, UNTIL)[-1].name)):
         mark.touch()
     return f"{name} was interrupted: its times are too short" if mark.exists() else ""

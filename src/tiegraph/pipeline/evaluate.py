@@ -50,11 +50,11 @@ def evaluate(run: Run) -> Outcome:
     if settings.reference_cloud is not None:
         scratch.mkdir(parents=True)
     made = Products(model=model, images=images, cloud=cloud, origin=placed, gsd_m=counts.get("voxel"), scratch=scratch)
-    of_run, lost = (tuning.evaluate, stated(run, counts), _agreement(run)), ()
+    of_run, unfit = (tuning.evaluate, stated(run, counts), _agreement(run)), []
     try:
         found = evaluate_survey(scene, made, settings, *of_run)
     except InputError as error:
-        lost = (f"no reference is compared: {error}",)
+        unfit = [f"no reference is compared: {error}"]
         without = settings.model_copy(update={"reference": None, "reference_cloud": None})
         found = evaluate_survey(scene, made, without, *of_run)
     if found.cloud is not None:
@@ -68,7 +68,7 @@ def evaluate(run: Run) -> Outcome:
     write_atomic(run.path("accuracy.csv"), accuracy_csv(result, tables, world))
     shown = {"figures": sum(m["value"] is not None for m in result["metrics"]), "tables": len(result["tables"])}
     notes = tuple(n for n in result["notes"] if n.startswith("Reference"))  # what could be compared with what
-    return Outcome(shown, notes=notes, contradictions=(*lost, *result["contradictions"]))
+    return Outcome(shown, notes=notes, contradictions=(*unfit, *result["contradictions"]))
 
 
 def evaluate_poses(run: Run, reference: Path, origin: tuple[float, float, float] | None) -> dict[str, Any]:

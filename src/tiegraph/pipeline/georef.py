@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +17,7 @@ from tiegraph.project.run import Run, save_json
 from tiegraph.project.stages import Outcome, remove
 from tiegraph.scene import evidence
 from tiegraph.scene.atomic import claim
-from tiegraph.scene.control import Control, ScaleBars, locate, locate_bars
+from tiegraph.scene.control import locate, locate_bars
 from tiegraph.scene.gnss import on_clock_of, read_gnss
 from tiegraph.scene.hanging import carries, with_hanging
 from tiegraph.scene.scene import Scene
@@ -37,11 +37,10 @@ def georef(run: Run) -> Outcome:
     scene = checked(run).measured()
     receipt = run.receipts.read("sparse")
     sigma = receipt.get("counts", {})
-    measured = _measured_in_images(run, scene)
-    given = Measurements(
+    measured, said, unfit = _measured_in_images(run, scene)
+    given = replace(
+        measured,
         rows=_rows(run, scene),
-        control=measured.control,
-        bars=measured.bars,
         covered=covered_frames(run, scene),
         model_sigma=sigma.get("position_sigma_median", float("nan")),
         model_scale_sigma=sigma.get("scale_sigma", float("nan")),
@@ -68,7 +67,7 @@ def georef(run: Run) -> Outcome:
         refused=refused_pairs(run) if len(folders) > 1 else (),
     )
     found, missing = _georeferenced(run, request)
-    main, notes = found.first, [*found.notes(), *measured.notes]
+    main, notes = found.first, [*found.notes(), *said]
     world = main.to_dict()
     if "position_sigma_median" in sigma:
         # Of the bundle adjustment, in the model's units: the shape of the survey, not its place on the Earth.
@@ -83,7 +82,7 @@ def georef(run: Run) -> Outcome:
     scratch.rename(run.path("sparse", "world"))
     save_json(run.path("world.json"), {**world, "models": found.records(), "notes": notes})
     tables = {**_tables(main), **_mounting(receipt, main), **found.table()}
-    contradictions = (*measured.contradictions, *main.findings.contradictions, *found.contradictions, *missing)
+    contradictions = (*unfit, *main.findings.contradictions, *found.contradictions, *missing)
     counts = {
         **main.counts(),
         "models": 1 + sum(bool(o.by) for o in found.others),
@@ -122,31 +121,21 @@ def _georeferenced(run: Run, request: GeorefRequest) -> tuple[OneWorld, tuple[st
         return found, (f"the model is not adjusted with what was measured in the world: {error}",)
 
 
-@dataclass(frozen=True)
-class _Measured:
-    """Control points and scale bars with their marks, and what is to be said of the search for them."""
-
-    control: Control | None = None
-    bars: ScaleBars | None = None
-    notes: tuple[str, ...] = ()
-    contradictions: tuple[str, ...] = ()
-
-
-def _measured_in_images(run: Run, scene: Scene) -> _Measured:
-    """What the settings' control file gives; the marks of coded targets are found by the cameras of the largest model.
-    Where it does not fit the images, nothing."""
+def _measured_in_images(run: Run, scene: Scene) -> tuple[Measurements, tuple[str, ...], tuple[str, ...]]:
+    """Control points and scale bars of the settings with their marks, those of coded targets found by the cameras of
+    the largest model; notes on the search, and contradictions, where the file does not fit the images: then nothing."""
     file = control_file(run)
     if file is None:
-        return _Measured()
+        return Measurements(), (), ()
     model = load_model(run.path("sparse", "0")) if file.targets else None
     try:
         seen = target_marks(run, scene, file, model)
         control = locate(file, scene, run.settings.scan.crs, seen.marks) if file.points else None
-        return _Measured(control, locate_bars(file, scene, seen.marks), seen.notes)
+        return Measurements(control=control, bars=locate_bars(file, scene, seen.marks)), seen.notes, ()
     except UnreadableArtefact:
         raise
     except InputError as error:
-        return _Measured(contradictions=(f"no control point is used: {error}",))
+        return Measurements(), (), (f"no control point is used: {error}",)
 
 
 def _rows(run: Run, scene: Scene) -> PositionRows | None:

@@ -174,11 +174,6 @@ class Artefacts:
         (self.folder / JOURNAL).unlink(missing_ok=True)
         return receipt
 
-    def lose(self, stage: Stage, why: str, contradictions: tuple[str, ...]) -> None:
-        """Say in the receipt of a stage that has begun why nothing comes of it. It is tried again by the next run."""
-        began = self.receipts.read(stage.name)
-        self.receipts.write(stage.name, {**began, LOST: why, "contradictions": contradictions})
-
     @staticmethod
     def _of_items(stage: Stage, ledger: Ledger, troubles: Iterable[str]) -> set[str]:
         """What else the items made of which files are to be made again: an item is missing if its file is, and it has

@@ -24,7 +24,7 @@ from tiegraph.errors import (
     UnreadableArtefact,
 )
 from tiegraph.limits import explained
-from tiegraph.project.artefacts import OTHER_KEY, Artefacts
+from tiegraph.project.artefacts import LOST, OTHER_KEY, Artefacts
 from tiegraph.project.folder import LOG, check_folder, check_inputs, working_in
 from tiegraph.project.inputs import Inputs
 from tiegraph.project.pool import LocalPool, Place, check_pool, map_items, open_pool
@@ -193,24 +193,21 @@ def run_stages(
     return ran
 
 
-_Lost = dict[str, ReconstructionError]
-
-
 def _run_through(
     wanted: list[Stage], keys: dict[str, str], run: Run, artefacts: Artefacts, ran: list[str]
-) -> _Lost | None:
+) -> dict[str, ReconstructionError] | None:
     """Run what is out of date; the stages for which the images gave nothing, and those that need them. None if a stage
     could not read what another had made, which is then out of date."""
-    lost: _Lost = {}
+    lost: dict[str, ReconstructionError] = {}
     for stage in wanted:
         away = [n for n in stage.needs if n in lost and n not in stage.spares]
         if away and not stage.alone:
             artefacts.begin(stage, keys[stage.name])  # what an earlier run made of it is no result of this one
-            _lose(stage, f"it needs the stage {away[0]}, of which nothing came", (), run, artefacts)
+            _lose(stage, f"it needs the stage {away[0]}, of which nothing came", (), run)
             lost[stage.name] = lost[away[0]]
             continue
-        told_of = lost and stage.alone  # the report says what was lost, in the words of now
-        if not (told_of or artefacts.why(stage, keys[stage.name]) or _wanted_back(stage, wanted, keys, artefacts)):
+        anew = lost and stage.alone  # the report says what was lost, in the words of now
+        if not (anew or artefacts.why(stage, keys[stage.name]) or _wanted_back(stage, wanted, keys, artefacts)):
             if stage.name not in ran:
                 run.reporter.say(f"{stage.name:>9}  up to date")
                 run.reporter.event("skipped", stage=stage.name)
@@ -225,7 +222,7 @@ def _run_through(
                 return None
             if not stage.needs or not isinstance(error, ReconstructionError):
                 raise
-            _lose(stage, str(error), (str(error),), run, artefacts)
+            _lose(stage, str(error), (str(error),), run)
             lost[stage.name] = error
             continue
         ran.append(stage.name)
@@ -233,8 +230,10 @@ def _run_through(
     return lost
 
 
-def _lose(stage: Stage, why: str, contradictions: tuple[str, ...], run: Run, artefacts: Artefacts) -> None:
-    artefacts.lose(stage, why, contradictions)
+def _lose(stage: Stage, why: str, contradictions: tuple[str, ...], run: Run) -> None:
+    """Say why nothing comes of a stage that has begun; the next run tries it again."""
+    began = run.receipts.read(stage.name)
+    run.receipts.write(stage.name, {**began, LOST: why, "contradictions": contradictions})
     run.reporter.say(f"{stage.name:>9}  ! {why}")
     run.reporter.event("lost", stage=stage.name, why=why)
 

@@ -26,7 +26,7 @@ from scipy import sparse
 from tiegraph.scene.sampling import evenly
 from tiegraph.sfm.adjustment.jacobians import Layout, RigConstraints, jacobians
 from tiegraph.sfm.adjustment.leverarmprior import NominalGeometry
-from tiegraph.sfm.adjustment.normal import Normal, by_blocks, point_inverse
+from tiegraph.sfm.adjustment.normal import by_blocks, point_inverse
 from tiegraph.sfm.systematic.effects import Effect, EffectWeights
 from tiegraph.sfm.systematic.lenses import AssumedErrors, LensError, lens_errors
 from tiegraph.sfm.systematic.mountings import Unrest, misplaced, unrest
@@ -348,12 +348,3 @@ class _Rest:
 
 
 _MOUNTING = ("place x", "place y", "place z", "turn x", "turn y", "turn z")
-
-
-def positions_free_gauge(normal: sparse.spmatrix, layout: Layout) -> np.ndarray:
-    """Covariance (3F, 3F) of the positions by the normal matrix (C, C), with similarities of the whole taken out."""
-    factor = Normal(normal, layout)
-    at = np.arange(6 * len(layout.centres)).reshape(-1, 6)[:, :3].ravel()
-    columns = sparse.csc_matrix((np.ones(len(at)), (at, np.arange(len(at)))), shape=(layout.size, len(at)))
-    sides = factor.asked(columns)
-    return np.asarray(sides.T @ factor.solve(sides))

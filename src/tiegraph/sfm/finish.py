@@ -90,13 +90,7 @@ def _without_doubtful(
 
 def _adjusted(mapped: pycolmap.Reconstruction, scene: Scene, request: FinishRequest) -> Checked:
     """A mapped model adjusted, its rigs checked."""
-    model: pycolmap.Reconstruction = mapped
-    notes: list[str] = []
-    try:
-        if not request.rough:
-            model, notes = _bundle_adjusted(mapped, scene, request)
-    except (RuntimeError, ValueError) as error:
-        notes = [f"the final adjustment failed, the mapper's own stays: {error}"]
+    model, notes = (mapped, []) if request.rough else _bundle_adjusted(mapped, scene, request)
     checked = checked_rig(model, mapped, scene, request)
     checked.notes[:0] = notes
     return checked
@@ -107,12 +101,11 @@ def _bundle_adjusted(
 ) -> tuple[pycolmap.Reconstruction, list[str]]:
     """By the rig's priors, with their sigmas in metres."""
     rig = request.tuning.rig
-    known = rig_priors(model, scene, (), rig.priors)
-    fixed = [k + 1 for k in request.held.fixed]
     if request.held.soft:
         scale = 1 / units_per_metre(model, scene, rig.support)
         model.transform(pycolmap.Sim3d(scale, pycolmap.Rotation3d(), np.zeros(3)))
-        known = rig_priors(model, scene, request.held.soft, rig.priors)
+    known = rig_priors(model, scene, request.held.soft, rig.priors)
+    fixed = [k + 1 for k in request.held.fixed]
     adjustment = final_adjustment(model, fixed, request.held.cameras, known, tuning=request.tuning.adjust)
     return adjustment.model, [adjustment.note]
 

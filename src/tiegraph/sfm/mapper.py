@@ -252,9 +252,9 @@ def _finished(request: FinishRequest, log: Path) -> FinishResult:
         return run_in_child(finish_model, request, log=log, task="final adjustment")
     except ChildDied as error:
         plain = replace(request, matched=None, images=None, covariance_frames=0, rough=True)
-        found = run_in_child(finish_model, plain, log=log, task="final adjustment")
-        lacks = f"the model stays as mapped, without final adjustment, checks, colours and sigmas: {error}"
-        return replace(found, contradictions=[*found.contradictions, lacks])
+        found: FinishResult = run_in_child(finish_model, plain, log=log, task="final adjustment")
+        found.contradictions.append(f"the model stays as mapped, without adjustment, checks, colours, sigmas: {error}")
+        return found
 
 
 def _account(job: Job, outcome: Outcome, finished: FinishResult) -> SparseResult:

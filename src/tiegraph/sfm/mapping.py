@@ -338,8 +338,8 @@ def _run(
             on_message=lambda frames: job.source.on_progress(min(total, round(frames * per_frame)), total),
             task=f"{mapper} mapping",
         )
-    except ChildDied as error:  # as if it had found none: what is tried then is the other mapper
-        mapped = MappingResult([], (str(error),), refused=str(error))
+    except ChildDied as error:  # as if it had found none: then the other mapper is tried
+        mapped = MappingResult([], (str(error),), str(error))
     seconds = time.monotonic() - start
     folders = mapped.folders
     job.account.notes.extend(f"{mapper} model: {note}" for note in mapped.notes)

@@ -10,6 +10,7 @@ import numpy as np
 import pyceres
 import pycolmap
 import pycolmap.cost_functions
+from scipy.spatial.transform import Rotation
 
 from tiegraph.sfm.adjustment.leverarmprior import NominalGeometry
 from tiegraph.sfm.adjustment.timecost import TimeOffsetPriors, add_time_offsets, pose_block
@@ -122,7 +123,7 @@ def _extrinsics(model: pycolmap.Reconstruction, rig_id: int, camera_id: int) -> 
 
 def pair_residuals(first: np.ndarray, second: np.ndarray, pair: PairPrior) -> np.ndarray:
     """(2,) baseline and axis angle of two poses (7: quaternion x y z w, translation) against the prior, in sigmas."""
-    rotations = [_rotation(p[:4]) for p in (first, second)]
+    rotations = [Rotation.from_quat(p[:4]).as_matrix() for p in (first, second)]
     centres = [-r.T @ p[4:] for r, p in zip(rotations, (first, second))]
     out = np.zeros(2)
     if pair.length is not None:
@@ -132,17 +133,6 @@ def pair_residuals(first: np.ndarray, second: np.ndarray, pair: PairPrior) -> np
         angle = np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b)
         out[1] = (angle - pair.angle_rad) / pair.angle_sigma_rad
     return out
-
-
-def _rotation(q: np.ndarray) -> np.ndarray:
-    x, y, z, w = q / np.linalg.norm(q)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
 
 
 _IDENTITY = np.array([0.0, 0, 0, 1, 0, 0, 0])

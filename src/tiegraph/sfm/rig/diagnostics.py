@@ -80,7 +80,8 @@ def rig_diagnostics(
     moving, notes, loose = {int(rig_of[k]) for k in (*late, *torn)}, [], dict(torn)
     for key in torn:
         name = scene.all_sensors[key].name
-        notes.append(f"camera {name} is not rigid or not synchronised: most of its sightings contradict the rig")
+        why = "it sits loose, fires apart, or the model is torn there"
+        notes.append(f"most sightings of camera {name} contradict the rig: {why}")
     notes += [_late_note(scene, key, *late[key], tests[int(rig_of[key])]) for key in late]
     for h in (scattered[h.sensor] for h in health):
         scatter = (

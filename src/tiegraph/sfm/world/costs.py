@@ -83,8 +83,7 @@ class ZeroCost(Cost):
 
     def __init__(self, sizes: Sequence[int]) -> None:
         super().__init__()
-        self.sizes = list(sizes)
-        self._begin(2, self.sizes)
+        self._begin(2, sizes)
 
     def Evaluate(self, parameters: Any, residuals: Any, jacobians: Any) -> bool:
         """Zeros."""

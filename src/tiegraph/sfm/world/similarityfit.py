@@ -314,11 +314,7 @@ def _upside_down(now: Fitted, about: _Given) -> str:
         return ""
     rows = np.arange(len(evidence.frame)) < len(fixes)
     free = replace(evidence.where(rows), sigma=fixes.sigma).with_arm(estimate=True).without_orientations()
-    alone = fit_similarity(free, None, tuning.fit)
-    residual = free.position_residuals(alone.similarity, alone.arm.place) / fixes.sigma
-    factors = noise.factors(residual, fixes.level, fixes.time_s, tuning.noise)
-    free = replace(free, sigma=fixes.sigma * factors[:, None])
-    alone = fit_similarity(free, None, tuning.fit, alone.similarity)
+    alone = believed(free, fixes, None, fit_similarity(free, None, tuning.fit).similarity, tuning).fit
     lean_deg = float(np.degrees(np.arccos(np.clip((alone.similarity.rotation @ up.direction)[2], -1, 1))))
     reach_deg = LIMIT * float(np.hypot(alone.roll_sigma_deg, up.sigma_deg))
     if lean_deg < reach_deg or 180 - lean_deg > reach_deg:
