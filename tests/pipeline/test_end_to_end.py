@@ -2,6 +2,7 @@
 
 import base64
 import csv
+import importlib
 import json
 import re
 import shutil
@@ -16,7 +17,7 @@ import tiegraph
 import worlds
 from accuracy_marks import check, unmarked
 from tiegraph.cli.main import main
-from tiegraph.errors import InputError, SettingsError
+from tiegraph.errors import InputError, ReconstructionError, SettingsError
 from tiegraph.evaluate.reference import model_poses
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import umeyama
@@ -172,6 +173,27 @@ def test_reasons_of_dense_survive_the_loss_of_a_depth_map(project, tmp_path):
     again.run(until="dense")
     assert again.receipt("dense")["tables"] == told
     assert {p: p.read_bytes() for p in (folder / "depth").rglob("*.npz")} == before
+
+
+def test_a_survey_without_a_cloud_and_a_reference_of_elsewhere_leave_the_model_and_the_report(
+    project, tmp_path, monkeypatch
+):
+    folder = tmp_path / "out"
+    shutil.copytree(project.folder, folder, symlinks=True)
+
+    def nothing(*arguments):
+        raise ReconstructionError("no depth map has a point that enough images agree on")
+
+    monkeypatch.setattr(importlib.import_module("tiegraph.pipeline.cloud"), "fuse", nothing)
+    (tmp_path / "elsewhere.tum").write_text("".join(f"{k} {k} 0 0 0 0 0 1\n" for k in range(5)))
+    reference = {"reference": tmp_path / "elsewhere.tum"}
+    again = tiegraph.open(out=folder, pool="serial", settings={"cloud": {"voxel_size": 0.2}, "evaluate": reference})
+    again.run()
+    assert not (folder / "cloud.laz").exists() and again.doubtful() and not again.doubtful("dense")
+    said = json.loads((folder / "report.json").read_text())
+    assert said["verdict"]["level"] == "doubtful" and said["accuracy"] and len(said["contradictions"]) == 2
+    assert "enough images agree" in said["contradictions"][0] and "no reference is" in said["contradictions"][1]
+    assert again.receipt("evaluate")["counts"]["figures"] > 0
 
 
 @pytest.mark.parametrize("preset", ["conventional", "meguro2024", "meguro2025"])
