@@ -264,7 +264,7 @@ def _child_main(sender: Any, log: str, function: Callable[..., Any], args: tuple
         if told is not None or isinstance(error, TiegraphError):
             sender.send(("error", told or error))
             return
-        sender.send(("error", ChildDied(f"{function.__name__}: {type(error).__name__}: {error} (log: {log})")))
+        sender.send(("error", ChildDied(f"{function.__name__}: {type(error).__name__}: {error}\nlog: {log}")))
 
 
 def _explain_end(task: str, exitcode: int | None, log: Path) -> None:
@@ -277,5 +277,5 @@ def _explain_end(task: str, exitcode: int | None, log: Path) -> None:
     text = log.read_text(errors="replace") if log.exists() else ""
     # glog ends with a stack trace of the library, which would push the message out of the tail.
     lines = [line for line in text.splitlines() if not line.lstrip().startswith(_STACK_TRACE)][-_TAIL_LINES:]
-    said = f"{task}: the native library ended its process ({how}). Last lines of {log}:\n  " + "\n  ".join(lines)
+    said = f"{task}: the native library ended its process ({how})\nLast lines of {log}:\n  " + "\n  ".join(lines)
     raise explained_text(said, log.parent) or ChildDied(said)

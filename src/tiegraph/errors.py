@@ -31,7 +31,7 @@ class ReconstructionError(TiegraphError, RuntimeError):
 
 
 class ChildDied(ReconstructionError):
-    """A child process ended by itself: a fault of a native library or of ours, and nothing that the images say."""
+    """A child process ended by itself, by a fault of a library or of ours; below the first line: how its log ends."""
 
 
 class ProcessLost(TiegraphError, RuntimeError):

@@ -74,7 +74,7 @@ def match_pairs(
     write_anew(database)
     table = read_matches(database, kept)
     report = _report(scene, kept, table, features)
-    _check_verified(report, rules.settings, log)
+    _check_verified(report, rules.settings)
     return _with_inliers(pairs, table), report
 
 
@@ -135,7 +135,7 @@ def _report(scene: Scene, kept: Pairs, table: MatchTable, features: dict[int, in
     )
 
 
-def _check_verified(report: MatchReport, settings: MatchSettings, log: Path) -> None:
+def _check_verified(report: MatchReport, settings: MatchSettings) -> None:
     if report.verified:
         return
     if report.asked == 0:
@@ -146,5 +146,5 @@ def _check_verified(report: MatchReport, settings: MatchSettings, log: Path) -> 
     raise ReconstructionError(
         f"no pair verified: {report.asked} asked, {report.matched} compared, {report.matches} feature matches, and no "
         f"pair has {settings.min_inliers} of them that agree on one geometry{why}. Check that the images overlap and "
-        f"are not masked away, then try a lower match.min_inliers or other pair sources (log: {log})"
+        "are not masked away, then try a lower match.min_inliers or other pair sources"
     )

@@ -118,7 +118,7 @@ def _georeferenced(run: Run, request: GeorefRequest) -> tuple[OneWorld, tuple[st
         remove(request.target)
         plain = replace(request, settings=request.settings.model_copy(update={"adjust": "no"}))
         found = run_in_child(georeference_folders, plain, log=run.log, task="georeferencing")
-        return found, (f"the model is not adjusted with what was measured in the world: {error}",)
+        return found, (f"not adjusted with what was measured in the world: {str(error).splitlines()[0]}",)
 
 
 def _measured_in_images(run: Run, scene: Scene) -> tuple[Measurements, tuple[str, ...], tuple[str, ...]]:

@@ -222,7 +222,8 @@ def _run_through(
                 return None
             if not stage.needs or not isinstance(error, ReconstructionError):
                 raise
-            _lose(stage, str(error), (str(error),), run)
+            why = str(error).splitlines()[0]
+            _lose(stage, why, (why,), run)
             lost[stage.name] = error
             continue
         ran.append(stage.name)

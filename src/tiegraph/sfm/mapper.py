@@ -253,7 +253,8 @@ def _finished(request: FinishRequest, log: Path) -> FinishResult:
     except ChildDied as error:
         plain = replace(request, matched=None, images=None, covariance_frames=0, rough=True)
         found: FinishResult = run_in_child(finish_model, plain, log=log, task="final adjustment")
-        found.contradictions.append(f"the model stays as mapped, without adjustment, checks, colours, sigmas: {error}")
+        died = str(error).splitlines()[0]
+        found.contradictions.append(f"the model stays as mapped, without adjustment, checks, colours, sigmas: {died}")
         return found
 
 

@@ -264,11 +264,8 @@ def _mapped(job: Job, label: str) -> Outcome:
         )
         outcome = better
     if not outcome.folders:
-        raise ReconstructionError(
-            no_model_text(
-                job.scene, job.graph, "the mapper found no two images to start from, or nothing held together"
-            )
-        )
+        why = outcome.refused or "the mapper found no two images to start from, or nothing held together"
+        raise ReconstructionError(no_model_text(job.scene, job.graph, why))
     return _near_given_focal_lengths(job, outcome, label)
 
 
@@ -339,7 +336,8 @@ def _run(
             task=f"{mapper} mapping",
         )
     except ChildDied as error:  # as if it had found none: then the other mapper is tried
-        mapped = MappingResult([], (str(error),), str(error))
+        died = str(error).splitlines()[0]
+        mapped = MappingResult([], (died,), died)
     seconds = time.monotonic() - start
     folders = mapped.folders
     job.account.notes.extend(f"{mapper} model: {note}" for note in mapped.notes)
