@@ -44,7 +44,7 @@ def georef(run: Run) -> Outcome:
         covered=covered_frames(run, scene),
         model_sigma=sigma.get("position_sigma_median", float("nan")),
         model_scale_sigma=sigma.get("scale_sigma", float("nan")),
-        firm_frames=sigma["frames"] - sigma["on_few_points"],
+        firm_frames=sigma.get("frames", float("inf")) - sigma.get("on_few_points", 0),
     )
     folders = sorted((p for p in run.path("sparse").iterdir() if p.name.isdigit()), key=lambda p: int(p.name))
     scratch = run.path("sparse", ".world")
