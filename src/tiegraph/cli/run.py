@@ -35,8 +35,7 @@ class Common(Talk):
     unset: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
     """An input or setting of tiegraph.toml that no longer holds, such as gnss or masks.folder; once for each."""
     strict: bool = False
-    """Exit with code 3 where something contradicts something else, or nothing came of a stage: the result is
-    doubtful."""
+    """Exit code 3 where anything contradicts anything, or nothing came of a stage: the result is doubtful."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -17,11 +17,10 @@ class Cost(pyceres.CostFunction):  # type: ignore[misc, name-defined]
     """A residual of ours; ``_begin`` is the last that its constructor does."""
 
     def _begin(self, residuals: int, sizes: Sequence[int]) -> None:
-        """Say how many residuals there are, over blocks of which sizes.
+        """Say how many residuals there are, over blocks of which sizes; and make the first call, asking for Jacobians.
 
-        pyceres sets up its arrays at the first call, and reads then where the Jacobians are to go whether any are asked
-        for or not. Ceres asks for none where all blocks of a residual are constant (a position of frames that see no
-        point): the process ended by SIGSEGV. So the first call is made here, and asks for them.
+        pyceres sets up its arrays at that call, and reads where the Jacobians go whether they are asked for or not.
+        Ceres asks for none where all blocks are constant (a position of frames that see no point): it ended by SIGSEGV.
         """
         self.set_num_residuals(residuals)
         self.set_parameter_block_sizes(list(sizes))

@@ -280,8 +280,9 @@ def _point_factor(place: np.ndarray, world: np.ndarray, sigma: np.ndarray, tunin
 def _mirrored(now: Fitted, about: _Given) -> str:
     """What is to be said where the positions fit clearly better with east and north exchanged: a mirror image; else "".
 
-    The ratio of the sums of squares in plan, over what either reading believes, is held against Fisher's distribution.
-    A straight track is its own mirror image, so that nothing can be said of it.
+    The ratio of the sums of squares in plan, over what either reading believes, is held against Fisher's distribution;
+    no more positions count than the least that speak, for errors of neighbours are alike. A straight track is its own
+    mirror image, so that nothing can be said of it.
     """
     evidence, fit, tuning = now.evidence, now.fit, about.tuning
     off = evidence.position_residuals(fit.similarity, fit.arm.place)
@@ -294,8 +295,9 @@ def _mirrored(now: Fitted, about: _Given) -> str:
     rows = fit.inlier | other.fit.inlier
     against = turned.position_residuals(other.fit.similarity, other.fit.arm.place)
     sizes = [rms_length(r[rows, :2]) for r in (off, against)]
-    free = 2 * int(rows.sum()) - 4  # a similarity in plan has four unknowns
-    if free <= 0 or fdtrc(free, free, (sizes[0] / sizes[1]) ** 2) > CHANCE or not _whole(evidence.frame[rows], about):
+    free = 2 * tuning.statements.least_positions - 4  # a similarity in plan has four unknowns
+    chance = fdtrc(free, free, (sizes[0] / max(sizes[1], 1e-12)) ** 2)
+    if chance > CHANCE or not _whole(evidence.frame[rows], about):
         return ""
     return (
         f"the positions are a mirror image of the model: they miss it by {sizes[0]:.2f} m in plan, with their first "
