@@ -1,7 +1,7 @@
 """Runs of tiegraph and of others over the ladder: ``python -m benchmarks.real --root FOLDER --work FOLDER``.
 
-``--table`` prints what ``results/real.json`` holds, ``--write`` puts it into README.md too. Each run has one core and is
-a row of its own as soon as it ends.
+``--table`` prints what ``results/real.json`` holds, ``--write`` puts it into README.md too. Each run has one core and
+is a row of its own as soon as it ends.
 """
 
 from __future__ import annotations

@@ -12,8 +12,13 @@ from PIL import Image
 from benchmarks.datasets import Dataset, Mark, exif_truth
 from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
+from tiegraph.scene.exif import orientation_of
 from tiegraph.scene.gcp import read_gcps
+from tiegraph.scene.markpixels import Copy
+from tiegraph.scene.rig import Sensor
 from tiegraph.scene.tuning import ControlTuning
+
+import pycolmap  # isort: skip
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -22,7 +27,6 @@ else:
 
 FILE = Path(__file__).with_name("sets.toml")
 _SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
-_ORIENTATION = 0x0112
 
 
 @dataclass(frozen=True)
@@ -40,6 +44,7 @@ class Survey:
     truth: str = ""
     gcp: str = ""
     px_of_marks: float = 1.0
+    marks_turned: bool = False
     below_mib: float = float("inf")
     mixed: bool = False
 
@@ -84,7 +89,7 @@ def load(survey: Survey, root: Path, work: Path) -> Dataset:
         cam_from_world=truth,
         truth_origin=origin,
         gcp=gcp,
-        marks=_marks(gcp, files, survey.px_of_marks) if gcp else (),
+        marks=_marks(gcp, files, Copy(1 / survey.px_of_marks, survey.marks_turned)) if gcp else (),
     )
 
 
@@ -95,7 +100,7 @@ def middlebury(path: Path) -> dict[str, np.ndarray]:
     return {name: transforms.rigid(n[:9].reshape(3, 3), n[9:]) for name, n in numbers.items()}
 
 
-def _marks(path: Path, files: dict[str, Path], factor: float) -> tuple[Mark, ...]:
+def _marks(path: Path, files: dict[str, Path], copy: Copy) -> tuple[Mark, ...]:
     """Marks of the images of the set, in pixels of the full upright image, by surveyed place."""
     found = read_gcps(path, ControlTuning())
     lookup = {Path(name).name.lower(): name for name in files}
@@ -105,6 +110,8 @@ def _marks(path: Path, files: dict[str, Path], factor: float) -> tuple[Mark, ...
         name = lookup.get(Path(mark.image).name.lower())
         if name is not None:
             with Image.open(files[name]) as image:
-                turned = image.getexif().get(_ORIENTATION, 1)
-            marks.append(Mark(name, place[mark.name], (factor * mark.xy[0], factor * mark.xy[1]), turned))
+                turned, (wide, high) = orientation_of(files[name]), image.size
+            size = (high, wide) if turned > 4 else (wide, high)
+            upright = pycolmap.Camera.create_from_model_name(1, "SIMPLE_PINHOLE", 1.0, *size)
+            marks.append(Mark(name, place[mark.name], copy.pixel(mark.xy, Sensor("", upright), turned), turned))
     return tuple(marks)

@@ -68,7 +68,7 @@ STAGES = (
     _stage("filter", ("coarse", "network", "match"), ("filter.npz",), "pair", version=2),
     _stage("sparse", ("coarse", "network", "match", "filter"), ("sparse",), version=20, scratch=("sparse/.run",),
            tuned=("scene", "sfm")),
-    _stage("georef", ("network", "match", "filter", "sparse"), ("sparse/world", "world.json"), version=14,
+    _stage("georef", ("network", "match", "filter", "sparse"), ("sparse/world", "world.json"), version=15,
            scratch=("sparse/.world",), tuned=("scene", "sfm", "targets")),
     _stage("refine", ("masks", "georef"), ("refine/masks", "refine/classes"), "image", version=3,
            tuned=("masks", "sfm")),

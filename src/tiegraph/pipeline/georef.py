@@ -9,7 +9,7 @@ import numpy as np
 from tiegraph.child import run_in_child
 from tiegraph.geometry.geodesy import world_from_geodetic
 from tiegraph.pipeline.files import checked, load_json, load_model, refused_pairs, whole
-from tiegraph.pipeline.inputs import control_file
+from tiegraph.pipeline.inputs import control_file, orientations
 from tiegraph.pipeline.targets import target_marks
 from tiegraph.project.run import Run, save_json
 from tiegraph.project.stages import Outcome, remove
@@ -115,8 +115,9 @@ def _measured_in_images(run: Run, scene: Scene) -> tuple[Control | None, ScaleBa
         return None, None, ()
     model = load_model(run.path("sparse", "0")) if file.targets else None
     seen = target_marks(run, scene, file, model)
-    control = locate(file, scene, run.settings.scan.crs, seen.marks) if file.points else None
-    return control, locate_bars(file, scene, seen.marks), seen.notes
+    turned = orientations(run, scene, file)
+    control = locate(file, scene, run.settings.scan.crs, seen.marks, turned) if file.points else None
+    return control, locate_bars(file, scene, seen.marks, turned), seen.notes
 
 
 def _rows(run: Run, scene: Scene) -> PositionRows | None:
