@@ -6,16 +6,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from sfm_worlds import make_world
 from test_sfm_georeferencing import _control, _moved
 
-from tiegraph.scene.control import Control
+from tiegraph.scene.control import Control, Marks
 from tiegraph.scene.markpixels import AS_IS, Copy
+from tiegraph.scene.rig import Rig, Sensor, Source
+from tiegraph.scene.scene import simple_scene
 from tiegraph.sfm.settings import GeorefSettings
 from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.world.fixes import Measurements
 from tiegraph.sfm.world.georef import georeference
 from tiegraph.sfm.world.georeferencing import as_marked
+from tiegraph.sfm.world.marks import copy_of
 
 import pycolmap  # isort: skip
 
@@ -108,9 +112,36 @@ def test_marks_outside_are_left_out_where_no_copy_explains_them(world) -> None:
     assert any("1 marks lie outside their images and are left out" in n for n in found.notes)
 
 
-def test_a_copy_s_pixel_is_that_of_the_stored_or_of_the_upright_image(world) -> None:
-    from tiegraph.scene.rig import Sensor, Source
+@pytest.mark.parametrize("parallel", [True, False])
+def test_parallel_views_cannot_tell_and_it_is_said(parallel: bool) -> None:
+    camera = pycolmap.Camera(model="SIMPLE_PINHOLE", width=1000, height=800, params=[900, 500, 400], camera_id=1)
+    model, names = pycolmap.Reconstruction(), [f"{k}.jpg" for k in range(6)]
+    model.add_camera_with_trivial_rig(camera)
+    for k, name in enumerate(names):
+        turn = Rotation.from_euler("z", 0 if parallel else 25 * k, degrees=True)
+        pose = pycolmap.Rigid3d(pycolmap.Rotation3d(turn.as_quat()), turn.apply([-0.4 * k, 0.2 * k, 0]))
+        model.add_image_with_trivial_frame(pycolmap.Image(name=name, camera_id=1, image_id=k + 1), pose)
+    places = np.array([[0.5, 0.2, 9], [1.0, -1.0, 9.5], [1.4, 0.3, 10], [0.2, -0.6, 10]])
+    rows = [(p, k, model.image(k + 1).project_point(x)) for p, x in enumerate(places) for k in range(6)]
+    half = 0.5 * np.array([xy for _, _, xy in rows])
+    marks = Marks(
+        point=np.array([p for p, _, _ in rows]),
+        image=np.array([k for _, k, _ in rows]),
+        xy_px=half,
+        line=np.arange(len(rows)) + 2,
+        sigma_px=np.full(len(rows), np.nan),
+        file_px=half,
+        orientation=np.ones(len(rows), int),
+    )
+    scene = simple_scene(Rig("lone", (Sensor("cam", camera),)), names, np.arange(6), np.zeros(6))
+    copy, note = copy_of(model, scene, marks, WORLD.marks)
+    if parallel:
+        assert copy == AS_IS and "cannot tell" in note
+    else:
+        assert copy.size == pytest.approx(0.5, abs=0.002) and not copy.turned
 
+
+def test_a_copy_s_pixel_is_that_of_the_stored_or_of_the_upright_image(world) -> None:
     upright = Sensor("c", pycolmap.Camera(model="SIMPLE_PINHOLE", width=30, height=40, params=[50, 15, 20]))
     stored = pycolmap.Camera(model="SIMPLE_PINHOLE", width=40, height=30, params=[50, 20, 15])
     kept = Sensor("c", stored, source=Source(camera=stored, upright=False))

@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import PurePosixPath
+from typing import Any
 
 import numpy as np
 
@@ -59,8 +60,8 @@ class Marks:
 
     def where(self, keep: np.ndarray) -> Marks:
         """Those that ``keep`` (M,) names."""
-        own = {f.name: getattr(self, f.name) for f in fields(self)}
-        return Marks(**{name: None if value is None else value[keep] for name, value in own.items()})
+        own: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self) if getattr(self, f.name) is not None}
+        return Marks(**{name: value[keep] for name, value in own.items()})
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,10 @@ from tiegraph.sfm.model import matrix
 from tiegraph.sfm.tuning.world import MarkTuning
 
 _SMALLEST, _STEP = 0.1, 0.01  # copies of images that are tried: size, and from one to the next
+_UNSURE = (
+    "all marks lie in the upper left quarter of their images, and the rays of these parallel views cannot tell whether "
+    "they were made in images half as large: see for yourself, heights depend on it"
+)
 _CE90, _LE90 = 2.146, 1.645  # 90 % of a two-dimensional and of a one-dimensional normal error, in sigmas
 
 
@@ -65,20 +69,21 @@ def copy_of(model: pycolmap.Reconstruction, scene: Scene, marks: Marks, tuning: 
     """
     if marks.file_px is None or marks.orientation is None:
         return AS_IS, ""
-    own = marks.where(np.isfinite(marks.file_px).all(axis=1))
+    own = marks.where(np.flatnonzero(np.isfinite(marks.file_px).all(axis=1)))
     outside = len(own) - len(as_copy(own, scene, AS_IS, tuning))
+    said = f"{outside} marks lie outside their images and are left out: in no copy of these do their rays meet"
     often = np.argsort(-np.bincount(own.point), kind="stable")[: tuning.points_for_copy]
     own = own.where(np.isin(own.point, often))
-    tried = [AS_IS]
-    if _miss_px(model, scene, own, AS_IS, tuning) > tuning.soft_px:
-        sizes = np.exp(np.arange(np.log(_SMALLEST), np.log(LARGEST if outside else 1.0) + _STEP / 2, _STEP))
-        turned = (False, True) if (own.orientation != 1).any() else (False,)
-        tried += [c for t in turned for s in sizes if not (c := Copy(float(s), t)).like(AS_IS)]
+    if _miss_px(model, scene, own, AS_IS, tuning) <= tuning.soft_px:
+        unsure = _miss_px(model, scene, own, Copy(0.5), tuning) <= tuning.soft_px
+        return AS_IS, _UNSURE if unsure else said if outside else ""
+    sizes = np.exp(np.arange(np.log(_SMALLEST), np.log(LARGEST if outside else 1.0) + _STEP / 2, _STEP))
+    turned = (False, True) if np.any(own.orientation != 1) else (False,)
+    tried = [AS_IS, *(c for t in turned for s in sizes if not (c := Copy(float(s), t)).like(AS_IS))]
     miss_px = np.array([_miss_px(model, scene, own, copy, tuning) for copy in tried])
     best = tried[int(np.argmin(miss_px))]
     others = miss_px[[not c.like(best) for c in tried]]
     if best == AS_IS or not tuning.much_better * miss_px.min() < others.min():
-        said = f"{outside} marks lie outside their images and are left out: in no copy of the images do their rays meet"
         return AS_IS, said if outside else ""
     near = [replace(best, size=float(best.size * f)) for f in np.linspace(1 - _STEP, 1 + _STEP, 41)]
     fine_px = [_miss_px(model, scene, own, copy, tuning) for copy in near]
