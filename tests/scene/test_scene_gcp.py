@@ -197,7 +197,9 @@ def test_marks_outside_are_left_to_be_judged_only_where_copies_of_the_images_hol
 
     def located(*marks: str, orientation: int = 1):
         rows = "".join(f"{EAST + k} {NORTH} 3 {mark} 00{k}.jpg\n" for k, mark in enumerate(marks))
-        return locate(_odm(tmp_path, rows), scene, orientation=dict.fromkeys(range(4), orientation)).marks
+        found = locate(_odm(tmp_path, rows), scene, orientation=dict.fromkeys(range(4), orientation))
+        assert any("rays will tell" in note for note in found.notes)
+        return found.marks
 
     larger = located("190 20", "30 150", "5 5")  # of images twice as large: out to the right, and below
     np.testing.assert_array_equal(larger.file_px, [[190, 20], [30, 150], [5, 5]])

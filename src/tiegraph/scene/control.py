@@ -216,6 +216,10 @@ def _marks_in(
     """Marks that are in the survey's prepared images: the marks, their images' scene indices (M,), pixels (M, 2)."""
     image, keep = _images(file, scene, notes)
     inside = _check_inside(file, dict(zip(keep, image.tolist())), scene, turned)
+    if not inside:
+        notes.append(
+            f"{file.of_marks.name}: marks lie outside their images; made in larger or turned ones, rays will tell"
+        )
     marks, images, pixels, cut = [], [], [], []
     first: dict[tuple[str, int], FileMark] = {}
     for index, mark in zip(image.tolist(), (file.marks[k] for k in keep)):
