@@ -134,7 +134,8 @@ def mark_error(model: pycolmap.Reconstruction, marks: tuple[Mark, ...]) -> dict[
     """Surveyed points, intersected from the rays of their marks: how well the rays meet, and the scale.
 
     ``median_px`` is the distance of the marks from the projection of their intersected point; ``scale`` is the surveyed
-    length over the model's (1 = metric), None below two points.
+    length over the model's (1 = metric), None below two points; ``rmse_m`` that of the points after the least-squares
+    similarity, None below four.
     """
     images = {image.name: image for image in model.images.values() if image.has_pose}
     seen: dict[tuple[float, float, float], list[Mark]] = {}
@@ -151,6 +152,7 @@ def mark_error(model: pycolmap.Reconstruction, marks: tuple[Mark, ...]) -> dict[
         "marks": len(residuals),
         "median_px": _number(np.median(residuals)) if residuals else None,
         "scale": spread[0] / spread[1] if spread else None,
+        "rmse_m": _number(_rms(umeyama(found, surveyed)(found) - surveyed)) if len(placed) > 3 else None,
     }
 
 
@@ -160,7 +162,7 @@ def _intersect(marks: list[Mark], images: dict[str, pycolmap.Image]) -> np.ndarr
     for mark in marks:
         image = images[mark.image]
         assert image.camera is not None
-        ray = np.append(image.camera.cam_from_img(np.array(mark.xy_px)), 1.0)
+        ray = np.append(image.camera.cam_from_img(mark.pixel(image.camera)), 1.0)
         direction = image.cam_from_world().rotation.matrix().T @ (ray / np.linalg.norm(ray))
         centres.append(image.projection_center())
         normals.append(np.eye(3) - np.outer(direction, direction))
@@ -175,7 +177,7 @@ def _intersect(marks: list[Mark], images: dict[str, pycolmap.Image]) -> np.ndarr
 
 def _residual_px(mark: Mark, image: pycolmap.Image, point: np.ndarray) -> float:
     projected = image.project_point(point)
-    return float("inf") if projected is None else float(np.linalg.norm(projected - np.array(mark.xy_px)))
+    return float("inf") if projected is None else float(np.linalg.norm(projected - mark.pixel(image.camera)))
 
 
 def _rms(difference: np.ndarray) -> float:

@@ -26,11 +26,22 @@ _REPOSITORY = Path(__file__).resolve().parents[1]
 
 @dataclass(frozen=True)
 class Mark:
-    """A surveyed point seen in an image: its surveyed place (3,) metres and the pixel where it was clicked."""
+    """A surveyed point seen in an image: its surveyed place (3,) metres and the pixel where it was clicked.
+
+    ``turned``: the image's EXIF orientation; the pixel is that of the upright image.
+    """
 
     image: str
     surveyed_m: tuple[float, float, float]
     xy_px: tuple[float, float]
+    turned: int = 1
+
+    def pixel(self, camera: pycolmap.Camera) -> np.ndarray:
+        """(2,) in the image of a camera, which is wider than high unless the image was made upright."""
+        x, y = self.xy_px
+        if self.turned not in (6, 8) or camera.width < camera.height:
+            return np.array([x, y])
+        return np.array([y, camera.height - x] if self.turned == 6 else [camera.width - y, x])
 
 
 @dataclass(frozen=True)
@@ -49,6 +60,7 @@ class Dataset:
     gnss: Path | None = None
     trajectory: Path | None = None
     times: Path | None = None
+    gcp: Path | None = None
     truth_origin: Origin | None = None
     reference_cloud: Path | None = None
     marks: tuple[Mark, ...] = ()
@@ -276,14 +288,11 @@ def _strecha(folder: Path, work: Path) -> Dataset:
 
 def _oppaiyama(folder: Path, work: Path) -> Dataset:
     images = sorted((folder / "images").glob("*.jpg"))
-    fixes = {image.name: fix for image in images if (fix := _exif_position(image)) is not None}
-    lat, lon, height = np.mean(list(fixes.values()), axis=0)
-    origin = Origin(float(lat), float(lon), float(height))
-    enu_m = world_from_geodetic(np.array(list(fixes.values())), origin)
+    truth, origin = exif_truth({image.name: image for image in images})
     return Dataset(
         name="oppaiyama",
         images=folder / "images",
-        cam_from_world={name: _position_only(p) for name, p in zip(fixes, enu_m, strict=True)},
+        cam_from_world=truth,
         truth_origin=origin,
         marks=_marks(folder / "gcp_list.txt", {image.name for image in images}),
         notes=(
@@ -301,6 +310,15 @@ def _marks(path: Path, images: set[str]) -> tuple[Mark, ...]:
         if image in images:
             marks.append(Mark(image, (float(east), float(north), float(height)), (float(x), float(y))))
     return tuple(marks)
+
+
+def exif_truth(images: Mapping[str, Path]) -> tuple[dict[str, np.ndarray], Origin]:
+    """The positions in the EXIF data of images as poses without rotations, and where their world is."""
+    fixes = {name: fix for name, path in images.items() if (fix := _exif_position(path)) is not None}
+    lat, lon, height = np.mean(list(fixes.values()), axis=0)
+    origin = Origin(float(lat), float(lon), float(height))
+    enu_m = world_from_geodetic(np.array(list(fixes.values())), origin)
+    return {name: _position_only(p) for name, p in zip(fixes, enu_m, strict=True)}, origin
 
 
 def _exif_position(path: Path) -> tuple[float, float, float] | None:

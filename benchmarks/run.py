@@ -40,6 +40,10 @@ _PROGRAMS: dict[str, tuple[str, ...]] = {  # program and its words
     "tiegraph": ("tiegraph_run.py",),
     "colmap_exhaustive": ("colmap.py",),
     "colmap_sequential": ("colmap.py", "sequential"),
+    "colmap_spatial": ("colmap.py", "spatial"),
+    "colmap_exhaustive_mixed": ("colmap.py", "mixed"),
+    "colmap_sequential_mixed": ("colmap.py", "sequential", "mixed"),
+    "colmap_spatial_mixed": ("colmap.py", "spatial", "mixed"),
     "colmap_rig": ("colmap.py", "rig"),
     "colmap_sequential_rig": ("colmap.py", "sequential", "rig"),
     "glomap": ("colmap.py", "global"),
@@ -140,7 +144,7 @@ def _command(dataset: datasets.Dataset, competitor: str, work: Path, args: argpa
     command = [sys.executable, str(_COMPETITORS / file)]
     command += ["--images", str(dataset.images), "--out", str(work / "out"), "--json", str(work / "figures.json")]
     if program == "tiegraph":
-        files = {"rig": dataset.rig, "gnss": dataset.gnss, "trajectory": dataset.trajectory, "times": dataset.times}
+        files = {name: getattr(dataset, name) for name in ("rig", "gnss", "trajectory", "times", "gcp")}
         for name, value in files.items():
             command += [f"--{name}", str(value)] if value is not None else []
         name, is_setting, value = preset.partition("=")

@@ -1,7 +1,8 @@
 """The competitors of COLMAP, with its defaults (``tiegraph.papers.colmap``).
 
-COLMAP's words, after ``--``: ``sequential`` in place of every pair; ``rig``; ``global``, GLOMAP's mapper (COLMAP has it
-since 4.0), after the calibration of the view graph that comes before it.
+COLMAP's words, after ``--``: ``sequential`` or ``spatial`` (positions in EXIF) in place of every pair; ``mixed``,
+cameras told apart by EXIF; ``rig``; ``global``, GLOMAP's mapper (COLMAP has it since 4.0), after the calibration of the
+view graph that comes before it.
 
 The program writes ``--json`` again after each stage, so that a time-out or an abort of the native library loses only
 the stage that was running.
@@ -19,7 +20,7 @@ from tiegraph.papers.measured import Stages
 
 import pycolmap  # isort: skip
 
-WORDS = ("sequential", "rig", "global")
+WORDS = ("sequential", "spatial", "mixed", "rig", "global")
 
 
 def main() -> None:
@@ -30,10 +31,12 @@ def main() -> None:
         raise SystemExit(f"unknown {', '.join(sorted(unknown))}: valid are {', '.join(WORDS)}")
     stages = Stages(args.json)
     cameras = json.loads(args.cameras.read_text()) if args.cameras else {}
-    match = pycolmap.match_sequential if "sequential" in args.options else pycolmap.match_exhaustive
+    ways = {"sequential": pycolmap.match_sequential, "spatial": pycolmap.match_spatial}
+    match = next((way for word, way in ways.items() if word in args.options), pycolmap.match_exhaustive)
     mapped = global_models if "global" in args.options else incremental
     if "rig" not in args.options:
-        return reconstruct(stages, args.images, args.out, match, Given(cameras), mapped)
+        given = Given(cameras, mixed="mixed" in args.options)
+        return reconstruct(stages, args.images, args.out, match, given, mapped)
     if args.rig is None:
         return stages.end("the set has no rig")
     images, names = _folders_of_sensors(args.images, Path(args.rig), args.out / "images")

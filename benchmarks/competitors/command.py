@@ -13,7 +13,7 @@ def arguments(description: str) -> argparse.Namespace:
     parser.add_argument("--out", type=Path, required=True, help="empty work folder")
     parser.add_argument("--json", type=Path, required=True, help="where the figures go")
     parser.add_argument("--cameras", type=Path, help="JSON: image folder -> COLMAP camera; default: guessed by COLMAP")
-    for name in ("rig", "gnss", "trajectory", "times"):
+    for name in ("rig", "gnss", "trajectory", "times", "gcp"):
         parser.add_argument(f"--{name}")
     parser.add_argument("--until", default="georef")
     parser.add_argument("--hold-rig", action="store_true", help="the extrinsics of the rig are not refined")

@@ -21,7 +21,7 @@ def main() -> None:
     args = arguments(__doc__)
     stages = Stages(args.json)
     command = [sys.executable, "-m", "tiegraph", "run", str(args.images), "-o", str(args.out)]
-    for name in ("rig", "gnss", "trajectory", "times"):
+    for name in ("rig", "gnss", "trajectory", "times", "gcp"):
         if getattr(args, name):
             command += [f"--{name}", getattr(args, name)]
     done = subprocess.run([*command, "--until", args.until, *args.options], check=False, stdin=subprocess.DEVNULL)

@@ -7,8 +7,9 @@ import pytest
 
 from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import crs_coordinates, make_origin, vertical_note, world_from_geodetic
-from tiegraph.scene.control import locate, prepared_pixel
+from tiegraph.scene.control import locate
 from tiegraph.scene.gcp import read_gcps
+from tiegraph.scene.markpixels import prepared_pixel
 from tiegraph.scene.rig import Rig, Sensor, Source
 from tiegraph.scene.scene import Scene, simple_scene
 from tiegraph.scene.tuning import ControlTuning
@@ -188,3 +189,22 @@ def test_no_text_and_half_a_mark(tmp_path) -> None:
         read_gcps(path, ControlTuning())
     with pytest.raises(InputError, match="three columns image, px and py"):
         read_gcps(_csv(tmp_path, f"name,x,y,z,image,px\nA,{EAST},{NORTH},1,000.jpg,5\n"), ControlTuning())
+
+
+def test_marks_outside_are_left_to_be_judged_only_where_copies_of_the_images_hold_all(tmp_path) -> None:
+    camera = pycolmap.Camera(model="SIMPLE_PINHOLE", width=100, height=80, params=[80, 50, 40])
+    scene = _scene().with_(rigs=(Rig("lone", (Sensor("cam", camera),)),))
+
+    def located(*marks: str, orientation: int = 1):
+        rows = "".join(f"{EAST + k} {NORTH} 3 {mark} 00{k}.jpg\n" for k, mark in enumerate(marks))
+        found = locate(_odm(tmp_path, rows), scene, orientation=dict.fromkeys(range(4), orientation))
+        assert any("rays will tell" in note for note in found.notes)
+        return found.marks
+
+    larger = located("190 20", "30 150", "5 5")  # of images twice as large: out to the right, and below
+    np.testing.assert_array_equal(larger.file_px, [[190, 20], [30, 150], [5, 5]])
+    turned = located("20 95", orientation=6)  # of the image as the sensor has it, 80 x 100
+    np.testing.assert_array_equal(turned.orientation, [6])
+    for marks, said in ((("190 20", "5 5"), "another size"), (("20 95",), "exchanged"), (("500 400",), "another size")):
+        with pytest.raises(InputError, match=rf"line 2: the mark .* 100 x 80 pixels: .*{said}"):
+            located(*marks)

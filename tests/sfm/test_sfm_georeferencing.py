@@ -98,7 +98,7 @@ def test_a_point_with_one_mark_is_said_with_its_line(world) -> None:
     control = _control(truth, scene)
     marks = control.marks
     rows = (marks.point != 1) | (np.arange(len(marks)) == np.flatnonzero(marks.point == 1)[0])
-    few = replace(control, marks=Marks(**{n: getattr(marks, n)[rows] for n in Marks.__dataclass_fields__}))
+    few = replace(control, marks=marks.where(rows))
     found = georeference(_moved(truth), scene, GeorefSettings(), WORLD, Measurements(control=few))
     assert found.control.rows[1]["off_m"] is None
     assert any("'P1' is not used: 1 marks in registered images" in n and "line 8" in n for n in found.findings.notes)

@@ -25,13 +25,15 @@ class Given:
     """What COLMAP is given beside the images, where it is given something.
 
     ``cameras``: image folder -> calibrated camera, else guessed. ``rig``: a rig_config.json, whose extrinsics the
-    mapper refines unless they are ``held``. ``names``: of images in the model, where they lie under others.
+    mapper refines unless they are ``held``. ``names``: of images in the model, where they lie under others. ``mixed``:
+    cameras are told apart by EXIF and not by folder.
     """
 
     cameras: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     rig: Path | None = None
     held: bool = False
     names: Mapping[str, str] = field(default_factory=dict)
+    mixed: bool = False
 
 
 Models = dict[int, pycolmap.Reconstruction]
@@ -77,7 +79,8 @@ def exhaustive(images: Path, out: Path, record: Path, send: Callable[[Any], None
 
 
 def _extract(database: Path, images: Path, given: Given) -> None:
-    pycolmap.extract_features(database, images, camera_mode=pycolmap.CameraMode.PER_FOLDER)
+    mode = pycolmap.CameraMode.AUTO if given.mixed else pycolmap.CameraMode.PER_FOLDER
+    pycolmap.extract_features(database, images, camera_mode=mode)
     if given.cameras:
         _give_calibration(database, given.cameras)
 

@@ -55,9 +55,13 @@ def _cpu_s() -> float:
 
 
 def pairs_of(database: Path) -> dict[str, int]:
-    """Number of pairs in COLMAP's database with raw matches, and of those with inliers of two-view geometry (empty rows
-    do not count)."""
-    count = "SELECT count(*) FROM {} WHERE rows > 0"
+    """Number of pairs in COLMAP's database with raw matches, of those with inliers of two-view geometry (empty rows do
+    not count), and of all these inliers."""
+    count = "SELECT {} FROM {} WHERE rows > 0"
     with closing(sqlite3.connect(f"{database.absolute().as_uri()}?mode=ro", uri=True)) as opened:
-        tables = {"matched": "matches", "verified": "two_view_geometries"}
-        return {name: opened.execute(count.format(table)).fetchone()[0] for name, table in tables.items()}
+        asked = {
+            "matched": ("count(*)", "matches"),
+            "verified": ("count(*)", "two_view_geometries"),
+            "inliers": ("coalesce(sum(rows), 0)", "two_view_geometries"),
+        }
+        return {name: opened.execute(count.format(*words)).fetchone()[0] for name, words in asked.items()}

@@ -11,7 +11,7 @@ from tiegraph.child import run_in_child
 from tiegraph.errors import ChildDied, InputError, UnreadableArtefact
 from tiegraph.geometry.geodesy import world_from_geodetic
 from tiegraph.pipeline.files import checked, load_json, load_model, refused_pairs, whole
-from tiegraph.pipeline.inputs import control_file
+from tiegraph.pipeline.inputs import control_file, orientations
 from tiegraph.pipeline.targets import target_marks
 from tiegraph.project.run import Run, save_json
 from tiegraph.project.stages import Outcome, remove
@@ -130,8 +130,9 @@ def _measured_in_images(run: Run, scene: Scene) -> tuple[Measurements, tuple[str
     model = load_model(run.path("sparse", "0")) if file.targets else None
     try:
         seen = target_marks(run, scene, file, model)
-        control = locate(file, scene, run.settings.scan.crs, seen.marks) if file.points else None
-        return Measurements(control=control, bars=locate_bars(file, scene, seen.marks)), seen.notes, ()
+        turned = orientations(run, scene, file)
+        control = locate(file, scene, run.settings.scan.crs, seen.marks, turned) if file.points else None
+        return Measurements(control=control, bars=locate_bars(file, scene, seen.marks, turned)), seen.notes, ()
     except UnreadableArtefact:
         raise
     except InputError as error:

@@ -28,7 +28,8 @@ from tiegraph.scan.priors.trajectory import read_trajectory
 from tiegraph.scan.rigfiles.rigfile import read_rig_file
 from tiegraph.scan.rigfiles.rigspec import preset_sizes
 from tiegraph.scene.bags.topics import is_bag, source_of
-from tiegraph.scene.control import locate, locate_bars
+from tiegraph.scene.control import image_lookup, locate, locate_bars
+from tiegraph.scene.exif import orientation_of
 from tiegraph.scene.gcp import GcpFile, read_gcps
 from tiegraph.scene.gnss import read_gnss
 from tiegraph.scene.namedposes import has_named_poses
@@ -118,11 +119,19 @@ def check_against(run: Run, scene: Scene) -> tuple[str, ...]:
     file = control_file(run)
     notes: tuple[str, ...] = ()
     if file is not None and file.points:
-        notes = locate(file, scene, run.settings.scan.crs).notes
+        notes = locate(file, scene, run.settings.scan.crs, orientation=orientations(run, scene, file)).notes
     elif file is not None:
-        locate_bars(file, scene)
+        locate_bars(file, scene, orientation=orientations(run, scene, file))
     path = run.settings.candidates.pairs_file
     return notes if path is None else (*notes, *read_pair_list(path, scene)[1])
+
+
+def orientations(run: Run, scene: Scene, file: GcpFile) -> dict[int, int]:
+    """By EXIF, of the images that a file marks, by scene index; those that are no files of the user's are left out."""
+    root, lookup = source_of(run.inputs.images), image_lookup(scene)
+    images = {k for mark in file.marks if (k := lookup.get(mark.image.replace("\\", "/"))) is not None}
+    found = {k: root / scene.source_name(k) for k in sorted(images)}
+    return {k: orientation_of(path) for k, path in found.items() if path.is_file()}
 
 
 def control_file(run: Run) -> GcpFile | None:

@@ -18,9 +18,10 @@ from tiegraph.pipeline.files import checked, load_json, load_model, read_image, 
 from tiegraph.project.run import Run
 from tiegraph.project.stages import write_atomic
 from tiegraph.scene.colmapmodel import matrix
-from tiegraph.scene.control import Marks, image_lookup, prepared_pixel, source_pixel, surveyed_world
+from tiegraph.scene.control import Marks, image_lookup, surveyed_world
 from tiegraph.scene.gcp import FileMark, GcpFile, parse_crs_line, read_gcps, read_points
 from tiegraph.scene.gcpwrite import gcp_csv, odm_text
+from tiegraph.scene.markpixels import prepared_pixel, source_pixel
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.world.marks import Target, targets
 from tiegraph.targets.predict import View, seen_in

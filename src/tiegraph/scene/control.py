@@ -3,22 +3,30 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 from pathlib import PurePosixPath
+from typing import Any
 
 import numpy as np
-import pycolmap
 
 from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import ENU, Origin, crs_transformer, make_origin, vertical_note, world_from_geodetic
 from tiegraph.scene.gcp import FileMark, GcpFile
-from tiegraph.scene.rays import on_plane
-from tiegraph.scene.rig import Sensor, Source
+from tiegraph.scene.markpixels import (
+    AS_IS,
+    EDGE_PX,
+    LARGEST,
+    Copy,
+    file_camera,
+    in_file,
+    lies_in,
+    prepared_pixel,
+    within,
+)
 from tiegraph.scene.scene import Scene
 
 MIN_MARKS = 2  # of a point whose place in the model can be found: two rays meet
-EDGE_PX = 1.0  # a mark may lie this far off its image: programs count from the pixel's centre or corner
 FAR_M = 100_000.0  # farther from the survey's positions than this, the coordinates are of another CRS or axis order
 _SHOWN = 3
 
@@ -36,16 +44,24 @@ class TargetMark:
 @dataclass(frozen=True)
 class Marks:
     """M marks: rows of their points and scene indices of their images (M,), xy_px (M, 2) in COLMAP's pixels of the
-    prepared image, line (M,) in the file, 0 = found by itself, sigma_px (M,), NaN = as of one set by hand."""
+    prepared image, line (M,) in the file, 0 = found by itself, sigma_px (M,), NaN = as of one set by hand; file_px
+    (M, 2) as the file has it, NaN = as it is, orientation (M,) of the image by EXIF, for what was marked in a copy."""
 
     point: np.ndarray
     image: np.ndarray
     xy_px: np.ndarray
     line: np.ndarray
     sigma_px: np.ndarray
+    file_px: np.ndarray | None = None
+    orientation: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.point)
+
+    def where(self, keep: np.ndarray) -> Marks:
+        """Those that ``keep`` (M,) names."""
+        own: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self) if getattr(self, f.name) is not None}
+        return Marks(**{name: value[keep] for name, value in own.items()})
 
 
 @dataclass(frozen=True)
@@ -81,17 +97,25 @@ class Control:
         return len(self.names)
 
 
-def locate(file: GcpFile, scene: Scene, crs: str = "auto", found: Sequence[TargetMark] = ()) -> Control:
+def locate(
+    file: GcpFile,
+    scene: Scene,
+    crs: str = "auto",
+    found: Sequence[TargetMark] = (),
+    orientation: Mapping[int, int] | None = None,
+) -> Control:
     """The points of a file in the scene's world and their marks in its images.
 
     Without positions in the scene the world is made from the points, in ``crs`` ("auto": the file's own if it is
-    projected, else the UTM zone). ``found``: coded targets; a mark in the file goes before one found. Marks in images
-    that are not here, or where the images were cropped, are left out and said with file and line, and so are points
-    that keep less than two. Raises InputError if no mark is in an image of the survey, if one lies outside its image,
-    if one image has two marks of a point, if coordinates lie outside their CRS, or far from the survey.
+    projected, else the UTM zone). ``found``: coded targets; a mark in the file goes before one found. ``orientation``:
+    by EXIF, of images by scene index, 1 where it is not named. Marks in images that are not here, or where the images
+    were cropped, are left out and said with file and line, and so are points that keep less than two. Raises InputError
+    if no mark is in an image of the survey, if one lies outside its image and they lie inside in no copy of the images
+    (``markpixels.py``), if one image has two marks of a point, if coordinates lie outside their CRS, or far from the
+    survey.
     """
     notes = list(file.notes)
-    marks = _marks_of(file, scene, [p.name for p in file.points], found, notes)
+    marks = _marks_of(file, scene, [p.name for p in file.points], found, notes, orientation)
     origin = scene.origin or _origin_of_points(file, crs)
     world = surveyed_world(file, origin)
     _check_place(file, world, scene)
@@ -109,7 +133,12 @@ def locate(file: GcpFile, scene: Scene, crs: str = "auto", found: Sequence[Targe
     )
 
 
-def locate_bars(file: GcpFile, scene: Scene, found: Sequence[TargetMark] = ()) -> ScaleBars | None:
+def locate_bars(
+    file: GcpFile,
+    scene: Scene,
+    found: Sequence[TargetMark] = (),
+    orientation: Mapping[int, int] | None = None,
+) -> ScaleBars | None:
     """The scale bars of a file with the marks of their ends; None without any. Raises what ``locate`` raises of marks.
 
     What there is to say of marks is said by ``locate`` where the file has points too.
@@ -119,7 +148,7 @@ def locate_bars(file: GcpFile, scene: Scene, found: Sequence[TargetMark] = ()) -
     names = list(dict.fromkeys(n for b in file.bars for n in b.ends))
     return ScaleBars(
         names=tuple(names),
-        marks=_marks_of(file, scene, names, found, []),
+        marks=_marks_of(file, scene, names, found, [], orientation),
         ends=np.array([[names.index(n) for n in b.ends] for b in file.bars], int),
         length_m=np.array([b.length_m for b in file.bars]),
         sigma_m=np.array([b.sigma_m for b in file.bars]),
@@ -128,10 +157,18 @@ def locate_bars(file: GcpFile, scene: Scene, found: Sequence[TargetMark] = ()) -
     )
 
 
-def _marks_of(file: GcpFile, scene: Scene, names: list[str], found: Sequence[TargetMark], notes: list[str]) -> Marks:
+def _marks_of(
+    file: GcpFile,
+    scene: Scene,
+    names: list[str],
+    found: Sequence[TargetMark],
+    notes: list[str],
+    orientation: Mapping[int, int] | None,
+) -> Marks:
     """The marks of some names: those of the file, and targets found in images where the file marks none."""
     rows = {name: k for k, name in enumerate(names)}
-    marks, images, pixels = _marks_in(file, scene, notes) if file.marks else ([], np.zeros(0, int), np.zeros((0, 2)))
+    turned, nothing = orientation or {}, ([], np.zeros(0, int), np.zeros((0, 2)))
+    marks, images, pixels = _marks_in(file, scene, notes, turned) if file.marks else nothing
     own = [k for k, m in enumerate(marks) if m.name in rows]
     taken = {(marks[k].name, int(images[k])) for k in own}
     more = [m for m in found if m.name in rows and (m.name, m.image) not in taken]
@@ -141,6 +178,8 @@ def _marks_of(file: GcpFile, scene: Scene, names: list[str], found: Sequence[Tar
         xy_px=np.array([*pixels[own], *(m.xy for m in more)], float).reshape(-1, 2),
         line=np.array([*(marks[k].line for k in own), *(0 for _ in more)], int),
         sigma_px=np.array([*(np.nan for _ in own), *(m.sigma_px for m in more)], float),
+        file_px=np.array([*(marks[k].xy for k in own), *((np.nan, np.nan) for _ in more)], float).reshape(-1, 2),
+        orientation=np.array([*(turned.get(int(images[k]), 1) for k in own), *(1 for _ in more)], int),
     )
 
 
@@ -171,9 +210,16 @@ def _images(file: GcpFile, scene: Scene, notes: list[str]) -> tuple[np.ndarray, 
     return np.array(found, int), keep
 
 
-def _marks_in(file: GcpFile, scene: Scene, notes: list[str]) -> tuple[list[FileMark], np.ndarray, np.ndarray]:
+def _marks_in(
+    file: GcpFile, scene: Scene, notes: list[str], turned: Mapping[int, int]
+) -> tuple[list[FileMark], np.ndarray, np.ndarray]:
     """Marks that are in the survey's prepared images: the marks, their images' scene indices (M,), pixels (M, 2)."""
     image, keep = _images(file, scene, notes)
+    inside = _check_inside(file, dict(zip(keep, image.tolist())), scene, turned)
+    if not inside:
+        notes.append(
+            f"{file.of_marks.name}: marks lie outside their images; made in larger or turned ones, rays will tell"
+        )
     marks, images, pixels, cut = [], [], [], []
     first: dict[tuple[str, int], FileMark] = {}
     for index, mark in zip(image.tolist(), (file.marks[k] for k in keep)):
@@ -184,11 +230,10 @@ def _marks_in(file: GcpFile, scene: Scene, notes: list[str]) -> tuple[list[FileM
                 f"{mark.xy}, but in line {known.line} at {known.xy}: leave the right one"
             )
         sensor = scene.sensor_of(index)
-        _check_inside(file, mark, sensor, scene.source_name(index))
         xy = prepared_pixel(mark.xy, sensor)
         if known is not mark:
             continue
-        if sensor.camera is not None and not _inside(xy, sensor.camera):
+        if inside and not lies_in(xy, sensor):
             cut.append(mark)
             continue
         marks.append(mark)
@@ -202,34 +247,28 @@ def _marks_in(file: GcpFile, scene: Scene, notes: list[str]) -> tuple[list[FileM
     return marks, np.array(images, int), np.array(pixels, float).reshape(-1, 2)
 
 
-def _check_inside(file: GcpFile, mark: FileMark, sensor: Sensor, image: str) -> None:
-    camera = sensor.source.camera if sensor.source is not None and sensor.source.camera is not None else sensor.camera
-    if camera is None or (sensor.source is not None and sensor.source.rendered) or _inside(mark.xy, camera):
-        return
-    turned = _inside(mark.xy[::-1], camera)
+def _check_inside(file: GcpFile, images: Mapping[int, int], scene: Scene, turned: Mapping[int, int]) -> bool:
+    """Whether all marks (row -> scene index) lie in their images; else they must do so in a copy of these."""
+    at = [(file.marks[row], k, scene.sensor_of(k)) for row, k in images.items()]
+
+    def fit(copy: Copy) -> bool:
+        return all(in_file(copy.pixel(m.xy, s, turned.get(k, 1)), s) for m, k, s in at)
+
+    if fit(AS_IS):
+        return True
+    out = [(m, k, camera) for m, k, s in at if (camera := file_camera(s)) is not None and not in_file(m.xy, s)]
+    wide, high = (any(m.xy[i] > (c.width, c.height)[i] + EDGE_PX for m, _, c in out) for i in (0, 1))
+    # only marks in larger images leave the image in both directions: not a typing error, not exchanged columns
+    sizes = (1.0, LARGEST) if wide and high else (1.0,)
+    if any(fit(Copy(size, turned=t)) for t in (False, True) for size in sizes):
+        return False
+    mark, k, camera = out[0]
+    exchanged = within(mark.xy[::-1], camera)
     raise InputError(
         f"{file.of_marks}, line {mark.line}: the mark ({mark.xy[0]:g}, {mark.xy[1]:g}) of point {mark.name!r} lies "
-        f"outside {image}, which has {camera.width} x {camera.height} pixels: "
-        + ("columns px and py exchanged?" if turned else "marked in an image of another size?")
+        f"outside {scene.source_name(k)}, which has {camera.width} x {camera.height} pixels: "
+        + ("columns px and py exchanged?" if exchanged else "marked in an image of another size?")
     )
-
-
-def source_pixel(xy: tuple[float, float], sensor: Sensor) -> tuple[float, float]:
-    """Pixel in the user's upright image of a pixel of the prepared one: the inverse of ``prepared_pixel``."""
-    source = sensor.source or Source()
-    if source.view is not None:
-        return xy
-    left, top, _, _ = source.crop_px
-    if source.camera is not None and sensor.camera is not None and _resampled(source.camera, sensor.camera):
-        place = on_plane(sensor.camera, np.array([xy]))[0]
-        moved = source.camera.img_from_cam(np.append(place, 1.0)) if np.isfinite(place).all() else None
-        if moved is not None:
-            return float(moved[0]), float(moved[1])
-    return xy[0] + left, xy[1] + top
-
-
-def _inside(xy: Sequence[float], camera: pycolmap.Camera) -> bool:
-    return -EDGE_PX <= xy[0] <= camera.width + EDGE_PX and -EDGE_PX <= xy[1] <= camera.height + EDGE_PX
 
 
 def _few_marks(file: GcpFile, count: np.ndarray, notes: list[str]) -> None:
@@ -344,21 +383,3 @@ def _check_place(file: GcpFile, world: np.ndarray, scene: Scene) -> None:
         f"{file.path}, line {point.line}: point {point.name!r} lies {away[far[0]] / 1000:.0f} km from the survey's "
         f"positions{hint}"
     )
-
-
-def prepared_pixel(xy: tuple[float, float], sensor: Sensor) -> tuple[float, float]:
-    """Pixel in the prepared image of a mark in the user's upright image: cropped and undistorted as that was."""
-    source = sensor.source or Source()
-    if source.view is not None:  # a mark of a view
-        return xy
-    left, top, _, _ = source.crop_px
-    if source.camera is not None and sensor.camera is not None and _resampled(source.camera, sensor.camera):
-        place = on_plane(source.camera, np.array([xy]))[0]
-        if np.isfinite(place).all():
-            moved = np.asarray(sensor.camera.img_from_cam(np.append(place, 1.0)))
-            return float(moved[0]), float(moved[1])
-    return xy[0] - left, xy[1] - top
-
-
-def _resampled(before: pycolmap.Camera, after: pycolmap.Camera) -> bool:
-    return not before.is_undistorted() and after.is_undistorted()

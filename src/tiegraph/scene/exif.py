@@ -5,7 +5,10 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from datetime import datetime, timedelta, timezone
+from pathlib import Path
 from typing import Any
+
+from PIL import Image
 
 from tiegraph.scene.gnss import HEIGHT_RANGE_M, SIGMA_RANGE_M
 from tiegraph.scene.xmp import RigTags, read_rig_tags, read_rtk_position
@@ -43,6 +46,15 @@ class Exif:
     doubt: str = ""  # what is wrong with the position as written; it is used where lat_deg is finite all the same
 
 
+def orientation_of(path: Path) -> int:
+    """EXIF orientation of an image file, 1 to 8; 1 where nothing says it."""
+    try:
+        with Image.open(path) as image:
+            return _orientation(image.getexif())
+    except Exception:  # see read_exif
+        return 1
+
+
 def read_exif(image: Any, focal_range: tuple[float, float]) -> Exif:
     """EXIF of an opened PIL image; damaged entries count as not written, as do focal lengths out of a range (in longer
     image sides)."""
@@ -51,14 +63,13 @@ def read_exif(image: Any, focal_range: tuple[float, float]) -> Exif:
         detail, gps = base.get_ifd(EXIF_IFD), base.get_ifd(GPS_IFD)
     except Exception:  # a damaged EXIF block makes PIL raise anything from struct.error to SyntaxError
         return Exif()
-    orientation = _number(base.get(_ORIENTATION, 1))
     place, doubt = _place(gps)
     rtk = read_rtk_position(image)  # EXIF rounds to millimetres at best, and has no accuracy
     if _is_place(rtk):
         place, doubt = rtk, ""
     time_s, utc = _time(base, detail)
     return Exif(
-        orientation=int(orientation) if orientation in range(1, 9) else 1,
+        orientation=_orientation(base),
         focal_px=_focal(detail, image.size, focal_range),
         lat_deg=place[0],
         lon_deg=place[1],
@@ -120,6 +131,11 @@ def _exposure(detail: dict) -> float:
     iso = detail.get(_ISO, 1)
     sensitivity = _positive(iso[0] if isinstance(iso, tuple) and iso else iso)
     return _positive(detail.get(_EXPOSURE_S)) * sensitivity / _positive(detail.get(_F_NUMBER, 1)) ** 2
+
+
+def _orientation(base: Any) -> int:
+    number = _number(base.get(_ORIENTATION, 1))
+    return int(number) if number in range(1, 9) else 1
 
 
 def _believable(focal_px: float, longer_px: int, range_: tuple[float, float]) -> bool:

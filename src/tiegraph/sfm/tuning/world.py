@@ -68,7 +68,11 @@ class MarkTuning(Section):
     max_mark_px: float = Field(20.0, gt=0)
     """A mark this far from its point is a wrong click or a wrong image."""
     soft_px: float = Field(3.0, gt=0)
-    """Scale of the robust loss (soft L1) by which rays meet."""
+    """Scale of the robust loss (soft L1) by which rays meet; marks that are off by less were made in these images."""
+    min_for_copy: int = Field(3, gt=0)
+    """Points marked twice, to tell in which copies of the images the marks were made."""
+    points_for_copy: int = Field(20, gt=0)
+    """That many of the most often marked are asked."""
     min_to_refuse: int = Field(5, ge=4)
     """Control points, of which four tell which one is wrong."""
     much_better: float = Field(3.0, ge=1)

@@ -22,7 +22,7 @@ from tiegraph.sfm.world import worldadjust
 from tiegraph.sfm.world.bars import bars_in
 from tiegraph.sfm.world.fixes import Fixes, Measurements
 from tiegraph.sfm.world.georef import Georeference, HeldOut, applied_receiver, bar_rows, georeference, row_of_frames
-from tiegraph.sfm.world.marks import Target, marked, point_table, targets
+from tiegraph.sfm.world.marks import Target, as_copy, copy_of, marked, point_table, targets
 from tiegraph.sfm.world.oneworld import ByPositions, OneWorld, one_world
 from tiegraph.sfm.world.scale import BARS
 from tiegraph.sfm.world.similarityfit import SimilarityFit
@@ -113,17 +113,29 @@ def georeference_folders(request: GeorefRequest, send: Callable[[Any], None]) ->
     """The models of ``folders`` in one world, as one model in ``target``; of that model, nothing is returned."""
     scene, settings, tuning, held = Scene.from_json(request.scene), request.settings, request.tuning, request.constant
     models = [read_model(folder) for folder in request.folders]
+    given = as_marked(models[0], scene, request.measurements, tuning.world)
     nothing = VerifiedMatches(np.zeros((0, 2), int), (), {})
     verified = read_verified(request.database, scene, request.refused) if len(models) > 1 else nothing
     by_positions = ByPositions(
         similarity=lambda model, given: georeference(model, scene, settings, tuning.world, given),
         whole=lambda model, given: georeference_model(model, scene, settings, tuning, given, held),
     )
-    made = one_world(models, scene, verified, by_positions, request.measurements, tuning)
+    made = one_world(models, scene, verified, by_positions, given, tuning)
     assert made.model is not None
     request.target.mkdir(parents=True, exist_ok=True)
     made.model.write(str(request.target))
     return replace(made, model=None)
+
+
+def as_marked(model: pycolmap.Reconstruction, scene: Scene, given: Measurements, tuning: WorldTuning) -> Measurements:
+    """The same with the marks of control points in the images of the survey, if they were made in copies of these."""
+    control, bars = given.control, given.bars
+    if control is None:
+        return given
+    copy, note = copy_of(model, scene, control.marks, tuning.marks)
+    marks, notes = as_copy(control.marks, scene, copy, tuning.marks), (*control.notes, *([note] if note else []))
+    bars = bars and replace(bars, marks=as_copy(bars.marks, scene, copy, tuning.marks))
+    return replace(given, control=replace(control, marks=marks, notes=notes), bars=bars)
 
 
 def _with(georeference: Georeference, note: str) -> Georeference:

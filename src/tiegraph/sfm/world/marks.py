@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,11 +14,17 @@ from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity, umeyama
 from tiegraph.scene.control import Control, Marks
 from tiegraph.scene.evidence import LIMIT
+from tiegraph.scene.markpixels import AS_IS, LARGEST, Copy, lies_in, prepared_pixel
 from tiegraph.scene.rays import on_plane
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import matrix
 from tiegraph.sfm.tuning.world import MarkTuning
 
+_SMALLEST, _STEP = 0.1, 0.01  # copies of images that are tried: size, and from one to the next
+_UNSURE = (
+    "all marks lie in the upper left quarter of their images, and the rays of these parallel views cannot tell whether "
+    "they were made in images half as large: see for yourself, heights depend on it"
+)
 _CE90, _LE90 = 2.146, 1.645  # 90 % of a two-dimensional and of a one-dimensional normal error, in sigmas
 
 
@@ -41,14 +47,76 @@ def targets(model: pycolmap.Reconstruction, scene: Scene, marks: Marks, count: i
 
     A mark farther than 20 px from where the others put the point is left out where three or more remain.
     """
+    return [_target(seen, rows, tuning) for seen, rows in _rays(model, scene, marks, range(count), tuning)]
+
+
+def _rays(
+    model: pycolmap.Reconstruction, scene: Scene, marks: Marks, points: Sequence[int], tuning: MarkTuning
+) -> Iterator[tuple[list[_Ray], np.ndarray]]:
+    """Of points one after another, the rays of their marks in images with poses, and the rows of these."""
     views = {k: v for k in np.unique(marks.image) if (v := _view(model, scene.names[k])) is not None}
     sigma = mark_sigma(marks, tuning)
-    out = []
-    for point in range(count):
+    for point in points:
         rows = np.array([r for r in np.flatnonzero(marks.point == point) if marks.image[r] in views], int)
-        seen = [_Ray(view=views[marks.image[r]], xy=marks.xy_px[r], sigma_px=float(sigma[r])) for r in rows]
-        out.append(_target(seen, rows, tuning))
-    return out
+        yield [_Ray(view=views[marks.image[r]], xy=marks.xy_px[r], sigma_px=float(sigma[r])) for r in rows], rows
+
+
+def copy_of(model: pycolmap.Reconstruction, scene: Scene, marks: Marks, tuning: MarkTuning) -> tuple[Copy, str]:
+    """The copy of the images that a file's marks were made in, with a note if that is not these images themselves.
+
+    Rays tell: another copy is believed where they meet ``much_better`` times as well as in any but its like. Pixels
+    of the copy count, for in a flight with parallel views rays meet at any size, only closer in larger copies.
+    """
+    if marks.file_px is None or marks.orientation is None:
+        return AS_IS, ""
+    own = marks.where(np.flatnonzero(np.isfinite(marks.file_px).all(axis=1)))
+    outside = len(own) - len(as_copy(own, scene, AS_IS, tuning))
+    said = f"{outside} marks lie outside their images and are left out: in no copy of these do their rays meet"
+    often = np.argsort(-np.bincount(own.point), kind="stable")[: tuning.points_for_copy]
+    own = own.where(np.isin(own.point, often))
+    if _miss_px(model, scene, own, AS_IS, tuning) <= tuning.soft_px:
+        unsure = _miss_px(model, scene, own, Copy(0.5), tuning) <= tuning.soft_px
+        return AS_IS, _UNSURE if unsure else said if outside else ""
+    sizes = np.exp(np.arange(np.log(_SMALLEST), np.log(LARGEST if outside else 1.0) + _STEP / 2, _STEP))
+    turned = (False, True) if np.any(own.orientation != 1) else (False,)
+    tried = [AS_IS, *(c for t in turned for s in sizes if not (c := Copy(float(s), t)).like(AS_IS))]
+    miss_px = np.array([_miss_px(model, scene, own, copy, tuning) for copy in tried])
+    best = tried[int(np.argmin(miss_px))]
+    others = miss_px[[not c.like(best) for c in tried]]
+    if best == AS_IS or not tuning.much_better * miss_px.min() < others.min():
+        return AS_IS, said if outside else ""
+    near = [replace(best, size=float(best.size * f)) for f in np.linspace(1 - _STEP, 1 + _STEP, 41)]
+    fine_px = [_miss_px(model, scene, own, copy, tuning) for copy in near]
+    found = near[int(np.argmin(fine_px))]
+    return found, (
+        f"the marks were made in images {found}: so taken, they are {min(fine_px):.1f} px off on average, as the file "
+        f"has them {miss_px[0]:.1f} px (of {tuning.max_mark_px:g} that count at most)"
+    )
+
+
+def _miss_px(model: pycolmap.Reconstruction, scene: Scene, marks: Marks, copy: Copy, tuning: MarkTuning) -> float:
+    """What marks in a copy are off from where the rays of their points meet, on average, ``max_mark_px`` at most."""
+    inside = as_copy(marks, scene, copy, tuning)
+    off, points = [np.full(len(marks) - len(inside), tuning.max_mark_px)], np.unique(marks.point).tolist()
+    for seen, _ in _rays(model, scene, inside, points, tuning):
+        if len(seen) > 1:
+            residual = np.linalg.norm(_off_sigmas(seen, _nearest(seen)).reshape(-1, 2), axis=1)
+            off.append(np.minimum(copy.size * residual * [s.sigma_px for s in seen], tuning.max_mark_px))
+    return float(np.mean(np.concatenate(off))) if len(off) > tuning.min_for_copy else tuning.max_mark_px
+
+
+def as_copy(marks: Marks, scene: Scene, copy: Copy, tuning: MarkTuning) -> Marks:
+    """The marks of a file as made in a copy of the images, beside those found; without those that then lie outside."""
+    if marks.file_px is None or marks.orientation is None:
+        return marks
+    xy, sigma = marks.xy_px.copy(), marks.sigma_px.copy()
+    for k in np.flatnonzero(np.isfinite(marks.file_px).all(axis=1)):
+        sensor, (x, y) = scene.sensor_of(int(marks.image[k])), marks.file_px[k].tolist()
+        xy[k] = prepared_pixel(copy.pixel((x, y), sensor, int(marks.orientation[k])), sensor)
+        if copy.size < 1:
+            sigma[k] = tuning.mark_sigma_px / copy.size
+    inside = np.array([lies_in(p, scene.sensor_of(int(k))) for p, k in zip(xy, marks.image)], bool)
+    return replace(marks, xy_px=xy, sigma_px=sigma).where(inside)
 
 
 def mark_sigma(marks: Marks, tuning: MarkTuning) -> np.ndarray:
@@ -166,26 +234,32 @@ def _target(seen: list[_Ray], rows: np.ndarray, tuning: MarkTuning) -> Target:
 
 def _meet(rays: list[_Ray], tuning: MarkTuning) -> Any:
     """Least squares over pixels in sigmas of the marks, from the linear meeting point of the rays."""
+    scale = tuning.soft_px / tuning.mark_sigma_px
+    return scipy.optimize.least_squares(
+        lambda x: _off_sigmas(rays, x), _nearest(rays), loss="soft_l1", f_scale=scale, x_scale="jac"
+    )
+
+
+def _nearest(rays: list[_Ray]) -> np.ndarray:
+    """The point (3,) nearest to rays."""
     normal, right = np.zeros((3, 3)), np.zeros(3)
     for one in rays:
         ray = np.append(on_plane(one.camera, one.xy[None])[0], 1.0) @ one.pose[:3, :3]
         across = np.eye(3) - np.outer(ray, ray) / (ray @ ray)
         normal += across
         right += across @ transforms.centre(one.pose)
+    return np.linalg.pinv(normal) @ right
 
-    def residuals(x: np.ndarray) -> np.ndarray:
-        parts = []
-        for one in rays:
-            there = one.pose[:3, :3] @ x + one.pose[:3, 3]
-            found = one.camera.img_from_cam(there) if there[2] > 0 else None
-            off = np.full(2, 1e4) if found is None else np.nan_to_num(np.ravel(found) - one.xy, nan=1e4)
-            parts.append(off / one.sigma_px)
-        return np.concatenate(parts)
 
-    scale = tuning.soft_px / tuning.mark_sigma_px
-    return scipy.optimize.least_squares(
-        residuals, np.linalg.pinv(normal) @ right, loss="soft_l1", f_scale=scale, x_scale="jac"
-    )
+def _off_sigmas(rays: list[_Ray], x: np.ndarray) -> np.ndarray:
+    """(2 M,) a point (3,) in the images minus its marks, in sigmas of these."""
+    parts = []
+    for one in rays:
+        there = one.pose[:3, :3] @ x + one.pose[:3, 3]
+        found = one.camera.img_from_cam(there) if there[2] > 0 else None
+        off = np.full(2, 1e4) if found is None else np.nan_to_num(np.ravel(found) - one.xy, nan=1e4)
+        parts.append(off / one.sigma_px)
+    return np.concatenate(parts)
 
 
 def point_table(

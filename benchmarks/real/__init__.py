@@ -1,0 +1,1 @@
+"""A ladder of real surveys at the size they were taken in, from public repositories, set by set (README.md)."""

@@ -1,0 +1,116 @@
+"""Pixels of marks: in the image that the user has, in the prepared one, and in copies in which people mark points.
+
+Copies are smaller or larger, or turned by EXIF where the survey's images are not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pycolmap
+
+from tiegraph.scene.rays import on_plane
+from tiegraph.scene.rig import Sensor, Source
+
+EDGE_PX = 1.0  # a mark may lie this far off its image: programs count from the pixel's centre or corner
+
+
+@dataclass(frozen=True)
+class Copy:
+    """How images were when they were marked: ``size`` times as large as the user's, and ``turned`` where EXIF turns the
+    survey's (or not turned, where the survey's are left as the sensor has them)."""
+
+    size: float = 1.0
+    turned: bool = False
+
+    def pixel(self, xy: tuple[float, float], sensor: Sensor, orientation: int) -> tuple[float, float]:
+        """Pixel in the image that the sensor is of, upright where that is, of a mark in the copy."""
+        x, y = xy[0] / self.size, xy[1] / self.size
+        camera, source = file_camera(sensor), sensor.source or Source()
+        if not self.turned or camera is None:
+            return x, y
+        return _turned((x, y), (camera.width, camera.height), orientation, source.upright)
+
+    def like(self, other: Copy) -> bool:
+        """Whether it is hardly larger or smaller, and turned the same way."""
+        return self.turned == other.turned and 0.9 < self.size / other.size < 1 / 0.9
+
+    def __str__(self) -> str:
+        return f"{self.size:.4g} times as large" + (
+            ", turned otherwise than the survey's by EXIF" if self.turned else ""
+        )
+
+
+AS_IS = Copy()
+LARGEST = 4.0  # of copies, times the images
+
+
+def file_camera(sensor: Sensor) -> pycolmap.Camera | None:
+    """The camera of the user's image; None if nothing says how large that is."""
+    source = sensor.source or Source()
+    return None if source.rendered else source.camera or sensor.camera
+
+
+def in_file(xy: Sequence[float], sensor: Sensor) -> bool:
+    """Whether a pixel is in the user's image of a sensor."""
+    camera = file_camera(sensor)
+    return camera is None or within(xy, camera)
+
+
+def lies_in(xy: Sequence[float], sensor: Sensor) -> bool:
+    """Whether a pixel is in the prepared image of a sensor."""
+    return sensor.camera is None or within(xy, sensor.camera)
+
+
+def within(xy: Sequence[float], camera: pycolmap.Camera) -> bool:
+    """Whether a pixel is in the image of a camera, or at its edge."""
+    return -EDGE_PX <= xy[0] <= camera.width + EDGE_PX and -EDGE_PX <= xy[1] <= camera.height + EDGE_PX
+
+
+def prepared_pixel(xy: tuple[float, float], sensor: Sensor) -> tuple[float, float]:
+    """Pixel in the prepared image of a mark in the user's upright image: cropped and undistorted as that was."""
+    source = sensor.source or Source()
+    if source.view is not None:  # a mark of a view
+        return xy
+    left, top, _, _ = source.crop_px
+    if source.camera is not None and sensor.camera is not None and _resampled(source.camera, sensor.camera):
+        place = on_plane(source.camera, np.array([xy]))[0]
+        if np.isfinite(place).all():
+            moved = np.asarray(sensor.camera.img_from_cam(np.append(place, 1.0)))
+            return float(moved[0]), float(moved[1])
+    return xy[0] - left, xy[1] - top
+
+
+def source_pixel(xy: tuple[float, float], sensor: Sensor) -> tuple[float, float]:
+    """Pixel in the user's upright image of a pixel of the prepared one: the inverse of ``prepared_pixel``."""
+    source = sensor.source or Source()
+    if source.view is not None:
+        return xy
+    left, top, _, _ = source.crop_px
+    if source.camera is not None and sensor.camera is not None and _resampled(source.camera, sensor.camera):
+        place = on_plane(sensor.camera, np.array([xy]))[0]
+        moved = source.camera.img_from_cam(np.append(place, 1.0)) if np.isfinite(place).all() else None
+        if moved is not None:
+            return float(moved[0]), float(moved[1])
+    return xy[0] + left, xy[1] + top
+
+
+def _resampled(before: pycolmap.Camera, after: pycolmap.Camera) -> bool:
+    return not before.is_undistorted() and after.is_undistorted()
+
+
+def _turned(xy: tuple[float, float], size: tuple[int, int], orientation: int, to_upright: bool) -> tuple[float, float]:
+    """Pixel in the upright image of ``size`` of one in the stored image; or the other way round, ``size`` of this."""
+    x, y = xy
+    width, height = size
+    if to_upright:
+        x, y = (y, x) if orientation >= 5 else (x, y)
+    elif orientation >= 5:
+        width, height = height, width
+    if orientation in (2, 3, 6, 7):
+        x = width - x
+    if orientation in (3, 4, 7, 8):
+        y = height - y
+    return (x, y) if to_upright or orientation < 5 else (y, x)

@@ -1,0 +1,153 @@
+"""Marks made in smaller, larger or turned copies of the images are recognised by their rays; others stay."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from sfm_worlds import make_world
+from test_sfm_georeferencing import _control, _moved
+
+from tiegraph.scene.control import Control, Marks
+from tiegraph.scene.markpixels import AS_IS, Copy
+from tiegraph.scene.rig import Rig, Sensor, Source
+from tiegraph.scene.scene import simple_scene
+from tiegraph.sfm.settings import GeorefSettings
+from tiegraph.sfm.tuning import Tuning
+from tiegraph.sfm.world.fixes import Measurements
+from tiegraph.sfm.world.georef import georeference
+from tiegraph.sfm.world.georeferencing import as_marked
+from tiegraph.sfm.world.marks import copy_of
+
+import pycolmap  # isort: skip
+
+WORLD = Tuning().world
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory):
+    return make_world(tmp_path_factory.mktemp("world") / "database.db", cameras=2, frames=24)
+
+
+def _marked(control: Control, pixels: np.ndarray, orientation: int = 1) -> Control:
+    """The control points with marks as a file has them, in images that EXIF turns."""
+    turned = np.full(len(pixels), orientation)
+    marks = replace(control.marks, xy_px=pixels, file_px=pixels, orientation=turned)
+    return replace(control, marks=marks)
+
+
+def _recognised(world, control: Control) -> Control:
+    truth, scene = world
+    found = as_marked(_moved(truth), scene, Measurements(control=control), WORLD).control
+    assert found is not None
+    return found
+
+
+@pytest.mark.parametrize("size", [0.5, 1 / 3, 0.5208, 2.0])
+def test_marks_in_smaller_and_larger_copies_are_found_and_used(world, size: float) -> None:
+    truth, scene = world
+    true = _control(truth, scene)
+    found = _recognised(world, _marked(true, size * true.marks.xy_px))
+    off = np.linalg.norm(found.marks.xy_px - true.marks.xy_px, axis=1)
+    assert len(off) == len(true.marks) and 0.01 < off.max() < 3
+    assert any(f"{size:.2g}" in n and "as the file has them" in n for n in found.notes)
+    assert (
+        np.nanmax(found.marks.sigma_px) == pytest.approx(1 / size, rel=0.01)
+        if size < 1
+        else np.isnan(found.marks.sigma_px).all()
+    )
+    placed = georeference(_moved(truth), scene, GeorefSettings(), WORLD, Measurements(control=found))
+    assert placed.placed and placed.control.accuracy["gcp"]["points"] == 4
+    assert 0.0001 < placed.control.accuracy["check"]["rmse_m"] < 0.1
+
+
+@pytest.mark.parametrize("orientation", [3, 6, 8])
+@pytest.mark.parametrize("size", [1.0, 0.5])
+def test_marks_in_images_as_stored_are_turned_as_exif_says(world, orientation: int, size: float) -> None:
+    truth, scene = world
+    true, camera = _control(truth, scene), truth.camera(1)
+    x, y = true.marks.xy_px.T
+    stored = {3: (camera.width - x, camera.height - y), 6: (y, camera.width - x), 8: (camera.height - y, x)}
+    found = _recognised(world, _marked(true, size * np.stack(stored[orientation], axis=1), orientation))
+    assert np.linalg.norm(found.marks.xy_px - true.marks.xy_px, axis=1).max() < 2
+    assert any("turned otherwise" in n for n in found.notes)
+
+
+def test_marks_of_the_images_themselves_stay_untouched(world) -> None:
+    truth, scene = world
+    true = _control(truth, scene)
+    off = np.random.default_rng(3).standard_normal(true.marks.xy_px.shape)
+    for noise_px, orientation in ((0.0, 1), (1.0, 1), (6.0, 8)):
+        given = _marked(true, true.marks.xy_px + noise_px * off, orientation)
+        found = _recognised(world, given)
+        np.testing.assert_array_equal(found.marks.xy_px, given.marks.xy_px)
+        assert found.notes == given.notes and np.isnan(found.marks.sigma_px).all()
+
+
+def test_garbage_is_refused_as_before(world) -> None:
+    truth, scene = world
+    true = _control(truth, scene)
+    twice = np.concatenate([np.flatnonzero(true.marks.point == p)[[0, -1]] for p in range(len(true))])
+    few = replace(true, marks=true.marks.where(twice))
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        for control in (true, few):
+            given = _marked(control, rng.uniform(0, (1024, 768), control.marks.xy_px.shape), 8)
+            found = _recognised(world, given)
+            np.testing.assert_array_equal(found.marks.xy_px, given.marks.xy_px)
+            assert found.notes == given.notes
+        placed = georeference(_moved(truth), scene, GeorefSettings(), WORLD, Measurements(control=found))
+        assert not placed.placed
+
+
+def test_marks_outside_are_left_out_where_no_copy_explains_them(world) -> None:
+    truth, scene = world
+    true = _control(truth, scene)
+    pixels = true.marks.xy_px.copy()
+    pixels[3] = (1500, 1200)
+    found = _recognised(world, _marked(true, pixels))
+    assert len(found.marks) == len(true.marks) - 1
+    assert any("1 marks lie outside their images and are left out" in n for n in found.notes)
+
+
+@pytest.mark.parametrize("parallel", [True, False])
+def test_parallel_views_cannot_tell_and_it_is_said(parallel: bool) -> None:
+    camera = pycolmap.Camera(model="SIMPLE_PINHOLE", width=1000, height=800, params=[900, 500, 400], camera_id=1)
+    model, names = pycolmap.Reconstruction(), [f"{k}.jpg" for k in range(6)]
+    model.add_camera_with_trivial_rig(camera)
+    for k, name in enumerate(names):
+        turn = Rotation.from_euler("z", 0 if parallel else 25 * k, degrees=True)
+        pose = pycolmap.Rigid3d(pycolmap.Rotation3d(turn.as_quat()), turn.apply([-0.4 * k, 0.2 * k, 0]))
+        model.add_image_with_trivial_frame(pycolmap.Image(name=name, camera_id=1, image_id=k + 1), pose)
+    places = np.array([[0.5, 0.2, 9], [1.0, -1.0, 9.5], [1.4, 0.3, 10], [0.2, -0.6, 10]])
+    rows = [(p, k, model.image(k + 1).project_point(x)) for p, x in enumerate(places) for k in range(6)]
+    half = 0.5 * np.array([xy for _, _, xy in rows])
+    marks = Marks(
+        point=np.array([p for p, _, _ in rows]),
+        image=np.array([k for _, k, _ in rows]),
+        xy_px=half,
+        line=np.arange(len(rows)) + 2,
+        sigma_px=np.full(len(rows), np.nan),
+        file_px=half,
+        orientation=np.ones(len(rows), int),
+    )
+    scene = simple_scene(Rig("lone", (Sensor("cam", camera),)), names, np.arange(6), np.zeros(6))
+    copy, note = copy_of(model, scene, marks, WORLD.marks)
+    if parallel:
+        assert copy == AS_IS and "cannot tell" in note
+    else:
+        assert copy.size == pytest.approx(0.5, abs=0.002) and not copy.turned
+
+
+def test_a_copy_s_pixel_is_that_of_the_stored_or_of_the_upright_image(world) -> None:
+    upright = Sensor("c", pycolmap.Camera(model="SIMPLE_PINHOLE", width=30, height=40, params=[50, 15, 20]))
+    stored = pycolmap.Camera(model="SIMPLE_PINHOLE", width=40, height=30, params=[50, 20, 15])
+    kept = Sensor("c", stored, source=Source(camera=stored, upright=False))
+    for orientation in (5, 6, 7, 8):
+        there = Copy(0.5, turned=True).pixel((2.0, 3.0), upright, orientation)
+        back = Copy(1.0, turned=True).pixel(there, kept, orientation)
+        assert back == (4.0, 6.0) and there != back
+    assert Copy(1.0, turned=True).pixel((4.0, 6.0), upright, 8) == (6.0, 36.0)
+    assert AS_IS.pixel((4.0, 6.0), upright, 8) == (4.0, 6.0)
