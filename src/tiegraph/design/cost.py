@@ -42,7 +42,7 @@ def cost(i: np.ndarray, j: np.ndarray, keypoints: np.ndarray, megapixels: np.nda
     return Cost(len(i), matching_s, rest_s)
 
 
-def predicted_keypoints(megapixels: np.ndarray, used: np.ndarray, most: int, tuning: CostTuning) -> np.ndarray:
+def predicted_keypoints(megapixels: np.ndarray, used: np.ndarray, most: np.ndarray, tuning: CostTuning) -> np.ndarray:
     """(N,) key points to expect at full resolution in images of so many megapixels (N,), of which a share (N,) is used:
-    rather too many, and at ``most`` so many."""
+    rather too many, and no more than ``most`` (N,)."""
     return np.minimum(tuning.keypoints_a_megapixel * megapixels * used, most)

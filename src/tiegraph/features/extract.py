@@ -17,7 +17,7 @@ import pycolmap
 
 from tiegraph.errors import InputError, choose
 from tiegraph.features.settings import FeaturesSettings
-from tiegraph.features.sift import check_input, extract_sift, on_mask, shrunk
+from tiegraph.features.sift import check_input, extract_sift, most_features, on_mask, shrunk
 from tiegraph.features.tuning import SiftTuning
 from tiegraph.gpu import device, on_gpu
 from tiegraph.scene.images import read_pixels
@@ -73,7 +73,7 @@ def extract_colmap(
     to_full = np.array([gray.shape[1] / small.shape[1], gray.shape[0] / small.shape[0]])
     level, pycolmap.logging.minloglevel = pycolmap.logging.minloglevel, 1  # it announces each extractor
     try:
-        extractor = pycolmap.FeatureExtractor.create(_options(settings, tuning), device())
+        extractor = pycolmap.FeatureExtractor.create(_options(gray, settings, tuning), device())
         points, descriptors = extractor.extract_from_uint8_array(np.ascontiguousarray(small))
     finally:
         pycolmap.logging.minloglevel = level
@@ -84,9 +84,9 @@ def extract_colmap(
     return keypoints[inside].astype(np.float32), np.asarray(descriptors.data, np.uint8).reshape(-1, 128)[inside]
 
 
-def _options(settings: FeaturesSettings, tuning: SiftTuning) -> pycolmap.FeatureExtractionOptions:
+def _options(gray: np.ndarray, settings: FeaturesSettings, tuning: SiftTuning) -> pycolmap.FeatureExtractionOptions:
     options = pycolmap.FeatureExtractionOptions(num_threads=1, use_gpu=on_gpu())
-    options.sift.max_num_features = settings.max_features
+    options.sift.max_num_features = int(most_features(gray.size / 1e6, settings.max_features, tuning))
     options.sift.octave_resolution = tuning.octave_layers
     options.sift.peak_threshold = settings.contrast / tuning.octave_layers
     return options

@@ -28,8 +28,9 @@ class FeaturesSettings(Section):
 
     engine: Literal["opencv", "colmap"] = "opencv"
     """Who extracts SIFT: opencv (fast), or colmap (its own extractor, several times slower on a CPU)."""
-    max_features: int = Field(4096, ge=64, le=65536)
-    """Most features kept in an image, strongest first."""
+    max_features: int = Field(12288, ge=64, le=65536)
+    """Most features kept in an image of 4.5 megapixels or more, the clearest first; smaller ones keep fewer in
+    proportion, but a third at least."""
     max_image_size: int = Field(3200, ge=64, le=20000)
     """Longer side in pixels above which an image is shrunk for the search; positions are scaled back."""
     contrast: float = Field(0.02, gt=0, le=0.2)

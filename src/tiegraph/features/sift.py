@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 
@@ -18,58 +20,57 @@ def extract_sift(
     """SIFT features of a grey image (H, W) u1; none are kept where ``mask`` (H, W) bool is False.
 
     Returns keypoints (K, 4) f4: x, y (pixels, corner convention), scale (pixels, one sigma), orientation (radians, from
-    +x to +y), strongest first, and descriptors (K, 128) u1. K = 0 is legal: a blank or masked image.
+    +x to +y), the clearest first, and descriptors (K, 128) u1. K = 0 is legal: a blank or masked image.
+
+    The search begins at the image's own resolution. Only an image that shows too little there is doubled as Lowe's is:
+    what a camera of many megapixels writes between its pixels is noise and sharpening, and it costs the most.
     """
     check_input(gray, mask)
-    if mask is None or mask.all():
-        return _strongest(gray, None, settings, tuning, settings.max_features)[0]
-    # A descriptor costs more than the rest of a feature: as many are made as the mask can be expected to need.
-    share = float(mask.mean())
-    if share > _LEAST_FREE:
-        features, settled = _strongest(gray, mask, settings, tuning, int(_SPARE * settings.max_features / share))
-        if settled:
-            return features
-    return _strongest(gray, mask, settings, tuning, 0)[0]
-
-
-# These change what a feature costs, never which are found.
-_SPARE = 1.25  # features described for each that is to be kept, where the mask leaves all alike
-_LEAST_FREE = 0.2  # share of an image; with less, the search would often have to be repeated
-
-Features = tuple[np.ndarray, np.ndarray]
-
-
-def _strongest(
-    gray: np.ndarray, mask: np.ndarray | None, settings: FeaturesSettings, tuning: SiftTuning, limit: int
-) -> tuple[Features, bool]:
-    """The features that ``extract_sift`` returns, of the ``limit`` strongest of the whole image (0: of all); and
-    whether those of all would be the same."""
-    small = shrunk(gray, settings.max_image_size)
-    to_full = np.array([gray.shape[1] / small.shape[1], gray.shape[0] / small.shape[0]])
-    # Without the precise upscale OpenCV's key points lie 0.25 pixels too far right and down.
-    sift = cv2.SIFT.create(
-        nfeatures=limit,
-        nOctaveLayers=tuning.octave_layers,
-        contrastThreshold=settings.contrast,
-        enable_precise_upscale=True,
-    )
+    most = int(most_features(gray.size / 1e6, settings.max_features, tuning))
+    image = shrunk(gray, settings.max_image_size)
+    half = shrunk(image, max(image.shape) // 2)  # OpenCV doubles what it is given
+    sift = _sift(settings.contrast / 2, tuning)  # halved, noise is half as strong, and as faint a feature is as clear
+    found = sift.detect(half, None)
+    keypoints, chosen = _clearest(found, half, gray, mask, tuning)
+    if len(chosen) >= tuning.enough_found * most:
+        chosen = chosen[:most]
+        _, descriptors = sift.compute(half, [found[k] for k in chosen])
+        return keypoints[chosen], root_sift(descriptors)
     # One call: computing the descriptors of the kept ones alone would build the pyramid a second time.
-    found, descriptors = sift.detectAndCompute(small, None)
-    if not found:
-        return (np.zeros((0, 4), np.float32), np.zeros((0, 128), np.uint8)), True
-    keypoints = np.empty((len(found), 4))
-    keypoints[:, :2] = (np.array([k.pt for k in found]) + 0.5) * to_full
-    # OpenCV's size is twice the sigma of the key point.
-    keypoints[:, 2] = np.array([k.size for k in found]) / 2 * np.sqrt(to_full.prod())
-    keypoints[:, 3] = np.radians([k.angle for k in found])
-    # Strongest first; ties by place, so that OpenCV's threads cannot change the order.
-    response = np.array([k.response for k in found])
-    order = np.lexsort((keypoints[:, 3], keypoints[:, 0], keypoints[:, 1], -response))
-    # OpenCV would cut to the strongest before it looks at a mask: we mask first.
-    free, whole = _free(keypoints[order, :3], mask, tuning)
-    chosen = order[free][: settings.max_features]
-    settled = not 0 < limit <= len(found) or whole >= max(settings.max_features, tuning.enough_free)
-    return (keypoints[chosen].astype(np.float32), root_sift(descriptors[chosen])), settled
+    found, descriptors = _sift(settings.contrast, tuning).detectAndCompute(image, None)
+    keypoints, chosen = _clearest(found, image, gray, mask, tuning)
+    if not len(chosen):
+        return np.zeros((0, 4), np.float32), np.zeros((0, 128), np.uint8)
+    return keypoints[chosen[:most]], root_sift(descriptors[chosen[:most]])
+
+
+def _sift(contrast: float, tuning: SiftTuning) -> cv2.SIFT:
+    # Without the precise upscale OpenCV's key points lie 0.25 pixels too far right and down.
+    return cv2.SIFT.create(nOctaveLayers=tuning.octave_layers, contrastThreshold=contrast, enable_precise_upscale=True)
+
+
+def _clearest(
+    found: Sequence[cv2.KeyPoint], image: np.ndarray, gray: np.ndarray, mask: np.ndarray | None, tuning: SiftTuning
+) -> tuple[np.ndarray, np.ndarray]:
+    """Key points (K, 4) f4 of the full image, of those found in a smaller one, and which of them are not masked,
+    by their signal to noise, the clearest first.
+
+    The noise of pixels, smoothed with a key point's scale, falls as that scale rises: response times scale says how far
+    it stands above it. Of a drone's photographs the strongest by response alone were sharpening, and few were found
+    again (benchmarks/sfm/README.md, *Key points*). Ties by place, so that OpenCV's threads cannot change the order.
+    """
+    scale = np.array([gray.shape[1] / image.shape[1], gray.shape[0] / image.shape[0]])
+    out = np.array([[*k.pt, k.size, k.angle, k.response] for k in found]).reshape(-1, 5)
+    out[:, :2] = (out[:, :2] + 0.5) * scale
+    out[:, 2] *= np.sqrt(scale.prod()) / 2  # OpenCV's size is twice the sigma of the key point
+    out[:, 3] = np.radians(out[:, 3])
+    order = np.lexsort((out[:, 3], out[:, 0], out[:, 1], -out[:, 4] * out[:, 2]))
+    return out[:, :4].astype(np.float32), order[on_mask(out[order, :3], mask, tuning)]
+
+
+def most_features(megapixels: np.ndarray | float, limit: int, tuning: SiftTuning) -> np.ndarray:
+    """How many features an image of so many megapixels keeps at most, of a limit for large images; same shape."""
+    return np.rint(limit * np.clip(megapixels / tuning.large_mpx, tuning.least_kept, 1))
 
 
 def root_sift(descriptors: np.ndarray) -> np.ndarray:
@@ -93,20 +94,14 @@ def on_mask(keypoints: np.ndarray, mask: np.ndarray | None, tuning: SiftTuning) 
     That is a circle of ``support_sigmas`` scales in which the mask (H, W) is True; where fewer than ``enough_free``
     have one, their pixels count. All are kept without a mask.
     """
-    return _free(keypoints, mask, tuning)[0]
-
-
-def _free(keypoints: np.ndarray, mask: np.ndarray | None, tuning: SiftTuning) -> tuple[np.ndarray, int]:
-    """What ``on_mask`` returns, and how many key points have a free support."""
     if mask is None:
-        return np.ones(len(keypoints), bool), len(keypoints)
+        return np.ones(len(keypoints), bool)
     # The distance of a pixel's centre to that of the nearest masked pixel; what lies outside the image is no matter.
     free = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
     column, row = np.floor(keypoints[:, :2]).astype(int).T
     distance = free[np.clip(row, 0, mask.shape[0] - 1), np.clip(column, 0, mask.shape[1] - 1)]
     whole = np.asarray(distance > tuning.support_sigmas * keypoints[:, 2])
-    count = int(whole.sum())
-    return whole if count >= tuning.enough_free else np.asarray(distance > 0), count
+    return whole if whole.sum() >= tuning.enough_free else np.asarray(distance > 0)
 
 
 def shrunk(gray: np.ndarray, max_image_size: int) -> np.ndarray:

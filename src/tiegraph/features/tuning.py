@@ -36,6 +36,13 @@ class SiftTuning(Section):
 
     octave_layers: int = Field(3, gt=0)
     """Of the scale space: Lowe 2004, section 3.3; both extractors divide the contrast threshold by it."""
+    large_mpx: float = Field(4.5, gt=0)
+    """Megapixels from which an image keeps as many features as it may. COLMAP's 8192 are 10 500 with the second
+    orientations: as many inliers as those give take 12 288 of ours (benchmarks/sfm/README.md, *Key points*)."""
+    least_kept: float = Field(1 / 3, gt=0, le=1)
+    """Of that number, what the smallest image may keep: 4096 features of 1.5 megapixels and less."""
+    enough_found: float = Field(0.75, gt=0)
+    """Of the features that an image may keep: so many at its own resolution, and it is not doubled."""
     support_sigmas: float = Field(3.0, ge=0)
     """Sigmas of a key point that must be free: where a building ends against a masked sky, the place of a blob leans
     towards it. On canal such key points turned the front camera against the rig by 0.01-0.02 deg; they are 5 % of

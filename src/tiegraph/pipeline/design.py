@@ -13,6 +13,7 @@ from tiegraph.design.design import METHODS, DesignResult, takes_all, with_covera
 from tiegraph.design.design import design as select_pairs
 from tiegraph.design.surface import CoveredSurface, surface_map, weak_places
 from tiegraph.design.surfaceplot import surface_png
+from tiegraph.features.sift import most_features
 from tiegraph.network.plots import map_png, weak_pairs
 from tiegraph.pipeline.accuracy import with_accuracy
 from tiegraph.pipeline.files import checked, load_npz, pairs_of, reading, save_npz, ties_of, visibility_of
@@ -139,6 +140,7 @@ def _cost(run: Run, scene: Scene, pairs: Pairs) -> Cost:
         percent = {row["image"]: float(row["used_percent"]) for row in csv.DictReader(file)}
         used = np.array([percent[name] / 100 for name in scene.names])
     megapixels, kept = sizes[scene.sensor_key], pairs.kept()
+    most = most_features(megapixels, run.settings.features.max_features, run.settings.tuning.features.sift)
     tuning = run.settings.tuning.design.cost
-    keypoints = predicted_keypoints(megapixels, used, run.settings.features.max_features, tuning)
+    keypoints = predicted_keypoints(megapixels, used, most, tuning)
     return cost(kept.i, kept.j, keypoints, megapixels, tuning)

@@ -6,6 +6,9 @@ import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
+from tiegraph.features.sift import most_features
 from tiegraph.plan.effort import Effort, effort
 from tiegraph.plan.tuning import EffortTuning
 from tiegraph.project.run import Run
@@ -60,7 +63,9 @@ def forecast(run: Run) -> Forecast | None:
     sizes = [(p.width, p.height) for p in probes if not p.reason]
     if not sizes:
         return None
-    tuning = EffortTuning(most_features=run.settings.features.max_features)
+    megapixels = np.prod(sizes, axis=1) / 1e6
+    most = most_features(megapixels, run.settings.features.max_features, run.settings.tuning.features.sift)
+    tuning = EffortTuning(most_features=float(most.mean()))
     count = len(found.names)
     cost = effort((sizes * (count // len(sizes) + 1))[:count], 1, 0.0, None, tuning)
     where = next(p for p in (run.folder, *run.folder.parents) if p.exists())

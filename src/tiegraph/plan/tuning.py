@@ -31,7 +31,7 @@ class EffortTuning(Section):
     measured, 348 so, canal 523 and 544, KITTI 1025 and 740, PandaSet 395 and 838, Herz-Jesus-P8 1004 and 1134."""
     copied_bytes: float = Field(160.0, gt=0)
     """Of a feature, in the copy of the database that `sparse` works on."""
-    most_features: int = Field(4096, gt=0)
+    most_features: float = Field(12288.0, gt=0)
     """As `features.max_features`."""
     dense_bytes: float = Field(6.0, gt=0)
     """Of a pixel: depth maps and cloud, three files; canal_demo 7.0, kerry_park, half of it placed, 0.5."""
