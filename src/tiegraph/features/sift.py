@@ -46,7 +46,12 @@ def extract_sift(
 
 def _sift(contrast: float, tuning: SiftTuning) -> cv2.SIFT:
     # Without the precise upscale OpenCV's key points lie 0.25 pixels too far right and down.
-    return cv2.SIFT.create(nOctaveLayers=tuning.octave_layers, contrastThreshold=contrast, enable_precise_upscale=True)
+    return cv2.SIFT.create(
+        nOctaveLayers=tuning.octave_layers,
+        contrastThreshold=contrast,
+        edgeThreshold=tuning.edges,
+        enable_precise_upscale=True,
+    )
 
 
 def _clearest(
@@ -57,7 +62,7 @@ def _clearest(
 
     The noise of pixels, smoothed with a key point's scale, falls as that scale rises: response times scale says how far
     it stands above it. Of a drone's photographs the strongest by response alone were sharpening, and few were found
-    again (benchmarks/sfm/README.md, *Key points*). Ties by place, so that OpenCV's threads cannot change the order.
+    again (benchmarks/README.md, *Key points*). Ties by place, so that OpenCV's threads cannot change the order.
     """
     scale = np.array([gray.shape[1] / image.shape[1], gray.shape[0] / image.shape[0]])
     out = np.array([[*k.pt, k.size, k.angle, k.response] for k in found]).reshape(-1, 5)
