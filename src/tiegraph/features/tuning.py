@@ -36,9 +36,9 @@ class SiftTuning(Section):
 
     octave_layers: int = Field(3, gt=0)
     """Of the scale space: Lowe 2004, section 3.3; both extractors divide the contrast threshold by it."""
-    edges: float = Field(15.0, gt=0)
+    edges: float = Field(12.0, gt=0)
     """Lowe's edge threshold: most that the two curvatures of a feature may differ, as a ratio. OpenCV's 10 leaves out a
-    sixth of what COLMAP's extractor finds with its 10, and those are found again as often as others."""
+    sixth of what COLMAP's extractor finds with its 10, found again as often as others; 15 takes more CPU time."""
     large_mpx: float = Field(4.5, gt=0)
     """Megapixels from which an image keeps as many features as it may. COLMAP's 8192 are 10 500 with the second
     orientations: as many inliers as those give take 12 288 of ours (benchmarks/README.md, *Key points*)."""
