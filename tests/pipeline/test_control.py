@@ -54,7 +54,7 @@ def test_marks_in_an_unknown_image_are_left_out_and_said_and_the_rest_is_used(tm
     found = settings.georef.model_copy(update={"gcp": tmp_path / "gcp_list.txt"})
     run = SimpleNamespace(
         path=tmp_path.joinpath, settings=settings.model_copy(update={"georef": found}), log=tmp_path / "log.txt",
-        inputs=SimpleNamespace(gnss=None), receipts=SimpleNamespace(read=lambda stage: {}),
+        inputs=SimpleNamespace(gnss=None, images=tmp_path), receipts=SimpleNamespace(read=lambda stage: {}),
     )  # fmt: skip
     outcome = georef(run)
     said = f"gcp_list.txt, line {wrong}: image 'another/survey.jpg' is not in the survey; mark left out"

@@ -114,7 +114,7 @@ def survey(folder: Path, control: str) -> tuple[Any, Table]:
     georef = settings.georef.model_copy(update={"gcp": folder / "control.csv"})
     run = SimpleNamespace(
         path=folder.joinpath, settings=settings.model_copy(update={"georef": georef}), log=folder / "log.txt",
-        inputs=SimpleNamespace(gnss=None), receipts=SimpleNamespace(read=lambda stage: {}),
+        inputs=SimpleNamespace(gnss=None, images=folder / "images"), receipts=SimpleNamespace(read=lambda stage: {}),
         map=lambda function, items, *args: [function(item, *args) for item in items],
     )  # fmt: skip
     return run, world
