@@ -27,7 +27,7 @@ class CameraModel:
             params=tuple(float(p) for p in camera.params),
         )
 
-    def pycolmap(self) -> pycolmap.Camera:
+    def to_pycolmap(self) -> pycolmap.Camera:
         """As a pycolmap camera."""
         return pycolmap.Camera(model=self.model, width=self.width, height=self.height, params=list(self.params))
 

@@ -25,7 +25,7 @@ def pinhole_of(camera: CameraModel, settings: DenseSettings, tuning: ViewTuning)
     The resolution at the image centre is kept, and the field of view up to ``max_fov_deg``; then the whole is reduced
     to ``max_image_size``. Raises InputError for cameras that see all round.
     """
-    model = camera.pycolmap()
+    model = camera.to_pycolmap()
     if model.model_name == "EQUIRECTANGULAR":
         raise InputError(f"camera model {camera.model} sees all round and cannot be undistorted: cut it into views")
     low, high = _field(camera, np.tan(np.radians(settings.max_fov_deg / 2)), tuning.border_samples)
@@ -87,7 +87,7 @@ def _field(camera: CameraModel, limit: float, samples: int) -> tuple[np.ndarray,
     s = np.linspace(0.0, 1.0, samples)
     zero, one = np.zeros_like(s), np.ones_like(s)
     border = np.concatenate([np.c_[s, zero], np.c_[s, one], np.c_[zero, s], np.c_[one, s]])
-    rays = np.asarray(camera.pycolmap().cam_ray_from_img(border * [camera.width, camera.height]))
+    rays = np.asarray(camera.to_pycolmap().cam_ray_from_img(border * [camera.width, camera.height]))
     rays = rays[np.isfinite(rays).all(axis=1)]
     # A ray at right angles or behind is beyond any limit: its direction in the image still says towards which side.
     plane = rays[:, :2] / np.maximum(rays[:, 2:], 1e-3 * np.linalg.norm(rays, axis=1, keepdims=True))
@@ -100,7 +100,7 @@ def _central_focal(camera: CameraModel) -> float:
     """Pixels per unit of tangent at the optical axis."""
     step = 1e-4
     around = np.array([[step, 0, 1], [-step, 0, 1], [0, step, 1], [0, -step, 1]])
-    at = np.asarray(camera.pycolmap().img_from_cam(around))
+    at = np.asarray(camera.to_pycolmap().img_from_cam(around))
     return float((np.linalg.norm(at[0] - at[1]) + np.linalg.norm(at[2] - at[3])) / (4 * step))
 
 
@@ -111,7 +111,7 @@ def _maps(camera: CameraModel, pinhole: CameraModel, round_trip_px: float) -> tu
     width, height = pinhole.width, pinhole.height
     u, v = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
     rays = np.stack([(u - cx) / fx, (v - cy) / fy, np.ones_like(u)], axis=-1).reshape(-1, 3)
-    model = camera.pycolmap()
+    model = camera.to_pycolmap()
     at = np.asarray(model.img_from_cam(rays))
     inside = (at >= 0).all(axis=1) & (at[:, 0] <= camera.width) & (at[:, 1] <= camera.height)
     back = np.asarray(model.cam_ray_from_img(np.where(inside[:, None], at, 0.0)))
