@@ -44,7 +44,9 @@ def true_depth(plan: ImagePlan, folder: Path, settings: DenseSettings) -> np.nda
     K, (width, height) = pinhole_of(plan.view.camera, settings, ViewTuning())
     u, v = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
     rays = np.stack([(u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1], np.ones_like(u)], -1).reshape(-1, 3)
-    at = np.asarray(plan.view.camera.to_pycolmap().img_from_cam(rays)).reshape(height, width, 2).astype(np.float32) - 0.5
+    at = (
+        np.asarray(plan.view.camera.to_pycolmap().img_from_cam(rays)).reshape(height, width, 2).astype(np.float32) - 0.5
+    )
     outside = {"borderMode": cv2.BORDER_CONSTANT, "borderValue": float("nan")}
     return cv2.remap(metres, at[..., 0], at[..., 1], cv2.INTER_NEAREST, **outside)
 
