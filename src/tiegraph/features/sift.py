@@ -29,7 +29,8 @@ def extract_sift(
     most = int(most_features(gray.size / 1e6, settings.max_features, tuning))
     image = shrunk(gray, settings.max_image_size)
     half = shrunk(image, max(image.shape) // 2)  # OpenCV doubles what it is given
-    sift = _sift(settings.contrast / 2, tuning)  # halved, noise is half as strong, and as faint a feature is as clear
+    # The mean of four pixels has half their noise: a feature of half the contrast stands as far above it.
+    sift = _sift(settings.contrast / 2, tuning)
     found = sift.detect(half, None)
     keypoints, chosen = _clearest(found, half, gray, mask, tuning)
     if len(chosen) >= tuning.enough_found * most:
