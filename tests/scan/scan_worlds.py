@@ -43,8 +43,8 @@ def exif_of(**tags: object) -> Image.Exif:
     exif = Image.Exif()
     base = {"make": 0x010F, "model": 0x0110, "orientation": 0x0112}
     detail = {"time": 0x9003, "subsec": 0x9291, "offset": 0x9011, "focal_35mm": 0xA405, "focal_mm": 0x920A,
-              "plane_x": 0xA20E, "plane_unit": 0xA210, "width": 0xA002, "exposure": 0x829A, "f_number": 0x829D,
-              "iso": 0x8827}  # fmt: skip
+              "plane_x": 0xA20E, "plane_unit": 0xA210, "width": 0xA002, "height": 0xA003, "exposure": 0x829A,
+              "f_number": 0x829D, "iso": 0x8827}  # fmt: skip
     for name, value in tags.items():
         if name in base:
             exif[base[name]] = value

@@ -109,12 +109,20 @@ def test_exif_position_time_and_focal_length(tmp_path: Path) -> None:
     assert (found.make, found.model) == ("Canon", "EOS")
 
 
-def test_focal_length_from_the_sensor_density_survives_resizing(tmp_path: Path) -> None:
-    # 24 mm lens, 36 mm wide sensor of 6000 pixels, image reduced to 1500: f = 24/36 * 1500.
-    exif = exif_of(focal_mm=24.0, plane_x=6000 / 36 * 10, plane_unit=3, width=6000)
-    assert probe_image(
-        picture(tmp_path / "a.jpg", (1500, 1000), exif=exif), ImageTuning()
-    ).exif.focal_px == pytest.approx(1000.0)
+@pytest.mark.parametrize(
+    "size, smaller",
+    [((6000, 4000), 1.0), ((1500, 1000), 0.25), ((1000, 1500), 0.25), ((4000, 4000), 1.0), ((1000, 1000), 0.25)],
+)
+def test_the_focal_length_is_that_of_the_photograph_before_it_was_made_smaller_or_cut(
+    tmp_path: Path, size: tuple[int, int], smaller: float
+) -> None:
+    # 24 mm before a sensor of 36 x 24 mm and 6000 x 4000 pixels, by the density of the pixels and by its equivalent
+    written = {"width": 6000, "height": 4000}
+    density = exif_of(focal_mm=24.0, plane_x=6000 / 36 * 10, plane_unit=3, **written)
+    equivalent = exif_of(focal_35mm=24, **written)
+    for name, exif in ("density.jpg", density), ("equivalent.jpg", equivalent):
+        found = probe_image(picture(tmp_path / name, size, exif=exif), ImageTuning()).exif
+        assert found.focal_px == pytest.approx(4000.0 * smaller, rel=1e-3)
 
 
 def test_unbelievable_exif_counts_as_not_written(tmp_path: Path) -> None:

@@ -114,16 +114,20 @@ def _is_place(given: tuple[float, ...]) -> bool:
 
 
 def _focal(detail: dict, size: tuple[int, int], range_: tuple[float, float]) -> float:
+    """Focal length in pixels of the file, told by its 35 mm equivalent or by the size of a pixel. Both are of the
+    photograph as it was taken, which may have been made smaller, turned, or cut in one direction since."""
     (width, height), longer = size, max(size)
+    wide, high = _positive(detail.get(_EXIF_WIDTH)), _positive(detail.get(_EXIF_HEIGHT))
+    if not wide * high > 0:
+        wide, high = size
+    smaller = min(max(width / wide, height / high), max(width / high, height / wide))
     equivalent = _positive(detail.get(_FOCAL_35MM))
-    focal = equivalent / _DIAGONAL_35MM * (width**2 + height**2) ** 0.5
+    focal = equivalent / _DIAGONAL_35MM * (wide**2 + high**2) ** 0.5 * smaller
     if _believable(focal, longer, range_):
         return focal
     mm, density = _positive(detail.get(_FOCAL_MM)), _positive(detail.get(_PLANE_X))
     unit_mm = _UNIT_MM.get(int(_number(detail.get(_PLANE_UNIT, 2), 2)), 25.4)
-    written = max(_positive(detail.get(_EXIF_WIDTH)), _positive(detail.get(_EXIF_HEIGHT)))
-    # The density counts the pixels the camera took; the image may have been made smaller since.
-    focal = mm * density / unit_mm * (longer / written if written == written else 1.0)
+    focal = mm * density / unit_mm * smaller
     return focal if _believable(focal, longer, range_) else NAN
 
 
