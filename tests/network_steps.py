@@ -73,7 +73,7 @@ def estimate_network(
     found = find_candidates(scene, book, settings, tuning)
     coarse = Coarse(found.pairs, found.scene, None, np.zeros(len(scene), bool))
     both = settings, CoarseSettings()
-    if make is not None and worth_a_model(found.scene, both, tuning):
+    if make is not None and worth_a_model(*both):
         search = Search((found.pairs, found.scene), book, both, tuning.coarse)
         mapper = Mapper(found.scene, tuning, make)
         while (wanted := search.wanted()) is not None:

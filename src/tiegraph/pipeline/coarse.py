@@ -87,7 +87,7 @@ def judged_by_model(run: Run, candidates: tuple[Pairs, Scene], cache: MatchCache
     """Candidate pairs of a scene judged by the best coarse model; as they were, where none is worth making."""
     pairs, scene = candidates
     settings, tuning = (run.settings.candidates, run.settings.coarse), run.settings.tuning.network
-    if not worth_a_model(scene, settings, tuning):
+    if not worth_a_model(*settings):
         return Coarse(pairs=pairs, scene=scene, model=None, trusted=np.zeros(len(scene), bool))
     search, mapper = Search(candidates, cache, settings, tuning.coarse), _Mapper(run, scene)
     while (wanted := search.wanted()) is not None:

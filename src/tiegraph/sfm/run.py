@@ -142,7 +142,12 @@ def _from_poses(
 def _options(request: Request, free: bool) -> pycolmap.IncrementalPipelineOptions:
     """``free``: intrinsics and extrinsics are adjusted, where the request lets them."""
     lens = free and not request.fixed.all_cameras
+    tolerance = request.tuning.start.staged.tolerance  # COLMAP has 0: it would iterate on at points that go anyway
     return pycolmap.IncrementalPipelineOptions(
+        ba_local_function_tolerance=tolerance,
+        ba_global_function_tolerance=tolerance,
+        # COLMAP places no image by one whose distortion is above 1. That is half a pixel of k2 before a narrow lens.
+        max_extra_param=float("inf"),
         random_seed=request.method.seed,
         num_threads=THREADS,
         ba_use_gpu=False,  # the same bits with and without one

@@ -19,7 +19,6 @@ from tiegraph.network.coarse.trust import Trust, trust
 from tiegraph.network.coarse.visible import Overlap
 from tiegraph.network.passes import MatchCache
 from tiegraph.network.settings import CandidatesSettings, CoarseSettings
-from tiegraph.network.tuning import Tuning
 from tiegraph.network.tuning.coarse import CoarseTuning
 from tiegraph.scene.matches import PreviewMatches
 from tiegraph.scene.pairs import REASONS, Pairs, pair_key
@@ -143,11 +142,9 @@ class Search:
         )
 
 
-def worth_a_model(scene: Scene, settings: tuple[CandidatesSettings, CoarseSettings], tuning: Tuning) -> bool:
-    """Whether candidates are judged by a coarse model: not those of so few photographs that all are compared, nor
-    those that a user listed."""
-    asked, own = settings
-    return own.method != "off" and asked.uses_axes() and len(scene) > tuning.sources.few_photos
+def worth_a_model(asked: CandidatesSettings, own: CoarseSettings) -> bool:
+    """Whether candidates are judged by a coarse model: not those that a user listed."""
+    return own.method != "off" and asked.uses_axes()
 
 
 @dataclass(frozen=True)

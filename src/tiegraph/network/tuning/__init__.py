@@ -43,7 +43,7 @@ class SourcesTuning(Section):
     """Which sources are asked, and what is kept of what they propose (`sources.py`)."""
 
     few_photos: int = Field(30, ge=0)
-    """Loose photographs that are all compared with one another (435 pairs); so few need no coarse model either."""
+    """Loose photographs that are all compared with one another (435 pairs)."""
     nearest: int = Field(10, ge=0)
     """Loose photographs with positions: nearest ones that are kept whatever the preview says."""
     axes_listed: int = Field(1000, ge=0)
