@@ -18,9 +18,12 @@ from tiegraph.sfm.model import image_poses, matrix
 
 
 def make_world(
-    path: Path, cameras: int = 3, frames: int = 8, noise_px: float = 0.3, points: int = 150
+    path: Path, cameras: int = 3, frames: int = 8, noise_px: float = 0.3, points: int = 150, **lens: object
 ) -> tuple[pycolmap.Reconstruction, Scene]:
-    """A database with one rig, its truth, and its scene (extrinsics exact, cameras as given, no positions)."""
+    """A database with one rig, its truth, and its scene (extrinsics exact, cameras as given, no positions).
+
+    ``lens``: other ``camera_...`` options of COLMAP's synthetic data.
+    """
     pycolmap.set_random_seed(3)
     pycolmap.logging.minloglevel = 2
     options = pycolmap.SyntheticDatasetOptions(
@@ -31,6 +34,7 @@ def make_world(
         camera_has_prior_focal_length=True,
         sensor_from_rig_translation_stddev=0.3,
         sensor_from_rig_rotation_stddev=5.0,
+        **lens,
     )
     path.unlink(missing_ok=True)
     with pycolmap.Database.open(path) as database:

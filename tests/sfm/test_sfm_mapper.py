@@ -6,6 +6,7 @@ import sqlite3
 from pathlib import Path
 
 import numpy as np
+import pycolmap
 import pytest
 from sfm_worlds import make_world, true_frames, with_positions, without_extrinsics
 
@@ -85,6 +86,17 @@ def test_an_image_without_a_point_is_placed_by_its_rig_and_not_registered(tmp_pa
     rows = {row[0]: row[1:] for row in result.tables["registered_per_camera"]["rows"]}
     assert rows[scene.sensor_of(blind).name] == [8, 7, 1] and sorted(rows.values())[1:] == [[8, 8, 0]] * 2
     assert result.tables["models"]["rows"][0][1:3] == [len(scene) - 1, 1]
+
+
+@pytest.mark.slow
+def test_a_narrow_lens_may_have_a_large_coefficient(tmp_path: Path) -> None:
+    """k = 2 moves the corners by an eighth of their distance from the middle, at 2.5 widths of focal length."""
+    lens = {"camera_model_id": pycolmap.CameraModelId.SIMPLE_RADIAL, "camera_params": [2560.0, 512.0, 384.0, 2.0]}
+    truth, scene = make_world(tmp_path / "database.db", 1, 10, points=400, **lens)
+    result = _run(tmp_path, scene, mapper="incremental", refine_intrinsics="yes", covariance_frames=0)
+    assert result.counts["registered"] == len(scene) == 10
+    assert 1.8 < result.load().camera(1).params[3] < 2.2
+    assert 0 < _centre_error(result, scene, truth) < 0.05
 
 
 @pytest.mark.slow
