@@ -35,7 +35,7 @@ class EffortTuning(Section):
     """As `features.max_features`."""
     features_px: float = Field(3200.0, gt=0)
     """As `features.max_image_size`, and ..."""
-    dense_px: float = Field(1600.0, gt=0)
+    dense_px: float = Field(3200.0, gt=0)
     """... as `dense.max_image_size`: of a larger image only so much is worked on."""
     dense_bytes: float = Field(6.0, gt=0)
     """Of a pixel that is matched: depth maps and cloud, three files; canal_demo 7.0, kerry_park, half of it placed, 0.5."""
