@@ -22,7 +22,7 @@ import pycolmap
 
 from benchmarks.datasets import load
 from benchmarks.dense.clouds import Truth, alignment, depth_truth, sigma_rows
-from tiegraph.dense.consistency import LoadDepth, _bit, _compare, _Tally, check
+from tiegraph.dense.consistency import LoadDepth, _bit, _compare, _Surface, _Tally, check
 from tiegraph.dense.depth import depth_map
 from tiegraph.dense.neighbours import plan_images
 from tiegraph.dense.plan import ImagePlan
@@ -47,7 +47,7 @@ def votes(plan: ImagePlan, load_first: LoadDepth, truth: np.ndarray) -> np.ndarr
         if other is not None:
             unseen.discard(name)
             counted = _bit(depth, partners.index(name)) if name in partners else np.zeros(truth.shape, bool)
-            said = _compare(depth, other, _SETTINGS.tolerance_px, _TUNING.rays)
+            said = _compare(depth, 0, _Surface.of(other), _SETTINGS.tolerance_px, _TUNING.rays)
             tally = tally.heard(said, counted)
     maps = tally.maps - 1 + sum(_bit(depth, k).astype(int) for k, name in enumerate(partners) if name in unseen)
     known = np.isfinite(depth.depth_m) & np.isfinite(truth)

@@ -32,6 +32,7 @@ from tiegraph.cloud.voxels import (
 )
 from tiegraph.errors import ReconstructionError
 from tiegraph.geometry.geodesy import Origin
+from tiegraph.geometry.rowstrips import row_strips
 from tiegraph.geometry.transforms import invert
 from tiegraph.scene.atomic import replacing
 from tiegraph.scene.results import Cloud, DepthMap
@@ -42,7 +43,9 @@ MapPoints = tuple[Cloud, np.ndarray, int]  # world points, the spacing (M,) each
 Run = Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[Any]]  # map over items, results in their order
 
 _MERGE_ROWS = 2_000_000  # points read before they are added up: about 0.3 GB
-_MAPS_AT_ONCE = 400  # depth maps whose points lie in files before they are added up: about 10 GB at 1.5 million points
+_POINTS_AT_ONCE = 400_000_000  # that lie in files before they are added up: 10 GB, and ...
+_MAPS_AT_ONCE = 60  # ... what so many depth maps more may have
+_PIXELS = 1 << 20  # of a depth map that are made points together: about 0.2 GB
 
 
 @dataclass(frozen=True)
@@ -107,23 +110,27 @@ def fuse(
 
 def fuse_points(
     names: Sequence[str],
-    points: Callable[[str], MapPoints],
+    points: Callable[[str], Iterable[MapPoints]],
     scratch: Path,
     settings: CloudSettings,
     tuning: Tuning,
     run: Run = map,
 ) -> FusionResult | None:
-    """Fuse the points of ``names``, of depth maps or clouds; None if there are none. As ``fuse``; ``settings`` say the
-    size of the voxels."""
+    """Fuse the points of ``names``, of depth maps or clouds, in parts each; None if there are none. As ``fuse``;
+    ``settings`` say the size of the voxels."""
     voxel = settings.voxel_size
     scatter = partial(_scatter_one, points=points, scratch=scratch, voxel=voxel, levels=tuning.levels)
     scattered: list[_Scattered] = []
     merged: dict[Tile, int] = {}
+    waiting: dict[int, _Scattered] = {}
     for begin in range(0, len(names), _MAPS_AT_ONCE):
         numbered = list(enumerate(names))[begin : begin + _MAPS_AT_ONCE]
         found = list(run(scatter, numbered))
-        merged |= _merge(dict(zip([k for k, _ in numbered], found, strict=True)), scratch, voxel, tuning.levels, run)
         scattered += found
+        waiting |= dict(zip([k for k, _ in numbered], found, strict=True))
+        if len(scattered) == len(names) or sum(s.pixels for s in waiting.values()) > _POINTS_AT_ONCE:
+            merged |= _merge(waiting, scratch, voxel, tuning.levels, run)
+            waiting = {}
     if not merged:
         return None
     tiles = sorted(merged)
@@ -141,27 +148,30 @@ def fuse_points(
     return FusionResult(tiles=tuple(files), voxel=voxel, counts=counts, origin=None)
 
 
-def map_points(depth: DepthMap, rgb: np.ndarray, settings: CloudSettings) -> MapPoints:
-    """World points of a depth map, the spacing (M,) each justifies, and the number left out as too uncertain."""
-    known = np.isfinite(depth.depth_m)
-    sure = known & (depth.sigma_m <= settings.max_relative_sigma * np.where(known, depth.depth_m, 1))
+def map_points(depth: DepthMap, rgb: np.ndarray, settings: CloudSettings, rows: slice) -> MapPoints:
+    """World points of some rows of a depth map, the spacing (M,) each justifies, and the number left out as too
+    uncertain."""
+    depth_m, sigma_m = depth.depth_m[rows], depth.sigma_m[rows]
+    known = np.isfinite(depth_m)
+    sure = known & (sigma_m <= settings.max_relative_sigma * np.where(known, depth_m, 1))
     at = np.flatnonzero(sure)
-    z, sigma = (values.ravel()[at] for values in (depth.depth_m, depth.sigma_m))
+    z, sigma = (values.ravel()[at] for values in (depth_m, sigma_m))
     world_from_cam = invert(depth.cam_from_world)
     ray = world_from_cam[:3, :3] @ np.linalg.inv(depth.K)
     row, column = np.divmod(at, known.shape[1])
     xyz = np.empty((len(at), 3))
     for k in range(3):
-        xyz[:, k] = ((column + 0.5) * ray[k, 0] + (row + 0.5) * ray[k, 1] + ray[k, 2]) * z + world_from_cam[k, 3]
+        across = (column + 0.5) * ray[k, 0] + (row + (rows.start + 0.5)) * ray[k, 1] + ray[k, 2]
+        xyz[:, k] = across * z + world_from_cam[k, 3]
     normal = np.full((len(at), 3), np.nan, np.float32)
     if depth.normal is not None:
-        normal = np.take(depth.normal.reshape(-1, 3), at, axis=0) @ world_from_cam[:3, :3].T.astype(np.float32)
+        normal = np.take(depth.normal[rows].reshape(-1, 3), at, axis=0) @ world_from_cam[:3, :3].T.astype(np.float32)
     cloud = Cloud(
         xyz_m=xyz,
-        rgb=np.take(rgb.reshape(-1, 3), at, axis=0),
+        rgb=np.take(rgb[rows].reshape(-1, 3), at, axis=0),
         normal=normal,
         sigma_m=sigma,
-        views=depth.views.ravel()[at],
+        views=depth.views[rows].ravel()[at],
     )
     justified = np.maximum(z.astype(float) / _focal(depth), sigma)
     return cloud, justified, int(np.count_nonzero(known & ~sure))
@@ -198,34 +208,37 @@ def _focal(depth: DepthMap) -> float:
     return float(np.sqrt(depth.K[0, 0] * depth.K[1, 1]))
 
 
-def _points_of_map(name: str, maps: Maps, settings: CloudSettings) -> MapPoints:
+def _points_of_map(name: str, maps: Maps, settings: CloudSettings) -> Iterator[MapPoints]:
     depth = maps.depth(name)
     if depth is None:
-        return Cloud.empty(), np.zeros(0), 0
+        return
     rgb = np.zeros((*depth.depth_m.shape, 3), np.uint8) if maps.colours is None else maps.colours(name)
-    return map_points(depth, rgb, settings)
+    for rows in row_strips(*depth.depth_m.shape, _PIXELS):
+        yield map_points(depth, rgb, settings, rows)
 
 
 def _scatter_one(
-    item: tuple[int, str], points: Callable[[str], MapPoints], scratch: Path, voxel: float, levels: int
+    item: tuple[int, str], points: Callable[[str], Iterable[MapPoints]], scratch: Path, voxel: float, levels: int
 ) -> _Scattered:
-    """Write the points of one depth map or cloud, sorted by tile."""
+    """Write the points of one depth map or cloud, each part of them sorted by tile."""
     number, name = item
-    cloud, justified, uncertain = points(name)
-    if len(cloud) == 0:
-        return _Scattered(uncertain=uncertain)
-    tile, rows = rows_of(cloud, justified, voxel, levels)
-    numbers = row_numbers(tile)
-    order = order_of(numbers)
-    with replacing(_map_path(scratch, number)) as temporary:
-        np.take(rows, order).tofile(temporary)
-    start = run_starts(numbers[order])
-    count = np.diff(start, append=len(order))
-    parts = [
-        ((int(x), int(y), int(z)), int(s), int(n))
-        for (x, y, z), s, n in zip(tile[:, order[start]].T, start, count, strict=True)
-    ]
-    return _Scattered(tuple(parts), len(cloud), uncertain)
+    parts: list[tuple[Tile, int, int]] = []
+    written, left_out = 0, 0
+    with replacing(_map_path(scratch, number)) as temporary, open(temporary, "wb") as file:
+        for cloud, justified, uncertain in points(name):
+            left_out += uncertain
+            if len(cloud) == 0:
+                continue
+            tile, rows = rows_of(cloud, justified, voxel, levels)
+            numbers = row_numbers(tile)
+            order = order_of(numbers)
+            np.take(rows, order).tofile(file)
+            start = run_starts(numbers[order])
+            count = np.diff(start, append=len(order))
+            for (x, y, z), s, n in zip(tile[:, order[start]].T, start, count, strict=True):
+                parts.append(((int(x), int(y), int(z)), written + int(s), int(n)))
+            written += len(cloud)
+    return _Scattered(tuple(parts), written, left_out)
 
 
 def _merge(scattered: dict[int, _Scattered], scratch: Path, voxel: float, levels: int, run: Run) -> dict[Tile, int]:

@@ -10,6 +10,7 @@ import numpy as np
 
 from tiegraph.dense.settings import DenseSettings
 from tiegraph.dense.tuning import RayTuning
+from tiegraph.geometry.rowstrips import row_strips
 from tiegraph.geometry.transforms import invert
 from tiegraph.scene.results import DepthMap
 
@@ -65,21 +66,43 @@ def check(
     is none. Where fewer images than ``min_views`` have the point in their frame all of them must agree, two at least,
     and one other depth map must say the same: ``views`` tells these points.
     """
-    tally = _Tally.begin(depth)
+    rows = row_strips(*depth.depth_m.shape, _STRIP_PIXELS)
+    strips = [_cut(depth, r) for r in rows]
+    tallies = [_Tally.begin(strip) for strip in strips]
     unseen = set(partners)
     for name in witnesses:
         other = load(name)
         if other is None:
             continue
         unseen.discard(name)
-        counted = _bit(depth, partners.index(name)) if name in partners else np.zeros(depth.depth_m.shape, bool)
-        tally = tally.heard(_compare(depth, other, settings.tolerance_px, tuning), counted)
+        surface = _Surface.of(other)
+        for k, strip in enumerate(strips):
+            counted = _bit(strip, partners.index(name)) if name in partners else np.zeros(strip.depth_m.shape, bool)
+            said = _compare(strip, rows[k].start, surface, settings.tolerance_px, tuning)
+            tallies[k] = tallies[k].heard(said, counted)
+    mapless = [k for k, name in enumerate(partners) if name in unseen]
+    judged = [_judged(*pair, mapless, settings.min_views, tuning) for pair in zip(strips, tallies, strict=True)]
+    joined = {name: np.concatenate([getattr(d, name) for d, _ in judged]) for name in ("depth_m", "sigma_m", "views")}
+    return replace(depth, support=None, **joined), Consistency.total(counts for _, counts in judged)
+
+
+def _cut(depth: DepthMap, rows: slice) -> DepthMap:
+    """Some rows of a depth map; the camera stays that of the whole."""
+    support = None if depth.support is None else depth.support[rows]
+    cut = {name: getattr(depth, name)[rows] for name in ("depth_m", "sigma_m", "views")}
+    return replace(depth, support=support, **cut)
+
+
+def _judged(
+    depth: DepthMap, tally: _Tally, mapless: Sequence[int], min_views: int, tuning: RayTuning
+) -> tuple[DepthMap, Consistency]:
+    """What stays when all witnesses were heard but the ``mapless`` partners, which have no depth map."""
     known = np.isfinite(depth.depth_m)
-    possible = 1 + tally.possible + len(unseen)  # a partner without a depth map might see everything
-    needed = np.clip(possible, 2, settings.min_views + (_relative_sigma(depth, tally) > tuning.vague_share))
-    alone = (needed < settings.min_views) & (tally.maps < 2)
-    mapless = [_bit(depth, k) for k, name in enumerate(partners) if name in unseen]
-    few = known & ((tally.maps + np.sum(mapless, axis=0, dtype=np.int16) < needed) | alone)
+    possible = 1 + tally.possible + len(mapless)  # a partner without a depth map might see everything
+    needed = np.clip(possible, 2, min_views + (_relative_sigma(depth, tally) > tuning.vague_share))
+    alone = (needed < min_views) & (tally.maps < 2)
+    matched = np.sum([_bit(depth, k) for k in mapless], axis=0, dtype=np.int16)
+    few = known & ((tally.maps + matched < needed) | alone)
     floating = known & ~few & (tally.against >= tally.views)
     kept = known & ~few & ~floating
     counts = [int(np.count_nonzero(m)) for m in (known, kept, few, floating, kept & (tally.views == 2))]
@@ -162,23 +185,12 @@ def _replaced(depth: DepthMap, kept: np.ndarray, tally: _Tally) -> DepthMap:
         depth_m=mean.astype(np.float32),
         sigma_m=(_relative_sigma(depth, tally) * mean).astype(np.float32),
         views=np.where(kept, np.minimum(tally.views, 255), 0).astype(np.uint8),
-        support=None,
     )
 
 
-def _compare(depth: DepthMap, other: DepthMap, tolerance_px: float, tuning: RayTuning) -> _Said:
-    """One witness beside our depth map, strip by strip."""
-    surface = _Surface.of(other)
-    rows = max(1, _STRIP_PIXELS // depth.depth_m.shape[1])
-    tops = range(0, len(depth.depth_m), rows)
-    parts = [_compare_rows(depth, surface, top, rows, tolerance_px, tuning) for top in tops]
-    return _Said(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(_Said)))
-
-
-def _compare_rows(
-    depth: DepthMap, surface: _Surface, top: int, rows: int, tolerance_px: float, tuning: RayTuning
-) -> _Said:
-    z, sigma_z = depth.depth_m[top : top + rows], depth.sigma_m[top : top + rows]
+def _compare(depth: DepthMap, top: int, surface: _Surface, tolerance_px: float, tuning: RayTuning) -> _Said:
+    """One witness beside some rows of our depth map, of which ``top`` is the first."""
+    z, sigma_z = depth.depth_m, depth.sigma_m
     other = surface.camera
     other_from_depth = other.cam_from_world @ invert(depth.cam_from_world)
     along = _along(depth, other_from_depth[:3, :3], top, len(z))  # our rays in the other's frame, per unit of depth

@@ -15,6 +15,7 @@ from tiegraph.dense.settings import DenseSettings
 from tiegraph.dense.tuning import NormalTuning, Tuning
 from tiegraph.dense.undistort import load_view
 from tiegraph.errors import choose
+from tiegraph.geometry.rowstrips import row_strips
 from tiegraph.scene.results import DepthMap
 
 
@@ -51,20 +52,29 @@ def with_normals(depth: DepthMap, tuning: NormalTuning) -> DepthMap:
     On a plane inverse depth is an affine function of the pixel: 1/z = a u + b v + c, and the normal is along
     (a fx, b fy, a cx + b cy + c). The least squares fit in a window is a few box filters, holes left out.
     """
-    known = np.isfinite(depth.depth_m)
-    inverse = np.where(known, 1 / np.where(known, depth.depth_m, 1), 0).astype(np.float64)
-    middle = float(np.median(inverse[known])) if known.any() else 1.0
-    plane = _planes(known.astype(np.float64), inverse / middle, tuning)
-    height, width = known.shape
-    u, v = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+    found = 1 / depth.depth_m[np.isfinite(depth.depth_m)]
+    middle = float(np.median(found.astype(float))) if len(found) else 1.0
+    normal = np.empty((*depth.depth_m.shape, 3), np.float32)
+    for rows in row_strips(*depth.depth_m.shape):
+        normal[rows] = _normals(depth, rows, middle, tuning)
+    return replace(depth, normal=normal)
+
+
+def _normals(depth: DepthMap, rows: slice, middle: float, tuning: NormalTuning) -> np.ndarray:
+    """Normals of some rows, by inverse depths in units of ``middle``."""
+    top = max(0, rows.start - tuning.radius_px)
+    depth_m, inner = depth.depth_m[top : rows.stop + tuning.radius_px], slice(rows.start - top, rows.stop - top)
+    known = np.isfinite(depth_m)
+    inverse = np.where(known, 1 / np.where(known, depth_m, 1), 0).astype(np.float64)
+    plane = _planes(known.astype(np.float64), inverse / middle, tuning).rows(inner)
+    u, v = np.arange(depth_m.shape[1]) + 0.5, (np.arange(rows.start, rows.stop) + 0.5)[:, None]
     K = depth.K
     # The window's plane is w = a (u' - u) + b (v' - v) + c about its centre (u, v).
     x, y = (u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1]
     n_x, n_y = plane.a * K[0, 0], plane.b * K[1, 1]
     normal = np.stack([n_x, n_y, plane.c - n_x * x - n_y * y], axis=-1)
     normal = -normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-12)
-    normal = np.where((plane.good & known)[..., None], normal, np.nan).astype(np.float32)
-    return replace(depth, normal=normal)
+    return np.where((plane.good & known[inner])[..., None], normal, np.nan)
 
 
 @dataclass(frozen=True)
@@ -75,6 +85,10 @@ class _Planes:
     b: np.ndarray
     c: np.ndarray
     good: np.ndarray  # bool
+
+    def rows(self, rows: slice) -> _Planes:
+        """Of some rows."""
+        return _Planes(self.a[rows], self.b[rows], self.c[rows], self.good[rows])
 
 
 def _planes(known: np.ndarray, w: np.ndarray, tuning: NormalTuning) -> _Planes:

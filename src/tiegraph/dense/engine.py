@@ -21,6 +21,7 @@ from tiegraph.dense.sgbm import match_sgbm
 from tiegraph.dense.triangulate import Candidates, triangulate
 from tiegraph.dense.tsgm import available, kernel_in_use, match_tsgm, volume_bytes
 from tiegraph.dense.tuning import PairTuning, RayTuning, Tuning
+from tiegraph.geometry.rowstrips import row_strips
 from tiegraph.geometry.stereo import Pinhole, Rectification, rectify
 from tiegraph.scene.results import DepthMap
 
@@ -209,9 +210,11 @@ def _warp(
 def _within_partner(disparity: np.ndarray, right_mask: np.ndarray, disparities: int) -> np.ndarray:
     """Disparities whose right pixel is a usable pixel of the partner."""
     known = np.isfinite(disparity)
-    column = np.arange(disparity.shape[1])[None, :] + disparities - np.rint(np.where(known, disparity, 0))
-    column = np.clip(column.astype(np.int64), 0, right_mask.shape[1] - 1)
-    return np.where(known & np.take_along_axis(right_mask, column, axis=1), disparity, np.float32(np.nan))
+    for rows in row_strips(*disparity.shape):
+        column = np.arange(disparity.shape[1]) + disparities - np.rint(np.where(known[rows], disparity[rows], 0))
+        column = np.clip(column.astype(np.int64), 0, right_mask.shape[1] - 1)
+        known[rows] &= np.take_along_axis(right_mask[rows], column, axis=1)
+    return np.where(known, disparity, np.float32(np.nan))
 
 
 def _to_reference(
@@ -223,14 +226,16 @@ def _to_reference(
 ) -> Candidates:
     """Inverse depth and its uncertainty at the reference's pixels, of disparities in the rectified window."""
     at = _resample(disparity, pair.rect_from_reference, shape, tuning.blend_px)
-    u, v = np.meshgrid(np.arange(shape[1]) + 0.5, np.arange(shape[0]) + 0.5)
-    per_px = pair.inverse_depth_per_px(u, v)
-    inverse = per_px * (at + pair.offset)
-    margin = tuning.range_margin
-    good = (per_px > 0) & (inverse > 1 / margin / depth_range.far) & (inverse < margin / depth_range.near)
-    unit = per_px * np.maximum(pair.stretch(u, v), 1.0)
-    nan = np.float32(np.nan)
-    return Candidates(np.where(good, inverse, nan).astype(np.float32), np.where(good, unit, nan).astype(np.float32))
+    found = Candidates.nothing(shape)
+    u, margin = np.arange(shape[1]) + 0.5, tuning.range_margin
+    for rows in row_strips(*shape):
+        v = (np.arange(rows.start, rows.stop) + 0.5)[:, None]
+        per_px = pair.inverse_depth_per_px(u, v)
+        inverse = per_px * (at[rows] + pair.offset)
+        good = (per_px > 0) & (inverse > 1 / margin / depth_range.far) & (inverse < margin / depth_range.near)
+        np.copyto(found.inverse[rows], inverse, "same_kind", where=good)
+        np.copyto(found.unit[rows], per_px * np.maximum(pair.stretch(u, v), 1.0), "same_kind", where=good)
+    return found
 
 
 def _resample(

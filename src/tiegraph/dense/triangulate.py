@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tiegraph.dense.tuning import RayTuning
+from tiegraph.geometry.rowstrips import row_strips
 
 _STRIP_PIXELS = 1 << 15  # pixels solved together, so that the partners' columns stay in the cache
 
@@ -32,8 +33,7 @@ class Candidates:
     @staticmethod
     def nothing(shape: tuple[int, int]) -> Candidates:
         """A partner that proposes nothing."""
-        empty = np.full(shape, np.nan, np.float32)
-        return Candidates(empty, empty)
+        return Candidates(np.full(shape, np.nan, np.float32), np.full(shape, np.nan, np.float32))
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,13 +60,18 @@ def triangulate(candidates: Sequence[Candidates], tolerance_px: float, tuning: R
     the geometry of the rays that took part, and their residuals where these are larger than they should be.
     """
     shape = candidates[0].inverse.shape
-    inverse = np.stack([c.inverse.ravel() for c in candidates])
-    unit = np.stack([c.unit.ravel() for c in candidates])
-    sigma_px = disparity_sigma_px(inverse, unit, tolerance_px, tuning)
-    found = [
-        _solve(inverse[:, s : s + _STRIP_PIXELS], unit[:, s : s + _STRIP_PIXELS], tolerance_px, sigma_px, tuning)
-        for s in range(0, inverse.shape[1], _STRIP_PIXELS)
-    ]
+
+    def proposals(pixels: slice) -> tuple[np.ndarray, np.ndarray]:
+        """Of some pixels, (K, n) each."""
+        chosen = ([values.ravel()[pixels] for values in (c.inverse, c.unit)] for c in candidates)
+        inverse, unit = zip(*chosen, strict=True)
+        return np.stack(inverse), np.stack(unit)
+
+    count = candidates[0].inverse.size
+    some = proposals(slice(None, None, max(1, count // tuning.sigma_samples)))
+    sigma_px = disparity_sigma_px(*some, tolerance_px, tuning)
+    parts = row_strips(count, 1, _STRIP_PIXELS)
+    found = [_solve(*proposals(pixels), tolerance_px, sigma_px, tuning) for pixels in parts]
     depth, sigma, support = (np.concatenate(part).reshape(shape) for part in zip(*found, strict=True))
     return Triangulation(inverse=depth, sigma=sigma, support=support, sigma_px=sigma_px)
 
@@ -74,8 +79,6 @@ def triangulate(candidates: Sequence[Candidates], tolerance_px: float, tuning: R
 def disparity_sigma_px(inverse: np.ndarray, unit: np.ndarray, tolerance_px: float, tuning: RayTuning) -> float:
     """One standard deviation of a disparity in this image, from the differences of the proposals (K, n) of its partners
     that agree; ``sigma_px`` of the tuning where too few do."""
-    step = max(1, inverse.shape[1] // tuning.sigma_samples)
-    inverse, unit = inverse[:, ::step], unit[:, ::step]
     differences = [np.zeros(0, np.float32)]
     for j in range(len(inverse)):
         for k in range(j):

@@ -13,6 +13,7 @@ from tiegraph.dense.plan import CameraModel, ViewPlan
 from tiegraph.dense.settings import DenseSettings
 from tiegraph.dense.tuning import ViewTuning
 from tiegraph.errors import InputError
+from tiegraph.geometry.rowstrips import row_strips
 from tiegraph.geometry.stereo import Pinhole
 from tiegraph.scene.images import read_pixels
 
@@ -107,9 +108,18 @@ def _central_focal(camera: CameraModel) -> float:
 @lru_cache(maxsize=_MAX_CACHED_MAPS)
 def _maps(camera: CameraModel, pinhole: CameraModel, round_trip_px: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Original pixel coordinates x, y (H, W) f4 of each undistorted pixel, and which lie in the image (H, W) bool."""
+    shape = pinhole.height, pinhole.width
+    x, y, valid = np.empty(shape, np.float32), np.empty(shape, np.float32), np.empty(shape, bool)
+    for rows in row_strips(*shape):
+        x[rows], y[rows], valid[rows] = _map_rows(camera, pinhole, rows, round_trip_px)
+    return x, y, valid
+
+
+def _map_rows(
+    camera: CameraModel, pinhole: CameraModel, rows: slice, round_trip_px: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     fx, fy, cx, cy = pinhole.params
-    width, height = pinhole.width, pinhole.height
-    u, v = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+    u, v = np.meshgrid(np.arange(pinhole.width) + 0.5, np.arange(rows.start, rows.stop) + 0.5)
     rays = np.stack([(u - cx) / fx, (v - cy) / fy, np.ones_like(u)], axis=-1).reshape(-1, 3)
     model = camera.to_pycolmap()
     at = np.asarray(model.img_from_cam(rays))
@@ -117,9 +127,9 @@ def _maps(camera: CameraModel, pinhole: CameraModel, round_trip_px: float) -> tu
     back = np.asarray(model.cam_ray_from_img(np.where(inside[:, None], at, 0.0)))
     back = back[:, :2] / np.maximum(back[:, 2:], 1e-6)
     error = np.abs(back - rays[:, :2]).max(axis=1) * model.mean_focal_length()
-    valid = (inside & (error < round_trip_px * (1 + np.sum(rays[:, :2] ** 2, axis=1)))).reshape(height, width)
-    at = np.where(np.isfinite(at), at, -1e4).astype(np.float32).reshape(height, width, 2)
-    return np.ascontiguousarray(at[..., 0]), np.ascontiguousarray(at[..., 1]), valid
+    valid = inside & (error < round_trip_px * (1 + np.sum(rays[:, :2] ** 2, axis=1)))
+    at = np.where(np.isfinite(at), at, -1e4).astype(np.float32)
+    return at[:, 0].reshape(u.shape), at[:, 1].reshape(u.shape), valid.reshape(u.shape)
 
 
 def _reduced(image: np.ndarray, K: np.ndarray, camera: CameraModel, below: float) -> tuple[np.ndarray, float, float]:

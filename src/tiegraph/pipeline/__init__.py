@@ -73,11 +73,11 @@ STAGES = (
     _stage("refine", ("masks", "georef"), ("refine/masks", "refine/classes"), "image", version=3,
            tuned=("masks", "sfm")),
     _stage("dense", ("georef", "refine"), ("depth",), "image", version=5, passing=True),
-    _stage("cloud", ("dense",), ("cloud.copc.laz", "cloud.laz", "cloud.ply", "passes"), version=4,
+    _stage("cloud", ("dense",), ("cloud.copc.laz", "cloud.laz", "cloud.ply", "passes"), version=5,
            scratch=(".tiles",), tuned=("evaluate",)),
     _stage("evaluate", ("filter", "georef", "refine", "dense", "cloud"), ("metrics.json", "accuracy.csv", "evaluate"),
            version=7, scratch=("evaluate/.tiles",), tuned=("scene",), spares=("dense", "cloud")),
-    _stage("report", ("evaluate",), ("report.html", "report.json"), version=8, alone=True),
+    _stage("report", ("evaluate",), ("report.html", "report.json"), version=9, alone=True),
 )
 # fmt: on
 

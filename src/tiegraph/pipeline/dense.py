@@ -50,8 +50,8 @@ def dense(run: Run) -> Outcome:
     args = (run.folder, plan.images, settings, tuning)
     todo = _to_confirm(names, run.folder)
     first = [n for n in names if not depth_path(run.folder, n, FIRST).exists()] if todo else []
-    volumes = _volumes(plan.images, settings, tuning)
-    _log.info("%d images; %s", len(names), volumes)
+    sizes = _sizes(plan.images, settings, tuning)
+    _log.info("%d images; %s", len(names), "; ".join(sizes))
     run.reporter.total(2 * len(names), 2 * len(names) - len(first) - len(todo))
     kernels = Counter(run.map(_first_item, first, *args))
     run.map(_confirm_item, todo, *args)
@@ -64,7 +64,7 @@ def dense(run: Run) -> Outcome:
     counts: dict[str, float] = {"images": len(names), "pixels": int(sum(pixels)), "images_without": len(plan.dropped)}
     remark = installed(settings.engine)[1]
     matched = [f"{n} images matched by {kernel}" for kernel, n in sorted(kernels.items())]
-    notes = (*plan.notes, volumes, *matched, *([remark] if remark else []))
+    notes = (*plan.notes, *sizes, *matched, *([remark] if remark else []))
     return Outcome(counts=counts, dropped=plan.dropped, notes=notes, tables=tables)
 
 
@@ -91,11 +91,17 @@ def plan_of(run: Run) -> DensePlan:
     )
 
 
-def _volumes(plans: dict[str, ImagePlan], settings: DenseSettings, tuning: Tuning) -> str:
-    """What the matcher will hold at most, known before it starts."""
+def _sizes(plans: dict[str, ImagePlan], settings: DenseSettings, tuning: Tuning) -> list[str]:
+    """Which images are reduced, and what the matcher will hold at most; known before it starts."""
     sizes = {plan.view.camera: pinhole(plan.view, settings, tuning.views).size for plan in plans.values()}
+    reduced = {
+        f"depth maps of {size[0]} x {size[1]} pixels, of images of {camera.width} x {camera.height} "
+        "(dense.max_image_size)"
+        for camera, size in sizes.items()
+        if max(size) == settings.max_image_size < max(camera.width, camera.height)
+    }
     most = max((most_volume_bytes(size, tuning) for size in sizes.values()), default=0)
-    return f"cost volumes of a pair: at most {most / 1e6:.0f} MB in each worker"
+    return [*sorted(reduced)[:3], f"cost volumes of a pair: at most {most / 1e6:.0f} MB in each worker"]
 
 
 def _first_item(name: str, folder: Path, plans: dict[str, ImagePlan], settings: DenseSettings, tuning: Tuning) -> str:

@@ -64,8 +64,13 @@ def forecast(run: Run) -> Forecast | None:
     if not sizes:
         return None
     megapixels = np.prod(sizes, axis=1) / 1e6
-    most = most_features(megapixels, run.settings.features.max_features, run.settings.tuning.features.sift)
-    tuning = EffortTuning(most_features=float(most.mean()))
+    settings = run.settings
+    most = most_features(megapixels, settings.features.max_features, settings.tuning.features.sift)
+    tuning = EffortTuning(
+        most_features=float(most.mean()),
+        features_px=settings.features.max_image_size,
+        dense_px=settings.dense.max_image_size,
+    )
     count = len(found.names)
     cost = effort((sizes * (count // len(sizes) + 1))[:count], 1, 0.0, None, tuning)
     where = next(p for p in (run.folder, *run.folder.parents) if p.exists())

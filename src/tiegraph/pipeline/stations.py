@@ -230,11 +230,11 @@ def _points(
     noise: float,
     voxel: float,
     tuning: SpacingTuning,
-) -> MapPoints:
+) -> list[MapPoints]:
     cloud, pose = read_cloud(files[name]), poses[name]
     sigma = np.where(np.isfinite(cloud.sigma_m) & (cloud.sigma_m > 0), cloud.sigma_m, noise).astype(np.float32)
     moved = replace(cloud.moved(pose), sigma_m=sigma, views=np.maximum(cloud.views, 1))
-    return moved, np.maximum(spacing_of(cloud.xyz_m, cloud.origin is None, tuning), voxel), 0
+    return [(moved, np.maximum(spacing_of(cloud.xyz_m, cloud.origin is None, tuning), voxel), 0)]
 
 
 # --- what is told ----------------------------------------------------------------------------------------------------

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from tiegraph.plan.tuning import EffortTuning
 
 
@@ -35,8 +37,8 @@ def effort(
     sizes: list[tuple[int, int]], frames: int, way_m: float, speed_m_s: float | None, tuning: EffortTuning
 ) -> Effort:
     """Cost of so many frames of cameras of these sizes (width, height), pixels."""
-    pixels = frames * sum(width * height for width, height in sizes)
-    images, megapixels = frames * len(sizes), pixels / 1e6
+    images, pixels = frames * len(sizes), frames * _pixels(sizes)
+    matched = frames * _pixels(sizes, tuning.dense_px)
     each = (min(tuning.features_a_megapixel * w * h / 1e6, tuning.most_features) for w, h in sizes)
     features = frames * sum(each)
     return Effort(
@@ -45,8 +47,15 @@ def effort(
         site_s=None if speed_m_s is None else way_m / speed_m_s,
         image_bytes=tuning.image_bytes * pixels,
         model_bytes=tuning.room_bytes * images + tuning.feature_bytes * features,
-        dense_bytes=tuning.dense_bytes * pixels,
+        dense_bytes=tuning.dense_bytes * matched,
         scratch_bytes=tuning.copied_bytes * features,
-        sparse_cpu_s=tuning.start_s + tuning.image_s * images + tuning.megapixel_s * megapixels,
-        dense_cpu_s=tuning.dense_megapixel_s * megapixels,
+        sparse_cpu_s=tuning.start_s
+        + tuning.image_s * images
+        + tuning.megapixel_s * frames * _pixels(sizes, tuning.features_px) / 1e6,
+        dense_cpu_s=tuning.dense_megapixel_s * matched / 1e6,
     )
+
+
+def _pixels(sizes: list[tuple[int, int]], most_px: float = np.inf) -> float:
+    """Of all images together, each reduced to a longer side of ``most_px``."""
+    return sum(width * height * min(1.0, most_px / max(width, height)) ** 2 for width, height in sizes)

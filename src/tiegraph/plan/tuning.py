@@ -19,7 +19,7 @@ class EffortTuning(Section):
     441 s measured, 337 so; PandaSet 269 and 400; KITTI 164 and 134; canal_demo 121 and 121; Herz-Jesus-P25 59 and
     64)."""
     dense_megapixel_s: float = Field(2.4, ge=0)
-    """Of a megapixel in `dense` and `cloud`: whole_way.json, canal, 221 s for 92 megapixels."""
+    """Of a megapixel that is matched in `dense` and `cloud`: whole_way.json, canal, 221 s for 92 megapixels."""
     image_bytes: float = Field(0.3, gt=0)
     """Of a pixel as JPEG: canal 0.27, PandaSet 0.13; cameras set to their finest write up to 0.6."""
     room_bytes: float = Field(110e3, gt=0)
@@ -33,8 +33,12 @@ class EffortTuning(Section):
     """Of a feature, in the copy of the database that `sparse` works on."""
     most_features: float = Field(12288.0, gt=0)
     """As `features.max_features`."""
+    features_px: float = Field(3200.0, gt=0)
+    """As `features.max_image_size`, and ..."""
+    dense_px: float = Field(3200.0, gt=0)
+    """... as `dense.max_image_size`: of a larger image only so much is worked on."""
     dense_bytes: float = Field(6.0, gt=0)
-    """Of a pixel: depth maps and cloud, three files; canal_demo 7.0, kerry_park, half of it placed, 0.5."""
+    """Of a pixel that is matched: depth maps and cloud, three files; canal_demo 7.0, kerry_park, half of it placed, 0.5."""
 
 
 class StationTuning(Section):

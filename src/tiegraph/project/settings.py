@@ -278,7 +278,7 @@ def explain(error: Any, root: type[Section]) -> str:
 # What each named way of working changes; those of the papers are put in when they are asked for.
 _PRESETS: dict[str, dict[str, dict[str, Any]]] = {
     "default": {},
-    # Half the resolution and two partners: an eighth of the time of dense matching, for a look on site.
+    # Small depth maps of two partners each: for a look on site.
     "fast": {"dense": {"max_image_size": 800, "partners": 2}},
     # A rig or camera within arm's reach (paper 004): every pixel of the images, and every neighbour that helps.
     "close-range": {"dense": {"max_image_size": 8000, "partners": 6}},

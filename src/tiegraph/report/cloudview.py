@@ -130,13 +130,14 @@ def _draw(
 
 
 def _splat_radius(column: np.ndarray, row: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """(N,) half the mean distance of the points around each one, in pixels, from their number in 8 x 8 pixel cells."""
+    """(N,) half the mean distance of the points around each one and half a pixel, in pixels, from their number in 8 x 8
+    pixel cells."""
     cell = (row >> 3).astype(np.int64) * ((size[1] >> 3) + 1) + (column >> 3)
     cells = ((size[0] >> 3) + 1, (size[1] >> 3) + 1)
     count = np.bincount(cell, minlength=cells[0] * cells[1]).reshape(cells).astype(np.float32)
     drawn = (count > 0).astype(np.float32)
     smooth = cv2.blur(count, (3, 3)) / np.maximum(cv2.blur(drawn, (3, 3)), 1e-6)
-    return np.minimum(1.25 * np.sqrt(64 / np.maximum(smooth.ravel()[cell], 1.0)), _MAX_RADIUS_PX)
+    return np.minimum(0.5 + 1.25 * np.sqrt(64 / np.maximum(smooth.ravel()[cell], 1.0)), _MAX_RADIUS_PX)
 
 
 def _shaded(picture: np.ndarray, buffer: np.ndarray) -> np.ndarray:

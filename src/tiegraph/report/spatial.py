@@ -25,7 +25,6 @@ from tiegraph.report.thumbnails import jpeg, thumbnail
 from tiegraph.scene.sampling import evenly
 
 VIEW_PX = 1400  # width of the static views
-_BACKDROP = 400_000  # points of the map
 _IMAGES, _PICTURES = 5000, 90  # that the interactive view names, and shows
 _CELLS = 84  # of the overlap map, across
 _ELLIPSES = 12  # places with an error ellipse
@@ -79,8 +78,7 @@ def scenery(run: RunFolder) -> Scenery | None:
 
 def survey_map(seen: Scenery) -> Markup:
     """Where the survey is: the passes over the cloud from above."""
-    place, step = seen.place, max(1, len(seen.xyz) // _BACKDROP)
-    xyz, rgb = seen.xyz[::step], seen.rgb[::step]
+    place, xyz, rgb = seen.place, seen.xyz, seen.rgb
     rgb = brightened(rgb) if len(rgb) and np.ptp(rgb) > 8 else by_height(xyz[:, 2])
     rising = np.argsort(xyz[:, 2], kind="stable") if len(xyz) else np.zeros(0, int)
     backdrop = maps.raster(place, xyz[rising], rgb[rising]) if len(xyz) else ""
