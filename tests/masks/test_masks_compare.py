@@ -51,6 +51,10 @@ def test_errors(tmp_path):
     write(truth / "cam0/a.jpg.png", mask(slice(0, 5), (12, 20)))
     with pytest.raises(InputError, match=r"a\.jpg\.png: 20 x 10 pixels, but .* has 20 x 12"):
         compare(found, truth)
+    write(found / "cam0/c.jpg.png", mask(slice(0, 5)))
+    write(truth / "cam0/c.jpg.png", mask(slice(0, 5)))
+    result = compare(found, truth)  # the others are compared all the same
+    assert result.rows[-1].images == 1 and len(result.unfit) == 1 and "20 x 12" in result.unfit[0]
     write(truth / "cam0/b.jpg.png", mask(slice(0, 5)))
     with pytest.raises(InputError, match=r"no mask for cam0/b\.jpg, which has a true one"):
         compare(found, truth, {"cam0/b.jpg": "cam0"})

@@ -30,7 +30,8 @@ from tiegraph.scene.atomic import JOURNAL
 
 _LET_GO = "files let go"
 OTHER_KEY = "its inputs or settings changed"
-LOST = "lost"  # in a receipt without a key: why the images gave nothing for its stage
+LOST = "lost"  # in a receipt without a key: why nothing came of its stage
+DIED = "died"  # beside it: a process had ended, which may go otherwise the next time
 _SHOWN = 3
 
 
@@ -77,6 +78,11 @@ class Artefacts:
         if anew:
             return f"{anew[0]} was made anew"
         return next((f"{name} {what}" for name, what in self._troubles.get(stage.name, {}).items()), "")
+
+    def lost(self, stage: Stage, key: str) -> str:
+        """Why the images gave nothing for a stage, from what there is now; "" where that may have changed."""
+        receipt = self.receipts.read(stage.name)
+        return "" if receipt.get(DIED) or self._other(stage, key) else str(receipt.get(LOST, ""))
 
     def let_go(self, stage: Stage) -> int:
         """Remove the files of a stage that is up to date, which stays so until another needs them; their bytes.
