@@ -127,7 +127,9 @@ def check_against(run: Run, scene: Scene) -> tuple[str, ...]:
     masks = run.settings.evaluate.reference_masks
     if masks is not None and not any(find_mask(masks, name) for name in scene.names):
         names = ", ".join(candidates(scene.names[0]))
-        raise InputError(f"--evaluate.reference-masks {masks}: no mask of any image; of the first one could be: {names}")
+        raise InputError(
+            f"--evaluate.reference-masks {masks}: no mask of any image; of the first one could be: {names}"
+        )
     path = run.settings.candidates.pairs_file
     return notes if path is None else (*notes, *read_pair_list(path, scene)[1])
 

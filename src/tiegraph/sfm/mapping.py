@@ -270,7 +270,9 @@ def _mapped(job: Job, label: str) -> Outcome:
         error = ChildDied if outcome.died else ReconstructionError
         raise error(no_model_text(job.scene, job.graph, why))
     if job.settings.mapper not in ("auto", outcome.mapper):
-        text = f"{first} mapping, which was asked for, ended its process: the model was made by {outcome.mapper} mapping"
+        text = (
+            f"{first} mapping, which was asked for, ended its process: the model was made by {outcome.mapper} mapping"
+        )
         job.account.contradictions.append(text)
     return _near_given_focal_lengths(job, outcome, label)
 

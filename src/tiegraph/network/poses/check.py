@@ -13,7 +13,8 @@ Nor is a prior believed if another reading of it (other axes, inverted, mirrored
 the same previews better. Two tests must agree for that. The predicted overlap correlates better with the number of
 matches (rank correlation, by 0.04, and 0.45 in all). It also separates the pairs that tie from the others better (area
 under the ROC curve, by 0.03): for cameras that look along the path the correlation alone is best for whatever falls
-with the distance. The reading is named with its remedy. The assumed range is part of this: at a tenth of the right one,
+with the distance. The reading is named with its remedy, and whether chance would do that (Student's t over the pairs'
+parts in the correlations, the best of all readings). The assumed range is part of this: at a tenth of the right one,
 any reading that compresses the path looks better.
 """
 
@@ -32,6 +33,7 @@ from tiegraph.network.poses.poses import PoseResult, pose_pairs, prior_views, vi
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.network.tuning.poses import PriorTuning
+from tiegraph.scene.evidence import RARELY, mostly_more
 from tiegraph.scene.pairs import Pairs, pair_key
 from tiegraph.scene.scene import Scene
 
@@ -108,13 +110,23 @@ def check_prior(
     count = cache.measure(i, j) if len(i) else np.zeros(0)
     tied = count >= tuning.counts.sure * settings.min_matches
     rows = [(k, _counts(drawn.proposed[kind == k], tied[kind == k])) for k in range(len(KINDS)) if np.any(kind == k)]
-    fit, better, better_fit = _readings(scene, passes, (i, j, count, tied, kind), result.range_m, tuning)
+    fit, better = _readings(scene, passes, (i, j, count, tied, kind), result.range_m, tuning)
     bad = [KINDS[k] for k, counts in rows if not _tells(counts, _others(rows, k), tuning.poses.prior)]
     table = tuple((KINDS[k], c.proposed, c.tied, c.refused, c.lost) for k, c in rows)
-    apart = bad == [KINDS[OTHER_PASS]] and not better and bool((scene.sequence >= 0).all())
-    notes = _apart_notes(scene, table) if apart else _notes(table, bad, fit=fit, better=better, better_fit=better_fit)
-    good = not bad and not better
-    return PriorCheck(good=good, apart=apart, table=table, fit=fit, better=better, notes=notes)
+    apart = bad == [KINDS[OTHER_PASS]] and not better.name and bool((scene.sequence >= 0).all())
+    notes = _apart_notes(scene, table) if apart else _notes(table, bad, fit, better)
+    good = not bad and not better.name
+    return PriorCheck(good=good, apart=apart, table=table, fit=fit, better=better.name, notes=notes)
+
+
+@dataclass(frozen=True)
+class _Better:
+    """A reading of a prior ("" = none) that correlates with the previews by ``fit``, better than the given one;
+    ``sure``: chance would hardly do that."""
+
+    name: str = ""
+    fit: float = float("nan")
+    sure: bool = False
 
 
 @dataclass(frozen=True)
@@ -211,8 +223,8 @@ def _significance(first: tuple[int, int], second: tuple[int, int]) -> float:
 
 def _readings(
     scene: Scene, passes: Sequence[Pass], sample: tuple[np.ndarray, ...], range_m: float, tuning: Tuning
-) -> tuple[float, str, float]:
-    """How well the prior as given predicts the previews, the reading that does it better ("" = none), and how well.
+) -> tuple[float, _Better]:
+    """How well the prior as given predicts the previews, and the reading that does it better.
 
     Cameras that look along the path share nearly all of their pictures with all near frames, right or not: there the
     number of matches falls with the distance alone, and any reading that does so too has the better correlation (KITTI:
@@ -222,16 +234,19 @@ def _readings(
     given = _share(scene, passes, scene.world_from_rig, (i, j), range_m, tuning)
     fit = _fit(given, count, kind, prior.enough)
     if np.isnan(fit):
-        return fit, "", fit
-    fits, tells = {}, _area(given, tied, kind, prior.few_ties)
-    for name, read in _possible(scene.has_orientations(), prior.shifts_frames).items():
+        return fit, _Better()
+    fits, gains, tells = {}, {}, _area(given, tied, kind, prior.few_ties)
+    readings = _possible(scene.has_orientations(), prior.shifts_frames)
+    for name, read in readings.items():
         share = _share(scene, passes, read(np.array(scene.world_from_rig), passes), (i, j), range_m, tuning)
         if not _area(share, tied, kind, prior.few_ties) < tells + prior.better_tells:
             fits[name] = _fit(share, count, kind, prior.enough)
+            gains[name] = _gain(given, share, count, kind, prior.enough)
     best = max(fits.values(), key=lambda f: np.nan_to_num(f, nan=-1.0), default=fit)
     if not best > fit + prior.better or best < prior.sure_fit:
-        return fit, "", fit
-    return fit, " or ".join([n for n, f in fits.items() if f > best - prior.alike][:2]), best
+        return fit, _Better()
+    alike = [n for n, f in fits.items() if f > best - prior.alike][:2]
+    return fit, _Better(" or ".join(alike), best, all(mostly_more(gains[n], len(readings)) for n in alike))
 
 
 def _possible(oriented: bool, shifts: Sequence[int]) -> dict[str, Reading]:
@@ -320,6 +335,25 @@ def _fit(share: np.ndarray, count: np.ndarray, kind: np.ndarray, enough: int) ->
     return float(np.mean(found)) if found else float("nan")
 
 
+def _gain(given: np.ndarray, share: np.ndarray, count: np.ndarray, kind: np.ndarray, enough: int) -> np.ndarray:
+    """What each pair adds to the rank correlation of another reading's share less that of the given one's, (K,)."""
+    found = []
+    for k in range(len(KINDS)):
+        there = (kind == k) & np.isfinite(share) & np.isfinite(given)
+        if there.sum() >= 2 * enough and np.ptp(count[there]) > 0:
+            before, after, seen = (_ranks(v[there]) for v in (given, share, count))
+            found.append((after - before) * seen)
+    return np.concatenate(found) if found else np.zeros(0)
+
+
+def _ranks(values: np.ndarray) -> np.ndarray:
+    """(K,) ranks, about zero and of unit spread; zeros where all are alike."""
+    from scipy.stats import rankdata
+
+    rank = rankdata(values) - (len(values) + 1) / 2
+    return np.asarray(rank / max(float(np.std(rank)), 1e-12))
+
+
 def _area(share: np.ndarray, tied: np.ndarray, kind: np.ndarray, few: int) -> float:
     """Chance that a pair that ties has a larger predicted overlap than one that does not (area under the ROC curve),
     mean over the kinds; NaN = too few to say."""
@@ -350,16 +384,17 @@ def _table_note(table: tuple) -> str:
     return f"prior checked by previews, ties among pairs it proposes and among pairs it refuses: {parts}"
 
 
-def _notes(table: tuple, bad: list[str], *, fit: float, better: str, better_fit: float) -> tuple[str, ...]:
+def _notes(table: tuple, bad: list[str], fit: float, better: _Better) -> tuple[str, ...]:
     if not table:
         return ()
     notes = [_table_note(table)]
-    if better:
+    if better.name:
+        doubt, chance = ("looks", RARELY) if better.sure else ("may be", "which may be chance")
         notes.append(
-            f"the prior looks wrong: {better}. Read so, its predicted overlap and the preview matches correlate by "
-            f"{better_fit:.2f}, as given by {fit:.2f}. {_remedy(better)}"
+            f"the prior {doubt} wrong: {better.name}. Read so, its predicted overlap and the preview matches correlate "
+            f"by {better.fit:.2f}, as given by {fit:.2f}, {chance}. {_remedy(better.name)}"
         )
-    if bad or better:
+    if bad or better.name:
         where = f" ({', '.join(bad)}: the pairs it refuses tie about as often as those it proposes)" if bad else ""
         notes.append(f"the prior is not believed{where}: it refuses nothing, previews and order find the pairs")
     return tuple(notes)

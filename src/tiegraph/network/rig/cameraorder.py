@@ -71,10 +71,10 @@ def in_words(rig: Rig, order: Order, evidence: np.ndarray) -> str:
     names = [s.name for s in rig.sensors]
     moved = [k for k, p in enumerate(order.place) if p != k]
     if len(moved) == 2:
-        said = f"{names[moved[0]]} and {names[moved[1]]} seem to be swapped"
+        said = f"{names[moved[0]]} and {names[moved[1]]} tie as if they were swapped"
     else:
-        said = "its cameras seem to be in another order: " + ", ".join(
-            f"{names[k]} stands where it says {names[order.place[k]]}" for k in moved
+        said = "its cameras tie as if they were in another order: " + ", ".join(
+            f"{names[k]} where it says {names[order.place[k]]}" for k in moved
         )
     found = _strongest(rig, evidence)
     angle = rig.axis_angles_deg()

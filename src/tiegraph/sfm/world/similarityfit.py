@@ -6,11 +6,10 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.special import fdtrc
 
 from tiegraph.geometry.align import rms_length, umeyama
 from tiegraph.geometry.gravity import Up
-from tiegraph.scene.evidence import CHANCE, LIMIT
+from tiegraph.scene.evidence import LIMIT, RARELY, fits_better
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import frame_poses
 from tiegraph.sfm.settings import GeorefSettings
@@ -280,9 +279,8 @@ def _point_factor(place: np.ndarray, world: np.ndarray, sigma: np.ndarray, tunin
 def _mirrored(now: Fitted, about: _Given) -> str:
     """What is to be said where the positions fit clearly better with east and north exchanged: a mirror image; else "".
 
-    The ratio of the sums of squares in plan, over what either reading believes, is held against Fisher's distribution;
-    no more positions count than the least that speak, for errors of neighbours are alike. A straight track is its own
-    mirror image, so that nothing can be said of it.
+    By the errors in plan (``fits_better``), over what either reading believes. A straight track is its own mirror
+    image, so that nothing can be said of it.
     """
     evidence, fit, tuning = now.evidence, now.fit, about.tuning
     off = evidence.position_residuals(fit.similarity, fit.arm.place)
@@ -296,13 +294,12 @@ def _mirrored(now: Fitted, about: _Given) -> str:
     against = turned.position_residuals(other.fit.similarity, other.fit.arm.place)
     sizes = [rms_length(r[rows, :2]) for r in (off, against)]
     free = 2 * tuning.statements.least_positions - 4  # a similarity in plan has four unknowns
-    chance = fdtrc(free, free, (sizes[0] / max(sizes[1], 1e-12)) ** 2)
-    if chance > CHANCE or not _whole(evidence.frame[rows], about):
+    if not fits_better(*sizes, free) or not _whole(evidence.frame[rows], about):
         return ""
     return (
         f"the positions are a mirror image of the model: they miss it by {sizes[0]:.2f} m in plan, with their first "
-        f"two coordinates exchanged by {sizes[1]:.2f} m, which chance does once in {1 / CHANCE:.0f} surveys at most: "
-        "are latitude and longitude, or north and east, exchanged in the GNSS file? They place nothing"
+        f"two coordinates exchanged by {sizes[1]:.2f} m, {RARELY}: are latitude and "
+        "longitude, or north and east, exchanged in the GNSS file? They place nothing"
     )
 
 
