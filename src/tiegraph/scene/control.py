@@ -16,7 +16,6 @@ from tiegraph.scene.gcp import FileMark, GcpFile
 from tiegraph.scene.markpixels import (
     AS_IS,
     EDGE_PX,
-    LARGEST,
     Copy,
     file_camera,
     in_file,
@@ -259,7 +258,7 @@ def _check_inside(file: GcpFile, images: Mapping[int, int], scene: Scene, turned
     out = [(m, k, camera) for m, k, s in at if (camera := file_camera(s)) is not None and not in_file(m.xy, s)]
     wide, high = (any(m.xy[i] > (c.width, c.height)[i] + EDGE_PX for m, _, c in out) for i in (0, 1))
     # only marks in larger images leave the image in both directions: not a typing error, not exchanged columns
-    sizes = (1.0, LARGEST) if wide and high else (1.0,)
+    sizes = (1.0, file.largest_copy) if wide and high else (1.0,)
     if any(fit(Copy(size, turned=t)) for t in (False, True) for size in sizes):
         return False
     mark, k, camera = out[0]

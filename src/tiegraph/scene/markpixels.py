@@ -44,7 +44,6 @@ class Copy:
 
 
 AS_IS = Copy()
-LARGEST = 4.0  # of copies, times the images
 
 
 def file_camera(sensor: Sensor) -> pycolmap.Camera | None:

@@ -132,6 +132,7 @@ def fit_to_world(
     if min(frames, places) + len(points) < tuning.similarity_fit.min_positions:
         few = f"{frames} registered frames have a prior position"
         few += f" ({places} different ones)" if places < frames else ""
+        few += f" and {len(points)} control points can be used" if given.control is not None else ""
         return NotPlaced(f"{few}, {tuning.similarity_fit.min_positions} are needed")
     arm = _lever_arm(scene, settings, notes)
     about = _Given(model=model, scene=scene, settings=settings, measured=given, points=points, tuning=tuning)
