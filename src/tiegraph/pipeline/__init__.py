@@ -17,8 +17,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from tiegraph.project.run import needed
-from tiegraph.project.stages import Outcome, Stage
+from tiegraph.project.stages import Outcome, Stage, needed
 
 __all__ = ["SHOTS", "STAGES"]
 

@@ -11,7 +11,7 @@ import dataclasses
 from collections.abc import Iterable, Sequence
 from pathlib import Path, PurePosixPath
 
-from tiegraph.errors import InputError
+from tiegraph.errors import InputError, UnreadableArtefact
 from tiegraph.project.ledger import (
     Ledger,
     covered,
@@ -56,11 +56,15 @@ class Artefacts:
                     self._troubles.setdefault(own, {})[name] = what
         return bool(self._troubles)
 
-    def report(self, name: str, what: str) -> bool:
-        """Count a file as lost or changed, because it could not be read; whether it is an artefact."""
+    def damaged_by(self, error: Exception) -> bool:
+        """Whether an error comes from a damaged artefact, which counts as lost or changed from now on."""
+        if not isinstance(error, UnreadableArtefact):
+            return self.look(thorough=True)
+        path, folder = error.path.absolute(), self.folder.absolute()
+        name = path.relative_to(folder).as_posix() if folder in path.parents else ""
         maker = self._maker(name)
         if maker:
-            self._troubles.setdefault(maker, {})[name] = what
+            self._troubles.setdefault(maker, {})[name] = "cannot be read"
         return bool(maker)
 
     def why(self, stage: Stage, key: str) -> str:

@@ -21,7 +21,6 @@ from tiegraph.errors import (
     ReconstructionError,
     SettingsError,
     TiegraphError,
-    UnreadableArtefact,
 )
 from tiegraph.limits import explained
 from tiegraph.project.artefacts import DIED, LOST, OTHER_KEY, Artefacts
@@ -31,7 +30,7 @@ from tiegraph.project.pool import LocalPool, Place, check_pool, map_items, open_
 from tiegraph.project.progress import Elsewhere, Meter, Reporter
 from tiegraph.project.receipts import Receipts
 from tiegraph.project.software import software
-from tiegraph.project.stages import Stage, changed_parts, engines, key_parts, stage_keys, write_atomic
+from tiegraph.project.stages import Stage, changed_parts, engines, key_parts, needed, stage_keys, write_atomic
 from tiegraph.project.stamps import Stamps
 from tiegraph.scene.bags.topics import source_of
 
@@ -212,40 +211,36 @@ def _run_through(
     lost: dict[str | None, ReconstructionError] = {}
     news = False  # of what was lost: the report says it in the words of now
     for stage in wanted:
-        key, away = keys[stage.name], [n for n in stage.needs if n in lost and n not in stage.spares]
+        key, error = keys[stage.name], None
+        away = next((n for n in stage.needs if n in lost and n not in stage.spares and not stage.alone), "")
         known = artefacts.lost(stage, key) if stage.name != until else ""
-        if away and not stage.alone:
-            known, before = f"it needs the stage {away[0]}, of which nothing came", known
-            if known != before:
+        if away:
+            error = ReconstructionError(f"it needs the stage {away}, of which nothing came")
+            if known != str(error):
                 artefacts.begin(stage, key)  # what an earlier run made of it is no result of this one
-            lost[stage.name] = lost[away[0]]
-            news |= _lose(stage, known, {"contradictions": ()}, run)
-            continue
-        if known:
-            lost[stage.name] = ReconstructionError(known)
-            _lose(stage, known, {"contradictions": (known,)}, run)
-            continue
-        if not ((news and stage.alone) or artefacts.why(stage, key) or _wanted_back(stage, wanted, keys, artefacts)):
-            if stage.name not in ran:
-                run.reporter.say(f"{stage.name:>9}  up to date")
-                run.reporter.event("skipped", stage=stage.name)
-            continue
-        try:
-            _tried(stage, key, run, artefacts)
-        except Exception as error:
-            if ran.count(stage.name) < _TRIES and _damage(error, run.folder, artefacts):
+        elif known:
+            error = ReconstructionError(known)
+        elif (news and stage.alone) or artefacts.why(stage, key) or _wanted_back(stage, wanted, keys, artefacts):
+            try:
+                _tried(stage, key, run, artefacts)
+            except Exception as caught:
+                if ran.count(stage.name) < _TRIES and artefacts.damaged_by(caught):
+                    ran.append(stage.name)
+                    run.reporter.say(f"{stage.name:>9}  {caught}")
+                    run.close()  # items under way may still write
+                    return None
+                if not stage.needs or not isinstance(caught, ReconstructionError):
+                    raise
+                error = caught
+            else:
                 ran.append(stage.name)
-                run.reporter.say(f"{stage.name:>9}  {error}")
-                run.close()  # items under way may still write
-                return None
-            if not stage.needs or not isinstance(error, ReconstructionError):
-                raise
-            why, died = str(error).splitlines()[0], isinstance(error, ChildDied)
-            news |= _lose(stage, why, {"contradictions": (why,), **({DIED: True} if died else {})}, run)
-            lost[stage.name] = error
-            continue
-        ran.append(stage.name)
-        run.stamps.record()
+                run.stamps.record()
+        elif stage.name not in ran:
+            run.reporter.say(f"{stage.name:>9}  up to date")
+            run.reporter.event("skipped", stage=stage.name)
+        if error is not None:
+            news |= _lose(stage, error, bool(away), run)
+            lost[stage.name] = lost.get(away, error)
     return lost
 
 
@@ -259,11 +254,11 @@ def _tried(stage: Stage, key: str, run: Run, artefacts: Artefacts) -> None:
             _run_one(stage, key, run, artefacts)
 
 
-def _lose(stage: Stage, why: str, more: dict[str, Any], run: Run) -> bool:
-    """Say why nothing comes of a stage that has begun; whether that is news."""
-    before = run.receipts.read(stage.name)
-    now = {**before, LOST: why, **more}
-    run.receipts.write(stage.name, now)
+def _lose(stage: Stage, error: ReconstructionError, follows: bool, run: Run) -> bool:
+    """Say why nothing comes of a stage that has begun, which may follow from another; whether that is news."""
+    why, before = str(error).splitlines()[0], run.receipts.read(stage.name)
+    more = {LOST: why, DIED: isinstance(error, ChildDied), "contradictions": () if follows else (why,)}
+    run.receipts.write(stage.name, {**before, **more})
     run.reporter.say(f"{stage.name:>9}  ! {why}")
     run.reporter.event("lost", stage=stage.name, why=why)
     return before.get(LOST) != why
@@ -291,31 +286,6 @@ def let_go(stages: Sequence[Stage], run: Run) -> int:
 
 
 _TRIES = 3
-
-
-def _damage(error: Exception, folder: Path, artefacts: Artefacts) -> bool:
-    """Whether an error comes from a damaged artefact."""
-    if isinstance(error, UnreadableArtefact):
-        path = error.path.absolute()
-        inside = path.relative_to(folder.absolute()).as_posix() if folder.absolute() in path.parents else ""
-        return artefacts.report(inside, "cannot be read")
-    return artefacts.look(thorough=True)
-
-
-def needed(stages: Sequence[Stage], until: str | None) -> list[Stage]:
-    """The stages a target needs, in order; all of them without a target."""
-    if until is None:
-        return list(stages)
-    table = {s.name: s for s in stages}
-    if until not in table:
-        raise InputError(f"unknown stage {until!r}: the stages are {', '.join(table)}")
-    want, todo = set(), [until]
-    while todo:
-        name = todo.pop()
-        if name not in want:
-            want.add(name)
-            todo.extend(table[name].needs)
-    return [s for s in stages if s.name in want]
 
 
 def _run_one(stage: Stage, key: str, run: Run, artefacts: Artefacts) -> None:

@@ -13,9 +13,8 @@ Nor is a prior believed if another reading of it (other axes, inverted, mirrored
 the same previews better. Two tests must agree for that. The predicted overlap correlates better with the number of
 matches (rank correlation, by 0.04, and 0.45 in all). It also separates the pairs that tie from the others better (area
 under the ROC curve, by 0.03): for cameras that look along the path the correlation alone is best for whatever falls
-with the distance. The reading is named with its remedy, and whether chance would do that (Student's t over the pairs'
-parts in the correlations, the best of all readings). The assumed range is part of this: at a tenth of the right one,
-any reading that compresses the path looks better.
+with the distance. The reading is named with its remedy, and whether it may be chance (Student's t over the pairs' parts
+in the correlations). The assumed range is part of this: at a tenth any reading that compresses the path is better.
 """
 
 from __future__ import annotations
@@ -121,8 +120,7 @@ def check_prior(
 
 @dataclass(frozen=True)
 class _Better:
-    """A reading of a prior ("" = none) that correlates with the previews by ``fit``, better than the given one;
-    ``sure``: chance would hardly do that."""
+    """A reading of a prior ("" = none) that fits the previews better; ``sure``: chance would hardly do that."""
 
     name: str = ""
     fit: float = float("nan")
@@ -232,17 +230,18 @@ def _readings(
     """
     (i, j, count, tied, kind), prior = sample, tuning.poses.prior
     given = _share(scene, passes, scene.world_from_rig, (i, j), range_m, tuning)
-    fit = _fit(given, count, kind, prior.enough)
-    if np.isnan(fit):
-        return fit, _Better()
-    fits, gains, tells = {}, {}, _area(given, tied, kind, prior.few_ties)
+    before = _parts(given, count, kind, prior.enough)
+    if not before:
+        return float("nan"), _Better()
+    fit, fits, gains, tells = _fit(before), {}, {}, _area(given, tied, kind, prior.few_ties)
     readings = _possible(scene.has_orientations(), prior.shifts_frames)
     for name, read in readings.items():
         share = _share(scene, passes, read(np.array(scene.world_from_rig), passes), (i, j), range_m, tuning)
+        share = np.where(np.isfinite(given), np.nan_to_num(share), np.nan)
         if not _area(share, tied, kind, prior.few_ties) < tells + prior.better_tells:
-            fits[name] = _fit(share, count, kind, prior.enough)
-            gains[name] = _gain(given, share, count, kind, prior.enough)
-    best = max(fits.values(), key=lambda f: np.nan_to_num(f, nan=-1.0), default=fit)
+            after = _parts(share, count, kind, prior.enough)
+            fits[name], gains[name] = _fit(after), np.concatenate(after) - np.concatenate(before)
+    best = max(fits.values(), default=fit)
     if not best > fit + prior.better or best < prior.sure_fit:
         return fit, _Better()
     alike = [n for n, f in fits.items() if f > best - prior.alike][:2]
@@ -322,36 +321,24 @@ def _share(
     return pair_share(transforms.invert(pose), view_cameras(scene, tuning.poses), *pairs, range_m, tuning.coarse)
 
 
-def _fit(share: np.ndarray, count: np.ndarray, kind: np.ndarray, enough: int) -> float:
-    """Rank correlation of predicted overlap and preview matches, mean over the kinds; NaN = too few to say."""
-    from scipy.stats import spearmanr  # a second to load
-
-    found = []
-    for k in range(len(KINDS)):
-        there = (kind == k) & np.isfinite(share)
-        if there.sum() >= 2 * enough and np.ptp(count[there]) > 0:
-            varied = np.ptp(share[there]) > 0
-            found.append(float(spearmanr(share[there], count[there]).statistic) if varied else 0.0)
-    return float(np.mean(found)) if found else float("nan")
-
-
-def _gain(given: np.ndarray, share: np.ndarray, count: np.ndarray, kind: np.ndarray, enough: int) -> np.ndarray:
-    """What each pair adds to the rank correlation of another reading's share less that of the given one's, (K,)."""
-    found = []
-    for k in range(len(KINDS)):
-        there = (kind == k) & np.isfinite(share) & np.isfinite(given)
-        if there.sum() >= 2 * enough and np.ptp(count[there]) > 0:
-            before, after, seen = (_ranks(v[there]) for v in (given, share, count))
-            found.append((after - before) * seen)
-    return np.concatenate(found) if found else np.zeros(0)
+def _parts(share: np.ndarray, count: np.ndarray, kind: np.ndarray, enough: int) -> list[np.ndarray]:
+    """What each pair adds to the rank correlation of predicted overlap and preview matches, by kind, with enough."""
+    there = [(kind == k) & np.isfinite(share) for k in range(len(KINDS))]
+    there = [rows for rows in there if rows.sum() >= 2 * enough and np.ptp(count[rows]) > 0]
+    return [_ranks(share[rows]) * _ranks(count[rows]) for rows in there]
 
 
 def _ranks(values: np.ndarray) -> np.ndarray:
-    """(K,) ranks, about zero and of unit spread; zeros where all are alike."""
-    from scipy.stats import rankdata
+    """(K,) ranks about zero and of unit spread; zeros where all are alike."""
+    from scipy.stats import rankdata  # a second to load
 
     rank = rankdata(values) - (len(values) + 1) / 2
     return np.asarray(rank / max(float(np.std(rank)), 1e-12))
+
+
+def _fit(parts: list[np.ndarray]) -> float:
+    """Rank correlation, mean over the kinds."""
+    return float(np.mean([np.mean(p) for p in parts]))
 
 
 def _area(share: np.ndarray, tied: np.ndarray, kind: np.ndarray, few: int) -> float:

@@ -169,6 +169,9 @@ class SimilarityFitTuning(Section):
     """Control points among which a wrong one does not hide."""
     at_frame: float = Field(0.9, ge=0, le=1)
     """Weight of one frame in a fix, to compare orientations."""
+    looks_up_deg: float = Field(45.0, gt=0, lt=90)
+    """By which cameras look up on average that look at a ceiling, or down from a flight that is turned over: those at a
+    facade look up less."""
 
 
 class StatementTuning(Section):

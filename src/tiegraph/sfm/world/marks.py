@@ -89,16 +89,9 @@ def copy_of(model: pycolmap.Reconstruction, scene: Scene, marks: Marks, tuning: 
     if _miss_px(model, scene, own, AS_IS, tuning) <= tuning.soft_px:
         unsure = _miss_px(model, scene, own, Copy(0.5), tuning) <= tuning.soft_px
         return AS_IS, _UNSURE if unsure else said if outside else ""
-    most = (
-        1.0
-        if not outside
-        else 2
-        * max(
-            max(xy) / max(camera.width, camera.height)
-            for xy, k in zip(own.file_px.tolist(), own.image)
-            if (camera := file_camera(scene.sensor_of(int(k)))) is not None
-        )
-    )
+    cameras = [c for k in np.unique(own.image) if (c := file_camera(scene.sensor_of(int(k)))) is not None]
+    side = min((max(c.width, c.height) for c in cameras), default=1)
+    most = 2 * float(np.nanmax(marks.file_px)) / side if outside else 1.0  # marks reach the middle of their images
     sizes = np.exp(np.arange(np.log(_SMALLEST), np.log(most) + _STEP / 2, _STEP))
     turned = (False, True) if np.any(own.orientation != 1) else (False,)
     tried = [AS_IS, *(c for t in turned for s in sizes if not (c := Copy(float(s), t)).like(AS_IS))]

@@ -156,7 +156,7 @@ def fit_to_world(
         up=up,
         points=points,
         notes=tuple(notes),
-        weighed=weighed,
+        weighed=replace(weighed, doubt=_looking_up(now, about)),
         model=model,
         tuning=tuning,
         clock=clock,
@@ -283,24 +283,53 @@ def _mirrored(now: Fitted, about: _Given) -> str:
     By the errors in plan (``fits_better``), over what either reading believes. A straight track is its own mirror
     image, so that nothing can be said of it.
     """
-    evidence, fit, tuning = now.evidence, now.fit, about.tuning
-    off = evidence.position_residuals(fit.similarity, fit.arm.place)
-    if np.median(np.linalg.norm(off, axis=1)) < tuning.fit.antenna_sigma_m:
+    off = now.evidence.position_residuals(now.fit.similarity, now.fit.arm.place)
+    if np.median(np.linalg.norm(off, axis=1)) < about.tuning.fit.antenna_sigma_m:
         return ""
+    rows, errors = _exchanged(now, about)
+    first, second = (rms_length(r[:, :2]) for r in errors)
+    free = 2 * about.tuning.statements.least_positions - 4  # a similarity in plan has four unknowns
+    if not fits_better(first, second, free) or not _whole(now.evidence.frame[rows], about):
+        return ""
+    return (
+        f"the positions are a mirror image of the model: they miss it by {first:.2f} m in plan, with their first "
+        f"two coordinates exchanged by {second:.2f} m, {RARELY}: are latitude and longitude, "
+        "or north and east, exchanged in the GNSS file? They place nothing"
+    )
+
+
+def _exchanged(now: Fitted, about: _Given) -> tuple[np.ndarray, list[np.ndarray]]:
+    """The positions that either reading believes, (K,) bool, and what they are off, with their first two coordinates as
+    they are and exchanged."""
+    evidence, fit, tuning = now.evidence, now.fit, about.tuning
     stated, turn = np.concatenate([now.fixes.sigma, evidence.sigma[len(now.fixes) :]]), [1, 0, 2]
     turned = replace(evidence, position=evidence.position[:, turn], sigma=stated[:, turn])
     start = fit_similarity(turned, None, tuning.fit).similarity
     other = believed(turned, replace(now.fixes, sigma=now.fixes.sigma[:, turn]), None, start, tuning)
-    rows = fit.inlier | other.fit.inlier
-    against = turned.position_residuals(other.fit.similarity, other.fit.arm.place)
-    sizes = [rms_length(r[rows, :2]) for r in (off, against)]
-    free = 2 * tuning.statements.least_positions - 4  # a similarity in plan has four unknowns
-    if not fits_better(*sizes, free) or not _whole(evidence.frame[rows], about):
+    rows, both = fit.inlier | other.fit.inlier, ((evidence, fit), (turned, other.fit))
+    return rows, [e.position_residuals(f.similarity, f.arm.place)[rows] for e, f in both]
+
+
+def _looking_up(now: Fitted, about: _Given) -> str:
+    """What is to be said where receiver's positions make cameras look up, though their mirror image, turned over, may
+    be meant: a flight at one height fits either way, and its cameras look down then."""
+    tuning, scene, fit = about.tuning.similarity_fit, about.scene, now.fit
+    oriented = np.isfinite(now.evidence.orientation).all(axis=(1, 2)).any()
+    axes = about.model.images[scene.of_role("side"), 2, :3]
+    axes = axes[np.isfinite(axes).all(axis=1)]
+    if scene.prior not in ("gnss", "exif") or oriented or not len(axes):
+        return ""
+    up_deg = float(np.degrees(np.arcsin(np.clip(np.mean(axes @ fit.similarity.rotation[2]), -1, 1))))
+    sigma_deg = fit.sigma["tilt_deg"]
+    if up_deg - LIMIT * sigma_deg < tuning.looks_up_deg or not _whole(now.evidence.frame, about):
+        return ""
+    sizes = [rms_length(r) for r in _exchanged(now, about)[1]]
+    if fits_better(sizes[1], sizes[0], 3 * about.tuning.statements.least_positions - 7):
         return ""
     return (
-        f"the positions are a mirror image of the model: they miss it by {sizes[0]:.2f} m in plan, with their first "
-        f"two coordinates exchanged by {sizes[1]:.2f} m, {RARELY}: are latitude and "
-        "longitude, or north and east, exchanged in the GNSS file? They place nothing"
+        f"by the positions all cameras look up, by {up_deg:.0f} deg on average (sigma {sigma_deg:.1f} deg); with their "
+        f"first two coordinates exchanged these fit as well ({sizes[0]:.2f} and {sizes[1]:.2f} m) and the cameras look "
+        "down: if they did, latitude and longitude, or north and east, are exchanged in the GNSS file (a mirror image)"
     )
 
 
