@@ -262,7 +262,7 @@ def test_a_flight_at_one_height_with_exchanged_axes_looks_up_and_that_is_said() 
     swapped = [1, 0, 2]
     assert doubt(place, turns, place) == ""
     said = doubt(place, turns, place[:, swapped])
-    assert "all cameras look up, by 9" in said or "all cameras look up, by 8" in said
+    assert "the cameras look up, by 9" in said or "the cameras look up, by 8" in said
     assert "exchanged" in said and doubt(place, turns, place[:, swapped], firm=12) == ""
     hills, ceiling = place + [0, 0, 1] * rng.uniform(-15, 15, (32, 1)), turns @ np.diag([1.0, -1.0, -1.0])
     assert doubt(hills, ceiling, hills) == ""

@@ -98,7 +98,7 @@ def _axis_scale(est: np.ndarray, ref: np.ndarray, axis: int, metric: bool, tunin
     """Error left and factor that an axis of the reference is to be multiplied by to agree best."""
 
     def left(log: float) -> float:
-        return _left(est, _scaled(ref, axis, 10**log), metric)
+        return _left(est, ref * np.where(np.arange(3) == axis, 10**log, 1.0), metric)
 
     start = min(np.linspace(-tuning.axis_decades, tuning.axis_decades, tuning.axis_starts), key=left)
     reach = tuning.axis_bracket_decades
@@ -121,12 +121,6 @@ def _lag(match: PoseMatch, metric: bool, rounds: int, step_s: float) -> tuple[fl
         frames = float(np.sum(off * speed) / max(np.sum(speed**2), 1e-12))
     said = f"{frames:+.2f} frames" + (f" ({frames * step_s:+.3f} s)" if np.isfinite(step_s) else "")
     return _left(est, ref + frames * speed, metric), f"the reference's times are off by {said}"
-
-
-def _scaled(points: np.ndarray, axis: int, factor: float) -> np.ndarray:
-    out = points.copy()
-    out[:, axis] *= factor
-    return out
 
 
 def _left(est: np.ndarray, ref: np.ndarray, metric: bool) -> float:

@@ -364,16 +364,7 @@ def _check_place(file: GcpFile, world: np.ndarray, scene: Scene) -> None:
     swapped = (point.xyz[1], point.xyz[0], point.xyz[2])
     hint = ": wrong CRS in the file?"
     try:
-        turned = surveyed_world(
-            GcpFile(
-                path=file.path,
-                crs=file.crs,
-                geographic=file.geographic,
-                points=(replace(point, xyz=swapped),),
-                marks=(),
-            ),
-            scene.origin,
-        )
+        turned = surveyed_world(replace(file, points=(replace(point, xyz=swapped),)), scene.origin)
         if np.linalg.norm(turned[0, :2] - middle[:2]) < FAR_M:
             hint = f": its first two coordinates are exchanged ({'lon, lat' if file.geographic else 'north, east'})"
     except InputError:

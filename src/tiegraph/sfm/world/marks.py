@@ -69,7 +69,7 @@ def _rays(
     sigma = mark_sigma(marks, tuning)
     for point in points:
         rows = np.array([r for r in np.flatnonzero(marks.point == point) if marks.image[r] in views], int)
-        yield [_Ray(view=views[marks.image[r]], xy=marks.xy_px[r], sigma_px=float(sigma[r])) for r in rows], rows
+        yield [_Ray(*views[marks.image[r]], xy=marks.xy_px[r], sigma_px=float(sigma[r])) for r in rows], rows
 
 
 def copy_of(model: pycolmap.Reconstruction, scene: Scene, marks: Marks, tuning: MarkTuning) -> tuple[Copy, str]:
@@ -143,21 +143,12 @@ def mark_sigma(marks: Marks, tuning: MarkTuning) -> np.ndarray:
 
 @dataclass(frozen=True)
 class _Ray:
-    """One mark: cam_from_world (4, 4) and camera of its image, pixel (2,), sigma."""
+    """One mark: cam_from_world (4, 4) and camera of its image (COLMAP's), pixel (2,), sigma."""
 
-    view: tuple[np.ndarray, Any]
+    pose: np.ndarray
+    camera: Any
     xy: np.ndarray
     sigma_px: float
-
-    @property
-    def pose(self) -> np.ndarray:
-        """cam_from_world (4, 4)."""
-        return self.view[0]
-
-    @property
-    def camera(self) -> Any:
-        """Of the image, COLMAP's."""
-        return self.view[1]
 
 
 def without_blunders(found: list[Target], control: Control, tuning: MarkTuning) -> list[Target]:

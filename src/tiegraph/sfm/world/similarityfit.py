@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from tiegraph.geometry.align import rms_length, umeyama
+from tiegraph.geometry.align import Similarity, rms_length, umeyama
 from tiegraph.geometry.gravity import Up
 from tiegraph.scene.evidence import LIMIT, RARELY, fits_better
 from tiegraph.scene.scene import Scene
@@ -286,7 +286,7 @@ def _mirrored(now: Fitted, about: _Given) -> str:
     off = now.evidence.position_residuals(now.fit.similarity, now.fit.arm.place)
     if np.median(np.linalg.norm(off, axis=1)) < about.tuning.fit.antenna_sigma_m:
         return ""
-    rows, errors = _exchanged(now, about)
+    rows, errors, _ = _exchanged(now, about)
     first, second = (rms_length(r[:, :2]) for r in errors)
     free = 2 * about.tuning.statements.least_positions - 4  # a similarity in plan has four unknowns
     if not fits_better(first, second, free) or not _whole(now.evidence.frame[rows], about):
@@ -298,38 +298,42 @@ def _mirrored(now: Fitted, about: _Given) -> str:
     )
 
 
-def _exchanged(now: Fitted, about: _Given) -> tuple[np.ndarray, list[np.ndarray]]:
-    """The positions that either reading believes, (K,) bool, and what they are off, with their first two coordinates as
-    they are and exchanged."""
+def _exchanged(now: Fitted, about: _Given) -> tuple[np.ndarray, list[np.ndarray], Similarity]:
+    """The positions that either reading believes, (K,) bool; what they are off with their first two coordinates as they
+    are, and exchanged; where they place the model if exchanged."""
     evidence, fit, tuning = now.evidence, now.fit, about.tuning
     stated, turn = np.concatenate([now.fixes.sigma, evidence.sigma[len(now.fixes) :]]), [1, 0, 2]
     turned = replace(evidence, position=evidence.position[:, turn], sigma=stated[:, turn])
     start = fit_similarity(turned, None, tuning.fit).similarity
-    other = believed(turned, replace(now.fixes, sigma=now.fixes.sigma[:, turn]), None, start, tuning)
-    rows, both = fit.inlier | other.fit.inlier, ((evidence, fit), (turned, other.fit))
-    return rows, [e.position_residuals(f.similarity, f.arm.place)[rows] for e, f in both]
+    other = believed(turned, replace(now.fixes, sigma=now.fixes.sigma[:, turn]), None, start, tuning).fit
+    rows, both = fit.inlier | other.inlier, ((evidence, fit), (turned, other))
+    return rows, [e.position_residuals(f.similarity, f.arm.place)[rows] for e, f in both], other.similarity
 
 
 def _looking_up(now: Fitted, about: _Given) -> str:
-    """What is to be said where receiver's positions make cameras look up, though their mirror image, turned over, may
-    be meant: a flight at one height fits either way, and its cameras look down then."""
-    tuning, scene, fit = about.tuning.similarity_fit, about.scene, now.fit
-    oriented = np.isfinite(now.evidence.orientation).all(axis=(1, 2)).any()
+    """What is to be said where a receiver's positions make cameras look up and fit as well, with them looking down, if
+    two columns are exchanged: a flight at one height is its own mirror image turned over."""
+    steep, scene, fit = about.tuning.similarity_fit.looks_up_deg, about.scene, now.fit
     axes = about.model.images[scene.of_role("side"), 2, :3]
     axes = axes[np.isfinite(axes).all(axis=1)]
-    if scene.prior not in ("gnss", "exif") or oriented or not len(axes):
+
+    def up_deg(placed: Similarity) -> float:
+        return float(np.degrees(np.arcsin(np.clip(np.mean(axes @ placed.rotation[2]), -1, 1))))
+
+    oriented = np.isfinite(now.evidence.orientation).all(axis=(1, 2)).any()
+    if scene.prior not in ("gnss", "exif") or oriented or not len(axes) or not _whole(now.evidence.frame, about):
         return ""
-    up_deg = float(np.degrees(np.arcsin(np.clip(np.mean(axes @ fit.similarity.rotation[2]), -1, 1))))
-    sigma_deg = fit.sigma["tilt_deg"]
-    if up_deg - LIMIT * sigma_deg < tuning.looks_up_deg or not _whole(now.evidence.frame, about):
+    if up_deg(fit.similarity) - LIMIT * fit.sigma["tilt_deg"] < steep:
         return ""
-    sizes = [rms_length(r) for r in _exchanged(now, about)[1]]
-    if fits_better(sizes[1], sizes[0], 3 * about.tuning.statements.least_positions - 7):
+    _, errors, other = _exchanged(now, about)
+    first, second = (rms_length(r) for r in errors)
+    if up_deg(other) > -steep or fits_better(second, first, 3 * about.tuning.statements.least_positions - 7):
         return ""
     return (
-        f"by the positions all cameras look up, by {up_deg:.0f} deg on average (sigma {sigma_deg:.1f} deg); with their "
-        f"first two coordinates exchanged these fit as well ({sizes[0]:.2f} and {sizes[1]:.2f} m) and the cameras look "
-        "down: if they did, latitude and longitude, or north and east, are exchanged in the GNSS file (a mirror image)"
+        f"by the positions the cameras look up, by {up_deg(fit.similarity):.0f} deg on average (sigma "
+        f"{fit.sigma['tilt_deg']:.1f} deg); with their first two coordinates exchanged these fit as well ({first:.2f} "
+        f"and {second:.2f} m), and the cameras look down: if they did, latitude and longitude, or north and east, are "
+        "exchanged in the GNSS file (a mirror image)"
     )
 
 
