@@ -14,9 +14,9 @@ from tiegraph.project import settings as project_settings
 from tiegraph.project.folder import SETTINGS, check_format, names_run, write_settings
 from tiegraph.project.inputs import FOLLOW, Inputs
 from tiegraph.project.progress import Reporter
-from tiegraph.project.run import Run, check_run, let_go, needed, run_stages, status, without_inputs
+from tiegraph.project.run import Run, check_run, let_go, run_stages, status, without_inputs
 from tiegraph.project.settings import SETTING_OF, Settings
-from tiegraph.project.stages import Stage
+from tiegraph.project.stages import Stage, needed
 from tiegraph.scene.bags.topics import source_of
 from tiegraph.scene.colmapmodel import read_model
 from tiegraph.scene.names import check_text

@@ -34,8 +34,8 @@ class ChildDied(ReconstructionError):
     """A child process ended by itself, by a fault of a library or of ours; below the first line: how its log ends."""
 
 
-class ProcessLost(TiegraphError, RuntimeError):
-    """A process of the run was ended from outside: by a person, or by the system for lack of memory."""
+class ProcessLost(ChildDied):
+    """A process of the run was ended from outside, by a person or by the system, or had not enough memory."""
 
 
 class EngineMissing(TiegraphError, ImportError):

@@ -40,7 +40,7 @@ _MEMORY_WORDS = re.compile(
 def explained(error: BaseException, folder: Path | None = None) -> TiegraphError | None:
     """The error that says a machine's limit was met while ``folder`` was written; None if ``error`` is of another kind.
 
-    InputError for a full disk or a size limit, TiegraphError for too little memory. Errors that are worded for the user
+    InputError for a full disk or a size limit, ProcessLost for too little memory. Errors that are worded for the user
     already give None.
     """
     if isinstance(error, (InputError, SettingsError, EngineMissing, ProcessLost)):
@@ -93,11 +93,11 @@ def need_room(path: Path, size: int) -> None:
         path.unlink(missing_ok=True)
 
 
-def no_memory(why: object = "") -> TiegraphError:
+def no_memory(why: object = "") -> ProcessLost:
     """Too little memory, or too few threads or processes allowed."""
     bound = _limit("RLIMIT_AS")
     said = "" if bound is None else f"; the process may have {bound / 2**20:.0f} MiB at most (ulimit -v): raise it"
-    return TiegraphError(
+    return ProcessLost(
         f"not enough memory{said}; close other programs, or run again with --pool serial or fewer workers (--pool "
         f"local:1), or with smaller images: what is finished is kept{_because(why)}"
     )

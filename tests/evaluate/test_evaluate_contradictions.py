@@ -25,7 +25,9 @@ def way(seed: int = 0) -> np.ndarray:
     return np.stack([s, 5 * np.sin(s / 6), 2 * np.cos(s / 4)], axis=1)
 
 
-def judged(reference: np.ndarray, estimate: np.ndarray | None = None, predicted: Predicted = SIGMA, same=False) -> list:
+def judged(
+    reference: np.ndarray, estimate: np.ndarray | None = None, predicted: Predicted = SIGMA, same=False, registered=1.0
+) -> list:
     """What is said of reference positions of the way; the model stands turned and moved elsewhere."""
     est = way() if estimate is None else estimate
     est = est + 0.002 / np.sqrt(3) * np.random.default_rng(1).standard_normal(est.shape)
@@ -35,7 +37,7 @@ def judged(reference: np.ndarray, estimate: np.ndarray | None = None, predicted:
     match = PoseMatch(transforms.rigid(turn, est), transforms.rigid(turn, reference), np.zeros(60, int), np.arange(60))
     found = evaluate_trajectory(match, (10.0,), TUNING.trajectory, same_frame=same)
     figures = pose_figures(match, found, predicted, TUNING.trajectory)
-    return against_poses(match, figures, predicted.metric, TUNING.judge, 0.5)
+    return against_poses(match, figures, predicted.metric, TUNING.judge, 0.5, registered)
 
 
 def test_a_reference_that_agrees_is_no_contradiction() -> None:
@@ -57,7 +59,15 @@ def test_a_reference_that_agrees_is_no_contradiction() -> None:
 def test_what_is_wrong_with_a_reference_is_named(reference: np.ndarray, why: str) -> None:
     (text,) = judged(reference)
     assert why in text
-    assert "predicted" in text and "mm" in text.split("predicted")[1]
+    assert "predicted" in text and "mm" in text.split("predicted")[1] and "chance does once in 1000" in text
+
+
+def test_a_torn_model_makes_no_mirror_image_of_the_reference() -> None:
+    """Nor is anything named that hardly explains the error."""
+    (text,) = judged(way() * [1, 1, -1], registered=0.6)
+    assert "mirror" not in text and "one of the two is wrong" in text
+    (text,) = judged(way() * [1, 1, -1] + 0.6 * np.random.default_rng(4).standard_normal((60, 3)))
+    assert "mirror" not in text and "one of the two is wrong" in text
 
 
 def test_a_lag_is_named_with_its_time() -> None:

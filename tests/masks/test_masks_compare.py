@@ -3,7 +3,7 @@ import pytest
 
 from masks_world import write
 from tiegraph.errors import InputError
-from tiegraph.masks.compare import compare
+from tiegraph.masks.compare import compare, table_text
 
 
 def mask(used_columns, shape=(10, 20)):
@@ -29,7 +29,7 @@ def test_figures_per_camera_and_together(tmp_path):
     assert np.isnan(cam1.useless_kept)
     assert both.accuracy == pytest.approx(25 / 40) and both.iou == pytest.approx(25 / 40)
     assert result.table()["rows"][1] == ["cam1", 1, 100.0, 100.0, 0.0, None]
-    lines = result.text().splitlines()
+    lines = table_text(result.table()).splitlines()
     assert len(lines) == 4 and len({len(line) for line in lines}) == 1 and lines[2].endswith("-")
 
 
@@ -51,6 +51,10 @@ def test_errors(tmp_path):
     write(truth / "cam0/a.jpg.png", mask(slice(0, 5), (12, 20)))
     with pytest.raises(InputError, match=r"a\.jpg\.png: 20 x 10 pixels, but .* has 20 x 12"):
         compare(found, truth)
+    write(found / "cam0/c.jpg.png", mask(slice(0, 5)))
+    write(truth / "cam0/c.jpg.png", mask(slice(0, 5)))
+    result = compare(found, truth)  # the others are compared all the same
+    assert result.rows[-1].images == 1 and len(result.unfit) == 1 and "20 x 12" in result.unfit[0]
     write(truth / "cam0/b.jpg.png", mask(slice(0, 5)))
     with pytest.raises(InputError, match=r"no mask for cam0/b\.jpg, which has a true one"):
         compare(found, truth, {"cam0/b.jpg": "cam0"})

@@ -24,7 +24,8 @@ from tiegraph.geometry.align import umeyama
 from tiegraph.geometry.geodesy import geodetic_from_world, world_from_geodetic
 from tiegraph.pipeline import STAGES
 from tiegraph.pipeline.baseline import lay_out
-from tiegraph.project.run import Run, needed
+from tiegraph.project.run import Run
+from tiegraph.project.stages import needed
 from tiegraph.report.accuracy import terminal_lines
 from tiegraph.scan.rigfiles.rigwrite import write_rig_toml
 from tiegraph.scene.accuracy import LAYERS, Accuracy

@@ -53,9 +53,9 @@ def helpers(running: Running, of_child: bool) -> list[psutil.Process]:
     return found
 
 
-def ended(running: Running) -> tuple[int | None, str]:
+def ended(running: Running, within_s: float = _STOP_S) -> tuple[int | None, str]:
     """(exit code, what it said) of a run that has been told to stop, none of whose processes is left."""
-    end = running.wait(_STOP_S)
+    end = running.wait(within_s)
     assert not end.hung and not end.left, f"processes are left: {end}"
     return end.code, end.text
 
@@ -119,13 +119,12 @@ LOSSES = [("candidates", False), ("match", True), ("sparse", True), ("dense", Fa
 
 
 @pytest.mark.parametrize("stage, child", LOSSES)
-def test_a_killed_process_ends_the_run_with_a_clear_line(run, stage, child):
+def test_a_killed_process_costs_a_second_try(run, stage, child):
     running = run(stage)
     wait_for(lambda: helpers(running, child), running)
     helpers(running, child)[0].kill()
-    code, said = ended(running)
-    assert code == 1 and said.count("\n") == 1, said
-    assert "ended from outside (signal SIGKILL)" in said and "finished work is kept" in said
+    code, said = ended(running, _PATIENCE_S)
+    assert code == 0 and "Traceback" not in said, said
 
 
 def test_a_signal_within_an_exec_ends_the_process_with_its_exit_code(tmp_path):

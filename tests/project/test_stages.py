@@ -9,10 +9,11 @@ from pathlib import Path
 import pytest
 from pydantic import Field, create_model
 
-from tiegraph.errors import ChildDied, InputError, ReconstructionError
+from tiegraph.errors import ChildDied, InputError, ProcessLost, ReconstructionError
 from tiegraph.project.folder import working_in
 from tiegraph.project.inputs import Inputs
 from tiegraph.project.pool import map_items, open_pool
+from tiegraph.project.progress import Reporter
 from tiegraph.project.run import Run, let_go, run_stages, status, without_inputs
 from tiegraph.project.stages import Outcome, Stage, write_atomic
 from tiegraph.settings import Section
@@ -324,13 +325,16 @@ def told(run):
     return Outcome()
 
 
-@pytest.mark.parametrize("error", [ReconstructionError, ChildDied])
-def test_a_stage_for_which_the_images_give_nothing_ends_no_run(make, error, tmp_path):
-    """What needs it is left out, what can do without it and the report are made, and it is tried again."""
+@pytest.mark.parametrize("error", [ReconstructionError, ChildDied, ProcessLost])
+def test_a_stage_of_which_nothing_comes_ends_no_run(error, tmp_path):
+    """What needs it is left out, what can do without it and the report are made. A process that ends is tried once
+    more at once and at the next run; what the images did not give when something changed, or when asked for by name."""
+    tries: list[str] = []
 
     def nothing(run):
+        tries.append(run._pool_spec)
         if (tmp_path / "worse").exists():
-            raise error("no pair verified")
+            raise error("no pair verified\nlog: /home/of/somebody")
         return third(run)
 
     stages = (
@@ -342,25 +346,52 @@ def test_a_stage_for_which_the_images_give_nothing_ends_no_run(make, error, tmp_
     )
     more = {name: (One, One()) for name in ("without", "report")}
     settings = create_model("Settings", __base__=All, **more)
+    died, images = issubclass(error, ChildDied), tmp_path / "images"
 
-    def again():
-        return Run(tmp_path / "out", Inputs(tmp_path / "images"), settings(), pool="serial")
+    def again(until=None):
+        tries.clear()
+        run = Run(tmp_path / "out", Inputs(images), settings(), pool="local:2")
+        return run_stages(stages, run, until), list(tries)
 
-    make()
-    assert run_stages(stages, again()) == ["first", "third", "second", "without", "report"]
+    images.mkdir()
+    assert again() == (["first", "third", "second", "without", "report"], ["local:2"])
     (tmp_path / "worse").touch()
-    again().path("third.txt").unlink()
-    for until, raised in ((None, error is ChildDied), ("third", True), ("report", error is ChildDied)):
-        with pytest.raises(error, match="no pair verified") if raised else nullcontext():
-            assert run_stages(stages, again(), until) == (["without", "report"] if until is None else ["report"])
-    run = again()
+    run = Run(tmp_path / "out", Inputs(images), settings(), pool="serial")
+    run.path("third.txt").unlink()
+    twice = ["local:2", "local:1"] if died else ["local:2"]
+    assert again() == (["without", "report"], twice)
+    for until, tried in ((None, died), ("third", True), ("report", died), (None, died)):
+        with pytest.raises(error, match="no pair verified") if until == "third" else nullcontext():
+            assert again(until)[0] == (["report"] if died else [])
+        assert tries == (twice if tried else [])
     assert json.loads(run.path("told.txt").read_text()) == "no pair verified" and run.path("second.txt").exists()
     assert run.receipts.read("third")["contradictions"] == ["no pair verified"] and not run.path("third.txt").exists()
     why = {name: text for name, text, _ in status(stages, run)}
     assert why["third"] == "no pair verified" and why["second"] == "it needs the stage third, of which nothing came"
     (tmp_path / "worse").unlink()
-    assert run_stages(stages, again()) == ["third", "second", "without", "report"]
-    assert json.loads(again().path("told.txt").read_text()) is None
+    assert again() == ((["third", "second", "without", "report"], ["local:2"]) if died else ([], []))
+    if not died:
+        run.path("first", "1.txt").unlink()  # made anew it is the same, and nothing changed
+        assert again() == (["first"], [])
+        assert again("third") == (["third"], ["local:2"]) and again()[0] == ["second", "without", "report"]
+    assert json.loads(run.path("told.txt").read_text()) is None
+
+
+def test_a_process_that_ends_once_costs_a_second_try(make, capsys):
+    ends = [ProcessLost("a worker process was ended from outside (signal SIGKILL)")]
+
+    def once(run):
+        if ends:
+            raise ends.pop()
+        return third(run)
+
+    stages = (STAGES[0], Stage("third", once, ("first",), ("third.txt",)))
+    run = make()
+    run.reporter = Reporter()
+    assert run_stages(stages, run) == ["first", "third"] and run.path("third.txt").exists()
+    said = capsys.readouterr()
+    assert "signal SIGKILL); tried once more, one process at a time" in said.out + said.err
+    assert not run.receipts.read("third").get("contradictions")
 
 
 def test_nothing_of_the_first_stage_is_an_error(make):

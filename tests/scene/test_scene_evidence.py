@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tiegraph.scene.evidence import LIMIT, Statement, contradictions, table, trend
+from tiegraph.scene.evidence import LIMIT, Statement, contradictions, fits_better, mostly_more, table, trend
 from tiegraph.scene.tuning import TrendTuning
 
 TUNING = TrendTuning()
@@ -80,3 +80,16 @@ def test_statements_that_cannot_both_be_right() -> None:
         "rig as given",
         "",
     ]
+
+
+def test_readings_that_are_no_better_are_called_so_once_in_a_thousand() -> None:
+    """Of 4000 surveys in which both readings are as good, and of as many in which one is clearly better."""
+    rng, free, pairs = np.random.default_rng(0), 8, 12
+    before, after = np.sqrt(np.mean(rng.standard_normal((2, 4000, free)) ** 2, axis=2))
+    assert sum(fits_better(b, a, free) for b, a in zip(before, after)) < 12
+    assert sum(fits_better(8 * b, a, free) for b, a in zip(before, after)) > 3900
+    assert not fits_better(5.0, 0.0, 0) and not fits_better(0.0, 0.0, 8) and fits_better(5.0, 0.0, 8)
+    off = rng.standard_normal((4000, pairs))
+    assert sum(mostly_more(d, 1) for d in off) < 12 and sum(mostly_more(d, 7) for d in off) < 3
+    assert sum(mostly_more(d + 3, 7) for d in off) > 3900
+    assert not mostly_more(np.array([5.0]), 1) and not mostly_more(np.zeros(9), 1) and mostly_more(np.ones(9), 1)

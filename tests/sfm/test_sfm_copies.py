@@ -40,9 +40,9 @@ def _marked(control: Control, pixels: np.ndarray, orientation: int = 1) -> Contr
 
 def _recognised(world, control: Control) -> Control:
     truth, scene = world
-    found = as_marked(_moved(truth), scene, Measurements(control=control), WORLD).control
-    assert found is not None
-    return found
+    found, said = as_marked(_moved(truth), scene, Measurements(control=control), WORLD)
+    assert found.control is not None and not said
+    return found.control
 
 
 @pytest.mark.parametrize("size", [0.5, 1 / 3, 0.5208, 2.0])
@@ -86,7 +86,7 @@ def test_marks_of_the_images_themselves_stay_untouched(world) -> None:
         assert found.notes == given.notes and np.isnan(found.marks.sigma_px).all()
 
 
-def test_garbage_is_refused_as_before(world) -> None:
+def test_random_marks_are_refused_and_that_is_a_contradiction(world) -> None:
     truth, scene = world
     true = _control(truth, scene)
     twice = np.concatenate([np.flatnonzero(true.marks.point == p)[[0, -1]] for p in range(len(true))])
@@ -95,11 +95,26 @@ def test_garbage_is_refused_as_before(world) -> None:
         rng = np.random.default_rng(seed)
         for control in (true, few):
             given = _marked(control, rng.uniform(0, (1024, 768), control.marks.xy_px.shape), 8)
-            found = _recognised(world, given)
-            np.testing.assert_array_equal(found.marks.xy_px, given.marks.xy_px)
-            assert found.notes == given.notes
-        placed = georeference(_moved(truth), scene, GeorefSettings(), WORLD, Measurements(control=found))
-        assert not placed.placed
+            found, said = as_marked(_moved(truth), scene, Measurements(control=given), WORLD)
+            assert found.control is None and "marks set at random meet as well" in said[0]
+
+
+def test_few_marks_that_are_right_are_used_and_random_ones_beside_them_are_not(world) -> None:
+    truth, scene = world
+    true = _control(truth, scene)
+    twice = np.concatenate([np.flatnonzero(true.marks.point == p)[[0, -1]] for p in range(len(true))])
+    few, rng = replace(true, marks=true.marks.where(twice)), np.random.default_rng(1)
+    given = _marked(few, few.marks.xy_px + 2 * rng.standard_normal(few.marks.xy_px.shape))
+    placed = georeference(
+        _moved(truth), scene, GeorefSettings(), WORLD, Measurements(control=_recognised(world, given))
+    )
+    assert placed.placed
+    wrong = np.isin(true.marks.point, (0, 1, 2))[:, None]
+    for seed in range(4):
+        random = np.random.default_rng(seed).uniform(0, (1024, 768), true.marks.xy_px.shape)
+        mixed = Measurements(control=_recognised(world, _marked(true, np.where(wrong, random, true.marks.xy_px))))
+        placed = georeference(_moved(truth), scene, GeorefSettings(), WORLD, mixed)
+        assert not placed.placed and any("and 1 control points can be used" in n for n in placed.findings.notes)
 
 
 def test_marks_outside_are_left_out_where_no_copy_explains_them(world) -> None:

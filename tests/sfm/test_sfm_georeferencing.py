@@ -240,6 +240,35 @@ def test_straight_passes_whose_mirror_image_hangs_upside_down_are_refused() -> N
     assert isinstance(fit_to_world(model, turned, GeorefSettings(), thin, WORLD), SimilarityFit)
 
 
+def test_a_flight_at_one_height_with_exchanged_axes_looks_up_and_that_is_said() -> None:
+    """Not where cameras do look up and the heights tell it, nor of a part of a survey."""
+    rng = np.random.default_rng(0)
+    place = np.array([(8.0 * x, 10.0 * y, 60.0) for y in range(4) for x in range(8)])
+    place += 0.3 * rng.standard_normal(place.shape)
+    turns = np.tile(np.diag([1.0, -1.0, -1.0]), (32, 1, 1))  # down
+    turns[8:16] = turns[24:] = np.diag([-1.0, 1.0, -1.0])
+    scene = simple_scene(
+        Rig("lone", (Sensor("cam0", None, np.eye(4), "side"),)), [f"{k:03d}.jpg" for k in range(32)], np.arange(32),
+        np.zeros(32, int),
+    )  # fmt: skip
+
+    def doubt(model_m: np.ndarray, axes: np.ndarray, position_m: np.ndarray, firm: float = 32) -> str:
+        model = Model(transforms.invert(transforms.rigid(axes, model_m)), None, None, [], scene.names)
+        noisy = with_positions(scene, position_m + 0.2 * np.random.default_rng(1).standard_normal((32, 3)), 0.3)
+        found = fit_to_world(model, noisy, GeorefSettings(), Measurements(firm_frames=firm), WORLD)
+        assert isinstance(found, SimilarityFit)
+        return found.weighed.doubt
+
+    swapped = [1, 0, 2]
+    assert doubt(place, turns, place) == ""
+    said = doubt(place, turns, place[:, swapped])
+    assert "the cameras look up, by 9" in said or "the cameras look up, by 8" in said
+    assert "exchanged" in said and doubt(place, turns, place[:, swapped], firm=12) == ""
+    hills, ceiling = place + [0, 0, 1] * rng.uniform(-15, 15, (32, 1)), turns @ np.diag([1.0, -1.0, -1.0])
+    assert doubt(hills, ceiling, hills) == ""
+    assert "exchanged" in doubt(place, ceiling, place), "this nothing tells but the user"
+
+
 @pytest.mark.slow
 def test_one_straight_pass_tells_no_mirror_image_and_that_is_said() -> None:
     model, scene, place_m = _straight(1)

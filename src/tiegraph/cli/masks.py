@@ -70,7 +70,10 @@ def _tables(asked: _Compare) -> dict[str, dict]:
     which = "final masks" if folder != out else "first masks"
 
     def compared(masks: Path) -> dict:
-        return compare(masks, asked.compare, cameras, asked.keep_labels).table()
+        found = compare(masks, asked.compare, cameras, asked.keep_labels)
+        if found.unfit:
+            raise InputError(found.unfit[0])
+        return found.table()
 
     tables = {which: compared(folder / "masks")}
     if asked.beside:

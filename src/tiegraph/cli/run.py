@@ -3,6 +3,7 @@
 import inspect
 import re
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
@@ -15,7 +16,7 @@ from tiegraph import forking
 from tiegraph.api import Project, open_project
 from tiegraph.cli.options import Talk, options_of
 from tiegraph.cli.verbs import HELP, HELP_ALL, wants_page
-from tiegraph.errors import ChildDied, ReconstructionError, SettingsError, choose
+from tiegraph.errors import ReconstructionError, SettingsError, choose
 from tiegraph.pipeline import load
 from tiegraph.project.progress import Reporter
 from tiegraph.project.settings import PRESETS, SETTING_OF, STAGED, Settings, sections
@@ -183,11 +184,8 @@ def finish(project: Project, until: str | None, options: Common) -> int:
     """Run a project and say where its results are; the exit code."""
     forking.prepare(partial(load, until))
     reporter = options.reporter()
-    try:
+    with suppress(ReconstructionError):  # its stage has said it
         project.run(until, reporter)
-    except ReconstructionError as error:  # its stage has said it
-        if isinstance(error, ChildDied):
-            raise
     for line in terminal_lines(project.folder / "metrics.json") if until in _STATED else ():
         reporter.say(line)
     report = project.folder / "report.html"

@@ -11,21 +11,31 @@ from tiegraph.evaluate.trajectory import PoseMatch
 from tiegraph.evaluate.tuning import JudgeTuning
 from tiegraph.geometry.align import rms_length, umeyama
 from tiegraph.scene.accuracy import Figure
+from tiegraph.scene.evidence import RARELY, fits_better
 
 _AXES = "xyz"
 
 
 def against_poses(
-    match: PoseMatch, figures: Sequence[Figure], metric: bool, tuning: JudgeTuning, step_s: float = float("nan")
+    match: PoseMatch,
+    figures: Sequence[Figure],
+    metric: bool,
+    tuning: JudgeTuning,
+    step_s: float = float("nan"),
+    registered: float = 1.0,
 ) -> list[str]:
     """Sentences about reference poses (K) that the model contradicts by ``figures`` (``accuracy.pose_figures``).
 
-    ``metric``: the model's own scale is known; ``step_s``: the frames' interval, to say a lag in seconds.
+    ``metric``: the model's own scale is known; ``step_s``: the frames' interval, to say a lag in seconds;
+    ``registered``: share of the images that are.
     """
     by_key = {f.key: f for f in figures}
     whole, placed = by_key["shape.whole"], by_key.get("world.reference_poses")
     if beyond(whole, tuning):
-        why = _explained(match, metric, tuning, step_s) or "one of the two is wrong by more than it says"
+        why = (
+            _explained(match, metric, tuning, step_s, registered >= tuning.whole)
+            or "one of the two is wrong by more than it says"
+        )
         return [f"the reference poses and the model differ by {_said(whole, metric)}: {why}"]
     if placed is not None and beyond(placed, tuning):
         east, north, up = np.mean(match.estimate[:, :3, 3] - match.reference[:, :3, 3], axis=0)
@@ -57,23 +67,26 @@ def _said(figure: Figure, metric: bool) -> str:
     return ", predicted ".join(values)
 
 
-def _explained(match: PoseMatch, metric: bool, tuning: JudgeTuning, step_s: float) -> str:
-    """What of the reference would explain the difference, in words; "" if nothing does."""
+def _explained(match: PoseMatch, metric: bool, tuning: JudgeTuning, step_s: float, whole: bool) -> str:
+    """What of the reference would explain the difference better than chance does, in words; "" if nothing does."""
     est, ref = match.estimate[:, :3, 3], match.reference[:, :3, 3]
-    actual = _left(est, ref, metric)
-    tries = [(umeyama(est, ref), umeyama(est, ref).scale)] if metric else []
-    if tries:
-        fit, scale = tries[0]
-        if rms_length(fit(est) - ref) < actual / tuning.explained:
-            return f"the reference is {scale:.4g} times as large as the model"
-    found = min(_hypotheses(match, metric, tuning, step_s), default=(np.inf, ""))
-    return found[1] if found[0] < actual / tuning.explained else ""
+    actual, free = _left(est, ref, metric), 3 * min(len(est), tuning.counted) - 7  # unknowns of a similarity
+    if metric and fits_better(actual, _left(est, ref, False), free):
+        return f"the reference is {umeyama(est, ref).scale:.4g} times as large as the model, {RARELY}"
+    left, why = min(_hypotheses(match, metric, tuning, step_s, whole))
+    return f"{why}, {RARELY}" if fits_better(actual, left, free) else ""
 
 
-def _hypotheses(match: PoseMatch, metric: bool, tuning: JudgeTuning, step_s: float) -> Iterator[tuple[float, str]]:
-    """(error left, what it would be) of a mirror image, an axis of another scale, and a lag."""
+def _hypotheses(
+    match: PoseMatch, metric: bool, tuning: JudgeTuning, step_s: float, whole: bool
+) -> Iterator[tuple[float, str]]:
+    """(error left, what it would be) of a mirror image of a ``whole`` model, an axis of another scale, and a lag."""
     est, ref = match.estimate[:, :3, 3], match.reference[:, :3, 3]
-    yield _left(est, -ref, metric), "the reference is a mirror image: one of its axes is negated, or two are exchanged"
+    if whole:
+        yield (
+            _left(est, -ref, metric),
+            "the reference is a mirror image: one of its axes is negated, or two are exchanged",
+        )
     for axis in range(3):
         left, factor = _axis_scale(est, ref, axis, metric, tuning)
         text = f"the reference's {_AXES[axis]} axis differs in scale, it is {1 / factor:.3g} times that of the others"
@@ -85,7 +98,7 @@ def _axis_scale(est: np.ndarray, ref: np.ndarray, axis: int, metric: bool, tunin
     """Error left and factor that an axis of the reference is to be multiplied by to agree best."""
 
     def left(log: float) -> float:
-        return _left(est, _scaled(ref, axis, 10**log), metric)
+        return _left(est, ref * np.where(np.arange(3) == axis, 10**log, 1.0), metric)
 
     start = min(np.linspace(-tuning.axis_decades, tuning.axis_decades, tuning.axis_starts), key=left)
     reach = tuning.axis_bracket_decades
@@ -108,12 +121,6 @@ def _lag(match: PoseMatch, metric: bool, rounds: int, step_s: float) -> tuple[fl
         frames = float(np.sum(off * speed) / max(np.sum(speed**2), 1e-12))
     said = f"{frames:+.2f} frames" + (f" ({frames * step_s:+.3f} s)" if np.isfinite(step_s) else "")
     return _left(est, ref + frames * speed, metric), f"the reference's times are off by {said}"
-
-
-def _scaled(points: np.ndarray, axis: int, factor: float) -> np.ndarray:
-    out = points.copy()
-    out[:, axis] *= factor
-    return out
 
 
 def _left(est: np.ndarray, ref: np.ndarray, metric: bool) -> float:

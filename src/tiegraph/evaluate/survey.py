@@ -107,7 +107,8 @@ def evaluate_survey(
         result = backprojection_rmse(cloud, pinhole_views(made.model), tuning.points_tried)
         found.metrics.extend(result.metrics())
         found.notes.append(backprojection.MEANING)
-    trajectory = None if settings.reference is None else _trajectory(work, settings.reference)
+    share = float(made.images.registered.mean()) if len(scene) else 0.0
+    trajectory = None if settings.reference is None else _trajectory(work, settings.reference, share)
     judged = alignment = None
     if settings.reference_cloud is not None and cloud is not None and len(cloud):
         judged, alignment = _cloud(work, made, settings.reference_cloud, trajectory)
@@ -146,8 +147,8 @@ def pinhole_views(reconstruction: Any) -> list[View]:
     return sorted(views, key=lambda v: v.name)
 
 
-def _trajectory(work: _Work, path: Path) -> TrajectoryError:
-    """Reference poses against the model's."""
+def _trajectory(work: _Work, path: Path, registered: float) -> TrajectoryError:
+    """Reference poses against the model's, of which that share of the images is registered."""
     settings, tuning, origin, found = work.settings, work.tuning, work.origin, work.found
     poses = reference.read_reference_poses(path)
     match, said = reference.match_poses(poses, work.model, work.scene, tuning.trajectory.max_gap_s)
@@ -165,7 +166,7 @@ def _trajectory(work: _Work, path: Path) -> TrajectoryError:
     found.notes.append(f"Reference poses {path.name}: {said}.")
     figures, metric = pose_figures(match, result, work.predicted, tuning.trajectory), work.predicted.metric
     found.figures += figures
-    found.contradictions += against_poses(match, figures, metric, tuning.judge, _step_s(work.scene))
+    found.contradictions += against_poses(match, figures, metric, tuning.judge, _step_s(work.scene), registered)
     if not metric:
         found.notes.append("Nothing told the model's scale: the reference does, and no error of it is stated.")
     if comparable:

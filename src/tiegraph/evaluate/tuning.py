@@ -120,8 +120,10 @@ class JudgeTuning(Section):
 
     beyond_sigmas: float = Field(3.0, gt=0)
     """An error beyond so many of its predicted sigmas contradicts."""
-    explained: float = Field(3.0, ge=1)
-    """Times smaller an error is under what explains it."""
+    counted: int = Field(6, gt=2)
+    """Poses that count at most in the test of what explains an error: errors of neighbours are alike."""
+    whole: float = Field(0.7, ge=0, le=1)
+    """Share of the images that must be registered: a torn or thin model may be a mirror image itself."""
     axis_decades: float = Field(4.0, gt=0)
     """By which an axis may differ in scale."""
     axis_starts: int = Field(33, gt=1)

@@ -210,8 +210,8 @@ def _choose(check: RigCheck, given: Calibration, work: Work) -> tuple[Calibratio
         low = int(np.nanargmin(np.where(check.matches > 0, check.share_after, np.nan)))
         return given, "rig does not hold", (
             f"the rig does not hold: {shares}; least {names[low]} ({check.share_after[low]:.0%}), and {turned} against "
-            f"{names[0]}. Extrinsics, focal lengths or synchronisation are wrong: its images are verified one by one, "
-            f"which refuses far less"
+            f"{names[0]}. Extrinsics, focal lengths or synchronisation may be wrong: its images are verified one by "
+            f"one, which refuses far less"
         )  # fmt: skip
     if better and not absurd:
         return given.turned(check.turns), "rig refined", f"rig refined from the matches: {turned}; {shares}"

@@ -31,17 +31,14 @@ class MaskRow:
 
 @dataclass(frozen=True)
 class MaskComparison:
-    """Rows per camera, sorted by name, the last for all of them together."""
+    """Rows per camera, sorted by name, the last for all of them together; why masks of images were passed over."""
 
     rows: tuple[MaskRow, ...]
+    unfit: tuple[str, ...] = ()
 
     def table(self) -> dict:
         """{"columns": [...], "rows": [[...]]}, shares in percent with one decimal, None for NaN."""
         return {"columns": list(COLUMNS), "rows": [_cells(r) for r in self.rows]}
-
-    def text(self) -> str:
-        """The table as aligned text."""
-        return table_text(self.table())
 
 
 def compare(
@@ -50,29 +47,38 @@ def compare(
     """Compare the masks of two folders, found by image name as in ``folder.candidates``.
 
     ``cameras``: image name -> camera; None takes the images ``found`` has masks <name>.png for, and their folder's name
-    as camera. Images without a true mask are left out. ``keep_labels``: the useful labels if ``truth`` has class
-    labels. Raises InputError if nothing can be compared, or a mask is missing, unreadable or of another size.
+    as camera. Images without a true mask are left out, and so are those of which a mask is missing, unreadable or of
+    another size (``unfit``). ``keep_labels``: the useful labels if ``truth`` has class labels. Raises InputError if
+    nothing can be compared.
     """
     names = _names(found) if cameras is None else dict(cameras)
     sums: dict[str, np.ndarray] = {}
+    unfit: list[str] = []
     for name, camera in sorted(names.items()):
         true_path = find_mask(truth, name)
         if true_path is None:
             continue
-        path = find_mask(found, name)
-        if path is None:
-            raise InputError(f"{found}: no mask for {name}, which has a true one ({true_path})")
-        mask, true = read_mask_file(path), read_mask_file(true_path, keep_labels)
-        if mask.shape != true.shape:
-            sizes = [f"{m.shape[1]} x {m.shape[0]}" for m in (mask, true)]
-            raise InputError(f"{path}: {sizes[0]} pixels, but {true_path} has {sizes[1]}")
-        sums[camera] = sums.get(camera, 0) + _counts(mask, true)
+        try:
+            sums[camera] = sums.get(camera, 0) + _counts(*_both(found, name, true_path, keep_labels))
+        except InputError as error:
+            unfit.append(str(error))
     if not sums:
-        raise InputError(
-            f"{truth}: no true mask for any of {len(names)} images of {found}: are these the right folders?"
-        )
+        none = f"{truth}: no true mask for any of {len(names)} images of {found}: are these the right folders?"
+        raise InputError(unfit[0] if unfit else none)
     rows = [_row(camera, sums[camera]) for camera in sorted(sums)]
-    return MaskComparison((*rows, _row(ALL, np.sum(list(sums.values()), axis=0))))
+    return MaskComparison((*rows, _row(ALL, np.sum(list(sums.values()), axis=0))), tuple(unfit))
+
+
+def _both(found: Path, name: str, true_path: Path, keep_labels: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+    """The mask that was found for an image, and the true one. Raises InputError where they do not fit."""
+    path = find_mask(found, name)
+    if path is None:
+        raise InputError(f"{found}: no mask for {name}, which has a true one ({true_path})")
+    mask, true = read_mask_file(path), read_mask_file(true_path, keep_labels)
+    if mask.shape != true.shape:
+        sizes = [f"{m.shape[1]} x {m.shape[0]}" for m in (mask, true)]
+        raise InputError(f"{path}: {sizes[0]} pixels, but {true_path} has {sizes[1]}")
+    return mask, true
 
 
 @dataclass(frozen=True)

@@ -17,8 +17,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from tiegraph.project.run import needed
-from tiegraph.project.stages import Outcome, Stage
+from tiegraph.project.stages import Outcome, Stage, needed
 
 __all__ = ["SHOTS", "STAGES"]
 
@@ -53,7 +52,7 @@ STAGES = (
            tuned=("scene", "odometry")),
     _stage("masks", ("scan",), ("masks", "classes", "masks.csv"), "image", version=8),
     _stage("preview", ("scan", "masks"), ("preview",), "image", version=2, tuned=("features",)),
-    _stage("candidates", ("scan", "preview"), ("candidates.npz", "candidates"), "pair", version=3,
+    _stage("candidates", ("scan", "preview"), ("candidates.npz", "candidates"), "pair", version=4,
            scratch=("candidates/matched",), tuned=("scene", "network", "features")),
     _stage("coarse", ("scan", "preview", "candidates"), ("coarse.npz", "coarse"), "block", version=6,
            uses=("candidates",), scratch=("coarse/blocks", "coarse/mapping", "coarse/matched"),
@@ -66,9 +65,9 @@ STAGES = (
     _stage("match", ("network", "design", "features"), ("match.npz",), "block of pairs", version=2,
            changes=("database.db",), clear=_forget_matches, tuned=("features",)),
     _stage("filter", ("coarse", "network", "match"), ("filter.npz",), "pair", version=2),
-    _stage("sparse", ("coarse", "network", "match", "filter"), ("sparse",), version=20, scratch=("sparse/.run",),
+    _stage("sparse", ("coarse", "network", "match", "filter"), ("sparse",), version=21, scratch=("sparse/.run",),
            tuned=("scene", "sfm")),
-    _stage("georef", ("network", "match", "filter", "sparse"), ("sparse/world", "world.json"), version=15,
+    _stage("georef", ("network", "match", "filter", "sparse"), ("sparse/world", "world.json"), version=16,
            scratch=("sparse/.world",), tuned=("scene", "sfm", "targets")),
     _stage("refine", ("masks", "georef"), ("refine/masks", "refine/classes"), "image", version=3,
            tuned=("masks", "sfm")),
@@ -76,7 +75,7 @@ STAGES = (
     _stage("cloud", ("dense",), ("cloud.copc.laz", "cloud.laz", "cloud.ply", "passes"), version=5,
            scratch=(".tiles",), tuned=("evaluate",)),
     _stage("evaluate", ("filter", "georef", "refine", "dense", "cloud"), ("metrics.json", "accuracy.csv", "evaluate"),
-           version=7, scratch=("evaluate/.tiles",), tuned=("scene",), spares=("dense", "cloud")),
+           version=8, scratch=("evaluate/.tiles",), tuned=("scene",), spares=("dense", "cloud")),
     _stage("report", ("evaluate",), ("report.html", "report.json"), version=9, alone=True),
 )
 # fmt: on

@@ -18,8 +18,8 @@ from tiegraph.papers import colmap, measured
 from tiegraph.pipeline.files import checked, load_json, load_model
 from tiegraph.project.artefacts import LOST
 from tiegraph.project.folder import check_format
-from tiegraph.project.run import Run, needed, save_json
-from tiegraph.project.stages import Stage, remove
+from tiegraph.project.run import Run, save_json
+from tiegraph.project.stages import Stage, needed, remove
 from tiegraph.scene.bags.topics import source_of
 from tiegraph.scene.registered import registration
 from tiegraph.scene.scene import Scene

@@ -62,7 +62,7 @@ def evaluate(run: Run) -> Outcome:
     remove(scratch)
     result = found.metrics
     if settings.reference_masks is not None:
-        result["tables"]["mask accuracy"] = _masks(run, scene, settings)
+        unfit += _masks(run, scene, settings, result["tables"])
     save_json(run.path("metrics.json"), result)
     tables = {**run.receipts.read("georef").get("tables", {}), **result["tables"]}
     write_atomic(run.path("accuracy.csv"), accuracy_csv(result, tables, world))
@@ -119,7 +119,14 @@ def measured(found: Differences) -> Measured:
     return Measured(found.xyz, columns, (-limit, limit))
 
 
-def _masks(run: Run, scene: Scene, settings: EvaluateSettings) -> dict:
+def _masks(run: Run, scene: Scene, settings: EvaluateSettings, tables: dict[str, dict]) -> list[str]:
+    """Add the table of the masks against true ones; what is to be said of true ones that do not fit."""
     assert settings.reference_masks is not None
     cameras = {n: sensor for n, (_, sensor) in zip(scene.names, scene.image_label())}
-    return compare(run.path(FINAL, "masks"), settings.reference_masks, cameras, settings.mask_labels).table()
+    try:
+        found = compare(run.path(FINAL, "masks"), settings.reference_masks, cameras, settings.mask_labels)
+    except InputError as error:
+        return [f"no reference mask is compared: {error}"]
+    tables["mask accuracy"] = found.table()
+    few = f"{len(found.unfit)} reference masks are not compared, the first because: "
+    return [few + found.unfit[0]] if found.unfit else []

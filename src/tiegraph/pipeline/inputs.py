@@ -14,6 +14,7 @@ from pathlib import Path
 from tiegraph.errors import InputError, SettingsError, UnreadableArtefact
 from tiegraph.evaluate.settings import EvaluateSettings
 from tiegraph.geometry.geodesy import ENU, check_vertical, parse_crs
+from tiegraph.masks.folder import candidates, find_mask
 from tiegraph.masks.plugin import read_model
 from tiegraph.pipeline.files import scanned
 from tiegraph.pipeline.foundrig import rig_of_run
@@ -115,13 +116,20 @@ def _read_inputs(run: Run) -> None:
 
 
 def check_against(run: Run, scene: Scene) -> tuple[str, ...]:
-    """What control points and the pair list say of the images of a scan. Raises InputError if they do not fit."""
+    """What control points and the pair list say of the images of a scan. Raises InputError if they do not fit, or no
+    reference mask is of an image."""
     file = control_file(run)
     notes: tuple[str, ...] = ()
     if file is not None and file.points:
         notes = locate(file, scene, run.settings.scan.crs, orientation=orientations(run, scene, file)).notes
     elif file is not None:
         locate_bars(file, scene, orientation=orientations(run, scene, file))
+    masks = run.settings.evaluate.reference_masks
+    if masks is not None and not any(find_mask(masks, name) for name in scene.names):
+        names = ", ".join(candidates(scene.names[0]))
+        raise InputError(
+            f"--evaluate.reference-masks {masks}: no mask of any image; of the first one could be: {names}"
+        )
     path = run.settings.candidates.pairs_file
     return notes if path is None else (*notes, *read_pair_list(path, scene)[1])
 

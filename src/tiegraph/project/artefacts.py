@@ -11,7 +11,7 @@ import dataclasses
 from collections.abc import Iterable, Sequence
 from pathlib import Path, PurePosixPath
 
-from tiegraph.errors import InputError
+from tiegraph.errors import InputError, UnreadableArtefact
 from tiegraph.project.ledger import (
     Ledger,
     covered,
@@ -30,7 +30,8 @@ from tiegraph.scene.atomic import JOURNAL
 
 _LET_GO = "files let go"
 OTHER_KEY = "its inputs or settings changed"
-LOST = "lost"  # in a receipt without a key: why the images gave nothing for its stage
+LOST = "lost"  # in a receipt without a key: why nothing came of its stage
+DIED = "died"  # beside it: a process had ended, which may go otherwise the next time
 _SHOWN = 3
 
 
@@ -55,11 +56,15 @@ class Artefacts:
                     self._troubles.setdefault(own, {})[name] = what
         return bool(self._troubles)
 
-    def report(self, name: str, what: str) -> bool:
-        """Count a file as lost or changed, because it could not be read; whether it is an artefact."""
+    def damaged_by(self, error: Exception) -> bool:
+        """Whether an error comes from a damaged artefact, which counts as lost or changed from now on."""
+        if not isinstance(error, UnreadableArtefact):
+            return self.look(thorough=True)
+        path, folder = error.path.absolute(), self.folder.absolute()
+        name = path.relative_to(folder).as_posix() if folder in path.parents else ""
         maker = self._maker(name)
         if maker:
-            self._troubles.setdefault(maker, {})[name] = what
+            self._troubles.setdefault(maker, {})[name] = "cannot be read"
         return bool(maker)
 
     def why(self, stage: Stage, key: str) -> str:
@@ -77,6 +82,11 @@ class Artefacts:
         if anew:
             return f"{anew[0]} was made anew"
         return next((f"{name} {what}" for name, what in self._troubles.get(stage.name, {}).items()), "")
+
+    def lost(self, stage: Stage, key: str) -> str:
+        """Why the images gave nothing for a stage, from what there is now; "" where that may have changed."""
+        receipt = self.receipts.read(stage.name)
+        return "" if receipt.get(DIED) or self._other(stage, key) else str(receipt.get(LOST, ""))
 
     def let_go(self, stage: Stage) -> int:
         """Remove the files of a stage that is up to date, which stays so until another needs them; their bytes.

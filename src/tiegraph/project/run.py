@@ -5,9 +5,9 @@ from __future__ import annotations
 import json
 import logging
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
@@ -21,17 +21,16 @@ from tiegraph.errors import (
     ReconstructionError,
     SettingsError,
     TiegraphError,
-    UnreadableArtefact,
 )
 from tiegraph.limits import explained
-from tiegraph.project.artefacts import LOST, OTHER_KEY, Artefacts
+from tiegraph.project.artefacts import DIED, LOST, OTHER_KEY, Artefacts
 from tiegraph.project.folder import LOG, check_folder, check_inputs, working_in
 from tiegraph.project.inputs import Inputs
 from tiegraph.project.pool import LocalPool, Place, check_pool, map_items, open_pool
 from tiegraph.project.progress import Elsewhere, Meter, Reporter
 from tiegraph.project.receipts import Receipts
 from tiegraph.project.software import software
-from tiegraph.project.stages import Stage, changed_parts, engines, key_parts, stage_keys, write_atomic
+from tiegraph.project.stages import Stage, changed_parts, engines, key_parts, needed, stage_keys, write_atomic
 from tiegraph.project.stamps import Stamps
 from tiegraph.scene.bags.topics import source_of
 
@@ -118,6 +117,17 @@ class Run:
             self._executor.shutdown()
             self._executor = None
 
+    @contextmanager
+    def one_by_one(self) -> Iterator[None]:
+        """With a single worker of this machine meanwhile: what takes the least memory, and dies alone."""
+        self.close()
+        before, self._pool_spec = self._pool_spec, "serial" if self._pool_spec == "serial" else "local:1"
+        try:
+            yield
+        finally:
+            self.close()
+            self._pool_spec = before
+
     def close(self) -> None:
         """End the workers."""
         if self._executor is not None:
@@ -159,9 +169,10 @@ def run_stages(
     """Run what is out of date, up to and including ``until``; the names of the stages that ran.
 
     ``remember`` keeps the settings in the run folder and gives what takes that back: done if they are refused before
-    any stage was finished with them. A stage for which the images give nothing (ReconstructionError) ends no run: what
-    needs it is left out, and the report says so. Raises InputError for files in the run folder that are not ours, what
-    else the stages raise, and in the end that error if the stage is ``until`` itself, or the fault is the program's.
+    any stage was finished with them. A stage for which the images give nothing (ReconstructionError), or whose process
+    ends twice (ChildDied), ends no run: what needs it is left out, and the report says so. Raises InputError for files
+    in the run folder that are not ours, what else the stages raise, and in the end that error if the stage is
+    ``until`` itself. What the images did not give they are asked for again when anything changed, or as ``until``.
     """
     wanted = needed(stages, until)
     check_run(stages, run)
@@ -176,7 +187,7 @@ def run_stages(
             for stage in wanted:
                 if artefacts.why(stage, keys[stage.name]):
                     artefacts.refuse(stage)
-            while (lost := _run_through(wanted, keys, run, artefacts, ran)) is None:
+            while (lost := _run_through(wanted, keys, run, artefacts, ran, until)) is None:
                 pass
         except (InputError, SettingsError, EngineMissing):
             if not ran:
@@ -187,56 +198,70 @@ def run_stages(
             raise
         finally:
             run.close()
-    for name, error in lost.items():
-        if name == until or isinstance(error, ChildDied):
-            raise error
+    if until in lost:
+        raise lost[until]
     return ran
 
 
 def _run_through(
-    wanted: list[Stage], keys: dict[str, str], run: Run, artefacts: Artefacts, ran: list[str]
-) -> dict[str, ReconstructionError] | None:
-    """Run what is out of date; the stages for which the images gave nothing, and those that need them. None if a stage
-    could not read what another had made, which is then out of date."""
-    lost: dict[str, ReconstructionError] = {}
+    wanted: list[Stage], keys: dict[str, str], run: Run, artefacts: Artefacts, ran: list[str], until: str | None
+) -> dict[str | None, ReconstructionError] | None:
+    """Run what is out of date; the stages of which nothing came, and those that need them. None if a stage could not
+    read what another had made, which is then out of date."""
+    lost: dict[str | None, ReconstructionError] = {}
+    news = False  # of what was lost: the report says it in the words of now
     for stage in wanted:
-        away = [n for n in stage.needs if n in lost and n not in stage.spares]
-        if away and not stage.alone:
-            artefacts.begin(stage, keys[stage.name])  # what an earlier run made of it is no result of this one
-            _lose(stage, f"it needs the stage {away[0]}, of which nothing came", (), run)
-            lost[stage.name] = lost[away[0]]
-            continue
-        anew = lost and stage.alone  # the report says what was lost, in the words of now
-        if not (anew or artefacts.why(stage, keys[stage.name]) or _wanted_back(stage, wanted, keys, artefacts)):
-            if stage.name not in ran:
-                run.reporter.say(f"{stage.name:>9}  up to date")
-                run.reporter.event("skipped", stage=stage.name)
-            continue
-        try:
-            _run_one(stage, keys[stage.name], run, artefacts)
-        except Exception as error:
-            if ran.count(stage.name) < _TRIES and _damage(error, run.folder, artefacts):
+        key, error = keys[stage.name], None
+        away = next((n for n in stage.needs if n in lost and n not in stage.spares and not stage.alone), "")
+        known = artefacts.lost(stage, key) if stage.name != until else ""
+        if away:
+            error = ReconstructionError(f"it needs the stage {away}, of which nothing came")
+            if known != str(error):
+                artefacts.begin(stage, key)  # what an earlier run made of it is no result of this one
+        elif known:
+            error = ReconstructionError(known)
+        elif (news and stage.alone) or artefacts.why(stage, key) or _wanted_back(stage, wanted, keys, artefacts):
+            try:
+                _tried(stage, key, run, artefacts)
+            except Exception as caught:
+                if ran.count(stage.name) < _TRIES and artefacts.damaged_by(caught):
+                    ran.append(stage.name)
+                    run.reporter.say(f"{stage.name:>9}  {caught}")
+                    run.close()  # items under way may still write
+                    return None
+                if not stage.needs or not isinstance(caught, ReconstructionError):
+                    raise
+                error = caught
+            else:
                 ran.append(stage.name)
-                run.reporter.say(f"{stage.name:>9}  {error}")
-                run.close()  # items under way may still write
-                return None
-            if not stage.needs or not isinstance(error, ReconstructionError):
-                raise
-            why = str(error).splitlines()[0]
-            _lose(stage, why, (why,), run)
-            lost[stage.name] = error
-            continue
-        ran.append(stage.name)
-        run.stamps.record()
+                run.stamps.record()
+        elif stage.name not in ran:
+            run.reporter.say(f"{stage.name:>9}  up to date")
+            run.reporter.event("skipped", stage=stage.name)
+        if error is not None:
+            news |= _lose(stage, error, bool(away), run)
+            lost[stage.name] = lost.get(away, error)
     return lost
 
 
-def _lose(stage: Stage, why: str, contradictions: tuple[str, ...], run: Run) -> None:
-    """Say why nothing comes of a stage that has begun; the next run tries it again."""
-    began = run.receipts.read(stage.name)
-    run.receipts.write(stage.name, {**began, LOST: why, "contradictions": contradictions})
+def _tried(stage: Stage, key: str, run: Run, artefacts: Artefacts) -> None:
+    """Run a stage, and where a process of it ends once more with one process at a time."""
+    try:
+        _run_one(stage, key, run, artefacts)
+    except ChildDied as error:
+        run.reporter.say(f"{stage.name:>9}  {str(error).splitlines()[0]}; tried once more, one process at a time")
+        with run.one_by_one():
+            _run_one(stage, key, run, artefacts)
+
+
+def _lose(stage: Stage, error: ReconstructionError, follows: bool, run: Run) -> bool:
+    """Say why nothing comes of a stage that has begun, which may follow from another; whether that is news."""
+    why, before = str(error).splitlines()[0], run.receipts.read(stage.name)
+    more = {LOST: why, DIED: isinstance(error, ChildDied), "contradictions": () if follows else (why,)}
+    run.receipts.write(stage.name, {**before, **more})
     run.reporter.say(f"{stage.name:>9}  ! {why}")
     run.reporter.event("lost", stage=stage.name, why=why)
+    return before.get(LOST) != why
 
 
 def _wanted_back(stage: Stage, wanted: list[Stage], keys: dict[str, str], artefacts: Artefacts) -> bool:
@@ -261,31 +286,6 @@ def let_go(stages: Sequence[Stage], run: Run) -> int:
 
 
 _TRIES = 3
-
-
-def _damage(error: Exception, folder: Path, artefacts: Artefacts) -> bool:
-    """Whether an error comes from a damaged artefact."""
-    if isinstance(error, UnreadableArtefact):
-        path = error.path.absolute()
-        inside = path.relative_to(folder.absolute()).as_posix() if folder.absolute() in path.parents else ""
-        return artefacts.report(inside, "cannot be read")
-    return artefacts.look(thorough=True)
-
-
-def needed(stages: Sequence[Stage], until: str | None) -> list[Stage]:
-    """The stages a target needs, in order; all of them without a target."""
-    if until is None:
-        return list(stages)
-    table = {s.name: s for s in stages}
-    if until not in table:
-        raise InputError(f"unknown stage {until!r}: the stages are {', '.join(table)}")
-    want, todo = set(), [until]
-    while todo:
-        name = todo.pop()
-        if name not in want:
-            want.add(name)
-            todo.extend(table[name].needs)
-    return [s for s in stages if s.name in want]
 
 
 def _run_one(stage: Stage, key: str, run: Run, artefacts: Artefacts) -> None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -48,6 +48,22 @@ class Stage:
     alone: bool = False  # reads nothing but the run folder, whatever is there
     passing: bool = False  # what it makes serves later stages only and may be let go once they are done
     version: int = 1  # raise it when the stage's results change for the same settings
+
+
+def needed(stages: Sequence[Stage], until: str | None) -> list[Stage]:
+    """The stages a target needs, in order; all of them without a target."""
+    if until is None:
+        return list(stages)
+    table = {s.name: s for s in stages}
+    if until not in table:
+        raise InputError(f"unknown stage {until!r}: the stages are {', '.join(table)}")
+    want, todo = set(), [until]
+    while todo:
+        name = todo.pop()
+        if name not in want:
+            want.add(name)
+            todo.extend(table[name].needs)
+    return [s for s in stages if s.name in want]
 
 
 def engines(stage: Stage, settings: Any) -> tuple[str, ...]:

@@ -16,7 +16,6 @@ from tiegraph.scene.gcp import FileMark, GcpFile
 from tiegraph.scene.markpixels import (
     AS_IS,
     EDGE_PX,
-    LARGEST,
     Copy,
     file_camera,
     in_file,
@@ -259,7 +258,7 @@ def _check_inside(file: GcpFile, images: Mapping[int, int], scene: Scene, turned
     out = [(m, k, camera) for m, k, s in at if (camera := file_camera(s)) is not None and not in_file(m.xy, s)]
     wide, high = (any(m.xy[i] > (c.width, c.height)[i] + EDGE_PX for m, _, c in out) for i in (0, 1))
     # only marks in larger images leave the image in both directions: not a typing error, not exchanged columns
-    sizes = (1.0, LARGEST) if wide and high else (1.0,)
+    sizes = (1.0, file.largest_copy) if wide and high else (1.0,)
     if any(fit(Copy(size, turned=t)) for t in (False, True) for size in sizes):
         return False
     mark, k, camera = out[0]
@@ -365,16 +364,7 @@ def _check_place(file: GcpFile, world: np.ndarray, scene: Scene) -> None:
     swapped = (point.xyz[1], point.xyz[0], point.xyz[2])
     hint = ": wrong CRS in the file?"
     try:
-        turned = surveyed_world(
-            GcpFile(
-                path=file.path,
-                crs=file.crs,
-                geographic=file.geographic,
-                points=(replace(point, xyz=swapped),),
-                marks=(),
-            ),
-            scene.origin,
-        )
+        turned = surveyed_world(replace(file, points=(replace(point, xyz=swapped),)), scene.origin)
         if np.linalg.norm(turned[0, :2] - middle[:2]) < FAR_M:
             hint = f": its first two coordinates are exchanged ({'lon, lat' if file.geographic else 'north, east'})"
     except InputError:

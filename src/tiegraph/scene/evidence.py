@@ -20,13 +20,30 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from scipy.special import ndtri, stdtr
+from scipy.special import fdtrc, ndtri, stdtr
 
 from tiegraph.scene.tuning import TrendTuning
 
 # What a contradiction is, wherever one is told: by the chance, for each test, that what agrees is called one.
 CHANCE = 0.001
 LIMIT = float(-ndtri(CHANCE / 2))  # 3.29 sigmas
+RARELY = f"which chance does once in {1 / CHANCE:.0f} surveys at most"  # goes after what a test below says
+
+
+def fits_better(before: float, after: float, free: int) -> bool:
+    """Whether another reading of the same values leaves smaller errors (root mean squares) than chance would have it:
+    the ratio of their squares against Fisher's distribution. ``free``: values less unknowns; of errors of neighbours,
+    which are alike, no more than the fewest values that speak."""
+    return free > 0 and bool(fdtrc(free, free, (before / max(after, 1e-12)) ** 2) <= CHANCE)
+
+
+def mostly_more(differences: np.ndarray, tries: int) -> bool:
+    """Whether paired differences (K,) are above zero by more than chance (Student's t), the best of so many tries."""
+    count = len(differences)
+    if count < 2 or not np.mean(differences) > 0:
+        return False
+    error = max(float(np.std(differences, ddof=1)) / np.sqrt(count), 1e-12)
+    return tries * float(stdtr(count - 1, -np.mean(differences) / error)) <= CHANCE
 
 
 @dataclass(frozen=True)

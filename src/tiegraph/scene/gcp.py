@@ -83,6 +83,7 @@ class GcpFile:
     notes: tuple[str, ...] = ()
     marks_path: Path | None = None  # of a file that holds the marks alone
     bars: tuple[FileBar, ...] = ()
+    largest_copy: float = 1.0  # of the images, in which marks may have been made, times these
 
     @property
     def of_marks(self) -> Path:
@@ -115,7 +116,8 @@ def read_gcps(path: Path, tuning: ControlTuning, marks: Path | None = None) -> G
         where = f"{found.of_marks}, line {lost.line}"
         there = "the file" if found.marks_path is None else found.path.name
         raise InputError(f"{where}: a mark of point {lost.name!r}, which has no coordinates in {there}")
-    return replace(found, marks=_once_each(found), notes=(*found.notes, *_doubtful(found)))
+    said = (*found.notes, *_doubtful(found))
+    return replace(found, marks=_once_each(found), notes=said, largest_copy=tuning.largest_copy)
 
 
 def read_points(path: Path, tuning: ControlTuning) -> GcpFile:

@@ -31,7 +31,8 @@ class Copy:
         camera, source = file_camera(sensor), sensor.source or Source()
         if not self.turned or camera is None:
             return x, y
-        return _turned((x, y), (camera.width, camera.height), orientation, source.upright)
+        size = (camera.height, camera.width) if orientation >= 5 else (camera.width, camera.height)  # of the copy
+        return _turned((x, y), size, orientation if source.upright else {6: 8, 8: 6}.get(orientation, orientation))
 
     def like(self, other: Copy) -> bool:
         """Whether it is hardly larger or smaller, and turned the same way."""
@@ -44,7 +45,6 @@ class Copy:
 
 
 AS_IS = Copy()
-LARGEST = 4.0  # of copies, times the images
 
 
 def file_camera(sensor: Sensor) -> pycolmap.Camera | None:
@@ -71,46 +71,32 @@ def within(xy: Sequence[float], camera: pycolmap.Camera) -> bool:
 
 def prepared_pixel(xy: tuple[float, float], sensor: Sensor) -> tuple[float, float]:
     """Pixel in the prepared image of a mark in the user's upright image: cropped and undistorted as that was."""
-    source = sensor.source or Source()
-    if source.view is not None:  # a mark of a view
-        return xy
-    left, top, _, _ = source.crop_px
-    if source.camera is not None and sensor.camera is not None and _resampled(source.camera, sensor.camera):
-        place = on_plane(source.camera, np.array([xy]))[0]
-        if np.isfinite(place).all():
-            moved = np.asarray(sensor.camera.img_from_cam(np.append(place, 1.0)))
-            return float(moved[0]), float(moved[1])
-    return xy[0] - left, xy[1] - top
+    return _moved(xy, sensor, 1)
 
 
 def source_pixel(xy: tuple[float, float], sensor: Sensor) -> tuple[float, float]:
     """Pixel in the user's upright image of a pixel of the prepared one: the inverse of ``prepared_pixel``."""
+    return _moved(xy, sensor, -1)
+
+
+def _moved(xy: tuple[float, float], sensor: Sensor, way: int) -> tuple[float, float]:
+    """From the user's image into the prepared one, or back (``way`` -1)."""
     source = sensor.source or Source()
-    if source.view is not None:
+    if source.view is not None:  # a mark of a view
         return xy
-    left, top, _, _ = source.crop_px
-    if source.camera is not None and sensor.camera is not None and _resampled(source.camera, sensor.camera):
-        place = on_plane(sensor.camera, np.array([xy]))[0]
-        moved = source.camera.img_from_cam(np.append(place, 1.0)) if np.isfinite(place).all() else None
+    user, own = source.camera, sensor.camera
+    if user is not None and own is not None and not user.is_undistorted() and own.is_undistorted():
+        one, other = (user, own)[::way]
+        place = on_plane(one, np.array([xy]))[0]
+        moved = other.img_from_cam(np.append(place, 1.0)) if np.isfinite(place).all() else None
         if moved is not None:
             return float(moved[0]), float(moved[1])
-    return xy[0] + left, xy[1] + top
+    left, top, _, _ = source.crop_px
+    return xy[0] - way * left, xy[1] - way * top
 
 
-def _resampled(before: pycolmap.Camera, after: pycolmap.Camera) -> bool:
-    return not before.is_undistorted() and after.is_undistorted()
-
-
-def _turned(xy: tuple[float, float], size: tuple[int, int], orientation: int, to_upright: bool) -> tuple[float, float]:
-    """Pixel in the upright image of ``size`` of one in the stored image; or the other way round, ``size`` of this."""
-    x, y = xy
-    width, height = size
-    if to_upright:
-        x, y = (y, x) if orientation >= 5 else (x, y)
-    elif orientation >= 5:
-        width, height = height, width
-    if orientation in (2, 3, 6, 7):
-        x = width - x
-    if orientation in (3, 4, 7, 8):
-        y = height - y
-    return (x, y) if to_upright or orientation < 5 else (y, x)
+def _turned(xy: tuple[float, float], size: tuple[int, int], orientation: int) -> tuple[float, float]:
+    """Pixel in an image that is turned upright, as EXIF's orientation says, of one in the image before, of ``size``."""
+    x = size[0] - xy[0] if orientation in (2, 3, 7, 8) else xy[0]
+    y = size[1] - xy[1] if orientation in (3, 4, 6, 7) else xy[1]
+    return (y, x) if orientation >= 5 else (x, y)

@@ -93,6 +93,8 @@ class ControlTuning(Section):
     """Of the length of a scale bar whose file says nothing: measured with a tape."""
     longest_bar_m: float = Field(100.0, gt=0)
     """More are millimetres."""
+    largest_copy: float = Field(4.0, ge=1)
+    """Of an image that was marked, times the survey's: images are halved twice for a survey at most."""
 
 
 class TrendTuning(Section):

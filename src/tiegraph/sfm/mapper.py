@@ -281,7 +281,7 @@ def _account(job: Job, outcome: Outcome, finished: FinishResult) -> SparseResult
         remarks=Remarks(
             dropped=tuple(unregistered(scene, job.graph, [m.images for m in models], dict(finished.dropped))),
             notes=(*job.account.notes, *weakly, *camera_notes(main, scene, tuning)),
-            contradictions=(*finished.contradictions, *doubts),
+            contradictions=(*job.account.contradictions, *finished.contradictions, *doubts),
         ),
         tables={
             "models": models_table(models),

@@ -70,6 +70,7 @@ class Account:
 
     runs: list[list] = field(default_factory=list)  # rows of ``RUN_COLUMNS``
     notes: list[str] = field(default_factory=list)
+    contradictions: list[str] = field(default_factory=list)
     tables: dict[str, dict] = field(default_factory=dict)
 
 
@@ -124,6 +125,7 @@ class Outcome:
     folders: list[Path]
     registered: int  # images of the first model that see its points
     refused: str = ""  # why there is none
+    died: bool = False  # because its process ended
 
 
 def choose_mapper(scene: Scene, settings: SparseSettings, constrained: bool, tuning: MappingTuning) -> str:
@@ -244,17 +246,17 @@ def _with_others(job: Job, outcome: Outcome) -> Outcome:
 
 
 def _mapped(job: Job, label: str) -> Outcome:
-    """Run the chosen mapper; under "auto", when clearly fewer images come back than could, again with another seed
-    (one start in a dozen on the example fell apart), then the other mapper."""
+    """Run the chosen mapper; where its process ends, or under "auto" clearly fewer images come back than could, again
+    with another seed (one start in a dozen on the example fell apart), then the other mapper."""
     first = choose_mapper(job.scene, job.settings, bool(job.rigs.given), job.tuning.mapping)
     outcome = _run(job, first, label)
     reachable = job.graph.components[0]
     tuning = job.tuning.mapping
     enough = (tuning.roughly_fewer if job.source.rough else tuning.clearly_fewer) * reachable
-    other = _OTHER[first]
+    enough, other = enough if job.settings.mapper == "auto" else 0, _OTHER[first]
     tries = ((first, 1),) if job.source.rough else ((first, 1), (other, 0))  # a rough one is not worth the slow mapper
     for mapper, seed in tries:
-        if job.settings.mapper != "auto" or outcome.registered >= enough:
+        if not outcome.died and outcome.registered >= enough:
             break
         second = _run(job, mapper, label, seed)
         better = second if second.registered > outcome.registered else outcome
@@ -265,7 +267,13 @@ def _mapped(job: Job, label: str) -> Outcome:
         outcome = better
     if not outcome.folders:
         why = outcome.refused or "the mapper found no two images to start from, or nothing held together"
-        raise ReconstructionError(no_model_text(job.scene, job.graph, why))
+        error = ChildDied if outcome.died else ReconstructionError
+        raise error(no_model_text(job.scene, job.graph, why))
+    if job.settings.mapper not in ("auto", outcome.mapper):
+        text = (
+            f"{first} mapping, which was asked for, ended its process: the model was made by {outcome.mapper} mapping"
+        )
+        job.account.contradictions.append(text)
     return _near_given_focal_lengths(job, outcome, label)
 
 
@@ -326,7 +334,7 @@ def _run(
     total = len(scene)
     per_frame = total / max(scene.frames, 1) if job.rigs.given else 1.0
     job.source.on_progress(0, total)
-    start = time.monotonic()
+    start, died = time.monotonic(), ""
     try:
         mapped: MappingResult = run_in_child(
             run_mapper,
@@ -335,7 +343,7 @@ def _run(
             on_message=lambda frames: job.source.on_progress(min(total, round(frames * per_frame)), total),
             task=f"{mapper} mapping",
         )
-    except ChildDied as error:  # as if it had found none: then the other mapper is tried
+    except ChildDied as error:
         died = str(error).splitlines()[0]
         mapped = MappingResult([], (died,), died)
     seconds = time.monotonic() - start
@@ -346,7 +354,7 @@ def _run(
     held = "positions" if request.positions else "none"
     job.account.runs.append([mapper, rig, held, label, len(folders), registered, points, round(seconds, 1)])
     _log.info("%s mapping, rig %s: %d images in the first of %d models", mapper, rig, registered, len(folders))
-    return Outcome(mapper=mapper, folders=folders, registered=registered, refused=mapped.refused)
+    return Outcome(mapper=mapper, folders=folders, registered=registered, refused=mapped.refused, died=bool(died))
 
 
 def _seeing(folder: Path, scene: Scene, least: int) -> tuple[int, int]:

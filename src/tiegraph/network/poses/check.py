@@ -13,8 +13,8 @@ Nor is a prior believed if another reading of it (other axes, inverted, mirrored
 the same previews better. Two tests must agree for that. The predicted overlap correlates better with the number of
 matches (rank correlation, by 0.04, and 0.45 in all). It also separates the pairs that tie from the others better (area
 under the ROC curve, by 0.03): for cameras that look along the path the correlation alone is best for whatever falls
-with the distance. The reading is named with its remedy. The assumed range is part of this: at a tenth of the right one,
-any reading that compresses the path looks better.
+with the distance. The reading is named with its remedy, and whether it may be chance (Student's t over the pairs' parts
+in the correlations). The assumed range is part of this: at a tenth any reading that compresses the path is better.
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ from tiegraph.network.poses.poses import PoseResult, pose_pairs, prior_views, vi
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.network.tuning.poses import PriorTuning
+from tiegraph.scene.evidence import RARELY, mostly_more
 from tiegraph.scene.pairs import Pairs, pair_key
 from tiegraph.scene.scene import Scene
 
@@ -108,13 +109,22 @@ def check_prior(
     count = cache.measure(i, j) if len(i) else np.zeros(0)
     tied = count >= tuning.counts.sure * settings.min_matches
     rows = [(k, _counts(drawn.proposed[kind == k], tied[kind == k])) for k in range(len(KINDS)) if np.any(kind == k)]
-    fit, better, better_fit = _readings(scene, passes, (i, j, count, tied, kind), result.range_m, tuning)
+    fit, better = _readings(scene, passes, (i, j, count, tied, kind), result.range_m, tuning)
     bad = [KINDS[k] for k, counts in rows if not _tells(counts, _others(rows, k), tuning.poses.prior)]
     table = tuple((KINDS[k], c.proposed, c.tied, c.refused, c.lost) for k, c in rows)
-    apart = bad == [KINDS[OTHER_PASS]] and not better and bool((scene.sequence >= 0).all())
-    notes = _apart_notes(scene, table) if apart else _notes(table, bad, fit=fit, better=better, better_fit=better_fit)
-    good = not bad and not better
-    return PriorCheck(good=good, apart=apart, table=table, fit=fit, better=better, notes=notes)
+    apart = bad == [KINDS[OTHER_PASS]] and not better.name and bool((scene.sequence >= 0).all())
+    notes = _apart_notes(scene, table) if apart else _notes(table, bad, fit, better)
+    good = not bad and not better.name
+    return PriorCheck(good=good, apart=apart, table=table, fit=fit, better=better.name, notes=notes)
+
+
+@dataclass(frozen=True)
+class _Better:
+    """A reading of a prior ("" = none) that fits the previews better; ``sure``: chance would hardly do that."""
+
+    name: str = ""
+    fit: float = float("nan")
+    sure: bool = False
 
 
 @dataclass(frozen=True)
@@ -211,8 +221,8 @@ def _significance(first: tuple[int, int], second: tuple[int, int]) -> float:
 
 def _readings(
     scene: Scene, passes: Sequence[Pass], sample: tuple[np.ndarray, ...], range_m: float, tuning: Tuning
-) -> tuple[float, str, float]:
-    """How well the prior as given predicts the previews, the reading that does it better ("" = none), and how well.
+) -> tuple[float, _Better]:
+    """How well the prior as given predicts the previews, and the reading that does it better.
 
     Cameras that look along the path share nearly all of their pictures with all near frames, right or not: there the
     number of matches falls with the distance alone, and any reading that does so too has the better correlation (KITTI:
@@ -220,18 +230,22 @@ def _readings(
     """
     (i, j, count, tied, kind), prior = sample, tuning.poses.prior
     given = _share(scene, passes, scene.world_from_rig, (i, j), range_m, tuning)
-    fit = _fit(given, count, kind, prior.enough)
-    if np.isnan(fit):
-        return fit, "", fit
-    fits, tells = {}, _area(given, tied, kind, prior.few_ties)
-    for name, read in _possible(scene.has_orientations(), prior.shifts_frames).items():
+    before = _parts(given, count, kind, prior.enough)
+    if not before:
+        return float("nan"), _Better()
+    fit, fits, gains, tells = _fit(before), {}, {}, _area(given, tied, kind, prior.few_ties)
+    readings = _possible(scene.has_orientations(), prior.shifts_frames)
+    for name, read in readings.items():
         share = _share(scene, passes, read(np.array(scene.world_from_rig), passes), (i, j), range_m, tuning)
+        share = np.where(np.isfinite(given), np.nan_to_num(share), np.nan)
         if not _area(share, tied, kind, prior.few_ties) < tells + prior.better_tells:
-            fits[name] = _fit(share, count, kind, prior.enough)
-    best = max(fits.values(), key=lambda f: np.nan_to_num(f, nan=-1.0), default=fit)
+            after = _parts(share, count, kind, prior.enough)
+            fits[name], gains[name] = _fit(after), np.concatenate(after) - np.concatenate(before)
+    best = max(fits.values(), default=fit)
     if not best > fit + prior.better or best < prior.sure_fit:
-        return fit, "", fit
-    return fit, " or ".join([n for n, f in fits.items() if f > best - prior.alike][:2]), best
+        return fit, _Better()
+    alike = [n for n, f in fits.items() if f > best - prior.alike][:2]
+    return fit, _Better(" or ".join(alike), best, all(mostly_more(gains[n], len(readings)) for n in alike))
 
 
 def _possible(oriented: bool, shifts: Sequence[int]) -> dict[str, Reading]:
@@ -307,17 +321,24 @@ def _share(
     return pair_share(transforms.invert(pose), view_cameras(scene, tuning.poses), *pairs, range_m, tuning.coarse)
 
 
-def _fit(share: np.ndarray, count: np.ndarray, kind: np.ndarray, enough: int) -> float:
-    """Rank correlation of predicted overlap and preview matches, mean over the kinds; NaN = too few to say."""
-    from scipy.stats import spearmanr  # a second to load
+def _parts(share: np.ndarray, count: np.ndarray, kind: np.ndarray, enough: int) -> list[np.ndarray]:
+    """What each pair adds to the rank correlation of predicted overlap and preview matches, by kind, with enough."""
+    there = [(kind == k) & np.isfinite(share) for k in range(len(KINDS))]
+    there = [rows for rows in there if rows.sum() >= 2 * enough and np.ptp(count[rows]) > 0]
+    return [_ranks(share[rows]) * _ranks(count[rows]) for rows in there]
 
-    found = []
-    for k in range(len(KINDS)):
-        there = (kind == k) & np.isfinite(share)
-        if there.sum() >= 2 * enough and np.ptp(count[there]) > 0:
-            varied = np.ptp(share[there]) > 0
-            found.append(float(spearmanr(share[there], count[there]).statistic) if varied else 0.0)
-    return float(np.mean(found)) if found else float("nan")
+
+def _ranks(values: np.ndarray) -> np.ndarray:
+    """(K,) ranks about zero and of unit spread; zeros where all are alike."""
+    from scipy.stats import rankdata  # a second to load
+
+    rank = rankdata(values) - (len(values) + 1) / 2
+    return np.asarray(rank / max(float(np.std(rank)), 1e-12))
+
+
+def _fit(parts: list[np.ndarray]) -> float:
+    """Rank correlation, mean over the kinds."""
+    return float(np.mean([np.mean(p) for p in parts]))
 
 
 def _area(share: np.ndarray, tied: np.ndarray, kind: np.ndarray, few: int) -> float:
@@ -350,16 +371,17 @@ def _table_note(table: tuple) -> str:
     return f"prior checked by previews, ties among pairs it proposes and among pairs it refuses: {parts}"
 
 
-def _notes(table: tuple, bad: list[str], *, fit: float, better: str, better_fit: float) -> tuple[str, ...]:
+def _notes(table: tuple, bad: list[str], fit: float, better: _Better) -> tuple[str, ...]:
     if not table:
         return ()
     notes = [_table_note(table)]
-    if better:
+    if better.name:
+        doubt, chance = ("looks", RARELY) if better.sure else ("may be", "which may be chance")
         notes.append(
-            f"the prior looks wrong: {better}. Read so, its predicted overlap and the preview matches correlate by "
-            f"{better_fit:.2f}, as given by {fit:.2f}. {_remedy(better)}"
+            f"the prior {doubt} wrong: {better.name}. Read so, its predicted overlap and the preview matches correlate "
+            f"by {better.fit:.2f}, as given by {fit:.2f}, {chance}. {_remedy(better.name)}"
         )
-    if bad or better:
+    if bad or better.name:
         where = f" ({', '.join(bad)}: the pairs it refuses tie about as often as those it proposes)" if bad else ""
         notes.append(f"the prior is not believed{where}: it refuses nothing, previews and order find the pairs")
     return tuple(notes)

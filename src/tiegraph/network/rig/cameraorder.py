@@ -20,11 +20,6 @@ class Order:
     fit: float
     nominal_fit: float
 
-    @property
-    def changed(self) -> bool:
-        """Whether the order is another one than the rig's."""
-        return self.place != tuple(range(len(self.place)))
-
 
 def orders(rig: Rig, evidence: np.ndarray, tuning: OrderTuning) -> list[Order]:
     """Orders of the side cameras that explain evidence (2, S, S), one a half of the frames, better than the rig does.
@@ -38,7 +33,9 @@ def orders(rig: Rig, evidence: np.ndarray, tuning: OrderTuning) -> list[Order]:
     cosine = np.cos(np.radians(rig.axis_angles_deg()))[np.ix_(side, side)]
     parts = [e[np.ix_(side, side)] for e in evidence]
     whole = _mean(np.stack(parts))
-    tried = _all_orders(len(side)) if len(side) <= tuning.all_orders else _by_swaps(whole, cosine)
+    tried = (
+        np.array(list(permutations(range(len(side))))) if len(side) <= tuning.all_orders else _by_swaps(whole, cosine)
+    )
     fit = _fits(whole, cosine, tried)
     nominal = fit[0]
     if fit.max() < tuning.fit or fit.max() < nominal + tuning.better:
@@ -71,10 +68,10 @@ def in_words(rig: Rig, order: Order, evidence: np.ndarray) -> str:
     names = [s.name for s in rig.sensors]
     moved = [k for k, p in enumerate(order.place) if p != k]
     if len(moved) == 2:
-        said = f"{names[moved[0]]} and {names[moved[1]]} seem to be swapped"
+        said = f"{names[moved[0]]} and {names[moved[1]]} tie as if they were swapped"
     else:
-        said = "its cameras seem to be in another order: " + ", ".join(
-            f"{names[k]} stands where it says {names[order.place[k]]}" for k in moved
+        said = "its cameras tie as if they were in another order: " + ", ".join(
+            f"{names[k]} where it says {names[order.place[k]]}" for k in moved
         )
     found = _strongest(rig, evidence)
     angle = rig.axis_angles_deg()
@@ -95,10 +92,6 @@ def _mean(evidence: np.ndarray) -> np.ndarray:
     """(S, S) of (2, S, S): mean of what is known."""
     known = np.isfinite(evidence).sum(axis=0)
     return np.where(known > 0, np.nansum(evidence, axis=0) / np.maximum(known, 1), np.nan)
-
-
-def _all_orders(count: int) -> np.ndarray:
-    return np.array(list(permutations(range(count))))
 
 
 def _by_swaps(evidence: np.ndarray, cosine: np.ndarray) -> np.ndarray:

@@ -1,7 +1,8 @@
 """Are the nominal axes of a rig those of the images? The images of one frame say so, without any motion between them.
 
 A preset may turn the wrong way round (mirrored), or its images may lie on their side (rolled). Each of these hypotheses
-predicts which way a thing moves in the picture from one camera to the next; the previews of same-frame pairs vote.
+predicts which way a thing moves in the picture from one camera to the next; the previews of same-frame pairs vote, and
+one is believed that is better by more than chance does once in 1000 surveys (Student's t, the best of all of them).
 A rig file may also name its cameras in another order: then the wrong ones match. All pairs of cameras are sampled, for
 wrong axes forbid the very pairs that would tell.
 """
@@ -23,6 +24,7 @@ from tiegraph.network.rig.synchronisation import frame_notes, lag_notes
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.network.tuning.rig import AxesTuning, CheckTuning
+from tiegraph.scene.evidence import mostly_more
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.sampling import evenly
 from tiegraph.scene.scene import Scene
@@ -108,13 +110,15 @@ def check_rig(
     if score["nominal"] >= check.agreement or best == "nominal":
         how = "agree with" if score["nominal"] >= check.agreement else "neither prove nor contradict"
         return RigCheck(rig, False, f"rig {rig.name}: the images {how} its sense of rotation{angles}")
-    if score[best] < check.agreement or score[best] < score["nominal"] + check.margin:
+    variants = dict(_hypotheses(rig))
+    gain = _cosines(variants[best], votes, axes) - _cosines(rig, votes, axes)
+    sure = score[best] >= max(check.agreement, score["nominal"] + check.margin)
+    if not sure or not mostly_more(gain[np.isfinite(gain)], len(variants) - 1):
         return RigCheck(rig, False, f"rig {rig.name}: the images fit its axes badly; check the rig file{angles}")
     if rig.fixed:
         return RigCheck(rig, False, f"rig {rig.name}: the images say it is {best}, but it is calibrated: kept{angles}")
-    corrected = dict(_hypotheses(rig))[best]
-    angles = _angles(corrected, votes, check)
-    return RigCheck(corrected, True, f"rig {rig.name}: the images show it {best}: corrected{angles}")
+    angles = _angles(variants[best], votes, check)
+    return RigCheck(variants[best], True, f"rig {rig.name}: the images show it {best}: corrected{angles}")
 
 
 def _out_of_order(
@@ -219,14 +223,19 @@ def _axis_angle(rotation: np.ndarray) -> float:
 
 def _agreement(rig: Rig, votes: _Votes, tuning: AxesTuning) -> float:
     """Mean cosine between predicted and seen motion of the shared things, every camera pair with the same weight."""
-    cosine = []
-    for a, b in sorted(set(zip(votes.a.tolist(), votes.b.tolist()))):
-        predicted = predicted_shift(rig, a, b, tuning)
-        seen = votes.shift[(votes.a == a) & (votes.b == b)]
-        length = np.linalg.norm(seen, axis=1) * np.linalg.norm(predicted)
-        if np.linalg.norm(predicted) > 1e-9:
-            cosine.append(float(np.mean(seen @ predicted / np.maximum(length, 1e-9))))
-    return float(np.mean(cosine)) if cosine else 0.0
+    cosine, pair = _cosines(rig, votes, tuning), votes.a * len(rig.sensors) + votes.b
+    means = [float(np.mean(cosine[pair == p])) for p in np.unique(pair) if np.isfinite(cosine[pair == p]).all()]
+    return float(np.mean(means)) if means else 0.0
+
+
+def _cosines(rig: Rig, votes: _Votes, tuning: AxesTuning) -> np.ndarray:
+    """(K,) of the votes, NaN where no motion is predicted."""
+    pairs = list(zip(votes.a.tolist(), votes.b.tolist()))
+    known = {p: predicted_shift(rig, *p, tuning) for p in set(pairs)}
+    predicted = np.array([known[p] for p in pairs]).reshape(-1, 2)
+    length, seen = np.linalg.norm(predicted, axis=1), np.linalg.norm(votes.shift, axis=1)
+    cosine = np.sum(predicted * votes.shift, axis=1) / np.maximum(length * seen, 1e-9)
+    return np.where(length > 1e-9, cosine, np.nan)
 
 
 def _angles(rig: Rig, votes: _Votes, tuning: CheckTuning) -> str:

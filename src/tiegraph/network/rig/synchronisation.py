@@ -244,10 +244,11 @@ def _figures(rig: Rig, steps: _Steps, sensor: int, lags: np.ndarray) -> str:
 
 def _late(rig: Rig, sensor: int, lag: int, seen: list[tuple[str, str]]) -> str:
     where = f"pass{'es' if len(seen) > 1 else ''} {' and '.join(name for name, _ in seen)}"
+    figures = "; ".join(figures for _, figures in seen)
     frames = f"{abs(lag)} frame{'s' if abs(lag) > 1 else ''}"
     name = rig.sensors[sensor].name
     return (
-        f"{where}: {name} seems to run {frames} {'late' if lag > 0 else 'early'}: its images fit those of the others "
-        f"taken {frames} {'before' if lag > 0 else 'after'} ({'; '.join(figures for _, figures in seen)}); all the "
-        "same the rig is taken as synchronised: rename the images so that those of one moment share a number"
+        f"{where}: {name} ties as if it ran {frames} {'late' if lag > 0 else 'early'}: its images fit best "
+        f"those of the others taken {frames} {'before' if lag > 0 else 'after'} ({figures}); "
+        "all the same the rig is taken as synchronised: rename the images so that those of one moment share a number"
     )

@@ -82,7 +82,7 @@ def rig_diagnostics(
         name = scene.all_sensors[key].name
         why = "it sits loose, fires apart, or the model is torn there"
         notes.append(f"most sightings of camera {name} contradict the rig: {why}")
-    notes += [_late_note(scene, key, *late[key], tests[int(rig_of[key])]) for key in late]
+    notes += [_late_note(scene, key, *late[key], tests[int(rig_of[key])], key in torn) for key in late]
     for h in (scattered[h.sensor] for h in health):
         scatter = (
             f"against the rig by {h.place_m.scatter:.3f} m and {h.turn_deg.scatter:.2f} deg ({h.scatter_px:.1f} px), "
@@ -91,7 +91,8 @@ def rig_diagnostics(
         if not h.rigid(tuning.rig.diagnostics):
             moving.add(int(rig_of[h.sensor]))
             loose[h.sensor] = h.turn_deg.scatter
-            notes.append(f"camera {h.name} is not rigid or not synchronised: it scatters {scatter}")
+            why = "(not rigid, not synchronised, or the model is torn there)"
+            notes.append(f"camera {h.name} does not keep its place in the rig {why}: it scatters {scatter}")
         elif h.sure_ratio > tuning.rig.diagnostics.max_ratio:
             notes.append(f"camera {h.name} scatters {scatter}: too little to be seen, nothing is made of it")
     if len(loose) > 1:
@@ -124,12 +125,14 @@ def _late(
     return out
 
 
-def _late_note(scene: Scene, key: int, time: float, sigma: float, test: PriorTest) -> str:
+def _late_note(scene: Scene, key: int, time: float, sigma: float, test: PriorTest, torn: bool) -> str:
     unit, factor = ("ms", 1000.0) if test.system.timed else ("% of the frame interval", 100.0)
+    name = scene.all_sensors[key].name
+    name += ", where the model may be torn," if torn else " is not synchronised: it"
     return (
-        f"camera {scene.all_sensors[key].name} is not synchronised: it stands off its place in the rig along the "
-        f"motion, by up to {abs(time) * test.system.speed:.2f} m, as if it fired {factor * time:+.0f} +- "
-        f"{factor * sigma:.0f} {unit} after the first"
+        f"camera {name} stands off its place in the rig along the motion, by up to "
+        f"{abs(time) * test.system.speed:.2f} m, as if it fired {factor * time:+.0f} +- {factor * sigma:.0f} {unit} "
+        "after the first"
     )
 
 

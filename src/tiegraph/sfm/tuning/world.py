@@ -75,10 +75,14 @@ class MarkTuning(Section):
     """That many of the most often marked are asked."""
     min_to_refuse: int = Field(5, ge=4)
     """Control points, of which four tell which one is wrong."""
+    free_for_copy: int = Field(10, gt=0)
+    """Values less unknowns that count at most where copies are compared, for marks share the errors of a model: in the
+    right one they are off by a third of what they are in any other."""
     much_better: float = Field(3.0, ge=1)
     """Times the others agree without it."""
     refused_of: int = Field(3, gt=0)
-    """One in so many control points may be refused."""
+    """One in so many control points may be refused, and one in so many marks of a point unless the rest is beyond
+    chance."""
 
 
 class ScaleTuning(Section):
@@ -165,6 +169,9 @@ class SimilarityFitTuning(Section):
     """Control points among which a wrong one does not hide."""
     at_frame: float = Field(0.9, ge=0, le=1)
     """Weight of one frame in a fix, to compare orientations."""
+    looks_up_deg: float = Field(45.0, gt=0, lt=90)
+    """By which cameras look up on average that look at a ceiling, or down from a flight that is turned over: those at a
+    facade look up less."""
 
 
 class StatementTuning(Section):

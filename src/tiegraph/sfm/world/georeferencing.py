@@ -12,6 +12,7 @@ import pycolmap
 
 from tiegraph.geometry.align import Similarity
 from tiegraph.scene.colmapmodel import read_model
+from tiegraph.scene.evidence import CHANCE
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import image_poses, sim3d
 from tiegraph.sfm.settings import GeorefSettings
@@ -22,7 +23,7 @@ from tiegraph.sfm.world import worldadjust
 from tiegraph.sfm.world.bars import bars_in
 from tiegraph.sfm.world.fixes import Fixes, Measurements
 from tiegraph.sfm.world.georef import Georeference, HeldOut, applied_receiver, bar_rows, georeference, row_of_frames
-from tiegraph.sfm.world.marks import Target, as_copy, copy_of, marked, point_table, targets
+from tiegraph.sfm.world.marks import Target, as_copy, by_chance, copy_of, marked, point_table, targets
 from tiegraph.sfm.world.oneworld import ByPositions, OneWorld, one_world
 from tiegraph.sfm.world.scale import BARS
 from tiegraph.sfm.world.similarityfit import SimilarityFit
@@ -113,7 +114,7 @@ def georeference_folders(request: GeorefRequest, send: Callable[[Any], None]) ->
     """The models of ``folders`` in one world, as one model in ``target``; of that model, nothing is returned."""
     scene, settings, tuning, held = Scene.from_json(request.scene), request.settings, request.tuning, request.constant
     models = [read_model(folder) for folder in request.folders]
-    given = as_marked(models[0], scene, request.measurements, tuning.world)
+    given, unfit = as_marked(models[0], scene, request.measurements, tuning.world)
     nothing = VerifiedMatches(np.zeros((0, 2), int), (), {})
     verified = read_verified(request.database, scene, request.refused) if len(models) > 1 else nothing
     by_positions = ByPositions(
@@ -124,18 +125,28 @@ def georeference_folders(request: GeorefRequest, send: Callable[[Any], None]) ->
     assert made.model is not None
     request.target.mkdir(parents=True, exist_ok=True)
     made.model.write(str(request.target))
-    return replace(made, model=None)
+    return replace(made, model=None, contradictions=(*made.contradictions, *unfit))
 
 
-def as_marked(model: pycolmap.Reconstruction, scene: Scene, given: Measurements, tuning: WorldTuning) -> Measurements:
-    """The same with the marks of control points in the images of the survey, if they were made in copies of these."""
+def as_marked(
+    model: pycolmap.Reconstruction, scene: Scene, given: Measurements, tuning: WorldTuning
+) -> tuple[Measurements, tuple[str, ...]]:
+    """The same with the marks of control points in the images of the survey, if they were made in copies of these;
+    without control points whose marks are as good as random ones, and what is to be said of that."""
     control, bars = given.control, given.bars
     if control is None:
-        return given
+        return given, ()
     copy, note = copy_of(model, scene, control.marks, tuning.marks)
     marks, notes = as_copy(control.marks, scene, copy, tuning.marks), (*control.notes, *([note] if note else []))
     bars = bars and replace(bars, marks=as_copy(bars.marks, scene, copy, tuning.marks))
-    return replace(given, control=replace(control, marks=marks, notes=notes), bars=bars)
+    control = replace(control, marks=marks, notes=notes)
+    chance = by_chance(targets(model, scene, marks, len(control), tuning.marks), tuning.marks)
+    if chance > CHANCE:
+        text = f"no control point is used: the rays of marks set at random meet as well (chance {chance:.2g})"
+        return replace(given, control=None, bars=bars), (
+            f"{text}: pixels of other images, or images that were cropped?",
+        )
+    return replace(given, control=control, bars=bars), ()
 
 
 def _with(georeference: Georeference, note: str) -> Georeference:

@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 import pycolmap
 import scipy
+from scipy.special import chdtrc, comb
 
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity, umeyama
 from tiegraph.scene.control import Control, Marks
-from tiegraph.scene.evidence import LIMIT
-from tiegraph.scene.markpixels import AS_IS, LARGEST, Copy, lies_in, prepared_pixel
+from tiegraph.scene.evidence import CHANCE, LIMIT, fits_better
+from tiegraph.scene.markpixels import AS_IS, Copy, file_camera, lies_in, prepared_pixel
 from tiegraph.scene.rays import on_plane
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import matrix
@@ -31,8 +32,8 @@ _CE90, _LE90 = 2.146, 1.645  # 90 % of a two-dimensional and of a one-dimensiona
 @dataclass(frozen=True)
 class Target:
     """A marked point in a model: its place (3,), formal covariance (3, 3), model units; rows of its marks; residuals
-    (M, 2) pixels, model minus mark; why it cannot be used, "" if it can; ``blunder``: the
-    others contradict it."""
+    (M, 2) pixels, model minus mark; why it cannot be used, "" if it can; ``blunder``: the others contradict it;
+    ``chance``: that so many of its marks meet so well if all are set at random, at most."""
 
     place: np.ndarray
     covariance: np.ndarray
@@ -40,12 +41,22 @@ class Target:
     residual_px: np.ndarray
     why_not: str = ""
     blunder: bool = False
+    chance: float = 1.0
+
+
+def by_chance(found: Sequence[Target], tuning: MarkTuning) -> float:
+    """The chance that marks set at random meet as well as those of points (Fisher's method); 0 for so few points that
+    they place nothing by themselves."""
+    told = [t.chance for t in found if len(t.marks) > 1]
+    enough = len(told) >= tuning.min_for_copy
+    return float(chdtrc(2 * len(told), -2 * np.log(np.maximum(told, 1e-300)).sum())) if enough else 0.0
 
 
 def targets(model: pycolmap.Reconstruction, scene: Scene, marks: Marks, count: int, tuning: MarkTuning) -> list[Target]:
     """The ``count`` points of some marks in the model, in their order.
 
-    A mark farther than 20 px from where the others put the point is left out where three or more remain.
+    A mark farther than 20 px from where the others put the point is left out where two or more remain, and the point
+    with it where more than a third goes and what is left may meet by chance.
     """
     return [_target(seen, rows, tuning) for seen, rows in _rays(model, scene, marks, range(count), tuning)]
 
@@ -58,14 +69,15 @@ def _rays(
     sigma = mark_sigma(marks, tuning)
     for point in points:
         rows = np.array([r for r in np.flatnonzero(marks.point == point) if marks.image[r] in views], int)
-        yield [_Ray(view=views[marks.image[r]], xy=marks.xy_px[r], sigma_px=float(sigma[r])) for r in rows], rows
+        yield [_Ray(*views[marks.image[r]], xy=marks.xy_px[r], sigma_px=float(sigma[r])) for r in rows], rows
 
 
 def copy_of(model: pycolmap.Reconstruction, scene: Scene, marks: Marks, tuning: MarkTuning) -> tuple[Copy, str]:
     """The copy of the images that a file's marks were made in, with a note if that is not these images themselves.
 
-    Rays tell: another copy is believed where they meet ``much_better`` times as well as in any but its like. Pixels
-    of the copy count, for in a flight with parallel views rays meet at any size, only closer in larger copies.
+    Rays tell: another copy is believed where they meet better than chance would have it (``fits_better``) than in any
+    but its like. Pixels of the copy count, for in a flight with parallel views rays meet at any size, only closer in
+    larger copies.
     """
     if marks.file_px is None or marks.orientation is None:
         return AS_IS, ""
@@ -77,13 +89,17 @@ def copy_of(model: pycolmap.Reconstruction, scene: Scene, marks: Marks, tuning: 
     if _miss_px(model, scene, own, AS_IS, tuning) <= tuning.soft_px:
         unsure = _miss_px(model, scene, own, Copy(0.5), tuning) <= tuning.soft_px
         return AS_IS, _UNSURE if unsure else said if outside else ""
-    sizes = np.exp(np.arange(np.log(_SMALLEST), np.log(LARGEST if outside else 1.0) + _STEP / 2, _STEP))
+    cameras = [c for k in np.unique(own.image) if (c := file_camera(scene.sensor_of(int(k)))) is not None]
+    side = min((max(c.width, c.height) for c in cameras), default=1)
+    most = 2 * float(np.nanmax(marks.file_px)) / side if outside else 1.0  # marks reach the middle of their images
+    sizes = np.exp(np.arange(np.log(_SMALLEST), np.log(most) + _STEP / 2, _STEP))
     turned = (False, True) if np.any(own.orientation != 1) else (False,)
     tried = [AS_IS, *(c for t in turned for s in sizes if not (c := Copy(float(s), t)).like(AS_IS))]
     miss_px = np.array([_miss_px(model, scene, own, copy, tuning) for copy in tried])
     best = tried[int(np.argmin(miss_px))]
     others = miss_px[[not c.like(best) for c in tried]]
-    if best == AS_IS or not tuning.much_better * miss_px.min() < others.min():
+    free = min(2 * len(own) - 3 * len(np.unique(own.point)) - 1, tuning.free_for_copy)
+    if best == AS_IS or not fits_better(others.min(), miss_px.min(), free):
         return AS_IS, said if outside else ""
     near = [replace(best, size=float(best.size * f)) for f in np.linspace(1 - _STEP, 1 + _STEP, 41)]
     fine_px = [_miss_px(model, scene, own, copy, tuning) for copy in near]
@@ -127,21 +143,12 @@ def mark_sigma(marks: Marks, tuning: MarkTuning) -> np.ndarray:
 
 @dataclass(frozen=True)
 class _Ray:
-    """One mark: cam_from_world (4, 4) and camera of its image, pixel (2,), sigma."""
+    """One mark: cam_from_world (4, 4) and camera of its image (COLMAP's), pixel (2,), sigma."""
 
-    view: tuple[np.ndarray, Any]
+    pose: np.ndarray
+    camera: Any
     xy: np.ndarray
     sigma_px: float
-
-    @property
-    def pose(self) -> np.ndarray:
-        """cam_from_world (4, 4)."""
-        return self.view[0]
-
-    @property
-    def camera(self) -> Any:
-        """Of the image, COLMAP's."""
-        return self.view[1]
 
 
 def without_blunders(found: list[Target], control: Control, tuning: MarkTuning) -> list[Target]:
@@ -190,7 +197,9 @@ def _view(model: pycolmap.Reconstruction, name: str) -> tuple[np.ndarray, Any] |
     return matrix(image.cam_from_world()), image.camera
 
 
-def _target(seen: list[_Ray], rows: np.ndarray, tuning: MarkTuning) -> Target:
+def _target(seen: list[_Ray], rows: np.ndarray, tuning: MarkTuning, of: int = 0) -> Target:
+    """The point of some marks, which are left of ``of`` (0: they are all)."""
+    of = of or len(rows)
     nowhere = Target(
         place=np.full(3, np.nan),
         covariance=np.full((3, 3), np.nan),
@@ -201,35 +210,31 @@ def _target(seen: list[_Ray], rows: np.ndarray, tuning: MarkTuning) -> Target:
         return replace(nowhere, why_not=f"{len(rows)} marks in registered images, 2 are needed")
     solution = _meet(seen, tuning)
     residual = solution.fun.reshape(-1, 2) * np.array([[s.sigma_px] for s in seen])
-    if len(rows) > 2:
-        off = np.linalg.norm(residual, axis=1)
-        worst = int(np.argmax(off))
-        if off[worst] > tuning.max_mark_px:
-            keep = np.arange(len(rows)) != worst
-            return _target([s for k, s in enumerate(seen) if keep[k]], rows[keep], tuning)
-    place = solution.x
+    off = np.linalg.norm(residual, axis=1)
+    worst = int(np.argmax(off))
+    if len(rows) > 2 and off[worst] > tuning.max_mark_px:
+        return _target(seen[:worst] + seen[worst + 1 :], np.delete(rows, worst), tuning, of)
+    place, chance = solution.x, _chance(seen, float(off[worst]), of)
+    found = replace(nowhere, place=place, residual_px=residual, chance=chance)
     rays = np.array([place - transforms.centre(s.pose) for s in seen])
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     angle = float(np.degrees(np.arccos(np.clip((rays @ rays.T).min(), -1, 1))))
     if angle < tuning.min_angle_deg:
-        return Target(
-            place=place,
-            covariance=nowhere.covariance,
-            marks=rows,
-            residual_px=residual,
-            why_not=f"its rays meet at {angle:.1f} deg only",
-        )
-    if np.median(np.linalg.norm(residual, axis=1)) > tuning.max_mark_px:
-        worst_px = float(np.median(np.linalg.norm(residual, axis=1)))
-        return Target(
-            place=place,
-            covariance=nowhere.covariance,
-            marks=rows,
-            residual_px=residual,
-            why_not=f"its rays miss each other by {worst_px:.0f} px",
-        )
-    covariance = np.linalg.pinv(solution.jac.T @ solution.jac)
-    return Target(place=place, covariance=covariance, marks=rows, residual_px=residual)
+        return replace(found, why_not=f"its rays meet at {angle:.1f} deg only")
+    if np.median(off) > tuning.max_mark_px:
+        return replace(found, why_not=f"its rays miss each other by {np.median(off):.0f} px")
+    wrong = of - len(rows)
+    if wrong * tuning.refused_of > of and chance > CHANCE:
+        text = f"{wrong} of its {of} marks miss the others, whose rays may meet by chance ({chance:.2g})"
+        return replace(found, why_not=text)
+    return replace(found, covariance=np.linalg.pinv(solution.jac.T @ solution.jac))
+
+
+def _chance(seen: list[_Ray], off_px: float, of: int) -> float:
+    """At most, that so many of ``of`` marks set at random lie within ``off_px`` of one place in space: each beside the
+    first three coordinates within a band of twice that to either side."""
+    side = min(min(s.camera.width, s.camera.height) for s in seen)
+    return min(1.0, float(comb(of, len(seen))) * (4 * off_px / side) ** (2 * len(seen) - 3))
 
 
 def _meet(rays: list[_Ray], tuning: MarkTuning) -> Any:

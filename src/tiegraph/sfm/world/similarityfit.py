@@ -6,11 +6,10 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.special import fdtrc
 
-from tiegraph.geometry.align import rms_length, umeyama
+from tiegraph.geometry.align import Similarity, rms_length, umeyama
 from tiegraph.geometry.gravity import Up
-from tiegraph.scene.evidence import CHANCE, LIMIT
+from tiegraph.scene.evidence import LIMIT, RARELY, fits_better
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import frame_poses
 from tiegraph.sfm.settings import GeorefSettings
@@ -133,6 +132,7 @@ def fit_to_world(
     if min(frames, places) + len(points) < tuning.similarity_fit.min_positions:
         few = f"{frames} registered frames have a prior position"
         few += f" ({places} different ones)" if places < frames else ""
+        few += f" and {len(points)} control points can be used" if given.control is not None else ""
         return NotPlaced(f"{few}, {tuning.similarity_fit.min_positions} are needed")
     arm = _lever_arm(scene, settings, notes)
     about = _Given(model=model, scene=scene, settings=settings, measured=given, points=points, tuning=tuning)
@@ -156,7 +156,7 @@ def fit_to_world(
         up=up,
         points=points,
         notes=tuple(notes),
-        weighed=weighed,
+        weighed=replace(weighed, doubt=_looking_up(now, about)),
         model=model,
         tuning=tuning,
         clock=clock,
@@ -280,29 +280,60 @@ def _point_factor(place: np.ndarray, world: np.ndarray, sigma: np.ndarray, tunin
 def _mirrored(now: Fitted, about: _Given) -> str:
     """What is to be said where the positions fit clearly better with east and north exchanged: a mirror image; else "".
 
-    The ratio of the sums of squares in plan, over what either reading believes, is held against Fisher's distribution;
-    no more positions count than the least that speak, for errors of neighbours are alike. A straight track is its own
-    mirror image, so that nothing can be said of it.
+    By the errors in plan (``fits_better``), over what either reading believes. A straight track is its own mirror
+    image, so that nothing can be said of it.
     """
-    evidence, fit, tuning = now.evidence, now.fit, about.tuning
-    off = evidence.position_residuals(fit.similarity, fit.arm.place)
-    if np.median(np.linalg.norm(off, axis=1)) < tuning.fit.antenna_sigma_m:
+    off = now.evidence.position_residuals(now.fit.similarity, now.fit.arm.place)
+    if np.median(np.linalg.norm(off, axis=1)) < about.tuning.fit.antenna_sigma_m:
         return ""
+    rows, errors, _ = _exchanged(now, about)
+    first, second = (rms_length(r[:, :2]) for r in errors)
+    free = 2 * about.tuning.statements.least_positions - 4  # a similarity in plan has four unknowns
+    if not fits_better(first, second, free) or not _whole(now.evidence.frame[rows], about):
+        return ""
+    return (
+        f"the positions are a mirror image of the model: they miss it by {first:.2f} m in plan, with their first "
+        f"two coordinates exchanged by {second:.2f} m, {RARELY}: are latitude and longitude, "
+        "or north and east, exchanged in the GNSS file? They place nothing"
+    )
+
+
+def _exchanged(now: Fitted, about: _Given) -> tuple[np.ndarray, list[np.ndarray], Similarity]:
+    """The positions that either reading believes, (K,) bool; what they are off with their first two coordinates as they
+    are, and exchanged; where they place the model if exchanged."""
+    evidence, fit, tuning = now.evidence, now.fit, about.tuning
     stated, turn = np.concatenate([now.fixes.sigma, evidence.sigma[len(now.fixes) :]]), [1, 0, 2]
     turned = replace(evidence, position=evidence.position[:, turn], sigma=stated[:, turn])
     start = fit_similarity(turned, None, tuning.fit).similarity
-    other = believed(turned, replace(now.fixes, sigma=now.fixes.sigma[:, turn]), None, start, tuning)
-    rows = fit.inlier | other.fit.inlier
-    against = turned.position_residuals(other.fit.similarity, other.fit.arm.place)
-    sizes = [rms_length(r[rows, :2]) for r in (off, against)]
-    free = 2 * tuning.statements.least_positions - 4  # a similarity in plan has four unknowns
-    chance = fdtrc(free, free, (sizes[0] / max(sizes[1], 1e-12)) ** 2)
-    if chance > CHANCE or not _whole(evidence.frame[rows], about):
+    other = believed(turned, replace(now.fixes, sigma=now.fixes.sigma[:, turn]), None, start, tuning).fit
+    rows, both = fit.inlier | other.inlier, ((evidence, fit), (turned, other))
+    return rows, [e.position_residuals(f.similarity, f.arm.place)[rows] for e, f in both], other.similarity
+
+
+def _looking_up(now: Fitted, about: _Given) -> str:
+    """What is to be said where a receiver's positions make cameras look up and fit as well, with them looking down, if
+    two columns are exchanged: a flight at one height is its own mirror image turned over."""
+    steep, scene, fit = about.tuning.similarity_fit.looks_up_deg, about.scene, now.fit
+    axes = about.model.images[scene.of_role("side"), 2, :3]
+    axes = axes[np.isfinite(axes).all(axis=1)]
+
+    def up_deg(placed: Similarity) -> float:
+        return float(np.degrees(np.arcsin(np.clip(np.mean(axes @ placed.rotation[2]), -1, 1))))
+
+    oriented = np.isfinite(now.evidence.orientation).all(axis=(1, 2)).any()
+    if scene.prior not in ("gnss", "exif") or oriented or not len(axes) or not _whole(now.evidence.frame, about):
+        return ""
+    if up_deg(fit.similarity) - LIMIT * fit.sigma["tilt_deg"] < steep:
+        return ""
+    _, errors, other = _exchanged(now, about)
+    first, second = (rms_length(r) for r in errors)
+    if up_deg(other) > -steep or fits_better(second, first, 3 * about.tuning.statements.least_positions - 7):
         return ""
     return (
-        f"the positions are a mirror image of the model: they miss it by {sizes[0]:.2f} m in plan, with their first "
-        f"two coordinates exchanged by {sizes[1]:.2f} m, which chance does once in {1 / CHANCE:.0f} surveys at most: "
-        "are latitude and longitude, or north and east, exchanged in the GNSS file? They place nothing"
+        f"by the positions the cameras look up, by {up_deg(fit.similarity):.0f} deg on average (sigma "
+        f"{fit.sigma['tilt_deg']:.1f} deg); with their first two coordinates exchanged these fit as well ({first:.2f} "
+        f"and {second:.2f} m), and the cameras look down: if they did, latitude and longitude, or north and east, are "
+        "exchanged in the GNSS file (a mirror image)"
     )
 
 

@@ -40,6 +40,7 @@ def with_statements(found: Georeference, scene: Scene, model_sigma_m: float, tar
     if found.placing.weighed.why and not any(c.first.quantity == SCALE for c in worst):
         worst = [*worst, *_decided(said)]
     sentences = [c.text(_culprit(c, said, found)) for c in worst]
+    sentences += [found.placing.weighed.doubt] if found.placing.weighed.doubt else []
     known = found.uncertainty
     sigma = dict(known.sigma)
     wide = found.placing.weighed.scale_sigma

@@ -24,7 +24,8 @@ class EvidenceWeights:
     """The sources, which are used and why. ``scale_used``: sources of the scale; ``extra_m`` (3,): what is added to the
     positions' sigmas because another source says otherwise; ``scale_sigma``: to widen the scale's to, 0 = not at all;
     ``at`` (3,): the model point that places are compared at; ``why``: how the scale was decided, in words;
-    ``free_antenna``: no lever arm was given; ``name`` of the positions."""
+    ``free_antenna``: no lever arm was given; ``name`` of the positions; ``doubt``: what may be wrong with them all the
+    same, "" = nothing."""
 
     sources: tuple[Source, ...]
     scale_used: tuple[str, ...]
@@ -35,6 +36,7 @@ class EvidenceWeights:
     why: str = ""
     free_antenna: bool = False
     name: str = "positions"
+    doubt: str = ""
 
     @property
     def lengths_used(self) -> bool:
