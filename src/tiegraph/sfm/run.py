@@ -154,6 +154,8 @@ def _options(request: Request, free: bool) -> pycolmap.IncrementalPipelineOption
         min_num_matches=request.matches.least,
         min_model_size=request.tuning.mapping.min_model_images,
         extract_colors=False,
+        # An image by its matches alone: minutes for a rough model of previews that hold together nowhere.
+        structure_less_registration_fallback=not request.method.rough,
         ba_refine_focal_length=lens,
         ba_refine_extra_params=lens,
         constant_cameras=set(request.fixed.cameras),
