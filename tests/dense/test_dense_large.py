@@ -85,7 +85,7 @@ def test_strips_of_rows_give_the_bits_of_the_whole(monkeypatch):
 
     whole = made()
     for module in (consistency, dense_depth, undistort):
-        monkeypatch.setattr(module, "row_strips", lambda height, width, *_: row_strips(height, width, 7 * width))
+        monkeypatch.setattr(module, "row_strips", lambda shape, *_: row_strips(shape, 7 * shape[1]))
     for one, other in zip(whole, made(), strict=True):
         np.testing.assert_array_equal(one, other)
     assert np.isfinite(whole[3]).mean() > 0.8

@@ -22,6 +22,7 @@ from tiegraph.evaluate.survey import Products, evaluate_survey, pinhole_views
 from tiegraph.evaluate.tuning import Tuning
 from tiegraph.geometry import geodesy, transforms
 from tiegraph.geometry.geodesy import Origin
+from tiegraph.scene.cloudchunks import points_of
 from tiegraph.scene.registered import registration
 from tiegraph.scene.results import Cloud, Metric
 from tiegraph.scene.rig import Rig, Sensor
@@ -177,7 +178,8 @@ def made(
     scratch: Path | None = None,
 ) -> Products:
     images = registration(model, scene, RegisteredTuning())
-    return Products(model=model, images=images, cloud=cloud, origin=origin, scratch=scratch)
+    points = None if cloud is None else points_of(cloud.xyz_m)
+    return Products(model=model, images=images, cloud=points, origin=origin, scratch=scratch)
 
 
 def test_a_survey_is_evaluated_whole(tmp_path: Path) -> None:

@@ -213,7 +213,7 @@ def _points_of_map(name: str, maps: Maps, settings: CloudSettings) -> Iterator[M
     if depth is None:
         return
     rgb = np.zeros((*depth.depth_m.shape, 3), np.uint8) if maps.colours is None else maps.colours(name)
-    for rows in row_strips(*depth.depth_m.shape, _PIXELS):
+    for rows in row_strips(depth.depth_m.shape, _PIXELS):
         yield map_points(depth, rgb, settings, rows)
 
 

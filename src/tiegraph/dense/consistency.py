@@ -66,7 +66,7 @@ def check(
     is none. Where fewer images than ``min_views`` have the point in their frame all of them must agree, two at least,
     and one other depth map must say the same: ``views`` tells these points.
     """
-    rows = row_strips(*depth.depth_m.shape, _STRIP_PIXELS)
+    rows = row_strips(depth.depth_m.shape, _STRIP_PIXELS)
     strips = [_cut(depth, r) for r in rows]
     tallies = [_Tally.begin(strip) for strip in strips]
     unseen = set(partners)
@@ -82,15 +82,21 @@ def check(
             tallies[k] = tallies[k].heard(said, counted)
     mapless = [k for k, name in enumerate(partners) if name in unseen]
     judged = [_judged(*pair, mapless, settings.min_views, tuning) for pair in zip(strips, tallies, strict=True)]
-    joined = {name: np.concatenate([getattr(d, name) for d, _ in judged]) for name in ("depth_m", "sigma_m", "views")}
-    return replace(depth, support=None, **joined), Consistency.total(counts for _, counts in judged)
+    joined = replace(
+        depth,
+        depth_m=np.concatenate([d.depth_m for d, _ in judged]),
+        sigma_m=np.concatenate([d.sigma_m for d, _ in judged]),
+        views=np.concatenate([d.views for d, _ in judged]),
+        support=None,
+    )
+    return joined, Consistency.total(counts for _, counts in judged)
 
 
 def _cut(depth: DepthMap, rows: slice) -> DepthMap:
     """Some rows of a depth map; the camera stays that of the whole."""
     support = None if depth.support is None else depth.support[rows]
-    cut = {name: getattr(depth, name)[rows] for name in ("depth_m", "sigma_m", "views")}
-    return replace(depth, support=support, **cut)
+    own = depth.depth_m[rows], depth.sigma_m[rows], depth.views[rows]
+    return replace(depth, depth_m=own[0], sigma_m=own[1], views=own[2], support=support)
 
 
 def _judged(

@@ -55,7 +55,7 @@ def with_normals(depth: DepthMap, tuning: NormalTuning) -> DepthMap:
     found = 1 / depth.depth_m[np.isfinite(depth.depth_m)]
     middle = float(np.median(found.astype(float))) if len(found) else 1.0
     normal = np.empty((*depth.depth_m.shape, 3), np.float32)
-    for rows in row_strips(*depth.depth_m.shape):
+    for rows in row_strips(depth.depth_m.shape):
         normal[rows] = _normals(depth, rows, middle, tuning)
     return replace(depth, normal=normal)
 
@@ -88,7 +88,7 @@ class _Planes:
 
     def rows(self, rows: slice) -> _Planes:
         """Of some rows."""
-        return _Planes(self.a[rows], self.b[rows], self.c[rows], self.good[rows])
+        return _Planes(**{name: values[rows] for name, values in self.__dict__.items()})
 
 
 def _planes(known: np.ndarray, w: np.ndarray, tuning: NormalTuning) -> _Planes:

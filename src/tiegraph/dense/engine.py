@@ -210,7 +210,7 @@ def _warp(
 def _within_partner(disparity: np.ndarray, right_mask: np.ndarray, disparities: int) -> np.ndarray:
     """Disparities whose right pixel is a usable pixel of the partner."""
     known = np.isfinite(disparity)
-    for rows in row_strips(*disparity.shape):
+    for rows in row_strips(disparity.shape):
         column = np.arange(disparity.shape[1]) + disparities - np.rint(np.where(known[rows], disparity[rows], 0))
         column = np.clip(column.astype(np.int64), 0, right_mask.shape[1] - 1)
         known[rows] &= np.take_along_axis(right_mask[rows], column, axis=1)
@@ -228,7 +228,7 @@ def _to_reference(
     at = _resample(disparity, pair.rect_from_reference, shape, tuning.blend_px)
     found = Candidates.nothing(shape)
     u, margin = np.arange(shape[1]) + 0.5, tuning.range_margin
-    for rows in row_strips(*shape):
+    for rows in row_strips(shape):
         v = (np.arange(rows.start, rows.stop) + 0.5)[:, None]
         per_px = pair.inverse_depth_per_px(u, v)
         inverse = per_px * (at[rows] + pair.offset)

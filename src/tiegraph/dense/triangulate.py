@@ -70,7 +70,7 @@ def triangulate(candidates: Sequence[Candidates], tolerance_px: float, tuning: R
     count = candidates[0].inverse.size
     some = proposals(slice(None, None, max(1, count // tuning.sigma_samples)))
     sigma_px = disparity_sigma_px(*some, tolerance_px, tuning)
-    parts = row_strips(count, 1, _STRIP_PIXELS)
+    parts = row_strips((count, 1), _STRIP_PIXELS)
     found = [_solve(*proposals(pixels), tolerance_px, sigma_px, tuning) for pixels in parts]
     depth, sigma, support = (np.concatenate(part).reshape(shape) for part in zip(*found, strict=True))
     return Triangulation(inverse=depth, sigma=sigma, support=support, sigma_px=sigma_px)

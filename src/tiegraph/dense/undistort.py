@@ -110,7 +110,7 @@ def _maps(camera: CameraModel, pinhole: CameraModel, round_trip_px: float) -> tu
     """Original pixel coordinates x, y (H, W) f4 of each undistorted pixel, and which lie in the image (H, W) bool."""
     shape = pinhole.height, pinhole.width
     x, y, valid = np.empty(shape, np.float32), np.empty(shape, np.float32), np.empty(shape, bool)
-    for rows in row_strips(*shape):
+    for rows in row_strips(shape):
         x[rows], y[rows], valid[rows] = _map_rows(camera, pinhole, rows, round_trip_px)
     return x, y, valid
 

@@ -25,11 +25,13 @@ from tiegraph.evaluate.tuning import Tuning
 from tiegraph.geometry.align import Similarity
 from tiegraph.geometry.geodesy import ENU, Origin
 from tiegraph.scene.accuracy import Figure
-from tiegraph.scene.cloudchunks import Points, PointSource, open_cloud
+from tiegraph.scene.cloudchunks import PointSource, open_cloud
 from tiegraph.scene.colmapmodel import matrix
 from tiegraph.scene.registered import Registration
-from tiegraph.scene.results import Cloud, Metric
+from tiegraph.scene.results import Metric
 from tiegraph.scene.scene import Scene
+
+_SAMPLE = 4_000_000  # points of the cloud that are projected back: bounds memory
 
 
 @dataclass
@@ -49,7 +51,7 @@ class Products:
 
     model: Any
     images: Registration
-    cloud: Cloud | None
+    cloud: PointSource | None
     origin: Origin | None = None
     gsd_m: float | None = None
     scratch: Path | None = None
@@ -102,15 +104,15 @@ def evaluate_survey(
     )
     found.metrics.extend(registered_metrics(made.images))
     found.tables.update(registered_table(made.images, scene.image_label(), scene.section[scene.frame]))
-    if cloud is not None and len(cloud):
+    if cloud is not None:
         # Against its own points a camera model without depth maps says the same, and needs no reading of them.
-        result = backprojection_rmse(cloud, pinhole_views(made.model), tuning.points_tried)
+        result = backprojection_rmse(cloud.sample(_SAMPLE), pinhole_views(made.model), tuning.points_tried)
         found.metrics.extend(result.metrics())
         found.notes.append(backprojection.MEANING)
     share = float(made.images.registered.mean()) if len(scene) else 0.0
     trajectory = None if settings.reference is None else _trajectory(work, settings.reference, share)
     judged = alignment = None
-    if settings.reference_cloud is not None and cloud is not None and len(cloud):
+    if settings.reference_cloud is not None and cloud is not None:
         judged, alignment = _cloud(work, made, settings.reference_cloud, trajectory)
     if passes is not None:
         found.metrics.extend(passes.metrics())
@@ -198,8 +200,7 @@ def _cloud(
         truth, how = replace(truth, name=f"{truth.name} ({taken})"), f"{how}; {taken}, as the run's own files are"
     if source is not None and origin is not None:
         truth = truth.moved(lambda xyz: reference.to_world(xyz, source, origin))
-    own = PointSource("the cloud", lambda: iter([Points(cloud.xyz_m, cloud.sigma_m)]))
-    cameras = _cameras(work)
+    own, cameras = cloud, _cameras(work)
     if alignment is not None:
         own, cameras = own.moved(alignment), Cameras(alignment(cameras.centres), cameras.section)
     question = Question(distances_m=settings.distances_m, gsd_m=made.gsd_m, cameras=cameras, range_m=settings.range_m)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,8 @@ from tiegraph.pipeline.files import FINAL, checked, load_json, load_model, readi
 from tiegraph.pipeline.predicted import stated
 from tiegraph.project.run import Run, save_json
 from tiegraph.project.stages import Outcome, remove, write_atomic
-from tiegraph.scene.cloudfile import read_cloud
+from tiegraph.scene.cloudchunks import open_cloud
+from tiegraph.scene.cloudfile import shift_of
 from tiegraph.scene.measuredcloud import Measured, write_measured
 from tiegraph.scene.registered import registration
 from tiegraph.scene.scene import Scene
@@ -36,15 +38,16 @@ def evaluate(run: Run) -> Outcome:
     scene, settings = checked(run), run.settings.evaluate
     model = load_model(run.path("sparse", "world"))
     origin = world_origin(run)
-    cloud = None
-    if run.receipts.read("cloud").get("made"):  # else the images gave none
+    receipt, cloud = run.receipts.read("cloud"), None
+    counts = receipt.get("counts") or {}
+    if receipt.get("made") and counts.get("points"):  # else the images gave none
         with reading(run.path("cloud.laz")):
-            cloud = read_cloud(run.path("cloud.laz"), origin)
+            found = open_cloud(run.path("cloud.laz")).moved(lambda xyz: xyz - shift_of(origin))
+        cloud = replace(found, name="the cloud")
     world = load_json(run.path("world.json"))
     tuning = run.settings.tuning
     images = registration(model, scene, tuning.scene.registered)
     placed = origin if world["placed"] else None
-    counts = run.receipts.read("cloud").get("counts") or {}
     scratch = run.path("evaluate", ".tiles")
     remove(scratch)
     if settings.reference_cloud is not None:

@@ -38,7 +38,7 @@ class EffortTuning(Section):
     dense_px: float = Field(3200.0, gt=0)
     """... as `dense.max_image_size`: of a larger image only so much is worked on."""
     dense_bytes: float = Field(6.0, gt=0)
-    """Of a pixel that is matched: depth maps and cloud, three files; canal_demo 7.0, kerry_park, half of it placed, 0.5."""
+    """Of a matched pixel: depth maps and cloud, three files; canal_demo 7.0, kerry_park, half of it placed, 0.5."""
 
 
 class StationTuning(Section):
