@@ -33,7 +33,7 @@ from benchmarks.network.measure import run_tiegraph
 from tiegraph import papers
 from tiegraph.design.design import METHODS as PLUGGED
 from tiegraph.design.design import design
-from tiegraph.design.expected import expected_matches
+from tiegraph.design.matchprediction import expected_matches
 from tiegraph.design.settings import DesignSettings
 from tiegraph.design.tuning import ExpectedTuning, Tuning
 from tiegraph.errors import InputError, TiegraphError

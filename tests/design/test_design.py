@@ -11,7 +11,7 @@ from tiegraph import papers
 from tiegraph.design.coverage import coverage
 from tiegraph.design.design import METHODS as PLUGGED
 from tiegraph.design.design import design, with_coverage
-from tiegraph.design.expected import expected_matches
+from tiegraph.design.matchprediction import expected_matches
 from tiegraph.design.predict import Predictor
 from tiegraph.design.settings import DesignSettings
 from tiegraph.design.tracks import Candidates, Tracks

@@ -7,7 +7,7 @@ import pytest
 
 from boat_world import Result
 from network_steps import estimate_network
-from tiegraph.network.order import shown_order
+from tiegraph.network.candidates import shown_order
 from tiegraph.network.passes import MatchCache
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning

@@ -20,9 +20,9 @@ from tiegraph.sfm.mapper import Source, reconstruct
 from tiegraph.sfm.model import frame_poses, image_poses
 from tiegraph.sfm.run import Fixed, MappingResult, Matches, Method, Request, run_mapper
 from tiegraph.sfm.settings import SparseSettings
-from tiegraph.sfm.start.acceptance import refusal
 from tiegraph.sfm.start.pathscale import path_scale
 from tiegraph.sfm.start.poses import rig_of_poses, start_from
+from tiegraph.sfm.start.stagedadjustment import refusal
 from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.tuning.start import AcceptanceTuning, StartTuning
 from tiegraph.sfm.verified import read_verified

@@ -16,9 +16,8 @@ import numpy as np
 
 from tiegraph.design.cost import Cost
 from tiegraph.design.coverage import Coverage
-from tiegraph.design.expected import counted_matches, expected_matches
 from tiegraph.design.hybrid import Budget, Choice, choose
-from tiegraph.design.matchprediction import predict_matches, verified_chance
+from tiegraph.design.matchprediction import counted_matches, expected_matches, predict_matches, verified_chance
 from tiegraph.design.predict import Predictor
 from tiegraph.design.settings import DesignSettings
 from tiegraph.design.tracks import Candidates

@@ -11,11 +11,10 @@ import cv2
 import numpy as np
 
 from tiegraph.masks import appearance
-from tiegraph.masks.above import not_above
 from tiegraph.masks.appearance import Appearance
 from tiegraph.masks.classes import SKY, USE, WATER
 from tiegraph.masks.classification import Classifier
-from tiegraph.masks.labels import LabelJob, Labels, TriedJob, first_labels, second_labels, ties_of
+from tiegraph.masks.labels import LabelJob, Labels, TriedJob, first_labels, not_above, second_labels, ties_of
 from tiegraph.masks.matchability import Matchability, choose_pairs, pair_matchability
 from tiegraph.masks.platform import PlatformMask, different_frames, learn_platform
 from tiegraph.masks.proof import NONE, MatchCounts, cost, moves, white_ties, without_sky

@@ -12,7 +12,7 @@ _Count = Annotated[int, Field(gt=0)]
 
 
 class MatchabilityTuning(Section):
-    """What matches in neighbouring frames (`matchability.py`), and how near it is (`parallax.py`)."""
+    """What matches in neighbouring frames, and how near it is (`matchability.py`)."""
 
     most_pairs: int = Field(36, gt=0)
     """Pairs of neighbouring frames, of all cameras together, from which it is learnt what matches."""
@@ -228,7 +228,7 @@ class ClassificationTuning(Section):
 
 
 class AboveTuning(Section):
-    """Sky lies above what is not sky (`above.py`), at `frames.look_px`."""
+    """Sky lies above what is not sky (`labels.py`), at `frames.look_px`."""
 
     min_down: float = Field(0.25, ge=-1, le=1)
     """Of the length of all edges, what faces down more than up: 0.4 and more of skies, behind ragged trees too; 0.15

@@ -34,7 +34,7 @@ from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.papers.presets import COLMAP_ALONE
 from tiegraph.scene.pairs import REASONS, Pairs
-from tiegraph.scene.sampling import evenly
+from tiegraph.scene.sorting import evenly
 
 
 def difference_mask(a: np.ndarray, b: np.ndarray, threshold: int, tuning: Meguro2024Tuning) -> np.ndarray:

@@ -24,7 +24,7 @@ from tiegraph.scene.gcpwrite import gcp_csv, odm_text
 from tiegraph.scene.markpixels import prepared_pixel, source_pixel
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.world.marks import Target, targets
-from tiegraph.targets.predict import View, seen_in
+from tiegraph.targets.marks import View, seen_in
 
 _THREE = 3  # places, for a similarity
 _ALONG_LINE = 0.02  # of their length

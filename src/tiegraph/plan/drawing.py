@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from tiegraph.plan.figures import Station
 from tiegraph.plan.places import PathPlan
 from tiegraph.scene.figures import plain_text, png
-from tiegraph.scene.sampling import evenly
+from tiegraph.scene.sorting import evenly
 
 _DPI = 130
 _POINT, _INK = "#b8c0c8", "#2a3138"

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity
 from tiegraph.scene.graph import forest, parts
-from tiegraph.scene.sampling import evenly
+from tiegraph.scene.sorting import evenly
 from tiegraph.scene.tuning import JoiningTuning
 
 

@@ -16,9 +16,8 @@ from tiegraph.scene.rig import Rig, rig_from_dict, rig_to_dict
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.database import write_working_copy
 from tiegraph.sfm.solver import THREADS, factorised
-from tiegraph.sfm.start.acceptance import refusal
 from tiegraph.sfm.start.poses import largest_component, start_from
-from tiegraph.sfm.start.stagedadjustment import model_from
+from tiegraph.sfm.start.stagedadjustment import model_from, refusal
 from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.verified import read_verified
 

@@ -9,11 +9,14 @@ from dataclasses import dataclass, field
 import numpy as np
 import pycolmap
 
+from tiegraph.geometry import transforms
 from tiegraph.scene.control import TargetMark
+from tiegraph.scene.rays import on_plane
 from tiegraph.scene.targets.names import Target, count_of, families
 from tiegraph.targets.detect import Seen, centre_of
 from tiegraph.targets.tuning import Tuning
 
+_SAME = 1e-3  # on the plane z = 1, between a ray and the way there and back: lenses fold beyond their images
 _SHOWN = 4
 OTHERS = (
     "apriltag_16h5", "apriltag_25h9", "apriltag_36h10", "apriltag_36h11",
@@ -104,3 +107,30 @@ def likely_family(seen: Sequence[Seen]) -> str:
         fits = [n for n in families() if n.startswith(f"{size}_") and count_of(n) > largest]
         family = min(fits, key=count_of)
     return f"{Target(family, largest).name.partition(':')[0]} (seen {number} times)"
+
+
+@dataclass(frozen=True)
+class View:
+    """A posed image: cam_from_world (4, 4), camera."""
+
+    pose: np.ndarray
+    camera: pycolmap.Camera
+
+
+def seen_in(views: Mapping[int, View], place: np.ndarray) -> dict[int, tuple[float, float]]:
+    """Pixels at which images, by index, see a place (3,), the most central first; what hides it is not asked for."""
+    found = {}
+    for k, view in views.items():
+        there = transforms.apply(view.pose, place[None])[0]
+        if not np.isfinite(there).all() or there[2] <= 0:
+            continue
+        xy = view.camera.img_from_cam(there)
+        if xy is None or not np.isfinite(xy).all():
+            continue
+        size = np.array([view.camera.width, view.camera.height])
+        inside = ((np.ravel(xy) >= 0) & (np.ravel(xy) <= size)).all()
+        if inside and np.abs(on_plane(view.camera, np.ravel(xy)[None])[0] - there[:2] / there[2]).max() < _SAME:
+            found[k] = (float(xy[0]), float(xy[1]))
+    middle = {k: np.linalg.norm(np.array(xy) / (views[k].camera.width, views[k].camera.height) - 0.5)
+              for k, xy in found.items()}  # fmt: skip
+    return dict(sorted(found.items(), key=lambda item: (round(float(middle[item[0]]), 6), item[0])))

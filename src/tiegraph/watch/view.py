@@ -9,7 +9,7 @@ import numpy as np
 
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import robust_umeyama
-from tiegraph.geometry.levelled import levelled
+from tiegraph.geometry.gravity import levelled
 from tiegraph.scene.matches import PreviewMatches
 from tiegraph.scene.scene import Scene
 

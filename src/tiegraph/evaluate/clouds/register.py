@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from tiegraph.evaluate.tuning import RegistrationTuning
 from tiegraph.geometry.align import Similarity
-from tiegraph.geometry.coarse.start import Start, start_of
+from tiegraph.geometry.coarse.consistent import Start, start_of
 from tiegraph.geometry.placement import PlacementError
 from tiegraph.scene.cloudchunks import PointSource
 

@@ -14,7 +14,7 @@ import numpy as np
 from tiegraph.network.passes import MatchCache
 from tiegraph.network.scorematrix import ScoreMatrix
 from tiegraph.network.tuning.retrieval import CopiesTuning
-from tiegraph.scene.sampling import evenly
+from tiegraph.scene.sorting import evenly
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ from tiegraph.network.tuning import CountsTuning, Tuning
 from tiegraph.network.tuning.retrieval import CopiesTuning
 from tiegraph.network.tuning.rig import RigTuning
 from tiegraph.scene.pairs import REASONS, Pairs
-from tiegraph.scene.sampling import evenly
+from tiegraph.scene.sorting import evenly
 
 log = logging.getLogger(__name__)
 

@@ -24,8 +24,8 @@ from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.network.tuning.rig import AxesTuning, CheckTuning
 from tiegraph.scene.rig import Rig
-from tiegraph.scene.sampling import evenly
 from tiegraph.scene.scene import Scene
+from tiegraph.scene.sorting import evenly
 
 log = logging.getLogger(__name__)
 

@@ -17,7 +17,7 @@ from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.network.tuning.rig import AxesTuning, SynchronisationTuning
 from tiegraph.scene.rig import Rig
-from tiegraph.scene.sampling import evenly
+from tiegraph.scene.sorting import evenly
 
 NAMED = 8  # passes told of one by one
 

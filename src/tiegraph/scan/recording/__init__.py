@@ -3,7 +3,7 @@
 A ``Recording`` names one film (``recording``): a file, a track of one, or a topic of a bag.
 ``tracks`` reads the tables of an MP4 file, and shows OpenCV one video track of several: its FFmpeg takes the first and
 knows no other (``CAP_PROP_VIDEO_STREAM`` is refused), but reads from a Python stream, in which the other tracks are
-named free space. GoPro's telemetry is a track of key, length, value (``klv``, ``gpmf``), Insta360's a trailer behind
+named free space. GoPro's telemetry is a track of key, length, value (``gpmf``), Insta360's a trailer behind
 the last box (``insta360``). Both end as ``Fixes``, positions by the stamps of the video. What the factory measured of
 the lenses of an Insta360 is a string of numbers (``factory``).
 

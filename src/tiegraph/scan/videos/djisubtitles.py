@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tiegraph.scene.exifwrite import Taken
+from tiegraph.scene.exif import Taken
 from tiegraph.scene.regular import regular
 
 _SPAN = re.compile(r"(\d+):(\d\d):(\d\d)[,.](\d{1,3})\s*-->")

@@ -18,7 +18,7 @@ from tiegraph.scan.recording.tracks import boxes
 from tiegraph.scan.settings import ScanSettings, VideoOffsets, video_offsets
 from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scan.videos.djisubtitles import read_subtitles, subtitles_of
-from tiegraph.scene.exifwrite import Taken
+from tiegraph.scene.exif import Taken
 from tiegraph.scene.gpstime import DAY_S
 from tiegraph.scene.names import clean
 from tiegraph.scene.regular import regular

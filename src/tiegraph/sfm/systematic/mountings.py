@@ -10,7 +10,7 @@ import pycolmap
 from scipy import sparse
 
 from tiegraph.geometry.transforms import skew
-from tiegraph.scene.sampling import evenly
+from tiegraph.scene.sorting import evenly
 from tiegraph.sfm.adjustment.jacobians import System, frame_pose
 from tiegraph.sfm.systematic.effects import RIDGE, Effect, EffectWeights, Score, posterior
 from tiegraph.sfm.tuning import SharedErrorTuning

@@ -54,7 +54,7 @@ class StagedTuning(Section):
 
 
 class AcceptanceTuning(Section):
-    """Whether a model that started from rough poses is good enough (`acceptance.py`).
+    """Whether a model that started from rough poses is good enough (`stagedadjustment.py`).
 
     Measured on models that are right to some centimetres (canal, canal_demo, PandaSet, KITTI, Herz-Jesus-P25,
     oppaiyama, fountain-P11): 0.957 to 1.000 of the pairs agree, 0.97 to 1.00 of the tied images see points, 0.20 to
