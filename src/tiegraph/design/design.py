@@ -83,7 +83,7 @@ def design(
     """
     if takes_all(settings, cost, tuning.cost) or not (pairs.dropped == 0).any():
         return _all_of(pairs, settings, cost, tuning)
-    expected = expected_matches(pairs, ties, tuning.expected)
+    expected = expected_matches(pairs, ties, tuning.match_prediction)
     if settings.method not in _OWN:
         return _by_method(pairs, scene, expected, settings)
     kept = _kept(pairs, expected, ties, visibility, tuning)

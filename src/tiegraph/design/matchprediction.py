@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from tiegraph.design.tuning import ExpectedTuning, MatchPredictionTuning
+from tiegraph.design.tuning import MatchPredictionTuning
 from tiegraph.scene.matches import PreviewMatches, Visibility
 from tiegraph.scene.pairs import Pairs
 
@@ -199,7 +199,7 @@ def _uniform(point: np.ndarray, a: int | np.ndarray, b: int | np.ndarray) -> np.
     return (x >> np.uint64(11)).astype(np.float64) / float(1 << 53)
 
 
-def expected_matches(pairs: Pairs, ties: PreviewMatches | None, tuning: ExpectedTuning) -> np.ndarray:
+def expected_matches(pairs: Pairs, ties: PreviewMatches | None, tuning: MatchPredictionTuning) -> np.ndarray:
     """(P,) preview matches of each pair, measured or expected, at least 1.
 
     Counted matches first; else the score; else what previewed pairs of that predicted overlap have on average (a
@@ -233,7 +233,7 @@ class _Curve:
         return np.where(np.isnan(overlap), np.nan, value)
 
 
-def _overlap_curve(overlap: np.ndarray, measured: np.ndarray, tuning: ExpectedTuning) -> _Curve:
+def _overlap_curve(overlap: np.ndarray, measured: np.ndarray, tuning: MatchPredictionTuning) -> _Curve:
     both = np.isfinite(overlap) & np.isfinite(measured)
     bins = min(tuning.bins, int(both.sum()) // tuning.least_a_bin)
     if bins < 1:

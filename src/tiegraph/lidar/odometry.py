@@ -77,6 +77,6 @@ def _engine(far_m: float, tuning: Tuning) -> Any:
         ) from None
     config = KISSConfig()
     config.data.max_range, config.data.min_range, config.data.deskew = far_m, 0.0, True
-    config.mapping.voxel_size = far_m * tuning.odometry.voxel_share
+    config.mapping.voxel_size = far_m * tuning.scan.voxel_share
     config.registration.max_num_threads = 1
     return KissICP(config)

@@ -24,7 +24,7 @@ from tiegraph.masks.proof import NONE, MatchCounts, matches_in
 from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.skyline import border_sky, textureless_sky
 from tiegraph.masks.tuning import Tuning
-from tiegraph.masks.tuning_learnt import AboveTuning, LabelTuning
+from tiegraph.masks.tuning_learnt import LabelTuning
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Edges:
         return Edges(self.down + other.down, self.length + other.length)
 
 
-def edges_of(sky: np.ndarray, told: np.ndarray, tuning: AboveTuning) -> Edges:
+def edges_of(sky: np.ndarray, told: np.ndarray, tuning: LabelTuning) -> Edges:
     """Edges of a sky (h, w) bool where it is ``told`` from the scene, (h, w) bool: not at the platform, nor at the row
     below which no sky is sought."""
     down, right = np.gradient(-cv2.GaussianBlur(sky.astype(np.float32), (0, 0), tuning.blur_sigma_px))
@@ -47,7 +47,7 @@ def edges_of(sky: np.ndarray, told: np.ndarray, tuning: AboveTuning) -> Edges:
     return Edges(float(down[inner].sum()), float(np.hypot(down, right)[inner].sum()))
 
 
-def not_above(edges: Mapping[int, Iterable[Edges]], tuning: AboveTuning) -> set[int]:
+def not_above(edges: Mapping[int, Iterable[Edges]], tuning: LabelTuning) -> set[int]:
     """The cameras whose sky is none, as it does not lie above the rest: those of all level cameras are judged together.
 
     ``edges``: of the images of each level camera, whose tops are up to within some 45 degrees; a camera that looks up

@@ -156,7 +156,7 @@ def _refuted(jobs: Sequence[LabelJob], seeds: Sequence[Labels], upward: set[int]
     """The cameras whose sky is refuted, and by what."""
     cameras = {job.camera for job in jobs}
     near = without_sky({k: sum(_of(k, jobs, [s.matches for s in seeds]), NONE) for k in cameras}, tuning.proof)
-    anywhere = not_above({k: _of(k, jobs, [s.edges for s in seeds]) for k in cameras - upward}, tuning.above)
+    anywhere = not_above({k: _of(k, jobs, [s.edges for s in seeds]) for k in cameras - upward}, tuning.labels)
     return dict.fromkeys(anywhere, _NOT_ABOVE) | dict.fromkeys(near, _NEAR)
 
 

@@ -65,9 +65,8 @@ def forecast(run: Run) -> Forecast | None:
         return None
     megapixels = np.prod(sizes, axis=1) / 1e6
     most = most_features(megapixels, run.settings.features.max_features, run.settings.tuning.features.sift)
-    tuning = EffortTuning(most_features=float(most.mean()))
     count = len(found.names)
-    cost = effort((sizes * (count // len(sizes) + 1))[:count], 1, 0.0, None, tuning)
+    cost = effort((sizes * (count // len(sizes) + 1))[:count], 1, 0.0, None, float(most.mean()), EffortTuning())
     where = next(p for p in (run.folder, *run.folder.parents) if p.exists())
     return Forecast(cost, _size(run.folder), shutil.disk_usage(where).free)
 

@@ -32,12 +32,17 @@ class Effort:
 
 
 def effort(
-    sizes: list[tuple[int, int]], frames: int, way_m: float, speed_m_s: float | None, tuning: EffortTuning
+    sizes: list[tuple[int, int]],
+    frames: int,
+    way_m: float,
+    speed_m_s: float | None,
+    most_features: float,
+    tuning: EffortTuning,
 ) -> Effort:
-    """Cost of so many frames of cameras of these sizes (width, height), pixels."""
+    """Cost of so many frames of cameras of these sizes (width, height), pixels, which keep so many features at most."""
     pixels = frames * sum(width * height for width, height in sizes)
     images, megapixels = frames * len(sizes), pixels / 1e6
-    each = (min(tuning.features_a_megapixel * w * h / 1e6, tuning.most_features) for w, h in sizes)
+    each = (min(tuning.features_a_megapixel * w * h / 1e6, most_features) for w, h in sizes)
     features = frames * sum(each)
     return Effort(
         images=images,

@@ -76,8 +76,11 @@ class Plan:
         return out
 
 
-def make_plan(request: PlanRequest, rigged: Rigged, by: Propagate, tuning: Tuning) -> Plan:
-    """The plan. ``by``: the covariance of an adjusted model. Raises InputError for what makes no survey."""
+def make_plan(request: PlanRequest, rigged: Rigged, by: Propagate, most_features: int, tuning: Tuning) -> Plan:
+    """The plan. ``by``: the covariance of an adjusted model; an image keeps ``most_features``.
+
+    Raises InputError for what makes no survey.
+    """
     shape = request.path.shape
     camera = rigged.cameras[0].camera
     lens = Lens(camera.mean_focal_length(), (camera.width, camera.height), along=1 if shape == "grid" else 0)
@@ -90,7 +93,7 @@ def make_plan(request: PlanRequest, rigged: Rigged, by: Propagate, tuning: Tunin
         return plan
     if len(stations) > 1:
         raise InputError(f"--shape {shape} is of one distance and base: {len(stations)} are given")
-    return _with_path(plan, request, rigged, by, tuning)
+    return _with_path(plan, request, rigged, by, most_features, tuning)
 
 
 def _sweep(
@@ -110,7 +113,9 @@ def _sweep(
     return tuple(groups), said
 
 
-def _with_path(plan: Plan, request: PlanRequest, rigged: Rigged, by: Propagate, tuning: Tuning) -> Plan:
+def _with_path(
+    plan: Plan, request: PlanRequest, rigged: Rigged, by: Propagate, most_features: int, tuning: Tuning
+) -> Plan:
     asked, world, made = request.path, request.world, plan.stations[0]
     if asked.passes is not None and (asked.passes not in (1, 2) or asked.shape not in _WAYS):
         raise InputError(f"--passes {asked.passes}: 1 or 2, of {', '.join(_WAYS)}; other shapes have rows or rings")
@@ -135,7 +140,7 @@ def _with_path(plan: Plan, request: PlanRequest, rigged: Rigged, by: Propagate, 
     path = make_path(course, tuning.path)
     found = plan_path(path, rigged.cameras, by, told, (Ties(world.tie_px, world.ties), relief), tuning)
     sizes = [(c.camera.width, c.camera.height) for c in rigged.cameras]
-    cost = effort(sizes, len(path), path.length_m, request.images.speed, tuning.effort)
+    cost = effort(sizes, len(path), path.length_m, request.images.speed, most_features, tuning.effort)
     facts = {"shape": course.shape, "distance_m": course.distance_m, "length_m": course.length_m}
     said = (*plan.advice, *found.advice)
     return replace(plan, advice=said, path=found, effort=cost, anchor=anchor, shape=facts)

@@ -105,7 +105,7 @@ def assign(
     cameras = preset_sizes(rig, tuning.rig) if rig else ()
     exif, sizes = usable.facts()
     kind = usable.layout(settings)
-    layout = band_layout(usable.names, exif, kind, tuning.bands) or guess_layout(
+    layout = band_layout(usable.names, exif, kind, tuning.frames) or guess_layout(
         usable.names, exif, sizes, kind, tuning.folders, cameras
     )
     if layout.folders == ("",) and not layout.loose and kind == "auto" and len(_lenses(usable)) > 1:

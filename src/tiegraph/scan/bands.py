@@ -17,7 +17,7 @@ import numpy as np
 from tiegraph.geometry.transforms import rigid
 from tiegraph.scan.folders import Layout, Order, Place, is_pattern, natural, pass_names
 from tiegraph.scan.rigfiles.rigspec import RigSpec, SensorSpec
-from tiegraph.scan.tuning import BandsTuning
+from tiegraph.scan.tuning import FramesTuning
 from tiegraph.scene.exif import Exif
 from tiegraph.scene.xmp import relative_rotation
 
@@ -28,7 +28,7 @@ _MARK = re.compile(r"(?i)^(.+)_((?:MS_)?[a-z]+|\d{1,2})$")
 _MICASENSE = re.compile(r"(?i)^IMG_\d{4}_\d{1,2}$")
 
 
-def band_layout(names: Sequence[str], exif: Sequence[Exif], kind: str, tuning: BandsTuning) -> Layout | None:
+def band_layout(names: Sequence[str], exif: Sequence[Exif], kind: str, tuning: FramesTuning) -> Layout | None:
     """The layout of images whose names end in marks of bands; None if they do not. ``kind`` is ScanSettings.layout.
 
     Marks are names of bands; or numbers, where the files themselves or MicaSense's way of naming say that these are

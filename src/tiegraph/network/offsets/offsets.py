@@ -80,7 +80,7 @@ def _local_offsets(
 ) -> list[OffsetResult]:
     """Of each couple of passes, within a budget of previews."""
     offsets, parts = tuning.offsets, []
-    budget = len(cache) + max(offsets.min_budget, offsets.previews_an_image * images)
+    budget = len(cache) + max(offsets.min_budget, tuning.previews_an_image * images)
     strides = {id(p): _stride(p, cache, settings, tuning) for p in passes}
     for k, (p, q) in enumerate(pass_pairs):
         share = max(0, budget - len(cache)) // (len(pass_pairs) - k)

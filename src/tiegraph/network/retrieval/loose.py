@@ -116,7 +116,7 @@ def _propagated(nodes: _Nodes, cache: MatchCache, min_matches: int, tuning: Tuni
     """Numbers of the node pairs that were previewed: look-alikes and neighbours by name first, then, while previews
     hit and the budget lasts, neighbours of neighbours; images with few ties go further down their list."""
     count, loose, sure = len(nodes), tuning.retrieval.loose, tuning.retrieval.sure_alike * min_matches
-    budget = loose.previews_an_image * count
+    budget = tuning.previews_an_image * count
     if nodes.words is None:
         budget = max(loose.blind_budget, int(loose.blind_share * count * (count - 1) / 2))
     rng = np.random.default_rng(0)

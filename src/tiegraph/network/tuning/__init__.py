@@ -27,7 +27,7 @@ class CountsTuning(Section):
 
 
 class OrderTuning(Section):
-    """Whether a pass is a sequence (`cameraorder.py`)."""
+    """Whether a pass is a sequence (`candidates.py`)."""
 
     sample: int = Field(40, gt=0)
     """Pairs of neighbours, and of images half a pass apart, that are previewed."""
@@ -53,6 +53,9 @@ class SourcesTuning(Section):
 class Tuning(Section):
     """Constants of the engine that are the same for every user."""
 
+    previews_an_image: int = Field(25, ge=0)
+    """The most that frame offsets may take, and that more than `retrieval.loose.all_limit` loose photographs may:
+    linear in the number of images."""
     counts: CountsTuning = Field(default_factory=CountsTuning)
     """Match counts of previews."""
     order: OrderTuning = Field(default_factory=OrderTuning)

@@ -119,7 +119,7 @@ def refusal(
     model: pycolmap.Reconstruction, scene: Scene, verified: VerifiedMatches, piece: np.ndarray, tuning: Tuning
 ) -> str:
     """Why the model of a ``piece`` (N,) bool of the images is not good enough; "" if it is."""
-    gate = tuning.start.acceptance
+    gate = tuning.start.staged
     own = {k + 1: s.camera for k, s in enumerate(scene.all_sensors) if s.camera is not None}
     lens = impossible_camera(own, model.cameras, set(own) & set(model.cameras), tuning.adjust)
     if lens is not None:

@@ -47,7 +47,8 @@ class DeriveTuning(Section):
 
 
 class SupportTuning(Section):
-    """Sensors with too few ties, and the model's units by what is given (`support.py`)."""
+    """Sensors with too few ties, and the model's units by what is given (`support.py`), where positions tell as much as
+    `sfm.start.scale` asks of them."""
 
     min_ties: int = Field(2, gt=0)
     """Verified pairs of an image that count as support."""
@@ -55,14 +56,8 @@ class SupportTuning(Section):
     """Of a sensor's images, that must have them."""
     position_sigmas: float = Field(10.0, gt=0)
     """So many of their sigmas apart are two positions whose distance tells the scale."""
-    least_sigma_m: float = Field(0.01, gt=0)
-    """Sigma of two positions together at least, for that."""
-    least_positions: int = Field(3, gt=1)
-    """Positions below which the scale is not asked of them."""
     pairs: int = Field(2000, gt=0)
     """Of positions that are compared, drawn at random."""
-    least_pairs: int = Field(10, gt=0)
-    """Of these that are far enough apart, to tell the scale."""
 
 
 class DiagnosticsTuning(Section):
