@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from masks_world import write
-from tiegraph.masks.classes import SKY, USE
+from tiegraph.masks import SKY, USE
 from tiegraph.masks.classification import classes_of
 from tiegraph.masks.labels import Edges, edges_of, not_above
 from tiegraph.masks.learnt import learn

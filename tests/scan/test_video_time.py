@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tiegraph.scan.recording.recording import Recording
+from tiegraph.scan.recording import Recording
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scan.videos.djisubtitles import read_subtitles

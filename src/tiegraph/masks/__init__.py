@@ -31,3 +31,8 @@ nothing; cameras of the role ``up`` are not tested. Wires and tree tops do not r
 dense as a fifth of the matches of a surface, and overexposed areas that match so densely are used. The receipt says
 which share of the verified matches the masks cost.
 """
+
+USE, SKY, WATER, EGO, OVEREXPOSED = range(5)
+"""The classes a mask can tell apart; what is written to disk is only used or not."""
+NAMES = ("used", "sky", "water", "platform", "overexposed")
+"""Names by number, for tables."""

@@ -11,8 +11,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from tiegraph.masks import EGO, OVEREXPOSED, SKY, USE, WATER
 from tiegraph.masks.appearance import Appearance, bins
-from tiegraph.masks.classes import EGO, OVEREXPOSED, SKY, USE, WATER
 from tiegraph.masks.frames import grey, read_small, small_shape
 from tiegraph.masks.morphology import dilated, eroded, opened, scaled
 from tiegraph.masks.settings import MasksSettings

@@ -14,8 +14,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from tiegraph.masks import EGO, SKY, USE, WATER
 from tiegraph.masks.appearance import bins
-from tiegraph.masks.classes import EGO, SKY, USE, WATER
 from tiegraph.masks.classification import Classifier, classify, sought
 from tiegraph.masks.frames import grey, read_small
 from tiegraph.masks.matchability import Matchability

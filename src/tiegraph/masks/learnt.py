@@ -10,9 +10,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from tiegraph.masks import appearance
+from tiegraph.masks import SKY, USE, WATER, appearance
 from tiegraph.masks.appearance import Appearance
-from tiegraph.masks.classes import SKY, USE, WATER
 from tiegraph.masks.classification import Classifier
 from tiegraph.masks.labels import LabelJob, Labels, TriedJob, first_labels, not_above, second_labels, ties_of
 from tiegraph.masks.matchability import Matchability, choose_pairs, pair_matchability

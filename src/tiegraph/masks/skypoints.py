@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pycolmap
 
-from tiegraph.masks.classes import SKY, USE
+from tiegraph.masks import SKY, USE
 from tiegraph.masks.tuning import SkyPointsTuning
 
 

@@ -14,7 +14,7 @@ import numpy as np
 import pycolmap
 from scipy.spatial import cKDTree
 
-from tiegraph.masks.classes import EGO, SKY, USE, WATER
+from tiegraph.masks import EGO, SKY, USE, WATER
 from tiegraph.masks.tuning import WaterlineTuning
 from tiegraph.scene.rays import pixel_rays
 

@@ -10,7 +10,7 @@ import pycolmap
 from scipy.spatial import cKDTree
 
 from tiegraph.geometry.gravity import up_vector
-from tiegraph.masks.classes import NAMES, USE, WATER
+from tiegraph.masks import NAMES, USE, WATER
 from tiegraph.masks.frames import full_size
 from tiegraph.masks.skypoints import places, without_points
 from tiegraph.masks.tuning import Tuning

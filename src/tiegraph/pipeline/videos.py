@@ -12,7 +12,7 @@ import numpy as np
 from tiegraph.errors import InputError
 from tiegraph.pipeline.foundrig import rig_of_run
 from tiegraph.project.run import Run
-from tiegraph.scan.recording.recording import Recording
+from tiegraph.scan.recording import Recording
 from tiegraph.scan.rigfiles.cameraread import FoundCamera
 from tiegraph.scan.settings import ScanSettings, video_offsets
 from tiegraph.scan.tuning import OffsetTuning, PicturesTuning, Tuning

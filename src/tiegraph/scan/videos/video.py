@@ -21,7 +21,7 @@ import cv2
 import numpy as np
 
 from tiegraph.scan.prepare import write_pixels
-from tiegraph.scan.recording.recording import Recording
+from tiegraph.scan.recording import Recording
 from tiegraph.scan.recording.tracks import VIDEO, OneVideoTrack, tracks
 from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scan.videos.bagfilms import BagFilm, open_topic
