@@ -129,9 +129,9 @@ def _kept(
     i, j, strength = pairs.i[row], pairs.j[row], expected[row]
     if visibility is None:
         return _Kept(row=row, i=i, j=j, strength=strength, known=ties)
-    seen = predict_matches(i, j, counted_matches(pairs, ties)[row], visibility, tuning.match_prediction)
-    strength = np.where(np.isfinite(seen.expected), seen.expected, strength)
-    return _Kept(row=row, i=i, j=j, strength=strength, known=seen.matches)
+    expected, known = predict_matches(i, j, counted_matches(pairs, ties)[row], visibility, tuning.match_prediction)
+    strength = np.where(np.isfinite(expected), expected, strength)
+    return _Kept(row=row, i=i, j=j, strength=strength, known=known)
 
 
 def _chosen(kept: _Kept, start: np.ndarray, scene: Scene, settings: DesignSettings, tuning: Tuning) -> Choice:

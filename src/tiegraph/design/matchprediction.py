@@ -21,14 +21,6 @@ _MIX = (np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9), np.uint64(
 
 
 @dataclass(frozen=True)
-class PredictedMatches:
-    """``expected`` (P,) preview matches of the pairs, NaN without a common point, and the ties of the others."""
-
-    expected: np.ndarray
-    matches: PreviewMatches
-
-
-@dataclass(frozen=True)
 class _Law:
     """Matches of a preview = by_chance + rate * sum over common points of exp(-(angle / a)^2 - (octaves / o)^2)."""
 
@@ -49,7 +41,7 @@ def verified_chance(expected: np.ndarray, tuning: MatchPredictionTuning) -> np.n
 
 def predict_matches(
     i: np.ndarray, j: np.ndarray, measured: np.ndarray, visibility: Visibility, tuning: MatchPredictionTuning
-) -> PredictedMatches:
+) -> tuple[np.ndarray, PreviewMatches]:
     """Ties and expected matches of pairs i < j (P,); ``measured`` (P,) preview matches, NaN = not previewed.
 
     Which of the common points match is drawn at random, with the chance of each point, and always in the same way.
@@ -77,7 +69,7 @@ def predict_matches(
     order = by_image[np.isfinite(expected[by_image])]
     start = np.concatenate([[0], np.cumsum(count[order])])
     ties = PreviewMatches(i=i[order], j=j[order], start=start, matches=np.concatenate(matches))
-    return PredictedMatches(expected, ties)
+    return expected, ties
 
 
 @dataclass(frozen=True)

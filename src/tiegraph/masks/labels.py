@@ -131,7 +131,7 @@ def second_labels(job: TriedJob) -> Labels:
     classes = np.where(free, labels, EGO).astype(np.uint8)
     seeds = _seeds(image, {USE: ((labels == USE) | static) & ~pale & free, **masks}, tuning)
     told = free & (labels != WATER) & sought(labels.shape, learnt, tuning.classification)
-    edges = Edges() if seed.upward else edges_of(labels == SKY, told, tuning.above)
+    edges = Edges() if seed.upward else edges_of(labels == SKY, told, tuning.labels)
     return replace(seeds, matches=matches_in(classes, classes == SKY, seed.matchability, tuning.proof), edges=edges)
 
 
