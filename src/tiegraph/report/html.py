@@ -14,6 +14,7 @@ from markupsafe import Markup
 from tiegraph.report import accuracy, formatting, images, spatial, summary, warnings
 from tiegraph.report.client.page import client_page
 from tiegraph.report.contradictions import evidence_table
+from tiegraph.report.effort import effort
 from tiegraph.report.evaluation import evaluation, passes_part
 from tiegraph.report.glossary import glossary
 from tiegraph.report.networkpart import network_part
@@ -22,7 +23,7 @@ from tiegraph.report.rigdiagnostics import rig_diagnostics, rig_table
 from tiegraph.report.runfolder import RunFolder, read_run
 from tiegraph.report.settings import ReportSettings
 from tiegraph.report.svg.charts import arrows, residuals
-from tiegraph.report.tables import effort, receipt_notes, receipt_tables
+from tiegraph.report.tables import receipt_notes, receipt_tables
 from tiegraph.report.texts import current, language, said, t
 from tiegraph.report.thumbnails import CLASSES, mask_share, thumbnail
 from tiegraph.scene.atomic import replacing
