@@ -3,7 +3,7 @@ import pytest
 
 from masks_world import write
 from tiegraph.errors import InputError
-from tiegraph.masks.compare import compare
+from tiegraph.masks.compare import compare, table_text
 
 
 def mask(used_columns, shape=(10, 20)):
@@ -29,7 +29,7 @@ def test_figures_per_camera_and_together(tmp_path):
     assert np.isnan(cam1.useless_kept)
     assert both.accuracy == pytest.approx(25 / 40) and both.iou == pytest.approx(25 / 40)
     assert result.table()["rows"][1] == ["cam1", 1, 100.0, 100.0, 0.0, None]
-    lines = result.text().splitlines()
+    lines = table_text(result.table()).splitlines()
     assert len(lines) == 4 and len({len(line) for line in lines}) == 1 and lines[2].endswith("-")
 
 

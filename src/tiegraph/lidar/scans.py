@@ -58,7 +58,6 @@ class Recording:
     """Scans that can be gone through any number of times; ``given`` (T, 4, 4): where the files' poses have the scanner,
     None if they have none."""
 
-    path: Path
     read: Callable[[], Iterator[Scan]]
     count: int | None = None
     given: np.ndarray | None = None
@@ -92,7 +91,7 @@ def _stream(
         found = ((f"scan {k}", stamp, points) for k, (stamp, points) in enumerate(read(path), start=1))
         return _in_order(path, (_scan(*one, tuning) for one in found))
 
-    return Recording(path, scans)
+    return Recording(scans)
 
 
 def _files(folder: Path, how: Reading, tuning: ScanTuning) -> Recording:
@@ -118,7 +117,7 @@ def _files(folder: Path, how: Reading, tuning: ScanTuning) -> Recording:
             points = Points(transforms.apply(transforms.invert(given[k]), points.xyz_m), None)
         return _scan(str(files[k]), stamps[k], points, tuning)
 
-    return Recording(path=folder, read=scans, count=len(files), given=given, notes=tuple(notes))
+    return Recording(read=scans, count=len(files), given=given, notes=tuple(notes))
 
 
 def scan_files(folder: Path) -> tuple[list[Path], list[str]]:

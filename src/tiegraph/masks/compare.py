@@ -39,10 +39,6 @@ class MaskComparison:
         """{"columns": [...], "rows": [[...]]}, shares in percent with one decimal, None for NaN."""
         return {"columns": list(COLUMNS), "rows": [_cells(r) for r in self.rows]}
 
-    def text(self) -> str:
-        """The table as aligned text."""
-        return table_text(self.table())
-
 
 def compare(
     found: Path, truth: Path, cameras: Mapping[str, str] | None = None, keep_labels: Sequence[int] = ()

@@ -27,11 +27,6 @@ class PlatformMask:
     frames: int  # different frames it was learnt from
     note: str
 
-    @property
-    def share(self) -> float:
-        """Share of the image, 0..1."""
-        return 0.0 if self.mask is None else float(self.mask.mean())
-
 
 def different_frames(images: Sequence[Path], tuning: Tuning) -> list[Path]:
     """Those images of a camera, in order, between which most of the texture has moved: none while the camera stands."""

@@ -71,10 +71,9 @@ class Plan:
 
 @dataclass(frozen=True)
 class Water:
-    """The water: ``up`` (3,) unit vector, ``level`` its height along it, ``depth`` below the cameras, ``spread`` of
+    """The water: ``level`` its height along the upward direction, ``depth`` below the cameras, ``spread`` of
     what single rays say of it, how many ``rays`` did, and the banks in plan."""
 
-    up: np.ndarray
     level: float
     depth: float
     spread: float
@@ -123,7 +122,7 @@ def find_water(
             return None
     if spread > tuning.most_spread * (camera - level):
         return None
-    return Water(up=up, level=level, depth=camera - level, spread=spread, rays=count, plan=plan)
+    return Water(level=level, depth=camera - level, spread=spread, rays=count, plan=plan)
 
 
 def _plan(

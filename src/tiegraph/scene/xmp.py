@@ -26,7 +26,6 @@ _DJI = "drone-dji"
 class RigTags:
     """The rig of one image; index -1, "" and () = not written."""
 
-    name: str = ""
     index: int = -1  # of the camera in its rig
     band: str = ""
     relatives_deg: tuple[float, ...] = ()  # omega, phi, kappa of this camera in the reference camera
@@ -41,7 +40,6 @@ def read_rig_tags(image: Any) -> RigTags:
     angles = [number(v) for v in re.split(r"[,\s]+", _value(text, "RigRelatives")) if v]
     good = len(angles) == 3 and bool(np.all(np.abs(angles) <= _MAX_DEG))
     return RigTags(
-        name=_value(text, "RigName")[:80],
         index=_whole(_value(text, "RigCameraIndex")),
         band=_value(text, "BandName")[:40],
         relatives_deg=tuple(angles) if good else (),

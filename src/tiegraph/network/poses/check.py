@@ -52,14 +52,12 @@ Reading = Callable[[np.ndarray, Sequence[Pass]], np.ndarray]
 class PriorCheck:
     """How good a prior is, by previews: ``good``; where it is not, ``apart`` says that it is good within each pass.
 
-    ``table``: (kind, pairs proposed, of them tied, refused, of them tied); ``fit`` = rank correlation
-    of predicted overlap and preview matches (NaN = cannot be said); ``better``: the reading that fits better, "" =
-    none.
+    ``fit`` = rank correlation of predicted overlap and preview matches (NaN = cannot be said); ``better``: the reading
+    that fits better, "" = none.
     """
 
     good: bool
     apart: bool
-    table: tuple[tuple[str, int, int, int, int], ...]
     fit: float
     better: str
     notes: tuple[str, ...]
@@ -114,7 +112,7 @@ def check_prior(
     apart = bad == [KINDS[OTHER_PASS]] and not better and bool((scene.sequence >= 0).all())
     notes = _apart_notes(scene, table) if apart else _notes(table, bad, fit=fit, better=better, better_fit=better_fit)
     good = not bad and not better
-    return PriorCheck(good=good, apart=apart, table=table, fit=fit, better=better, notes=notes)
+    return PriorCheck(good=good, apart=apart, fit=fit, better=better, notes=notes)
 
 
 @dataclass(frozen=True)

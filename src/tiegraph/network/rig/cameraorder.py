@@ -20,11 +20,6 @@ class Order:
     fit: float
     nominal_fit: float
 
-    @property
-    def changed(self) -> bool:
-        """Whether the order is another one than the rig's."""
-        return self.place != tuple(range(len(self.place)))
-
 
 def orders(rig: Rig, evidence: np.ndarray, tuning: OrderTuning) -> list[Order]:
     """Orders of the side cameras that explain evidence (2, S, S), one a half of the frames, better than the rig does.

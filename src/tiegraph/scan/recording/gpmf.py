@@ -52,12 +52,11 @@ class BrokenEntry(ValueError):
 
 @dataclass(frozen=True)
 class Entry:
-    """An entry: its key, the letter of its type (zero: it holds entries), bytes a row, rows, and their bytes."""
+    """An entry: its key, the letter of its type (zero: it holds entries), bytes a row, and the bytes of its rows."""
 
     key: str
     kind: str
     size: int
-    count: int
     data: bytes
 
     def text(self) -> str:
@@ -90,7 +89,7 @@ def entries(data: bytes) -> Iterator[Entry]:
         begin, length = at + _HEAD, size * count
         if begin + length > len(data):
             raise BrokenEntry(f"{key!r} says {count} rows of {size} bytes, and {len(data) - begin} bytes are left")
-        yield Entry(key, chr(data[at + 4]), size=size, count=count, data=data[begin : begin + length])
+        yield Entry(key, chr(data[at + 4]), size=size, data=data[begin : begin + length])
         at = begin + length + -length % 4
 
 

@@ -67,12 +67,10 @@ def rig_motion(world_from_rig: np.ndarray, scene: Scene) -> Motion:
 
 @dataclass(frozen=True)
 class TimeOffset:
-    """When a camera fires against the rig's instant, and what the constant error of its extrinsics is."""
+    """When a camera fires against the rig's instant."""
 
     offset_s: float
     sigma_s: float
-    constant: np.ndarray  # (6,) metres, radians, rig frame
-    spread: np.ndarray  # (6,) robust sigma of what neither explains
     moves_m: float  # how far the offset moves the camera at the highest speed seen
 
     def there(self, expected_m: float, tuning: TimeOffsetTuning) -> bool:
@@ -107,10 +105,7 @@ def time_offset(
         weight = 1 / (1 + chi / scale)
     sigma = float(np.sqrt(np.linalg.inv(normal)[6, 6] * max(scale, 1.0)))
     top = float(np.max(np.linalg.norm(columns[:, :3], axis=1)))
-    spread = 1.4826 * np.median(np.abs(left), axis=0)
-    return TimeOffset(
-        offset_s=float(found[6]), sigma_s=sigma, constant=found[:6], spread=spread, moves_m=abs(float(found[6])) * top
-    )
+    return TimeOffset(float(found[6]), sigma, moves_m=abs(float(found[6])) * top)
 
 
 @dataclass(frozen=True)
