@@ -130,7 +130,7 @@ def shown_order(
 
 def _shown(found: Pass, cache: MatchCache, settings: CandidatesSettings, tuning: Tuning) -> tuple[bool, str]:
     """Whether previews show a pass of one camera to be a sequence, and the figures."""
-    order = tuning.order
+    order = tuning.sources
     images = found.images[0][found.images[0] >= 0]
     count = len(images)
     some = min(count - 1, order.sample)

@@ -59,7 +59,7 @@ def _without_twins(shots: list[Shot], names: Sequence[str], report: Report) -> l
 def match_frames(
     stems: Mapping[int, Sequence[str]], how: str, tuning: FramesTuning
 ) -> tuple[dict[int, list[str]], str]:
-    """Frame label of each image of one pass, by sensor, from the file stems: and how, by name, number, order.
+    """Frame label of each image of one pass, by sensor, from the file stems, and how: name, number or order.
 
     Auto: equal names if enough agree; else equal last numbers in the names, which are frame numbers in the
     papers' data (paper 000 figure 8: image0up_168035.jpg); else the place in the natural order of names.

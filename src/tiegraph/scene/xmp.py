@@ -1,7 +1,7 @@
 """What cameras write into a file's XMP: the rig of a multispectral camera, and the position of a DJI drone with RTK.
 
 The rig's tags are those of Pix4D's namespace Camera (http://pix4d.com/camera/1.0), written by Parrot, MicaSense and
-Sentera, as attributes, as elements or as lists: RigName, RigCameraIndex, BandName, RigRelatives and
+Sentera, as attributes, as elements or as lists: RigCameraIndex, BandName, RigRelatives and
 RigRelativesReferenceRigCameraIndex. DJI's stand in its namespace drone-dji (DJI, photo file description): GpsLatitude,
 GpsLongitude (in old firmware GpsLongtitude), AbsoluteAltitude, RtkFlag (0 none, 16 single, 34 float, 50 fixed) and the
 standard deviations RtkStdLat, RtkStdLon, RtkStdHgt in metres.

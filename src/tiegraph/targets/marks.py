@@ -27,10 +27,9 @@ OTHERS = (
 
 @dataclass(frozen=True)
 class TargetMarks:
-    """The marks of named targets, how many images were searched, and what is to be said."""
+    """The marks of named targets, and what is to be said."""
 
     marks: tuple[TargetMark, ...] = ()
-    images: int = 0
     notes: tuple[str, ...] = field(default_factory=tuple)
 
 
@@ -67,7 +66,7 @@ def marks_of(
                     TargetMark(name=name, image=k, xy=(float(x), float(y)), sigma_px=float(best.sigma_px / np.sqrt(2)))
                 )
     notes += _not_named(by_target)
-    return TargetMarks(tuple(marks), len(seen), tuple(notes))
+    return TargetMarks(tuple(marks), tuple(notes))
 
 
 def _apart(found: Sequence[Seen], tuning: Tuning) -> bool:

@@ -18,12 +18,10 @@ from tiegraph.sfm.tuning import SharedErrorTuning
 
 @dataclass(frozen=True)
 class Unrest:
-    """How far cameras (ids) are off their places in the rig: sigma of an axis, from shot to shot, or for all shots."""
+    """How far cameras are off their places in the rig: sigma of an axis, from shot to shot, or for all shots."""
 
-    cameras: tuple[int, ...]
     place: float  # model units
     turn: float  # rad
-    always: bool = False
 
 
 def misplaced(
@@ -58,7 +56,7 @@ def misplaced(
 def _known_off(cameras: list[int], told: Score, moment: np.ndarray) -> tuple[Unrest, Effect]:
     """By what is known otherwise: ``moment`` (6S, 6S) of these S cameras."""
     place, turn = np.diag(moment).reshape(-1, 2, 3).mean(axis=(0, 2))
-    found = Unrest(cameras=tuple(cameras), place=float(np.sqrt(place)), turn=float(np.sqrt(turn)), always=True)
+    found = Unrest(place=float(np.sqrt(place)), turn=float(np.sqrt(turn)))
     return found, Effect(told.gradient, moment)
 
 
@@ -71,7 +69,7 @@ def _shown_off(cameras: list[int], told: Score, tuning: SharedErrorTuning) -> tu
         return None
     field = np.diag(np.tile(np.repeat([place, turn], 3), len(cameras)))
     mean, moment = posterior(score, noise, information, field)
-    found = Unrest(cameras=tuple(cameras), place=float(np.sqrt(place)), turn=float(np.sqrt(turn)), always=True)
+    found = Unrest(place=float(np.sqrt(place)), turn=float(np.sqrt(turn)))
     return found, Effect(told.gradient, moment), mean
 
 
@@ -106,7 +104,7 @@ def unrest(
     moved = np.hstack(gradient)
     moment = np.tile(np.repeat([place, turn], 3), moved.shape[1] // 6) * len(shared) / len(chosen)
     cameras = sorted({model.image(i).camera_id for own in shared for i in own})
-    found = Unrest(tuple(cameras), float(np.sqrt(place)), float(np.sqrt(turn)))
+    found = Unrest(float(np.sqrt(place)), float(np.sqrt(turn)))
     return [(found, Effect(moved * np.sqrt(moment), np.eye(len(moment))))]
 
 

@@ -61,7 +61,8 @@ class SupportTuning(Section):
 
 
 class DiagnosticsTuning(Section):
-    """A camera against its rig, frame by frame, by its own sightings (`resections.py`, `observations.py`)."""
+    """A camera against its rig, frame by frame, by its own sightings (`resections.py`, `observations.py`), and one that
+    lost its sightings in the adjustment (`diagnostics.py`)."""
 
     point_rounds: int = Field(3, gt=0)
     """In which points are made anew, robust from the second on."""
@@ -85,6 +86,12 @@ class DiagnosticsTuning(Section):
     """Less does no harm: points share their own errors, which the expected sigma leaves out."""
     chance: float = Field(0.05, gt=0, lt=1)
     """That a camera within these bounds is called loose for the few frames that happened to tell of it."""
+    min_sightings: int = Field(200, gt=0)
+    """Of a camera in all its images, to judge what an adjustment left of them."""
+    min_kept: float = Field(0.6, ge=0, le=1)
+    """Share of them that a camera keeps, and of the share that the best camera keeps."""
+    torn_deg: float = Field(1.0, gt=0)
+    """By which a camera with too few sightings left to be measured is let go."""
 
 
 class TimeOffsetTuning(Section):
@@ -100,17 +107,6 @@ class TimeOffsetTuning(Section):
     """Sigma of an offset above which the motion does not tell it."""
     rounds: int = Field(15, gt=0)
     """Of the robust fit of an offset."""
-
-
-class TornTuning(Section):
-    """A camera that lost its sightings in the adjustment (`diagnostics.py`)."""
-
-    min_sightings: int = Field(200, gt=0)
-    """Of a camera in all its images, to judge what an adjustment left of them."""
-    min_kept: float = Field(0.6, ge=0, le=1)
-    """Share of them that a camera keeps, and of the share that the best camera keeps."""
-    torn_deg: float = Field(1.0, gt=0)
-    """By which a camera with too few sightings left to be measured is let go."""
 
 
 class TimeCalibrationTuning(Section):
@@ -217,8 +213,6 @@ class RigTuning(Section):
     """Rig diagnostics."""
     time_offset: TimeOffsetTuning = Field(default_factory=TimeOffsetTuning)
     """Times of the cameras."""
-    torn: TornTuning = Field(default_factory=TornTuning)
-    """Cameras that came off."""
     time_calibration: TimeCalibrationTuning = Field(default_factory=TimeCalibrationTuning)
     """Rigs that are let go of."""
     system: SystemTuning = Field(default_factory=SystemTuning)
