@@ -103,7 +103,6 @@ def unrest(
         return []
     moved = np.hstack(gradient)
     moment = np.tile(np.repeat([place, turn], 3), moved.shape[1] // 6) * len(shared) / len(chosen)
-    cameras = sorted({model.image(i).camera_id for own in shared for i in own})
     found = Unrest(float(np.sqrt(place)), float(np.sqrt(turn)))
     return [(found, Effect(moved * np.sqrt(moment), np.eye(len(moment))))]
 
