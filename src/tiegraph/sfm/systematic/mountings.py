@@ -46,15 +46,15 @@ def misplaced(
         told = weighed.score(columns)
         if rig_id in off:
             at = (6 * np.searchsorted(every, cameras)[:, None] + np.arange(6)).ravel()
-            out.append(_known_off(cameras, told, off[rig_id][np.ix_(at, at)]))
+            out.append(_known_off(told, off[rig_id][np.ix_(at, at)]))
         elif (shown := _shown_off(cameras, told, tuning)) is not None:
             out.append(shown[:2])
             explained += columns @ shown[2]
     return out, explained
 
 
-def _known_off(cameras: list[int], told: Score, moment: np.ndarray) -> tuple[Unrest, Effect]:
-    """By what is known otherwise: ``moment`` (6S, 6S) of these S cameras."""
+def _known_off(told: Score, moment: np.ndarray) -> tuple[Unrest, Effect]:
+    """By what is known otherwise: ``moment`` (6S, 6S) of S cameras."""
     place, turn = np.diag(moment).reshape(-1, 2, 3).mean(axis=(0, 2))
     found = Unrest(place=float(np.sqrt(place)), turn=float(np.sqrt(turn)))
     return found, Effect(told.gradient, moment)
