@@ -1,7 +1,5 @@
 """The joint adjustment of interiors, rig and boards, by pycolmap's bundle adjustment over points that are held."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import dataclass, field, replace

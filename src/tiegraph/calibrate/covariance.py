@@ -5,8 +5,6 @@ rig (m) and the turn about the camera's own axes (rad). Ceres' tangent of a pose
 left, then the translation of sensor_from_rig (EigenQuaternionManifold); ``_lever`` makes centre and turn of it.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

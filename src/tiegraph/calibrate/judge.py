@@ -1,7 +1,5 @@
 """How good a calibration is: held-out instants, coverage of the images, what the views leave open, and advice."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The summary of a calibration, as Markdown, and its parameters as tables."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

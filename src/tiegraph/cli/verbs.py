@@ -3,8 +3,6 @@
 The modules import the engines with all their libraries, seconds of work: `tiegraph --help` reads only this table.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial

@@ -6,8 +6,6 @@ of the graph of candidates, that around a single image and that between two halv
 pairs stay until so many as are ``wanted`` of them are expected to be verified, or all of them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, cast

@@ -5,8 +5,6 @@ a point is found again in a second image falls with the angle between the two ra
 the previewed pairs tell how fast, and all pairs are foreseen by it in the same way.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

@@ -6,8 +6,6 @@ different images. The precision is that of a point that all images of the cell m
 alone (the inverse of the normal matrix of the intersection); its largest half axis, mostly the depth.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 

@@ -3,8 +3,6 @@
 Paper 002's numbers define the method fuse2014 and stand in ``tiegraph.papers.fuse2014``.
 """
 
-from __future__ import annotations
-
 from pydantic import Field
 
 from tiegraph.settings import Section

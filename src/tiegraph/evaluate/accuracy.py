@@ -1,7 +1,5 @@
 """The accuracy of a run in layers (``scene.accuracy``): what its stages predicted beside what references measured."""
 
-from __future__ import annotations
-
 import csv
 import io
 from collections.abc import Iterable, Iterator, Mapping

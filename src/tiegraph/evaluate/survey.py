@@ -1,7 +1,5 @@
 """Everything the evaluate stage states about a run: from a model, a cloud and references to metrics.json."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any

@@ -10,8 +10,6 @@ the tops Herz-Jesus-P8 stands 4.7 deg off instead of 0.1, with 0.001 one camera 
 0.0 (``python -m benchmarks.sfm.upright``).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Trajectory of a scanner by kiss-icp, one scan after another."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any

@@ -4,8 +4,6 @@ Two trajectories of a few seconds tell the turn of a LiDAR on the rig and the cl
 both have measured tells where one world lies in the other, and with it the lever arm at every frame.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Scans of a LiDAR, one after another: from a folder of files, a ROS bag, or packets of a Velodyne."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections import Counter

@@ -3,8 +3,6 @@
 Regions without an edge inside: what belongs together whatever a table says of its single pixels.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """How good masks are: against masks made by hand or known to be true, per camera (paper 001, table 2)."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath

@@ -1,7 +1,5 @@
 """Masks learnt from the survey itself: platform, sky, water and overexposure, without weights and without labels."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial

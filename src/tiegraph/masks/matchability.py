@@ -7,8 +7,6 @@ lens is known yet. Two focal lengths are tried, and what is far by one of them i
 and car parks every match is near by both, on clouds hardly one.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

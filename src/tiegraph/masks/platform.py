@@ -5,8 +5,6 @@ the same direction at the same pixel in every frame, and does not even shake; a 
 first but not the second. What lies between such edges and shows nothing that moves is the platform's inside.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

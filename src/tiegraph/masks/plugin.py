@@ -1,7 +1,5 @@
 """Masks by a segmentation model of the user's: an ONNX file and a table of its classes, run by ONNX Runtime."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import dataclass
 from pathlib import Path

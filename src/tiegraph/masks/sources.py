@@ -3,8 +3,6 @@
 The papers' own are put in by the glue (``tiegraph.papers``).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path

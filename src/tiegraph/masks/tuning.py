@@ -3,8 +3,6 @@
 The groups of what is learnt, from matches to water, stand in `tuning_learnt.py`.
 """
 
-from __future__ import annotations
-
 from pydantic import Field
 
 from tiegraph.masks.tuning_learnt import (

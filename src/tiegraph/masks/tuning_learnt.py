@@ -1,7 +1,5 @@
 """What the learnt masks decide by, from matches to the line of water; the platform stands in `tuning.py`."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 from pydantic import Field

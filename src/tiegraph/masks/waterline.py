@@ -4,8 +4,6 @@ Everything is in the model's units. The plane's height is measured where the wat
 banks, so it needs neither scale nor GNSS; the first masks' errors average out over thousands of rays.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

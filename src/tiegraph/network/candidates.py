@@ -8,8 +8,6 @@ photographs: all of them are compared, or look-alikes, and no stage expects the 
 states about the order is not tested.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

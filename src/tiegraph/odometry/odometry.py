@@ -1,7 +1,5 @@
 """Frame after frame: corners are followed, the pose is that of known points, keyframes hold the map up."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """The pose of a frame by points of the map: pycolmap's generalised absolute pose, for rigs of one camera too."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

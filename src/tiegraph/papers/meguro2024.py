@@ -9,8 +9,6 @@ of paper 001 (section c) is brute force without masks. The constants that the pa
 ``masks.tuning.Meguro2024Tuning`` and ``network.tuning.offsets.ConstantTuning``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

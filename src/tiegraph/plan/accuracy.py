@@ -5,8 +5,6 @@ world is universal kriging: the shape's covariance C is free of any similarity, 
 (positions, control points) tell both it and the bends of the shape, as an adjustment with them does.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

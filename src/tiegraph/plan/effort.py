@@ -1,7 +1,5 @@
 """What a survey costs: images, time on site, disk, CPU time."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from tiegraph.plan.tuning import EffortTuning

@@ -1,7 +1,5 @@
 """From what is asked to the plan: the sweep of stations, and the path with its accuracy and effort."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product

@@ -1,7 +1,5 @@
 """What ties a planned path to the world: positions of a receiver, with outages, and control points."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """report.html: one self-contained file made of receipts and artefacts only, for the client first, then the engineer."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from datetime import datetime, timezone
 from pathlib import Path

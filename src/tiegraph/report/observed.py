@@ -1,8 +1,6 @@
 """What the images observe, sampled from a sparse model: how far its points are, how small a pixel is, what the lens
 leaves of the residuals."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

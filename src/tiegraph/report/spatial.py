@@ -1,7 +1,5 @@
 """Everything of the report that lies in space: maps, static views of the cloud, the interactive view."""
 
-from __future__ import annotations
-
 import json
 import logging
 from dataclasses import dataclass

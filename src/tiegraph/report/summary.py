@@ -1,7 +1,5 @@
 """What the report says in words: the verdict, the numbers at the top, the warnings and the tables."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

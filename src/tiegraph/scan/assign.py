@@ -1,7 +1,5 @@
 """Which sensor and pass each image belongs to: by the rig file, a preset, or a guess."""
 
-from __future__ import annotations
-
 import difflib
 from collections import Counter
 from collections.abc import Iterable, Sequence

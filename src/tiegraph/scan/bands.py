@@ -4,8 +4,6 @@ IMG_180822_133949_0205_GRE.TIF, ..._NIR.TIF (Parrot Sequoia), IMG_0001_1.tif ...
 (DJI). What stands before the last mark is the shot, the mark is the camera; its folder is then written "*_GRE".
 """
 
-from __future__ import annotations
-
 import re
 from collections import Counter, defaultdict
 from collections.abc import Sequence

@@ -8,8 +8,6 @@ turned against the other about the camera's upright, so the turn between them te
 without such a partner is cut into views all round its axis.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import PurePosixPath

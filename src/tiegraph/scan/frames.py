@@ -1,7 +1,5 @@
 """Which images of a rig were taken together: frames, matched by file name, by the number in it, or by order."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """From a photograph to the image the other stages read: a link, or turned, cropped, undistorted, made 8-bit."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from functools import lru_cache

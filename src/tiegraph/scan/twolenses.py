@@ -6,8 +6,6 @@ not turned about its own upright but about the first one's horizontal; and in ne
 where it fits the circles of the pictures.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace

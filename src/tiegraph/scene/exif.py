@@ -1,7 +1,5 @@
 """What a camera wrote into its file: focal length, position, time, orientation."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from datetime import datetime, timedelta, timezone

@@ -1,7 +1,5 @@
 """Graphs of images and frames: forests, components, cuts, bridges, articulation points, links between groups."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import pairwise

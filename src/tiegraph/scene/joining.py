@@ -5,8 +5,6 @@ of a straight path leave the turn about the path open; its scale and shift then 
 logarithms of the scales, rotations and shifts by least squares over all joins, one after another.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

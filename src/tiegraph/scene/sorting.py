@@ -1,7 +1,5 @@
 """Sorting of many whole numbers: points by voxel, tile or node."""
 
-from __future__ import annotations
-
 import numpy as np
 
 

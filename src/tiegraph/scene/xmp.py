@@ -7,8 +7,6 @@ GpsLongitude (in old firmware GpsLongtitude), AbsoluteAltitude, RtkFlag (0 none,
 standard deviations RtkStdLat, RtkStdLon, RtkStdHgt in metres.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from typing import Any

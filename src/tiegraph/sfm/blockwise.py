@@ -5,8 +5,6 @@ place together and lend each other the frames at their borders (``scene/blocks.p
 images they share (``scene/joining.py``). The start from their poses then adjusts all at once.
 """
 
-from __future__ import annotations
-
 import logging
 import shutil
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """What a mapped model still needs, inside a child process: adjustment, rig diagnostics, colours, sigmas, files."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any

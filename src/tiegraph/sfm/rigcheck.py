@@ -1,7 +1,5 @@
 """The rigs and calibrations of an adjusted model against the images: what contradicts them gives way, or is said."""
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Sequence
 from dataclasses import dataclass, field

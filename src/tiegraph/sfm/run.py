@@ -1,7 +1,5 @@
 """One run of a COLMAP mapper, inside a child process: working copy of the database, mapping, models to disk."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

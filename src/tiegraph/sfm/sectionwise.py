@@ -4,8 +4,6 @@ The pairs of images that run between sections are held back while these are mapp
 (``ties``), which tells how well the borders hold, and the whole starts from the joined poses with all pairs.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """From targets seen in images to marks of the points of a control point file, and what is odd about them."""
 
-from __future__ import annotations
-
 from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field

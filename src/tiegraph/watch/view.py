@@ -1,7 +1,5 @@
 """What the page draws, seen from above: levelled by the cameras, turned by positions if there are some."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

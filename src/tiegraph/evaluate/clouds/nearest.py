@@ -1,7 +1,5 @@
 """Cloud against reference by nearest points: accuracy, completeness, F-score, ghosts; as a whole and by groups."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path

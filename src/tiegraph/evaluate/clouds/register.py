@@ -4,8 +4,6 @@ Chen, Medioni 1992, with Tukey's weights. The points of a patch err together, so
 parts of the survey: what the fit becomes without each of them. A fit that the surfaces leave open is refused.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Motions that many matches of two shapes agree with, by second order compatibility (SC2-PCR: Chen et al. 2022)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -4,8 +4,6 @@ Files that are the same byte for byte never get here: scan leaves them out. Of o
 moved and nearly every feature is found again.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -6,8 +6,6 @@ the pass, because the speed of two passes is never equal: previews on a coarse l
 smoothed and interpolated.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

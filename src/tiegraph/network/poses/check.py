@@ -17,8 +17,6 @@ with the distance. The reading is named with its remedy. The assumed range is pa
 any reading that compresses the path looks better.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 

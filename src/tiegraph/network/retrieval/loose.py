@@ -6,8 +6,6 @@ images and 79 photographs, a pair with 12 matches is true in 46 to 85 % of cases
 others, in 6 to 50 % if they do not.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -6,8 +6,6 @@ A rig file may also name its cameras in another order: then the wrong ones match
 wrong axes forbid the very pairs that would tell.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace

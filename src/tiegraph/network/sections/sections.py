@@ -1,7 +1,5 @@
 """Bridge and open-sky sections from the up camera (paper 001, section b), and whether they are tied to each other."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """Trajectories of visual odometry, SLAM or an INS: which file is of which pass, reading and writing them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from itertools import islice
 from pathlib import Path

@@ -13,8 +13,6 @@ letters, a letter for the type of its numbers, the bytes of a row, the number of
 up to four bytes. Entries nest; a reader here asks for one level at a time, so depth costs nothing.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field

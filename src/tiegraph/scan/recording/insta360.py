@@ -17,8 +17,6 @@ each other is left aside: only the rolls are used. Form 2 needs a table by the k
 second source tells.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO

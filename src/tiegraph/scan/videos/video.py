@@ -5,8 +5,6 @@ both lenses side by side: its pictures are told by their two circles (``twolense
 and ..._10_..., or two video tracks of one file, have a lens each: their pictures become the two cameras of a rig.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re

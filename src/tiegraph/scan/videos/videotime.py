@@ -1,8 +1,6 @@
 """When a video was recorded, and where: by the subtitles of a DJI drone beside it, by the fixes of the camera's own
 receiver in the file, by its container, or from its own start."""
 
-from __future__ import annotations
-
 import struct
 from dataclasses import dataclass
 from datetime import datetime, timezone

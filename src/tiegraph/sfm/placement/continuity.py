@@ -1,7 +1,5 @@
 """Does a model move as its passes do? Steps between neighbouring frames against the usual, and the pieces they cut."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Frames whose verified matches contradict their place are left out of a model, each with its reason."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path

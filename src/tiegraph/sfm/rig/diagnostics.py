@@ -1,7 +1,5 @@
 """Rig diagnostics in words and rows: which cameras keep their place, which fire at another time, which sit loose."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any

@@ -4,8 +4,6 @@ A camera that looks at sky and bridge decks has few true ties and some false one
 ``canal`` the up camera's focal length by a factor of four and its place by 24 m, and nothing in the error tells.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

@@ -5,8 +5,6 @@ with one offset and one constant error of the mounting for each camera as unknow
 bent to take up what is motion.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 

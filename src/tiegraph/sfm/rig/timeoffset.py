@@ -10,8 +10,6 @@ The average over the frames is robust; how they scatter about it is a sigma of t
 what they share (the time, the speed) does not average out.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

@@ -3,8 +3,6 @@
 The rounds take few points (``adjustment.fewpoints``); all are triangulated anew from what they found.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

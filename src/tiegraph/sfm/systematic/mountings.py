@@ -1,7 +1,5 @@
 """Cameras that do not stand where the rig has them: in all shots, or from shot to shot."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Scale bars in the model: what each says of the scale, which are believed, and what is left of each."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any

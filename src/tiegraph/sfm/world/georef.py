@@ -1,7 +1,5 @@
 """Where the model is in the world: a robust similarity to prior positions, with lever arm, rig scale and gravity."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

@@ -8,8 +8,6 @@ turn about a straight track is open, is named with the reason and stays out: not
 positions tell is compared, and said where they cannot both be right.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
