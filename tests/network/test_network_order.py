@@ -49,7 +49,7 @@ def test_a_pass_whose_neighbours_tie_is_a_sequence() -> None:
     found, (note,) = ordered(scene, match)
     assert (found.sequence == 0).all() and found.sequences == ("p0",) and found.guessed == ()
     assert "a sequence, 40 of 40 previews of neighbours tie, and 0 of 40" in note
-    assert Tuning().order.sample < sum(asked) <= 2 * Tuning().order.sample
+    assert Tuning().sources.sample < sum(asked) <= 2 * Tuning().sources.sample
 
 
 @pytest.mark.parametrize("case", ["another order", "everything ties", "gaps", "nothing ties"])
