@@ -79,7 +79,7 @@ class MapTuning(Section):
 
 
 class StartTuning(Section):
-    """The first points of a segment (`start.py`)."""
+    """The first points of a segment (`resect.py`)."""
 
     least_points: int = Field(30, ge=6)
     """Points with a place from which a segment is begun."""
