@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import umeyama
-from tiegraph.lidar.undo import read_scan_poses
+from tiegraph.lidar.scans import read_scan_poses
 from tiegraph.stations.joined import join, prepared
 from tiegraph.stations.loops import motion
 from tiegraph.stations.pairs import Pair, looked_through

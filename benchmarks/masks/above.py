@@ -17,17 +17,17 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 import tiegraph  # noqa: F401  before pycolmap
 from benchmarks.masks.measure import load
 from tiegraph.masks import learnt
-from tiegraph.masks.above import Edges, not_above
+from tiegraph.masks.labels import Edges, not_above
 from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.tuning import Tuning
-from tiegraph.masks.tuning_learnt import AboveTuning
+from tiegraph.masks.tuning_learnt import LabelTuning
 
 
 def above(name: str) -> float:
     """The share (-1..1) of a set; NaN if nothing looks like sky."""
     data, told = load(name), Edges()
 
-    def spied(edges: Mapping[int, Iterable[Edges]], tuning: AboveTuning) -> set[int]:
+    def spied(edges: Mapping[int, Iterable[Edges]], tuning: LabelTuning) -> set[int]:
         nonlocal told
         told = sum((e for own in edges.values() for e in own), Edges())
         return not_above(edges, tuning)

@@ -33,9 +33,9 @@ from benchmarks.network.measure import run_tiegraph
 from tiegraph import papers
 from tiegraph.design.design import METHODS as PLUGGED
 from tiegraph.design.design import design
-from tiegraph.design.expected import expected_matches
+from tiegraph.design.matchprediction import expected_matches
 from tiegraph.design.settings import DesignSettings
-from tiegraph.design.tuning import ExpectedTuning, Tuning
+from tiegraph.design.tuning import MatchPredictionTuning, Tuning
 from tiegraph.errors import InputError, TiegraphError
 from tiegraph.scan.rigfiles.rigwrite import write_rig_toml
 from tiegraph.scene.graph import forest
@@ -199,7 +199,7 @@ def _random(matched: Run, count: int, seed: int) -> np.ndarray:
     """A maximum spanning forest and pairs drawn at random."""
     rows = np.flatnonzero(matched.pairs.dropped == 0)
     kept = matched.pairs.kept()
-    tree = forest(kept.i, kept.j, expected_matches(kept, matched.ties, ExpectedTuning()), len(matched.scene))
+    tree = forest(kept.i, kept.j, expected_matches(kept, matched.ties, MatchPredictionTuning()), len(matched.scene))
     rest = np.random.default_rng(seed).permutation(np.setdiff1d(np.arange(len(rows)), tree))
     return np.sort(rows[np.concatenate([tree, rest[: max(count - len(tree), 0)]])])
 

@@ -16,8 +16,8 @@ import numpy as np
 from benchmarks.network.simulated import Survey, position_sigma, survey
 from tiegraph import papers
 from tiegraph.design.design import METHODS, design
-from tiegraph.design.expected import expected_matches
 from tiegraph.design.hybrid import Budget, choose
+from tiegraph.design.matchprediction import expected_matches
 from tiegraph.design.settings import DesignSettings
 from tiegraph.design.tracks import Candidates
 from tiegraph.design.tuning import Tuning
@@ -40,7 +40,7 @@ def orders(world: Survey, most: int, seed: int) -> dict[str, np.ndarray]:
     third = rng.random(len(pairs)) < 1 / 3
     blind = pairs.with_(score=np.where(third, score, np.nan), overlap=score / 200)
     some_ties = ties.where(third)
-    guess = expected_matches(blind, some_ties, TUNING.expected)
+    guess = expected_matches(blind, some_ties, TUNING.match_prediction)
     counted = Candidates.make(i, j, score, ties, len(world))
     budget = Budget(most)
 

@@ -14,7 +14,7 @@ from scipy.sparse.csgraph import connected_components
 
 from tiegraph.features.settings import PreviewSettings
 from tiegraph.features.tuning import PreviewTuning
-from tiegraph.pipeline.accuracy import with_accuracy
+from tiegraph.pipeline.design import with_accuracy
 from tiegraph.pipeline.files import trusted_poses
 from tiegraph.pipeline.previews import with_previews
 from tiegraph.scene.colmapdatabase import pair_ids, reading

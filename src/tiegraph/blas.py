@@ -4,8 +4,6 @@ A product or an inverse that OpenBLAS makes on two threads differs in its last d
 would depend on the number of cores. The parallelism is elsewhere: images and blocks of pairs run side by side.
 """
 
-from __future__ import annotations
-
 import ctypes
 import os
 import sys

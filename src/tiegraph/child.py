@@ -6,8 +6,6 @@ they hear no signal of a terminal, end with it whatever ends it, and are ended b
 SIGTERM can hang. They write every file whole or not at all, so that nothing is lost by it.
 """
 
-from __future__ import annotations
-
 import contextlib
 import multiprocessing
 import os

@@ -8,8 +8,6 @@ the server, and what a helper works on comes through a pipe, as to one that is s
 A run of the Python API spawns: the program that called it may have threads, devices and patches of its own.
 """
 
-from __future__ import annotations
-
 import ctypes
 import gc
 import logging

@@ -1,7 +1,5 @@
 """COLMAP on a GPU: used where a build with CUDA (``pip install pycolmap-cuda12``) finds one."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from functools import lru_cache

@@ -5,8 +5,6 @@ error", "383208 requested and 256528 written", "std::bad_alloc"), and some only 
 number, its text, and by what the machine looks like at that moment.
 """
 
-from __future__ import annotations
-
 import errno
 import os
 import re

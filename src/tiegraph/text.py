@@ -1,7 +1,5 @@
 """Text on its way to people: what came from outside cannot act, what is not known is said in words, not in figures."""
 
-from __future__ import annotations
-
 import csv
 import io
 import unicodedata

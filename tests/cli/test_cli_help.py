@@ -6,9 +6,8 @@ from dataclasses import fields
 import pytest
 
 from tiegraph.cli.main import main
-from tiegraph.cli.page import RUN
 from tiegraph.cli.run import RunOptions
-from tiegraph.cli.verbs import VERBS
+from tiegraph.cli.verbs import RUN_PAGE, VERBS
 from tiegraph.project.settings import PRESETS, sections
 from tiegraph.settings import Section
 
@@ -45,17 +44,17 @@ def own() -> set[str]:
 
 def test_help_of_run_is_one_screen(said):
     text = said("run", "--help")
-    assert text == RUN + "\n" == said("run", "-h") == said("run", "nowhere", "--help")
+    assert text == RUN_PAGE + "\n" == said("run", "-h") == said("run", "nowhere", "--help")
     assert len(text.splitlines()) < SCREEN[0] and max(map(len, text.splitlines())) <= SCREEN[1]
     assert "--help-all" in text and "IMAGES" in text
 
 
 def test_help_of_run_names_every_input_and_option_and_no_other():
     examples = {"--scan.crs", "--masks.folder"}
-    assert options(RUN) == own() | examples | {"--help", "--help-all"}
+    assert options(RUN_PAGE) == own() | examples | {"--help", "--help-all"}
     assert examples <= settings() and not own() & settings()
     for name in set(PRESETS) - {"default"}:
-        assert name in RUN
+        assert name in RUN_PAGE
 
 
 @pytest.mark.slow

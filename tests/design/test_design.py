@@ -11,11 +11,11 @@ from tiegraph import papers
 from tiegraph.design.coverage import coverage
 from tiegraph.design.design import METHODS as PLUGGED
 from tiegraph.design.design import design, with_coverage
-from tiegraph.design.expected import expected_matches
+from tiegraph.design.matchprediction import expected_matches
 from tiegraph.design.predict import Predictor
 from tiegraph.design.settings import DesignSettings
 from tiegraph.design.tracks import Candidates, Tracks
-from tiegraph.design.tuning import ExpectedTuning, NetTuning, Tuning
+from tiegraph.design.tuning import MatchPredictionTuning, NetTuning, Tuning
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning as NetworkTuning
 from tiegraph.scene.graph import component_notes, components, cuts, groups, two_links
@@ -24,7 +24,7 @@ from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
 
-TUNING, NET, EXPECTED = Tuning(), NetTuning(), ExpectedTuning()
+TUNING, NET, EXPECTED = Tuning(), NetTuning(), MatchPredictionTuning()
 papers.plug_in(papers.DESIGNS, "fuse2014_safe", PLUGGED)
 METHODS = ("hybrid", "top", "fuse2014_safe")
 

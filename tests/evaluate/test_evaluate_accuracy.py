@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tiegraph.evaluate.accuracy import Hold, Predicted, Stated, between, in_layers, pose_figures
-from tiegraph.evaluate.tolerance import answered
+from tiegraph.evaluate.accuracy import Hold, Predicted, Stated, answered, between, in_layers, pose_figures
 from tiegraph.evaluate.trajectory import PoseMatch, evaluate_trajectory
 from tiegraph.evaluate.tuning import TrajectoryTuning
 from tiegraph.geometry import transforms

@@ -3,7 +3,7 @@
 import csv
 import io
 
-from tiegraph.evaluate.accuracytable import accuracy_csv
+from tiegraph.evaluate.accuracy import accuracy_csv
 from tiegraph.scene.accuracy import Accuracy, Figure
 
 

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tiegraph.evaluate.baseline.block import stretch
-from tiegraph.evaluate.baseline.equal import Reference, Side, compare_sides
+from tiegraph.evaluate.baseline import Reference, Side, compare_sides, stretch
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
 

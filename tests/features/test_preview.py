@@ -14,7 +14,7 @@ from tiegraph.features.preview import (
     tentative,
 )
 from tiegraph.features.settings import PreviewSettings
-from tiegraph.features.tuning import PreviewTuning
+from tiegraph.features.tuning import PreviewTuning, Tuning
 from tiegraph.geometry.transforms import angle_deg
 
 SETTINGS, TUNING = PreviewSettings(), PreviewTuning()
@@ -53,7 +53,7 @@ def views() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def test_same_place_matches_with_its_rotation(views) -> None:
-    a, b = (extract_preview(v, None, SETTINGS, TUNING) for v in views[:2])
+    a, b = (extract_preview(v, None, SETTINGS, Tuning()) for v in views[:2])
     found = match_previews(a, b, CAMERA, CAMERA, SETTINGS, TUNING)
     assert 40 < found.inliers <= SETTINGS.features
     assert angle_deg(found.rotation, views[2]) < 3.0
@@ -62,7 +62,7 @@ def test_same_place_matches_with_its_rotation(views) -> None:
 
 @pytest.mark.slow
 def test_unrelated_images_stay_at_chance() -> None:
-    previews = [extract_preview(view(texture(s), np.eye(3), (0, 0, 0)), None, SETTINGS, TUNING) for s in range(2, 7)]
+    previews = [extract_preview(view(texture(s), np.eye(3), (0, 0, 0)), None, SETTINGS, Tuning()) for s in range(2, 7)]
     pairs = np.array([(a, b) for a in range(5) for b in range(a)])
     counts = [match_previews(previews[a], previews[b], CAMERA, CAMERA, SETTINGS, TUNING).inliers for a, b in pairs]
     assert max(counts) < 20
@@ -70,14 +70,14 @@ def test_unrelated_images_stay_at_chance() -> None:
 
 
 def test_unknown_camera_counts_alike_but_gives_no_rotation(views) -> None:
-    a, b = (extract_preview(v, None, SETTINGS, TUNING) for v in views[:2])
+    a, b = (extract_preview(v, None, SETTINGS, Tuning()) for v in views[:2])
     known, guessed = (match_previews(a, b, c, c, SETTINGS, TUNING) for c in (CAMERA, None))
     assert guessed.rotation is None and known.rotation is not None
     assert 0.6 * known.inliers < guessed.inliers < 1.6 * known.inliers
 
 
 def test_shift_points_the_way_things_move(views) -> None:
-    a, b = (extract_preview(v, None, SETTINGS, TUNING) for v in views[:2])
+    a, b = (extract_preview(v, None, SETTINGS, Tuning()) for v in views[:2])
     there, back = (match_previews(p, q, CAMERA, CAMERA, SETTINGS, TUNING) for p, q in ((a, b), (b, a)))
     assert np.sign(there.shift[0]) == -np.sign(back.shift[0]) != 0
     assert abs(there.shift[0] + back.shift[0]) < 0.03
@@ -86,7 +86,10 @@ def test_shift_points_the_way_things_move(views) -> None:
 def test_mask_keeps_features_out_and_brightness_whole(views) -> None:
     mask = np.zeros((480, 640), bool)
     mask[:, :320] = True
-    whole, half = extract_preview(views[0], None, SETTINGS, TUNING), extract_preview(views[0], mask, SETTINGS, TUNING)
+    whole, half = (
+        extract_preview(views[0], None, SETTINGS, Tuning()),
+        extract_preview(views[0], mask, SETTINGS, Tuning()),
+    )
     assert len(half) > 50
     assert half.xy[:, 0].max() <= 324
     assert whole.xy[:, 0].max() > 600
@@ -98,21 +101,21 @@ def test_mask_keeps_features_out_and_brightness_whole(views) -> None:
 def test_pixels_are_full_size_and_count_from_the_corner() -> None:
     image = np.zeros((960, 1280), np.uint8)
     cv2.circle(image, (600, 400), 20, 255, -1)  # its middle is at (600.5, 400.5)
-    preview = extract_preview(image, None, SETTINGS, TUNING)
+    preview = extract_preview(image, None, SETTINGS, Tuning())
     nearest = np.min(np.linalg.norm(preview.xy - (600.5, 400.5), axis=1))
     assert 0 <= nearest < 0.3 * 1280 / 400
     assert preview.scale == pytest.approx(400 / 1280)
 
 
 def test_flat_or_tiny_images_match_nothing() -> None:
-    flat = extract_preview(np.full((480, 640), 90, np.uint8), None, SETTINGS, TUNING)
-    tiny = extract_preview(np.full((3, 5), 90, np.uint8), None, SETTINGS, TUNING)
+    flat = extract_preview(np.full((480, 640), 90, np.uint8), None, SETTINGS, Tuning())
+    tiny = extract_preview(np.full((3, 5), 90, np.uint8), None, SETTINGS, Tuning())
     assert len(flat) == len(tiny) == 0
     assert match_previews(flat, tiny, CAMERA, CAMERA, SETTINGS, TUNING).inliers == 0
 
 
 def test_npz_round_trip(views, tmp_path) -> None:
-    preview = extract_preview(views[0], None, SETTINGS, TUNING)
+    preview = extract_preview(views[0], None, SETTINGS, Tuning())
     np.savez(tmp_path / "p.npz", **preview.to_npz())
     with np.load(tmp_path / "p.npz") as data:
         again = Preview.from_npz(dict(data))
@@ -124,12 +127,12 @@ def test_npz_round_trip(views, tmp_path) -> None:
 @pytest.mark.parametrize("gray", [np.zeros((4, 4, 3), np.uint8), np.zeros((4, 4), np.float32)])
 def test_wrong_images_are_refused(gray) -> None:
     with pytest.raises(ValueError, match="grey"):
-        extract_preview(gray, None, SETTINGS, TUNING)
+        extract_preview(gray, None, SETTINGS, Tuning())
 
 
 def test_mask_of_another_size_is_refused() -> None:
     with pytest.raises(ValueError, match="mask"):
-        extract_preview(np.zeros((4, 4), np.uint8), np.ones((4, 5), bool), SETTINGS, TUNING)
+        extract_preview(np.zeros((4, 4), np.uint8), np.ones((4, 5), bool), SETTINGS, Tuning())
 
 
 def test_spread_takes_the_best_of_each_cell_first() -> None:

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from masks_world import write
-from tiegraph.masks.above import Edges, edges_of, not_above
-from tiegraph.masks.classes import SKY, USE
+from tiegraph.masks import SKY, USE
 from tiegraph.masks.classification import classes_of
+from tiegraph.masks.labels import Edges, edges_of, not_above
 from tiegraph.masks.learnt import learn
 from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.tuning import Tuning
@@ -97,19 +97,19 @@ def test_an_overcast_sky_of_the_same_looks_is_masked(tmp_path, roll):
 
 def test_edges_of_a_sky_face_down_and_those_of_a_road_both_ways():
     row, column = np.mgrid[: SIZE[0], : SIZE[1]]
-    sky = edges_of(row < HORIZON, EVERYWHERE, TUNING.above)
+    sky = edges_of(row < HORIZON, EVERYWHERE, TUNING.labels)
     assert sky.down == pytest.approx(sky.length) and sky.length == pytest.approx(SIZE[1], rel=0.02)
-    tilted = edges_of(row < HORIZON + 0.5 * (column - 160), EVERYWHERE, TUNING.above)
+    tilted = edges_of(row < HORIZON + 0.5 * (column - 160), EVERYWHERE, TUNING.labels)
     assert tilted.down / tilted.length == pytest.approx(np.cos(np.arctan(0.5)), abs=0.02)
-    road = edges_of(abs(column - 160 + 0.3 * row) < 30, EVERYWHERE, TUNING.above)
-    yard = edges_of((abs(column - 160) < 40) & (abs(row - 120) < 40), EVERYWHERE, TUNING.above)
+    road = edges_of(abs(column - 160 + 0.3 * row) < 30, EVERYWHERE, TUNING.labels)
+    yard = edges_of((abs(column - 160) < 40) & (abs(row - 120) < 40), EVERYWHERE, TUNING.labels)
     assert abs(road.down) < 0.02 * road.length and abs(yard.down) < 0.02 * yard.length
-    cut = edges_of(row < HORIZON, row < HORIZON, TUNING.above)
+    cut = edges_of(row < HORIZON, row < HORIZON, TUNING.labels)
     assert cut.length < 0.03 * sky.length, "where the sky is no longer sought it has no edge"
 
 
 def test_all_level_cameras_say_together_whether_the_sky_is_above():
-    own = TUNING.above
+    own = TUNING.labels
     assert not_above({0: [Edges(40, 80), Edges(10, 20)], 1: [Edges(-5, 30)]}, own) == set()
     assert not_above({0: [Edges(4, 80), Edges(10, 20)], 1: [Edges(9, 10)]}, own) == {0, 1}
     assert not_above({0: [Edges()], 1: []}, own) == set() == not_above({}, own), "nothing looks like sky"

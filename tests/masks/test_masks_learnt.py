@@ -3,8 +3,7 @@ import numpy as np
 import pytest
 
 from masks_world import write
-from tiegraph.masks import appearance
-from tiegraph.masks.classes import EGO, NAMES, OVEREXPOSED, SKY, USE, WATER
+from tiegraph.masks import EGO, NAMES, OVEREXPOSED, SKY, USE, WATER, appearance
 from tiegraph.masks.classification import classes_of
 from tiegraph.masks.learnt import learn
 from tiegraph.masks.matchability import Matchability, choose_pairs, pair_matchability

@@ -5,8 +5,7 @@ import pytest
 
 from masks_world import write
 from tiegraph.errors import EngineMissing, InputError
-from tiegraph.masks import plugin
-from tiegraph.masks.classes import EGO, SKY, USE
+from tiegraph.masks import EGO, SKY, USE, plugin
 from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.sources import SOURCES, Camera
 from tiegraph.masks.tuning import Tuning

@@ -4,9 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from tiegraph.masks.classes import EGO, OVEREXPOSED, SKY, USE, WATER
-from tiegraph.masks.matchability import Matchability, _shown
-from tiegraph.masks.parallax import nearness
+from tiegraph.masks import EGO, OVEREXPOSED, SKY, USE, WATER
+from tiegraph.masks.matchability import Matchability, _shown, nearness
 from tiegraph.masks.platform import platform_of_frames
 from tiegraph.masks.proof import MatchCounts, cost, matches_in, moves, white_ties, without_sky
 from tiegraph.masks.tuning import Tuning

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from tiegraph.masks.classes import SKY, USE
+from tiegraph.masks import SKY, USE
 from tiegraph.masks.classification import _snapped, pooled, textureless_regions
 from tiegraph.masks.labels import _like_sky, _wide
 from tiegraph.masks.learnt import lowest_agreed

@@ -2,7 +2,7 @@ import numpy as np
 import pycolmap
 import pytest
 
-from tiegraph.masks.classes import SKY, USE, WATER
+from tiegraph.masks import SKY, USE, WATER
 from tiegraph.masks.skypoints import places, without_points
 from tiegraph.masks.tuning import SkyPointsTuning
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from tiegraph.masks.classes import EGO, SKY, USE, WATER
+from tiegraph.masks import EGO, SKY, USE, WATER
 from tiegraph.masks.tuning import WaterlineTuning
 from tiegraph.masks.waterline import Lines, View, columns, final_classes, find_water, first_line, lines_of
 

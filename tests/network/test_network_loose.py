@@ -40,7 +40,7 @@ def test_a_ring_of_300_photographs_needs_few_previews(ghosts, least) -> None:
     pairs = tied(world)
     recall, precision = found(pairs, world.useful())
     assert recall > 0.97 and precision > least
-    assert world.asked <= LOOSE.previews_an_image * 300
+    assert world.asked <= TUNING.previews_an_image * 300
     assert components(pairs, 300).max() == 0
     assert pairs.from_source("retrieval").all()
 
@@ -92,7 +92,7 @@ def test_without_words_names_and_chance_must_do() -> None:
     world = shuffled_ring(300)
     recall, precision = found(tied(world, with_words=False), world.useful())
     assert recall > 0.95 and precision > 0.8
-    assert world.asked > LOOSE.previews_an_image * 300
+    assert world.asked > TUNING.previews_an_image * 300
 
 
 def test_nothing_to_tie() -> None:

@@ -220,8 +220,10 @@ def test_a_coarser_lattice_looks_no_further_from_the_path() -> None:
 
     furthest, previews = [], []
     for budget in (1000, 2):
-        few = {"min_budget": 0, "previews_an_image": budget}
-        tuning = TUNING.model_copy(update={"offsets": TUNING.offsets.model_copy(update=few)})
+        few = {"min_budget": 0}
+        tuning = TUNING.model_copy(
+            update={"offsets": TUNING.offsets.model_copy(update=few), "previews_an_image": budget}
+        )
         cache = MatchCache(match, n)
         kept = estimate_offsets(find_passes(world.scene), cache, n, CandidatesSettings(), tuning).pairs.kept()
         furthest.append(np.abs(step[kept.i] - step[kept.j]).max())

@@ -7,7 +7,7 @@ import pytest
 
 from boat_world import Result
 from network_steps import estimate_network
-from tiegraph.network.order import shown_order
+from tiegraph.network.candidates import shown_order
 from tiegraph.network.passes import MatchCache
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
@@ -49,7 +49,7 @@ def test_a_pass_whose_neighbours_tie_is_a_sequence() -> None:
     found, (note,) = ordered(scene, match)
     assert (found.sequence == 0).all() and found.sequences == ("p0",) and found.guessed == ()
     assert "a sequence, 40 of 40 previews of neighbours tie, and 0 of 40" in note
-    assert Tuning().order.sample < sum(asked) <= 2 * Tuning().order.sample
+    assert Tuning().sources.sample < sum(asked) <= 2 * Tuning().sources.sample
 
 
 @pytest.mark.parametrize("case", ["another order", "everything ties", "gaps", "nothing ties"])

@@ -16,6 +16,7 @@ from boat_world import Result, boat, ring
 from tiegraph.features.preview import Preview, PreviewMatch, extract_preview, match_previews
 from tiegraph.features.settings import PreviewSettings
 from tiegraph.features.tuning import PreviewTuning
+from tiegraph.features.tuning import Tuning as FeaturesTuning
 from tiegraph.geometry import transforms
 from tiegraph.network.passes import MatchCache, find_passes
 from tiegraph.network.rig import check
@@ -238,7 +239,7 @@ DEMO_CAMERA = pycolmap.Camera(model="SIMPLE_PINHOLE", width=480, height=360, par
 
 @cache
 def _preview(path: Path) -> Preview:
-    return extract_preview(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE), None, PreviewSettings(), PreviewTuning())
+    return extract_preview(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE), None, PreviewSettings(), FeaturesTuning())
 
 
 @cache

@@ -183,7 +183,7 @@ def test_places_are_joined_in_order_even_where_everything_sees_everything(back: 
     a, b = of_frame[scene.frame[i]], of_frame[scene.frame[j]]
     place = np.array([0, 1, 2, 2, 1, 0] if back else [0, 1, 2, 0, 1, 2])
     pairs = Pairs.make(i, j, "model", overlap=np.where(place[a] == place[b], 0.55, 0.5))
-    result = SectionResult(sections, of_frame, np.zeros(18), 1.0, ())
+    result = SectionResult(sections, of_frame, 1.0, ())
     joined = join_places(result, scene, pairs, TUNING)
     assert joined.of_frame.tolist() == np.repeat(place, 3).tolist()
     within = scene.sequence[scene.frame[pairs.i]] == scene.sequence[scene.frame[pairs.j]]

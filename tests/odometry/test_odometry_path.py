@@ -11,7 +11,7 @@ from tiegraph.geometry.align import umeyama
 from tiegraph.odometry.cameras import Cameras, cameras_of
 from tiegraph.odometry.follow import Tracks
 from tiegraph.odometry.odometry import Odometry
-from tiegraph.odometry.start import scaled
+from tiegraph.odometry.resect import scaled
 from tiegraph.odometry.tuning import Tuning
 from tiegraph.scene.rig import Rig, Sensor
 

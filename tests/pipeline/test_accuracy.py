@@ -8,7 +8,7 @@ import pycolmap
 from tiegraph.features.preview import Preview
 from tiegraph.features.settings import PreviewSettings
 from tiegraph.features.tuning import PreviewTuning
-from tiegraph.pipeline.accuracy import with_accuracy
+from tiegraph.pipeline.design import with_accuracy
 from tiegraph.pipeline.preview import preview_path
 from tiegraph.pipeline.previews import with_previews
 from tiegraph.scene.matches import PreviewMatches

@@ -103,12 +103,12 @@ def _reported(folder: Path) -> str:
 
 def test_what_a_survey_costs_grows_with_its_images():
     tuning = Tuning().effort
-    one, ten = (effort([(2000, 1500)] * 2, n, 100.0, 0.5, tuning) for n in (1, 10))
+    one, ten = (effort([(2000, 1500)] * 2, n, 100.0, 0.5, 12288, tuning) for n in (1, 10))
     assert ten.images == 20 and ten.site_s == 200
     assert ten.image_bytes == pytest.approx(10 * one.image_bytes)
     assert ten.sparse_cpu_s - tuning.start_s == pytest.approx(10 * (one.sparse_cpu_s - tuning.start_s))
     # Herz-Jesus-P25 took 58.9 CPU s up to `georef`, benchmarks/results/large_sets.json.
-    assert 40 < effort([(1536, 1024)], 25, 1.0, None, tuning).sparse_cpu_s < 90
+    assert 40 < effort([(1536, 1024)], 25, 1.0, None, 12288, tuning).sparse_cpu_s < 90
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import numpy as np
 import pycolmap
 import pytest
 
-from tiegraph.scan.recording.factory import factory_lenses
+from tiegraph.scan.recording.insta360 import factory_lenses
 
 # An X5's (Insta360Develop/Desktop-CameraSDK-Cpp, issue 85).
 OLD = "2_2657.621_2684.250_2687.750_-0.259_-0.011_89.729_2651.033_8066.330_2692.030_0.247_-0.221_89.754_10752_5376_1137"

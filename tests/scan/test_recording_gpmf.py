@@ -12,7 +12,7 @@ import pytest
 
 import recording_world as world
 from recording_world import ONE_EACH, Fix, Layout, klv, nest
-from tiegraph.scan.recording.klv import BrokenEntry, entries
+from tiegraph.scan.recording.gpmf import BrokenEntry, entries
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scan.videos.videotime import VideoClock, video_clock

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import recording_world as world
-from tiegraph.scan.recording.recording import Recording
+from tiegraph.scan.recording import Recording
 from tiegraph.scan.recording.tracks import OneVideoTrack, tracks
 from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scan.videos.video import open_film, recordings_of

@@ -114,11 +114,11 @@ def test_a_written_rig_of_bands_is_read_back(tmp_path: Path) -> None:
     "xmp, tags",
     [
         (f'{HEAD} Camera:RigName="Sequoia" Camera:RigCameraIndex="2" Camera:BandName="Red edge"/>'.encode(),
-         RigTags("Sequoia", 2, "Red edge")),
+         RigTags(2, "Red edge")),
         (f"{HEAD}><Camera:RigCameraIndex>3</Camera:RigCameraIndex><Camera:RigRelatives><rdf:Seq><rdf:li>0.5</rdf:li>"
          "<rdf:li>0.2</rdf:li><rdf:li>-0.3</rdf:li></rdf:Seq></Camera:RigRelatives>".encode(),
-         RigTags("", 3, "", (0.5, 0.2, -0.3))),
-        (_elements(1, "Blue", (float("nan"), 0, 0)), RigTags("RedEdge-MX", 1, "Blue", (), 1)),
+         RigTags(3, "", (0.5, 0.2, -0.3))),
+        (_elements(1, "Blue", (float("nan"), 0, 0)), RigTags(1, "Blue", (), 1)),
         (b"\xff\xfe broken RigCameraIndex", RigTags()),
     ],
 )  # fmt: skip

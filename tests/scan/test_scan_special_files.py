@@ -13,7 +13,7 @@ from scan_worlds import papers_rig, picture
 import tiegraph
 from tiegraph.cli.main import main
 from tiegraph.errors import InputError
-from tiegraph.scan.recording.recording import Recording
+from tiegraph.scan.recording import Recording
 from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scan.videos.video import sharpest, take_pictures
 from tiegraph.scan.videos.videotime import VideoClock

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scan_worlds import scan
 
-from tiegraph.scan.recording.recording import Recording
+from tiegraph.scan.recording import Recording
 from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scan.videos.video import (
     OpenVideo,

@@ -10,8 +10,7 @@ from scan_worlds import data
 from tiegraph.scan.settings import ScanSettings, video_offsets
 from tiegraph.scan.tuning import MotionTuning, OffsetTuning, Tuning
 from tiegraph.scan.videos.videomotion import MotionCurve, motion_curve
-from tiegraph.scan.videos.videooffset import find_offset
-from tiegraph.scan.videos.videorig import Film, films_together, offsets_given
+from tiegraph.scan.videos.videooffset import Film, films_together, find_offset, offsets_given
 from video_world import Shake, pictures
 
 OFFSET = OffsetTuning()

@@ -11,14 +11,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tiegraph.scan.recording.recording import Recording
+from tiegraph.scan.recording import Recording
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scan.videos.djisubtitles import read_subtitles
 from tiegraph.scan.videos.video import sharpest, take_pictures
 from tiegraph.scan.videos.videotime import VideoClock, video_clock
-from tiegraph.scene.exif import Exif, read_exif
-from tiegraph.scene.exifwrite import Taken, exif_of
+from tiegraph.scene.exif import Exif, Taken, exif_of, read_exif
 
 PICTURES = PicturesTuning()
 START = datetime(2024, 5, 1, 10, 0, 0, tzinfo=timezone.utc).timestamp()

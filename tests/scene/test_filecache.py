@@ -4,7 +4,7 @@ import os
 
 import pytest
 
-from tiegraph.pipeline import accuracy, previews
+from tiegraph.pipeline import design, previews
 from tiegraph.scene.filecache import cached_by_file
 
 
@@ -37,7 +37,7 @@ def test_a_file_is_read_once_and_again_when_replaced_or_changed(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "read, below", [(previews.scene_of, ()), (accuracy._checked, ("network",))], ids=["previews", "accuracy"]
+    "read, below", [(previews.scene_of, ()), (design._checked, ("network",))], ids=["previews", "accuracy"]
 )
 def test_scene_of_a_run_folder_is_that_of_its_last_run(read, below, tmp_path, monkeypatch):
     monkeypatch.setattr(previews.Scene, "from_json", staticmethod(str))

@@ -13,7 +13,7 @@ from tiegraph.scan.rigfiles.rigspec import orient
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import rigid3d
 from tiegraph.sfm.rig.cameraframes import per_camera_frames
-from tiegraph.sfm.rig.mountings import relaxed_mountings
+from tiegraph.sfm.rig.timeoffset import relaxed_mountings
 from tiegraph.sfm.tuning.rig import RigTuning
 
 TRUE = [transforms.invert(transforms.rigid(orient(y, 0, 0), np.array(p, float))) for y, p in zip(YAWS, PLACES)]

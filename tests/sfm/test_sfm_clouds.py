@@ -11,7 +11,7 @@ from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity
 from tiegraph.sfm.model import image_poses
 from tiegraph.sfm.settings import GeorefSettings
-from tiegraph.sfm.tiedmodels import moved
+from tiegraph.sfm.ties import moved
 from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.verified import VerifiedMatches
 from tiegraph.sfm.world.clouds import CloudFit, Surface, fit_clouds

@@ -119,7 +119,7 @@ def test_what_stands_beyond_a_jump_is_decided_by_its_ties(agree: dict, contradic
     positions = np.stack([along, np.zeros(10), np.zeros(10)], axis=1)
     beside = {(k, k + 1): 500.0 for k in range(9) if k != 4}
     said = ConsistencyVotes({**beside, **agree}, contradict, TUNING.consistency)
-    found = check_consistency(positions, scene, motion_continuity(positions, scene, None, TUNING.continuity), said)
+    found = check_consistency(positions, scene, motion_continuity(positions, scene, None, TUNING.consistency), said)
     assert len(found.main) == (10 if kept else 5) and len(found.beyond) == (5 if kept else 0)
     assert [len(d.frames) for d in found.suspects] == ([] if kept else [5])
     assert all("ties" in d.why for d in found.suspects)
@@ -144,7 +144,7 @@ def test_frames_that_stand_wrong_together_are_asked_together(agree: dict, contra
     outside = {(a, b): 500.0 for a in range(10) for b in range(a + 1, a + 3) if b < 10 and not {a, b} & {4, 5, 6}}
     outside[3, 7] = 500.0
     said = ConsistencyVotes({**inside, **outside, **agree}, contradict, TUNING.consistency)
-    found = check_consistency(positions, scene, motion_continuity(positions, scene, None, TUNING.continuity), said)
+    found = check_consistency(positions, scene, motion_continuity(positions, scene, None, TUNING.consistency), said)
     assert [d.frames for d in found.suspects] == ([left_out] if left_out else [])
     assert set(found.main) == set(range(10)) - set(left_out)
     assert all("asked together with the 2 it is tied to most" in d.why for d in found.suspects)
@@ -163,7 +163,7 @@ def test_blocks_never_join_over_a_jump() -> None:
     found = check_consistency(
         positions,
         scene,
-        motion_continuity(positions, scene, None, TUNING.continuity),
+        motion_continuity(positions, scene, None, TUNING.consistency),
         ConsistencyVotes(agree, {}, TUNING.consistency),
     )
     assert found.main == (0, 1, 2, 6, 7, 8)

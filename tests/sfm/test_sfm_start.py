@@ -20,11 +20,11 @@ from tiegraph.sfm.mapper import Source, reconstruct
 from tiegraph.sfm.model import frame_poses, image_poses
 from tiegraph.sfm.run import Fixed, MappingResult, Matches, Method, Request, run_mapper
 from tiegraph.sfm.settings import SparseSettings
-from tiegraph.sfm.start.acceptance import refusal
 from tiegraph.sfm.start.pathscale import path_scale
 from tiegraph.sfm.start.poses import rig_of_poses, start_from
+from tiegraph.sfm.start.stagedadjustment import refusal
 from tiegraph.sfm.tuning import Tuning
-from tiegraph.sfm.tuning.start import AcceptanceTuning, StartTuning
+from tiegraph.sfm.tuning.start import StagedTuning, StartTuning
 from tiegraph.sfm.verified import read_verified
 
 TUNING = StartTuning()
@@ -220,7 +220,7 @@ def test_the_gate_says_what_is_wrong_with_a_model(how: str, why: str, tmp_path: 
 @pytest.mark.slow
 def test_a_model_that_does_not_pass_the_gate_is_not_kept(world, tmp_path: Path) -> None:
     true, scene = world
-    strict = Tuning(start=StartTuning(acceptance=AcceptanceTuning(max_error_px=0.01)))
+    strict = Tuning(start=StartTuning(staged=StagedTuning(max_error_px=0.01)))
     mapped = _map(tmp_path, scene, _rough(true, scene), tuning=strict)
     assert mapped.folders == [] and mapped.refused.startswith("its reprojection error is 0."), mapped
 

@@ -16,7 +16,7 @@ from tiegraph.scene.weakties import WeaklyTied
 from tiegraph.sfm.model import model_rigs
 from tiegraph.sfm.registrationreport import few_points, weakly_constrained
 from tiegraph.sfm.rig.support import place_as_given, ties_of, units_per_metre, unsupported_sensors
-from tiegraph.sfm.tuning import RegistrationTuning
+from tiegraph.sfm.tuning import RegistrationTuning, Tuning
 from tiegraph.sfm.tuning.rig import SupportTuning
 
 LOSSES = RegistrationTuning()
@@ -51,8 +51,8 @@ def test_a_sensor_without_ties_is_found_and_its_ties_listed(world) -> None:
 def test_scale_by_positions_and_by_baselines(world) -> None:
     truth, scene = world
     metric = with_positions(scene, 3.0 * true_frames(truth, scene)[:, :3, 3], 0.01)
-    assert units_per_metre(truth, metric, TUNING) == pytest.approx(1 / 3, rel=0.02)
-    assert units_per_metre(truth, scene, TUNING) == pytest.approx(1.0, rel=1e-6)
+    assert units_per_metre(truth, metric, Tuning()) == pytest.approx(1 / 3, rel=0.02)
+    assert units_per_metre(truth, scene, Tuning()) == pytest.approx(1.0, rel=1e-6)
 
 
 def test_its_place_is_as_given(world) -> None:
@@ -63,7 +63,7 @@ def test_its_place_is_as_given(world) -> None:
     sensors = (scene.rigs[0].sensors[0], replace(sensor, sensor_from_rig=moved), *scene.rigs[0].sensors[2:])
     given = scene.with_(rigs=(replace(scene.rigs[0], sensors=sensors),))
     metric = with_positions(given, true_frames(truth, scene)[:, :3, 3] / 2.0, 0.01)
-    place_as_given(truth, metric, (1,), TUNING)
+    place_as_given(truth, metric, (1,), Tuning())
     found = model_rigs(truth, scene)[0].sensors
     assert np.allclose(found[1].sensor_from_rig[:3, :3], moved[:3, :3], atol=1e-9)
     assert np.allclose(found[1].sensor_from_rig[:3, 3], 2.0 * moved[:3, 3], rtol=0.02)

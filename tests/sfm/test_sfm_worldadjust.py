@@ -10,7 +10,7 @@ from sfm_worlds import make_world, true_frames, with_positions
 
 from tiegraph.sfm.model import frame_poses, image_poses
 from tiegraph.sfm.settings import GeorefSettings
-from tiegraph.sfm.tiedmodels import moved
+from tiegraph.sfm.ties import moved
 from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.world import georeferencing, worldadjust
 from tiegraph.sfm.world.fixes import Measurements, make_fixes

@@ -1,7 +1,5 @@
 """The joint adjustment of interiors, rig and boards, by pycolmap's bundle adjustment over points that are held."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
@@ -14,6 +12,7 @@ from tiegraph.calibrate.observations import Observations
 from tiegraph.calibrate.state import State, robust_sigma, view_residuals
 from tiegraph.calibrate.tuning import AdjustTuning
 from tiegraph.errors import ReconstructionError
+from tiegraph.geometry.align import CAUCHY_SIGMAS
 from tiegraph.scene.colmapmodel import matrix, rigid3d
 
 _RIG = 1
@@ -48,7 +47,7 @@ def adjust_robustly(seen: Observations, start: State, tuning: AdjustTuning, boar
         kept = seen.without(left_out)
         _check_kept(seen, kept, left_out, tuning)
         state = adjust(kept, state.at(kept.instants()), tuning, tuning.stages_px[-1:])
-    scale = max(tuning.robust_sigmas * robust_sigma(view_residuals(kept, state)), tuning.least_scale_px)
+    scale = max(CAUCHY_SIGMAS * robust_sigma(view_residuals(kept, state)), tuning.least_scale_px)
     state = adjust(kept, state, tuning, (scale,))
     flat = kept.board.points
     if board_sigma_m > 0:
@@ -74,7 +73,7 @@ def _with_bent_board(
         for key, corner in zip(sorted(model.point3D_ids()), seen.corners()):
             points[corner] = model.point3D(key).xyz
         seen, state = replace(seen, board=replace(seen.board, points=points)), _state(model, state)
-        scale_px = max(tuning.robust_sigmas * robust_sigma(view_residuals(seen, state)), tuning.least_scale_px)
+        scale_px = max(CAUCHY_SIGMAS * robust_sigma(view_residuals(seen, state)), tuning.least_scale_px)
     return seen, state
 
 

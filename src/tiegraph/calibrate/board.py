@@ -10,8 +10,6 @@ x to the right and y up as Kalibr's. OpenCV's DICT_APRILTAG_36h11 has its tags t
 Kalibr prints (compared bit by bit), so its first corner is Kalibr's lower right one.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass

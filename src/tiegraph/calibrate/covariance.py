@@ -5,8 +5,6 @@ rig (m) and the turn about the camera's own axes (rad). Ceres' tangent of a pose
 left, then the translation of sensor_from_rig (EigenQuaternionManifold); ``_lever`` makes centre and turn of it.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,6 +16,7 @@ from tiegraph.calibrate.adjust import Adjusted, build, problem
 from tiegraph.calibrate.state import State
 from tiegraph.calibrate.tuning import AdjustTuning
 from tiegraph.geometry import transforms
+from tiegraph.geometry.align import CAUCHY_SIGMAS
 from tiegraph.geometry.transforms import skew
 
 _POSE = 6
@@ -72,7 +71,7 @@ def _normal(done: Adjusted, tuning: AdjustTuning) -> tuple[np.ndarray, np.ndarra
     import pyceres
 
     model = build(done.seen, done.state)
-    adjuster = problem(model, tuning, max(tuning.robust_sigmas * done.sigma_px, tuning.least_scale_px))
+    adjuster = problem(model, tuning, max(CAUCHY_SIGMAS * done.sigma_px, tuning.least_scale_px))
     keep: list[Any] = [model.camera(k + 1) for k in range(len(done.state.cameras))]
     sensors: dict[Any, Any] = dict(model.rigs[1].non_ref_sensors.items())
     ordered = sorted(sensors, key=lambda s: s.id)

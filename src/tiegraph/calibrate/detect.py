@@ -1,7 +1,5 @@
 """The corners of a board in one image, by OpenCV's detectors."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import cv2

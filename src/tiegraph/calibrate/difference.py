@@ -1,7 +1,5 @@
 """Two calibrations of the same cameras side by side: by a board and by a survey, or of two days."""
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ Both count pixels from the centre of the first one, and hold fewer lenses than C
 two tangential terms, and Kannala's of the angle.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

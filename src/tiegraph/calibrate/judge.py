@@ -1,7 +1,5 @@
 """How good a calibration is: held-out instants, coverage of the images, what the views leave open, and advice."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +10,7 @@ from tiegraph.calibrate.observations import CameraImages, Observations
 from tiegraph.calibrate.state import State, view_residuals
 from tiegraph.calibrate.tuning import AdjustTuning, JudgeTuning, Tuning
 from tiegraph.errors import ReconstructionError
+from tiegraph.geometry.align import CAUCHY_SIGMAS
 
 _DOWN, _ACROSS = ("upper", "middle", "lower"), ("left", "centre", "right")
 _CORNER = 1.18  # of half the shorter side: beyond it, what a fisheye lens may leave dark
@@ -85,7 +84,7 @@ def held_out_residuals(done: Adjusted, tuning: Tuning) -> list[np.ndarray]:
 
 
 def _scale(done: Adjusted, tuning: AdjustTuning) -> float:
-    return max(tuning.robust_sigmas * done.sigma_px, tuning.least_scale_px)
+    return max(CAUCHY_SIGMAS * done.sigma_px, tuning.least_scale_px)
 
 
 def _largest_tilt(done: Adjusted, camera: int) -> float:

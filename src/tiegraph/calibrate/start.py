@@ -1,7 +1,5 @@
 """Start values: cameras from a search over the focal length, the rig from poses of the board at the same instants."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pycolmap

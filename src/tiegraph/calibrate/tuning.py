@@ -1,7 +1,5 @@
 """What a calibration decides by: each constant with its unit, its meaning and where its value comes from."""
 
-from __future__ import annotations
-
 from pydantic import Field
 
 from tiegraph.settings import Section
@@ -53,10 +51,8 @@ class AdjustTuning(Section):
 
     stages_px: tuple[float, ...] = (50.0, 5.0)
     """Scales of the Cauchy loss of the first adjustments: undistorted start values are tens of pixels off."""
-    robust_sigmas: float = Field(2.385, gt=0)
-    """Scale of the last ones, in sigmas of a corner: 95 % efficient for normal errors (Holland and Welsch 1977)."""
     least_scale_px: float = Field(0.02, gt=0)
-    """Its lower bound."""
+    """Lower bound of that of the last ones, which is told by the residuals."""
     iterations: int = Field(200, gt=0)
     """Of Ceres."""
     doubt_sigmas: float = Field(10.0, gt=0)

@@ -1,7 +1,5 @@
 """`tiegraph doctor`: what this machine and this installation have, and what to do about what is missing."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import tempfile

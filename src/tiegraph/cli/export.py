@@ -1,7 +1,5 @@
 """`tiegraph export OUT FOLDER`: the depth maps as a dense workspace of COLMAP."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`tiegraph <verb> ...`, a file each; stages are verbs too. Exit codes: 0 done, 1 failed, 2 misuse, 3 by `--strict`."""
 
-from __future__ import annotations
-
 import gc
 import logging
 import os

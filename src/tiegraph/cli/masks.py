@@ -1,7 +1,5 @@
 """`tiegraph masks OUT` (the stage) and `tiegraph masks OUT --compare FOLDER` (how good the masks are)."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`tiegraph network OUT` (the stage) and `tiegraph network --coverage IMAGES|OUT` (is anything missing, on site)."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass
 from typing import Annotated, Any

@@ -1,7 +1,5 @@
 """The options of a verb, read from the command line; what is wrong with them is one line, as all our errors are."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import re

@@ -1,7 +1,5 @@
 """What the verbs print: standard output and error that may be closed, full, or unable to show a letter."""
 
-from __future__ import annotations
-
 import os
 import sys
 from collections.abc import Iterable, Sequence

@@ -1,7 +1,5 @@
 """`tiegraph plan`: what a survey will give, before it is taken."""
 
-from __future__ import annotations
-
 import json as json_text
 from pathlib import Path
 from typing import Annotated

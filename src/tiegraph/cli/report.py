@@ -1,7 +1,5 @@
 """`tiegraph report OUT` (the stage), in another language, and printed to a PDF."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """`tiegraph status OUT`."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Ctrl-C, SIGTERM and SIGHUP: the run ends within seconds, in one line, and leaves no process behind."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import signal

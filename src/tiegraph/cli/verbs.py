@@ -3,16 +3,41 @@
 The modules import the engines with all their libraries, seconds of work: `tiegraph --help` reads only this table.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
 
-from tiegraph.cli import page
-
 HELP, HELP_ALL = ("-h", "--help"), "--help-all"
+
+RUN_PAGE = """\
+usage: tiegraph run IMAGES [-o OUT] [OPTIONS]
+
+From a folder of images to the cloud and the report. Run again, it goes on.
+
+inputs:
+  IMAGES            the folder of the images, videos or ROS bags; BAG:TOPIC,...
+  --rig RIG         rig.toml, rig_config.json, OUT of another run, ring:N, ...
+  --camera CAMERA   a single camera's calibration: a file, or MODEL,parameters
+  --gnss FILE       CSV, NMEA, .pos, GPX, KML, geo.txt, SBET, MRK, a ROS bag
+  --trajectory PATH TUM, EuRoC, KITTI, COLMAP, ...; auto: odometry of the images
+  --start MODEL     go on from COLMAP, OpenSfM/ODM, nerfstudio or Metashape
+  --gcp, --marks    control and check points; their marks, if in another file
+  --times CSV       frames' times where EXIF has none: pass, frame, time
+
+options:
+  -o, --out OUT     the run folder (default: <IMAGES>_tiegraph beside them)
+  --tolerance M     is it so good in the world, metres? yes, no, or why not told
+  --until STAGE     the last stage to run; --plan: say what room, time it needs
+  --preset NAME     fast, close-range, conventional, meguro2024 or meguro2025
+  --unset KEY       forget a stored input or setting; --keep results: no depths
+  --pool POOL       serial, local, local:<workers> or dask:<address>
+  --json, --quiet   JSON lines; nothing but errors; --strict: exit 3 if doubtful
+  -h, --help        this page; --help-all: all, as --scan.crs, --masks.folder"""
+"""The short help page of `tiegraph run`: one screen of 24 lines of 80 letters, there without loading anything.
+
+Written by hand, for the options' own texts fill 400 lines (`--help-all`); a test holds it to ``cli.run.RunOptions``.
+"""
 
 
 @dataclass(frozen=True)
@@ -40,7 +65,7 @@ def wants_page(arguments: Sequence[str]) -> bool:
 
 
 VERBS: dict[str, Verb] = {
-    "run": Verb("from a folder of images to the cloud and the report (or --until a stage)", "run", page=page.RUN),
+    "run": Verb("from a folder of images to the cloud and the report (or --until a stage)", "run", page=RUN_PAGE),
     "demo": Verb("the example survey, from images to the report", "demo"),
     "init": Verb("show what is found in a folder; write tiegraph.toml and rig.toml to edit", "init"),
     "status": Verb("which stages of a run folder are up to date, and why not", "status"),

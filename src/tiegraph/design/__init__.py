@@ -17,6 +17,6 @@ centres).
 
 A net of resistances has one unknown an image. Choosing by the bundle adjustment, with the extrinsics and intrinsics
 that images share, gave a sigma 1 to 8 % better at equal pairs and no better trajectory (benchmarks/README.md); it is
-gone. Paper 002's accuracy of a pair (``pipeline.accuracy``, ``papers.fuse2014``) comes to ``fuse2014`` as a column of
+gone. Paper 002's accuracy of a pair (``pipeline.design``, ``papers.fuse2014``) comes to ``fuse2014`` as a column of
 the pair table.
 """

@@ -1,7 +1,5 @@
 """What matching costs of a run, by measured times and no clock, so that a survey is designed alike on any machine."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

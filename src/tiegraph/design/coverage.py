@@ -6,8 +6,6 @@ finds twenty inliers in noise. Pairs that are all but sure to be verified join f
 few of these with all the others are named.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -6,8 +6,6 @@ of the graph of candidates, that around a single image and that between two halv
 pairs stay until so many as are ``wanted`` of them are expected to be verified, or all of them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, cast
@@ -16,9 +14,8 @@ import numpy as np
 
 from tiegraph.design.cost import Cost
 from tiegraph.design.coverage import Coverage
-from tiegraph.design.expected import counted_matches, expected_matches
 from tiegraph.design.hybrid import Budget, Choice, choose
-from tiegraph.design.matchprediction import predict_matches, verified_chance
+from tiegraph.design.matchprediction import counted_matches, expected_matches, predict_matches, verified_chance
 from tiegraph.design.predict import Predictor
 from tiegraph.design.settings import DesignSettings
 from tiegraph.design.tracks import Candidates
@@ -84,7 +81,7 @@ def design(
     """
     if takes_all(settings, cost, tuning.cost) or not (pairs.dropped == 0).any():
         return _all_of(pairs, settings, cost, tuning)
-    expected = expected_matches(pairs, ties, tuning.expected)
+    expected = expected_matches(pairs, ties, tuning.match_prediction)
     if settings.method not in _OWN:
         return _by_method(pairs, scene, expected, settings)
     kept = _kept(pairs, expected, ties, visibility, tuning)
@@ -130,9 +127,9 @@ def _kept(
     i, j, strength = pairs.i[row], pairs.j[row], expected[row]
     if visibility is None:
         return _Kept(row=row, i=i, j=j, strength=strength, known=ties)
-    seen = predict_matches(i, j, counted_matches(pairs, ties)[row], visibility, tuning.match_prediction)
-    strength = np.where(np.isfinite(seen.expected), seen.expected, strength)
-    return _Kept(row=row, i=i, j=j, strength=strength, known=seen.matches)
+    expected, known = predict_matches(i, j, counted_matches(pairs, ties)[row], visibility, tuning.match_prediction)
+    strength = np.where(np.isfinite(expected), expected, strength)
+    return _Kept(row=row, i=i, j=j, strength=strength, known=known)
 
 
 def _chosen(kept: _Kept, start: np.ndarray, scene: Scene, settings: DesignSettings, tuning: Tuning) -> Choice:

@@ -10,8 +10,6 @@ Pairs are chosen in rounds that grow the network by a few percent, each image on
 gains are computed together, and a pair chosen does not make its neighbours' gains stale.
 """
 
-from __future__ import annotations
-
 import logging
 from dataclasses import dataclass
 

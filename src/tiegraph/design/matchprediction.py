@@ -5,8 +5,6 @@ a point is found again in a second image falls with the angle between the two ra
 the previewed pairs tell how fast, and all pairs are foreseen by it in the same way.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -15,16 +13,9 @@ import scipy
 
 from tiegraph.design.tuning import MatchPredictionTuning
 from tiegraph.scene.matches import PreviewMatches, Visibility
+from tiegraph.scene.pairs import Pairs
 
 _MIX = (np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB))  # splitmix64
-
-
-@dataclass(frozen=True)
-class PredictedMatches:
-    """``expected`` (P,) preview matches of the pairs, NaN without a common point, and the ties of the others."""
-
-    expected: np.ndarray
-    matches: PreviewMatches
 
 
 @dataclass(frozen=True)
@@ -48,7 +39,7 @@ def verified_chance(expected: np.ndarray, tuning: MatchPredictionTuning) -> np.n
 
 def predict_matches(
     i: np.ndarray, j: np.ndarray, measured: np.ndarray, visibility: Visibility, tuning: MatchPredictionTuning
-) -> PredictedMatches:
+) -> tuple[np.ndarray, PreviewMatches]:
     """Ties and expected matches of pairs i < j (P,); ``measured`` (P,) preview matches, NaN = not previewed.
 
     Which of the common points match is drawn at random, with the chance of each point, and always in the same way.
@@ -76,7 +67,7 @@ def predict_matches(
     order = by_image[np.isfinite(expected[by_image])]
     start = np.concatenate([[0], np.cumsum(count[order])])
     ties = PreviewMatches(i=i[order], j=j[order], start=start, matches=np.concatenate(matches))
-    return PredictedMatches(expected, ties)
+    return expected, ties
 
 
 @dataclass(frozen=True)
@@ -196,3 +187,61 @@ def _uniform(point: np.ndarray, a: int | np.ndarray, b: int | np.ndarray) -> np.
         x = (x ^ (x >> np.uint64(27))) * _MIX[2]
         x ^= x >> np.uint64(31)
     return (x >> np.uint64(11)).astype(np.float64) / float(1 << 53)
+
+
+def expected_matches(pairs: Pairs, ties: PreviewMatches | None, tuning: MatchPredictionTuning) -> np.ndarray:
+    """(P,) preview matches of each pair, measured or expected, at least 1.
+
+    Counted matches first; else the score; else what previewed pairs of that predicted overlap have on average (a
+    monotone curve through bins); else the median of what is known. A measured count below the ``floor`` of what the
+    overlap promises is lifted to that.
+    """
+    counted = counted_matches(pairs, ties)
+    measured = np.where(np.isnan(counted), pairs.score, counted)
+    by_overlap = _overlap_curve(pairs.overlap, measured, tuning)(pairs.overlap)
+    usual = float(np.nanmedian(measured)) if np.isfinite(measured).any() else 1.0
+    out = np.where(np.isfinite(measured), np.fmax(measured, tuning.floor * by_overlap), by_overlap)
+    return np.maximum(np.where(np.isfinite(out), out, usual), 1.0)
+
+
+def counted_matches(pairs: Pairs, ties: PreviewMatches | None) -> np.ndarray:
+    """(P,) preview matches of the pairs that were previewed, NaN for the others."""
+    if ties is None or not len(ties):
+        return np.full(len(pairs), np.nan)
+    row = ties.find(pairs.i, pairs.j)
+    return np.where(row >= 0, ties.counts()[row], np.nan)
+
+
+class _Curve:
+    """Matches by overlap, linear between bins and through zero."""
+
+    def __init__(self, overlap: np.ndarray, matches: np.ndarray) -> None:
+        self.overlap, self.matches = overlap, matches
+
+    def __call__(self, overlap: np.ndarray) -> np.ndarray:
+        value = np.interp(np.nan_to_num(overlap), self.overlap, self.matches)
+        return np.where(np.isnan(overlap), np.nan, value)
+
+
+def _overlap_curve(overlap: np.ndarray, measured: np.ndarray, tuning: MatchPredictionTuning) -> _Curve:
+    both = np.isfinite(overlap) & np.isfinite(measured)
+    bins = min(tuning.bins, int(both.sum()) // tuning.least_a_bin)
+    if bins < 1:
+        return _Curve(np.array([0.0, 1.0]), np.array([0.0, tuning.at_full_overlap]))
+    order = np.argsort(overlap[both], kind="stable")
+    groups = np.array_split(order, bins)
+    at = np.array([overlap[both][g].mean() for g in groups])
+    value = _rising(np.array([measured[both][g].mean() for g in groups]))
+    at, first = np.unique(np.r_[0.0, at], return_index=True)
+    return _Curve(at, np.r_[0.0, value][first])
+
+
+def _rising(value: np.ndarray) -> np.ndarray:
+    """The nearest sequence that never falls (pooling of neighbours)."""
+    blocks: list[list[float]] = []  # mean, size
+    for v in value:
+        blocks.append([float(v), 1.0])
+        while len(blocks) > 1 and blocks[-2][0] > blocks[-1][0]:
+            (a, m), (b, n) = blocks[-2:]
+            blocks[-2:] = [[(a * m + b * n) / (m + n), m + n]]
+    return np.concatenate([np.full(int(n), v) for v, n in blocks])

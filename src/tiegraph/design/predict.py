@@ -1,7 +1,5 @@
 """How far the position sigma of chosen pairs is from that of all: a one-dimensional adjustment of the tracks."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.sparse import csr_array
 

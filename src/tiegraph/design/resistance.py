@@ -5,8 +5,6 @@ the normal matrix L = sum over tracks (I - 1 1^T / k), a graph Laplacian: the on
 Its pseudo-inverse gives the variance of the difference of two images (effective resistance) and of all images.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.sparse import coo_array, csr_array, diags_array, eye_array
 from scipy.sparse.csgraph import connected_components

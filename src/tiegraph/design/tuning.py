@@ -3,8 +3,6 @@
 Paper 002's numbers define the method fuse2014 and stand in ``tiegraph.papers.fuse2014``.
 """
 
-from __future__ import annotations
-
 from pydantic import Field
 
 from tiegraph.settings import Section
@@ -36,21 +34,9 @@ class CostTuning(Section):
     took them all: 124 CPU s for 100, with the same errors."""
 
 
-class ExpectedTuning(Section):
-    """Matches of pairs that were never previewed, by the overlap (`expected.py`)."""
-
-    bins: int = Field(12, gt=0)
-    """Of the curve of matches over overlap, with equal numbers of previewed pairs."""
-    least_a_bin: int = Field(30, gt=0)
-    """Previewed pairs a bin should hold."""
-    at_full_overlap: float = Field(60.0, gt=0)
-    """Matches at full overlap if nothing was previewed: only ratios matter then."""
-    floor: float = Field(0.25, ge=0, le=1)
-    """Of its expectation that a pair has at least: a preview that failed does not prove that full resolution does."""
-
-
 class MatchPredictionTuning(Section):
-    """Matches by the points of the coarse model that two images should both see (`matchprediction.py`)."""
+    """Matches by the points of the coarse model that two images should both see, and by the overlap, of pairs that were
+    never previewed (`matchprediction.py`)."""
 
     angles_deg: tuple[float, ...] = Field((3.5, 5.0, 7.0, 10.0, 14.0, 20.0, 28.0, 40.0), min_length=1)
     """Angles between the rays that are tried for the law: where chances fall to 1 / e."""
@@ -76,6 +62,14 @@ class MatchPredictionTuning(Section):
     """Preview matches with which every second pair is verified: full images find twice as many, 15 are needed."""
     least_variance: float = Field(5.0, gt=0)
     """Matches: the variance of a count is the count itself, and not less than this."""
+    bins: int = Field(12, gt=0)
+    """Of the curve of matches over overlap, with equal numbers of previewed pairs."""
+    least_a_bin: int = Field(30, gt=0)
+    """Previewed pairs a bin should hold."""
+    at_full_overlap: float = Field(60.0, gt=0)
+    """Matches at full overlap if nothing was previewed: only ratios matter then."""
+    floor: float = Field(0.25, ge=0, le=1)
+    """Of its expectation that a pair has at least: a preview that failed does not prove that full resolution does."""
 
 
 class HoldingTuning(Section):
@@ -169,10 +163,8 @@ class Tuning(Section):
     """Of a budget of pairs that the pairs may take which stay whatever a design is after."""
     cost: CostTuning = Field(default_factory=CostTuning)
     """The cost of matching."""
-    expected: ExpectedTuning = Field(default_factory=ExpectedTuning)
-    """Expected matches by overlap."""
     match_prediction: MatchPredictionTuning = Field(default_factory=MatchPredictionTuning)
-    """Expected matches by the coarse model."""
+    """Expected matches by the coarse model, or by overlap."""
     holding: HoldingTuning = Field(default_factory=HoldingTuning)
     """The pairs that hold every image and part."""
     net: NetTuning = Field(default_factory=NetTuning)

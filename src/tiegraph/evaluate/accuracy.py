@@ -1,7 +1,7 @@
 """The accuracy of a run in layers (``scene.accuracy``): what its stages predicted beside what references measured."""
 
-from __future__ import annotations
-
+import csv
+import io
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -14,9 +14,12 @@ from tiegraph.evaluate.clouds.passes import PassAgreement
 from tiegraph.evaluate.trajectory import PoseMatch, TrajectoryError
 from tiegraph.evaluate.tuning import TrajectoryTuning
 from tiegraph.geometry.align import rms_length
-from tiegraph.scene.accuracy import NAN, Accuracy, Figure
-from tiegraph.scene.sampling import evenly
+from tiegraph.scene.accuracy import MEASURED, NAN, PREDICTED, Accuracy, Answer, Figure
+from tiegraph.scene.sorting import evenly
 
+YES, NO, OPEN = "yes", "no", "cannot be told"
+_CHECK = "check points, spread over the survey and not used in the adjustment; one or two are too few"
+_AXES = ("east", "north", "up")
 POINT, POINT_90 = "a point of the cloud (median)", "nine in ten points of the cloud"
 _OWN = "the run's own account: an error that it does not know of is not in it"
 _NOT = {
@@ -237,3 +240,88 @@ def _length(axes: Mapping[str, float]) -> float:
 
 def _number(value: float | None) -> float:
     return NAN if value is None else value
+
+
+def accuracy_csv(said: Mapping[str, Any], tables: Mapping[str, Mapping[str, Any]], world: dict) -> str:
+    """CSV (about, item, quantity, value, unit) of what metrics.json says (``said``: its layers and metrics), of the
+    tables {name: {"columns", "rows"}} by their first column, and of each frame's position by ``world`` (world.json)."""
+    text = io.StringIO()
+    out = csv.writer(text, lineterminator="\n")
+    out.writerow(["about", "item", "quantity", "value", "unit"])
+    for key, value in Accuracy.from_dict(said["accuracy"]).values().items():
+        unit = said["accuracy"]["unit"] if key.endswith((PREDICTED, MEASURED)) else ""
+        out.writerow(["accuracy", "", key, _text(value), unit])
+    for m in said["metrics"]:
+        out.writerow(["survey", "", m["name"], _text(m["value"]), m["unit"]])
+    out.writerows([about, item, name, _text(value), ""] for about, item, name, value in _frames(world))
+    for about, table in tables.items():
+        for first, *cells in table["rows"]:
+            out.writerows([about, first, name, _text(v), ""] for name, v in zip(table["columns"][1:], cells))
+    return text.getvalue()
+
+
+def _frames(world: dict) -> Iterator[tuple[str, Any, str, Any]]:
+    for frame in world.get("frames", ()):
+        for kind in ("residual_m", "held_out_m"):
+            for axis, value in zip(_AXES, frame.get(kind) or ()):
+                yield f"{kind.removesuffix('_m').replace('_', ' ')} of a frame, m", frame["frame"], axis, value
+
+
+def _text(value: Any) -> str:
+    return "" if value is None else f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def answered(tolerance_m: float, accuracy: Accuracy, stated: Stated, contradicted: bool, min_checks: int) -> Answer:
+    """The answer to a tolerance of a point in the world, metres.
+
+    Held: the standard deviation of nine in ten points of the cloud is within it, and so is what was measured
+    independently (root mean square). Not held: what was measured is beyond it, or, where nothing was, the standard
+    deviation of half of the points is. Fewer than ``min_checks`` check points hold nothing, but may refuse it. The text
+    names no figures: they stand beside it, in the layers.
+    """
+    measured = [f for f in accuracy.of("world") if f.independent and np.isfinite(f.measured)]
+    enough = [f for f in measured if f.key != "world.check_points" or stated.hold.checks >= min_checks]
+    beyond = next((f for f in measured if f.measured > tolerance_m), None)
+    said, why, remedy = _judged(tolerance_m, stated, beyond, enough)
+    if said == YES and contradicted:
+        said, why, remedy = OPEN, "the survey contradicts itself", "what settles the contradictions stated above"
+    return Answer(tolerance_m=tolerance_m, said=said, why=why, remedy=remedy)
+
+
+def _judged(tolerance_m: float, stated: Stated, beyond: Figure | None, measured: list[Figure]) -> tuple[str, str, str]:
+    """The answer, why, and what would make it yes."""
+    predicted, hold = stated.predicted, stated.hold
+    if not predicted.metric:
+        return OPEN, "nothing tells the scale", "positions, control points, or the size of the rig"
+    if not np.isfinite(predicted.placed_m):
+        return OPEN, "nothing holds the survey in the world", "control points, or positions of its frames"
+    if beyond is not None:
+        return NO, f"{beyond.by} measured more", _remedy(predicted, hold)
+    half, most = predicted.world_m <= tolerance_m, predicted.world_90_m <= tolerance_m
+    if most and measured:
+        return YES, f"predicted of nine in ten points, and {measured[0].by} measured no more", ""
+    if most:
+        return OPEN, "predicted of nine in ten points, but nothing independent measured it", _CHECK
+    if not np.isfinite(predicted.world_m):
+        return OPEN, "nothing is predicted of the cloud's points", _CHECK
+    share = "half of the points, not of nine in ten" if half else "less than half of the points"
+    if half or measured:
+        here = f"; {measured[0].by} measured no more, which is not the cloud as a whole" if measured else ""
+        return OPEN, f"predicted of {share}{here}", _remedy(predicted, hold)
+    return NO, f"predicted of {share}, and nothing independent says otherwise", _remedy(predicted, hold)
+
+
+def _remedy(predicted: Predicted, hold: Hold) -> str:
+    """What would bring the largest part of the error down."""
+    # of points: what turns and stretches the whole moves them more than cameras
+    placed = float(np.sqrt(max(predicted.world_m**2 - np.nan_to_num(predicted.point_m) ** 2, 0.0)))
+    parts = {"placed": placed, "inside": predicted.inside_m, "point": predicted.point_m}
+    largest = max(parts, key=lambda name: np.nan_to_num(parts[name]))
+    if largest == "point":
+        return "images nearer to the surface or with more pixels, and more of them of each point"
+    if largest == "inside":
+        return "more overlap between images, a second pass, and ties between passes"
+    if not hold.control:
+        lost = f", positions under the bridge ({hold.covered} frames have none)" if hold.covered else ""
+        return f"control points on both sides and at both ends of the way{lost}"
+    return "more control points, to the sides and at the ends of the way"

@@ -1,7 +1,5 @@
 """References against what was predicted: an error far beyond its sigma contradicts; what would explain it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 import numpy as np

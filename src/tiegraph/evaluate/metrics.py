@@ -1,7 +1,5 @@
 """metrics.json: figures of merit and tables, and what they mean."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from dataclasses import asdict

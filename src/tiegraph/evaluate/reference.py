@@ -1,7 +1,5 @@
 """Reference data: poses from a COLMAP model or TUM files, brought into the run's world."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Everything the evaluate stage states about a run: from a model, a cloud and references to metrics.json."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -10,7 +8,7 @@ import numpy as np
 
 from tiegraph.errors import InputError
 from tiegraph.evaluate import backprojection, reference
-from tiegraph.evaluate.accuracy import Predicted, Stated, cloud_figure, in_layers, passes_figure, pose_figures
+from tiegraph.evaluate.accuracy import Predicted, Stated, answered, cloud_figure, in_layers, passes_figure, pose_figures
 from tiegraph.evaluate.backprojection import View, backprojection_rmse
 from tiegraph.evaluate.clouds.judge import CloudJudgement, Question, judge_cloud
 from tiegraph.evaluate.clouds.nearest import Cameras
@@ -19,7 +17,6 @@ from tiegraph.evaluate.contradictions import against_cloud, against_poses
 from tiegraph.evaluate.metrics import metrics_to_dict
 from tiegraph.evaluate.reference import ModelPoses
 from tiegraph.evaluate.settings import EvaluateSettings
-from tiegraph.evaluate.tolerance import answered
 from tiegraph.evaluate.trajectory import TrajectoryError, evaluate_trajectory, registered_metrics, registered_table
 from tiegraph.evaluate.tuning import Tuning
 from tiegraph.geometry.align import Similarity

@@ -52,7 +52,6 @@ class PositionError:
 
     rmse_m: float
     median_m: float
-    p90_m: float
     max_m: float
     alignment: Similarity
     errors_m: np.ndarray  # (K,)
@@ -193,7 +192,6 @@ def position_error(estimate: np.ndarray, reference: np.ndarray, alignment: Simil
     return PositionError(
         rmse_m=float(np.sqrt(np.mean(e**2))),
         median_m=float(np.median(e)),
-        p90_m=float(np.quantile(e, 0.9)),
         max_m=float(e.max()),
         alignment=alignment,
         errors_m=e,

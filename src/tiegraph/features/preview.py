@@ -20,7 +20,7 @@ import pycolmap
 from tiegraph.features import nearest
 from tiegraph.features.settings import PreviewSettings
 from tiegraph.features.sift import DESCRIPTOR_NORM, root_sift
-from tiegraph.features.tuning import PreviewTuning
+from tiegraph.features.tuning import PreviewTuning, Tuning
 from tiegraph.limits import need_room
 from tiegraph.scene.colmaprows import DATABASE_BYTES, create_database, write_ties
 from tiegraph.scene.matches import PreviewMatches
@@ -82,9 +82,7 @@ class PreviewMatch:
     matches: np.ndarray = field(default_factory=lambda: np.zeros((0, 2), np.uint16))
 
 
-def extract_preview(
-    gray: np.ndarray, mask: np.ndarray | None, settings: PreviewSettings, tuning: PreviewTuning
-) -> Preview:
+def extract_preview(gray: np.ndarray, mask: np.ndarray | None, settings: PreviewSettings, tuning: Tuning) -> Preview:
     """Preview of a grey image (H, W) u1; ``mask`` (H, W) bool, True = use. Raises ValueError on bad shapes."""
     if gray.ndim != 2 or gray.dtype != np.uint8:
         raise ValueError(f"a preview needs a grey (H, W) uint8 image, got {gray.shape} {gray.dtype}")
@@ -95,7 +93,7 @@ def extract_preview(
     scale = min(1.0, settings.size_px * float(np.sqrt(0.75 / (height * width))))
     size = (max(1, round(width * scale)), max(1, round(height * scale)))
     small = gray if scale == 1.0 else cv2.resize(gray, size, interpolation=cv2.INTER_AREA)
-    use = None if mask is None else _small_mask(mask, size, tuning)
+    use = None if mask is None else _small_mask(mask, size, tuning.preview)
     points, descriptors = _spread_sift(small, use, settings, tuning)
     # OpenCV counts from the centre of the first pixel, COLMAP from its corner.
     xy = (points + 0.5) * np.array([width / size[0], height / size[1]])
@@ -118,11 +116,12 @@ def _small_mask(mask: np.ndarray, size: tuple[int, int], tuning: PreviewTuning) 
 
 
 def _spread_sift(
-    small: np.ndarray, use: np.ndarray | None, settings: PreviewSettings, tuning: PreviewTuning
+    small: np.ndarray, use: np.ndarray | None, settings: PreviewSettings, tunings: Tuning
 ) -> tuple[np.ndarray, np.ndarray]:
     """Points (K, 2) and root-SIFT (K, 128) u1 of the strongest features of each grid cell, round robin."""
+    tuning = tunings.preview
     sift = cv2.SIFT.create(
-        nfeatures=0, contrastThreshold=tuning.contrast, edgeThreshold=tuning.edges, enable_precise_upscale=True
+        nfeatures=0, contrastThreshold=tuning.contrast, edgeThreshold=tunings.sift.edges, enable_precise_upscale=True
     )
     # One call: describing those that are kept alone would build the pyramid a second time, and costs more.
     found, descriptors = sift.detectAndCompute(small, use)

@@ -12,8 +12,6 @@ class PreviewTuning(Section):
 
     contrast: float = Field(0.02, gt=0)
     """Least contrast of a feature, half of Lowe's: dark stretches under bridges have little contrast."""
-    edges: float = Field(12.0, gt=0)
-    """Lowe's edge threshold: most that the two curvatures of a feature may differ, as a ratio."""
     cells: int = Field(8, gt=0)
     """Grid cells along the longest side, for the spreading."""
     min_used: float = Field(0.5, gt=0, le=1)

@@ -5,8 +5,6 @@ agrees on, best backed first. Repeated walls turn a pair by the angle that fits 
 one (measured on canal: 8 to 180 degrees), while true ties agree within a degree.
 """
 
-from __future__ import annotations
-
 import heapq
 from dataclasses import dataclass
 

@@ -5,8 +5,6 @@ rotation for each camera. No points and no model are needed; a straight drive is
 saw.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

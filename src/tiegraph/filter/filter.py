@@ -7,8 +7,6 @@
    pair for itself can be reconciled with it. What loops cannot tell is kept and counted as undecided.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -4,8 +4,6 @@ A rough model says more than loops of rotations: a wall that repeats along the w
 the right rotation and on the right epipolar lines, but at impossible distances.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

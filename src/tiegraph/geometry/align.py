@@ -9,6 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry.transforms import angle_deg, rigid
 
+CAUCHY_SIGMAS = 2.385  # scale of a Cauchy loss: 95 % efficient for normal errors (Holland and Welsch 1977)
+
 
 @dataclass(frozen=True)
 class Similarity:

@@ -1,7 +1,5 @@
 """Rays: unit vectors in a camera's frame, and how far off epipolar planes they lie."""
 
-from __future__ import annotations
-
 import numpy as np
 
 

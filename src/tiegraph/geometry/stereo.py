@@ -5,8 +5,6 @@ baseline needs no case of its own: both rectified images are merely rolled, and 
 coordinates are COLMAP's: (0, 0) is the corner of the top-left pixel.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Rigid transforms as float64 (..., 4, 4) matrices named ``target_from_source``; NaN = unknown."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 

@@ -7,8 +7,6 @@ Liu and Zhang (BALM, 2021) and Zhou et al. (plane adjustment, 2021) do. The poin
 moments, so that a step costs by planes and not by points; planes are eliminated first (Schur complement).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """One scan a file: KITTI's .bin, PCD, PLY, NPZ, LAS and LAZ."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import Similarity, l1_mean_rotation, rms_length
+from tiegraph.geometry.align import CAUCHY_SIGMAS, Similarity, l1_mean_rotation, rms_length
 from tiegraph.lidar.pointtie import PointTie
 from tiegraph.lidar.tuning import HandEyeTuning
 
@@ -233,7 +233,7 @@ class _Problem:
         for clock in clocks:
             if self._pairs(float(clock), all_kept):
                 values = self._start(float(clock))
-                cost = np.log1p((self._weighted(values) / tuning.robust) ** 2).mean()
+                cost = np.log1p((self._weighted(values) / CAUCHY_SIGMAS) ** 2).mean()
                 starts.append((float(cost), float(clock), values))
         if not starts:
             raise InputError(self._apart())
@@ -241,7 +241,7 @@ class _Problem:
         for _, clock, values in sorted(starts, key=lambda s: s[:2])[: tuning.refined]:
             self._pairs(clock, all_kept)
             values = self.refine(values)
-            cost = np.log1p((self._weighted(values) / tuning.robust) ** 2).mean()
+            cost = np.log1p((self._weighted(values) / CAUCHY_SIGMAS) ** 2).mean()
             if self._pairs(float(values[_CLOCK]), all_kept):
                 refined.append((float(cost), float(clock), values))
         if not refined:
@@ -299,11 +299,11 @@ class _Problem:
             return np.stack(sides, axis=1) / (2 * steps)
 
         scale = np.array([0.01, 0.01, 0.01, 0.1, 0.1, 0.1, 0.01, 0.01])[free]
-        loss = {"loss": "cauchy", "f_scale": self.tuning.robust}
+        loss = {"loss": "cauchy", "f_scale": CAUCHY_SIGMAS}
         done = scipy.optimize.least_squares(wrapped, values[free], slopes, x_scale=scale, **loss)
         out = values.copy()
         out[free] = done.x
-        self.jacobian, self.weight = slopes(done.x), 1 / (1 + (wrapped(done.x) / self.tuning.robust) ** 2)
+        self.jacobian, self.weight = slopes(done.x), 1 / (1 + (wrapped(done.x) / CAUCHY_SIGMAS) ** 2)
         return out
 
     def measure(self, values: np.ndarray) -> None:

@@ -1,7 +1,5 @@
 """The map: one point a voxel, the mean of all points in it, in bounded memory."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from tiegraph.lidar.tuning import MapTuning

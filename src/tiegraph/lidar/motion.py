@@ -1,7 +1,5 @@
 """Where a scanner was while it turned: points of one scan brought to the instant of its pose."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 

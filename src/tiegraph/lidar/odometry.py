@@ -1,7 +1,5 @@
 """Trajectory of a scanner by kiss-icp, one scan after another."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -19,7 +17,6 @@ class ThinScan:
     """What is kept of a scan: the time of its pose, which is that of its last point; the pose by odometry (4, 4);
     points (N, 3) f4 as they were measured, and how long before the pose (N,) f4 s, <= 0, None = not known."""
 
-    name: str
     time_s: float
     pose: np.ndarray
     xyz_m: np.ndarray
@@ -59,7 +56,6 @@ def odometry(scans: Iterator[Scan], near_m: float, far_m: float, tuning: Tuning)
         close = np.flatnonzero(reach[seen] <= tuning.adjust.range_m)
         kept = close[first_of_voxels(xyz[close], tuning.adjust.thin_m)] if len(close) else close
         yield ThinScan(
-            name=scan.name,
             time_s=time_s,
             pose=pose,
             xyz_m=xyz[kept].astype(np.float32),
@@ -77,6 +73,6 @@ def _engine(far_m: float, tuning: Tuning) -> Any:
         ) from None
     config = KISSConfig()
     config.data.max_range, config.data.min_range, config.data.deskew = far_m, 0.0, True
-    config.mapping.voxel_size = far_m * tuning.odometry.voxel_share
+    config.mapping.voxel_size = far_m * tuning.scan.voxel_share
     config.registration.max_num_threads = 1
     return KissICP(config)

@@ -4,15 +4,13 @@ Two trajectories of a few seconds tell the turn of a LiDAR on the rig and the cl
 both have measured tells where one world lies in the other, and with it the lever arm at every frame.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from tiegraph.geometry.align import Similarity
+from tiegraph.geometry.align import CAUCHY_SIGMAS, Similarity
 from tiegraph.lidar.motion import first_of_voxels, voxel_keys
 from tiegraph.lidar.tuning import TieTuning
 
@@ -51,7 +49,7 @@ def tie_by_points(points: np.ndarray, surface: np.ndarray, start: Similarity, tu
             away, axis = at[rows] - centre, normal[near[rows]]
             residual = np.einsum("ni,ni->n", at[rows] - middle[near[rows]], axis)
             sigma = max(_MAD * float(np.median(np.abs(residual))), tuning.least_sigma_m)
-            weight = 1 / (1 + (residual / (tuning.robust * sigma)) ** 2)
+            weight = 1 / (1 + (residual / (CAUCHY_SIGMAS * sigma)) ** 2)
             slope = np.column_stack([np.cross(away, axis), axis, np.einsum("ni,ni->n", away, axis)])
             matrix = slope.T @ (slope * weight[:, None])
             if np.linalg.eigvalsh(matrix[3:6, 3:6]).min() < tuning.least_facing * weight.sum():

@@ -1,26 +1,29 @@
 """Scans of a LiDAR, one after another: from a folder of files, a ROS bag, or packets of a Velodyne."""
 
-from __future__ import annotations
-
+import json
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from tiegraph.errors import InputError
+from tiegraph.errors import EngineMissing, InputError
 from tiegraph.geometry import transforms
-from tiegraph.lidar.cloudmessages import bag_scans
-from tiegraph.lidar.formats import BIN_COLUMNS, READERS, Points
-from tiegraph.lidar.packets import pcap_scans
+from tiegraph.geometry.transforms import from_quaternion_wxyz
+from tiegraph.lidar.formats import BIN_COLUMNS, READERS, Points, points_of
 from tiegraph.lidar.scantimes import find_times, of_scans, read_scan_times
 from tiegraph.lidar.tuning import ScanTuning
-from tiegraph.lidar.undo import read_scan_poses
-from tiegraph.scene.bags.topics import is_bag
+from tiegraph.scene.bags.bag import open_bag, stamp_ns
+from tiegraph.scene.bags.topics import is_bag, split_topics
+from tiegraph.scene.posefile import read_poses
+from tiegraph.scene.regular import regular
 from tiegraph.scene.table import in_seconds
 
+_CLOUD_KINDS = ("sensor_msgs/PointCloud2",)
+_FIELD_TYPES = ("i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8")  # by PointField.datatype, from 1
 _FOLDERS = ("velodyne", "velodyne_points/data", "lidar")  # of KITTI odometry, KITTI raw, PandaSet
 _ABSOLUTE_S = 1e6  # times of points above this count from an epoch and not from the scan's start
 _KINDS = f"a folder of scans ({', '.join(sorted(READERS))}), a ROS bag, or a .pcap file"
@@ -53,7 +56,6 @@ class Recording:
     """Scans that can be gone through any number of times; ``given`` (T, 4, 4): where the files' poses have the scanner,
     None if they have none."""
 
-    path: Path
     read: Callable[[], Iterator[Scan]]
     count: int | None = None
     given: np.ndarray | None = None
@@ -87,7 +89,7 @@ def _stream(
         found = ((f"scan {k}", stamp, points) for k, (stamp, points) in enumerate(read(path), start=1))
         return _in_order(path, (_scan(*one, tuning) for one in found))
 
-    return Recording(path, scans)
+    return Recording(scans)
 
 
 def _files(folder: Path, how: Reading, tuning: ScanTuning) -> Recording:
@@ -113,7 +115,7 @@ def _files(folder: Path, how: Reading, tuning: ScanTuning) -> Recording:
             points = Points(transforms.apply(transforms.invert(given[k]), points.xyz_m), None)
         return _scan(str(files[k]), stamps[k], points, tuning)
 
-    return Recording(path=folder, read=scans, count=len(files), given=given, notes=tuple(notes))
+    return Recording(read=scans, count=len(files), given=given, notes=tuple(notes))
 
 
 def scan_files(folder: Path) -> tuple[list[Path], list[str]]:
@@ -193,3 +195,77 @@ def _in_order(path: Path, scans: Iterator[Scan]) -> Iterator[Scan]:
         yield scan
     if count < 2:
         raise InputError(f"{path}: {count} scan in it; a trajectory needs more")
+
+
+def pcap_scans(path: Path) -> Iterator[tuple[float, Points]]:
+    """Stamp (s) and points of each turn; the first and the last, which may be parts of one, included.
+
+    Raises EngineMissing without velodyne-decoder, and InputError for a file that it cannot read.
+    """
+    try:
+        import velodyne_decoder
+    except ImportError:
+        raise EngineMissing(
+            f"{path}: .pcap files are read by velodyne-decoder, which is not installed: pip install 'tiegraph[lidar]'"
+        ) from None
+    regular(path, None)
+    try:
+        for stamp, table in velodyne_decoder.read_pcap(str(path)):
+            yield float(getattr(stamp, "host", stamp)), Points(table[:, :3].astype(float), table[:, 4].astype(float))
+    except Exception as error:  # dpkt raises what is no child of OSError or ValueError
+        raise InputError(f"{path}: cannot be read as packets of a Velodyne: {error}") from error
+
+
+def bag_scans(path: Path) -> Iterator[tuple[float, Points]]:
+    """Stamp (s) and points of each message of a bag's only topic of such, or of the one behind the path.
+
+    Raises InputError for several topics, none, a damaged bag, and messages that hold less than they say.
+    """
+    bag_path, asked = split_topics(path)
+    with open_bag(bag_path) as bag:
+        topic = bag.only(_CLOUD_KINDS, asked)
+        for number, (message, received_ns) in enumerate(bag.messages(topic), start=1):
+            name = f"{bag_path}: message {number} of {topic.name}"
+            yield stamp_ns(message.header, received_ns) * 1e-9, message_points(message, name)
+
+
+def message_points(message: Any, name: str) -> Points:
+    """The points of a PointCloud2. Raises InputError for one whose data are shorter than it says."""
+    order = ">" if message.is_bigendian else "<"
+    fields = [f for f in message.fields if 1 <= f.datatype <= len(_FIELD_TYPES) and f.count <= 1]
+    dtype = np.dtype(
+        {
+            "names": [f.name for f in fields],
+            "formats": [order + _FIELD_TYPES[f.datatype - 1] for f in fields],
+            "offsets": [f.offset for f in fields],
+            "itemsize": message.point_step,
+        }
+    )
+    data = np.asarray(message.data, np.uint8)
+    if len(data) < message.height * message.row_step or message.width * message.point_step > message.row_step:
+        raise InputError(
+            f"{name}: {len(data)} bytes for {message.height} rows of {message.width} points: it is cut short"
+        )
+    rows = data[: message.height * message.row_step].reshape(message.height, message.row_step)
+    rows = np.ascontiguousarray(rows[:, : message.width * message.point_step])
+    table = rows.reshape(-1).view(dtype)
+    return points_of({n: table[n] for n in table.dtype.names or ()}, name)
+
+
+def read_scan_poses(path: Path) -> np.ndarray:
+    """world_from_scanner (R, 4, 4), a row a scan: TUM, KITTI, or PandaSet's list of {position, heading}.
+
+    Raises InputError for a file that is none of them.
+    """
+    if path.suffix.lower() != ".json":
+        return read_poses(path).poses
+    try:
+        rows = json.loads(path.read_text())
+        place = np.array([[r["position"][c] for c in "xyz"] for r in rows], float)
+        turn = np.array([[r["heading"][c] for c in "wxyz"] for r in rows], float)
+    except (OSError, ValueError, TypeError, KeyError) as error:
+        raise InputError(f"{path}: no list of poses with position x y z and heading w x y z ({error!r})") from None
+    bad = np.flatnonzero(~(np.abs(np.linalg.norm(turn, axis=1) - 1) < 1e-2) | ~np.isfinite(place).all(axis=1))
+    if len(bad):
+        raise InputError(f"{path}: pose {bad[0]} is none: position {place[bad[0]]}, heading {turn[bad[0]]}")
+    return from_quaternion_wxyz(turn, place)

@@ -1,7 +1,5 @@
 """When each scan was taken: a file of times beside the scans, row by row or by the scans' names."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Settings of the verb `tiegraph lidar`; there is no stage of it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from pydantic import Field

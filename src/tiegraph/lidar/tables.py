@@ -1,7 +1,5 @@
 """What is told of a run beside the LiDAR: the rows of paper 001's tables 1 and 3 to 5, and the hand-eye calibration."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,14 +1,12 @@
 """What LiDAR odometry and the hand-eye calibration decide by: each constant with unit, meaning and origin."""
 
-from __future__ import annotations
-
 from pydantic import Field
 
 from tiegraph.settings import Section
 
 
 class ScanTuning(Section):
-    """What a scan can be (`scans.py`)."""
+    """What a scan can be (`scans.py`), and odometry by kiss-icp (`odometry.py`)."""
 
     least_scans: int = Field(2, ge=2)
     """Scans of a trajectory."""
@@ -16,11 +14,6 @@ class ScanTuning(Section):
     """Points of a scan at a place."""
     most_sweep_s: float = Field(2.0, gt=0)
     """A turn takes 0.05 to 0.2 s; more is another unit, or several scans."""
-
-
-class OdometryTuning(Section):
-    """Odometry by kiss-icp (`odometry.py`)."""
-
     voxel_share: float = Field(0.01, gt=0, lt=1)
     """Voxel of the local map, in the longest range: kiss-icp's own default."""
     gap_intervals: float = Field(5.0, gt=1)
@@ -93,8 +86,6 @@ class HandEyeTuning(Section):
     """As above."""
     rounds: int = Field(4, ge=1)
     """Rounds of measuring the sigmas."""
-    robust: float = Field(2.385, gt=0)
-    """Scale of the Cauchy loss in sigmas: 95 % efficient for normal errors (Holland and Welsch 1977)."""
     blocks: int = Field(6, ge=3)
     """Parts of the time, each left out once for the sigmas (jackknife)."""
     agree_sigmas: float = Field(4.0, gt=0)
@@ -130,8 +121,6 @@ class TieTuning(Section):
     """Steps of each turn, at most; ..."""
     still: float = Field(1e-5, gt=0)
     """... fewer where one is smaller (m, rad)."""
-    robust: float = Field(2.385, gt=0)
-    """Scale of the Cauchy weight in sigmas: 95 % efficient for normal errors (Holland and Welsch 1977)."""
     least_sigma_m: float = Field(0.005, gt=0)
     """Lower bound of the sigma of a distance."""
     least_points: int = Field(200, ge=10)
@@ -147,7 +136,6 @@ class Tuning(Section):
     """Constants of the engine that are the same for every user."""
 
     scan: ScanTuning = Field(default_factory=ScanTuning)
-    odometry: OdometryTuning = Field(default_factory=OdometryTuning)
     adjust: AdjustTuning = Field(default_factory=AdjustTuning)
     map: MapTuning = Field(default_factory=MapTuning)
     hand_eye: HandEyeTuning = Field(default_factory=HandEyeTuning)

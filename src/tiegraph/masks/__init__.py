@@ -23,11 +23,16 @@ that image or not, for sky occludes nothing (``skypoints``). The platform is not
 the COLMAP masks; the classes are for the report and ``refine``.
 
 **Tests before a class is masked** (``proof``). A platform needs frames that verify motion (a rig at rest has none). A
-sky whose verified matches are as near as the scene is refused, by all cameras together (``parallax``: two focal
+sky whose verified matches are as near as the scene is refused, by all cameras together (``matchability``: two focal
 lengths are tried, and what is far by one of them is not near), and without a sky there is no water. A sky must lie
-above the rest (``above``): its edges face down, those of a pale road seen from straight above face every way, and
+above the rest (``labels``): its edges face down, those of a pale road seen from straight above face every way, and
 nothing in it matches that could refute it. Only rows where sky is sought count, so that snow or still water below say
 nothing; cameras of the role ``up`` are not tested. Wires and tree tops do not refute a sky: what refutes it is as
 dense as a fifth of the matches of a surface, and overexposed areas that match so densely are used. The receipt says
 which share of the verified matches the masks cost.
 """
+
+USE, SKY, WATER, EGO, OVEREXPOSED = range(5)
+"""The classes a mask can tell apart; what is written to disk is only used or not."""
+NAMES = ("used", "sky", "water", "platform", "overexposed")
+"""Names by number, for tables."""

@@ -4,8 +4,6 @@ Learnt from seeds of the survey itself (Achar et al. 2011: self-supervised segme
 no labels and no weights, and looking up a pixel costs nothing.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2

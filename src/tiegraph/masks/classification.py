@@ -3,16 +3,14 @@
 Regions without an edge inside: what belongs together whatever a table says of its single pixels.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
 
+from tiegraph.masks import EGO, OVEREXPOSED, SKY, USE, WATER
 from tiegraph.masks.appearance import Appearance, bins
-from tiegraph.masks.classes import EGO, OVEREXPOSED, SKY, USE, WATER
 from tiegraph.masks.frames import grey, read_small, small_shape
 from tiegraph.masks.morphology import dilated, eroded, opened, scaled
 from tiegraph.masks.settings import MasksSettings

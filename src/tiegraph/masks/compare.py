@@ -1,7 +1,5 @@
 """How good masks are: against masks made by hand or known to be true, per camera (paper 001, table 2)."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -10,7 +8,7 @@ import cv2
 import numpy as np
 
 from tiegraph.errors import InputError
-from tiegraph.masks.classes import NAMES
+from tiegraph.masks import NAMES
 from tiegraph.masks.folder import find_mask, read_labels, read_mask_file
 
 ALL = "all"
@@ -100,7 +98,7 @@ class ClassComparison:
 def compare_classes(
     found: Path, truth: Path, labels: Mapping[str, int], cameras: Mapping[str, str] | None = None
 ) -> ClassComparison:
-    """Compare the classes <name>.png of a folder with labels, each class ``masks.classes.NAMES`` with its true label.
+    """Compare the classes <name>.png of a folder with labels, each class ``masks.NAMES`` with its true label.
 
     Images without labels are left out; classes are brought to the size of the labels. Raises InputError if a class is
     unknown or nothing can be compared.

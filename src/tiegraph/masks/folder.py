@@ -1,7 +1,5 @@
 """Masks from a folder of the user's: finding the one of an image, reading it, and saying clearly what is wrong."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from pathlib import Path, PurePosixPath

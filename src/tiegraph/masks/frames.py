@@ -1,7 +1,5 @@
 """Reading images for masks at a reduced size, and choosing the two frames of a camera that are compared."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Iterator, Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Masks learnt from the survey itself: platform, sky, water and overexposure, without weights and without labels."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -10,12 +8,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from tiegraph.masks import appearance
-from tiegraph.masks.above import not_above
+from tiegraph.masks import SKY, USE, WATER, appearance
 from tiegraph.masks.appearance import Appearance
-from tiegraph.masks.classes import SKY, USE, WATER
 from tiegraph.masks.classification import Classifier
-from tiegraph.masks.labels import LabelJob, Labels, TriedJob, first_labels, second_labels, ties_of
+from tiegraph.masks.labels import LabelJob, Labels, TriedJob, first_labels, not_above, second_labels, ties_of
 from tiegraph.masks.matchability import Matchability, choose_pairs, pair_matchability
 from tiegraph.masks.platform import PlatformMask, different_frames, learn_platform
 from tiegraph.masks.proof import NONE, MatchCounts, cost, moves, white_ties, without_sky
@@ -157,7 +153,7 @@ def _refuted(jobs: Sequence[LabelJob], seeds: Sequence[Labels], upward: set[int]
     """The cameras whose sky is refuted, and by what."""
     cameras = {job.camera for job in jobs}
     near = without_sky({k: sum(_of(k, jobs, [s.matches for s in seeds]), NONE) for k in cameras}, tuning.proof)
-    anywhere = not_above({k: _of(k, jobs, [s.edges for s in seeds]) for k in cameras - upward}, tuning.above)
+    anywhere = not_above({k: _of(k, jobs, [s.edges for s in seeds]) for k in cameras - upward}, tuning.labels)
     return dict.fromkeys(anywhere, _NOT_ABOVE) | dict.fromkeys(near, _NEAR)
 
 

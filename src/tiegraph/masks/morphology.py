@@ -1,7 +1,5 @@
 """Operations on binary images. Masks are bool, (h, w)."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 

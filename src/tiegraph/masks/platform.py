@@ -5,8 +5,6 @@ the same direction at the same pixel in every frame, and does not even shake; a 
 first but not the second. What lies between such edges and shows nothing that moves is the platform's inside.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,11 +24,6 @@ class PlatformMask:
     mask: np.ndarray | None
     frames: int  # different frames it was learnt from
     note: str
-
-    @property
-    def share(self) -> float:
-        """Share of the image, 0..1."""
-        return 0.0 if self.mask is None else float(self.mask.mean())
 
 
 def different_frames(images: Sequence[Path], tuning: Tuning) -> list[Path]:

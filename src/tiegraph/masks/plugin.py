@@ -1,7 +1,5 @@
 """Masks by a segmentation model of the user's: an ONNX file and a table of its classes, run by ONNX Runtime."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +9,7 @@ import cv2
 import numpy as np
 
 from tiegraph.errors import EngineMissing, InputError
-from tiegraph.masks.classes import NAMES, USE
+from tiegraph.masks import NAMES, USE
 from tiegraph.scene.filecache import cached_by_file
 from tiegraph.scene.regular import regular
 
@@ -24,7 +22,7 @@ else:
 @dataclass(frozen=True)
 class Model:
     """A segmentation model: input (1, 3, h, w) f4 RGB = (pixel / 255 - mean) / deviation, output (1, classes, h', w')
-    scores or (1, h', w') labels; ``table`` (n,) u1: the class of ``masks.classes`` for each of its labels."""
+    scores or (1, h', w') labels; ``table`` (n,) u1: the class of ``masks`` for each of its labels."""
 
     onnx: Path
     size: tuple[int, int]  # (width, height) of the input

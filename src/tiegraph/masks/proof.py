@@ -11,7 +11,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from tiegraph.masks.classes import NAMES, OVEREXPOSED, USE
+from tiegraph.masks import NAMES, OVEREXPOSED, USE
 from tiegraph.masks.matchability import Matchability
 from tiegraph.masks.morphology import eroded
 from tiegraph.masks.tuning_learnt import ProofTuning

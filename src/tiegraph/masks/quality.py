@@ -1,7 +1,5 @@
 """Images that are hardly worth keeping: blurred against their neighbours, or the same picture as the one before."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The sky of one image by its border: the curve along which sky and ground differ most (Shen and Wang 2013)."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 

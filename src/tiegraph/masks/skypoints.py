@@ -4,13 +4,11 @@ A point seen by other images need not be visible in this one to contradict it: s
 was called sky in every image is still found out, by its windows and by what is behind it.
 """
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pycolmap
 
-from tiegraph.masks.classes import SKY, USE
+from tiegraph.masks import SKY, USE
 from tiegraph.masks.tuning import SkyPointsTuning
 
 

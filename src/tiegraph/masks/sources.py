@@ -3,8 +3,6 @@
 The papers' own are put in by the glue (``tiegraph.papers``).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from tiegraph.errors import InputError
-from tiegraph.masks.classes import USE
+from tiegraph.masks import USE
 from tiegraph.masks.classification import Classifier, classes_of
 from tiegraph.masks.folder import check_folder, read_folder_mask
 from tiegraph.masks.frames import full_size, image_size, read_small, small_shape
@@ -41,7 +39,7 @@ class MaskSource:
     in common; ``apply`` maps a function over items. ``mask(image, prepared, settings, tuning, name)`` returns (H, W)
     bool, True = use, at the size of the image, from what was prepared for its sensor; ``name`` is that of the user's
     file, for sources that look it up. ``classes`` with the same arguments returns the class (h, w) u1 of each pixel at
-    reduced size (``masks.classes``), for sources that know it. What is prepared may say of itself in ``note``.
+    reduced size (``masks``), for sources that know it. What is prepared may say of itself in ``note``.
     """
 
     prepare: Callable[[Mapping[int, Camera], MasksSettings, Tuning, Map], dict[int, Any]]

@@ -3,12 +3,9 @@
 The groups of what is learnt, from matches to water, stand in `tuning_learnt.py`.
 """
 
-from __future__ import annotations
-
 from pydantic import Field
 
 from tiegraph.masks.tuning_learnt import (
-    AboveTuning,
     AppearanceTuning,
     ClassificationTuning,
     LabelTuning,
@@ -297,8 +294,6 @@ class Tuning(Section):
     """Regions without an edge."""
     classification: ClassificationTuning = Field(default_factory=ClassificationTuning)
     """Looking up an image."""
-    above: AboveTuning = Field(default_factory=AboveTuning)
-    """Edges of the sky."""
     water: WaterTuning = Field(default_factory=WaterTuning)
     """Water before any model."""
     meguro2024: Meguro2024Tuning = Field(default_factory=Meguro2024Tuning)

@@ -1,7 +1,5 @@
 """What the learnt masks decide by, from matches to the line of water; the platform stands in `tuning.py`."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 from pydantic import Field
@@ -12,7 +10,7 @@ _Count = Annotated[int, Field(gt=0)]
 
 
 class MatchabilityTuning(Section):
-    """What matches in neighbouring frames (`matchability.py`), and how near it is (`parallax.py`)."""
+    """What matches in neighbouring frames, and how near it is (`matchability.py`)."""
 
     most_pairs: int = Field(36, gt=0)
     """Pairs of neighbouring frames, of all cameras together, from which it is learnt what matches."""
@@ -141,7 +139,8 @@ class SkylineTuning(Section):
 
 
 class LabelTuning(Section):
-    """Seeds of sky, water and scene in single images (`labels.py`), at `frames.look_px`."""
+    """Seeds of sky, water and scene in single images, and whether a sky lies above what is not sky (`labels.py`), at
+    `frames.look_px`."""
 
     images: int = Field(40, gt=0)
     """Images, of all cameras together, from which appearance is learnt."""
@@ -179,6 +178,13 @@ class LabelTuning(Section):
     """Images: as many say beforehand that a place is sky, and that it is none."""
     place_clip: float = Field(1.5, ge=0)
     """A place's log ratio counts this much at most."""
+    min_down: float = Field(0.25, ge=-1, le=1)
+    """Of the length of all edges, what faces down more than up: 0.4 and more of skies, behind ragged trees too; 0.15
+    and less of what only looks like sky, from the air, on facades and sand (benchmarks/masks/above.py)."""
+    blur_sigma_px: float = Field(5.0, gt=0)
+    """Twigs and the steps of a border are no edges of their own."""
+    reach_px: int = Field(25, gt=0)
+    """Side of the square over which the blur carries an edge: so near to what is not told, it is not its own."""
 
 
 class RegionsTuning(Section):
@@ -225,18 +231,6 @@ class ClassificationTuning(Section):
     """To each side of a pixel: what its edge is learnt from."""
     told_grey: float = Field(8.0, gt=0)
     """Brightness of sky and scene differ by more, or the edge hardly moves."""
-
-
-class AboveTuning(Section):
-    """Sky lies above what is not sky (`above.py`), at `frames.look_px`."""
-
-    min_down: float = Field(0.25, ge=-1, le=1)
-    """Of the length of all edges, what faces down more than up: 0.4 and more of skies, behind ragged trees too; 0.15
-    and less of what only looks like sky, from the air, on facades and sand (benchmarks/masks/above.py)."""
-    blur_sigma_px: float = Field(5.0, gt=0)
-    """Twigs and the steps of a border are no edges of their own."""
-    reach_px: int = Field(25, gt=0)
-    """Side of the square over which the blur carries an edge: so near to what is not told, it is not its own."""
 
 
 class WaterTuning(Section):

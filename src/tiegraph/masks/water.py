@@ -1,7 +1,5 @@
 """Water in images: where features never match again, and the line below which everything is water."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ Everything is in the model's units. The plane's height is measured where the wat
 banks, so it needs neither scale nor GNSS; the first masks' errors average out over thousands of rays.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -14,7 +12,7 @@ import numpy as np
 import pycolmap
 from scipy.spatial import cKDTree
 
-from tiegraph.masks.classes import EGO, SKY, USE, WATER
+from tiegraph.masks import EGO, SKY, USE, WATER
 from tiegraph.masks.tuning import WaterlineTuning
 from tiegraph.scene.rays import pixel_rays
 
@@ -71,10 +69,9 @@ class Plan:
 
 @dataclass(frozen=True)
 class Water:
-    """The water: ``up`` (3,) unit vector, ``level`` its height along it, ``depth`` below the cameras, ``spread`` of
+    """The water: ``level`` its height along the upward direction, ``depth`` below the cameras, ``spread`` of
     what single rays say of it, how many ``rays`` did, and the banks in plan."""
 
-    up: np.ndarray
     level: float
     depth: float
     spread: float
@@ -123,7 +120,7 @@ def find_water(
             return None
     if spread > tuning.most_spread * (camera - level):
         return None
-    return Water(up=up, level=level, depth=camera - level, spread=spread, rays=count, plan=plan)
+    return Water(level=level, depth=camera - level, spread=spread, rays=count, plan=plan)
 
 
 def _plan(

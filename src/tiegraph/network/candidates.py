@@ -1,14 +1,21 @@
-"""The stage candidates: from images and preview matches to candidate pairs, with the order and the rig checked."""
+"""The stage candidates: from images and preview matches to candidate pairs, with the order and the rig checked.
 
-from __future__ import annotations
+Is a pass a sequence? Numbers and regular times of photographs are no evidence of it; their previews are. In a sequence
+neighbours show equal views: three quarters of them tie, and by clearly more matches than images half the pass apart do.
+It is the matches that tell and not the ties alone: a few seconds down a street everything still ties (KITTI: 37 of 40
+such pairs, by 22 matches in the median where neighbours have 271). Where that is not so the images are loose
+photographs: all of them are compared, or look-alikes, and no stage expects the next one beside the last. What the user
+states about the order is not tested.
+"""
 
 from dataclasses import dataclass
+
+import numpy as np
 
 from tiegraph.errors import choose
 from tiegraph.network.offsets.curves import OffsetCurve
 from tiegraph.network.offsets.surface import OffsetSurface
-from tiegraph.network.order import shown_order
-from tiegraph.network.passes import MatchCache, find_passes
+from tiegraph.network.passes import MatchCache, Pass, find_passes
 from tiegraph.network.rig.check import check_rigs
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.sources import SOURCES, Context, Descriptors, Proposal, automatic
@@ -94,3 +101,67 @@ def _propose(context: Context) -> Proposal:
         found = choose("pair source", name, table)(context)  # type: ignore[operator]
         merged = merged | found
     return merged
+
+
+def shown_order(
+    scene: Scene, cache: MatchCache, settings: CandidatesSettings, tuning: Tuning
+) -> tuple[Scene, tuple[str, ...]]:
+    """The scene without the passes whose order was guessed and is not borne out, and what was found.
+
+    The source ``sequence``, where somebody asks for it, says that the order is right; sources that look at no preview
+    show none.
+    """
+    if not scene.guessed or "sequence" in settings.sources:
+        return scene.with_(guessed=()), ()
+    looks = bool({"auto", "offsets", "poses", "retrieval"} & set(settings.sources))
+    lost, notes = [], []
+    for found in (p for p in find_passes(scene) if scene.sequences[p.sequence] in scene.guessed):
+        shown, why = _shown(found, cache, settings, tuning) if looks else (False, "no preview was looked at")
+        if shown:
+            notes.append(f"pass {found.name}: a sequence, {why}")
+        else:
+            lost.append(found.sequence)
+            text = f"pass {found.name}: {len(found)} loose photographs and no sequence, although their names or times"
+            notes.append(f"{text} are in order: {why}; --scan.layout sequence takes them for one")
+    return _without(scene, lost), tuple(notes)
+
+
+def _shown(found: Pass, cache: MatchCache, settings: CandidatesSettings, tuning: Tuning) -> tuple[bool, str]:
+    """Whether previews show a pass of one camera to be a sequence, and the figures."""
+    order = tuning.sources
+    images = found.images[0][found.images[0] >= 0]
+    count = len(images)
+    some = min(count - 1, order.sample)
+    near = np.unique(np.linspace(0, count - 2, some).astype(int)) if count > 1 else np.zeros(0, int)
+    half = count // 2
+    rng = np.random.default_rng(0)
+    a, b = np.triu_indices(count, k=max(half, 1))
+    far = np.sort(rng.choice(len(a), min(len(a), order.sample), replace=False))
+    first, second = np.r_[images[near], images[a[far]]], np.r_[images[near + 1], images[b[far]]]
+    counts = cache.measure(first, second)
+    close, apart = counts[: len(near)], counts[len(near) :]
+    if len(close) < order.least_neighbours:
+        return False, f"its {count} images are too few to tell"
+    sure = tuning.counts.sure * settings.min_matches
+    said = (
+        f"{int(np.sum(close >= sure))} of {len(close)} previews of neighbours tie, and {int(np.sum(apart >= sure))} of "
+        f"{len(apart)} of images half of it apart (medians {np.median(close):.0f} and {np.median(apart):.0f} matches)"
+    )
+    least, most = np.percentile(close, order.quartiles[0]), np.percentile(apart, order.quartiles[1])
+    chance = settings.min_matches
+    clearly = most - chance < order.most_far * (least - chance)
+    return bool(least >= sure and clearly), said
+
+
+def _without(scene: Scene, passes: list[int]) -> Scene:
+    """The scene with the frames of some passes loose, and the others numbered anew."""
+    if not passes:
+        return scene.with_(guessed=())
+    kept = [k for k in range(len(scene.sequences)) if k not in passes]
+    number = np.full(len(scene.sequences) + 1, -1)  # the last is that of loose frames
+    number[kept] = np.arange(len(kept))
+    sequence = number[scene.sequence]
+    step = np.where(sequence < 0, np.cumsum(sequence < 0) - 1, scene.sequence_index)
+    return scene.with_(
+        sequence=sequence, sequence_index=step, sequences=tuple(scene.sequences[k] for k in kept), guessed=()
+    )

@@ -1,7 +1,5 @@
 """The stage network: the candidate pairs as they go on, with sections of the survey and pictures."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Passes as tables of images: which image a sensor took in the k-th frame of a pass."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any

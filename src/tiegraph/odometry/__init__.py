@@ -6,8 +6,8 @@ camera or many, with a common view or none, by pycolmap's generalised absolute p
 points have moved far enough is a keyframe (``worldmap``): the other cameras of the rig are asked for what they see of
 the corners at the same instant, new corners fill the image, points get places, and the last keyframes are adjusted
 together by pycolmap's bundle adjustment with cameras and rig held (``adjust``). A segment begins at one instant where
-cameras see the same, else from two frames by their relative orientation (``start``): of a single camera, whose path has
-no scale, or of the whole rig; of one that shares the edges of its views, what is seen there tells the length.
+cameras see the same, else from two frames by their relative orientation (``resect``): of a single camera, whose path
+has no scale, or of the whole rig; of one that shares the edges of its views, what is seen there tells the length.
 
 **Lost and found** (``recall``): a frame that cannot be followed is looked for in what earlier keyframes saw; after
 some without success a new segment is begun, which is joined when one of its keyframes shows a place of an earlier one.

@@ -1,7 +1,5 @@
 """Keyframes and points adjusted together by pycolmap's bundle adjustment; cameras and rig are held."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Sequence
 from copy import deepcopy
 

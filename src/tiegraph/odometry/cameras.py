@@ -1,7 +1,5 @@
 """The cameras of a rig as the odometry uses them: which see their own corners, which only see those of others."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property

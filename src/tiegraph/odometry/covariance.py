@@ -8,8 +8,6 @@ errors would not show; so a pose gets the larger of the classical covariance and
 The derivatives of COLMAP's camera models are differences, so that every model has them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Frame after frame: corners are followed, the pose is that of known points, keyframes hold the map up."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -12,8 +10,7 @@ from tiegraph.odometry.adjust import adjust
 from tiegraph.odometry.cameras import Cameras
 from tiegraph.odometry.follow import Images, Tracks, corners, followed, in_partners
 from tiegraph.odometry.recall import Read, Recall, Recalled, scale_to, thumbnails
-from tiegraph.odometry.resect import Resection, errors_px, resect
-from tiegraph.odometry.start import moved_share, relative_pose, scaled
+from tiegraph.odometry.resect import Resection, errors_px, moved_share, relative_pose, resect, scaled
 from tiegraph.odometry.tuning import Tuning
 from tiegraph.odometry.worldmap import Keyframe, WorldMap
 

@@ -1,7 +1,5 @@
 """The path that comes out: a pose a frame with its covariance, by segments."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

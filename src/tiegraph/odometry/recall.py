@@ -4,8 +4,6 @@ Which keyframes may show the place is told by thumbnails, small blurred images (
 described by upright SIFT at its corners only when it is asked for, and the pose is that of the matched points.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

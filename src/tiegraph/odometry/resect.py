@@ -1,7 +1,5 @@
 """The pose of a frame by points of the map: pycolmap's generalised absolute pose, for rigs of one camera too."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +7,8 @@ import pycolmap
 
 from tiegraph.geometry import transforms
 from tiegraph.odometry.cameras import Cameras
-from tiegraph.odometry.tuning import PoseTuning
+from tiegraph.odometry.follow import Tracks
+from tiegraph.odometry.tuning import PoseTuning, StartTuning
 from tiegraph.scene.colmapmodel import matrix, rigid3d
 
 _SEED = 0
@@ -83,3 +82,59 @@ def _ransac(
         xy, points, camera.tolist(), cameras.rigid, list(cameras.models), options
     )
     return None if made is None else matrix(made["rig_from_world"])
+
+
+def moved_share(cameras: Cameras, before: Tracks, after: Tracks) -> float:
+    """Median shift of the same corners in longer sides of their images; 0 for none."""
+    if not len(before):
+        return 0.0
+    sides = np.array([cameras.side_px(c) for c in range(len(cameras))])[before.camera]
+    return float(np.median(np.linalg.norm(after.xy - before.xy, axis=1) / sides))
+
+
+def relative_pose(cameras: Cameras, before: Tracks, after: Tracks, tuning: StartTuning) -> np.ndarray | None:
+    """after_from_before (4, 4) of the rig by the same corners in two frames; None if they do not tell it.
+
+    The base line of a single camera has length one; that of a rig is in metres, by its own size: hardly where that is
+    small (``scaled``).
+    """
+    options = pycolmap.RANSACOptions(
+        max_error=tuning.inlier_px, min_num_trials=100, max_num_trials=3000, random_seed=_SEED
+    )
+    if len(cameras) == 1:
+        model = cameras.models[0]
+        made = pycolmap.estimate_relative_pose(model, before.xy, model, after.xy, options)
+        pose = None if made is None else matrix(made["cam2_from_cam1"])
+    else:
+        camera = before.camera.tolist()
+        made = pycolmap.estimate_generalized_relative_pose(
+            before.xy, after.xy, camera, camera, cameras.rigid, list(cameras.models), options
+        )
+        pose = None if made is None or "rig2_from_rig1" not in made else matrix(made["rig2_from_rig1"])
+    if made is None or pose is None or np.mean(made["inlier_mask"]) < tuning.share:
+        return None
+    good = np.asarray(made["inlier_mask"], bool)
+    rays = [cameras.rays(t.camera[good], t.xy[good]) for t in (before, after)]
+    turned = rays[1] @ transforms.invert(pose)[:3, :3].T
+    angle = np.degrees(np.arccos(np.clip(np.sum(rays[0] * turned, axis=1), -1, 1)))
+    return pose if np.median(angle) >= tuning.angle_deg else None
+
+
+def scaled(cameras: Cameras, pose: np.ndarray, after: Tracks, known: np.ndarray, tuning: StartTuning) -> np.ndarray:
+    """A pose of ``relative_pose`` with the length of its base line by points (K, 3) whose places in the first frame the
+    cameras tell, NaN = they do not; as it was where they are too few.
+
+    A point X that lies along the ray r from the centre c says s of r x (R X + s t - c) = 0; the median counts.
+    """
+    there = ~np.isnan(known[:, 0])
+    if there.sum() < tuning.least_known:
+        return pose
+    camera = after.camera[there]
+    ray = cameras.rays(camera, after.xy[there])
+    offset = known[there] @ pose[:3, :3].T - cameras.rig_from_sensor[camera, :3, 3]
+    across, moved = np.cross(ray, offset), np.cross(ray, pose[:3, 3])
+    lengths = -np.sum(across * moved, axis=1) / np.maximum(np.sum(moved**2, axis=1), 1e-30)
+    length = float(np.median(lengths))
+    out = pose.copy()
+    out[:3, 3] *= length if length > 0 else 1.0
+    return out

@@ -1,7 +1,5 @@
 """What the odometry decides by: each constant with its unit, its meaning and where its value comes from."""
 
-from __future__ import annotations
-
 from pydantic import Field
 
 from tiegraph.settings import Section
@@ -81,7 +79,7 @@ class MapTuning(Section):
 
 
 class StartTuning(Section):
-    """The first points of a segment (`start.py`)."""
+    """The first points of a segment (`resect.py`)."""
 
     least_points: int = Field(30, ge=6)
     """Points with a place from which a segment is begun."""

@@ -15,8 +15,6 @@ engines and may import them; they do not know it. The glue puts the recipe that 
 (``plug_in``), and its file is loaded only then.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from importlib import import_module
 from typing import Any

@@ -6,8 +6,6 @@ each step, so that an abort of the native library loses only the step that was r
 the process: call it in one of its own.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path

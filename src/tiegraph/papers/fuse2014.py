@@ -5,8 +5,6 @@ Pairs are thinned by weak matches (section 2.2), similar images (2.3) and minimu
 base (2.4, ``two_view``; the glue asks for it and hands it in as a column of the pair table).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2

@@ -1,8 +1,6 @@
 """What is noted of a method while it runs, stage by stage; of the standard library alone, for who measures another
 program pays for all that he loads himself."""
 
-from __future__ import annotations
-
 import json
 import os
 import resource

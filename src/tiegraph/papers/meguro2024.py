@@ -9,8 +9,6 @@ of paper 001 (section c) is brute force without masks. The constants that the pa
 ``masks.tuning.Meguro2024Tuning`` and ``network.tuning.offsets.ConstantTuning``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,7 +32,7 @@ from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.papers.presets import COLMAP_ALONE
 from tiegraph.scene.pairs import REASONS, Pairs
-from tiegraph.scene.sampling import evenly
+from tiegraph.scene.sorting import evenly
 
 
 def difference_mask(a: np.ndarray, b: np.ndarray, threshold: int, tuning: Meguro2024Tuning) -> np.ndarray:

@@ -9,8 +9,6 @@ lists; positions of GNSS serve the scale afterwards. The constants that the pape
 ``masks.tuning.Meguro2025Tuning``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """What the presets of the papers have in common: nothing but COLMAP, masks and a pair list."""
 
-from __future__ import annotations
-
 from typing import Any
 
 _NEVER = 10**6  # votes, or frames: more than any survey has

@@ -11,8 +11,7 @@ import pycolmap
 
 from tiegraph.child import run_in_child
 from tiegraph.errors import InputError
-from tiegraph.evaluate.baseline.block import stretch
-from tiegraph.evaluate.baseline.equal import Reference, Side, compare_sides
+from tiegraph.evaluate.baseline import Reference, Side, compare_sides, stretch
 from tiegraph.evaluate.reference import model_poses, read_reference_poses, reference_places
 from tiegraph.papers import colmap, measured
 from tiegraph.pipeline.files import checked, load_json, load_model

@@ -21,10 +21,9 @@ from tiegraph.calibrate.detect import Corners, detect
 from tiegraph.calibrate.exchange import kalibr_yaml, opencv_yaml
 from tiegraph.calibrate.judge import Verdict, judge, relative_focal_sigma
 from tiegraph.calibrate.observations import CameraImages, Observations, View, check_count, check_one_camera, check_views
-from tiegraph.calibrate.picture import residual_picture
 from tiegraph.calibrate.settings import CalibrateSettings
 from tiegraph.calibrate.start import start
-from tiegraph.calibrate.summary import correlation_csv, lengths, rig_sigmas, summary
+from tiegraph.calibrate.summary import correlation_csv, lengths, residual_picture, rig_sigmas, summary
 from tiegraph.calibrate.tuning import BoardTuning, JudgeTuning
 from tiegraph.errors import InputError
 from tiegraph.project.pool import map_items, open_pool
@@ -212,8 +211,8 @@ def _labels(
     for one in sorted(set(sequence.values())):
         own = {c: [k for k in images if sequence[k] == one] for c, images in enumerate(owned)}
         stems = {c: [Path(names[k]).stem for k in images] for c, images in own.items() if images}
-        found = match_frames(stems, how, tuning.frames)
-        out |= {k: (one, key) for c in stems for k, key in zip(own[c], found.keys[c])}
+        keys, _ = match_frames(stems, how, tuning.frames)
+        out |= {k: (one, key) for c in stems for k, key in zip(own[c], keys[c])}
     return out
 
 

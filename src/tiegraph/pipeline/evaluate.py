@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from tiegraph.errors import InputError
-from tiegraph.evaluate.accuracytable import accuracy_csv
+from tiegraph.evaluate.accuracy import accuracy_csv
 from tiegraph.evaluate.clouds.judge import CloudJudgement
 from tiegraph.evaluate.clouds.m3c2 import Differences
 from tiegraph.evaluate.clouds.passes import PassAgreement

@@ -19,7 +19,7 @@ import pycolmap
 from tiegraph.errors import UnreadableArtefact
 from tiegraph.geometry.geodesy import Origin
 from tiegraph.geometry.placement import PlacementError
-from tiegraph.masks.classes import NAMES
+from tiegraph.masks import NAMES
 from tiegraph.project.run import Run
 from tiegraph.project.stages import write_atomic
 from tiegraph.scene.colmapmodel import read_model
@@ -152,7 +152,7 @@ def mask_path(folder: Path, name: str) -> Path:
 
 
 def classes_path(folder: Path, name: str) -> Path:
-    """Where the classes of an image's pixels are (``masks.classes``, reduced size); not from every source."""
+    """Where the classes of an image's pixels are (``masks``, reduced size); not from every source."""
     return folder / "classes" / f"{name}.png"
 
 

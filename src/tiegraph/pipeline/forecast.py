@@ -66,13 +66,9 @@ def forecast(run: Run) -> Forecast | None:
     megapixels = np.prod(sizes, axis=1) / 1e6
     settings = run.settings
     most = most_features(megapixels, settings.features.max_features, settings.tuning.features.sift)
-    tuning = EffortTuning(
-        most_features=float(most.mean()),
-        features_px=settings.features.max_image_size,
-        dense_px=settings.dense.max_image_size,
-    )
+    tuning = EffortTuning(features_px=settings.features.max_image_size, dense_px=settings.dense.max_image_size)
     count = len(found.names)
-    cost = effort((sizes * (count // len(sizes) + 1))[:count], 1, 0.0, None, tuning)
+    cost = effort((sizes * (count // len(sizes) + 1))[:count], 1, 0.0, None, float(most.mean()), tuning)
     where = next(p for p in (run.folder, *run.folder.parents) if p.exists())
     return Forecast(cost, _size(run.folder), shutil.disk_usage(where).free)
 

@@ -20,8 +20,7 @@ import pycolmap
 from tiegraph.errors import InputError, UnreadableArtefact
 from tiegraph.geometry.transforms import centre
 from tiegraph.pipeline.files import load_scene
-from tiegraph.pipeline.foundcameras import with_camera
-from tiegraph.pipeline.foundrun import FoundRun, found_run
+from tiegraph.pipeline.foundrun import FoundRun, found_run, with_camera
 from tiegraph.project.folder import names_run
 from tiegraph.scan.rigfiles.rigfile import parse_rig_file
 from tiegraph.scan.rigfiles.rigwrite import rig_config, rig_toml
@@ -29,8 +28,8 @@ from tiegraph.scene.colmapmodel import model_rigs
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.sfm.covariance import INTERIOR_TABLE, MOUNTING
 from tiegraph.sfm.mapping import believed_cameras
-from tiegraph.sfm.rig.mountings import relaxed_mountings
 from tiegraph.sfm.rig.rig import rig_modes
+from tiegraph.sfm.rig.timeoffset import relaxed_mountings
 from tiegraph.sfm.settings import SparseSettings
 
 TOML, CONFIG = "rig", "rig_config"

@@ -143,7 +143,7 @@ def _trajectory(recording: Recording, settings: LidarSettings, tuning: Tuning, r
     if lost:
         notes.append(f"{lost} points at no place (NaN or 0) left out")
     usual = float(np.median(np.diff(time_s)))
-    gaps = np.flatnonzero(np.diff(time_s) > tuning.odometry.gap_intervals * usual)
+    gaps = np.flatnonzero(np.diff(time_s) > tuning.scan.gap_intervals * usual)
     if len(gaps):
         notes.append(f"{len(gaps)} gaps between scans, the first of {np.diff(time_s)[gaps[0]]:.3g} s after "
                      f"{time_s[gaps[0]]:.3f} s: the motion across them was taken as constant")  # fmt: skip

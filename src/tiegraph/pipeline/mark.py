@@ -10,6 +10,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+import pycolmap
 
 from tiegraph.errors import InputError
 from tiegraph.geometry.align import Similarity, umeyama
@@ -24,7 +25,7 @@ from tiegraph.scene.gcpwrite import gcp_csv, odm_text
 from tiegraph.scene.markpixels import prepared_pixel, source_pixel
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.world.marks import Target, targets
-from tiegraph.targets.predict import View, seen_in
+from tiegraph.targets.marks import seen_in
 
 _THREE = 3  # places, for a similarity
 _ALONG_LINE = 0.02  # of their length
@@ -50,13 +51,13 @@ class Marking:
     written: str = ""  # digest of the file as we know it, "" = not there
 
     @cached_property
-    def views(self) -> dict[int, View]:
+    def views(self) -> dict[int, tuple[np.ndarray, pycolmap.Camera]]:
         """Posed images by scene index."""
         if self.model is None:
             return {}
         index = self.scene.image_index
         images = (i for i in self.model.images.values() if i.has_pose and i.name in index)
-        return {index[i.name]: View(matrix(i.cam_from_world()), i.camera) for i in images}
+        return {index[i.name]: (matrix(i.cam_from_world()), i.camera) for i in images}
 
     def state(self) -> dict[str, Any]:
         """All there is to show: points with their marks, predicted places and residuals; images."""
@@ -143,7 +144,9 @@ class Marking:
             return umeyama(self.surveyed[known], np.array([found[k].place for k in known]))
         return Similarity(1.0, np.eye(3), np.zeros(3)) if self.placed else None
 
-    def _point(self, row: int, target: Target, views: dict[int, View], fit: Similarity | None) -> dict[str, Any]:
+    def _point(
+        self, row: int, target: Target, views: dict[int, tuple[np.ndarray, pycolmap.Camera]], fit: Similarity | None
+    ) -> dict[str, Any]:
         point = self.file.points[row]
         known = not target.why_not and bool(np.isfinite(target.place).all())
         place = target.place if known else None if fit is None else fit(self.surveyed[row][None])[0]

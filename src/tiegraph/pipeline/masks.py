@@ -11,7 +11,7 @@ import numpy as np
 
 from tiegraph import papers
 from tiegraph.errors import choose
-from tiegraph.masks.classes import EGO, NAMES, USE
+from tiegraph.masks import EGO, NAMES, USE
 from tiegraph.masks.frames import full_size, image_size
 from tiegraph.masks.quality import Quality, flags, image_quality
 from tiegraph.masks.settings import MasksSettings

@@ -10,6 +10,7 @@ import numpy as np
 import pycolmap
 
 from tiegraph.errors import InputError
+from tiegraph.features.settings import FeaturesSettings
 from tiegraph.geometry import transforms
 from tiegraph.plan.accuracy import Shape
 from tiegraph.plan.compare import comparison, frames_apart
@@ -56,7 +57,7 @@ def plan(request: PlanRequest, tunings: VerbTunings | None = None) -> Plan:
     rigged, tuning = _cameras(request.camera, tunings.scan), tunings.plan
     errors = tuning.errors.model_copy(update={"calibration_px": request.camera.calibration(tuning.errors)})
     propagate = partial(_propagate, rigged=rigged, errors=errors, tuning=tunings.sfm)
-    made = make_plan(request, rigged, propagate, tuning)
+    made = make_plan(request, rigged, propagate, FeaturesSettings().max_features, tuning)
     if out is not None:
         for name, data in made.files().items():
             write_atomic(out / name, data)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from tiegraph.features.preview import Preview, extract_preview
 from tiegraph.features.settings import PreviewSettings
-from tiegraph.features.tuning import PreviewTuning
+from tiegraph.features.tuning import Tuning
 from tiegraph.pipeline.files import load_npz, read_image, read_mask, reading, save_npz, scanned
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome
@@ -14,7 +14,7 @@ from tiegraph.project.stages import Outcome
 
 def preview(run: Run) -> Outcome:
     """Low-resolution features and brightness of every image, under its mask."""
-    scene, settings, tuning = scanned(run), run.settings.preview, run.settings.tuning.features.preview
+    scene, settings, tuning = scanned(run), run.settings.preview, run.settings.tuning.features
     run.make_missing(_preview_item, scene.names, lambda n: preview_path(run.folder, n), run.folder, settings, tuning)
     return Outcome({"images": len(scene)})
 
@@ -31,6 +31,6 @@ def read_preview(folder: Path, name: str) -> Preview:
         return Preview.from_npz(load_npz(path))
 
 
-def _preview_item(name: str, folder: Path, settings: PreviewSettings, tuning: PreviewTuning) -> None:
+def _preview_item(name: str, folder: Path, settings: PreviewSettings, tuning: Tuning) -> None:
     found = extract_preview(read_image(folder / "images" / name), read_mask(folder, name), settings, tuning)
     save_npz(preview_path(folder, name), **found.to_npz())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +9,7 @@ import pycolmap
 from scipy.spatial import cKDTree
 
 from tiegraph.geometry.gravity import up_vector
-from tiegraph.masks.classes import NAMES, USE, WATER
+from tiegraph.masks import NAMES, USE, WATER
 from tiegraph.masks.frames import full_size
 from tiegraph.masks.skypoints import places, without_points
 from tiegraph.masks.tuning import Tuning
@@ -46,7 +45,7 @@ from tiegraph.scene.scene import Scene
 def refine(run: Run) -> Outcome:
     """Final masks: waterline and horizon of the model where a mask knows its classes, the first masks elsewhere."""
     scene = checked(run)
-    known: dict[str, Known] = {}
+    known: dict[str, tuple[np.ndarray, Lines | None]] = {}
     notes: tuple[str, ...] = ("the first masks are the final ones, as the setting says",)
     if run.settings.refine.geometry == "auto":
         known, notes = _known(run, scene)
@@ -59,17 +58,9 @@ def refine(run: Run) -> Outcome:
     return Outcome(counts, notes=notes, tables=_tables(run, scene))
 
 
-@dataclass(frozen=True)
-class Known:
-    """What the model knows of an image: ``points`` (K, 2) f4 in it, shares of width and height, hidden ones too; its
-    waterline and horizon, None if no ring of cameras shows which way is up."""
-
-    points: np.ndarray
-    lines: Lines | None
-
-
-def _known(run: Run, scene: Scene) -> tuple[dict[str, Known], tuple[str, ...]]:
-    """What the model knows of each registered image, with what is to be said of it."""
+def _known(run: Run, scene: Scene) -> tuple[dict[str, tuple[np.ndarray, Lines | None]], tuple[str, ...]]:
+    """What the model knows of each registered image: points (K, 2) f4 in it, shares of width and height, hidden ones
+    too; its waterline and horizon, None if no ring of cameras shows which way is up. And what is to be said of it."""
     if not any(classes_path(run.folder, n).exists() for n in scene.names):
         return {}, ("the first masks do not say what is sky and water: they are the final ones",)
     model = load_model(run.path("sparse", "world"))
@@ -77,7 +68,7 @@ def _known(run: Run, scene: Scene) -> tuple[dict[str, Known], tuple[str, ...]]:
     points = np.array([p.xyz for p in model.points3D.values() if p.track.length() >= least]).reshape(-1, 3)
     seen = _seen(run, model, points)
     lines, notes = _lines(run, scene, model, points)
-    return {n: Known(seen[n], lines.get(n)) for n in seen}, ("no sky where the model has points", *notes)
+    return {n: (seen[n], lines.get(n)) for n in seen}, ("no sky where the model has points", *notes)
 
 
 def _seen(run: Run, model: pycolmap.Reconstruction, points: np.ndarray) -> dict[str, np.ndarray]:
@@ -150,14 +141,15 @@ def _first_classes(name: str, folder: Path) -> np.ndarray:
     return read_image(classes_path(folder, name))
 
 
-def _final_item(item: tuple[str, Known | None], folder: Path, tuning: Tuning) -> None:
+def _final_item(item: tuple[str, tuple[np.ndarray, Lines | None] | None], folder: Path, tuning: Tuning) -> None:
     name, known = item
     final = folder / FINAL
     classes, mask = classes_path(folder, name), mask_path(folder, name)
     if known is not None and classes.exists():
+        points, lines = known
         first, use = _first_classes(name, folder), read_mask(folder, name)
-        found = first if known.lines is None else final_classes(first, known.lines, tuning.waterline)
-        found = without_points(found, known.points, tuning.sky_points)
+        found = first if lines is None else final_classes(first, lines, tuning.waterline)
+        found = without_points(found, points, tuning.sky_points)
         if use.any() and (found != first).any():
             save_png(classes_path(final, name), found)
             keep = full_size(found == USE, use.shape)  # type: ignore[arg-type]

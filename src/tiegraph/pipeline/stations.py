@@ -60,8 +60,8 @@ def stations(
     with new_folder(out) as folder:
         assert folder is not None
         with reporter.stage("read"):
-            read = _read(files, tuning)
-            shots = read.shots if options.poses is None else _with_poses(read.shots, options.poses)
+            shots, origin, spacing_m = _read(files, tuning)
+            shots = shots if options.poses is None else _with_poses(shots, options.poses)
         try:
             with reporter.stage("join"):
                 ready, unfit = prepared(shots, tuning)
@@ -73,12 +73,12 @@ def stations(
         with reporter.stage("merge"), tempfile.TemporaryDirectory(dir=folder) as scratch:
             path = {s.name: p for s, p in zip(ready, joined.poses) if np.isfinite(p).all()}
             known = {file.stem: file for file in files}
-            voxel = options.voxel_m or read.spacing_m
+            voxel = options.voxel_m or spacing_m
             merged = _merged(known, path, voxel, _noise(ready, joined), Path(scratch), options.tuning)
-            notes = write_cloud((replace(c, origin=read.origin) for c in merged.clouds()), folder / CLOUD, voxel)
+            notes = write_cloud((replace(c, origin=origin) for c in merged.clouds()), folder / CLOUD, voxel)
         result = {
             **told,
-            "frame": _frame(read.origin, options, ready, joined),
+            "frame": _frame(origin, options, ready, joined),
             "voxel_m": voxel,
             "cloud": merged.counts,
             "tuning": options.tuning.changed(),
@@ -127,16 +127,8 @@ def pose_numbers(names: Sequence[str]) -> list[int]:
     return list(numbers) if len(numbers) == len(names) else list(range(len(names)))
 
 
-@dataclass(frozen=True)
-class _Read:
+def _read(files: Sequence[Path], tuning: Tuning) -> tuple[list[Shot], Origin | None, float]:
     """The shots, the world that some are in (None = none is), and the spacing of the usual point, two digits."""
-
-    shots: list[Shot]
-    origin: Origin | None
-    spacing_m: float
-
-
-def _read(files: Sequence[Path], tuning: Tuning) -> _Read:
     shots, spacings, origin, first = [], [], None, files[0]
     for file in files:
         cloud = read_cloud(file)
@@ -167,7 +159,7 @@ def _read(files: Sequence[Path], tuning: Tuning) -> _Read:
                 own_frame=known is None,
             )
         )
-    return _Read(shots, origin, float(f"{max(np.median(spacings), 1e-9):.2g}"))
+    return shots, origin, float(f"{max(np.median(spacings), 1e-9):.2g}")
 
 
 def _one_world(a: Origin, b: Origin) -> bool:

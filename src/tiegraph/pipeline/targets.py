@@ -11,8 +11,8 @@ from tiegraph.errors import InputError
 from tiegraph.pipeline.files import read_image
 from tiegraph.project.run import Run
 from tiegraph.scene.gcp import GcpFile
-from tiegraph.scene.sampling import evenly
 from tiegraph.scene.scene import Scene
+from tiegraph.scene.sorting import evenly
 from tiegraph.targets.detect import Seen, find_targets
 from tiegraph.targets.marks import OTHERS, TargetMarks, likely_family, marks_of
 from tiegraph.targets.tuning import Tuning

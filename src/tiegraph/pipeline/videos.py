@@ -12,7 +12,7 @@ import numpy as np
 from tiegraph.errors import InputError
 from tiegraph.pipeline.foundrig import rig_of_run
 from tiegraph.project.run import Run
-from tiegraph.scan.recording.recording import Recording
+from tiegraph.scan.recording import Recording
 from tiegraph.scan.rigfiles.cameraread import FoundCamera
 from tiegraph.scan.settings import ScanSettings, video_offsets
 from tiegraph.scan.tuning import OffsetTuning, PicturesTuning, Tuning
@@ -30,8 +30,7 @@ from tiegraph.scan.videos.video import (
     take_pictures,
 )
 from tiegraph.scan.videos.videomotion import MotionCurve, motion_curve
-from tiegraph.scan.videos.videooffset import Offset, find_offset
-from tiegraph.scan.videos.videorig import Film, films_together, offsets_given
+from tiegraph.scan.videos.videooffset import Film, Offset, films_together, find_offset, offsets_given
 from tiegraph.scan.videos.videotime import VideoClock, video_clock
 from tiegraph.scene.bags.topics import split_topics
 from tiegraph.scene.images import find_images, has_images

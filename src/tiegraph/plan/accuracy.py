@@ -5,8 +5,6 @@ world is universal kriging: the shape's covariance C is free of any similarity, 
 (positions, control points) tell both it and the bends of the shape, as an adjustment with them does.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -14,10 +12,10 @@ import numpy as np
 import pycolmap
 
 from tiegraph.geometry.align import rms_length
+from tiegraph.geometry.gravity import UpTuning
 from tiegraph.geometry.transforms import motions
 from tiegraph.plan.network import Network
 from tiegraph.plan.path import Path
-from tiegraph.plan.tuning import WorldTuning
 
 _OPEN_TURN, _OPEN_SCALE, _OPEN_SHIFT = np.pi, 1.0, 1e6  # sigmas of what nothing tells: rad, parts, extents
 
@@ -169,7 +167,7 @@ def _prior(shape: Shape, known: Known, extent: float) -> np.ndarray:
     return np.diag(1 / sigma**2)
 
 
-def looks_round(axes: np.ndarray, tuning: WorldTuning) -> bool:
+def looks_round(axes: np.ndarray) -> bool:
     """Whether cameras with these viewing directions (S, 3) in the body look all round its down axis."""
     level = axes[np.abs(axes[:, 1]) < 0.7]  # less than 45 degrees up or down
-    return len(level) > 1 and float(np.linalg.norm(level.mean(axis=0))) < tuning.all_round
+    return len(level) > 1 and float(np.linalg.norm(level.mean(axis=0))) < UpTuning().round

@@ -1,7 +1,5 @@
 """Planned against reached: the same figures of a plan and of a finished run, side by side."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

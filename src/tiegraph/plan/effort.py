@@ -1,7 +1,5 @@
 """What a survey costs: images, time on site, disk, CPU time."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,12 +32,17 @@ class Effort:
 
 
 def effort(
-    sizes: list[tuple[int, int]], frames: int, way_m: float, speed_m_s: float | None, tuning: EffortTuning
+    sizes: list[tuple[int, int]],
+    frames: int,
+    way_m: float,
+    speed_m_s: float | None,
+    most_features: float,
+    tuning: EffortTuning,
 ) -> Effort:
-    """Cost of so many frames of cameras of these sizes (width, height), pixels."""
+    """Cost of so many frames of cameras of these sizes (width, height), pixels, which keep so many features at most."""
     images, pixels = frames * len(sizes), frames * _pixels(sizes)
     matched = frames * _pixels(sizes, tuning.dense_px)
-    each = (min(tuning.features_a_megapixel * w * h / 1e6, tuning.most_features) for w, h in sizes)
+    each = (min(tuning.features_a_megapixel * w * h / 1e6, most_features) for w, h in sizes)
     features = frames * sum(each)
     return Effort(
         images=images,

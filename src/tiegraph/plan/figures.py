@@ -1,7 +1,5 @@
 """One camera before a surface, in closed form (paper 004, equations 1 and 2, table 1)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

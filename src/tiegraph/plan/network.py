@@ -1,7 +1,5 @@
 """The synthetic network of a planned path: points of the surface, the images that see them, noisy observations."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -4,8 +4,6 @@ World: x along the first way, y to its left, z up, metres. Body: x right, y down
 canal, road, corridor and tunnel, to the surface at facade and orbit, and down over a grid (its top then points ahead).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """The plan of a whole path, place by place: what is expected where, what is worst, what would help."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

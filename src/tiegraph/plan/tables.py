@@ -1,7 +1,5 @@
 """Plans as tables of text and as CSV."""
 
-from __future__ import annotations
-
 import csv
 import io
 from collections.abc import Sequence

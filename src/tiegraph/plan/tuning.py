@@ -1,7 +1,5 @@
 """What a plan takes for granted: each constant with its unit, its meaning and where its value comes from."""
 
-from __future__ import annotations
-
 from pydantic import Field
 
 from tiegraph.settings import Section
@@ -27,12 +25,10 @@ class EffortTuning(Section):
     feature_bytes: float = Field(250.0, gt=0)
     """... of each of its features, in the database and the model."""
     features_a_megapixel: float = Field(5600.0, gt=0)
-    """Features, up to `most_features`. The room up to `georef`, as `du` has it, kB an image: canal_demo 323
-    measured, 348 so, canal 523 and 544, KITTI 1025 and 740, PandaSet 395 and 838, Herz-Jesus-P8 1004 and 1134."""
+    """Features, up to those that an image may keep. The room up to `georef`, as `du` has it, kB an image: canal_demo
+    323 measured, 348 so, canal 523 and 544, KITTI 1025 and 740, PandaSet 395 and 838, Herz-Jesus-P8 1004 and 1134."""
     copied_bytes: float = Field(160.0, gt=0)
     """Of a feature, in the copy of the database that `sparse` works on."""
-    most_features: float = Field(12288.0, gt=0)
-    """As `features.max_features`."""
     features_px: float = Field(3200.0, gt=0)
     """As `features.max_image_size`, and ..."""
     dense_px: float = Field(3200.0, gt=0)
@@ -115,10 +111,6 @@ class PathTuning(Section):
 class WorldTuning(Section):
     """The placement in the world (`world.py`)."""
 
-    ring_vertical_deg: float = Field(3.0, gt=0)
-    """To which cameras all round tell the vertical, as `georef` has it."""
-    all_round: float = Field(0.5, ge=0, le=1)
-    """Length of the mean of the viewing directions below which cameras look all round."""
     mark_px: float = Field(0.5, gt=0)
     """Of a control point marked in an image."""
     least_marks: int = Field(3, ge=2)

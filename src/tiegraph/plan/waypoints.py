@@ -1,7 +1,5 @@
 """The frames of a planned path as waypoints: CSV in local metres, and with a place on the Earth GeoJSON and KML."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass
 from xml.sax.saxutils import escape

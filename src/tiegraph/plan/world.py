@@ -1,12 +1,11 @@
 """What ties a planned path to the world: positions of a receiver, with outages, and control points."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
 
 from tiegraph.errors import InputError
+from tiegraph.geometry.gravity import UpTuning
 from tiegraph.plan.accuracy import Fix, Known, Shape, looks_round, own_variance
 from tiegraph.plan.network import MountedCamera, Network
 from tiegraph.plan.path import Path
@@ -73,7 +72,7 @@ def known_of(
     marked = np.linspace(0, len(shape.frames) - 1, control.count).round().astype(int).tolist()
     fixes += [control_point(path, network, shape, k, control.sigma_m, tuning) for k in marked]
     axes = np.stack([c.sensor_from_body[2, :3] for c in cameras])
-    return Known(tuple(fixes), common, tuning.ring_vertical_deg if looks_round(axes, tuning) else None)
+    return Known(tuple(fixes), common, UpTuning().ring_sigma_deg if looks_round(axes) else None)
 
 
 def control_point(path: Path, network: Network, shape: Shape, frame: int, sigma_m: float, tuning: WorldTuning) -> Fix:

@@ -5,8 +5,6 @@ it left them. Interrupted with the same key: finished items stay. Else its files
 what its list does not name was not made by us and is refused; what was changed since is moved to ``set_aside/``.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterable, Sequence
 from pathlib import Path, PurePosixPath

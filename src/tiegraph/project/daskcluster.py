@@ -1,7 +1,5 @@
 """A Dask cluster before it works for a run: the connection, what its processes have and see, and its messages."""
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import shutil

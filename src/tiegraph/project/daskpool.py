@@ -7,8 +7,6 @@ that come later, started again by Dask or by a queue, take part from the next st
 stop between two items when the run has gone, and a new run begins when they have.
 """
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import os

@@ -1,7 +1,5 @@
 """What a Dask worker does for ``daskpool``: is prepared, makes items one at a time, stops when the run has gone."""
 
-from __future__ import annotations
-
 import os
 import pickle
 import socket

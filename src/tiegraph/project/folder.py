@@ -3,8 +3,6 @@
 What native libraries print while a run goes on belongs to its log: the terminal is the user's.
 """
 
-from __future__ import annotations
-
 import itertools
 import json
 import logging

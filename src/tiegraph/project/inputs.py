@@ -3,8 +3,6 @@
 What a user names must be there before anything runs: one check for every option and setting that is a path.
 """
 
-from __future__ import annotations
-
 import os
 import re
 from contextlib import suppress

@@ -3,8 +3,6 @@
 A file counts by its size and content; its time only saves reading it again. A link counts by where it leads.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

@@ -1,7 +1,5 @@
 """Where work runs. The seam is the standard library's ``concurrent.futures.Executor``: engines never see it."""
 
-from __future__ import annotations
-
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence

@@ -1,7 +1,5 @@
 """What a person sees while a run goes on: one line a stage, alive on a terminal, plain elsewhere."""
 
-from __future__ import annotations
-
 import json
 import logging
 import sys

@@ -1,7 +1,5 @@
 """What each stage says of itself when it is done (or that it began), and the list of the files it made."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

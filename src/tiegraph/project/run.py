@@ -1,7 +1,5 @@
 """A run folder at work: its lock, its log, its pool, and the loop over the stages."""
 
-from __future__ import annotations
-
 import json
 import logging
 import time

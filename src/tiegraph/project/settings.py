@@ -1,7 +1,5 @@
 """All settings of a run: one section a stage. Precedence: defaults < preset < tiegraph.toml < command line."""
 
-from __future__ import annotations
-
 import difflib
 import sys
 from collections.abc import Iterable

@@ -1,7 +1,5 @@
 """Versions that a result depends on: for receipts, and to see whether a worker elsewhere would make the same."""
 
-from __future__ import annotations
-
 import platform
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version

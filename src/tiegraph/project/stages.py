@@ -5,8 +5,6 @@ needs: what it will be made from, before anything is made. Its parts stand in th
 can name what changed.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import shutil

@@ -5,8 +5,6 @@ anew, has other times and is the same. A file or folder that is gone counts as i
 finished can be reported without the images.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path

@@ -1,8 +1,6 @@
 """Constants of the verbs beside the pipeline, which have no run folder: tables ``[tuning.<engine>]`` of a file that
 ``--tuning`` names."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -4,8 +4,6 @@ On the page each figure is marked with its key (``<data data-accuracy="world.pre
 of them against the one source.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Charts of the pairs: matrices of what was looked at and of what was verified, the funnel, the ties of an image."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

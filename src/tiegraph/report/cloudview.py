@@ -1,7 +1,5 @@
 """Static views of a point cloud: a z-buffer in NumPy with eye-dome lighting (Boucheny 2009), top and two obliques."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2

@@ -1,7 +1,5 @@
 """Two or more runs side by side: the papers' tables (000 tables 1-2, 001 tables 1-5, 002 table 1)."""
 
-from __future__ import annotations
-
 import io
 import os
 from collections.abc import Callable, Sequence

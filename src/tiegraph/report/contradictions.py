@@ -1,7 +1,5 @@
 """What contradicts what, over all stages, and the table of what says what."""
 
-from __future__ import annotations
-
 from textwrap import shorten
 
 from tiegraph.report import formatting

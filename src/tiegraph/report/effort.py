@@ -1,7 +1,5 @@
 """The part of the report on what a run took: time and memory, settings, versions."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The part of the report on references: figures of merit, tables, shares of the cloud, the map of differences."""
 
-from __future__ import annotations
-
 import re
 from typing import Any
 

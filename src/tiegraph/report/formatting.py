@@ -1,7 +1,5 @@
 """Numbers in words a surveyor reads: units, sensible digits, spaces between thousands."""
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The words of the report, for those who meet them first here."""
 
-from __future__ import annotations
-
 from tiegraph.report.texts import t
 
 _WORDS = {

@@ -1,9 +1,6 @@
 """report.html: one self-contained file made of receipts and artefacts only, for the client first, then the engineer."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
-from dataclasses import dataclass
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
@@ -38,14 +35,6 @@ _DROPPED_SHOWN = 200
 _IMAGES_SHOWN = 5000
 _RIGS_SHOWN = 8
 _ARROW_SHARE = 0.1  # of the width of an image: the longest residual of a lens as drawn
-
-
-@dataclass(frozen=True)
-class Section:
-    """A section of the engineer's part: where the contents list leads, and its name."""
-
-    key: str
-    title: str
 
 
 def write_report(folder: Path, settings: ReportSettings, planned: formatting.Table | None = None) -> Path:
@@ -114,8 +103,8 @@ def _shown(value: str) -> str:
     return printable(formatting.without_folders(value))
 
 
-def _contents(context: dict[str, Any]) -> Iterator[Section]:
-    """The sections that the page has, in its order."""
+def _contents(context: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    """The sections that the page has, in its order: where the contents list leads, and their names."""
     scan, network, model = context["scan"], context["network"], context["model"]
     there = (
         ("result", t("The result in words"), True),
@@ -131,7 +120,7 @@ def _contents(context: dict[str, Any]) -> Iterator[Section]:
         ("settings", t("Settings and versions"), context["effort"]["settings"] or context["effort"]["software"]),
         ("glossary", t("Glossary"), True),
     )
-    return (Section(key, title) for key, title, shown in there if shown)
+    return ((key, title) for key, title, shown in there if shown)
 
 
 def _how_sure(run: RunFolder) -> dict[str, Any]:

@@ -1,7 +1,5 @@
 """Every image of a survey, whether it is used, and if not why."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The part of the report on which images tie to which: pictures in the order a reader asks, one sentence each."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from tiegraph.report import charts, formatting

@@ -1,8 +1,6 @@
 """What the images observe, sampled from a sparse model: how far its points are, how small a pixel is, what the lens
 leaves of the residuals."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,18 +25,17 @@ class LensResiduals:
 
 @dataclass(frozen=True, eq=False)
 class Observed:
-    """Of each image of a scene (N,), NaN where it sees no point: median distance along the line of sight to the points
-    that it sees, and the size of a pixel there (ground sampling distance), in units of the model; by sensor key the
+    """Of each image of a scene (N,), NaN where it sees no point: the size of a pixel (ground sampling distance) at the
+    median distance, along the line of sight, of the points that it sees, in units of the model; by sensor key the
     residuals of the lens."""
 
-    distance: np.ndarray
     gsd: np.ndarray
     lenses: dict[int, LensResiduals]
 
 
 def observed(model: Any, scene: Scene) -> Observed:
     """Of a ``pycolmap.Reconstruction``; images go by name."""
-    distance, gsd = np.full(len(scene), np.nan), np.full(len(scene), np.nan)
+    gsd = np.full(len(scene), np.nan)
     seen: dict[int, list[tuple[np.ndarray, np.ndarray]]] = {}
     sizes: dict[int, tuple[int, int]] = {}
     for image in model.images.values():
@@ -52,14 +49,13 @@ def observed(model: Any, scene: Scene) -> Observed:
         ahead = local[:, 2] > 0
         if not ahead.any():
             continue
-        distance[k] = np.median(local[ahead, 2])
-        gsd[k] = distance[k] / camera.mean_focal_length()
+        gsd[k] = np.median(local[ahead, 2]) / camera.mean_focal_length()
         xy = np.array([p.xy for p in asked])[ahead]
         key = int(scene.sensor_key[k])
         sizes[key] = (camera.width, camera.height)
         seen.setdefault(key, []).append((xy, xy - np.asarray(camera.img_from_cam(local[ahead]), float)))
     lenses = {key: _cells(sizes[key], found) for key, found in sorted(seen.items())}
-    return Observed(distance, gsd, lenses)
+    return Observed(gsd, lenses)
 
 
 def _cells(size: tuple[int, int], found: list[tuple[np.ndarray, np.ndarray]]) -> LensResiduals:

@@ -1,7 +1,5 @@
 """report.pdf: the page printed by a browser without a window, for nothing else lays it out as it is read."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """The passes on the map: where the cameras went, which frames are missing, and how far the map reaches."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

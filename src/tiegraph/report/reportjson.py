@@ -1,7 +1,5 @@
 """report.json: the report for programs, as ``report.schema.json`` describes it; English, figures in metres."""
 
-from __future__ import annotations
-
 import json
 import math
 from datetime import datetime, timezone

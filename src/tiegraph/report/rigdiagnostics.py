@@ -1,7 +1,5 @@
 """The rig: its cameras as adjusted, and along the run where each stands by its own sightings against its place."""
 
-from __future__ import annotations
-
 import csv
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """What a run folder holds, read as far as it is there: a report of a run that stopped early must work too."""
 
-from __future__ import annotations
-
 import json
 import logging
 from collections.abc import Callable

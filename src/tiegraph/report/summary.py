@@ -1,13 +1,11 @@
 """What the report says in words: the verdict, the numbers at the top, the warnings and the tables."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from tiegraph.report import accuracy, formatting, georeference
+from tiegraph.report import accuracy, formatting
 from tiegraph.report.contradictions import about, contradictions
 from tiegraph.report.formatting import Table, is_number
 from tiegraph.report.runfolder import STAGES, RunFolder
@@ -66,7 +64,7 @@ def verdict(run: RunFolder) -> Verdict:
         "check": t("The survey is usable with care"),
         "poor": t("A large part of the survey is missing"),
     }[level]
-    of_world = georeference.sentences(run.world or {})
+    of_world = georeference_sentences(run.world or {})
     said_of_model = (_registered_sentence(run, registered, total), _world_sentence(run), *of_world)
     sentences = (*_accuracy_sentences(run), *said_of_model)
     return Verdict(
@@ -271,4 +269,23 @@ def stage_rows(run: RunFolder) -> list[tuple[str, float, float, float]]:
         r = run.receipts.get(stage, {})
         if is_number(r.get("seconds")):
             out.append((stage, float(r["seconds"]), float(r.get("cpu_s") or 0), float(r.get("peak_mib") or 0)))
+    return out
+
+
+def georeference_sentences(world: dict[str, Any]) -> list[str]:
+    """In words: what heights count from, the lever arm of the antenna, and whether the model was adjusted."""
+    out = []
+    if world.get("vertical") and world.get("placed"):
+        text = said(str(world["vertical"]))
+        out.append(t("{}.", text[0].upper() + text[1:]))
+    arm = world.get("antenna_m")
+    if world.get("placed") and isinstance(arm, list) and len(arm) == 3:
+        given = ", ".join(f"{v:.2f}" for v in arm)
+        out.append(t("The lever arm of the GNSS antenna is {} m in the frame of the rig's first camera.", given))
+    if world.get("adjusted"):
+        if (world.get("accuracy") or {}).get("gcp"):
+            text = "The model was adjusted together with its positions and control points, not only shifted to them."
+        else:
+            text = "The model was adjusted together with its positions, not only shifted to them."
+        out.append(t(text))
     return out

@@ -1,7 +1,5 @@
 """Tables, facts and remarks of receipts for the page, each number marked with where it stands in its receipt."""
 
-from __future__ import annotations
-
 import re
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Pictures as data URIs: thumbnails of the images with their masks, PNG and JPEG encoding."""
 
-from __future__ import annotations
-
 import base64
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Data of the interactive 3-D view: a thinned cloud, the cameras' paths and images, packed for viewer.js."""
 
-from __future__ import annotations
-
 import base64
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace

@@ -1,7 +1,5 @@
 """What a user should look at before using the products, in sentences."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

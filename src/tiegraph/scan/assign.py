@@ -1,7 +1,5 @@
 """Which sensor and pass each image belongs to: by the rig file, a preset, or a guess."""
 
-from __future__ import annotations
-
 import difflib
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -105,7 +103,7 @@ def assign(
     cameras = preset_sizes(rig, tuning.rig) if rig else ()
     exif, sizes = usable.facts()
     kind = usable.layout(settings)
-    layout = band_layout(usable.names, exif, kind, tuning.bands) or guess_layout(
+    layout = band_layout(usable.names, exif, kind, tuning.frames) or guess_layout(
         usable.names, exif, sizes, kind, tuning.folders, cameras
     )
     if layout.folders == ("",) and not layout.loose and kind == "auto" and len(_lenses(usable)) > 1:

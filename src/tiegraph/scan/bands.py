@@ -4,8 +4,6 @@ IMG_180822_133949_0205_GRE.TIF, ..._NIR.TIF (Parrot Sequoia), IMG_0001_1.tif ...
 (DJI). What stands before the last mark is the shot, the mark is the camera; its folder is then written "*_GRE".
 """
 
-from __future__ import annotations
-
 import re
 from collections import Counter, defaultdict
 from collections.abc import Sequence
@@ -17,7 +15,7 @@ import numpy as np
 from tiegraph.geometry.transforms import rigid
 from tiegraph.scan.folders import Layout, Order, Place, is_pattern, natural, pass_names
 from tiegraph.scan.rigfiles.rigspec import RigSpec, SensorSpec
-from tiegraph.scan.tuning import BandsTuning
+from tiegraph.scan.tuning import FramesTuning
 from tiegraph.scene.exif import Exif
 from tiegraph.scene.xmp import relative_rotation
 
@@ -28,7 +26,7 @@ _MARK = re.compile(r"(?i)^(.+)_((?:MS_)?[a-z]+|\d{1,2})$")
 _MICASENSE = re.compile(r"(?i)^IMG_\d{4}_\d{1,2}$")
 
 
-def band_layout(names: Sequence[str], exif: Sequence[Exif], kind: str, tuning: BandsTuning) -> Layout | None:
+def band_layout(names: Sequence[str], exif: Sequence[Exif], kind: str, tuning: FramesTuning) -> Layout | None:
     """The layout of images whose names end in marks of bands; None if they do not. ``kind`` is ScanSettings.layout.
 
     Marks are names of bands; or numbers, where the files themselves or MicaSense's way of naming say that these are

@@ -5,8 +5,6 @@ between them, optionally, the size of the images they belong to. Files: those of
 camera.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

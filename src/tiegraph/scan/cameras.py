@@ -1,7 +1,5 @@
 """The camera of a sensor: from the rig file, from EXIF, from a preset's field of view, or guessed and said so."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 

@@ -8,8 +8,6 @@ turned against the other about the camera's upright, so the turn between them te
 without such a partner is cut into views all round its axis.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import PurePosixPath
@@ -23,7 +21,7 @@ from tiegraph.geometry.transforms import rigid
 from tiegraph.scan.assign import Report, Shot, Survey, some
 from tiegraph.scan.rigfiles.rigspec import orient
 from tiegraph.scan.settings import ScanSettings
-from tiegraph.scan.tuning import LensViewsTuning
+from tiegraph.scan.tuning import LensViewsTuning, PanoramaTuning
 from tiegraph.scene.fisheye import is_fisheye, seen_half_deg
 from tiegraph.scene.images import Probe
 from tiegraph.scene.rig import LensView, Rig, Sensor, SensorPair, Source
@@ -61,7 +59,7 @@ def with_lit_circle(sensor: Sensor, probes: Sequence[Probe], tuning: LensViewsTu
 
 def into_views(
     rigs: tuple[Rig, ...], survey: Survey, pictures: ImageFiles, settings: ScanSettings, report: Report,
-    tuning: LensViewsTuning,
+    tuning: LensViewsTuning, level: PanoramaTuning,
 ) -> tuple[tuple[Rig, ...], Survey, ImageFiles]:  # fmt: skip
     """The survey with views in place of wide fisheye images. Raises InputError if they are asked for and impossible."""
     cut = {(r, k): _why_not(s, settings, tuning) for r, rig in enumerate(rigs) for k, s in enumerate(rig.sensors)}
@@ -73,7 +71,7 @@ def into_views(
     for r, rig in enumerate(rigs):
         sensors: list[Sensor] = []
         for k, sensor in enumerate(rig.sensors):
-            views = _views(sensor, _cut_of(rig, k, tuning)) if cut[r, k] == "" else [sensor]
+            views = _views(sensor, _cut_of(rig, k, tuning, level)) if cut[r, k] == "" else [sensor]
             places[r, k] = list(range(len(sensors), len(sensors) + len(views)))
             sensors += views
         made.append(_rig_of_views(rig, tuple(sensors)))
@@ -155,16 +153,15 @@ class _Cut:
     vfov_deg: float
 
 
-def _cut_of(rig: Rig, sensor: int, tuning: LensViewsTuning) -> _Cut:
+def _cut_of(rig: Rig, sensor: int, tuning: LensViewsTuning, level: PanoramaTuning) -> _Cut:
     upright = _upright(rig, sensor, tuning)
     if upright is None:
         off = tuning.reach_deg - tuning.fov_deg / 2
         ways = {_FRONT: (0.0, 0.0), "right": (off, 0.0), "left": (-off, 0.0), "up": (0.0, off), "down": (0.0, -off)}
         return _Cut({n: orient(*way, 0).T for n, way in ways.items()}, tuning.fov_deg, tuning.fov_deg)
-    off = tuning.reach_deg - tuning.level_hfov_deg / 2
-    level = {_FRONT: 0.0, "right": off, "left": -off}
-    turns = {n: orient(yaw, 0, 0).T @ upright for n, yaw in level.items()}
-    return _Cut(turns, tuning.level_hfov_deg, tuning.level_vfov_deg)
+    off = tuning.reach_deg - level.hfov_deg / 2
+    turns = {n: orient(yaw, 0, 0).T @ upright for n, yaw in ((_FRONT, 0.0), ("right", off), ("left", -off))}
+    return _Cut(turns, level.hfov_deg, level.vfov_deg)
 
 
 def _upright(rig: Rig, sensor: int, tuning: LensViewsTuning) -> np.ndarray | None:

@@ -1,7 +1,5 @@
 """What the folders mean: which part of an image's path is the camera and which the pass."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from collections.abc import Sequence

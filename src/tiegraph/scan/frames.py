@@ -1,24 +1,13 @@
 """Which images of a rig were taken together: frames, matched by file name, by the number in it, or by order."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from tiegraph.scan.assign import Report, Shot, Survey
 from tiegraph.scan.folders import natural
 from tiegraph.scan.tuning import FramesTuning
-
-
-@dataclass(frozen=True)
-class FrameKeys:
-    """Frame label of each image of one pass, by sensor; ``how`` is name, number or order."""
-
-    keys: dict[int, list[str]]
-    how: str
-    shared: float  # share of the images of the sensor with fewest partners that have a partner in the fullest one
 
 
 def into_frames(survey: Survey, files: Sequence[str], how: str, report: Report, tuning: FramesTuning) -> Survey:
@@ -33,11 +22,11 @@ def into_frames(survey: Survey, files: Sequence[str], how: str, report: Report, 
             continue
         sensors = sorted({s.sensor for s in shots})
         stems = {k: [s.stem for s in shots if s.sensor == k] for k in sensors}
-        matched = match_frames(stems, how, tuning)
-        _say_frames(sequence, matched.how, stems, how, report)
+        keys, by = match_frames(stems, how, tuning)
+        _say_frames(sequence, by, stems, how, report)
         for sensor in sensors:
             mine = [s for s in shots if s.sensor == sensor]
-            out += _without_twins([replace(s, key=key) for s, key in zip(mine, matched.keys[sensor])], files, report)
+            out += _without_twins([replace(s, key=key) for s, key in zip(mine, keys[sensor])], files, report)
     return replace(survey, shots=tuple(sorted(out, key=lambda s: s.image)))
 
 
@@ -65,27 +54,27 @@ def _without_twins(shots: list[Shot], names: Sequence[str], report: Report) -> l
     return list(first.values())
 
 
-def match_frames(stems: Mapping[int, Sequence[str]], how: str, tuning: FramesTuning) -> FrameKeys:
-    """Frame labels of one pass from the file stems of each sensor.
+def match_frames(
+    stems: Mapping[int, Sequence[str]], how: str, tuning: FramesTuning
+) -> tuple[dict[int, list[str]], str]:
+    """Frame label of each image of one pass, by sensor, from the file stems, and how: name, number or order.
 
     Auto: equal names if enough agree; else equal last numbers in the names, which are frame numbers in the
     papers' data (paper 000 figure 8: image0up_168035.jpg); else the place in the natural order of names.
     """
     if how in ("auto", "name"):
         by_name = {sensor: list(s) for sensor, s in stems.items()}
-        shared = _shared(by_name)
-        if how == "name" or shared >= tuning.agree:
-            return FrameKeys(by_name, "name", shared)
+        if how == "name" or _shared(by_name) >= tuning.agree:
+            return by_name, "name"
     if how in ("auto", "number"):
         by_number = {sensor: [_last_number(s) for s in names] for sensor, names in stems.items()}
-        shared = _shared(by_number)
-        if how == "number" or (shared >= tuning.agree and _mostly_unique(by_number, tuning)):
-            return FrameKeys(by_number, "number", shared)
+        if how == "number" or (_shared(by_number) >= tuning.agree and _mostly_unique(by_number, tuning)):
+            return by_number, "number"
     by_order = {}
     for sensor, names in stems.items():
         rank = {s: k for k, s in enumerate(sorted(set(names), key=natural))}
         by_order[sensor] = [f"{rank[s]:06d}" for s in names]
-    return FrameKeys(by_order, "order", _shared(by_order))
+    return by_order, "order"
 
 
 def _last_number(stem: str) -> str:
@@ -94,6 +83,7 @@ def _last_number(stem: str) -> str:
 
 
 def _shared(keys: dict[int, list[str]]) -> float:
+    """Share of the images of the sensor with fewest partners that have a partner in the fullest one."""
     sets = [set(k) for k in keys.values()]
     fullest = max(sets, key=len)
     return min(len(s & fullest) / len(s) for s in sets)

@@ -1,7 +1,5 @@
 """Equirectangular panoramas: each becomes one frame of a rig of pinhole views that share its centre."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

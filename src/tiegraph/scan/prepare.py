@@ -1,7 +1,5 @@
 """From a photograph to the image the other stages read: a link, or turned, cropped, undistorted, made 8-bit."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from functools import lru_cache
@@ -17,7 +15,7 @@ from tiegraph.errors import InputError
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scene.atomic import replacing
-from tiegraph.scene.exifwrite import Taken, exif_of
+from tiegraph.scene.exif import Taken, exif_of
 from tiegraph.scene.filecache import cached_by_file
 from tiegraph.scene.fisheye import render_lens_view
 from tiegraph.scene.images import decode_deep, deep_png, open_image

@@ -77,7 +77,7 @@ def build_scene(
     need_two(len(survey.shots), report)
     survey = _with_cameras(inputs, survey, pictures, whole, report, tuning)
     rigs, survey = _rigs(survey, pictures.probes, settings, report, tuning)
-    rigs, survey, views = into_views(rigs, survey, pictures, settings, report, tuning.lens_views)
+    rigs, survey, views = into_views(rigs, survey, pictures, settings, report, tuning.lens_views, tuning.panorama)
     if inputs.start is not None:
         must_be_whole(inputs.start, views.names is pictures.names)
     return _scene(inputs, _Named.of(survey, views), rigs, survey, settings, report, tuning)

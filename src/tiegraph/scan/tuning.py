@@ -1,7 +1,5 @@
 """What scan decides by: each constant with its unit, its meaning and where its value comes from."""
 
-from __future__ import annotations
-
 from pydantic import Field
 
 from tiegraph.scene.tuning import GnssTuning
@@ -28,20 +26,15 @@ class FoldersTuning(Section):
     """... or by this: EXIF often has whole seconds only."""
 
 
-class BandsTuning(Section):
-    """Cameras that write into one folder (`bands.py`)."""
-
-    whole: float = Field(0.75, ge=0, le=1)
-    """Share of images that have a mark, and of the images that whole shots would have: else it is chance."""
-
-
 class FramesTuning(Section):
-    """Which images of a rig were taken together (`frames.py`)."""
+    """Which images of a rig were taken together (`frames.py`), and cameras that write into one folder (`bands.py`)."""
 
     agree: float = Field(0.5, ge=0, le=1)
     """Share of frames that must agree before a way of matching is believed."""
     unique: float = Field(0.9, ge=0, le=1)
     """Share of the numbers in a camera's names that stand there once, or they do not number frames."""
+    whole: float = Field(0.75, ge=0, le=1)
+    """Share of images that have a mark, and of the images that whole shots would have: else it is chance."""
 
 
 class CameraTuning(Section):
@@ -128,12 +121,9 @@ class LensViewsTuning(Section):
     """A lens that sees more across is cut into views: at its rim a pixel counts 15 times and more in a plane."""
     back_to_back_deg: float = Field(150.0, gt=0, le=180)
     """Between two lenses: from here on they are those of a 360 camera."""
-    level_hfov_deg: float = Field(80.0, gt=0, lt=180)
-    """Of a level view of one, as of a panorama's: one ahead, two to the sides as far as the reach ..."""
-    level_vfov_deg: float = Field(90.0, gt=0, lt=180)
-    """... from top to bottom."""
     fov_deg: float = Field(90.0, gt=0, lt=180)
-    """Of a view of a lens alone, across and down: one ahead, four around as far as the reach."""
+    """Of a view of a lens alone, across and down: one ahead, four around as far as the reach. Level views of a 360
+    camera are as wide and high as a panorama's: one ahead, two to the sides as far as the reach."""
     reach_deg: float = Field(88.0, gt=0, lt=90)
     """Off the axis, how far views reach: at 90 degrees COLMAP's lenses end, and the last pixels would be black."""
     most: float = Field(0.5, ge=0, lt=1)
@@ -277,8 +267,6 @@ class Tuning(Section):
 
     folders: FoldersTuning = Field(default_factory=FoldersTuning)
     """Folders and order."""
-    bands: BandsTuning = Field(default_factory=BandsTuning)
-    """Cameras of one folder."""
     frames: FramesTuning = Field(default_factory=FramesTuning)
     """Images taken together."""
     rig: RigTuning = Field(default_factory=RigTuning)

@@ -1,12 +1,10 @@
 """Files with the circles of two fisheye lenses side by side, as 360 cameras write them: a frame of two lenses each.
 
 Insta360's .insp is such a JPEG. What its factory measured of the lenses stands behind the picture
-(``recording.factory``): how the lenses are rolled, for both lie on their sides in most cameras, and then the second is
+(``recording.insta360``): how the lenses are rolled, for both lie on their sides in most cameras, and then the second is
 not turned about its own upright but about the first one's horizontal; and in newer cameras their distortion, a start
 where it fits the circles of the pictures.
 """
-
-from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
@@ -20,7 +18,7 @@ from tiegraph.errors import InputError
 from tiegraph.geometry.transforms import rigid
 from tiegraph.scan.assign import Report, Usable
 from tiegraph.scan.perspective import PRESET, SharedFiles, of_one_kind, share_files
-from tiegraph.scan.recording.factory import FactoryLens, factory_lenses
+from tiegraph.scan.recording.insta360 import FactoryLens, factory_lenses
 from tiegraph.scan.rigfiles.rigfaults import lens_fault
 from tiegraph.scan.rigfiles.rigfile import parse_rig_file, read_rig_file
 from tiegraph.scan.rigfiles.rigspec import RigSpec, SensorSpec, orient, preset_sizes

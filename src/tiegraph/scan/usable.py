@@ -1,7 +1,5 @@
 """Which images of a survey can be used: those that can be read, each file once."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import PurePosixPath

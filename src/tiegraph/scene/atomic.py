@@ -4,8 +4,6 @@ A run folder is a folder with the mark ``receipts/folder.json``. Before anything
 ``receipts/made.txt``: so it is known, after a kill at any moment, which files are ours and may be removed.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re

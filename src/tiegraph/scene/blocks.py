@@ -10,8 +10,6 @@ one block, where nothing contradicts them. So where frames have prior positions,
 each block is then one stretch of the way with all its passes, and ties between far places are in no block.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Protocol
 

@@ -3,8 +3,6 @@
 In a file coordinates are those of the CRS: world + the recorded shift. ENU and free worlds have no shift.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain

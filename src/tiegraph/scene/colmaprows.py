@@ -11,8 +11,6 @@ sensor is therefore written as a rig of its own (rig_id = number of rigs + camer
 of its own (frame_id = number of frames + image_id); without a rig all but the reference sensor are.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager

@@ -66,7 +66,7 @@ class Marks:
 @dataclass(frozen=True)
 class ScaleBars:
     """B scale bars between marked points: the points' names and marks, rows of their ends (B, 2), length_m, sigma_m
-    (B,), check (B,) bool, line (B,) in the file."""
+    (B,), check (B,) bool."""
 
     names: tuple[str, ...]
     marks: Marks
@@ -74,7 +74,6 @@ class ScaleBars:
     length_m: np.ndarray
     sigma_m: np.ndarray
     check: np.ndarray
-    line: np.ndarray
 
     def __len__(self) -> int:
         return len(self.ends)
@@ -152,7 +151,6 @@ def locate_bars(
         length_m=np.array([b.length_m for b in file.bars]),
         sigma_m=np.array([b.sigma_m for b in file.bars]),
         check=np.array([b.check for b in file.bars], bool),
-        line=np.array([b.line for b in file.bars], int),
     )
 
 

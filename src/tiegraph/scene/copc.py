@@ -1,7 +1,5 @@
 """Cloud Optimized Point Clouds: a LAZ file whose chunks are the nodes of an octree (COPC 1.0, copc.io)."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Depth maps as compressed .npz files: depth (f4), sigma as a share of the depth (f2), views (u1), normal (i1)."""
 
-from __future__ import annotations
-
 import zipfile
 from pathlib import Path
 

@@ -13,8 +13,6 @@ What is used is decided by the tests (``sfm.world.weighing``): the baseline of a
 without a trend; where nothing tells which source is right, the sigma of the scale covers both.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations

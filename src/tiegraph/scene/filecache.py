@@ -3,8 +3,6 @@
 A cache by path alone gives old data where a process outlives a run: in the workers of Dask, in a notebook.
 """
 
-from __future__ import annotations
-
 import functools
 import os
 from collections.abc import Callable

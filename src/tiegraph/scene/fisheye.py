@@ -1,7 +1,5 @@
 """Fisheye images as pixels: the circle that the lens lights, one or two of them in a file, and views cut out of it."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import cv2

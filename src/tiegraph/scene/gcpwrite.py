@@ -1,7 +1,5 @@
 """Control points as files: OpenDroneMap's ``gcp_list.txt``, or a CSV, which keeps sigmas and points without marks."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from tiegraph.errors import InputError

@@ -4,8 +4,6 @@ GPS - UTC has changed on the dates below (IERS Bulletin C; IS-GPS-200). During a
 it twice, as POSIX does.
 """
 
-from __future__ import annotations
-
 from datetime import datetime, timezone
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Finding images and opening each of them once."""
 
-from __future__ import annotations
-
 import hashlib
 import io
 import os

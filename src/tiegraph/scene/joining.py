@@ -5,8 +5,6 @@ of a straight path leave the turn about the path open; its scale and shift then 
 logarithms of the scales, rotations and shifts by least squares over all joins, one after another.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -16,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity
 from tiegraph.scene.graph import forest, parts
-from tiegraph.scene.sampling import evenly
+from tiegraph.scene.sorting import evenly
 from tiegraph.scene.tuning import JoiningTuning
 
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tiegraph.scene.graph import blocks, unite
 from tiegraph.scene.pairs import pair_key
-from tiegraph.scene.unite import blocks, unite
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,5 @@
 """Points with what was measured at them, as LAS or LAZ 1.4: extra dimensions of 32 bits, colours by the first."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from itertools import chain

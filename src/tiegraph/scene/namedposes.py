@@ -5,8 +5,6 @@ of transforms.json are OpenGL's: x right, y up, z backward (docs.nerf.studio, da
 their scales, are of any kind.
 """
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

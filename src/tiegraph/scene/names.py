@@ -5,8 +5,6 @@ surrogates, which kill the interpreter inside OpenCV and cannot be written to an
 names of ours where they are listed (``clean_names``), and nothing but the opening of a file ever sees the others.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 import re

@@ -1,7 +1,5 @@
 """COLMAP's list of image pairs, as a user hands it over."""
 
-from __future__ import annotations
-
 import difflib
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Equirectangular panoramas as pixels: how one is told from a photograph, and the pinhole views of it."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import cv2

@@ -1,7 +1,5 @@
 """Where frames were taken: before any model is made, and by the places of their images."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from tiegraph.scene.scene import Scene

@@ -6,8 +6,6 @@ blanks are TUM's, and rows with nanoseconds between commas EuRoC's, as long as t
 columns between commas are of the order that the path tells (``scene.poseorder``), or refused.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from pathlib import Path

@@ -6,8 +6,6 @@ vehicle or a hand moves in much the same direction of its own body all along; an
 about its normal.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

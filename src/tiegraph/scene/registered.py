@@ -7,8 +7,6 @@ An image is *registered* if it sees at least 10 points within 4 px of where they
 and not these is *placed by the rig*, and is counted apart everywhere.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

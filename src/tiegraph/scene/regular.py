@@ -1,7 +1,5 @@
 """What may be opened: files. A named pipe waits for ever for its writer, and ``/dev/zero`` never ends."""
 
-from __future__ import annotations
-
 import errno
 import os
 import stat

@@ -1,7 +1,5 @@
 """Sensors and rigs: a lone camera is a rig of one, loose photographs are a rig of one shot many times."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

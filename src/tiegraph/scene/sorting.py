@@ -1,7 +1,5 @@
 """Sorting of many whole numbers: points by voxel, tile or node."""
 
-from __future__ import annotations
-
 import numpy as np
 
 
@@ -30,3 +28,8 @@ def row_numbers(columns: np.ndarray) -> np.ndarray:
     for values, least, width in zip(columns, low, span, strict=True):
         number = number * width + (values - least)
     return number
+
+
+def evenly(count: int, most: int) -> np.ndarray:
+    """(K,) places of at most ``most`` of ``count`` things, spread evenly over them, with the first and the last."""
+    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))

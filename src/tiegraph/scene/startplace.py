@@ -1,7 +1,5 @@
 """Where a start model stands, and whose it is: told by what is in a folder or file, for nothing else is asked."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

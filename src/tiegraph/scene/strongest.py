@@ -1,7 +1,5 @@
 """The strongest pairs of each image, spread over cameras and passes."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from tiegraph.scene.graph import forest

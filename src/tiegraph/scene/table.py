@@ -1,7 +1,5 @@
 """Small text tables with a header: CSV, semicolons, tabs or blanks."""
 
-from __future__ import annotations
-
 import bisect
 import codecs
 import csv

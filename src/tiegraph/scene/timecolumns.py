@@ -4,8 +4,6 @@ A number says nothing of its scale: 1.4e9 is a day of 2014 in seconds since 1970
 So the name of the column decides, and where that says both, the user is asked.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

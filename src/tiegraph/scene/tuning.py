@@ -3,8 +3,6 @@
 ``GnssTuning`` and ``TrendTuning`` are of one engine alone, scan and sfm, and stand in its tuning.
 """
 
-from __future__ import annotations
-
 from pydantic import Field
 
 from tiegraph.settings import Section

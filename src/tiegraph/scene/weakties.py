@@ -5,8 +5,6 @@ So groups are asked as well: those that arise when frames are joined by their li
 linkage). A group that holds together better than it hangs on the rest is one of them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

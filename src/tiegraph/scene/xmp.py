@@ -1,13 +1,11 @@
 """What cameras write into a file's XMP: the rig of a multispectral camera, and the position of a DJI drone with RTK.
 
 The rig's tags are those of Pix4D's namespace Camera (http://pix4d.com/camera/1.0), written by Parrot, MicaSense and
-Sentera, as attributes, as elements or as lists: RigName, RigCameraIndex, BandName, RigRelatives and
+Sentera, as attributes, as elements or as lists: RigCameraIndex, BandName, RigRelatives and
 RigRelativesReferenceRigCameraIndex. DJI's stand in its namespace drone-dji (DJI, photo file description): GpsLatitude,
 GpsLongitude (in old firmware GpsLongtitude), AbsoluteAltitude, RtkFlag (0 none, 16 single, 34 float, 50 fixed) and the
 standard deviations RtkStdLat, RtkStdLon, RtkStdHgt in metres.
 """
-
-from __future__ import annotations
 
 import re
 from dataclasses import dataclass
@@ -26,7 +24,6 @@ _DJI = "drone-dji"
 class RigTags:
     """The rig of one image; index -1, "" and () = not written."""
 
-    name: str = ""
     index: int = -1  # of the camera in its rig
     band: str = ""
     relatives_deg: tuple[float, ...] = ()  # omega, phi, kappa of this camera in the reference camera
@@ -41,7 +38,6 @@ def read_rig_tags(image: Any) -> RigTags:
     angles = [number(v) for v in re.split(r"[,\s]+", _value(text, "RigRelatives")) if v]
     good = len(angles) == 3 and bool(np.all(np.abs(angles) <= _MAX_DEG))
     return RigTags(
-        name=_value(text, "RigName")[:80],
         index=_whole(_value(text, "RigCameraIndex")),
         band=_value(text, "BandName")[:40],
         relatives_deg=tuple(angles) if good else (),

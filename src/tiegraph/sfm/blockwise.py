@@ -5,8 +5,6 @@ place together and lend each other the frames at their borders (``scene/blocks.p
 images they share (``scene/joining.py``). The start from their poses then adjusts all at once.
 """
 
-from __future__ import annotations
-
 import logging
 import shutil
 from collections.abc import Callable, Sequence
@@ -40,14 +38,6 @@ def serially(function: Callable[..., Any], items: Sequence[Any], *args: Any) -> 
 
 
 @dataclass(frozen=True)
-class BlockPoses:
-    """``cam_from_world`` (N, 4, 4) of the images, NaN = in no block of the largest part; remarks."""
-
-    cam_from_world: np.ndarray
-    notes: tuple[str, ...]
-
-
-@dataclass(frozen=True)
 class _Links:
     """The verified pairs of images."""
 
@@ -62,8 +52,9 @@ class _Links:
 
 def poses_by_blocks(
     request: Request, scene: Scene, graph: ViewGraph, tuning: SceneTuning, log_file: Path, run_map: RunMap
-) -> BlockPoses:
-    """Poses of all images from rough models of blocks. ``request``: that of the whole; ``run_map`` runs the blocks."""
+) -> tuple[np.ndarray, tuple[str, ...]]:
+    """cam_from_world (N, 4, 4) of all images from rough models of blocks, NaN = in no block of the largest part; notes.
+    ``request``: that of the whole; ``run_map`` runs the blocks."""
     blocks = blocks_of(scene, _Links(graph.pairs[:, 0], graph.pairs[:, 1], graph.inliers), tuning.blocks)
     parts = [
         replace(
@@ -78,7 +69,7 @@ def poses_by_blocks(
     made = [(blocks[k], m) for k, found in enumerate(run_map(_map_block, parts, log_file)) for m in found]
     shutil.rmtree(request.folder, ignore_errors=True)
     joined = join_models([m for _, m in made], tuning.joining)
-    return BlockPoses(_together(len(scene), made, joined), _notes(blocks, made, joined))
+    return _together(len(scene), made, joined), _notes(blocks, made, joined)
 
 
 def _map_block(request: Request, log_file: Path) -> list[Poses]:

@@ -23,7 +23,7 @@ import numpy as np
 import pycolmap
 from scipy import sparse
 
-from tiegraph.scene.sampling import evenly
+from tiegraph.scene.sorting import evenly
 from tiegraph.sfm.adjustment.jacobians import Layout, RigConstraints, jacobians
 from tiegraph.sfm.adjustment.leverarmprior import NominalGeometry
 from tiegraph.sfm.adjustment.normal import by_blocks, point_inverse

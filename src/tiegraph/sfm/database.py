@@ -1,7 +1,5 @@
 """What a mapper gets of the database, and what it can make of it."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What a mapped model still needs, inside a child process: adjustment, rig diagnostics, colours, sigmas, files."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -53,7 +51,7 @@ def finish_model(request: FinishRequest, send: Callable[[Any], None]) -> FinishR
     checked = _without_rolling(_adjusted(mapped, scene, request), mapped, scene, request)
     between = _camera_matches(checked, scene, request)
     if request.held.unsupported:
-        place_as_given(checked.model, scene, request.held.unsupported, request.tuning.rig.support)
+        place_as_given(checked.model, scene, request.held.unsupported, request.tuning)
     colours = _coloured(checked.model, request)
     checked.model.write(request.target)
     precision = _precision(checked, scene, request)
@@ -100,11 +98,10 @@ def _bundle_adjusted(
     model: pycolmap.Reconstruction, scene: Scene, request: FinishRequest
 ) -> tuple[pycolmap.Reconstruction, list[str]]:
     """By the rig's priors, with their sigmas in metres."""
-    rig = request.tuning.rig
     if request.held.soft:
-        scale = 1 / units_per_metre(model, scene, rig.support)
+        scale = 1 / units_per_metre(model, scene, request.tuning)
         model.transform(pycolmap.Sim3d(scale, pycolmap.Rotation3d(), np.zeros(3)))
-    known = rig_priors(model, scene, request.held.soft, rig.priors)
+    known = rig_priors(model, scene, request.held.soft, request.tuning.rig.priors)
     fixed = [k + 1 for k in request.held.fixed]
     adjustment = final_adjustment(model, fixed, request.held.cameras, known, tuning=request.tuning.adjust)
     return adjustment.model, [adjustment.note]

@@ -1,7 +1,5 @@
 """From the verified matches to models: COLMAP's mappers with the rig, in child processes, and what became of images."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import dataclass, replace
 from pathlib import Path

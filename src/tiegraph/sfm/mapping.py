@@ -178,9 +178,9 @@ def map_images(job: Job, label: str = "") -> Outcome:
     if not label and large and asked and not job.source.rough:
         mapper = choose_mapper(job.scene, job.settings, bool(job.rigs.given), job.tuning.mapping)
         request = replace(_request(job, mapper), positions=False)
-        found = poses_by_blocks(request, job.scene, job.graph, job.shared, job.log, job.source.run_map)
-        job.account.notes.extend(found.notes)
-        outcome = _run(_starting_at(job, found.cam_from_world), "preview", "from blocks")
+        cam_from_world, notes = poses_by_blocks(request, job.scene, job.graph, job.shared, job.log, job.source.run_map)
+        job.account.notes.extend(notes)
+        outcome = _run(_starting_at(job, cam_from_world), "preview", "from blocks")
         if outcome.folders:
             return _with_others(job, outcome)
         job.account.notes.append(f"the blocks do not make one model: {outcome.refused}; mapped whole")

@@ -1,7 +1,5 @@
 """What a model says of the scene's frames: poses, positions held out, tables. Its arrays: ``scene.colmapmodel``."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from tiegraph.geometry import transforms

@@ -1,7 +1,5 @@
 """What a reconstruction lost and why, and the tables and remarks that say so."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """How well the adjustment knows what lies between two frames, by how far they are apart: the shape of a survey."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The rigs and calibrations of an adjusted model against the images: what contradicts them gives way, or is said."""
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -129,7 +127,7 @@ def checked_rig(
         _confront_single_lenses(out, scene, request)
     if not request.held.rigs:
         return out
-    metres = 1 / units_per_metre(model, scene, request.tuning.rig.support)
+    metres = 1 / units_per_metre(model, scene, request.tuning)
     try:
         found = rig_diagnostics(model, scene, metres, request.tuning, mapped)
     except (RuntimeError, ValueError, np.linalg.LinAlgError) as error:

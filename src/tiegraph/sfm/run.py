@@ -1,7 +1,5 @@
 """One run of a COLMAP mapper, inside a child process: working copy of the database, mapping, models to disk."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -16,9 +14,8 @@ from tiegraph.scene.rig import Rig, rig_from_dict, rig_to_dict
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.database import write_working_copy
 from tiegraph.sfm.solver import THREADS, factorised
-from tiegraph.sfm.start.acceptance import refusal
 from tiegraph.sfm.start.poses import largest_component, start_from
-from tiegraph.sfm.start.stagedadjustment import model_from
+from tiegraph.sfm.start.stagedadjustment import model_from, refusal
 from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.verified import read_verified
 

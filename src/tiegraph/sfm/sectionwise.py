@@ -1,10 +1,8 @@
 """Sections of a survey mapped apart (paper 001), joined by the matches between them, and adjusted as one.
 
 The pairs of images that run between sections are held back while these are mapped. Then they join the models
-(``tiedmodels``), which tells how well the borders hold, and the whole starts from the joined poses with all pairs.
+(``ties``), which tells how well the borders hold, and the whole starts from the joined poses with all pairs.
 """
-
-from __future__ import annotations
 
 from dataclasses import replace
 
@@ -14,8 +12,7 @@ from tiegraph.scene.colmapmodel import read_model
 from tiegraph.sfm.database import ViewGraph
 from tiegraph.sfm.mapping import Account, Job, map_images
 from tiegraph.sfm.model import image_poses
-from tiegraph.sfm.tiedmodels import Joining, moved
-from tiegraph.sfm.ties import TEST_COLUMNS, TieTest
+from tiegraph.sfm.ties import TEST_COLUMNS, Joining, TieTest, moved
 from tiegraph.sfm.verified import read_verified
 
 COLUMNS = ["section", "images", *TEST_COLUMNS, "joined"]

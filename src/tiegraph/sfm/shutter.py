@@ -11,8 +11,6 @@ with a sigma of 0.3), so what is too short for a real shutter or explains next t
 seen here: motion faster than the frames of a pass, and images that were turned on their side (rows are then columns).
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """How Ceres solves the linear systems of an adjustment, and on how many threads."""
 
-from __future__ import annotations
-
 import pycolmap
 
 # COLMAP leaves the sparse factorisation for an iterative solver at 1000 images, rig or not. What is factorised are the

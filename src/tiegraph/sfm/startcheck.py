@@ -6,8 +6,6 @@ that is turned against that part by more than the tuning allows, or stands off b
 what it sees. World and unit of both are free, so that a model that is only of another size agrees.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Poses of stations from pairs: along the best tree first, then all pairs together by their information."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

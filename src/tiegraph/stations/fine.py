@@ -1,7 +1,5 @@
 """A start refined by small_gicp, coarse to fine, and what can be said of the result."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

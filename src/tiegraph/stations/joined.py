@@ -1,7 +1,5 @@
 """All stations in one frame: pairs, loops, adjustment, further pairs by the poses, and the frame of the world."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations

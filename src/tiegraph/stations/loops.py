@@ -1,7 +1,5 @@
 """Which pairs agree with each other: loops of three, and what hangs together by pairs that no loop contradicts."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import combinations
 

@@ -1,7 +1,5 @@
 """How precise points are by their distance: how far, along the line of sight, from surfaces that others saw."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -3,8 +3,6 @@
 How far the points of a shot stand apart: by their distance from what took them, because that is what decides it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

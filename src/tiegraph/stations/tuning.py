@@ -1,8 +1,6 @@
 """What stations are joined by: each constant with unit, meaning and origin. Measured on synthetic stations round an
 object, `rgbd_250` and `pandaset` (docs/stations.md)."""
 
-from __future__ import annotations
-
 from pydantic import Field
 
 from tiegraph.geometry.coarse.tuning import CoarseTuning

@@ -1,7 +1,5 @@
 """From targets seen in images to marks of the points of a control point file, and what is odd about them."""
 
-from __future__ import annotations
-
 from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -9,11 +7,14 @@ from dataclasses import dataclass, field
 import numpy as np
 import pycolmap
 
+from tiegraph.geometry import transforms
 from tiegraph.scene.control import TargetMark
+from tiegraph.scene.rays import on_plane
 from tiegraph.scene.targets.names import Target, count_of, families
 from tiegraph.targets.detect import Seen, centre_of
 from tiegraph.targets.tuning import Tuning
 
+_SAME = 1e-3  # on the plane z = 1, between a ray and the way there and back: lenses fold beyond their images
 _SHOWN = 4
 OTHERS = (
     "apriltag_16h5", "apriltag_25h9", "apriltag_36h10", "apriltag_36h11",
@@ -24,10 +25,9 @@ OTHERS = (
 
 @dataclass(frozen=True)
 class TargetMarks:
-    """The marks of named targets, how many images were searched, and what is to be said."""
+    """The marks of named targets, and what is to be said."""
 
     marks: tuple[TargetMark, ...] = ()
-    images: int = 0
     notes: tuple[str, ...] = field(default_factory=tuple)
 
 
@@ -64,7 +64,7 @@ def marks_of(
                     TargetMark(name=name, image=k, xy=(float(x), float(y)), sigma_px=float(best.sigma_px / np.sqrt(2)))
                 )
     notes += _not_named(by_target)
-    return TargetMarks(tuple(marks), len(seen), tuple(notes))
+    return TargetMarks(tuple(marks), tuple(notes))
 
 
 def _apart(found: Sequence[Seen], tuning: Tuning) -> bool:
@@ -104,3 +104,27 @@ def likely_family(seen: Sequence[Seen]) -> str:
         fits = [n for n in families() if n.startswith(f"{size}_") and count_of(n) > largest]
         family = min(fits, key=count_of)
     return f"{Target(family, largest).name.partition(':')[0]} (seen {number} times)"
+
+
+def seen_in(
+    views: Mapping[int, tuple[np.ndarray, pycolmap.Camera]], place: np.ndarray
+) -> dict[int, tuple[float, float]]:
+    """Pixels at which images, by index, see a place (3,), the most central first; what hides it is not asked for.
+
+    ``views``: cam_from_world (4, 4) and camera of each.
+    """
+    found = {}
+    for k, (pose, camera) in views.items():
+        there = transforms.apply(pose, place[None])[0]
+        if not np.isfinite(there).all() or there[2] <= 0:
+            continue
+        xy = camera.img_from_cam(there)
+        if xy is None or not np.isfinite(xy).all():
+            continue
+        size = np.array([camera.width, camera.height])
+        inside = ((np.ravel(xy) >= 0) & (np.ravel(xy) <= size)).all()
+        if inside and np.abs(on_plane(camera, np.ravel(xy)[None])[0] - there[:2] / there[2]).max() < _SAME:
+            found[k] = (float(xy[0]), float(xy[1]))
+    middle = {k: np.linalg.norm(np.array(xy) / (views[k][1].width, views[k][1].height) - 0.5)
+              for k, xy in found.items()}  # fmt: skip
+    return dict(sorted(found.items(), key=lambda item: (round(float(middle[item[0]]), 6), item[0])))

@@ -1,7 +1,5 @@
 """What the search for coded targets decides by: each constant with its unit, its meaning and where it comes from."""
 
-from __future__ import annotations
-
 from pydantic import Field
 
 from tiegraph.settings import Section

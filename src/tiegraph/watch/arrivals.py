@@ -1,7 +1,5 @@
 """Which files of a folder have arrived whole, while they are still being copied."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Where new frames are: by points that posed images tied to them see (resection), until the next model says it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """What the page draws, seen from above: levelled by the cameras, turned by positions if there are some."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 
@@ -9,7 +7,7 @@ import numpy as np
 
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import robust_umeyama
-from tiegraph.geometry.levelled import levelled
+from tiegraph.geometry.gravity import levelled
 from tiegraph.scene.matches import PreviewMatches
 from tiegraph.scene.scene import Scene
 

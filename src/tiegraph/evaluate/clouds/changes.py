@@ -1,7 +1,5 @@
 """What has changed between two epochs: significant differences that stand together, with area and volume."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

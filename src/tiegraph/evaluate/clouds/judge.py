@@ -1,7 +1,5 @@
 """A cloud judged by a reference: registration if asked, nearest distances, M3C2, and what to say of them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal

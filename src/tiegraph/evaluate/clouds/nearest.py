@@ -1,7 +1,5 @@
 """Cloud against reference by nearest points: accuracy, completeness, F-score, ghosts; as a whole and by groups."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -180,12 +178,12 @@ def cloud_to_cloud(
     sides = Tally(scratch / "cloud.judged"), Tally(scratch / "reference.judged")
     with open(path, "wb") as out, open(sides[0].path, "wb") as own_out, open(sides[1].path, "wb") as reference_out:
         for tile in range(len(clouds)):
-            own, reference = judge.cloud(tile), judge.reference(tile)
-            own_out.write(own.found.tobytes())
-            reference_out.write(reference.found.tobytes())
-            judged = own.found.counts
+            (xyz, own), (_, reference) = judge.cloud(tile), judge.reference(tile)
+            own_out.write(own.tobytes())
+            reference_out.write(reference.tobytes())
+            judged = own.counts
             rows = np.zeros(int(judged.sum()), _JUDGED)
-            rows["xyz"], distance = own.xyz[judged], own.found.distance[judged]
+            rows["xyz"], distance = xyz[judged], own.distance[judged]
             rows["distance_m"] = np.where(np.isfinite(distance), distance, np.nan)
             out.write(rows.tobytes())
     if not sides[0].count()[0]:
@@ -203,14 +201,6 @@ def cloud_to_cloud(
 
 
 @dataclass(frozen=True)
-class _Side:
-    """Points (N, 3) of a tile that are judged, and what was found."""
-
-    xyz: np.ndarray
-    found: Judged
-
-
-@dataclass(frozen=True)
 class _Judge:
     """Judges the points of either side in a tile."""
 
@@ -219,8 +209,8 @@ class _Judge:
     tuning: CloudTuning
     cameras: Cameras | None
 
-    def cloud(self, tile: int) -> _Side:
-        """A point counts where the reference observed."""
+    def cloud(self, tile: int) -> tuple[np.ndarray, Judged]:
+        """Points (N, 3) that are judged, and what was found: a point counts where the reference observed."""
         criteria, clouds = self.criteria, self.clouds
         xyz = thinned(clouds, 0, tile, criteria.voxel_m)
         other = clouds.around(1, tile, criteria.reach_m).xyz
@@ -228,16 +218,16 @@ class _Judge:
         inside = (xyz[:, 2] >= low - criteria.observed_m) & (xyz[:, 2] <= high + criteria.observed_m)
         inside &= nearest(xyz[:, :2], other[:, :2], criteria.observed_m) <= criteria.observed_m
         _, group = self._groups(xyz)
-        return _Side(xyz, Judged(nearest(xyz, other, criteria.reach_m).astype(np.float32), group, inside))
+        return xyz, Judged(nearest(xyz, other, criteria.reach_m).astype(np.float32), group, inside)
 
-    def reference(self, tile: int) -> _Side:
-        """A point counts near a camera."""
+    def reference(self, tile: int) -> tuple[np.ndarray, Judged]:
+        """Points (N, 3) that are judged, and what was found: a point counts near a camera."""
         criteria = self.criteria
         xyz = thinned(self.clouds, 1, tile, criteria.voxel_m)
         other = self.clouds.around(0, tile, criteria.reach_m).xyz
         away, group = self._groups(xyz)
         counts = away <= (np.inf if criteria.range_m is None else criteria.range_m)
-        return _Side(xyz, Judged(nearest(xyz, other, criteria.reach_m).astype(np.float32), group, counts))
+        return xyz, Judged(nearest(xyz, other, criteria.reach_m).astype(np.float32), group, counts)
 
     def _groups(self, xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Distance (N,) to the nearest camera, and the numbers (N, 2) of band and section."""

@@ -1,7 +1,5 @@
 """The map of differences between two clouds: a grid of their medians in plan, with a scale bar, as PNG bytes."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -4,8 +4,6 @@ Chen, Medioni 1992, with Tukey's weights. The points of a patch err together, so
 parts of the survey: what the fit becomes without each of them. A fit that the surfaces leave open is refused.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from tiegraph.evaluate.tuning import RegistrationTuning
 from tiegraph.geometry.align import Similarity
-from tiegraph.geometry.coarse.start import Start, start_of
+from tiegraph.geometry.coarse.consistent import Start, start_of
 from tiegraph.geometry.placement import PlacementError
 from tiegraph.scene.cloudchunks import PointSource
 

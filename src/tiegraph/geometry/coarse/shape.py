@@ -1,7 +1,5 @@
 """What describes a place of a surface: voxels, normals, and fast point feature histograms (FPFH)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

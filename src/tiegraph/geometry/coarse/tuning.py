@@ -1,7 +1,5 @@
 """What coarse alignment decides by: each constant with unit, meaning and origin."""
 
-from __future__ import annotations
-
 from pydantic import Field
 
 from tiegraph.settings import Section

@@ -18,8 +18,6 @@ cut; frames that follow each other are never cut apart): the block where they ar
 ``trust``, and the ties behind these points to be false.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

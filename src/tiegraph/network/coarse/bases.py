@@ -5,8 +5,6 @@ the base is known from the other to distance / (focal length * sqrt(n)). It tell
 images tie in many ways, it says nothing.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.sparse import csr_array
 

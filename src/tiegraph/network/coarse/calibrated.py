@@ -1,7 +1,5 @@
 """Rigs and cameras as the coarse model found them: what was only guessed is replaced, what was measured stays."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The overlap of a few given pairs by poses alone: all looks of one camera at equally many points at once."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 import numpy as np

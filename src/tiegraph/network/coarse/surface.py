@@ -4,8 +4,6 @@ The mapper of a coarse model places the images by the longest tracks only, which
 are there, so the others cost no adjustment: each is where its rays come nearest to each other.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

@@ -9,8 +9,6 @@ It is measured for every two cameras. Evidence counts above it, and only at thos
 cameras tie all along it.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

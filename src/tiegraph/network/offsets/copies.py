@@ -4,8 +4,6 @@ Files that are the same byte for byte never get here: scan leaves them out. Of o
 moved and nearly every feature is found again.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,7 +12,7 @@ import numpy as np
 from tiegraph.network.passes import MatchCache
 from tiegraph.network.scorematrix import ScoreMatrix
 from tiegraph.network.tuning.retrieval import CopiesTuning
-from tiegraph.scene.sampling import evenly
+from tiegraph.scene.sorting import evenly
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,5 @@
 """What frame-offset voting gives: curves, pairs, and the helpers of its two modes (local and constant)."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 

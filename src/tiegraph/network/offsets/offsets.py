@@ -6,8 +6,6 @@ the pass, because the speed of two passes is never equal: previews on a coarse l
 smoothed and interpolated.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -29,7 +27,7 @@ from tiegraph.network.tuning import CountsTuning, Tuning
 from tiegraph.network.tuning.retrieval import CopiesTuning
 from tiegraph.network.tuning.rig import RigTuning
 from tiegraph.scene.pairs import REASONS, Pairs
-from tiegraph.scene.sampling import evenly
+from tiegraph.scene.sorting import evenly
 
 log = logging.getLogger(__name__)
 
@@ -80,7 +78,7 @@ def _local_offsets(
 ) -> list[OffsetResult]:
     """Of each couple of passes, within a budget of previews."""
     offsets, parts = tuning.offsets, []
-    budget = len(cache) + max(offsets.min_budget, offsets.previews_an_image * images)
+    budget = len(cache) + max(offsets.min_budget, tuning.previews_an_image * images)
     strides = {id(p): _stride(p, cache, settings, tuning) for p in passes}
     for k, (p, q) in enumerate(pass_pairs):
         share = max(0, budget - len(cache)) // (len(pass_pairs) - k)

@@ -1,7 +1,5 @@
 """Evidence between the frames of two passes, ready to be drawn: one surface for the rig and one a camera pair."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

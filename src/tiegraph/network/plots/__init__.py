@@ -3,8 +3,6 @@
 The funnel: how many pairs each filter leaves (paper 002, table 1).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What the pictures of the network share: resolution, colours, borders of cells."""
 
-from __future__ import annotations
-
 import numpy as np
 
 DPI = 110

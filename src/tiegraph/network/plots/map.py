@@ -202,7 +202,6 @@ class _Page:
     width: float
     height: float
     across: bool
-    count: int
 
     @staticmethod
     def make(nodes: _Nodes, count: int) -> _Page:
@@ -227,7 +226,6 @@ class _Page:
             width=width,
             height=height,
             across=across,
-            count=count,
         )
 
     def panel(self, n: int) -> Axes:

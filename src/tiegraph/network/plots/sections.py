@@ -1,7 +1,5 @@
 """What the up camera showed along the passes, and the sections that were cut from it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Offset surfaces: how much the frames of two passes share, with the kept region and the chosen path."""
 
-from __future__ import annotations
-
 import os.path
 from collections.abc import Sequence
 

@@ -17,8 +17,6 @@ with the distance. The reading is named with its remedy, and whether it may be c
 in the correlations). The assumed range is part of this: at a tenth any reading that compresses the path is better.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 
@@ -53,14 +51,12 @@ Reading = Callable[[np.ndarray, Sequence[Pass]], np.ndarray]
 class PriorCheck:
     """How good a prior is, by previews: ``good``; where it is not, ``apart`` says that it is good within each pass.
 
-    ``table``: (kind, pairs proposed, of them tied, refused, of them tied); ``fit`` = rank correlation
-    of predicted overlap and preview matches (NaN = cannot be said); ``better``: the reading that fits better, "" =
-    none.
+    ``fit`` = rank correlation of predicted overlap and preview matches (NaN = cannot be said); ``better``: the reading
+    that fits better, "" = none.
     """
 
     good: bool
     apart: bool
-    table: tuple[tuple[str, int, int, int, int], ...]
     fit: float
     better: str
     notes: tuple[str, ...]
@@ -115,7 +111,7 @@ def check_prior(
     apart = bad == [KINDS[OTHER_PASS]] and not better.name and bool((scene.sequence >= 0).all())
     notes = _apart_notes(scene, table) if apart else _notes(table, bad, fit, better)
     good = not bad and not better.name
-    return PriorCheck(good=good, apart=apart, table=table, fit=fit, better=better.name, notes=notes)
+    return PriorCheck(good=good, apart=apart, fit=fit, better=better.name, notes=notes)
 
 
 @dataclass(frozen=True)

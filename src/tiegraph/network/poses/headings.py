@@ -1,7 +1,5 @@
 """Headings from the track of positions, where a prior has positions and no rotations (GNSS)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -5,8 +5,6 @@ the shared visible surface (``visible``) of points at an assumed range, and a pr
 whose places are less certain than the test needs are not refused by it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

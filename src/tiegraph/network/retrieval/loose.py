@@ -6,8 +6,6 @@ images and 79 photographs, a pair with 12 matches is true in 46 to 85 % of cases
 others, in 6 to 50 % if they do not.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -116,7 +114,7 @@ def _propagated(nodes: _Nodes, cache: MatchCache, min_matches: int, tuning: Tuni
     """Numbers of the node pairs that were previewed: look-alikes and neighbours by name first, then, while previews
     hit and the budget lasts, neighbours of neighbours; images with few ties go further down their list."""
     count, loose, sure = len(nodes), tuning.retrieval.loose, tuning.retrieval.sure_alike * min_matches
-    budget = loose.previews_an_image * count
+    budget = tuning.previews_an_image * count
     if nodes.words is None:
         budget = max(loose.blind_budget, int(loose.blind_share * count * (count - 1) / 2))
     rng = np.random.default_rng(0)

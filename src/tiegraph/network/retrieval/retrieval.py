@@ -5,8 +5,6 @@ off the path that ``network.offsets`` follows. One look-alike is not believed: r
 unrelated images the preview count of true pairs; the previews of the frames before and after must agree.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

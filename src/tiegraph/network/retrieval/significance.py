@@ -8,8 +8,6 @@ A loop far from the path is believed if most cameras of the rig support it, each
 the loop named.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from tiegraph.network.offsets.background import Far

@@ -1,7 +1,5 @@
 """All passes one after another, as looking for loops needs them: places, cells, and what lies some frames on."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

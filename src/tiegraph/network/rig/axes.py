@@ -1,7 +1,5 @@
 """What the optical axes of a rig say about which cameras can match, within a pass and between passes."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 

@@ -1,7 +1,5 @@
 """Which cameras of a rig share a view, against what its axes say: cameras in another order. Needs no focal length."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from itertools import combinations, permutations
 

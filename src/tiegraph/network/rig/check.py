@@ -7,8 +7,6 @@ A rig file may also name its cameras in another order: then the wrong ones match
 wrong axes forbid the very pairs that would tell.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -26,8 +24,8 @@ from tiegraph.network.tuning import Tuning
 from tiegraph.network.tuning.rig import AxesTuning, CheckTuning
 from tiegraph.scene.evidence import mostly_more
 from tiegraph.scene.rig import Rig
-from tiegraph.scene.sampling import evenly
 from tiegraph.scene.scene import Scene
+from tiegraph.scene.sorting import evenly
 
 log = logging.getLogger(__name__)
 

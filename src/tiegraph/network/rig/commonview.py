@@ -4,8 +4,6 @@ Chance alone leaves a few nodes above the threshold: on two synthetic passes tha
 and yaws 1 to 2 standard deviations above those of cameras paired at random; of true ones hundreds of votes and 9 to 17.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from tiegraph.network.rig.axes import angles_deg, yaw_between

@@ -4,8 +4,6 @@ Two cameras of a rig that were triggered together stand in one place: their pict
 things jump from one to the other by what the angle between their axes says, at any distance. Both must speak for a lag.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -17,7 +15,7 @@ from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.network.tuning.rig import AxesTuning, SynchronisationTuning
 from tiegraph.scene.rig import Rig
-from tiegraph.scene.sampling import evenly
+from tiegraph.scene.sorting import evenly
 
 NAMED = 8  # passes told of one by one
 

@@ -5,8 +5,6 @@ the deck is as bright as the sky was. So every cue that does not depend on the e
 threshold of its own in every pass, and a cue that shows no clear contrast has no say.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Bridge and open-sky sections from the up camera (paper 001, section b), and whether they are tied to each other."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -27,11 +25,10 @@ class Section:
 
 @dataclass(frozen=True)
 class SectionResult:
-    """Sections, the section of every frame (F,) i4, the up camera's brightness by frame (F,) NaN = none, threshold."""
+    """Sections, the section of every frame (F,) i4, threshold."""
 
     sections: tuple[Section, ...]
     of_frame: np.ndarray
-    brightness: np.ndarray
     threshold: float  # grey value, mean over the passes; NaN = brightness did not decide
     notes: tuple[str, ...]
     cues: tuple[Cue, ...] = ()
@@ -65,32 +62,19 @@ def find_sections(
     if not bridges:
         return whole_survey(scene, cues, "no two frames in a row are under a bridge")
     text = f"up camera: {bridges} bridge and {len(sections) - bridges} open sections; {_thresholds(cues, passes)}"
-    grey, threshold = _grey(scene, cues)
-    return SectionResult(
-        sections=tuple(sections), of_frame=of_frame, brightness=grey, threshold=threshold, notes=(text,), cues=cues
-    )
+    return SectionResult(tuple(sections), of_frame, _threshold(cues), notes=(text,), cues=cues)
 
 
 def whole_survey(scene: Scene, cues: tuple[Cue, ...] = (), why: str = "") -> SectionResult:
     """One section with every frame, and why."""
     whole = Section("whole survey", "open", tuple(range(scene.frames)))
     notes = (f"one section: {why}",) if why else ()
-    grey = _grey(scene, cues)[0]
-    return SectionResult(
-        sections=(whole,),
-        of_frame=np.zeros(scene.frames, int),
-        brightness=grey,
-        threshold=float("nan"),
-        notes=notes,
-        cues=cues,
-    )
+    return SectionResult((whole,), np.zeros(scene.frames, int), float("nan"), notes=notes, cues=cues)
 
 
-def _grey(scene: Scene, cues: Sequence[Cue]) -> tuple[np.ndarray, float]:
-    for cue in cues:
-        if cue.name == "brightness":
-            return cue.values, float(np.nanmean(cue.threshold)) if cue.decided else float("nan")
-    return np.full(scene.frames, np.nan), float("nan")
+def _threshold(cues: Sequence[Cue]) -> float:
+    decided = (c for c in cues if c.name == "brightness" and c.decided)
+    return next((float(np.nanmean(c.threshold)) for c in decided), float("nan"))
 
 
 def _thresholds(cues: Sequence[Cue], passes: Sequence[Pass]) -> str:

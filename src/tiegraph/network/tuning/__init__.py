@@ -1,7 +1,5 @@
 """What the network stage decides by: each constant with its unit, its meaning and where its value comes from."""
 
-from __future__ import annotations
-
 from pydantic import Field
 
 from tiegraph.network.tuning.coarse import CoarseTuning
@@ -26,9 +24,16 @@ class CountsTuning(Section):
     """Kernel width of averages over neighbouring frames, in nodes of a lattice or strides; 0.5 .. 1.5 serve alike."""
 
 
-class OrderTuning(Section):
-    """Whether a pass is a sequence (`cameraorder.py`)."""
+class SourcesTuning(Section):
+    """Which sources are asked, and what is kept of what they propose (`sources.py`); whether a pass is a sequence
+    (`candidates.py`)."""
 
+    few_photos: int = Field(30, ge=0)
+    """Loose photographs that are all compared with one another (435 pairs)."""
+    nearest: int = Field(10, ge=0)
+    """Loose photographs with positions: nearest ones that are kept whatever the preview says."""
+    axes_listed: int = Field(1000, ge=0)
+    """Images of a survey, beyond which pairs that the axes rule out are counted and not listed."""
     sample: int = Field(40, gt=0)
     """Pairs of neighbours, and of images half a pass apart, that are previewed."""
     least_neighbours: int = Field(8, gt=0)
@@ -39,24 +44,14 @@ class OrderTuning(Section):
     """Of what neighbours reach above `min_matches`: images far apart in a sequence reach less."""
 
 
-class SourcesTuning(Section):
-    """Which sources are asked, and what is kept of what they propose (`sources.py`)."""
-
-    few_photos: int = Field(30, ge=0)
-    """Loose photographs that are all compared with one another (435 pairs)."""
-    nearest: int = Field(10, ge=0)
-    """Loose photographs with positions: nearest ones that are kept whatever the preview says."""
-    axes_listed: int = Field(1000, ge=0)
-    """Images of a survey, beyond which pairs that the axes rule out are counted and not listed."""
-
-
 class Tuning(Section):
     """Constants of the engine that are the same for every user."""
 
+    previews_an_image: int = Field(25, ge=0)
+    """The most that frame offsets may take, and that more than `retrieval.loose.all_limit` loose photographs may:
+    linear in the number of images."""
     counts: CountsTuning = Field(default_factory=CountsTuning)
     """Match counts of previews."""
-    order: OrderTuning = Field(default_factory=OrderTuning)
-    """The order of passes."""
     sources: SourcesTuning = Field(default_factory=SourcesTuning)
     """The choice of sources."""
     retrieval: RetrievalTuning = Field(default_factory=RetrievalTuning)

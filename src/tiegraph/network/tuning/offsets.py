@@ -1,7 +1,5 @@
 """What the room offsets decides by: each constant with its unit, its meaning and where its value comes from."""
 
-from __future__ import annotations
-
 from pydantic import Field
 
 from tiegraph.settings import Section
@@ -83,8 +81,6 @@ class OffsetsTuning(Section):
     """So many nodes beyond the window evidence still counts."""
     flood_excess: float = Field(1.1, gt=0)
     """The lattice grows from nodes this much above `min_matches`: noise alone must not spread."""
-    previews_an_image: int = Field(25, ge=0)
-    """The most that previews may take: linear in the number of images."""
     min_budget: int = Field(6000, ge=0)
     """Previews that are always affordable (less than a minute on one core)."""
     coarse_nodes: int = Field(24, gt=0)

@@ -1,7 +1,5 @@
 """What the room looks decides by: each constant with its unit, its meaning and where its value comes from."""
 
-from __future__ import annotations
-
 from pydantic import Field
 
 from tiegraph.settings import Section
@@ -40,8 +38,6 @@ class LooseTuning(Section):
     """Images that are all previewed with one another: 4950 previews, half a minute."""
     best: int = Field(5, ge=0)
     """Pairs of an image kept whatever their count, so that no image stands alone."""
-    previews_an_image: int = Field(25, ge=0)
-    """The most beyond `all_limit` images."""
     start: int = Field(8, gt=0)
     """Look-alikes an image starts with: nine of ten share something."""
     by_name: int = Field(2, ge=0)

@@ -32,7 +32,7 @@ def make_preview(scene: Scene, image: int, source: Path, folder: Path, settings:
     tuning = settings.tuning
     prepare_image(source, prepared, scene.sensor_of(image), settings.scan, tuning.scan.pictures)
     try:
-        made = extract_preview(read_image(prepared), None, settings.preview, tuning.features.preview)
+        made = extract_preview(read_image(prepared), None, settings.preview, tuning.features)
     finally:
         prepared.unlink(missing_ok=True)
     save_npz(preview_path(folder, name), **made.to_npz())

@@ -1,7 +1,5 @@
 """What is handed over: the files of a run folder that others use, with what they are and how large."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from tiegraph.report import formatting

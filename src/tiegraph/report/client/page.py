@@ -1,7 +1,5 @@
 """What the first page shows."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from tiegraph.report import accuracy, spatial

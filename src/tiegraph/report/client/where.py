@@ -1,7 +1,5 @@
 """Where and when a survey was made, as far as the run knows."""
 
-from __future__ import annotations
-
 from datetime import datetime, timezone
 
 import numpy as np

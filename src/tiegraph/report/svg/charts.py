@@ -1,7 +1,5 @@
 """Charts of the engineer's part: time and memory, pairs by step, ties, residuals, the rig, the lens, a reference."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What charts are drawn with: a plot area with axes, lines, dots, bars, and the SVG around them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass

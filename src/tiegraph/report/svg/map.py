@@ -1,7 +1,5 @@
 """Maps: where the cameras went over the cloud from above, with scale bar and north; overlap; error ellipses."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ receipts and ``metrics.json``, where ``#`` stands for a number and ``{}`` for a 
 neither holds stays English: names, remarks and warnings of receipts.
 """
 
-from __future__ import annotations
-
 import re
 import sys
 from collections.abc import Iterator, Mapping

@@ -1,7 +1,5 @@
 """Poses of images, by their names, as poses of the frames' rigs."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import combinations
 from pathlib import Path, PurePosixPath

@@ -1,7 +1,5 @@
 """Where each frame was taken, by GNSS rows or EXIF: positions in the world, with what is doubtful about them said."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath

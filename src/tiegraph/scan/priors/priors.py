@@ -1,7 +1,5 @@
 """Where each frame was taken, before any image is matched: GNSS, EXIF and trajectories brought into one world."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timezone

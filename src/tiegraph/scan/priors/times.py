@@ -1,7 +1,5 @@
 """When each frame was taken: from a table, from EXIF, or from numbers in the names that are times."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tiegraph.scan.tuning import PicturesTuning
-from tiegraph.scene.exifwrite import Taken
+from tiegraph.scene.exif import Taken
 
 
 @dataclass(frozen=True)

@@ -5,10 +5,19 @@ followed by its format, its kind and its length; between the records of newer ca
 says where each is. Record 7 has rows of 53 bytes: UTC since 1970 in seconds and milliseconds, A or V (acquired, void),
 latitude with N or S, longitude with E or W (O in French), speed, course, height. As ExifTool (QuickTimeStream) and
 telemetry-parser read it.
+
+What the factory measured of the two lenses stands in the file too, as numbers joined by "_", the first the number of
+lenses; the last says the form (above its lowest 16 bits). The oldest, 0, has for each lens radius, centre x, y, yaw,
+pitch, roll, then width, height and kind (ExifTool's Parameters). Form 3 has for each the mirror parameter xi of a
+unified sphere (Mei 2007), fx, fy, cx, cy, yaw, pitch, roll, three metres, k1, k2, k3, p1, p2, width, height, kind.
+Lengths are pixels of both lenses side by side, angles degrees. telemetry-parser reads them so (insta360/rig.rs). The
+strings of an X5 are public (Insta360Develop/Desktop-CameraSDK-Cpp, issue 85): form 3 meets the radius that form 0
+states at 100 degrees to 0.2 %, and form 2, another model, to 0.4 % from 20 degrees on. How exactly the lenses stand to
+each other is left aside: only the rolls are used. Form 2 needs a table by the kind of lens, form 6 adds terms that no
+second source tells.
 """
 
-from __future__ import annotations
-
+from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
@@ -17,6 +26,13 @@ import numpy as np
 from tiegraph.scan.recording.fixes import Readings
 from tiegraph.scene.regular import regular
 
+_FORM_BITS = 16
+_OLD, _SPHERE = 0, 3
+_A_LENS = {_OLD: 6, _SPHERE: 19}  # numbers
+_BEHIND = {_OLD: 4, _SPHERE: 2}  # the number of lenses before, and what stands behind
+_LENSES = 2
+_FITTED = np.radians(np.arange(1.0, 88.5))  # COLMAP's fisheyes end at 90 degrees
+_ODD = (1, 3, 5, 7, 9)
 _LETTERS = b"8db42d694ccc418790edff439fe026bf"
 _FOOT, _HEAD = 72, 6
 _INDEX, _GPS, _BINARY = 0, 7, 0
@@ -108,3 +124,58 @@ def _readings(rows: np.ndarray) -> Readings:
         fix=np.where(rows["state"] == b"A", 3.0, 0.0),
         dop=nothing,
     )
+
+
+@dataclass(frozen=True)
+class FactoryLens:
+    """A lens: its centre and the size of the picture it was measured in, both lenses' (px), its roll (deg); and where
+    the string has it, the sphere: xi, f (px), k1, k2, k3."""
+
+    centre_px: tuple[float, float]
+    size: tuple[float, float]
+    roll_deg: float
+    sphere: tuple[float, ...] = ()
+
+    def radius_px(self, angle: np.ndarray) -> np.ndarray:
+        """How far from the centre the lens shows what lies off its axis by angles, radians. Mei 2007, equation 12;
+        tangential distortion, a few pixels of 2700, is left away."""
+        xi, focal, k1, k2, k3 = self.sphere
+        r = np.sin(angle) / (np.cos(angle) + xi)
+        return np.asarray(focal * r * (1 + r**2 * (k1 + r**2 * (k2 + r**2 * k3))))
+
+    def opencv_fisheye(self, number: int, width: int) -> tuple[float, ...]:
+        """Parameters of OPENCV_FISHEYE for the half of that number (0, 1) of a picture, ``width`` px a half: the
+        polynomial of least squares up to 88 degrees. () if the numbers are none of a lens."""
+        scale = _LENSES * width / self.size[0]
+        radius = scale * self.radius_px(_FITTED)
+        if not np.isfinite(radius).all() or not radius.any():
+            return ()
+        terms = np.stack([_FITTED**n for n in _ODD], axis=1)
+        focal, *bent = np.linalg.lstsq(terms, radius, rcond=None)[0]
+        x, y = scale * self.centre_px[0] - number * width, scale * self.centre_px[1]
+        return tuple(float(v) for v in (focal, focal, x, y, *(b / focal for b in bent)))
+
+
+def factory_lenses(text: str) -> tuple[FactoryLens, FactoryLens] | None:
+    """The two lenses by the newest of the strings (separated by blanks) that can be read; None if none can."""
+    found = [pair for word in text.split() if (pair := _read(word)) is not None]
+    return max(found, key=lambda pair: len(pair[0].sphere), default=None)
+
+
+def _read(word: str) -> tuple[FactoryLens, FactoryLens] | None:
+    numbers = [float(v) for v in word.split("_")]
+    if not np.isfinite(numbers).all():
+        return None
+    form = int(numbers[-1]) >> _FORM_BITS
+    count = _A_LENS.get(form, 0)
+    if not count or numbers[0] != _LENSES or len(numbers) != _LENSES * count + _BEHIND[form]:
+        return None
+    size = numbers[-3], numbers[-2]  # of the old form; of the other, each lens has its own
+    one, other = (_lens(numbers[1 + k * count : 1 + (k + 1) * count], size) for k in range(_LENSES))
+    return (one, other) if one.size == other.size and one.size[0] == _LENSES * one.size[1] > 0 else None
+
+
+def _lens(n: list[float], size: tuple[float, float]) -> FactoryLens:
+    if len(n) == _A_LENS[_OLD]:
+        return FactoryLens((n[1], n[2]), size, n[5])
+    return FactoryLens((n[3], n[4]), (n[16], n[17]), n[7], sphere=(n[0], (n[1] + n[2]) / 2, *n[11:14]))

@@ -5,8 +5,6 @@ Tables say their own length; it is checked against the box and the file before a
 Boxes of an MP4 or QuickTime file (ISO/IEC 14496-12, 4.2): where what they hold begins and ends.
 """
 
-from __future__ import annotations
-
 import io
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

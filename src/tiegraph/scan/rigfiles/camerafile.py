@@ -5,8 +5,6 @@ COLMAP's own are here (cameras.txt, cameras.bin); those of other programs, and t
 refused.
 """
 
-from __future__ import annotations
-
 import re
 import struct
 from collections.abc import Callable

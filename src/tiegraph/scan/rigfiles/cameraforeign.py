@@ -13,8 +13,6 @@ tan theta, so k4 fits: OPENCV_FISHEYE, with p1 or p2 THIN_PRISM_FISHEYE. Older f
 corner) are read without p1 and p2, whose order changed between the versions.
 """
 
-from __future__ import annotations
-
 import json
 import re
 from typing import Any

@@ -1,7 +1,5 @@
 """What readers of camera files share: what they find, and the few forms that values take in YAML, XML and JSON."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass

@@ -12,8 +12,6 @@ fov = FOV (both after Devernay and Faugeras 2001), eucm (alpha, beta, fu, fv, pu
 xi d + z, d the distance of the point, but for that factor.
 """
 
-from __future__ import annotations
-
 import re
 
 from tiegraph.errors import InputError

@@ -1,7 +1,5 @@
 """What no rig can be, however good the form of its file: sizes, sigmas and lenses that make no sense."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from math import dist

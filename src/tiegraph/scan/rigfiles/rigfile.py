@@ -40,8 +40,6 @@ rig.toml::
 The frame of a trajectory given beside a rig file is this body frame. Without orientation a sensor's place is unknown.
 """
 
-from __future__ import annotations
-
 import json
 import re
 import sys

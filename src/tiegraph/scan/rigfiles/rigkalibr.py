@@ -6,8 +6,6 @@ last camera in the chain"), metres; the first camera has none and is the referen
 cameras.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Checks of the keys and values of a rig file that name the file, the line and the key."""
 
-from __future__ import annotations
-
 import difflib
 import re
 import sys

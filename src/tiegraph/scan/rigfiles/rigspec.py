@@ -1,7 +1,5 @@
 """A rig as a person or a preset describes it, before the images' sizes are known."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """Rig files written: tiegraph's rig.toml and COLMAP's rig_config.json."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from pathlib import Path

@@ -6,8 +6,6 @@ abs_alt: 132.9]`` (or ``[altitude: 117.0]``; the Mavic 2 writes ``longtitude``).
 with latitude, longitude and a height. Dates are those of the controller, in its zone.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from datetime import datetime, timezone
@@ -15,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tiegraph.scene.exifwrite import Taken
+from tiegraph.scene.exif import Taken
 from tiegraph.scene.regular import regular
 
 _SPAN = re.compile(r"(\d+):(\d\d):(\d\d)[,.](\d{1,3})\s*-->")

@@ -5,8 +5,6 @@ both lenses side by side: its pictures are told by their two circles (``twolense
 and ..._10_..., or two video tracks of one file, have a lens each: their pictures become the two cameras of a rig.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -21,7 +19,7 @@ import cv2
 import numpy as np
 
 from tiegraph.scan.prepare import write_pixels
-from tiegraph.scan.recording.recording import Recording
+from tiegraph.scan.recording import Recording
 from tiegraph.scan.recording.tracks import VIDEO, OneVideoTrack, tracks
 from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scan.videos.bagfilms import BagFilm, open_topic

@@ -1,7 +1,5 @@
 """How the picture of a video moves from frame to frame: what cameras of one rig have in common, whatever they see."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 

@@ -1,8 +1,6 @@
 """When a video was recorded, and where: by the subtitles of a DJI drone beside it, by the fixes of the camera's own
 receiver in the file, by its container, or from its own start."""
 
-from __future__ import annotations
-
 import struct
 from dataclasses import dataclass
 from datetime import datetime, timezone
@@ -18,7 +16,7 @@ from tiegraph.scan.recording.tracks import boxes
 from tiegraph.scan.settings import ScanSettings, VideoOffsets, video_offsets
 from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scan.videos.djisubtitles import read_subtitles, subtitles_of
-from tiegraph.scene.exifwrite import Taken
+from tiegraph.scene.exif import Taken
 from tiegraph.scene.gpstime import DAY_S
 from tiegraph.scene.names import clean
 from tiegraph.scene.regular import regular

@@ -1,7 +1,5 @@
 """An opened bag: its topics, and their messages one after another."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass

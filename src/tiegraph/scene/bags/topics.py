@@ -1,7 +1,5 @@
 """How a bag and its topics are named: ``run.bag``, ``run.bag:/gps/fix``, ``run.bag:/left/image,/right/image``."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from tiegraph.scene.names import clean

@@ -12,12 +12,57 @@ Heights are above the ellipsoid. NMEA's are above the geoid and carry the undula
 heights above the sea and no undulation (GPX, KML, RTKLIB's geodetic heights) are taken as they are, and that is said.
 """
 
+import codecs
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from tiegraph.scene.bags.topics import is_bag
+from tiegraph.scene.gnss import columns, geotxt, mrk, navsat, nmea, rtklib, sbet, xmltracks
 from tiegraph.scene.gnss.columns import IMAGE
-from tiegraph.scene.gnss.fixes import HEIGHT_RANGE_M, SIGMA_RANGE_M
-from tiegraph.scene.gnss.formats import FORMATS, read_gnss
+from tiegraph.scene.gnss.fixes import HEIGHT_RANGE_M, SIGMA_RANGE_M, Fixes, judged
 from tiegraph.scene.gnss.rows import Gnss, at_times, far_rows, on_clock_of, stuck_note, without_far
+from tiegraph.scene.table import whole_file
+from tiegraph.scene.tuning import GnssTuning
 
 __all__ = [
     "FORMATS", "HEIGHT_RANGE_M", "IMAGE", "SIGMA_RANGE_M", "Gnss", "at_times", "far_rows", "on_clock_of", "read_gnss",
     "stuck_note", "without_far",
 ]  # fmt: skip
+
+_HEAD = 1 << 16  # bytes that tell a format
+
+
+@dataclass(frozen=True)
+class Format:
+    """``told`` says of the first bytes of a file, as text and as bytes, whether it is one; ``read`` reads it."""
+
+    told: Callable[[str, bytes], bool]
+    read: Callable[[Path, bytes], Fixes]
+
+
+FORMATS: dict[str, Format] = {
+    "GPX": Format(xmltracks.is_gpx, xmltracks.read_gpx),
+    "KML": Format(xmltracks.is_kml, xmltracks.read_kml),
+    "SBET": Format(sbet.is_sbet, sbet.read_sbet),
+    "RTKLIB": Format(rtklib.is_rtklib, rtklib.read_rtklib),
+    "DJI MRK": Format(mrk.is_mrk, mrk.read_mrk),
+    "ODM geo.txt": Format(geotxt.is_geotxt, geotxt.read_geotxt),
+    "NMEA 0183": Format(nmea.is_nmea, nmea.read_nmea),
+    "CSV": Format(lambda text, raw: True, lambda path, raw: columns.read_columns(path)),
+}  # the first that fits
+
+
+def read_gnss(path: Path, tuning: GnssTuning) -> Gnss:
+    """Read positions of any of ``FORMATS``, or of a ROS bag (of a topic of one: ``scene.bags.topics``).
+
+    Rows without a usable position are left out and noted with their lines. Raises InputError, naming file and line, for
+    what cannot be read, is damaged, or has no usable row.
+    """
+    if is_bag(Path(path)):
+        return judged(navsat.read_navsat(Path(path)), tuning)
+    raw = whole_file(Path(path), "GNSS file")
+    utf16 = raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    head = raw[:_HEAD].decode("utf-16" if utf16 else "utf-8-sig", errors="replace")
+    found = next(f for f in FORMATS.values() if f.told(head, raw[:_HEAD]))
+    return judged(found.read(Path(path), raw), tuning)

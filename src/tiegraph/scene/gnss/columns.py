@@ -1,7 +1,5 @@
 """Positions from a CSV file: a row a moment, or a row an image."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

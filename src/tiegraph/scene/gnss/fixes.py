@@ -1,7 +1,5 @@
 """Rows as a file gives them, and which of them can be used: the same questions for every format."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """OpenDroneMap's geo.txt: first line the CRS, then ``image x y [z] [yaw pitch roll] [sigma_h sigma_v] [more]``."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

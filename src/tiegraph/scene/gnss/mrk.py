@@ -5,8 +5,6 @@
 are meant by the last number in their names, DJI_0012.JPG or DJI_20240501120000_0012_V.JPG.
 """
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from pathlib import Path

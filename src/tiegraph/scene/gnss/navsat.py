@@ -1,8 +1,6 @@
 """Positions of a ROS bag: sensor_msgs/NavSatFix, whose height is above the ellipsoid and whose covariance is that of
 east, north and up."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

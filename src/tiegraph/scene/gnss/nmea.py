@@ -4,8 +4,6 @@ Other sentences, and the binary messages that receivers write between them, are 
 by their checksums and said.
 """
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from dataclasses import dataclass, field

@@ -4,8 +4,6 @@ Places are lat, lon, height or ECEF; a baseline from a station whose place the f
 dates or week and seconds, of GPS time, UTC or JST.
 """
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from dataclasses import dataclass

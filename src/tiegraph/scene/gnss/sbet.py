@@ -4,8 +4,6 @@ Time (s of the GPS week), latitude and longitude (rad), altitude (m above the el
 pitch, platform heading, wander angle, accelerations x, y, z, angular rates x, y, z; little-endian, without a header.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -4,8 +4,6 @@ Heights of both are above the sea by their specifications, in GPX with the undul
 writes it. Times are UTC.
 """
 
-from __future__ import annotations
-
 import io
 import re
 import zipfile

@@ -4,8 +4,6 @@ The header has the columns from, to, length and, if known, sigma and role (bar o
 the header says in brackets: ``from,to,length (mm),sigma (mm)``.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Corners of what is printed black on white, to hundredths of a pixel, by OpenCV."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 

@@ -1,7 +1,5 @@
 """Names of coded targets: ``tag36h11:12``, ``tag25h9:3``, ``4x4_50:7``, ``aruco_original:5``, ``DICT_6X6_250:1``."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from functools import cache

@@ -1,7 +1,5 @@
 """The final bundle adjustment: robust, with principal points, which COLMAP's mappers hold fixed."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ pycolmap hands out its problem and its own cost functions; the classes to extend
 residuals need the interpreter's lock, so such a problem is solved with one thread (more wait for each other for ever).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -4,8 +4,6 @@ Such a round needs poses good to a tenth of a pixel, not all that can be known, 
 COLMAP's mappers do likewise (github.com/colmap/colmap/pull/3650). The last adjustment takes all points.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pycolmap
 

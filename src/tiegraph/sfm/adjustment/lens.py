@@ -5,8 +5,6 @@ on canal_demo and canal (aspect 0.1-0.2 %, decentring 2e-4 to 5e-4) it turned th
 0.12 deg. The priors keep the terms where the images do not tell them: on straight tracks.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping
 from typing import Any
 

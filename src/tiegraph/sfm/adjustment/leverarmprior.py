@@ -7,8 +7,6 @@ have around it (empirical Bayes: Efron and Morris 1975). A robust loss lets go o
 where the images tell the place they outweigh it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any

@@ -6,8 +6,6 @@ any solution of the singular system serves, so the factor takes the simplest: th
 share points lie near the diagonal, and the factor of a long pass grows with its length, not with the square of it.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu

@@ -1,7 +1,5 @@
 """All that is known or expected beside the images, added to the problem of an adjustment."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """What a rig file gives with a sigma, as residuals of the final adjustment (paper 001: fixed baselines and axes)."""
 
-from __future__ import annotations
-
 from collections.abc import Collection
 
 import numpy as np

@@ -8,8 +8,6 @@ the reason. Frames are asked one by one and in the groups that their agreeing ti
 wrong together has most of its ties with the other two, which agree.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property

@@ -1,13 +1,11 @@
 """Does a model move as its passes do? Steps between neighbouring frames against the usual, and the pieces they cut."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
 
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.tuning.placement import ContinuityTuning
+from tiegraph.sfm.tuning.placement import ConsistencyTuning
 
 
 @dataclass(frozen=True)
@@ -27,7 +25,7 @@ class MotionContinuity:
     interval: dict[int, float]  # usual difference of clock between neighbours
     preview: np.ndarray  # (F, 3) positions of a rough model that is believed, NaN = none
     scale: float  # model units of a unit of the preview
-    tuning: ContinuityTuning
+    tuning: ConsistencyTuning
 
     def expected(self, a: int, b: int, sequence: int) -> float:
         """Length of the way between two frames of a pass; by the preview where it has both."""
@@ -44,7 +42,7 @@ class MotionContinuity:
 
 
 def motion_continuity(
-    positions: np.ndarray, scene: Scene, preview: np.ndarray | None, tuning: ContinuityTuning
+    positions: np.ndarray, scene: Scene, preview: np.ndarray | None, tuning: ConsistencyTuning
 ) -> MotionContinuity:
     """Usual steps from positions (F, 3), NaN = not registered; ``preview`` (F, 3) in units of its own."""
     timed = scene.frames > 0 and bool(np.isfinite(scene.time_s).all()) and float(np.ptp(scene.time_s)) > 0

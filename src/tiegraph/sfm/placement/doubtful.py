@@ -1,7 +1,5 @@
 """Frames whose verified matches contradict their place are left out of a model, each with its reason."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -84,7 +82,7 @@ def _judged(
     poses = frame_poses(image_poses(model, scene), scene.with_(rigs=model_rigs(model, scene)))
     centres = poses[:, :3, 3]
     rough = None if preview is None else preview[:, :3, 3]
-    course = motion_continuity(centres, scene, rough, tuning.continuity)
+    course = motion_continuity(centres, scene, rough, tuning.consistency)
     agreed = agreement(verified, image_observations(model, scene, tuning.agreement))
     return check_consistency(centres, scene, course, consistency_votes(verified, agreed, scene, tuning.consistency))
 

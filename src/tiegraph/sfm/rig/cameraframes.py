@@ -1,7 +1,5 @@
 """A model whose cameras are no longer bolted together: each image a frame of its own."""
 
-from __future__ import annotations
-
 from collections.abc import Collection
 
 import pycolmap

@@ -5,8 +5,6 @@ fire apart fits to a tenth of a pixel, and only their verified matches still tel
 the way: 46 and 65 % of the matches between them agree with the model in two runs, 99 % of each camera's own).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The rig as given against the images: what they want otherwise, and a model that gives way where it should."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Rig diagnostics in words and rows: which cameras keep their place, which fire at another time, which sit loose."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -16,7 +14,7 @@ from tiegraph.sfm.rig.priortest import PriorTest
 from tiegraph.sfm.rig.resections import Resections, SensorDiagnostics, resect_all, sensor_diagnostics, table_rows
 from tiegraph.sfm.rig.timeoffset import TimeOffset, rig_motion, time_offset
 from tiegraph.sfm.tuning import Tuning
-from tiegraph.sfm.tuning.rig import RigTuning, TimeOffsetTuning, TornTuning
+from tiegraph.sfm.tuning.rig import DiagnosticsTuning, RigTuning, TimeOffsetTuning
 
 
 @dataclass(frozen=True)
@@ -75,7 +73,7 @@ def rig_diagnostics(
     in_time = _in_time(found, model, scene, tests, metres_per_unit, tuning.rig.time_offset)
     scattered = {h.sensor: h for h in sensor_diagnostics(in_time, scene, tuning.rig.diagnostics)}
     still = {k for k, h in scattered.items() if h.rigid(tuning.rig.diagnostics)}
-    torn = _torn_off(before, model, scene, tuning.rig.torn)
+    torn = _torn_off(before, model, scene, tuning.rig.diagnostics)
     torn = {k: v for k, v in torn.items() if k not in still or not _explained(tests, scene, k)}
     moving, notes, loose = {int(rig_of[k]) for k in (*late, *torn)}, [], dict(torn)
     for key in torn:
@@ -173,7 +171,7 @@ def _in_time(
 
 
 def _torn_off(
-    before: pycolmap.Reconstruction | None, after: pycolmap.Reconstruction, scene: Scene, tuning: TornTuning
+    before: pycolmap.Reconstruction | None, after: pycolmap.Reconstruction, scene: Scene, tuning: DiagnosticsTuning
 ) -> dict[int, float]:
     """Sensors of rigs that lost more than half of their sightings in the adjustment, and far more than the others."""
     if before is None:

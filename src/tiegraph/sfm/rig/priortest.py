@@ -6,8 +6,6 @@ parameters is freed (Bayesian information criterion: Schwarz 1978), then the nex
 than chance. Gains are divided by how much wider the points scatter than independent errors would.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """The rig in the mapping: how it is used, its extrinsics from a model made without it, how far a model moved them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """What is said of a rig as given where the images want it otherwise: statements, and sentences on what contradicts."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ A camera that looks at sky and bridge decks has few true ties and some false one
 ``canal`` the up camera's focal length by a factor of four and its place by 24 m, and nothing in the error tells.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np
@@ -16,6 +14,7 @@ from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.database import ViewGraph
 from tiegraph.sfm.model import image_poses, matrix, rigid3d
+from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.tuning.rig import SupportTuning
 
 
@@ -42,9 +41,7 @@ def ties_of(scene: Scene, graph: ViewGraph, sensors: tuple[int, ...]) -> tuple[t
     return tuple((int(a), int(b)) for a, b in graph.pairs[rows])
 
 
-def place_as_given(
-    model: pycolmap.Reconstruction, scene: Scene, sensors: tuple[int, ...], tuning: SupportTuning
-) -> None:
+def place_as_given(model: pycolmap.Reconstruction, scene: Scene, sensors: tuple[int, ...], tuning: Tuning) -> None:
     """Set the extrinsics of sensors without observations as given, lengths in the model's units."""
     scale = units_per_metre(model, scene, tuning)
     key = 0
@@ -59,18 +56,19 @@ def place_as_given(
             key += 1
 
 
-def units_per_metre(model: pycolmap.Reconstruction, scene: Scene, tuning: SupportTuning) -> float:
+def units_per_metre(model: pycolmap.Reconstruction, scene: Scene, tuning: Tuning) -> float:
     """Model units of a metre: by prior positions far enough apart, else by the median baseline of the rig, else 1."""
     centre = transforms.centre(image_poses(model, scene))
     position = scene.world_from_rig[scene.frame, :3, 3]
     sigma = np.nan_to_num(np.nanmax(scene.position_sigma_m, axis=1, initial=0.0))[scene.frame]
     known = np.flatnonzero(np.isfinite(centre).all(axis=1) & np.isfinite(position).all(axis=1) & (scene.sensor == 0))
+    support, least = tuning.rig.support, tuning.start.scale
     rng = np.random.default_rng(0)
-    if len(known) >= tuning.least_positions:
-        a, b = rng.choice(known, (2, tuning.pairs))
+    if len(known) >= least.least_positions:
+        a, b = rng.choice(known, (2, support.pairs))
         apart = np.linalg.norm(position[a] - position[b], axis=1)
-        far = apart > tuning.position_sigmas * np.maximum(sigma[a] + sigma[b], tuning.least_sigma_m)
-        if far.sum() >= tuning.least_pairs:
+        far = apart > support.position_sigmas * np.maximum(sigma[a] + sigma[b], least.least_noise_m)
+        if far.sum() >= least.least_distances:
             return float(np.median(np.linalg.norm(centre[a] - centre[b], axis=1)[far] / apart[far]))
     return _by_baselines(model, scene.rigs)
 

@@ -5,8 +5,6 @@ with one offset and one constant error of the mounting for each camera as unknow
 bent to take up what is motion.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 
@@ -215,21 +213,17 @@ def _offsets(model: pycolmap.Reconstruction, setting: _Setting, timed: TimeOffse
         )
         columns.setdefault(tie.sensor, []).append(tie.columns * scale)
     sync = setting.tuning.rig.time_offset
-    return {key: _offset(timed.unknowns[key], np.array(rows[key]), np.array(columns[key]), scale, sync) for key in rows}
+    return {key: _offset(timed.unknowns[key], np.array(rows[key]), np.array(columns[key]), sync) for key in rows}
 
 
-def _offset(
-    unknowns: np.ndarray, left: np.ndarray, columns: np.ndarray, scale: np.ndarray, tuning: TimeOffsetTuning
-) -> TimeOffset:
+def _offset(unknowns: np.ndarray, left: np.ndarray, columns: np.ndarray, tuning: TimeOffsetTuning) -> TimeOffset:
     spread = np.maximum(1.4826 * np.median(np.abs(left), axis=0), 1e-7)
     covariance = np.tile(np.diag(spread**2), (len(left), 1, 1))
     again = time_offset(left, covariance, columns, tuning)
     sigma = np.inf if again is None else float(np.hypot(again.sigma_s, again.offset_s))
     top = float(np.max(np.linalg.norm(columns[:, :3], axis=1)))
     late = float(unknowns[0])
-    return TimeOffset(
-        offset_s=late, sigma_s=sigma, constant=unknowns[1:] * scale, spread=spread, moves_m=abs(late) * top
-    )
+    return TimeOffset(late, sigma, moves_m=abs(late) * top)
 
 
 def with_observations_of(model: pycolmap.Reconstruction, mapped: pycolmap.Reconstruction) -> pycolmap.Reconstruction:

@@ -9,6 +9,6 @@ other hardly tell a mapper that length (PandaSet's previews: wrong by factors of
 and no adjustment corrects). What is too long or too short by a quarter is mapped again from its own poses with the
 length corrected.
 
-The acceptance test (``acceptance``) asks for tied images that see points, verified pairs that agree with the model, and
-plausible lenses.
+The acceptance test (``stagedadjustment.refusal``) asks for tied images that see points, verified pairs that agree with
+the model, and plausible lenses.
 """

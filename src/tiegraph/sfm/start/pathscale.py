@@ -6,8 +6,6 @@ does not get out of that. The scale is one number, and every match between frame
 to the other's epipolar plane, as a function of the scale.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import cast

@@ -1,7 +1,5 @@
 """What a start needs: the rigs in the units of the poses, and where each of COLMAP's frames stands."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 

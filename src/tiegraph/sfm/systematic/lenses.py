@@ -1,7 +1,5 @@
 """Lenses unlike their models: a smooth field of shifts over the image of each camera."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

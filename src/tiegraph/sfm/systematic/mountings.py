@@ -1,7 +1,5 @@
 """Cameras that do not stand where the rig has them: in all shots, or from shot to shot."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
@@ -10,7 +8,7 @@ import pycolmap
 from scipy import sparse
 
 from tiegraph.geometry.transforms import skew
-from tiegraph.scene.sampling import evenly
+from tiegraph.scene.sorting import evenly
 from tiegraph.sfm.adjustment.jacobians import System, frame_pose
 from tiegraph.sfm.systematic.effects import RIDGE, Effect, EffectWeights, Score, posterior
 from tiegraph.sfm.tuning import SharedErrorTuning
@@ -18,12 +16,10 @@ from tiegraph.sfm.tuning import SharedErrorTuning
 
 @dataclass(frozen=True)
 class Unrest:
-    """How far cameras (ids) are off their places in the rig: sigma of an axis, from shot to shot, or for all shots."""
+    """How far cameras are off their places in the rig: sigma of an axis, from shot to shot, or for all shots."""
 
-    cameras: tuple[int, ...]
     place: float  # model units
     turn: float  # rad
-    always: bool = False
 
 
 def misplaced(
@@ -48,17 +44,17 @@ def misplaced(
         told = weighed.score(columns)
         if rig_id in off:
             at = (6 * np.searchsorted(every, cameras)[:, None] + np.arange(6)).ravel()
-            out.append(_known_off(cameras, told, off[rig_id][np.ix_(at, at)]))
+            out.append(_known_off(told, off[rig_id][np.ix_(at, at)]))
         elif (shown := _shown_off(cameras, told, tuning)) is not None:
             out.append(shown[:2])
             explained += columns @ shown[2]
     return out, explained
 
 
-def _known_off(cameras: list[int], told: Score, moment: np.ndarray) -> tuple[Unrest, Effect]:
-    """By what is known otherwise: ``moment`` (6S, 6S) of these S cameras."""
+def _known_off(told: Score, moment: np.ndarray) -> tuple[Unrest, Effect]:
+    """By what is known otherwise: ``moment`` (6S, 6S) of S cameras."""
     place, turn = np.diag(moment).reshape(-1, 2, 3).mean(axis=(0, 2))
-    found = Unrest(cameras=tuple(cameras), place=float(np.sqrt(place)), turn=float(np.sqrt(turn)), always=True)
+    found = Unrest(place=float(np.sqrt(place)), turn=float(np.sqrt(turn)))
     return found, Effect(told.gradient, moment)
 
 
@@ -71,7 +67,7 @@ def _shown_off(cameras: list[int], told: Score, tuning: SharedErrorTuning) -> tu
         return None
     field = np.diag(np.tile(np.repeat([place, turn], 3), len(cameras)))
     mean, moment = posterior(score, noise, information, field)
-    found = Unrest(cameras=tuple(cameras), place=float(np.sqrt(place)), turn=float(np.sqrt(turn)), always=True)
+    found = Unrest(place=float(np.sqrt(place)), turn=float(np.sqrt(turn)))
     return found, Effect(told.gradient, moment), mean
 
 
@@ -105,8 +101,7 @@ def unrest(
         return []
     moved = np.hstack(gradient)
     moment = np.tile(np.repeat([place, turn], 3), moved.shape[1] // 6) * len(shared) / len(chosen)
-    cameras = sorted({model.image(i).camera_id for own in shared for i in own})
-    found = Unrest(tuple(cameras), float(np.sqrt(place)), float(np.sqrt(turn)))
+    found = Unrest(float(np.sqrt(place)), float(np.sqrt(turn)))
     return [(found, Effect(moved * np.sqrt(moment), np.eye(len(moment))))]
 
 

@@ -1,7 +1,5 @@
 """What sfm/placement decides by: each constant with its unit, its meaning and where its value comes from."""
 
-from __future__ import annotations
-
 from pydantic import Field
 
 from tiegraph.settings import Section
@@ -25,7 +23,8 @@ class AgreementTuning(Section):
 
 
 class ConsistencyTuning(Section):
-    """Frames judged by the ties between them (`consistency.py`)."""
+    """Frames judged by the ties between them (`consistency.py`), and whether a model moves as its passes do
+    (`continuity.py`)."""
 
     near_steps: int = Field(3, gt=0)
     """Steps of a pass within which a tie is one of the neighbours'."""
@@ -40,11 +39,6 @@ class ConsistencyTuning(Section):
     lone_against: float = Field(0.25, ge=0, le=1)
     """Share of matches that contradict a place, from which fewer frames that agree do not hold it: 0.49 where two
     frames of kerry_park stood two thirds of its extent away, tied to one; none of canal, KITTI, PandaSet has one."""
-
-
-class ContinuityTuning(Section):
-    """Whether a model moves as its passes do (`continuity.py`)."""
-
     expected_times: float = Field(2.0, ge=1)
     """Times the expected way between two frames that they may be apart ..."""
     jump_steps: float = Field(2.0, ge=0)
@@ -83,7 +77,5 @@ class PlacementTuning(Section):
     """Matches that a model explains."""
     consistency: ConsistencyTuning = Field(default_factory=ConsistencyTuning)
     """What the ties of frames say of their place."""
-    continuity: ContinuityTuning = Field(default_factory=ContinuityTuning)
-    """The course of the passes."""
     ties: TieTuning = Field(default_factory=TieTuning)
     """A model on another."""

@@ -1,7 +1,5 @@
 """What sfm/rig decides by: each constant with its unit, its meaning and where its value comes from."""
 
-from __future__ import annotations
-
 from pydantic import Field
 
 from tiegraph.settings import Section
@@ -47,7 +45,8 @@ class DeriveTuning(Section):
 
 
 class SupportTuning(Section):
-    """Sensors with too few ties, and the model's units by what is given (`support.py`)."""
+    """Sensors with too few ties, and the model's units by what is given (`support.py`), where positions tell as much as
+    `sfm.start.scale` asks of them."""
 
     min_ties: int = Field(2, gt=0)
     """Verified pairs of an image that count as support."""
@@ -55,18 +54,13 @@ class SupportTuning(Section):
     """Of a sensor's images, that must have them."""
     position_sigmas: float = Field(10.0, gt=0)
     """So many of their sigmas apart are two positions whose distance tells the scale."""
-    least_sigma_m: float = Field(0.01, gt=0)
-    """Sigma of two positions together at least, for that."""
-    least_positions: int = Field(3, gt=1)
-    """Positions below which the scale is not asked of them."""
     pairs: int = Field(2000, gt=0)
     """Of positions that are compared, drawn at random."""
-    least_pairs: int = Field(10, gt=0)
-    """Of these that are far enough apart, to tell the scale."""
 
 
 class DiagnosticsTuning(Section):
-    """A camera against its rig, frame by frame, by its own sightings (`resections.py`, `observations.py`)."""
+    """A camera against its rig, frame by frame, by its own sightings (`resections.py`, `observations.py`), and one that
+    lost its sightings in the adjustment (`diagnostics.py`)."""
 
     point_rounds: int = Field(3, gt=0)
     """In which points are made anew, robust from the second on."""
@@ -90,6 +84,12 @@ class DiagnosticsTuning(Section):
     """Less does no harm: points share their own errors, which the expected sigma leaves out."""
     chance: float = Field(0.05, gt=0, lt=1)
     """That a camera within these bounds is called loose for the few frames that happened to tell of it."""
+    min_sightings: int = Field(200, gt=0)
+    """Of a camera in all its images, to judge what an adjustment left of them."""
+    min_kept: float = Field(0.6, ge=0, le=1)
+    """Share of them that a camera keeps, and of the share that the best camera keeps."""
+    torn_deg: float = Field(1.0, gt=0)
+    """By which a camera with too few sightings left to be measured is let go."""
 
 
 class TimeOffsetTuning(Section):
@@ -105,17 +105,6 @@ class TimeOffsetTuning(Section):
     """Sigma of an offset above which the motion does not tell it."""
     rounds: int = Field(15, gt=0)
     """Of the robust fit of an offset."""
-
-
-class TornTuning(Section):
-    """A camera that lost its sightings in the adjustment (`diagnostics.py`)."""
-
-    min_sightings: int = Field(200, gt=0)
-    """Of a camera in all its images, to judge what an adjustment left of them."""
-    min_kept: float = Field(0.6, ge=0, le=1)
-    """Share of them that a camera keeps, and of the share that the best camera keeps."""
-    torn_deg: float = Field(1.0, gt=0)
-    """By which a camera with too few sightings left to be measured is let go."""
 
 
 class TimeCalibrationTuning(Section):
@@ -222,8 +211,6 @@ class RigTuning(Section):
     """Rig diagnostics."""
     time_offset: TimeOffsetTuning = Field(default_factory=TimeOffsetTuning)
     """Times of the cameras."""
-    torn: TornTuning = Field(default_factory=TornTuning)
-    """Cameras that came off."""
     time_calibration: TimeCalibrationTuning = Field(default_factory=TimeCalibrationTuning)
     """Rigs that are let go of."""
     system: SystemTuning = Field(default_factory=SystemTuning)

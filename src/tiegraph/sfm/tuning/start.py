@@ -1,7 +1,5 @@
 """What sfm/start decides by: each constant with its unit, its meaning and where its value comes from."""
 
-from __future__ import annotations
-
 from pydantic import Field
 
 from tiegraph.settings import Section
@@ -41,7 +39,12 @@ class ScaleTuning(Section):
 
 
 class StagedTuning(Section):
-    """The rounds of adjustment from rough poses to a model (`stagedadjustment.py`)."""
+    """The rounds of adjustment from rough poses to a model, and whether that is good enough (`stagedadjustment.py`).
+
+    Measured on models that are right to some centimetres (canal, canal_demo, PandaSet, KITTI, Herz-Jesus-P25,
+    oppaiyama, fountain-P11): 0.957 to 1.000 of the pairs agree, 0.97 to 1.00 of the tied images see points, 0.20 to
+    0.69 px.
+    """
 
     iterations: int = Field(25, gt=0)
     """Of a round's adjustment, at most."""
@@ -51,16 +54,6 @@ class StagedTuning(Section):
     """Scale of the soft L1 loss: half the first points are off by more."""
     register_rounds: int = Field(3, ge=0)
     """Of placing the frames that had no pose."""
-
-
-class AcceptanceTuning(Section):
-    """Whether a model that started from rough poses is good enough (`acceptance.py`).
-
-    Measured on models that are right to some centimetres (canal, canal_demo, PandaSet, KITTI, Herz-Jesus-P25,
-    oppaiyama, fountain-P11): 0.957 to 1.000 of the pairs agree, 0.97 to 1.00 of the tied images see points, 0.20 to
-    0.69 px.
-    """
-
     min_agreeing: float = Field(0.9, ge=0, le=1)
     """Share of the verified pairs whose matches the model explains."""
     tied_pairs: int = Field(2, gt=0)
@@ -84,5 +77,3 @@ class StartTuning(Section):
     """The length of the path against the rig."""
     staged: StagedTuning = Field(default_factory=StagedTuning)
     """Points and rounds of adjustment."""
-    acceptance: AcceptanceTuning = Field(default_factory=AcceptanceTuning)
-    """What a model must be."""

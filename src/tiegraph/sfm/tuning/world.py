@@ -1,7 +1,5 @@
 """What sfm/world decides by: each constant with its unit, its meaning and where its value comes from."""
 
-from __future__ import annotations
-
 import numpy as np
 from pydantic import Field
 

@@ -3,8 +3,6 @@
 Lever arm and clock are estimated where the positions tell them; they change the fit that is believed.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Scale bars in the model: what each says of the scale, which are believed, and what is left of each."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -13,17 +11,16 @@ from tiegraph.scene.control import ScaleBars
 from tiegraph.scene.evidence import LIMIT
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.tuning.world import MarkTuning
-from tiegraph.sfm.world.marks import Target, targets
+from tiegraph.sfm.world.marks import targets
 from tiegraph.sfm.world.scale import BARS, RigScale
 
 
 @dataclass(frozen=True)
 class BarsFound:
-    """Bars in a model: their ends, length and its sigma there (B,), model units, NaN = an end has no place; why a bar
+    """Bars in a model: their length and its sigma there (B,), model units, NaN = an end has no place; why a bar
     is not used (B,), "" = it is; the scale they give, None = none of them can be used; what contradicts what."""
 
     bars: ScaleBars
-    ends: tuple[Target, ...]
     length: np.ndarray
     sigma: np.ndarray
     why_not: tuple[str, ...]
@@ -88,7 +85,7 @@ def bars_in(
             length[k] = np.linalg.norm(way)
             unit = way / max(length[k], 1e-12)
             sigma[k] = np.sqrt(max(unit @ (ends[a].covariance + ends[b].covariance) @ unit, 0.0))
-    found = BarsFound(bars=bars, ends=tuple(ends), length=length, sigma=sigma, why_not=tuple(why), scale=None)
+    found = BarsFound(bars=bars, length=length, sigma=sigma, why_not=tuple(why), scale=None)
     return _judged(found)
 
 

@@ -7,8 +7,6 @@ more accurate on sparse points). Every second point is held back. Walls slide al
 place is believed only if most of the points held back lie on the others' and clearly fewer do in any other place.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ Jacobians are analytic and tested against differences. A pose block is COLMAP's 
 frame_from_world and its translation.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Where the model is in the world: a robust similarity to prior positions, with lever arm, rig scale and gravity."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -17,7 +15,7 @@ from tiegraph.scene.evidence import Statement, contradictions, table
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import image_poses
 from tiegraph.sfm.settings import GeorefSettings
-from tiegraph.sfm.tiedmodels import moved
+from tiegraph.sfm.ties import moved
 from tiegraph.sfm.tuning.world import WorldTuning
 from tiegraph.sfm.world.antenna import RIGHT_ANGLE_DEG
 from tiegraph.sfm.world.bars import BarsFound, bars_in

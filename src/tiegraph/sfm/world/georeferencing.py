@@ -1,7 +1,5 @@
 """From a model to the world: the similarity, then the adjustment with positions where it stands its check."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -5,8 +5,6 @@ level of the stated sigma gets one factor from the residuals of its fixes (varia
 correlation of neighbours in time, so that many rows of one wandering solution do not outweigh a few good ones.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -8,8 +8,6 @@ turn about a straight track is open, is named with the reason and stays out: not
 positions tell is compared, and said where they cannot both be right.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -19,8 +17,7 @@ import pycolmap
 from tiegraph.scene.evidence import LIMIT
 from tiegraph.scene.mergedmodel import merged
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.tiedmodels import Joining, moved
-from tiegraph.sfm.ties import TEST_COLUMNS, TieFit, TieTest, apart
+from tiegraph.sfm.ties import TEST_COLUMNS, Joining, TieFit, TieTest, apart, moved
 from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.tuning.world import WorldTuning
 from tiegraph.sfm.verified import VerifiedMatches

@@ -1,7 +1,5 @@
 """Metres per model unit by the rig's baselines, where they are known and long enough to tell."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Placing a model: which evidence there is, what of it is used, and the fit to it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cached_property
 

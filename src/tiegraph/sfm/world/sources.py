@@ -4,8 +4,6 @@ A source is a similarity of its own with a covariance. Its statements are read a
 result's scale, by how much turned, by how many metres elsewhere.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

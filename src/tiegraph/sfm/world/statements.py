@@ -1,7 +1,5 @@
 """What a placement says of itself: the table of evidence, and each contradiction in one sentence."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import combinations
 

@@ -1,7 +1,5 @@
 """Of a placement beside place and turn: the rig's word on the scale, the receiver's antenna in the rig, its clock."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

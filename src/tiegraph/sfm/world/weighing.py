@@ -1,7 +1,5 @@
 """What of a placement is used where its sources contradict each other: decided by tests, before anything is fitted."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The bundle adjustment in the world: images, positions and control points together, against drift and bending."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
