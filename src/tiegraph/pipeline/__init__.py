@@ -48,13 +48,13 @@ _BESIDE_DATABASE = tuple(f"database.db{s}" for s in ("-wal", "-shm", "-journal",
 
 # fmt: off
 STAGES = (
-    _stage("scan", (), ("scene.json", "whole.json", "images", "odometry"), "image", version=6,
+    _stage("scan", (), ("scene.json", "whole.json", "images", "odometry"), "image", version=7,
            tuned=("scene", "odometry")),
     _stage("masks", ("scan",), ("masks", "classes", "masks.csv"), "image", version=8),
     _stage("preview", ("scan", "masks"), ("preview",), "image", version=2, tuned=("features",)),
     _stage("candidates", ("scan", "preview"), ("candidates.npz", "candidates"), "pair", version=4,
            scratch=("candidates/matched",), tuned=("scene", "network", "features")),
-    _stage("coarse", ("scan", "preview", "candidates"), ("coarse.npz", "coarse"), "block", version=6,
+    _stage("coarse", ("scan", "preview", "candidates"), ("coarse.npz", "coarse"), "block", version=7,
            uses=("candidates",), scratch=("coarse/blocks", "coarse/mapping", "coarse/matched"),
            tuned=("scene", "network", "features", "sfm")),
     _stage("network", ("scan", "masks", "preview", "coarse"), ("network.npz", "network.csv", "network"), version=8,
