@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -86,6 +87,18 @@ def test_an_image_without_a_point_is_placed_by_its_rig_and_not_registered(tmp_pa
     rows = {row[0]: row[1:] for row in result.tables["registered_per_camera"]["rows"]}
     assert rows[scene.sensor_of(blind).name] == [8, 7, 1] and sorted(rows.values())[1:] == [[8, 8, 0]] * 2
     assert result.tables["models"]["rows"][0][1:3] == [len(scene) - 1, 1]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("factor, said", [(1.1, 0), (2.0, 1)])
+def test_a_focal_length_far_from_the_given_one_is_a_contradiction(tmp_path: Path, factor: float, said: int) -> None:
+    _, scene = make_world(tmp_path / "database.db", 1, points=400)
+    rig, camera = scene.rigs[0], pycolmap.Camera(scene.rigs[0].sensors[0].camera.todict())
+    camera.focal_length = factor * camera.focal_length
+    other = scene.with_(rigs=(replace(rig, sensors=(replace(rig.sensors[0], camera=camera),)),))
+    result = _run(tmp_path, other, mapper="incremental", refine_intrinsics="yes", covariance_frames=0)
+    lines = [line for line in result.remarks.contradictions if "heights above the ground" in line]
+    assert len(lines) == said and all("1280 px" in line and "2560 px are given" in line for line in lines)
 
 
 @pytest.mark.slow

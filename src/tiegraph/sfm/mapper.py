@@ -29,6 +29,7 @@ from tiegraph.sfm.mapping import (
     Source,
     believed_cameras,
     map_images,
+    ran_off,
 )
 from tiegraph.sfm.model import frame_poses, registration_tables
 from tiegraph.sfm.placement.doubtful import MatchSource
@@ -268,6 +269,12 @@ def _account(job: Job, outcome: Outcome, finished: FinishResult) -> SparseResult
     if not job.source.rough:
         held = [k for k, mode in rig_modes(scene, job.settings.rig).items() if mode in ("fixed", "soft")]
         doubts = rig_doubts(main, scene, held, first.registered, job.graph.components[0], tuning)
+        if off := ran_off(main, scene, tuning.mapping.other_focal):
+            doubts.append(
+                f"the images make {off}: one of the two is wrong. Straight down over flat ground they hardly tell it, "
+                "and if the given one is right, heights above the ground are wrong by as much. Check these by control "
+                "points, or give a calibration (--camera) and set sparse.refine_intrinsics = no"
+            )
         weak = few_points(main, scene, first.found, tuning.registration)
         weakly = weakly_constrained(scene, job.graph, first.found, weak, tuning.registration)
     return SparseResult(
