@@ -366,7 +366,8 @@ def test_one_exif_position_and_the_same_for_all(tmp_path: Path) -> None:
     for k in range(3):
         picture(tmp_path / "same" / f"{k}.jpg", exif=exif_of(lat=35.69, lon=139.77, alt=40.0))
         picture(tmp_path / "one" / f"{k}.jpg", exif=exif_of(lat=35.69, lon=139.77) if k == 1 else Image.Exif())
-    assert says(Survey(tmp_path / "same").scan(), "EXIF: all 3 positions are lat 35.69")
+    same = Survey(tmp_path / "same").scan()
+    assert says(same, "EXIF: all 3 positions are lat 35.69.*Not used") and same.prior == "none"
     assert says(Survey(tmp_path / "one").scan(), "1 of 3 frames has a position.*not used")
 
 

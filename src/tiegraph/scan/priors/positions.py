@@ -292,7 +292,8 @@ def from_exif(
         sigma[low, 2] = tuning.unknown_height_sigma_m
         notes.append(f"EXIF: {low.sum()} positions have no height")
     if stuck := stuck_note(places[there], "EXIF", tuning.gnss.stuck):
-        notes.append(stuck)
+        notes.append(f"{stuck} Not used")
+        return priors
     origin = _origin(places[there], settings, notes)
     pose = np.full((len(found), 4, 4), np.nan)
     pose[there, :3, 3] = world_from_geodetic(places[there], origin)
