@@ -20,7 +20,7 @@ COLUMNS = (
 
 
 _ROOT = Path(__file__).resolve().parents[1]
-_FILES = ("small_sets", "large_sets")
+_FILES = ("small_sets", "large_sets", "real")
 BEGIN, END = "<!-- python -m benchmarks.table --write -->", "<!-- end of the table -->"
 _SHOWN = (
     ("canal_demo", "`canal_demo` (the example): boat, 6 cameras, out and back"),
@@ -28,6 +28,10 @@ _SHOWN = (
     ("pandaset", "PandaSet: car, 6 cameras, calibrated rig"),
     ("kitti_stereo", "KITTI: stereo, calibrated"),
     ("Herz-Jesus-P25", "Strecha Herz-Jesus-P25"),
+    ("brighton", "a drone over a beach, 8 megapixels (the truth is its EXIF GPS)"),
+    ("monstree", "a tree by telephone, 12 megapixels (likewise)"),
+    ("copr", "a kite, 12 megapixels"),
+    ("park_gate", "a gate by DSLR, 2.5 megapixels"),
 )
 _MORE = (
     ("fountain-P11", "Strecha fountain-P11"),
@@ -63,8 +67,9 @@ def _figure(rows: Sequence[dict[str, Any]]) -> str:
         given = "calibrated: " if row["calibration"] == "given" and row["competitor"] != "tiegraph" else ""
         more = f" of {row['registered']} in {row['components']} models" if row["registered"] > row["largest"] else ""
         more = f" + {row['placed_by_rig']} by the rig" if row.get("placed_by_rig") else more
-        error = _metres(row["ate_m"]) if row["largest"] else "no model"
-        said.append(f"{given}{row['largest']}{more}, {error}, {row['cpu_s']:.0f} s")
+        known = "" if row["ate_m"] is None else f" {_metres(row['ate_m'])},"
+        error = known if row["largest"] else " no model,"
+        said.append(f"{given}{row['largest']}{more},{error} {row['cpu_s']:.0f} s")
     return "; ".join(said) or "not run"
 
 
