@@ -30,12 +30,12 @@ _SHOWN = (
     ("Herz-Jesus-P25", "Strecha Herz-Jesus-P25"),
     ("brighton", "a drone over a beach, 8 megapixels (the truth is its EXIF GPS)"),
     ("monstree", "a tree by telephone, 12 megapixels (likewise)"),
-    ("copr", "a kite, 12 megapixels"),
     ("park_gate", "a gate by DSLR, 2.5 megapixels"),
 )
 _MORE = (
     ("fountain-P11", "Strecha fountain-P11"),
     ("Herz-Jesus-P8", "Strecha Herz-Jesus-P8"),
+    ("copr", "a kite, 12 megapixels"),
     ("oppaiyama", "Oppaiyama: phone photographs with EXIF GPS (the truth is that GPS)"),
 )
 _OTHERS = (
