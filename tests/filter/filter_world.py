@@ -11,6 +11,7 @@ import pycolmap
 from scipy.spatial.transform import Rotation
 
 from tiegraph.filter.filter import Filtering, filter_pairs
+from tiegraph.filter.prior import Prior
 from tiegraph.filter.settings import FilterSettings
 from tiegraph.filter.tuning import Tuning
 from tiegraph.geometry import transforms
@@ -37,13 +38,15 @@ class World:
     matches: dict[tuple[int, int], np.ndarray]
     false: set[tuple[int, int]]
 
-    def run(self, folder: Path, scene: Scene | None = None, **settings) -> tuple[Filtering, np.ndarray]:
+    def run(
+        self, folder: Path, scene: Scene | None = None, prior: Prior | None = None, **settings
+    ) -> tuple[Filtering, np.ndarray]:
         """Filter with another rig than the true one, perhaps; (result, false pairs (P,) bool)."""
         database = folder / "database.db"
         self.write(database)
         ends = np.array(sorted(self.matches))
         pairs = Pairs.make(ends[:, 0], ends[:, 1], "sequence")
-        result = filter_pairs(database, scene or self.scene, pairs, FilterSettings(**settings), Tuning(), serial)
+        result = filter_pairs(database, scene or self.scene, pairs, FilterSettings(**settings), Tuning(), serial, prior)
         return result, np.array([(int(i), int(j)) in self.false for i, j in zip(pairs.i, pairs.j)])
 
     def write(self, path: Path) -> None:
@@ -72,6 +75,12 @@ def rig(sensors: int, radius_m: float) -> Rig:
     return Rig("ring", tuple(out))
 
 
+def rig_from_world(f: int) -> np.ndarray:
+    """Where frame f of the drive truly is."""
+    turn = Rotation.from_euler("yxz", [6 * np.sin(f), 2 * np.cos(2 * f), 1.5 * np.sin(3 * f)], degrees=True)
+    return transforms.rigid(turn.as_matrix(), -turn.apply([1.5 * f, 0.1 * np.sin(f), 0.2 * np.cos(f)]))
+
+
 def world(frames: int = 5, sensors: int = 4, radius_m: float = 0.06, seed: int = 0, cloud: int = 500) -> World:
     """A gently winding drive of 1.5 m steps between walls 6 m away."""
     rng = np.random.default_rng(seed)
@@ -85,10 +94,7 @@ def world(frames: int = 5, sensors: int = 4, radius_m: float = 0.06, seed: int =
     scene = simple_scene(the_rig, names, frame, sensor, np.zeros(frames), np.arange(frames), sequences=("drive",))
     points, seen = [], []
     for k in range(n):
-        f = frame[k]
-        turn = Rotation.from_euler("yxz", [6 * np.sin(f), 2 * np.cos(2 * f), 1.5 * np.sin(3 * f)], degrees=True)
-        pose = transforms.rigid(turn.as_matrix(), -turn.apply([1.5 * f, 0.1 * np.sin(f), 0.2 * np.cos(f)]))
-        local = transforms.apply(the_rig.sensors[sensor[k]].sensor_from_rig @ pose, x)
+        local = transforms.apply(the_rig.sensors[sensor[k]].sensor_from_rig @ rig_from_world(frame[k]), x)
         pixel = local[:, :2] / np.maximum(local[:, 2:], 0.1) * 310 + [320, 240]
         inside = (local[:, 2] > 0.5) & (pixel > 0).all(axis=1) & (pixel < [640, 480]).all(axis=1)
         points.append(pixel[inside] + rng.normal(0, NOISE_PX, (int(inside.sum()), 2)))

@@ -100,6 +100,13 @@ def _by_prior(work: Work, prior: Prior | None) -> tuple[np.ndarray, np.ndarray, 
     figures = f"the coarse model agrees with {len(rows) - int(wrong.sum())} of {len(rows)} pairs"
     if wrong.mean() > work.tuning.prior.max_refused:
         return nothing, nothing.copy(), [f"{figures}: too few, so it is not asked"]
+    ends = np.stack([pairs.i[rows], pairs.j[rows]])
+    asked_of, wrong_of = (np.bincount(e.ravel(), minlength=len(known)) for e in (ends, ends[:, wrong]))
+    misplaced = wrong_of > work.tuning.prior.max_refused_image * asked_of
+    if misplaced.any():
+        figures += f"; it has {int(misplaced.sum())} images at the wrong place, whose pairs it is not asked about"
+        placed = ~misplaced[ends].any(axis=0)
+        rows, wrong = rows[placed], wrong[placed]
     asked, contradicts = nothing, nothing.copy()
     asked[rows] = True
     contradicts[rows[wrong]] = True

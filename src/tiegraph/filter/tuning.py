@@ -100,6 +100,8 @@ class PriorTuning(Section):
     """Times nearer than the nearest point of the model, and farther than the farthest: any distance."""
     max_refused: float = Field(0.2, ge=0, le=1)
     """Share of the judged pairs: a model that contradicts more of them is wrong itself."""
+    max_refused_image: float = Field(0.5, ge=0, le=1)
+    """Share of an image's judged pairs: a model that contradicts more of them has the image at a wrong place."""
 
 
 class Tuning(Section):

@@ -13,11 +13,13 @@ from tiegraph.scene.colmaprows import sizes
 from tiegraph.scene.rig import Rig, rig_from_dict, rig_to_dict
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.database import write_working_copy
+from tiegraph.sfm.model import frame_poses
+from tiegraph.sfm.placement.doubtful import doubted_frames
 from tiegraph.sfm.solver import THREADS, factorised
 from tiegraph.sfm.start.poses import largest_component, start_from
-from tiegraph.sfm.start.stagedadjustment import model_from, refusal
+from tiegraph.sfm.start.stagedadjustment import Doubted, model_from, place_doubted, refusal
 from tiegraph.sfm.tuning import Tuning
-from tiegraph.sfm.verified import read_verified
+from tiegraph.sfm.verified import VerifiedMatches, read_verified
 
 
 @dataclass(frozen=True)
@@ -98,6 +100,10 @@ def run_mapper(request: Request, send: Callable[[Any], None]) -> MappingResult:
         else _global(request, working, raw)
     )
     ordered = sorted(models.values(), key=lambda m: (-m.num_reg_images(), -m.num_points3D()))
+    if ordered and not request.method.rough:
+        verified = read_verified(seen.database, scene, seen.refused)
+        doubted = _doubted(request, scene, verified)
+        place_doubted(ordered[0], working, _options(request, False), request.tuning, doubted)
     folders = []
     for number, model in enumerate(m for m in ordered if m.num_reg_images() >= 2):
         folder = request.folder / str(number)
@@ -125,7 +131,8 @@ def _from_poses(
     if start is None:
         return MappingResult([], refused="neither matches nor positions tell the length of its path against the rig")
     write_working_copy(seen.database, working, scene, start.rigs, None, seen.refused, seen.only)
-    model = model_from(working, scene, start, lambda free: _options(request, free), request.tuning, send)
+    doubted = _doubted(request, scene, verified)
+    model = model_from(working, scene, start, lambda free: _options(request, free), request.tuning, send, doubted)
     working.unlink()
     refused = refusal(model, scene, verified, piece, request.tuning)
     if refused:
@@ -134,6 +141,12 @@ def _from_poses(
     folder.mkdir()
     model.write(folder)
     return MappingResult([folder], start.notes)
+
+
+def _doubted(request: Request, scene: Scene, verified: VerifiedMatches) -> Doubted:
+    """What asks a model for its doubtful frames; of a pass's course, the poses that are started from tell."""
+    rough = None if request.poses is None else frame_poses(request.poses, scene)
+    return lambda model: doubted_frames(model, scene, verified, rough, request.tuning.placement)
 
 
 def _options(request: Request, free: bool) -> pycolmap.IncrementalPipelineOptions:

@@ -50,8 +50,7 @@ def leave_out_doubtful(
     """
     verified = read_verified(source.database, scene, source.refused)
     check = _judged(model, scene, verified, preview, tuning)
-    notes = _beyond_notes(check, scene)
-    why = {frame: suspect.why for suspect in check.suspects for frame in suspect.frames}
+    notes, why = _beyond_notes(check, scene), _reasons(check)
     if not why:
         return PlacementCheck(notes)
     if len(why) > tuning.max_left_out * scene.frames:
@@ -64,12 +63,34 @@ def leave_out_doubtful(
     dropped: list[tuple[str, str]] = []
     for frame, reason in sorted(why.items()):
         names = [scene.names[k] for k in np.flatnonzero(scene.frame == frame)]
-        registered = [image for name in names if (image := model.find_image_with_name(name)) is not None]
-        for frame_id in sorted({image.frame_id for image in registered}):  # without a rig one an image
+        for frame_id in _ids(model, scene, frame):
             model.deregister_frame(frame_id)
         rows.append([names[0], reason])
         dropped += [(name, f"{LEFT_OUT}{reason}") for name in names]
     return PlacementCheck(notes, {"columns": ["frame", "left out because"], "rows": rows}, dropped)
+
+
+def doubted_frames(
+    model: pycolmap.Reconstruction,
+    scene: Scene,
+    verified: VerifiedMatches,
+    preview: np.ndarray | None,
+    tuning: PlacementTuning,
+) -> list[int]:
+    """COLMAP's ids of the frames whose place is doubtful; ``preview``: see ``leave_out_doubtful``."""
+    doubted = _reasons(_judged(model, scene, verified, preview, tuning))
+    return [frame_id for frame in sorted(doubted) for frame_id in _ids(model, scene, frame)]
+
+
+def _ids(model: pycolmap.Reconstruction, scene: Scene, frame: int) -> list[int]:
+    """Of a frame of the scene those of COLMAP that are in the model: without a rig one an image."""
+    names = [scene.names[k] for k in np.flatnonzero(scene.frame == frame)]
+    there = [image for name in names if (image := model.find_image_with_name(name)) is not None]
+    return sorted({image.frame_id for image in there if image.has_pose})
+
+
+def _reasons(check: ConsistencyCheck) -> dict[int, str]:
+    return {frame: suspect.why for suspect in check.suspects for frame in suspect.frames}
 
 
 def _judged(

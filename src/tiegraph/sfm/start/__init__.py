@@ -1,7 +1,8 @@
 """A model started from poses that are roughly known, instead of mapped from nothing.
 
 The start takes the poses of the coarse model, triangulates the full-resolution matches from them and adjusts in
-three rounds (``stagedadjustment``): poses; then rig, focal length and distortion; then principal points.
+three rounds (``stagedadjustment``): poses; then rig, focal length and distortion; then principal points. After the
+first two, frames that had no pose, or stand where their matches say they do not, are placed by these.
 
 Before that, the length of the path is checked against a rig that must not change (``pathscale``): the matches tell it,
 else the positions, else the start is refused. The same test follows every mapper. Cameras that look away from each

@@ -3,7 +3,7 @@
 The rounds take few points (``adjustment.fewpoints``); all are triangulated anew from what they found.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +25,8 @@ from tiegraph.sfm.verified import VerifiedMatches, agreement, image_observations
 STEPS = ("poses", "lens", "centre")
 
 Options = pycolmap.IncrementalPipelineOptions
+Doubted = Callable[[pycolmap.Reconstruction], Collection[int]]
+"""COLMAP's ids of the frames of a model whose verified matches contradict their place."""
 
 
 def model_from(
@@ -34,11 +36,12 @@ def model_from(
     options: Callable[[bool], Options],
     tuning: Tuning,
     send: Callable[[int], None],
+    doubted: Doubted,
 ) -> pycolmap.Reconstruction:
     """Triangulate the verified matches of the mapper's ``database`` from the poses of ``start``, and adjust.
 
-    ``options(free)``: the pipeline's options with intrinsics and extrinsics free or held. Frames without a pose are
-    registered by their matches after the first adjustment. ``send`` is told how many frames are placed.
+    ``options(free)``: the pipeline's options with intrinsics and extrinsics free or held. Frames without a pose, and
+    those ``doubted``, are placed by their matches after an adjustment. ``send`` is told how many frames are placed.
     """
     cache = read_cache(database, options(False).min_num_matches)
     model = pycolmap.Reconstruction()
@@ -51,7 +54,9 @@ def model_from(
     for stage in STEPS:
         _thin(mapper, tuning.adjust.few_points)
         _round(mapper, options(stage != "poses"), tuning, stage == "centre")
-        if stage == "poses":
+        wrong = doubted(model) if stage != "centre" else ()
+        if stage == "poses" or wrong:
+            _take_out(mapper, wrong)
             _triangulate(mapper, options(False))
             _register(mapper, options(False), tuning.start.staged.register_rounds)
             send(model.num_reg_frames())
@@ -95,6 +100,26 @@ def _thin(mapper: pycolmap.IncrementalMapper, tuning: FewPointsTuning) -> None:
     """Leave the points that tell most."""
     for point_id in points_that_can_wait(mapper.reconstruction, tuning):
         mapper.observation_manager.delete_point3D(point_id)
+
+
+def place_doubted(
+    model: pycolmap.Reconstruction, database: Path, options: Options, tuning: Tuning, doubted: Doubted
+) -> None:
+    """Place the doubted frames of a mapper's model by their matches, and those that have no place yet."""
+    wrong = doubted(model)
+    if not wrong:
+        return
+    mapper = pycolmap.IncrementalMapper(read_cache(database, options.min_num_matches))
+    mapper.begin_reconstruction(model)
+    _take_out(mapper, wrong)
+    _register(mapper, options, tuning.start.staged.register_rounds)
+    mapper.end_reconstruction(False)
+    model.update_point_3d_errors()
+
+
+def _take_out(mapper: pycolmap.IncrementalMapper, frames: Collection[int]) -> None:
+    for frame_id in sorted(frames):
+        mapper.observation_manager.deregister_frame(frame_id)
 
 
 def _register(mapper: pycolmap.IncrementalMapper, options: Options, rounds: int) -> None:
