@@ -9,6 +9,7 @@ from tiegraph.geometry.geodesy import (
     far_from_rest,
     geodetic_from_world,
     make_origin,
+    middle,
     utm_crs,
     world_from_geodetic,
 )
@@ -27,6 +28,15 @@ def test_round_trip_and_metres(crs):
     assert 142.9 < np.hypot(step[0], step[1]) < 143.5
     assert abs(step[2] - 10) < 0.01
     assert np.abs(world).max() < 500
+
+
+@pytest.mark.parametrize(
+    ("lon", "expected"),
+    [([10.0, 11, 13], 11.0), ([179.9, -179.9, -179.7], -179.9), ([-179.9, 179.9, 179.8], 179.9)],
+)
+def test_the_middle_of_positions_about_the_date_line_is_there(lon: list[float], expected: float) -> None:
+    found = middle(np.array([[1.0, a, 5.0] for a in lon]))
+    assert found == pytest.approx((1.0, expected, 5.0))
 
 
 def test_japanese_plane_axes_are_east_north():

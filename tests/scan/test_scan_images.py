@@ -109,6 +109,13 @@ def test_exif_position_time_and_focal_length(tmp_path: Path) -> None:
     assert (found.make, found.model) == ("Canon", "EOS")
 
 
+@pytest.mark.parametrize(("reference", "height"), [(0, 428.0), (1, -428.0), (2, 428.0), (3, -428.0)])
+def test_exif_3_heights_below_sea_level(tmp_path: Path, reference: int, height: float) -> None:
+    exif = exif_of(lat=31.5, lon=35.5, alt=428)
+    exif.get_ifd(0x8825)[5] = bytes([reference])
+    assert probe_image(picture(tmp_path / "a.jpg", exif=exif), ImageTuning()).exif.height_m == height
+
+
 @pytest.mark.parametrize(
     "size, smaller",
     [((6000, 4000), 1.0), ((1500, 1000), 0.25), ((1000, 1500), 0.25), ((4000, 4000), 1.0), ((1000, 1000), 0.25)],

@@ -66,7 +66,44 @@ def test_gnss_tables_of_many_shapes(tmp_path: Path, text: str) -> None:
     gnss = read_gnss(path, GnssTuning())
     assert gnss.time_s.tolist() == [10, 11]
     assert gnss.lat_lon_height.tolist() == [[35, 139, 40], [35.001, 139.001, 41]]
-    assert gnss.sigma_m == pytest.approx(np.array([[0.1, 0.1, 0.2]] * 2)) and gnss.notes == ()
+    assert gnss.sigma_m == pytest.approx(np.array([[0.1, 0.1, 0.2]] * 2))
+    assert gnss.notes == (("g.csv: the columns height, lon, lat, time, sigma_h, sigma_v are read; passed over: q",)
+                          if text[0] == "q" else ())  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "image,lat,lat_ref,lon,lon_ref,height\na.jpg,33.5,S,70.25,W,40\n",
+        "image,lat,n/s,lon,e/w,alt\na.jpg,33.5,s,70.25,w,40\n",
+        "SourceFile,GPSLatitude,GPSLongitude,GPSAltitude\n"
+        "a.jpg,\"33 deg 30' 0.00\"\" S\",\"70 deg 15' 0.00\"\" W\",40\n",
+        "image;lat;lon;height\na.jpg;S33.5;70.25 W;40\n",
+        "image;lat;lon;height\na.jpg;33°30'0\"S;70°15'W;40\n",
+    ],
+)  # fmt: skip
+def test_the_half_of_the_earth_may_be_a_letter(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "g.csv"
+    path.write_text(text)
+    gnss = read_gnss(path, GnssTuning())
+    assert gnss.lat_lon_height == pytest.approx(np.array([[-33.5, -70.25, 40.0]])) and gnss.notes == ()
+
+
+def test_another_letter_is_an_error_with_its_line(tmp_path: Path) -> None:
+    path = tmp_path / "g.csv"
+    path.write_text("image,lat,lat_ref,lon,height\na.jpg,33.5,E,70.25,40\n")
+    with pytest.raises(InputError, match="g.csv, line 2: lat_ref 'E' is not N or S"):
+        read_gnss(path, GnssTuning())
+
+
+@pytest.mark.parametrize(("pitch", "heading"), [(-90, np.nan), (4, 120)])
+def test_the_yaw_of_a_tilted_camera_is_no_heading(tmp_path: Path, pitch: float, heading: float) -> None:
+    path = tmp_path / "g.csv"
+    path.write_text(f"image,lat,lon,height,yaw,pitch,roll\na.jpg,33.5,70.25,40,120,{pitch},0\n")
+    gnss = read_gnss(path, GnssTuning())
+    np.testing.assert_equal(gnss.heading_deg, [heading])
+    said = "yaw, pitch, roll: cameras tilted by up to 90 degrees: these angles are passed over"
+    assert (said in gnss.notes[0]) == (pitch == -90)
 
 
 @pytest.mark.parametrize(
@@ -220,6 +257,19 @@ def test_positions_from_exif(tmp_path: Path) -> None:
     assert np.isnan(got[3]).all() and scene.prior == "exif"
     assert np.allclose(scene.position_sigma_m[:3], [5, 5, 10])
     assert scene.origin is not None and scene.origin.crs == "EPSG:6677"
+
+
+@pytest.mark.parametrize("crs", ["ENU", "auto"])
+def test_a_survey_on_both_sides_of_180_degrees_is_one_place(tmp_path: Path, crs: str) -> None:
+    for k in range(4):
+        picture(
+            tmp_path / f"IMG_{k}.jpg", exif=exif_of(lat=-16.8, lon=(179.9997 + 0.0002 * k + 180) % 360 - 180, alt=5)
+        )
+    scene = scan(tmp_path, ScanSettings(crs=crs))
+    assert scene.origin is not None and abs(scene.origin.lon_deg) > 179.999
+    steps = np.diff(scene.world_from_rig[:, :3, 3], axis=0)
+    assert np.abs(scene.world_from_rig[:, :2, 3]).max() < 150
+    assert np.linalg.norm(steps, axis=1) == pytest.approx(np.full(3, 21.3), abs=0.05)  # 0.0002 deg at 16.8 south
 
 
 # --- trajectories --------------------

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+import shutil
+import subprocess
 from pathlib import Path
 
 import laspy
@@ -11,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from tiegraph.geometry.geodesy import Origin, make_origin
 from tiegraph.scene.atomic import same_file
-from tiegraph.scene.cloudfile import read_cloud
+from tiegraph.scene.cloudfile import read_cloud, write_cloud
 from tiegraph.scene.copc import write_copc
 from tiegraph.scene.results import Cloud
 
@@ -74,3 +77,38 @@ def test_an_empty_cloud_and_a_second_name(tmp_path: Path) -> None:
     assert len(read_cloud(tmp_path / "c.laz", UTM)) == 0
     with laspy.open(tmp_path / "c.laz") as file:
         assert file.header.parse_crs().to_epsg() == 6691
+
+
+@pytest.mark.parametrize("name", ["c.copc.laz", "c.laz", "c.las"])
+def test_extra_dimensions_state_no_extremes_that_are_not_theirs(tmp_path: Path, name: str) -> None:
+    """Said before a point is written they were 0 and 2^64 - 1, at which the reader of Potree and iTowns stops."""
+    path, part = tmp_path / name, wall(300, 0, UTM)
+    if name == "c.copc.laz":
+        write_copc(lambda: iter([part]), path, SPACING, tmp_path)
+    else:
+        write_cloud(part, path)
+    with laspy.open(path) as reader:
+        records = reader.header.vlrs.get("ExtraBytesVlr")[0].extra_bytes_structs
+        assert [r.format_name() for r in records] == ["sigma_m", "views", "NormalX", "NormalY", "NormalZ"]
+        assert all(record.min is None and record.max is None for record in records)
+
+
+_READ_BY_COPC_JS = """
+const { Copc } = require('copc'), b = require('fs').readFileSync(process.argv[1]);
+const get = async (from, to) => new Uint8Array(b.subarray(from, to));
+(async () => {
+  const c = await Copc.create(get), { nodes } = await Copc.loadHierarchyPage(get, c.info.rootHierarchyPage);
+  const view = await Copc.loadPointDataView(get, c, nodes['0-0-0-0']);
+  console.log(JSON.stringify([c.header.pointCount, view.getter('sigma_m')(0)]));
+})();
+"""
+
+
+def test_the_reader_of_web_viewers_opens_it(tmp_path: Path) -> None:
+    """npm ``copc``, which Potree, iTowns and giro3d bundle: `npm install -g copc` and NODE_PATH=$(npm root -g)."""
+    node = shutil.which("node")
+    if node is None or subprocess.run([node, "-e", "require.resolve('copc')"], capture_output=True).returncode:
+        pytest.skip("node or its package copc is not installed")
+    write_copc(lambda: iter([wall(3000, 0, UTM)]), tmp_path / "c.copc.laz", SPACING, tmp_path)
+    read = subprocess.run([node, "-e", _READ_BY_COPC_JS, tmp_path / "c.copc.laz"], capture_output=True, text=True)
+    assert read.stderr == "" and json.loads(read.stdout) == [3000, pytest.approx(0.01)]

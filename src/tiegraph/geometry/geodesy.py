@@ -51,6 +51,13 @@ class Origin:
         return Origin(**given)
 
 
+def middle(lat_lon_height: np.ndarray) -> tuple[float, float, float]:
+    """The median of positions (N, 3) in each coordinate; those on both sides of 180 degrees are neighbours."""
+    lat, lon, height = np.asarray(lat_lon_height, float).T
+    beside = float(np.median(lon % 360 if np.ptp(lon) > 180 else lon))
+    return float(np.median(lat)), beside - 360 if beside > 180 else beside, float(np.median(height))
+
+
 def utm_crs(lat_deg: float, lon_deg: float) -> str:
     """EPSG code of the WGS84 / UTM zone of a position."""
     zone = int((lon_deg + 180) // 6) % 60 + 1

@@ -72,7 +72,7 @@ STAGES = (
     _stage("refine", ("masks", "georef"), ("refine/masks", "refine/classes"), "image", version=3,
            tuned=("masks", "sfm")),
     _stage("dense", ("georef", "refine"), ("depth",), "image", version=5, passing=True),
-    _stage("cloud", ("dense",), ("cloud.copc.laz", "cloud.laz", "cloud.ply", "passes"), version=5,
+    _stage("cloud", ("dense",), ("cloud.copc.laz", "cloud.laz", "cloud.ply", "passes"), version=6,
            scratch=(".tiles",), tuned=("evaluate",)),
     _stage("evaluate", ("filter", "georef", "refine", "dense", "cloud"), ("metrics.json", "accuracy.csv", "evaluate"),
            version=8, scratch=("evaluate/.tiles",), tuned=("scene",), spares=("dense", "cloud")),

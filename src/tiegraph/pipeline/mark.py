@@ -14,7 +14,7 @@ import pycolmap
 
 from tiegraph.errors import InputError
 from tiegraph.geometry.align import Similarity, umeyama
-from tiegraph.geometry.geodesy import make_origin
+from tiegraph.geometry.geodesy import make_origin, middle
 from tiegraph.pipeline.files import checked, load_json, load_model, read_image, scanned, world_origin
 from tiegraph.project.run import Run
 from tiegraph.project.stages import write_atomic
@@ -194,9 +194,9 @@ def open_marking(run: Run, points: Path | None, target: Path) -> Marking:
     parse_crs_line(crs, str(given))
     folder = next((f for f in (run.path("sparse", "world"), run.path("sparse", "0")) if f.exists()), None)
     if origin is None:
-        middle = np.mean([p.xyz for p in file.points], axis=0)
-        here = make_origin(float(middle[0]), float(middle[1]), float(middle[2])) if file.geographic else None
-        surveyed = np.array([p.xyz for p in file.points]) - middle if here is None else surveyed_world(file, here)
+        points = np.array([p.xyz for p in file.points])
+        here = make_origin(*middle(points)) if file.geographic else None
+        surveyed = points - points.mean(axis=0) if here is None else surveyed_world(file, here)
     else:
         surveyed = surveyed_world(file, origin)
     session = Marking(

@@ -150,6 +150,7 @@ def las_header(
     if said:
         header.vlrs.append(laspy.VLR("LASF_Spec", 3, "text area", said.encode("ascii") + b"\0"))
     header.add_extra_dims([laspy.ExtraBytesParams(name, kind) for name, kind in extra])
+    _without_extremes(header)
     offset = shift_of(first.origin)
     middle = first.xyz_m.mean(axis=0) if len(first) else np.zeros(3)
     header.offsets = offset + np.where(np.abs(middle) > _FAR, np.round(middle), 0)
@@ -163,6 +164,13 @@ def las_header(
         return header, (_enu_note(first.origin),)
     header.add_crs(parse_crs(first.origin.crs), keep_compatibility=True)
     return header, (f"{first.origin.crs}; heights are above the WGS84 ellipsoid",)
+
+
+def _without_extremes(header: laspy.LasHeader) -> None:
+    """State no minimum and no maximum of the extra dimensions: laspy marks them as stated, but has NaN there if one
+    point has it, and the largest and smallest numbers there are if no point went through its writer."""
+    for record in header.vlrs.get("ExtraBytesVlr")[0].extra_bytes_structs:
+        record.options &= ~(record.MIN_BIT_MASK | record.MAX_BIT_MASK)
 
 
 def las_points(cloud: Cloud, header: laspy.LasHeader) -> laspy.ScaleAwarePointRecord:

@@ -11,7 +11,15 @@ from typing import Any
 import numpy as np
 
 from tiegraph.errors import InputError
-from tiegraph.geometry.geodesy import ENU, Origin, crs_transformer, make_origin, vertical_note, world_from_geodetic
+from tiegraph.geometry.geodesy import (
+    ENU,
+    Origin,
+    crs_transformer,
+    make_origin,
+    middle,
+    vertical_note,
+    world_from_geodetic,
+)
 from tiegraph.scene.gcp import FileMark, GcpFile
 from tiegraph.scene.markpixels import (
     AS_IS,
@@ -312,8 +320,7 @@ def _origin_of_points(file: GcpFile, crs: str) -> Origin:
     keep = own.startswith("EPSG") and pyproj.CRS.from_user_input(own).is_projected
     chosen = own if crs == "auto" and keep else crs
     llh = _geodetic(np.array([p.xyz for p in file.points], float), own, file)
-    lat, lon, height = (float(v) for v in np.median(llh, axis=0))
-    return make_origin(lat, lon, height, chosen)
+    return make_origin(*middle(llh), chosen)
 
 
 def _geodetic(xyz: np.ndarray, crs: str, file: GcpFile) -> np.ndarray:

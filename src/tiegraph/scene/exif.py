@@ -158,7 +158,7 @@ def _angle(gps: dict, key: int, reference_key: int, negative: str) -> float:
 def _height(gps: dict) -> float:
     height = _number(gps.get(6), NAN)
     reference = gps.get(5)
-    below = reference in (1, b"\x01")
+    below = reference in (1, 3, b"\x01", b"\x03")  # 2 and 3 (EXIF 3.0): above and below sea level, no ellipsoid
     return -height if below else height
 
 

@@ -16,6 +16,11 @@ from tiegraph.scene.regular import regular
 
 TIME_LIMIT_S = 1e11  # the year 5138: what is larger in size is no time in seconds
 _UNIT_S = {"ms": 1e-3, "msec": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}
+# A half of the Earth, degrees, minutes, seconds, a half: "N35.5", "35 deg 41' 22.2\" N", "35°41'22.2\"".
+_ANGLE = re.compile(
+    r"\s*([NSEW])?\s*([+-]?\d+(?:\.\d*)?)\s*(?:°|DEG|D)?\s*(?:(\d+(?:\.\d*)?)\s*['′M])?\s*(?:(\d+(?:\.\d*)?)\s*(?:\"|″|''|S(?=\s)))?"
+    r"\s*([NSEW])?\s*"
+)
 _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+")
 _SHOWN_LINES = 5
 
@@ -67,6 +72,27 @@ class Table:
                     f"{self.path}, line {self.line(k)}: {self.cell(k, column)!r} has a decimal comma: write numbers "
                     "with a point"
                 )
+        return out
+
+    def angles(self, column: int | None, half: int | None, letters: str) -> np.ndarray:
+        """(R,) degrees of a column, negative on the second half of the Earth that ``letters``, NS or EW, name. The
+        letter stands in the cell or in a column ``half``; NaN where there is none. Cells may have minutes and seconds.
+
+        Raises InputError for another letter, and for decimal commas.
+        """
+        out = self.numbers(column)
+        for k in range(len(out)):
+            cell, word = self.cell(k, column), self.cell(k, half).upper()
+            if np.isnan(out[k]) and (found := _ANGLE.fullmatch(cell.upper())):
+                whole, minutes, seconds = (float(found[n] or 0) for n in (2, 3, 4))
+                out[k] = np.copysign(abs(whole) + minutes / 60 + seconds / 3600, whole)
+                word = word or found[1] or found[5] or ""
+            if np.isnan(out[k]) or not word:
+                continue
+            if word[0] not in letters:
+                where = self.columns[half if half is not None else column or 0]
+                raise InputError(f"{self.path}, line {self.line(k)}: {where} {word!r} is not {' or '.join(letters)}")
+            out[k] = abs(out[k]) * (-1 if word[0] == letters[1] else 1)
         return out
 
     def times(self, column: int | None, date: int | None = None) -> np.ndarray:

@@ -9,11 +9,14 @@ from tiegraph.scene.gnss.fixes import EMPTY, SIGMA_RANGE_M, Fixes
 from tiegraph.scene.table import Table, read_table
 from tiegraph.scene.timecolumns import times_of
 
-IMAGE = ("image", "name", "file", "filename", "file_name", "image_name", "photo", "label")
-_LAT = ("lat", "latitude", "lat_deg", "latitude_deg", "phi")
-_LON = ("lon", "long", "lng", "longitude", "lon_deg", "longitude_deg", "long_deg", "lambda")
+IMAGE = ("image", "name", "file", "filename", "file_name", "image_name", "photo", "label", "sourcefile")
+_LAT = ("lat", "latitude", "lat_deg", "latitude_deg", "gpslatitude", "gps_latitude", "phi")
+_LON = ("lon", "long", "lng", "longitude", "lon_deg", "longitude_deg", "long_deg", "gpslongitude", "gps_longitude",
+        "lambda")  # fmt: skip
 _HEIGHT = ("ellipsoidal_height", "ellh", "height", "alt", "altitude", "elevation", "h", "height_m", "alt_m",
-           "altitude_m", "elev", "z")  # fmt: skip
+           "altitude_m", "elev", "gpsaltitude", "gps_altitude", "z")  # fmt: skip
+_HALVES = ("{}_ref", "{}ref", "{}_hemisphere", "{}_hemi", "{}_dir", "{}_direction")  # of the column of an angle
+_NORTH_SOUTH, _EAST_WEST = ("n_s", "ns", "north_south"), ("e_w", "ew", "east_west")
 _SIGMA = ("sigma", "sigma_m", "std", "stdev", "accuracy", "sd", "error")
 _SIGMA_H = ("sigma_h", "sigma_h_m", "std_h", "hacc", "h_acc", "sdh", "horizontal_accuracy", "sigma_horizontal")
 _SIGMA_V = (
@@ -31,6 +34,9 @@ _SIGMA_V = (
 _SIGMA_E = ("sde", "sigma_e", "std_e")
 _SIGMA_N = ("sdn", "sigma_n", "std_n")
 _HEADING = ("heading", "heading_deg", "yaw", "yaw_deg", "azimuth")
+_CLOCK = ("time", "date", "week", "sow", "tow", "utc", "leap")  # a word of columns that a time may be made of
+_TILT = ("pitch", "roll", "omega", "phi")  # any column with such a word
+_LEVEL_DEG = 20.0  # a body tilted by more has no heading that a table of yaw, pitch and roll gives by its yaw alone
 _SIGMAS = (_SIGMA, _SIGMA_H, _SIGMA_V, _SIGMA_E, _SIGMA_N)
 _NOT_METRES = ("ft", "feet", "foot", "us-ft", "ftus", "cm", "mm", "km")
 
@@ -45,7 +51,9 @@ def read_columns(path: Path) -> Fixes:
     table = read_table(path, "GNSS file")
     lat, lon, height = table.find(_LAT), table.find(_LON), table.find(_HEIGHT)
     _check_units(table, (lat, lon), height)
-    llh = np.stack([table.numbers(c) for c in (lat, lon, height)], axis=1)
+    halves = [_half(table, column, also) for column, also in ((lat, _NORTH_SOUTH), (lon, _EAST_WEST))]
+    angles = [table.angles(c, half, letters) for c, half, letters in zip((lat, lon), halves, ("NS", "EW"))]
+    llh = np.stack([*angles, table.numbers(height)], axis=1)
     image = table.find(IMAGE)
     times = times_of(table) if image is None else None
     missing = [n for n, c in (("lat", lat), ("lon", lon), ("height", height)) if c is None]
@@ -65,6 +73,7 @@ def read_columns(path: Path) -> Fixes:
 
     sigma = _sigma(table, notes)
     heading = _heading(table, notes)
+    _say_passed_over(table, {image, times.column if times else None, *columns.values(), *halves}, notes)
     return Fixes(
         path=table.path,
         line=[line for line, _ in table.rows],
@@ -77,6 +86,22 @@ def read_columns(path: Path) -> Fixes:
         period_s=times.period_s if times else 0.0,
         text=text,
     )
+
+
+def _half(table: Table, angle: int | None, also: tuple[str, ...]) -> int | None:
+    """The column that says on which half of the Earth an angle is, if there is one."""
+    if angle is None:
+        return None
+    return table.find((*(half.format(table.columns[angle]) for half in _HALVES), *also))
+
+
+def _say_passed_over(table: Table, used: set[int | None], notes: list[str]) -> None:
+    """Which columns tell nothing here: the kind of a receiver's fix or another height may be among them."""
+    read = used | {table.find(a) for a in (*_SIGMAS, _HEADING)}
+    over = [c for k, c in enumerate(table.columns) if c and k not in read and not set(c.split("_")) & set(_CLOCK)]
+    if over:
+        named = ", ".join(table.columns[k] for k in sorted(k for k in read if k is not None))
+        notes.append(f"{table.path.name}: the columns {named} are read; passed over: {', '.join(over)}")
 
 
 def _check_units(table: Table, angles: tuple[int | None, ...], height: int | None) -> None:
@@ -126,6 +151,15 @@ def _sigma(table: Table, notes: list[str]) -> np.ndarray:
 def _heading(table: Table, notes: list[str]) -> np.ndarray:
     found = table.find(_HEADING)
     values = table.numbers(found)
+    tilted = [k for k, c in enumerate(table.columns) if set(c.split("_")) & set(_TILT)]
+    if found is not None and tilted:
+        most = max(float(np.nanmax(np.abs(table.numbers(k)), initial=0)) for k in tilted)
+        if most > _LEVEL_DEG:
+            notes.append(
+                f"{table.path.name}: {', '.join(table.columns[k] for k in (found, *tilted))}: cameras tilted by up to "
+                f"{most:.0f} degrees: these angles are passed over, the images tell the attitudes"
+            )
+            return np.full(len(values), np.nan)
     return _believed(table, found, values, np.abs(values) <= 360, notes, "no angle in degrees: not used")
 
 
