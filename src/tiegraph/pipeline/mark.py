@@ -194,9 +194,9 @@ def open_marking(run: Run, points: Path | None, target: Path) -> Marking:
     parse_crs_line(crs, str(given))
     folder = next((f for f in (run.path("sparse", "world"), run.path("sparse", "0")) if f.exists()), None)
     if origin is None:
-        points = np.array([p.xyz for p in file.points])
-        here = make_origin(*middle(points)) if file.geographic else None
-        surveyed = points - points.mean(axis=0) if here is None else surveyed_world(file, here)
+        xyz = np.array([p.xyz for p in file.points])
+        here = make_origin(*middle(xyz)) if file.geographic else None
+        surveyed = xyz - xyz.mean(axis=0) if here is None else surveyed_world(file, here)
     else:
         surveyed = surveyed_world(file, origin)
     session = Marking(
