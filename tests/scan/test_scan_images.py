@@ -8,7 +8,7 @@ from PIL import Image
 from scan_worlds import data, exif_of, picture
 
 from tiegraph.errors import InputError
-from tiegraph.scene.images import find_images, probe_image
+from tiegraph.scene.images import EIGHT_BIT, eight_bit, find_images, probe_image
 from tiegraph.scene.tuning import ImageTuning
 
 
@@ -46,7 +46,7 @@ def test_a_file_instead_of_a_folder(tmp_path: Path) -> None:
 
 def test_probe_of_a_good_image_is_picklable_and_small(tmp_path: Path) -> None:
     probe = probe_image(picture(tmp_path / "a.jpg", (640, 480)), ImageTuning())
-    assert (probe.width, probe.height, probe.bits, probe.reason) == (640, 480, 8, "")
+    assert (probe.width, probe.height, probe.levels, probe.reason) == (640, 480, EIGHT_BIT, "")
     assert len(pickle.dumps(probe)) < 1000
     assert pickle.loads(pickle.dumps(probe)) == pickle.loads(pickle.dumps(probe)) or np.isnan(probe.exif.focal_px)
 
@@ -81,13 +81,21 @@ def test_unreadable_raw_tiny_and_float_images_say_why(tmp_path: Path) -> None:
     assert "convert to 8 or 16 bits" in probe_image(tmp_path / "d.tif", ImageTuning()).reason
 
 
-@pytest.mark.parametrize("top, bits", [(200, 8), (1000, 10), (4095, 12), (65535, 16)])
-@pytest.mark.parametrize("channels", [1, 3])
-def test_significant_bits_of_deep_images(tmp_path: Path, top: int, bits: int, channels: int) -> None:
-    pixels = np.linspace(0, top, 64 * 64 * channels).astype(np.uint16).reshape(64, 64, channels)
+@pytest.mark.parametrize("low, high", [(0, 1000), (0, 65535), (28_500, 31_000)])
+@pytest.mark.parametrize("channels", [1, 3, 4])
+@pytest.mark.parametrize("hot", [False, True])
+def test_the_levels_of_deep_images_are_what_most_pixels_use(
+    tmp_path: Path, low: int, high: int, channels: int, hot: bool
+) -> None:
+    pixels = np.linspace(low, high, 64 * 64 * channels).astype(np.uint16).reshape(64, 64, channels)
+    pixels[..., 3:] = 65535
+    if hot:
+        pixels[5, 5], pixels[7, 7] = 65535, 0
     cv2.imwrite(str(tmp_path / "a.png"), pixels)
     probe = probe_image(tmp_path / "a.png", ImageTuning())
-    assert (probe.bits, probe.reason) == (bits, "")
+    assert probe.levels == pytest.approx((low, high), abs=0.003 * (high - low)) and probe.reason == ""
+    shown = eight_bit(pixels, probe.levels)[..., :3]
+    assert shown.dtype == np.uint8 and len(np.unique(shown)) > 250
 
 
 def test_exif_position_time_and_focal_length(tmp_path: Path) -> None:

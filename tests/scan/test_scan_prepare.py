@@ -64,7 +64,7 @@ def test_twelve_bit_images_keep_their_brightness(tmp_path: Path, channels: int) 
     pixels = np.full((64, 64, channels), 2048, np.uint16)
     pixels[:, 32:, 0] = 1024
     cv2.imwrite(str(tmp_path / "a.png"), pixels)
-    target = prepared(tmp_path / "a.png", Sensor("camera", source=Source(bits=12)))
+    target = prepared(tmp_path / "a.png", Sensor("camera", source=Source(levels=(0, 4095))))
     out = cv2.imread(str(target), cv2.IMREAD_UNCHANGED)
     assert out.dtype == np.uint8 and out.reshape(64, 64, -1)[0, 0].tolist() == [128] * (1 if channels == 1 else 3)
     assert out.reshape(64, 64, -1)[0, 40, 0] == 64

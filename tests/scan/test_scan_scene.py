@@ -266,7 +266,7 @@ def test_deep_images_tell_their_depth(tmp_path: Path) -> None:
         pixels = np.full((48, 64), 900 + k, np.uint16)
         Image.fromarray(pixels).save(tmp_path / f"{k}.png")
     source = scan(tmp_path).sensor_of(0).source
-    assert source is not None and source.bits == 10
+    assert source is not None and source.levels == (900, 902)
 
 
 def test_scene_survives_json(tmp_path: Path) -> None:

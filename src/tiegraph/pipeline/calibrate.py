@@ -40,7 +40,7 @@ from tiegraph.scan.tuning import Tuning as ScanTuning
 from tiegraph.scan.usable import usable_images
 from tiegraph.scene.atomic import must_be_new
 from tiegraph.scene.hanging import WIDE
-from tiegraph.scene.images import Probe, probe_image, search_images
+from tiegraph.scene.images import Levels, Probe, eight_bit, probe_image, search_images
 from tiegraph.scene.names import clean_names
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.text import one_line
@@ -95,7 +95,7 @@ class _File:
     instant: int
     name: str
     upright: bool
-    bits: int
+    levels: Levels
 
 
 @dataclass(frozen=True)
@@ -141,7 +141,7 @@ def _read_folder(
     )
     instants = _instants(names, owned, sequence, settings.frames, tuning)
     files = tuple(
-        _File(path=paths[k], camera=c, instant=instants[k], name=names[k], upright=upright[c], bits=probes[k].bits)
+        _File(path=paths[k], camera=c, instant=instants[k], name=names[k], upright=upright[c], levels=probes[k].levels)
         for c, own in enumerate(owned)
         for k in own
     )
@@ -255,9 +255,7 @@ def _corners(file: _File, board: Board, tuning: BoardTuning) -> Corners:
     pixels = cv2.imdecode(np.frombuffer(file.path.read_bytes(), np.uint8), flag)
     if pixels is None:
         raise InputError(f"{file.path}: OpenCV cannot read it: convert it to JPEG or PNG")
-    if pixels.dtype != np.uint8:
-        pixels = (pixels // 2 ** (file.bits - 8)).astype(np.uint8)
-    return detect(pixels, board, tuning)
+    return detect(eight_bit(pixels, file.levels), board, tuning)
 
 
 # --- what is written ------------------------------------------------------------------------------------------------

@@ -34,6 +34,7 @@ from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import Tuning as ScanTuning
 from tiegraph.scene.atomic import must_be_new
 from tiegraph.scene.colmapmodel import read_model
+from tiegraph.scene.images import EIGHT_BIT
 from tiegraph.scene.rig import Rig, Sensor, calibrated
 from tiegraph.sfm.adjustment.adjust import free_cameras
 from tiegraph.sfm.covariance import planned_sigma
@@ -199,7 +200,7 @@ def _camera(
         raise InputError("nothing says how large the images are: give --size 2448x2050, or a --rig with cameras")
     if not known and focal_px is None:
         raise InputError(f"the focal length of {sensor.name} is not known: give --focal and --pixel, or --focal-px")
-    facts = FileFacts(size, focal_px or float("nan"), upright=True, bits=8, loose=False)
+    facts = FileFacts(size, focal_px or float("nan"), upright=True, levels=EIGHT_BIT, loose=False)
     return calibrate(sensor, facts, spec.file, ScanSettings(), tuning.rig.camera).camera
 
 

@@ -13,6 +13,7 @@ from tiegraph.scan.rigfiles.rigfaults import focal_fault, lens_fault
 from tiegraph.scan.rigfiles.rigspec import SensorSpec
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import CameraTuning
+from tiegraph.scene.images import EIGHT_BIT, Levels
 from tiegraph.scene.rig import Source
 
 
@@ -23,7 +24,7 @@ class FileFacts:
     size: tuple[int, int]  # width, height of most of them, upright if ``upright``
     focal_px: float  # median of EXIF, NaN = none
     upright: bool
-    bits: int
+    levels: Levels
     loose: bool
     radius_px: float = float("nan")  # of the circle that a fisheye lens lights of most of them, NaN = none shows
 
@@ -65,8 +66,11 @@ def calibrate(
             )
         if not prepared.is_undistorted():
             prepared = pinhole_camera(prepared)
-    changed = spec.of_panorama or any(crop) or prepared.model != camera.model or not facts.upright or facts.bits > 8
-    source = Source(camera=camera, crop_px=crop, upright=facts.upright, bits=facts.bits, panorama=spec.of_panorama)
+    deep = facts.levels != EIGHT_BIT
+    if deep:
+        how += "; pixels of 16 bits: {} to {} become 0 to 255".format(*facts.levels)
+    changed = spec.of_panorama or any(crop) or prepared.model != camera.model or not facts.upright or deep
+    source = Source(camera=camera, crop_px=crop, upright=facts.upright, levels=facts.levels, panorama=spec.of_panorama)
     source = replace(source, part=spec.part)
     return Calibrated(prepared, source if changed or spec.part is not None else None, how)
 

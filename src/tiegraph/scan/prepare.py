@@ -18,7 +18,7 @@ from tiegraph.scene.atomic import replacing
 from tiegraph.scene.exif import Taken, exif_of
 from tiegraph.scene.filecache import cached_by_file
 from tiegraph.scene.fisheye import render_lens_view
-from tiegraph.scene.images import decode_deep, deep_png, open_image
+from tiegraph.scene.images import Levels, decode_deep, deep_png, eight_bit, open_image
 from tiegraph.scene.panorama import render_view
 from tiegraph.scene.regular import real_path, regular
 from tiegraph.scene.rig import Sensor, Source, camera_from_dict, camera_to_dict
@@ -78,7 +78,7 @@ def _changed_pixels(
         changed = bend or how.view is not None or how.part is not None or any(how.crop_px)
         if image is not None and not changed and _plain(image, data, suffix):
             return None
-        pixels = _eight_bit(image, data, how.bits)
+        pixels = _eight_bit(image, data, how.levels)
     except OSError as error:
         raise _gone(path, error) from None
     if image is not None and how.upright:
@@ -108,14 +108,14 @@ def _cropped(pixels: np.ndarray, how: Source) -> np.ndarray:
 
 def _view(path: Path, how: Source, sensor: Sensor) -> np.ndarray:
     assert how.camera is not None and sensor.sensor_from_rig is not None
-    return render_view(_panorama(path, how.bits), how.camera, sensor.sensor_from_rig[:3, :3])
+    return render_view(_panorama(path, how.levels), how.camera, sensor.sensor_from_rig[:3, :3])
 
 
 @cached_by_file(maxsize=1)  # its views are made one after another
-def _panorama(path: Path, bits: int) -> np.ndarray:
+def _panorama(path: Path, levels: Levels) -> np.ndarray:
     try:
         data = regular(path).read_bytes()
-        return _eight_bit(_opened(data), data, bits)
+        return _eight_bit(_opened(data), data, levels)
     except OSError as error:
         raise _gone(path, error) from None
 
@@ -133,7 +133,7 @@ def _plain(image: Image.Image, data: bytes, suffix: str) -> bool:
     return kept and image.mode in ("L", "RGB") and not deep_png(data) and not turned
 
 
-def _eight_bit(image: Image.Image | None, data: bytes, bits: int) -> np.ndarray:
+def _eight_bit(image: Image.Image | None, data: bytes, levels: Levels) -> np.ndarray:
     pixels: Any
     if image is not None and not image.mode.startswith("I") and not deep_png(data):
         return np.asarray(image.convert("L" if image.mode in ("1", "L", "LA") else "RGB"))
@@ -142,9 +142,7 @@ def _eight_bit(image: Image.Image | None, data: bytes, bits: int) -> np.ndarray:
         pixels = np.asarray(image)
     if pixels.ndim == 3:
         pixels = cv2.cvtColor(pixels, cv2.COLOR_BGRA2RGB if pixels.shape[2] == 4 else cv2.COLOR_BGR2RGB)
-    if pixels.dtype != np.uint8:
-        pixels = np.minimum(np.right_shift(pixels, max(bits - 8, 0)), 255).astype(np.uint8)
-    return pixels
+    return eight_bit(pixels, levels)
 
 
 def _turn(pixels: np.ndarray, orientation: int) -> np.ndarray:

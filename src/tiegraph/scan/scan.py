@@ -29,7 +29,7 @@ from tiegraph.scan.twolenses import two_lenses
 from tiegraph.scan.usable import need_two, usable_images
 from tiegraph.scene.exif import Exif
 from tiegraph.scene.hanging import wide_first
-from tiegraph.scene.images import IMAGES_FOLDER, Probe, find_images, probe_image
+from tiegraph.scene.images import EIGHT_BIT, IMAGES_FOLDER, Probe, find_images, probe_image
 from tiegraph.scene.names import clean, shortened
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene
@@ -204,13 +204,13 @@ def _facts(shots: list[Shot], probes: Sequence[Probe], loose: bool, tuning: Tuni
     upright = _upright(shots, probes, loose)
     of = [probes[s.image] for s in shots]
     focal = [p.exif.focal_px for p in of if np.isfinite(p.exif.focal_px)]
-    bits = max(p.bits for p in of)
+    deep = [p.levels for p in of if p.levels != EIGHT_BIT]
     radii = [p.circles[0][2] for p in of if len(p.circles) == 1]
     return FileFacts(
         size=_size(of[0], upright),
         focal_px=float(np.median(focal)) if focal else float("nan"),
         upright=upright,
-        bits=bits,
+        levels=(min(low for low, _ in deep), max(high for _, high in deep)) if deep else EIGHT_BIT,
         loose=loose,
         radius_px=float(np.median(radii)) if len(radii) > tuning.lens_views.most * len(of) else float("nan"),
     )

@@ -33,13 +33,19 @@ _LARGEST_PX = 1_000_000_000  # PIL refuses more than 179 Mpx as an attack; surve
 _BOMB_PX, _BOMB_PX_PER_BYTE = 100_000_000, 300
 
 
+Levels = tuple[int, int]
+"""Values of a file that become 0 and 255."""
+EIGHT_BIT: Levels = (0, 255)
+_LEVELS_PERCENT, _LEVELS_PX = (0.1, 99.9), 1_000_000  # a hot pixel is none of a thousand; so many pixels tell
+
+
 @dataclass(frozen=True)
 class Probe:
     """What one look at an image file found. ``reason`` is not empty if the image cannot be used."""
 
     width: int = 0  # as stored in the file
     height: int = 0
-    bits: int = 8  # significant bits of the brightest pixel, 8 for common files
+    levels: Levels = EIGHT_BIT  # of a deeper file, see ``levels_of``
     exif: Exif = Exif()
     digest: str = ""  # of the file's bytes
     panorama: bool = False  # equirectangular, the whole sphere
@@ -191,7 +197,7 @@ def _describe(data: bytes, digest: str, tuning: ImageTuning) -> Probe:
     return Probe(
         width=image.width,
         height=image.height,
-        bits=_significant_bits(image, data),
+        levels=_deep_levels(image, data),
         exif=read_exif(image, tuning.focal_range),
         digest=digest,
         panorama=not circles and is_equirectangular(image, tuning.panorama),
@@ -255,15 +261,31 @@ def read_pixels(path: Path, flag: int = cv2.IMREAD_GRAYSCALE) -> np.ndarray | No
         return None
 
 
-def _significant_bits(image: Image.Image, data: bytes) -> int:
+def _deep_levels(image: Image.Image, data: bytes) -> Levels:
     if not image.mode.startswith("I") and not deep_png(data):
-        return 8
+        return EIGHT_BIT
     pixels = decode_deep(data) if deep_png(data) else np.asarray(image)
-    return _bits(pixels if pixels is not None else np.asarray(image))
+    return levels_of(pixels if pixels is not None else np.asarray(image))
 
 
-def _bits(pixels: np.ndarray) -> int:
-    return 8 if pixels.dtype == np.uint8 else max(8, min(16, int(pixels.max()).bit_length()))
+def levels_of(pixels: np.ndarray) -> Levels:
+    """The range that nearly all pixels (H, W) or (H, W, C) of a file of 16 bits use, and no hot pixel tells: sensors of
+    10 to 14 bits and temperatures in hundredths of a kelvin fill a small part of the 16."""
+    if pixels.dtype == np.uint8:
+        return EIGHT_BIT
+    step = max(1, int(np.sqrt(pixels.shape[0] * pixels.shape[1] / _LEVELS_PX)))
+    black, white = np.percentile(pixels[::step, ::step, ..., :3] if pixels.ndim == 3 else pixels[::step, ::step],
+                                 _LEVELS_PERCENT, method="nearest")  # fmt: skip
+    return int(black), max(int(white), int(black) + 1)
+
+
+def eight_bit(pixels: np.ndarray, levels: Levels) -> np.ndarray:
+    """Pixels with 8 bits: those of a deeper file by its camera's levels, with what lies beyond them cut off."""
+    if pixels.dtype == np.uint8:
+        return pixels
+    black, white = levels
+    table = np.clip(np.rint((np.arange(65536.0) - black) * (255 / (white - black))), 0, 255).astype(np.uint8)
+    return table[pixels if pixels.dtype == np.uint16 else np.clip(pixels, 0, 65535)]
 
 
 def _describe_array(data: bytes, digest: str) -> Probe:
@@ -274,4 +296,4 @@ def _describe_array(data: bytes, digest: str) -> Probe:
     if pixels.dtype not in (np.uint8, np.uint16):
         raise _Unusable(f"{pixels.dtype} pixels: convert to 8 or 16 bits")
     height, width = pixels.shape[:2]
-    return Probe(width=width, height=height, bits=_bits(pixels), digest=digest)
+    return Probe(width=width, height=height, levels=levels_of(pixels), digest=digest)

@@ -33,7 +33,7 @@ class Source:
     camera: pycolmap.Camera | None = None  # camera of the file before cropping and undistortion; None = not known
     crop_px: tuple[int, int, int, int] = (0, 0, 0, 0)  # cut off left, top, right, bottom
     upright: bool = True  # turn by the EXIF orientation; False: keep the sensor's own rows and columns
-    bits: int = 8  # significant bits of a pixel in the file, reduced to 8 the same way for all images of a sensor
+    levels: tuple[int, int] = (0, 255)  # of the pixels of a deeper file: what becomes 0 and 255, in all images alike
     panorama: bool = False  # the file is an equirectangular panorama; the image is a view of it along the rig's sensor
     view: LensView | None = None  # the file, cropped, is a fisheye image; the image is a view of it
     circle_px: Circle | None = None  # what the lens lights of the cropped file; None = all of it
@@ -206,7 +206,7 @@ def _source_to_dict(source: Source | None) -> dict | None:
     if source is None:
         return None
     camera, view = camera_to_dict(source.camera), source.view
-    rest: dict = {"upright": source.upright, "bits": source.bits, "panorama": source.panorama}
+    rest: dict = {"upright": source.upright, "levels": list(source.levels), "panorama": source.panorama}
     if view is not None:
         rest["view"] = {"name": view.name, "lens": camera_to_dict(view.lens), "rotation": list(view.rotation)}
     if source.circle_px is not None:
@@ -225,7 +225,7 @@ def _source_from_dict(data: dict | None) -> Source | None:
         camera=camera_from_dict(data["camera"]),
         crop_px=tuple(int(p) for p in data["crop_px"]),  # type: ignore[arg-type]
         upright=data["upright"],
-        bits=data["bits"],
+        levels=(int(data["levels"][0]), int(data["levels"][1])),
         panorama=data.get("panorama", False),
         view=None if view is None or lens is None else LensView(view["name"], lens, tuple(view["rotation"])),
         circle_px=None if circle is None else tuple(circle),
