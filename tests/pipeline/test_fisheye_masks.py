@@ -1,4 +1,5 @@
-"""What a fisheye lens does not light is masked, whatever the source of the masks; the user's are those of the views."""
+"""What a fisheye lens does not light, and what is transparent, is masked, whatever the source of the masks; the user's
+are those of the views."""
 
 from __future__ import annotations
 
@@ -8,6 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from PIL import Image
 
 import tiegraph
 from tiegraph.errors import InputError
@@ -69,3 +71,25 @@ def test_masks_of_the_user_are_those_of_the_views(tmp_path: Path) -> None:
         cv2.imwrite(str(tmp_path / "mine" / f"{view}.png"), mask)
     tiegraph.open(images, out, **options).run("masks")
     assert abs(used(out, "front/1.png").mean() - 0.5) < 0.01
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["RGBA.png", "LA.png", "RGBA.tif", "RGBA.webp", "deep.png"])
+def test_what_is_transparent_is_not_used(tmp_path: Path, kind: str) -> None:
+    """Orthophoto tiles, cut out objects, and exports of editors: their invisible pixels gave features."""
+    mode, suffix = kind.split(".")
+    folder, rng = tmp_path / "in", np.random.default_rng(0)
+    folder.mkdir()
+    for k in range(2):
+        pixels = rng.integers(60, 200, (96, 128, 4), dtype=np.uint8)
+        pixels[..., 3] = 255
+        pixels[:, 80:, 3] = 0
+        if mode == "deep":
+            cv2.imwrite(str(folder / f"{k}.png"), pixels.astype(np.uint16) * 257)
+        else:
+            Image.fromarray(pixels).convert(mode).save(folder / f"{k}.{suffix}", lossless=True)
+    out = tmp_path / "out"
+    tiegraph.open(folder, out, pool="serial").run("masks")
+    name = next(p.name for p in (out / "images").iterdir())
+    keep = used(out, name)
+    assert keep[:, :80].all() and not keep[:, 80:].any()

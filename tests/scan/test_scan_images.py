@@ -8,7 +8,7 @@ from PIL import Image
 from scan_worlds import data, exif_of, picture
 
 from tiegraph.errors import InputError
-from tiegraph.scene.images import EIGHT_BIT, eight_bit, find_images, probe_image
+from tiegraph.scene.images import EIGHT_BIT, eight_bit, find_images, probe_image, search_images
 from tiegraph.scene.tuning import ImageTuning
 
 
@@ -96,6 +96,24 @@ def test_the_levels_of_deep_images_are_what_most_pixels_use(
     assert probe.levels == pytest.approx((low, high), abs=0.003 * (high - low)) and probe.reason == ""
     shown = eight_bit(pixels, probe.levels)[..., :3]
     assert shown.dtype == np.uint8 and len(np.unique(shown)) > 250
+
+
+def test_what_storage_keeps_is_passed_over_and_counted_as_are_images_of_other_names(tmp_path: Path) -> None:
+    for name in ("a.jpg", "b.JFIF", "c.jpe", "d.mpo"):
+        picture(tmp_path / "one.jpg")
+        (tmp_path / "one.jpg").rename(tmp_path / name)
+    for name in ("@eaDir/a.jpg", "x/#recycle/b.jpg", "$RECYCLE.BIN/c.jpg"):
+        picture(tmp_path / name)
+    (tmp_path / "a.jpg_original").write_bytes((tmp_path / "a.jpg").read_bytes())
+    (tmp_path / "raw.iiq").write_bytes(b"II*\0")
+    (tmp_path / "notes.txt").write_text("flown in the morning")
+    found = search_images(tmp_path)
+    assert found.names == ("a.jpg", "b.JFIF", "c.jpe", "d.mpo", "raw.iiq")
+    counted, odd = found.notes
+    assert counted.startswith("3 files in 3 folders of the storage passed over, such as ")
+    assert odd == "1 files begin like images but are not named so, and are passed over: a.jpg_original"
+    assert [p.reason for p in (probe_image(tmp_path / n, ImageTuning()) for n in found.names)] == ["", "", "", "", (
+        ".iiq files are not read: convert to JPEG, PNG or TIFF")]  # fmt: skip
 
 
 def test_exif_position_time_and_focal_length(tmp_path: Path) -> None:

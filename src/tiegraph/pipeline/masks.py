@@ -21,6 +21,7 @@ from tiegraph.pipeline.files import class_shares, classes_path, mask_path, read_
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, write_atomic
 from tiegraph.scene.fisheye import lit
+from tiegraph.scene.images import opaque
 from tiegraph.scene.scene import Scene
 from tiegraph.text import csv_text
 
@@ -107,6 +108,9 @@ class _How:
 def _mask_item(name: str, how: _How, prepared: dict[int, Any], keyed: dict[str, tuple[int, str]]) -> None:
     key, found = keyed[name]
     made, image, lit_there = _source(how.source), how.folder / "images" / name, how.lit[key]
+    whole = opaque(image)
+    if whole is not None:
+        lit_there = whole if lit_there is None else whole & lit_there
     if made.classes is None:
         keep = made.mask(image, prepared[key], how.settings, how.tuning, found)
     else:

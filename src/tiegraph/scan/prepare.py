@@ -27,13 +27,15 @@ from tiegraph.scene.rig import Sensor, Source, camera_from_dict, camera_to_dict
 LINKED_FORMATS = {"JPEG": (".jpg", ".jpeg"), "MPO": (".jpg", ".jpeg"), "PNG": (".png",), "TIFF": (".tif", ".tiff"),
                   "BMP": (".bmp",)}  # fmt: skip
 KEPT_SUFFIXES = tuple(s for suffixes in LINKED_FORMATS.values() for s in suffixes)
+_WITH_ALPHA = (".png", ".tif", ".tiff")
 _ORIENTATION = 0x0112
 
 
 def prepare_image(source: Path, target: Path, sensor: Sensor, settings: ScanSettings, tuning: PicturesTuning) -> None:
     """Make ``target`` the image that ``sensor.camera`` describes: a link to ``source``, or its changed pixels.
 
-    Grey and RGB of 8 bits stay as they are; 16 bits, CMYK, palettes, transparency and EXIF-turned images are converted.
+    Grey and RGB of 8 bits stay as they are; 16 bits, CMYK, palettes and EXIF-turned images are converted. What is
+    transparent of a file stays so, for ``masks``.
     Written atomically. Raises InputError if the file can no longer be read.
     """
     source, target = real_path(source), Path(target)
@@ -79,6 +81,8 @@ def _changed_pixels(
         if image is not None and not changed and _plain(image, data, suffix):
             return None
         pixels = _eight_bit(image, data, how.levels)
+        if pixels.shape[2:] == (4,) and suffix not in _WITH_ALPHA:
+            pixels = pixels[..., :3]
     except OSError as error:
         raise _gone(path, error) from None
     if image is not None and how.upright:
@@ -115,7 +119,7 @@ def _view(path: Path, how: Source, sensor: Sensor) -> np.ndarray:
 def _panorama(path: Path, levels: Levels) -> np.ndarray:
     try:
         data = regular(path).read_bytes()
-        return _eight_bit(_opened(data), data, levels)
+        return _eight_bit(_opened(data), data, levels)[..., :3]
     except OSError as error:
         raise _gone(path, error) from None
 
@@ -134,15 +138,20 @@ def _plain(image: Image.Image, data: bytes, suffix: str) -> bool:
 
 
 def _eight_bit(image: Image.Image | None, data: bytes, levels: Levels) -> np.ndarray:
+    """Grey, RGB, or RGBA where parts are transparent."""
     pixels: Any
     if image is not None and not image.mode.startswith("I") and not deep_png(data):
+        if image.has_transparency_data and not np.asarray(image.convert("RGBA"))[..., 3].all():
+            return np.asarray(image.convert("RGBA"))
         return np.asarray(image.convert("L" if image.mode in ("1", "L", "LA") else "RGB"))
     pixels = decode_deep(data)
     if pixels is None:
         pixels = np.asarray(image)
-    if pixels.ndim == 3:
-        pixels = cv2.cvtColor(pixels, cv2.COLOR_BGRA2RGB if pixels.shape[2] == 4 else cv2.COLOR_BGR2RGB)
-    return eight_bit(pixels, levels)
+    if pixels.ndim == 2:
+        return eight_bit(pixels, levels)
+    colours = eight_bit(cv2.cvtColor(np.ascontiguousarray(pixels[..., :3]), cv2.COLOR_BGR2RGB), levels)
+    opaque = pixels[..., 3:] > 0
+    return colours if opaque.all() else np.concatenate([colours, np.where(opaque, 255, 0).astype(np.uint8)], axis=2)
 
 
 def _turn(pixels: np.ndarray, orientation: int) -> np.ndarray:

@@ -22,11 +22,17 @@ from tiegraph.scene.regular import regular
 from tiegraph.scene.rig import Circle
 from tiegraph.scene.tuning import ImageTuning
 
-SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".ppm", ".pgm", ".insp")
+SUFFIXES = (".jpg", ".jpeg", ".jpe", ".jfif", ".png", ".tif", ".tiff", ".bmp", ".webp", ".ppm", ".pgm", ".mpo", ".insp")
 # Photographs nobody here can decode: found, and refused by name, so that they are not missed silently.
-UNREADABLE = (".heic", ".heif", ".dng", ".cr2", ".cr3", ".nef", ".arw", ".orf", ".rw2", ".raf", ".gif", ".jp2")
+UNREADABLE = (".heic", ".heif", ".avif", ".jxl", ".jp2", ".j2k", ".gif", ".dng", ".gpr", ".cr2", ".cr3", ".nef", ".nrw",
+              ".arw", ".srf", ".sr2", ".srw", ".orf", ".rw2", ".raf", ".pef", ".iiq", ".3fr", ".fff", ".mrw", ".x3f",
+              ".rwl")  # fmt: skip
 IMAGES_FOLDER = "images"
 _IGNORED = ("thumbs.db", "desktop.ini", "__macosx")
+# Folders of network storage and of systems, with thumbnails and what was thrown away.
+_SERVICE = ("@eadir", "#recycle", "@recycle", "@recently-snapshot", "#snapshot", "$recycle.bin", "lost+found",
+            "system volume information")  # fmt: skip
+_BEGINS = (b"\xff\xd8\xff", b"\x89PNG\r\n", b"II*\0", b"MM\0*")  # JPEG, PNG, TIFF and most raw formats
 # Bounds of memory:
 _LARGEST_PX = 1_000_000_000  # PIL refuses more than 179 Mpx as an attack; survey cameras and mosaics go beyond
 # A JPEG of one colour has 85 pixels a byte with the standard's tables; a deflated one 1032 bytes of pixels a byte.
@@ -69,7 +75,8 @@ class SearchResult:
 def search_images(root: Path) -> SearchResult:
     """The image files below a folder.
 
-    Hidden files and folders, ``._*``, ``Thumbs.db`` and the like are passed over. If ``root`` has a folder ``images``
+    Hidden files and folders, ``._*``, ``Thumbs.db`` and the like are passed over, as are the folders that network
+    storage keeps thumbnails and deleted files in; these are counted. If ``root`` has a folder ``images``
     only that is searched, so that masks and depth maps beside it are not taken for photographs. Raises InputError if
     the folder does not exist, is empty, cannot be read in any part, or has no image.
     """
@@ -80,7 +87,12 @@ def search_images(root: Path) -> SearchResult:
         raise InputError(f"{root} is a file; give the folder that holds the images")
     notes: list[str] = []
     files = list(files_below(searched(root), notes))
-    names = [f.relative_to(root).as_posix() for f in files if f.suffix.lower() in SUFFIXES + UNREADABLE]
+    images = [f for f in files if f.suffix.lower() in SUFFIXES + UNREADABLE]
+    names = [f.relative_to(root).as_posix() for f in images]
+    odd = [f for f in sorted(set(files) - set(images)) if _begins_like_an_image(f)]
+    if odd:
+        named = f"{odd[0].relative_to(root).as_posix()}{' ...' if len(odd) > 1 else ''}"
+        notes.append(f"{len(odd)} files begin like images but are not named so, and are passed over: {named}")
     if not names:
         found = f"{len(files)} files, none of them an image" if files else "an empty folder"
         raise InputError(f"{root}: {'; '.join([found, *notes])}; images end in {' '.join(SUFFIXES)}")
@@ -107,6 +119,7 @@ def files_below(folder: Path, notes: list[str] | None = None) -> Iterator[Path]:
     said = notes if notes is not None else []
     top = Path(os.path.realpath(folder))
     visited: dict[tuple[int, int], Path] = {}
+    service: list[Path] = []
     todo, links = [folder], deque[Path]()
     while todo or links:
         inside = todo.pop() if todo else links.popleft()
@@ -121,10 +134,15 @@ def files_below(folder: Path, notes: list[str] | None = None) -> Iterator[Path]:
             path = inside / entry.name
             if not os.path.isdir(path):  # of a ring of links too
                 yield path
+            elif entry.name.lower() in _SERVICE:
+                service.append(path)
             elif entry.is_symlink():
                 links.append(path)
             else:
                 todo.append(path)
+    if service:
+        count = sum(len(files) for folder in service for _, _, files in os.walk(folder))
+        said.append(f"{count} files in {len(service)} folders of the storage passed over, such as {service[0]}")
 
 
 def _identity(folder: Path) -> tuple[int, int]:
@@ -147,6 +165,16 @@ def has_images(root: Path) -> bool:
     try:
         return bool(find_images(root))
     except InputError:
+        return False
+
+
+def _begins_like_an_image(path: Path) -> bool:
+    try:
+        if not path.is_file():  # a pipe would wait for ever
+            return False
+        with open(path, "rb") as file:
+            return file.read(8).startswith(_BEGINS)
+    except OSError:
         return False
 
 
@@ -258,6 +286,15 @@ def read_pixels(path: Path, flag: int = cv2.IMREAD_GRAYSCALE) -> np.ndarray | No
         data = Path(path).read_bytes()
         return cv2.imdecode(np.frombuffer(data, np.uint8), flag | cv2.IMREAD_IGNORE_ORIENTATION) if data else None
     except (OSError, cv2.error):
+        return None
+
+
+def opaque(path: Path) -> np.ndarray | None:
+    """(H, W) bool: what of an image is not transparent; None if it has no transparency, which its header says."""
+    try:
+        with Image.open(path) as image:
+            return np.asarray(image.getchannel("A")) > 0 if image.mode == "RGBA" else None
+    except (OSError, ValueError):
         return None
 
 
