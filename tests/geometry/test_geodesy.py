@@ -6,11 +6,13 @@ from tiegraph.geometry.geodesy import (
     Origin,
     area_note,
     crs_coordinates,
+    crs_transformer,
     far_from_rest,
     geodetic_from_world,
     make_origin,
     middle,
     utm_crs,
+    vertical_note,
     world_from_geodetic,
 )
 
@@ -37,6 +39,32 @@ def test_round_trip_and_metres(crs):
 def test_the_middle_of_positions_about_the_date_line_is_there(lon: list[float], expected: float) -> None:
     found = middle(np.array([[1.0, a, 5.0] for a in lon]))
     assert found == pytest.approx((1.0, expected, 5.0))
+
+
+@pytest.mark.parametrize(
+    ("crs", "place"),
+    [(27700, (52, -1)), (28992, (52.2, 5.3)), (2056, (47, 8)), (31467, (50, 9)), (5514, (49.8, 15)),
+     (30169, (35.6, 139.7)), (26717, (40, -81)), (23700, (47, 19))],
+)  # fmt: skip
+def test_heights_of_national_grids_stay_as_they_are(crs: int, place: tuple[float, float]) -> None:
+    """Changed from datum to datum 40 m became -6 in Britain and -3 in the Netherlands, and no geoid was meant."""
+    east, north, height = crs_transformer(f"EPSG:{crs}").transform(place[1], place[0], 40.0)
+    assert height == 40.0
+    lon, lat, back = crs_transformer(f"EPSG:{crs}").transform(east, north, height, direction="INVERSE")
+    assert (lat, lon, back) == pytest.approx((*place, 40.0), abs=2e-8)
+    world = make_origin(*place, 40.0, f"EPSG:{crs}") if crs != 5514 else None  # counts to the south and west
+    assert world is None or world_from_geodetic(np.array([[*place, 43.0]]), world)[0, 2] == pytest.approx(3.0)
+
+
+def test_the_height_of_a_grid_in_feet_is_in_feet() -> None:
+    lon, lat, height = crs_transformer("EPSG:2263").transform(984250.0, 194305.3, 100.0, direction="INVERSE")
+    assert (lat, lon, height) == pytest.approx((40.7, -74.0, 30.48006), abs=1e-5)
+    assert crs_transformer("EPSG:2263").transform(lon, lat, height)[2] == pytest.approx(100.0)
+
+
+def test_how_well_two_datums_are_tied_is_said() -> None:
+    assert "places are good to 9 m" in vertical_note("EPSG:30169")
+    assert "good to" not in vertical_note("EPSG:32632") and "no geoid" in vertical_note("EPSG:32632")
 
 
 def test_japanese_plane_axes_are_east_north():

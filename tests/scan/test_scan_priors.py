@@ -89,6 +89,14 @@ def test_the_half_of_the_earth_may_be_a_letter(tmp_path: Path, text: str) -> Non
     assert gnss.lat_lon_height == pytest.approx(np.array([[-33.5, -70.25, 40.0]])) and gnss.notes == ()
 
 
+def test_lengths_have_the_unit_of_their_header(tmp_path: Path) -> None:
+    path = tmp_path / "g.csv"
+    path.write_text("image,lat,lon,height (ft),sigma_h (mm),sigma_v (cm)\na.jpg,33.5,70.25,100,12,3\n")
+    gnss = read_gnss(path, GnssTuning())
+    assert gnss.lat_lon_height[0, 2] == pytest.approx(30.48) and gnss.notes == ()
+    assert gnss.sigma_m == pytest.approx(np.array([[0.012, 0.012, 0.03]]))
+
+
 def test_another_letter_is_an_error_with_its_line(tmp_path: Path) -> None:
     path = tmp_path / "g.csv"
     path.write_text("image,lat,lat_ref,lon,height\na.jpg,33.5,E,70.25,40\n")

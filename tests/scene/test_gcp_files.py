@@ -9,6 +9,8 @@ import pytest
 
 from tiegraph.cli.main import main
 from tiegraph.errors import InputError
+from tiegraph.geometry.geodesy import make_origin
+from tiegraph.scene.control import surveyed_world
 from tiegraph.scene.gcp import GcpFile, read_gcps
 from tiegraph.scene.tuning import ControlTuning
 
@@ -125,10 +127,31 @@ def test_targets_need_no_marks_and_bars_stand_in_a_table_of_their_own(tmp_path: 
         ("from,to,length\ntag36h11:1,tag36h11:2,long\n", "line 2: length = long"),
         ("from,to,length,sigma\ntag36h11:1,tag36h11:2,1,2\n", "line 2: sigma = 2: .* below the length"),
         ("from,to,length\ntag36h11:1,tag36h11:1,1\n", "line 2: a scale bar needs two names that differ"),
-        ("from,to,length (ft)\ntag36h11:1,tag36h11:2,1\n", "lengths in 'ft': give m, cm or mm"),
+        ("from,to,length (px)\ntag36h11:1,tag36h11:2,1\n", "lengths in 'px': give m, cm, mm or ft"),
         ("from,to,length\ntag36h11:1,tag36h11:2,1\ntag36h11:2,tag36h11:1,2\n", "line 3: the bar .* line 2 already"),
     ],
 )
 def test_wrong_targets_and_bars_say_where(tmp_path: Path, text: str, said: str) -> None:
     with pytest.raises(InputError, match=said):
         read_gcps(_written(tmp_path, "gcp.csv", text), ControlTuning())
+
+
+def _points(path: Path, text: str) -> GcpFile:
+    path.write_text(text + "\nname,image,px,py\nA,a.jpg,1,2\n")
+    return read_gcps(path, ControlTuning())
+
+
+def test_units_of_a_header_are_read(tmp_path: Path) -> None:
+    """12 mm were read as 12 m, and feet as metres."""
+    head = "# crs: EPSG:32654\nname,x,y,z (ft),sigma_xy (mm),sigma_z (cm)\nA,389000,3951000,100,12,3\n"
+    (point,) = _points(tmp_path / "p.csv", head).points
+    assert point.xyz == pytest.approx((389000.0, 3951000.0, 30.48))
+    assert point.sigma_m == pytest.approx((0.012, 0.012, 0.03))
+
+
+@pytest.mark.parametrize(("z", "metres"), [("z", 30.48006), ("z (m)", 100.0), ("z (ft)", 30.48)])
+def test_heights_of_a_grid_in_feet(tmp_path: Path, z: str, metres: float) -> None:
+    """EPSG:2263 counts in US survey feet, and so do heights that do not say otherwise."""
+    file = _points(tmp_path / "p.csv", f"# crs: EPSG:2263\nname,x,y,{z}\nA,984250,194305.3,100\n")
+    world = surveyed_world(file, make_origin(40.7, -74.0, 0.0))
+    assert world[0, 2] == pytest.approx(metres, abs=1e-3) and abs(world[0, :2]).max() < 100

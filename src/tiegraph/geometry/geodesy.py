@@ -21,6 +21,7 @@ CRS_WORDS = (
     "plane), or auto (the UTM zone of the positions)"
 )
 _MAX_DISTORTION = 0.01  # of lengths in a grid: a UTM zone has 0.001 inside and 0.004 in its neighbours
+_TOLD_DATUM_M = 0.5  # datum operations that are less accurate are told
 _STEP_M = 50.0  # from a place to those that tell the grid's scale there
 FAR_FACTOR, FAR_FLOOR_M = 10.0, 2000.0  # far from the rest: so many of its radii, and so many metres more
 _CENTRES = 200  # positions at most that are tried for the middle of the rest
@@ -199,13 +200,9 @@ def parse_crs(crs: str) -> pyproj.CRS:
 
 
 @lru_cache(maxsize=16)
-def crs_transformer(crs: str) -> pyproj.Transformer:
-    """From WGS84 lon, lat, ellipsoidal height to a CRS as east, north, height (whatever its own axis order)."""
-    import pyproj
-
-    target = pyproj.CRS.from_user_input(crs)
-    check_vertical(crs)
-    return pyproj.Transformer.from_crs("EPSG:4979", _three_dimensional(target), always_xy=True)
+def crs_transformer(crs: str) -> _Transformer:
+    """From WGS84 lon, lat, height to a CRS as east, north, height, all in its unit (whatever its own axis order)."""
+    return _Transformer(crs, always_xy=True)
 
 
 @lru_cache(maxsize=16)
@@ -231,45 +228,68 @@ def check_vertical(crs: str) -> None:
 
 
 def vertical_note(crs: str) -> str:
-    """What the heights of a CRS count from, in words."""
+    """What the heights of a CRS count from, and how its coordinates come from those of WGS84, in words."""
     if crs.upper() == ENU:
         return "heights from the tangent plane at the origin (ellipsoidal near it)"
     import pyproj
 
     parsed = pyproj.CRS.from_user_input(crs)
+    heights = "heights are as given, with GNSS above the ellipsoid; no geoid is applied"
     if parsed.is_compound:
-        return f"heights are {parsed.sub_crs_list[-1].name}"
-    return "heights are above the ellipsoid, as GNSS gives them; no geoid is applied"
+        heights = f"heights are {parsed.sub_crs_list[-1].name}"
+    return "; ".join([heights, *_operation(crs)])
+
+
+def _operation(crs: str) -> list[str]:
+    """The datum operation of a CRS, its accuracy and the grid that would do it better, where it is off by a metre."""
+    import pyproj
+    from pyproj.transformer import TransformerGroup
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # says the same as unavailable_operations
+        group = TransformerGroup("EPSG:4326", pyproj.CRS.from_user_input(crs))
+    if not group.transformers or not group.transformers[0].accuracy > _TOLD_DATUM_M:
+        return []
+    used = group.transformers[0]
+    better = [o for o in group.unavailable_operations if 0 <= o.accuracy < used.accuracy]
+    grids = sorted({g.short_name for o in better for g in o.grids if not g.available})
+    text = f"between it and WGS84 places are good to {used.accuracy:g} m"
+    return [
+        text + (f" (with the grid {grids[0]}, which projsync fetches, to {better[0].accuracy:g} m)" if grids else "")
+    ]
 
 
 @lru_cache(maxsize=16)
-def _to_crs(crs: str) -> pyproj.Transformer:
-    import pyproj
-
-    # always_xy stays off for the geographic side (lat, lon) and is undone for the projected side by its axis order.
-    target = parse_crs(crs)
-    check_vertical(crs)
-    forward = pyproj.Transformer.from_crs("EPSG:4979", _three_dimensional(target), always_xy=False)
-    if target.axis_info[0].direction.lower() == "north":
-        return _Swapped(forward)  # type: ignore[return-value]
-    return forward
+def _to_crs(crs: str) -> _Transformer:
+    parse_crs(crs)
+    return _Transformer(crs, always_xy=False)
 
 
-def _three_dimensional(crs: pyproj.CRS) -> pyproj.CRS:
-    return crs if len(crs.axis_info) == 3 else crs.to_3d()
+class _Transformer:
+    """Between WGS84, (lon, lat) or without ``always_xy`` (lat, lon), and east and north of a CRS.
 
+    A CRS of two axes leaves heights as they are, in its unit: changed from datum to datum they would count from an
+    ellipsoid that nobody in the country measures from (in Britain 46 m lower).
+    """
 
-class _Swapped:
-    """A transformer whose projected side is (north, east, height) used as (east, north, height)."""
+    def __init__(self, crs: str, always_xy: bool) -> None:
+        import pyproj
 
-    def __init__(self, inner: pyproj.Transformer) -> None:
-        self._inner = inner
+        target = pyproj.CRS.from_user_input(crs)
+        check_vertical(crs)
+        flat = len(target.axis_info) == 2
+        self._inner = pyproj.Transformer.from_crs("EPSG:4326" if flat else "EPSG:4979", target, always_xy=always_xy)
+        self._north_first = not always_xy and target.axis_info[0].direction.lower() == "north"
+        self._unit_m = target.axis_info[0].unit_conversion_factor if flat and target.is_projected else 1.0
 
-    def transform(self, a: object, b: object, c: object, direction: str = "FORWARD") -> tuple:
+    def transform(self, a: Any, b: Any, c: Any, direction: str = "FORWARD") -> tuple:
+        """Coordinates of the other side."""
         if direction == "FORWARD":
-            north, east, height = self._inner.transform(a, b, c)
-            return east, north, height
-        return self._inner.transform(b, a, c, direction=direction)
+            first, second, height = self._inner.transform(a, b, c)
+            place = (second, first) if self._north_first else (first, second)
+            return (*place, height / self._unit_m)
+        place = (b, a) if self._north_first else (a, b)
+        return tuple(self._inner.transform(*place, c * self._unit_m, direction=direction))
 
 
 def world_from_geodetic(lat_lon_height: np.ndarray, origin: Origin) -> np.ndarray:

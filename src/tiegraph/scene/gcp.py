@@ -10,6 +10,7 @@ the outer corner of the upright image's first pixel: its centre is (0.5, 0.5). A
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -299,18 +300,20 @@ def _read_csv(path: Path, lines: list[tuple[int, str]], tuning: ControlTuning) -
     marks: list[FileMark] = []
     bars: list[FileBar] = []
     geographic = set()
+    crs = _csv_crs(lines, path)
+    units_m = _units_m(crs, path)
     for table in tables:
         if names_bars(" ".join(table.columns)):
             bars += read_bars(table, tuning)
         else:
-            geographic |= _read_table(table, points, marks, tuning)
+            geographic |= _read_table(table, points, marks, tuning, units_m)
     if len(geographic) > 1:
         raise InputError(f"{path}: points by x, y, z in one table and by lat, lon, height in another: give one kind")
     degrees = True in geographic
     notes = tuple(note for table in tables for note in table.notes)
     return GcpFile(
         path=path,
-        crs=_csv_crs(lines, path, degrees),
+        crs="EPSG:4979" if crs is None and degrees else crs,
         geographic=degrees,
         points=tuple(points.values()),
         marks=tuple(marks),
@@ -319,8 +322,11 @@ def _read_csv(path: Path, lines: list[tuple[int, str]], tuning: ControlTuning) -
     )
 
 
-def _read_table(table: Table, points: dict[str, FilePoint], marks: list[FileMark], tuning: ControlTuning) -> set[bool]:
-    """Add a table's points and marks; {whether its coordinates are in degrees}, empty without any."""
+def _read_table(
+    table: Table, points: dict[str, FilePoint], marks: list[FileMark], tuning: ControlTuning, units_m: Sequence[float]
+) -> set[bool]:
+    """Add a table's points and marks; {whether its coordinates are in degrees}, empty without any. Coordinates become
+    those of their CRS, whose axes have ``units_m``."""
     path = table.path
     geographic = table.find(_LAT) is not None and table.find(_LON) is not None
     columns = [table.find(a) for a in ((_LAT, _LON, _HEIGHT) if geographic else (_X, _Y, _HEIGHT))]
@@ -333,12 +339,14 @@ def _read_table(table: Table, points: dict[str, FilePoint], marks: list[FileMark
         raise InputError(f"{found}; {FORMS}")
     if not whole[1] and not all(m is None for m in (image, px, py)):
         raise InputError(f"{found}; marks need the three columns image, px and py")
+    stated = [table.unit_m(c) for c in columns]
+    scale = [1.0 if s is None else s / u for s, u in zip(stated, (1.0, 1.0, 1.0) if geographic else units_m)]
     for row, (line, _) in enumerate(table.rows):
         label = table.cell(row, name)
         if not label:
             raise InputError(f"{path}, line {line}: the point has no name")
         if whole[0] and any(table.cell(row, c) for c in columns):
-            place = tuple(_number(table.cell(row, c), path, line) for c in columns)
+            place = tuple(s * _number(table.cell(row, c), path, line) for c, s in zip(columns, scale))
             sigma_m, check = _row_facts(table, row, tuning)
             point = FilePoint(name=label, xyz=place, sigma_m=sigma_m, check=check, line=line)  # type: ignore[arg-type]
             _add(points, point, path)
@@ -358,10 +366,11 @@ def _add(points: dict[str, FilePoint], new: FilePoint, path: Path) -> None:
 
 def _row_facts(table: Table, row: int, tuning: ControlTuning) -> tuple[tuple[float, float, float], bool]:
     def number(aliases: tuple[str, ...], otherwise: float) -> float:
-        cell = table.cell(row, table.find(aliases))
+        column = table.find(aliases)
+        cell = table.cell(row, column)
         if not cell:
             return otherwise
-        value = _number(cell, table.path, table.rows[row][0])
+        value = _number(cell, table.path, table.rows[row][0]) * (table.unit_m(column) or 1.0)
         if not 0 < value <= MAX_SIGMA_M:
             raise InputError(
                 f"{table.path}, line {table.rows[row][0]}: {aliases[0]} = {cell}: a sigma is above 0 and at most "
@@ -377,7 +386,16 @@ def _row_facts(table: Table, row: int, tuning: ControlTuning) -> tuple[tuple[flo
     return (flat, flat, up), role in _CHECK
 
 
-def _csv_crs(lines: list[tuple[int, str]], path: Path, geographic: bool) -> str | None:
+def _units_m(crs: str | None, path: Path) -> tuple[float, float, float]:
+    """Metres of the units of east, north and height of a CRS, in that of east where it has no heights."""
+    parsed = None if crs is None else parse_crs_line(crs, str(path))
+    if parsed is None or not parsed.is_projected:
+        return (1.0, 1.0, 1.0)
+    axes = [a.unit_conversion_factor for a in parsed.axis_info]
+    return (axes[0], axes[1], axes[2] if len(axes) > 2 else axes[0])
+
+
+def _csv_crs(lines: list[tuple[int, str]], path: Path) -> str | None:
     """A comment line ``# crs: EPSG:n`` before the header."""
     for number, line in lines:
         if line[0] not in "#%":
@@ -385,4 +403,4 @@ def _csv_crs(lines: list[tuple[int, str]], path: Path, geographic: bool) -> str 
         named = re.fullmatch(r"[#%]\s*(?:crs\s*[:=]?\s*)?(EPSG:\d+(?:\+\d+)?|\+proj.*|WGS\s*84\s*UTM.*)", line, re.I)
         if named:
             return parse_crs_line(named[1], f"{path}, line {number}").srs
-    return "EPSG:4979" if geographic else None
+    return None

@@ -16,6 +16,11 @@ from tiegraph.scene.regular import regular
 
 TIME_LIMIT_S = 1e11  # the year 5138: what is larger in size is no time in seconds
 _UNIT_S = {"ms": 1e-3, "msec": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}
+_UNIT_M = {
+    "m": 1.0, "metre": 1.0, "metres": 1.0, "meter": 1.0, "meters": 1.0, "km": 1e3, "cm": 1e-2, "mm": 1e-3, "ft": 0.3048,
+    "feet": 0.3048, "foot": 0.3048, "ftus": 1200 / 3937, "us-ft": 1200 / 3937, "us ft": 1200 / 3937,
+    "us survey feet": 1200 / 3937,
+}  # fmt: skip
 # A half of the Earth, degrees, minutes, seconds, a half: "N35.5", "35 deg 41' 22.2\" N", "35°41'22.2\"".
 _ANGLE = re.compile(
     r"\s*([NSEW])?\s*([+-]?\d+(?:\.\d*)?)\s*(?:°|DEG|D)?\s*(?:(\d+(?:\.\d*)?)\s*['′M])?\s*(?:(\d+(?:\.\d*)?)\s*(?:\"|″|''|S(?=\s)))?"
@@ -51,6 +56,10 @@ class Table:
     def unit(self, column: int | None) -> str:
         """Unit of a column as its header gives it in brackets, in lower case; "" if it gives none."""
         return self.units[column] if column is not None and column < len(self.units) else ""
+
+    def unit_m(self, column: int | None) -> float | None:
+        """Metres of the unit of a column of lengths; None if its header gives none, or says something else there."""
+        return _UNIT_M.get(self.unit(column))
 
     def line(self, row: int) -> int:
         """Line number of a row in the file."""

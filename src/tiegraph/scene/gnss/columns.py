@@ -38,22 +38,21 @@ _CLOCK = ("time", "date", "week", "sow", "tow", "utc", "leap")  # a word of colu
 _TILT = ("pitch", "roll", "omega", "phi")  # any column with such a word
 _LEVEL_DEG = 20.0  # a body tilted by more has no heading that a table of yaw, pitch and roll gives by its yaw alone
 _SIGMAS = (_SIGMA, _SIGMA_H, _SIGMA_V, _SIGMA_E, _SIGMA_N)
-_NOT_METRES = ("ft", "feet", "foot", "us-ft", "ftus", "cm", "mm", "km")
 
 
 def read_columns(path: Path) -> Fixes:
     """Rows of a table with the columns time (or image), lat, lon, height, and if there: sigma or sigma_h and sigma_v,
     heading.
 
-    Times are as ``scene.timecolumns`` reads them. Raises InputError naming the columns found if one is missing, and for
-    units that are none of ours.
+    Times are as ``scene.timecolumns`` reads them, lengths in the unit of their header. Raises InputError naming the
+    columns found if one is missing, and for angles in radians.
     """
     table = read_table(path, "GNSS file")
     lat, lon, height = table.find(_LAT), table.find(_LON), table.find(_HEIGHT)
-    _check_units(table, (lat, lon), height)
+    _refuse_radians(table, (lat, lon))
     halves = [_half(table, column, also) for column, also in ((lat, _NORTH_SOUTH), (lon, _EAST_WEST))]
     angles = [table.angles(c, half, letters) for c, half, letters in zip((lat, lon), halves, ("NS", "EW"))]
-    llh = np.stack([*angles, table.numbers(height)], axis=1)
+    llh = np.stack([*angles, _metres(table, height)], axis=1)
     image = table.find(IMAGE)
     times = times_of(table) if image is None else None
     missing = [n for n, c in (("lat", lat), ("lon", lon), ("height", height)) if c is None]
@@ -104,13 +103,15 @@ def _say_passed_over(table: Table, used: set[int | None], notes: list[str]) -> N
         notes.append(f"{table.path.name}: the columns {named} are read; passed over: {', '.join(over)}")
 
 
-def _check_units(table: Table, angles: tuple[int | None, ...], height: int | None) -> None:
+def _refuse_radians(table: Table, angles: tuple[int | None, ...]) -> None:
     for column in angles:
         if table.unit(column).startswith("rad"):
             raise InputError(f"{table.path}: column {_named(table, column)} is in radians: write degrees")
-    for column in (height, *(table.find(a) for a in _SIGMAS)):
-        if table.unit(column) in _NOT_METRES:
-            raise InputError(f"{table.path}: column {_named(table, column)} is in {table.unit(column)}: write metres")
+
+
+def _metres(table: Table, column: int | None) -> np.ndarray:
+    """(R,) lengths of a column."""
+    return table.numbers(column) * (table.unit_m(column) or 1.0)
 
 
 def _named(table: Table, column: int | None) -> str:
@@ -131,7 +132,7 @@ def _say_choice(table: Table, aliases: tuple[str, ...], chosen: int | None) -> l
 def _worst(table: Table, row: int) -> int | None:
     """The column whose accuracy says that a row has no position."""
     found = [c for c in (table.find(a) for a in _SIGMAS) if c is not None]
-    return next((c for c in found if table.numbers(c)[row] > SIGMA_RANGE_M[1]), None)
+    return next((c for c in found if _metres(table, c)[row] > SIGMA_RANGE_M[1]), None)
 
 
 def _sigma(table: Table, notes: list[str]) -> np.ndarray:
@@ -139,7 +140,7 @@ def _sigma(table: Table, notes: list[str]) -> np.ndarray:
 
     def column(aliases: tuple[str, ...]) -> np.ndarray:
         found = table.find(aliases)
-        values = table.numbers(found)
+        values = _metres(table, found)
         remedy = "no standard deviation in metres: taken as not given"
         return _believed(table, found, values, values >= SIGMA_RANGE_M[0], notes, remedy)
 

@@ -18,7 +18,6 @@ _TO = ("to", "second", "target_2", "target2", "point_2", "point2")
 _LENGTH = ("length", "length_m", "distance", "distance_m")
 _SIGMA = ("sigma", "sigma_m")
 _CHECK = ("check", "checkbar", "check_bar")
-_UNIT_M = {"": 1.0, "m": 1.0, "cm": 1e-2, "mm": 1e-3}
 FORM = "scale bars need the columns from, to, length (metres; if known sigma, role: bar or check) in a table of theirs"
 
 
@@ -70,9 +69,9 @@ def read_bars(table: Table, tuning: ControlTuning) -> list[FileBar]:
 def _metres(table: Table, row: int, column: int | None) -> float:
     """A length of the table in metres, NaN for what is no number."""
     unit = table.unit(column)
-    if unit not in _UNIT_M:
-        raise InputError(f"{table.path}: lengths in {unit!r}: give m, cm or mm")
-    value = number(table.cell(row, column)) * _UNIT_M[unit]
+    if unit and table.unit_m(column) is None:
+        raise InputError(f"{table.path}: lengths in {unit!r}: give m, cm, mm or ft")
+    value = number(table.cell(row, column)) * (table.unit_m(column) or 1.0)
     return value if np.isfinite(value) else float("nan")
 
 
