@@ -56,6 +56,25 @@ def test_heights_of_national_grids_stay_as_they_are(crs: int, place: tuple[float
     assert world is None or world_from_geodetic(np.array([[*place, 43.0]]), world)[0, 2] == pytest.approx(3.0)
 
 
+@pytest.mark.parametrize(
+    ("crs", "place", "north"),
+    [
+        ("+proj=utm +zone=54 +datum=WGS84 +units=m +no_defs", (35.7, 139.8), (0, 1)),
+        ("epsg:6677", (35.7, 139.8), (0, 1)),
+        ("EPSG:3031", (-71.0, 0.0), (0, 1)),  # polar: its east and north both "point north"
+        ("EPSG:3031", (-71.0, 90.0), (1, 0)),
+        ("EPSG:5041", (85.0, 180.0), (0, -1)),  # 180 degrees is up
+        ("EPSG:32661", (85.0, 0.0), (0, 1)),  # north and east, both "point south"
+    ],
+)
+def test_grids_in_words_of_proj_and_about_the_poles(crs: str, place: tuple, north: tuple[int, int]) -> None:
+    origin = make_origin(*place, 10.0, crs)
+    moved = world_from_geodetic(np.array([[*place, 10.0], [place[0] + 0.001, place[1], 12.0]]), origin)
+    step = moved[1] - moved[0]
+    assert step[:2] / np.linalg.norm(step[:2]) == pytest.approx(north, abs=0.02) and step[2] == pytest.approx(2)
+    assert geodetic_from_world(moved, origin)[1] == pytest.approx((place[0] + 0.001, place[1], 12.0), abs=1e-9)
+
+
 def test_the_height_of_a_grid_in_feet_is_in_feet() -> None:
     lon, lat, height = crs_transformer("EPSG:2263").transform(984250.0, 194305.3, 100.0, direction="INVERSE")
     assert (lat, lon, height) == pytest.approx((40.7, -74.0, 30.48006), abs=1e-5)
@@ -104,9 +123,8 @@ def test_unusable_crs(crs, words):
 
 
 def test_mirrored_grids_are_refused():
-    """EPSG:32661 counts north first, although both its axes are said to point south."""
     with pytest.raises(InputError, match="mirror"):
-        make_origin(86.0, 10.0, 0.0, "EPSG:32661")
+        make_origin(*HERE, "+proj=tmerc +lon_0=141 +ellps=GRS80 +axis=esu")
 
 
 def test_exchanged_positions_are_guessed_from_the_area_of_a_crs():

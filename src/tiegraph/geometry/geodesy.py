@@ -89,9 +89,11 @@ def make_origin(lat_deg: float, lon_deg: float, height_m: float, crs: str = "aut
     if crs.upper() == ENU:
         return Origin(lat_deg=lat_deg, lon_deg=lon_deg, height_m=height_m, crs=ENU)
     check_scale(crs, lat_deg, lon_deg)
-    east, north, height = _to_crs(crs).transform(lat_deg, lon_deg, height_m)
+    east, north, height = crs_transformer(crs).transform(lon_deg, lat_deg, height_m)
     shift = (round(east / 100) * 100.0, round(north / 100) * 100.0, round(height / 10) * 10.0)
-    return Origin(lat_deg=lat_deg, lon_deg=lon_deg, height_m=height_m, crs=crs.upper(), shift_m=shift)
+    return Origin(
+        lat_deg=lat_deg, lon_deg=lon_deg, height_m=height_m, crs=crs.upper() if ":" in crs[:9] else crs, shift_m=shift
+    )
 
 
 def check_scale(crs: str, lat_deg: float, lon_deg: float) -> None:
@@ -117,7 +119,7 @@ def _grid(crs: str, lat_deg: float, lon_deg: float) -> np.ndarray:
     """(2, 2) grid coordinates (east, north) by true metres to the east and north, at a position on the ellipsoid."""
     steps = _STEP_M * np.array([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])
     lat, lon, _ = geodetic_from_world(steps, Origin(lat_deg, lon_deg, 0.0)).T
-    east, north, _ = (np.asarray(v) for v in _to_crs(crs).transform(lat, lon, np.zeros(4)))
+    east, north, _ = (np.asarray(v) for v in crs_transformer(crs).transform(lon, lat, np.zeros(4)))
     with np.errstate(invalid="ignore"):  # outside: infinite
         return np.stack([[v[0] - v[1], v[2] - v[3]] for v in (east, north)]) / (2 * _STEP_M)
 
@@ -202,7 +204,7 @@ def parse_crs(crs: str) -> pyproj.CRS:
 @lru_cache(maxsize=16)
 def crs_transformer(crs: str) -> _Transformer:
     """From WGS84 lon, lat, height to a CRS as east, north, height, all in its unit (whatever its own axis order)."""
-    return _Transformer(crs, always_xy=True)
+    return _Transformer(crs)
 
 
 @lru_cache(maxsize=16)
@@ -259,37 +261,28 @@ def _operation(crs: str) -> list[str]:
     ]
 
 
-@lru_cache(maxsize=16)
-def _to_crs(crs: str) -> _Transformer:
-    parse_crs(crs)
-    return _Transformer(crs, always_xy=False)
-
-
 class _Transformer:
-    """Between WGS84, (lon, lat) or without ``always_xy`` (lat, lon), and east and north of a CRS.
+    """Between WGS84 as lon, lat, height and east, north, height of a CRS, whatever the order and names of its axes.
 
     A CRS of two axes leaves heights as they are, in its unit: changed from datum to datum they would count from an
     ellipsoid that nobody in the country measures from (in Britain 46 m lower).
     """
 
-    def __init__(self, crs: str, always_xy: bool) -> None:
+    def __init__(self, crs: str) -> None:
         import pyproj
 
         target = pyproj.CRS.from_user_input(crs)
         check_vertical(crs)
         flat = len(target.axis_info) == 2
-        self._inner = pyproj.Transformer.from_crs("EPSG:4326" if flat else "EPSG:4979", target, always_xy=always_xy)
-        self._north_first = not always_xy and target.axis_info[0].direction.lower() == "north"
+        self._inner = pyproj.Transformer.from_crs("EPSG:4326" if flat else "EPSG:4979", target, always_xy=True)
         self._unit_m = target.axis_info[0].unit_conversion_factor if flat and target.is_projected else 1.0
 
     def transform(self, a: Any, b: Any, c: Any, direction: str = "FORWARD") -> tuple:
         """Coordinates of the other side."""
         if direction == "FORWARD":
-            first, second, height = self._inner.transform(a, b, c)
-            place = (second, first) if self._north_first else (first, second)
-            return (*place, height / self._unit_m)
-        place = (b, a) if self._north_first else (a, b)
-        return tuple(self._inner.transform(*place, c * self._unit_m, direction=direction))
+            east, north, height = self._inner.transform(a, b, c)
+            return east, north, height / self._unit_m
+        return tuple(self._inner.transform(a, b, c * self._unit_m, direction=direction))
 
 
 def world_from_geodetic(lat_lon_height: np.ndarray, origin: Origin) -> np.ndarray:
@@ -297,7 +290,7 @@ def world_from_geodetic(lat_lon_height: np.ndarray, origin: Origin) -> np.ndarra
     lat, lon, height = np.asarray(lat_lon_height, float).reshape(-1, 3).T
     if origin.crs == ENU:
         return _to_enu(lat, lon, height, origin)
-    xyz = np.stack(_to_crs(origin.crs).transform(lat, lon, height), axis=-1)
+    xyz = np.stack(crs_transformer(origin.crs).transform(lon, lat, height), axis=-1)
     return xyz - np.asarray(origin.shift_m)
 
 
@@ -306,8 +299,9 @@ def geodetic_from_world(world_m: np.ndarray, origin: Origin) -> np.ndarray:
     world_m = np.asarray(world_m, float).reshape(-1, 3)
     if origin.crs == ENU:
         return _from_enu(world_m, origin)
-    xyz = world_m + np.asarray(origin.shift_m)
-    return np.stack(_to_crs(origin.crs).transform(xyz[:, 0], xyz[:, 1], xyz[:, 2], direction="INVERSE"), axis=-1)
+    east, north, up = (world_m + np.asarray(origin.shift_m)).T
+    lon, lat, height = crs_transformer(origin.crs).transform(east, north, up, direction="INVERSE")
+    return np.stack([lat, lon, height], axis=-1)
 
 
 def crs_coordinates(world_m: np.ndarray, origin: Origin) -> np.ndarray:
