@@ -63,6 +63,32 @@ def test_folder_layouts(tmp_path: Path, folders: tuple[str, ...], cameras: int, 
     assert len(scene) == 30 * len(folders) and not scene.dropped
 
 
+@pytest.mark.parametrize(
+    ("north", "south", "step_s", "cameras", "words"),
+    [
+        ({"lat": 35.0}, {"lat": 35.001}, 5, 1, "those of one name are 111 m apart"),
+        ({"lat": 35.0}, {"lat": 35.00001}, 5, 2, ""),
+        ({"hour": 9}, {"hour": 11}, 5, 1, "one folder was taken after the other"),
+        ({"hour": 9}, {"hour": 9, "slower": 2}, 5, 1, "the time between those of one name differs by"),
+        ({"hour": 9}, {"hour": 9}, 5, 2, ""),
+    ],
+)
+def test_two_flights_with_equal_file_names_are_no_rig(
+    tmp_path: Path, north: dict, south: dict, step_s: int, cameras: int, words: str
+) -> None:
+    """North and south, averaged as one rig, put a survey 37 m off, and all positions were "inliers"."""
+    for folder, own in (("north", north), ("south", south)):
+        for k in range(32):
+            seconds = k * step_s * own.get("slower", 1)
+            time = f"2023:09:15 {own.get('hour', 9):02d}:{seconds // 60:02d}:{seconds % 60:02d}"
+            place = {"lat": own["lat"], "lon": 139 + 1e-4 * k, "alt": 50} if "lat" in own else {}
+            stamp = {"time": time} if "hour" in own else {}
+            picture(tmp_path / folder / f"DJI_{k:04d}.JPG", exif=exif_of(make="DJI", model="X", **stamp, **place))
+    scene = scan(tmp_path)
+    assert len(scene.rigs[0].sensors) == cameras
+    assert any(words in n for n in scene.notes) if words else not any("no rig (" in n for n in scene.notes)
+
+
 def test_cameras_are_in_natural_order(tmp_path: Path) -> None:
     scene = scan(papers_rig(tmp_path, ("up",), 11, 1))
     assert [s.name for s in scene.all_sensors] == [f"cam{k}" for k in range(11)]

@@ -3,9 +3,12 @@
 import re
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import PurePosixPath
 
+import numpy as np
+
+from tiegraph.geometry.geodesy import Origin, world_from_geodetic
 from tiegraph.scan.tuning import FoldersTuning
 from tiegraph.scene.exif import Exif
 
@@ -160,12 +163,11 @@ def guess_layout(
     paths = [PurePosixPath(n).parts[:-1] for n in names]
     depth, count = Counter(len(p) for p in paths).most_common(1)[0]
     inside = [k for k, p in enumerate(paths) if len(p) == depth or count < tuning.one_depth * len(paths)]
-    found = _by_camera_level([names[k] for k in inside], kind, cameras, tuning)
-    if found is None and len(inside) < len(names):
+    inner, why = _by_camera_level(names, exif, inside, kind, cameras, tuning)
+    if not inner and len(inside) < len(names):
         inside = list(range(len(names)))
-        found = _by_camera_level(names, kind, cameras, tuning)
-    if found is not None:
-        inner, why = found
+        inner, why = _by_camera_level(names, exif, inside, kind, cameras, tuning)
+    if inner:
         places: list[Place | None] = [None] * len(names)
         for k, place in zip(inside, inner):
             places[k] = place
@@ -173,18 +175,25 @@ def guess_layout(
         passes = len({p.sequence for p in inner})
         return Layout(tuple(places), folders, Order(False, f"{len(folders)} cameras, {passes} pass(es): {why}"))
     lone = tuple(Place("", _pass_name(p, _common(paths))) for p in paths)
-    return Layout(lone, ("",), order_of(names, lone, exif, sizes, kind, tuning))
+    order = order_of(names, lone, exif, sizes, kind, tuning)
+    return Layout(lone, ("",), replace(order, why=f"{order.why}; {why}") if why else order)
 
 
 def _by_camera_level(
-    names: Sequence[str], kind: str, cameras: tuple[int, ...], tuning: FoldersTuning
-) -> tuple[list[Place], str] | None:
-    paths = [PurePosixPath(n).parts[:-1] for n in names]
+    names: Sequence[str],
+    exif: Sequence[Exif],
+    inside: Sequence[int],
+    kind: str,
+    cameras: tuple[int, ...],
+    tuning: FoldersTuning,
+) -> tuple[list[Place], str]:
+    """Places of the images ``inside``, none if no level of folders is one of cameras, and why."""
+    paths = [PurePosixPath(names[k]).parts[:-1] for k in inside]
     common = _common(paths)
-    stems = [PurePosixPath(n).stem for n in names]
-    level, why = _camera_level([p[common:] for p in paths], stems, kind, cameras, tuning)
+    shots = [(PurePosixPath(names[k]).stem, exif[k]) for k in inside]
+    level, why = _camera_level([p[common:] for p in paths], shots, kind, cameras, tuning)
     if level is None:
-        return None
+        return [], why
     at = common + level
     rest = [p[:at] + p[at + 1 :] for p in paths]
     shared = _common(rest)
@@ -192,7 +201,11 @@ def _by_camera_level(
 
 
 def _camera_level(
-    tails: Sequence[tuple[str, ...]], stems: Sequence[str], kind: str, cameras: tuple[int, ...], tuning: FoldersTuning
+    tails: Sequence[tuple[str, ...]],
+    shots: Sequence[tuple[str, Exif]],
+    kind: str,
+    cameras: tuple[int, ...],
+    tuning: FoldersTuning,
 ) -> tuple[int | None, str]:
     depth = min(len(t) for t in tails)
     if kind in ("sequence", "loose") or depth == 0:
@@ -209,24 +222,55 @@ def _camera_level(
     best = max(range(depth), key=lambda k: (likeness[k], k))
     if likeness[best] >= tuning.named and (len(levels[best]) > 1 or depth > 1):
         return best, f"the folders {_some(levels[best])} are named like cameras"
-    return _camera_level_by_structure(tails, stems, levels, tuning)
+    return _camera_level_by_structure(tails, shots, levels, tuning)
 
 
 def _camera_level_by_structure(
-    tails: Sequence[tuple[str, ...]], stems: Sequence[str], levels: list[list[str]], tuning: FoldersTuning
+    tails: Sequence[tuple[str, ...]],
+    shots: Sequence[tuple[str, Exif]],
+    levels: list[list[str]],
+    tuning: FoldersTuning,
 ) -> tuple[int | None, str]:
     uniform = len({len(t) for t in tails}) == 1
     if uniform and len(levels) == 1 and len(levels[0]) > 1:
         likeness = sum(bool(words(f) & _PASS_WORDS) for f in levels[0]) / len(levels[0])
-        groups = [{s for t, s in zip(tails, stems) if t[0] == f} for f in levels[0]]
-        shared = len(set.intersection(*groups)) / min(len(g) for g in groups)
-        if likeness < tuning.named and shared >= tuning.equal_names:
-            return 0, f"the folders {_some(levels[0])} hold equal file names"
+        groups = [{s: e for t, (s, e) in zip(tails, shots) if t[0] == f} for f in levels[0]]
+        shared = set.intersection(*map(set, groups))
+        if likeness < tuning.named and len(shared) >= tuning.equal_names * min(map(len, groups)):
+            equal = f"the folders {_some(levels[0])} hold equal file names"
+            apart = _apart([[g[s] for s in sorted(shared)] for g in groups], tuning)
+            return (None, f"{equal}, but {apart}: no rig (--scan.layout cameras: one)") if apart else (0, equal)
     if uniform and len(levels) == 2:
         below = [{t[1] for t in tails if t[0] == f} for f in levels[0]]
         if len(below) > 1 and len(below[0]) > 1 and all(b == below[0] for b in below):
             return 1, f"each of the folders {_some(levels[0])} holds the folders {_some(levels[1])}"
     return None, ""
+
+
+def _apart(groups: Sequence[Sequence[Exif]], tuning: FoldersTuning) -> str:
+    """Why images of one name in several folders were not taken together, by EXIF; "" if nothing says so."""
+    first = groups[0]
+    for other in groups[1:]:
+        both = [(a, b) for a, b in zip(first, other) if np.isfinite([a.lat_deg, b.lat_deg]).all()]
+        if both:
+            here = Origin(both[0][0].lat_deg, both[0][0].lon_deg, 0.0)
+            ends = [
+                world_from_geodetic(np.array([[e.lat_deg, e.lon_deg, 0.0] for e in side]), here) for side in zip(*both)
+            ]
+            metres = float(np.median(np.linalg.norm(ends[1] - ends[0], axis=1)))
+            if metres > tuning.apart_m:
+                return f"those of one name are {metres:.0f} m apart"
+        times = np.array([[a.time_s, b.time_s] for a, b in zip(first, other)])
+        times = times[np.isfinite(times).all(axis=1)]
+        if len(times):
+            between = times[:, 1] - times[:, 0]
+            scatter = float(np.median(np.abs(between - np.median(between))))
+            if scatter > tuning.apart_s:
+                return f"the time between those of one name differs by {scatter:.0f} s"
+            after = times[:, 0].min() > times[:, 1].max() or times[:, 1].min() > times[:, 0].max()
+            if after and _regular_times(times[:, 0].tolist(), tuning):  # irregular and alike is one trigger, two clocks
+                return "one folder was taken after the other"
+    return ""
 
 
 def _some(names: Sequence[str]) -> str:

@@ -18,6 +18,11 @@ class FoldersTuning(Section):
     """Share of the folders of a level with a word of cameras, or of passes, from which that is what they are."""
     equal_names: float = Field(0.5, ge=0, le=1)
     """Share of the file names of the smallest folder that stand in all others too, from which these are cameras."""
+    apart_m: float = Field(30.0, gt=0)
+    """Between images of one name in several folders, in the median: farther, these are no cameras of a rig. Positions
+    in EXIF are some metres off."""
+    apart_s: float = Field(2.0, gt=0)
+    """Scatter of the time between them, in the median: EXIF has whole seconds, and clocks that differ do so alike."""
     regular: float = Field(0.9, ge=0, le=1)
     """Share of equal steps in the numbers, or in the times, of a sequence."""
     play: float = Field(0.25, ge=0)
