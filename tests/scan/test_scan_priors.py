@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import geodetic_from_world, make_origin, world_from_geodetic
 from tiegraph.geometry.transforms import angle_deg, rigid
-from tiegraph.scan.priors.times import _time_in
+from tiegraph.scan.priors.times import time_in_name
 from tiegraph.scan.priors.trajectory import read_trajectory, write_tum
 from tiegraph.scan.rigfiles.rigspec import AXES, orient
 from tiegraph.scan.settings import ScanSettings
@@ -170,7 +170,7 @@ def test_times_are_read(text: str, seconds: float) -> None:
      ("000123", np.nan), ("9999999999", np.nan), ("IMG_20239915_010000", np.nan)],
 )  # fmt: skip
 def test_times_in_names(stem: str, seconds: float) -> None:
-    assert _time_in(stem, TIMES) == pytest.approx(seconds, abs=1e-5, nan_ok=True)
+    assert time_in_name(stem, TIMES) == pytest.approx(seconds, abs=1e-5, nan_ok=True)
 
 
 # --- positions of frames --------------------

@@ -89,6 +89,25 @@ def test_two_flights_with_equal_file_names_are_no_rig(
     assert any(words in n for n in scene.notes) if words else not any("no rig (" in n for n in scene.notes)
 
 
+@pytest.mark.parametrize("step_s", [0.05, 1.0])
+def test_images_named_by_their_times_are_paired_by_these_though_each_camera_lost_one(
+    tmp_path: Path, step_s: float
+) -> None:
+    """Paired by order they were one step apart from the lost image on."""
+    rng = np.random.default_rng(0)
+    for camera, lost in ((0, 12), (1, 5)):
+        for k in range(30):
+            if k != lost:
+                stamp = 1662064521.0 + k * step_s + (0.0 if camera == 0 else rng.uniform(-0.004, 0.004))
+                picture(tmp_path / f"cam{camera}" / f"{round(stamp * 1e6)}000.png")
+    scene = scan(tmp_path)
+    assert any("found by the times that their names are" in n for n in scene.notes)
+    pairs = [n for n in frame_names(scene) if len(n) == 2]
+    assert len(pairs) == 28 and scene.frames == 30
+    times = np.array([[int(Path(name).stem) for name in sorted(n)] for n in pairs])
+    assert np.abs(np.diff(times, axis=1)).max() < 5e6
+
+
 def test_cameras_are_in_natural_order(tmp_path: Path) -> None:
     scene = scan(papers_rig(tmp_path, ("up",), 11, 1))
     assert [s.name for s in scene.all_sensors] == [f"cam{k}" for k in range(11)]

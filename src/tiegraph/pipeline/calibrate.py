@@ -211,7 +211,7 @@ def _labels(
     for one in sorted(set(sequence.values())):
         own = {c: [k for k in images if sequence[k] == one] for c, images in enumerate(owned)}
         stems = {c: [Path(names[k]).stem for k in images] for c, images in own.items() if images}
-        keys, _ = match_frames(stems, how, tuning.frames)
+        keys, _ = match_frames(stems, how, tuning.frames, tuning.times)
         out |= {k: (one, key) for c in stems for k, key in zip(own[c], keys[c])}
     return out
 

@@ -5,12 +5,15 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from tiegraph.scan.assign import Report, Shot, Survey
 from tiegraph.scan.folders import natural
-from tiegraph.scan.tuning import FramesTuning
+from tiegraph.scan.priors.times import time_in_name
+from tiegraph.scan.tuning import FramesTuning, TimesTuning, Tuning
 
 
-def into_frames(survey: Survey, files: Sequence[str], how: str, report: Report, tuning: FramesTuning) -> Survey:
+def into_frames(survey: Survey, files: Sequence[str], how: str, report: Report, tuning: Tuning) -> Survey:
     """The survey with the frame of each image; the report gets second images of a frame."""
     groups: dict[tuple[int, str], list[Shot]] = {}
     for shot in survey.shots:
@@ -22,7 +25,7 @@ def into_frames(survey: Survey, files: Sequence[str], how: str, report: Report, 
             continue
         sensors = sorted({s.sensor for s in shots})
         stems = {k: [s.stem for s in shots if s.sensor == k] for k in sensors}
-        keys, by = match_frames(stems, how, tuning)
+        keys, by = match_frames(stems, how, tuning.frames, tuning.times)
         _say_frames(sequence, by, stems, how, report)
         for sensor in sensors:
             mine = [s for s in shots if s.sensor == sensor]
@@ -36,6 +39,8 @@ def _say_frames(sequence: str, how: str, stems: dict[int, list[str]], asked: str
     counts = sorted({len(s) for s in stems.values()})
     if how == "number" and asked == "auto":
         report.notes.append(f"pass {sequence}: images of one frame found by the last number in their names")
+    if how == "time":
+        report.notes.append(f"pass {sequence}: images of one frame found by the times that their names are")
     if how == "order":
         text = f"pass {sequence}: file names do not say which images belong together; taken in the order of names"
         if len(counts) > 1:
@@ -55,12 +60,13 @@ def _without_twins(shots: list[Shot], names: Sequence[str], report: Report) -> l
 
 
 def match_frames(
-    stems: Mapping[int, Sequence[str]], how: str, tuning: FramesTuning
+    stems: Mapping[int, Sequence[str]], how: str, tuning: FramesTuning, times: TimesTuning
 ) -> tuple[dict[int, list[str]], str]:
-    """Frame label of each image of one pass, by sensor, from the file stems, and how: name, number or order.
+    """Frame label of each image of one pass, by sensor, from the file stems, and how: name, number, time or order.
 
     Auto: equal names if enough agree; else equal last numbers in the names, which are frame numbers in the
-    papers' data (paper 000 figure 8: image0up_168035.jpg); else the place in the natural order of names.
+    papers' data (paper 000 figure 8: image0up_168035.jpg); else names that are nearly equal times; else the place in
+    the natural order of names.
     """
     if how in ("auto", "name"):
         by_name = {sensor: list(s) for sensor, s in stems.items()}
@@ -70,11 +76,31 @@ def match_frames(
         by_number = {sensor: [_last_number(s) for s in names] for sensor, names in stems.items()}
         if how == "number" or (_shared(by_number) >= tuning.agree and _mostly_unique(by_number, tuning)):
             return by_number, "number"
+    if how == "auto" and (by_time := _by_time(stems, tuning, times)) and _shared(by_time) >= tuning.agree:
+        return by_time, "time"
     by_order = {}
     for sensor, names in stems.items():
         rank = {s: k for k, s in enumerate(sorted(set(names), key=natural))}
         by_order[sensor] = [f"{rank[s]:06d}" for s in names]
     return by_order, "order"
+
+
+def _by_time(stems: Mapping[int, Sequence[str]], tuning: FramesTuning, times: TimesTuning) -> dict[int, list[str]]:
+    """By sensor the name in the fullest one whose time is nearest, or the image's own where none is near; empty unless
+    all names are times."""
+    seconds = {k: np.array([time_in_name(s, times) for s in names]) for k, names in stems.items()}
+    fullest = max(stems, key=lambda k: len(stems[k]))
+    order = np.argsort(seconds[fullest])
+    ordered = seconds[fullest][order]
+    if any(np.isnan(t).any() for t in seconds.values()) or len(ordered) < 2:
+        return {}
+    near, out = tuning.same_step * float(np.median(np.diff(ordered))), {}
+    for sensor, own in seconds.items():
+        nearest = np.array([int(np.argmin(np.abs(ordered - t))) for t in own])
+        close = np.abs(ordered[nearest] - own) <= near
+        labels = [stems[fullest][order[n]] for n in nearest]
+        out[sensor] = [label if c else stem for label, c, stem in zip(labels, close, stems[sensor])]
+    return out
 
 
 def _last_number(stem: str) -> str:

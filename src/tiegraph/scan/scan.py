@@ -73,7 +73,7 @@ def build_scene(
     usable = replace(usable_images(names, probes, report), video=inputs.video)
     survey, pictures, whole = _assigned(inputs, usable, ImageFiles(names, probes, names), settings, report, tuning)
     survey = _one_size(survey, pictures.names, pictures.probes, report)
-    survey = into_frames(survey, pictures.files, settings.frames, report, tuning.frames)
+    survey = into_frames(survey, pictures.files, settings.frames, report, tuning)
     need_two(len(survey.shots), report)
     survey = _with_cameras(inputs, survey, pictures, whole, report, tuning)
     rigs, survey = _rigs(survey, pictures.probes, settings, report, tuning)

@@ -40,6 +40,8 @@ class FramesTuning(Section):
     """Share of the numbers in a camera's names that stand there once, or they do not number frames."""
     whole: float = Field(0.75, ge=0, le=1)
     """Share of images that have a mark, and of the images that whole shots would have: else it is chance."""
+    same_step: float = Field(0.25, gt=0, lt=0.5)
+    """Of the median step between names that are times: images of several cameras within it are of one frame."""
 
 
 class CameraTuning(Section):

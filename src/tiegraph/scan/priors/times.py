@@ -238,13 +238,14 @@ def exif_times(frames: Sequence[FrameRow], exif: Sequence[Exif]) -> np.ndarray:
 def name_times(frames: Sequence[FrameRow], names: Sequence[str], tuning: TimesTuning) -> np.ndarray:
     """(F,) times written in the file names, as Unix time or as a date; NaN for all unless every frame has one."""
     stems = [PurePosixPath(names[f.images[0]]).stem for f in frames]
-    found = np.array([_time_in(stem, tuning) for stem in stems], float)
+    found = np.array([time_in_name(stem, tuning) for stem in stems], float)
     if len(found) < 2 or np.isnan(found).any():
         return np.full(len(frames), np.nan)
     return found
 
 
-def _time_in(stem: str, tuning: TimesTuning) -> float:
+def time_in_name(stem: str, tuning: TimesTuning) -> float:
+    """The time that a file's stem is, seconds since 1970; NaN if it is none."""
     match = _UNIX_NAME.search(stem)
     if match:
         seconds = float(in_seconds(np.array([float(match[1].replace("_", "."))]))[0])
