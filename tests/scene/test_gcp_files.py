@@ -92,6 +92,13 @@ def test_the_list_of_odm_is_read_as_ever(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_names_in_a_list_of_tabs_may_have_blanks(tmp_path: Path) -> None:
+    path = tmp_path / "gcp_list.txt"
+    path.write_text("EPSG:32654\n389000\t3951000\t10\t5\t6\tDJI 0001 (2).JPG\tpoint one\n")
+    file = read_gcps(path, ControlTuning())
+    assert [(m.image, m.name) for m in file.marks] == [("DJI 0001 (2).JPG", "point one")]
+
+
 def test_marks_without_points_are_refused_before_anything_is_made(tmp_path: Path, capsys) -> None:
     (tmp_path / "in").mkdir()
     marks = _written(tmp_path, "marks.csv", MARKS)

@@ -238,7 +238,7 @@ def _read_odm(path: Path, lines: list[tuple[int, str]], tuning: ControlTuning) -
     for number, line in lines[1:]:
         if line[0] in "#%":
             continue
-        words = line.split()
+        words = [w.strip() for w in line.split("\t")] if line.count("\t") >= 5 else line.split()
         if len(words) < 6:
             raise InputError(f"{path}, line {number}: expected x y z px py image [name], got {line!r}")
         x, y, z, px, py = (_number(w, path, number) for w in words[:5])
