@@ -118,6 +118,23 @@ def test_seconds_of_a_week_without_the_week_are_those_of_the_frames(tmp_path: Pa
         assert on_clock_of(found, np.array(frames)).time_s[0] == SECOND
 
 
+@pytest.mark.parametrize(
+    ("head", "times", "first", "period"),
+    [
+        ("gps_sow", ["604798", "604799", "0", "1"], 604798, 604800),
+        ("time", ["23:59:58", "23:59:59", "00:00:00", "0:00:01"], 86398, 0),
+        ("gps_time", ["604798", "604799", "0", "1"], 604798, 604800),
+    ],
+)
+def test_times_go_on_after_midnight_and_after_saturday(
+    tmp_path: Path, head: str, times: list[str], first: float, period: float
+) -> None:
+    found = read(tmp_path, csv(head, times))
+    assert found.period_s == period
+    np.testing.assert_allclose(found.time_s, first + np.arange(COUNT))
+    same_places(found)
+
+
 # --- NMEA -----------------------------------------------------------------------------------------------------------
 
 
@@ -190,6 +207,21 @@ def test_nmea_that_pauses_for_more_than_half_a_day(tmp_path: Path) -> None:
     rows = [gga(0, "080000.00"), rmc("080000.00", "300424"), gga(1, "210000.00"), rmc("210000.00"), gga(2, "210001.00")]
     found = read(tmp_path, "".join(rows))
     np.testing.assert_allclose(found.time_s, NOON + 3600 * np.array([-28, 9, 9 + 1 / 3600]))
+
+
+@pytest.mark.parametrize("better_first", [True, False])
+def test_of_two_talkers_the_better_fix_of_an_epoch_counts(tmp_path: Path, better_first: bool) -> None:
+    text = rmc()
+    for k in range(COUNT):
+        single = gga(k, quality=1).replace("$GN", "$GP")
+        body = single[1:].partition("*")[0].split(",")
+        body[2] = "3500.0000"  # far off
+        pair = [gga(k), sentence(",".join(body))]
+        text += "".join(pair if better_first else pair[::-1])
+    found = read(tmp_path, text)
+    same_times(found)
+    same_places(found)
+    assert any("4 epochs have two positions, of two talkers: the better fix counts" in n for n in found.notes)
 
 
 def test_nmea_south_and_west(tmp_path: Path) -> None:

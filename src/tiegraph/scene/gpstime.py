@@ -35,6 +35,16 @@ def gps_from_utc(time_s: np.ndarray) -> np.ndarray:
     return time_s - GPS_EPOCH_S + leap_seconds(time_s)
 
 
+def going_on(seconds: np.ndarray, period_s: float) -> np.ndarray:
+    """Times (R,) that count within a day or a week, NaN = unknown, going on where one ends: a step back by more than
+    half of it is its end."""
+    known = np.isfinite(seconds)
+    out = np.array(seconds, float)
+    steps = np.diff(out[known], prepend=out[known][:1])
+    out[known] += period_s * np.cumsum(-np.round(steps / period_s))
+    return out
+
+
 def leap_seconds(time_s: np.ndarray) -> np.ndarray:
     """GPS - UTC in seconds at seconds since 1970, UTC."""
     return np.searchsorted(_CHANGES, np.asarray(time_s, float), side="right")

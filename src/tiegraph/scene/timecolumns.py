@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tiegraph.errors import InputError
-from tiegraph.scene.gpstime import GPS_EPOCH_S, WEEK_S, check_week, leap_seconds, utc_from_gps
+from tiegraph.scene.gpstime import DAY_S, GPS_EPOCH_S, WEEK_S, check_week, going_on, leap_seconds, utc_from_gps
 from tiegraph.scene.table import Table
 
 _ANY = ("time", "time_s", "t", "timestamp", "time_stamp", "utc", "utc_time", "datetime", "seconds", "sec", "epoch",
@@ -44,7 +44,9 @@ def times_of(table: Table) -> Times | None:
     week = table.find(_WEEK)
     column = _find(table, _ANY)
     if column is not None and (week is None or not _within_a_week(table, column)):
-        return Times(column, table.times(column, table.find(_DATE)))
+        seconds = table.times(column, table.find(_DATE))
+        clock = ":" in table.cell(0, column) and np.nanmax(seconds, initial=0.0) < DAY_S
+        return Times(column, going_on(seconds, DAY_S) if clock else seconds)
     column = _find(table, _IN_WEEK) if column is None else column
     if column is not None:
         return _of_week(table, week, column)
@@ -92,7 +94,7 @@ def _of_week(table: Table, week: int | None, column: int) -> Times:
             "another kind time"
         )
     if week is None:
-        return Times(column, seconds, period_s=WEEK_S)
+        return Times(column, going_on(seconds, WEEK_S), period_s=WEEK_S)
     weeks = table.numbers(week)
     for k in np.flatnonzero(np.isfinite(weeks)).tolist():
         check_week(weeks[k], f"{table.path}, line {table.line(k)}")

@@ -15,7 +15,7 @@ import numpy as np
 
 from tiegraph.errors import InputError
 from tiegraph.scene.gnss.fixes import Fixes, above_ellipsoid
-from tiegraph.scene.gpstime import DAY_S
+from tiegraph.scene.gpstime import DAY_S, going_on
 from tiegraph.scene.table import number
 
 _TOLD = re.compile(rb"(?m)^[^<\r\n]{0,64}\$[A-Z]{2}(?:GGA|RMC|ZDA|GST|GNS|GLL|GSA|GSV|VTG),")
@@ -23,6 +23,13 @@ _SENTENCE = re.compile(rb"\$([A-Z]{2}(GGA|RMC|ZDA|GST),[^$*]*)(\*[0-9A-Fa-f]{2})
 _FIXES = {"1": "single", "2": "differential", "3": "PPS", "4": "RTK fixed", "5": "RTK float", "6": "dead reckoning",
           "7": "manual", "8": "simulated"}  # fmt: skip
 _NAN = float("nan")
+
+
+_BY_WORTH = "0876129354"  # kinds of fix, the best last: PPS is what some receivers call PPP
+
+
+def _rank(cells: list[str]) -> int:
+    return _BY_WORTH.find(cells[6])
 
 
 @dataclass
@@ -33,10 +40,17 @@ class _Log:
     dates: list[tuple[int, float, float]] = field(default_factory=list)  # rows before it, second of the day, its day
     sigma: dict[int, list[float]] = field(default_factory=dict)  # east, north, up of a row
     damaged: list[tuple[int, str]] = field(default_factory=list)  # line and sentence
+    talkers: int = 0  # GGA sentences of an epoch that has one already
     _row_at: dict[str, int] = field(default_factory=dict)  # the last GGA of a time of day
     _sigma_at: dict[str, list[float]] = field(default_factory=dict)  # of a GST that stands before its GGA
 
     def gga(self, line: int, cells: list[str]) -> None:
+        """Of two talkers in one epoch (GP single, GN fixed) the better fix counts."""
+        if self.rows and self.rows[-1][1][1] == cells[1] != "":
+            self.talkers += 1
+            if _rank(cells) > _rank(self.rows[-1][1]):
+                self.rows[-1] = (line, cells)
+            return
         self._row_at[cells[1]] = len(self.rows)
         if cells[1] in self._sigma_at:
             self.sigma[len(self.rows)] = self._sigma_at.pop(cells[1])
@@ -100,7 +114,7 @@ def read_nmea(path: Path, raw: bytes) -> Fixes:
         path=path,
         line=[n for n, _ in log.rows],
         lat_lon_height=llh,
-        time_s=seconds + (_days(log, seconds) if dated else _past_midnight(seconds)),
+        time_s=seconds + _days(log, seconds) if dated else going_on(seconds, DAY_S),
         sigma_m=np.array([log.sigma.get(k, [_NAN] * 3) for k in range(len(cells))]),
         notes=[*notes, *said],
         period_s=0.0 if dated else DAY_S,
@@ -160,6 +174,8 @@ def _said(path: Path, log: _Log) -> list[str]:
             f"{path.name}, line {n}: {text!r:.60} is cut off or has a wrong checksum: {len(log.damaged)} such "
             "sentences are left out"
         )
+    if log.talkers:
+        notes.append(f"{path.name}: {log.talkers} epochs have two positions, of two talkers: the better fix counts")
     kinds = Counter(_FIXES.get(c[6], "no fix") for _, c in log.rows)
     counted = ", ".join(f"{count} {kind}" for kind, count in kinds.most_common())
     return [*notes, f"{path.name}: {len(log.rows)} positions by NMEA: {counted}"]
@@ -174,17 +190,6 @@ def _days(log: _Log, seconds: np.ndarray) -> np.ndarray:
     off = [np.abs((second[k] - clock + DAY_S / 2) % DAY_S - DAY_S / 2) for k in (before, after)]
     which = np.where(off[1] < off[0], after, before)
     return day[which] + DAY_S * np.round((second[which] - clock) / DAY_S)
-
-
-def _past_midnight(seconds: np.ndarray) -> np.ndarray:
-    """(R,) what to add to times of day so that they go on after midnight."""
-    known = np.nan_to_num(seconds, nan=_first(seconds))
-    return DAY_S * np.concatenate([[0.0], np.cumsum(-np.round(np.diff(known) / DAY_S))])
-
-
-def _first(seconds: np.ndarray) -> float:
-    good = seconds[np.isfinite(seconds)]
-    return float(good[0]) if len(good) else 0.0
 
 
 def _angle(text: str, side: str) -> float:
