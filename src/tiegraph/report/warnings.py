@@ -83,7 +83,8 @@ def _coverage_warnings(run: RunFolder) -> Iterator[tuple[int, str]]:
         )
         yield 2, many(few, one, several, count(few))
     registered = run.model.registered
-    labels = np.array([" ".join(x).strip() for x in run.scene.image_label()])
+    several_passes = len(run.scene.sequences) > 1
+    labels = np.array([" ".join(x).strip() if several_passes else x[1] for x in run.scene.image_label()])
     for label in dict.fromkeys(labels):
         of = labels == label
         if label and np.mean(registered[of]) < 0.5:
