@@ -173,6 +173,8 @@ def _options(request: Request, free: bool) -> pycolmap.IncrementalPipelineOption
         constant_rigs={k + 1 for k in request.fixed.rigs},
         use_prior_position=request.positions,
         use_robust_loss_on_prior_position=True,
+        # As many as make a pair: COLMAP's 30 leaves out photographs that a few sound ties hold.
+        mapper=pycolmap.IncrementalMapperOptions(abs_pose_min_num_inliers=request.matches.least),
     )
 
 
