@@ -3,8 +3,6 @@
 Distances are counted in each point's own spacing, because the spacing varies within a cloud.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

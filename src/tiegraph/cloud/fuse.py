@@ -5,8 +5,6 @@ file); tile -> points added up by voxel; tile -> outliers removed, with its neig
 some hundred depth maps at a time, which bounds the files.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial

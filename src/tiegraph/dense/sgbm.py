@@ -1,7 +1,5 @@
 """Matching of a rectified pair by OpenCV's semi-global matching (Hirschmueller 2008, block matching variant)."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 

@@ -2,8 +2,6 @@
 station, so that one camera will do for the poses; its model has no scale, but its points lie on the surface of the
 clouds."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Small patches of disparity are errors (paper 004, section 5.2.2)."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 

@@ -5,8 +5,6 @@ neighbourhood had on the level above. The costs are census, on the last level bl
 there is a GPU (``cuda``) the same steps run on it, with the same bits.
 """
 
-from __future__ import annotations
-
 import logging
 import threading
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """What dense decides by: each constant with its unit, its meaning and where its value comes from."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 from pydantic import Field

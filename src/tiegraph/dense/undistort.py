@@ -1,7 +1,5 @@
 """From an image of any COLMAP camera to an undistorted view with a pinhole matrix."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 from pathlib import Path
 

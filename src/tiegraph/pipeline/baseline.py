@@ -1,7 +1,5 @@
 """Glue of `compare --baseline`: a block of a finished survey, laid out as one of its own, and what was made of it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Glue of comparisons of clouds outside the table of stages: two files, and two epochs (``epochs``)."""
 
-from __future__ import annotations
-
 import os
 import tempfile
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Glue of dense: a depth map for every image."""
 
-from __future__ import annotations
-
 import json
 import logging
 from collections import Counter

@@ -1,7 +1,5 @@
 """Glue of design: which of the candidate pairs are matched."""
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Glue of `compare --epochs`: what has changed between two surveys of one place, beyond what both are known to."""
 
-from __future__ import annotations
-
 import tempfile
 from dataclasses import asdict, dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Glue of evaluate: the result against what is known."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

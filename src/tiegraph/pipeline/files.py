@@ -1,7 +1,5 @@
 """Reading and writing the artefacts that several stages share."""
 
-from __future__ import annotations
-
 import errno
 import io
 import json

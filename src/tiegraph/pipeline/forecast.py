@@ -1,7 +1,5 @@
 """What a run will need before it begins: images, disk, CPU time."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import dataclass
 from pathlib import Path

@@ -9,8 +9,6 @@ How the model was made its receipt says: which rigs and lenses were held, and th
 that was written since counts before a constant of the receipt, but never says that a rig was held that was not.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 

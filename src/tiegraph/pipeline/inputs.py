@@ -5,8 +5,6 @@ with file, line, value and remedy. What is only doubtful is a note. What only th
 ``scan``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path

@@ -3,8 +3,6 @@
 What is made stands in a folder of its own; ``evaluate`` takes rig and map.laz from there as references of a run.
 """
 
-from __future__ import annotations
-
 import os
 import time
 from dataclasses import dataclass

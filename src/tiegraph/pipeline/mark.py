@@ -1,7 +1,5 @@
 """Glue of marking: a run and the points of a file, where they are to be seen, and the file of marks."""
 
-from __future__ import annotations
-
 import hashlib
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache

@@ -1,7 +1,5 @@
 """Glue of the planner: cameras as `scan` reads them, the covariance of `sparse`, the viewer of `report`; files."""
 
-from __future__ import annotations
-
 import json
 from functools import partial
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Glue of posed shots: the cloud of each shot from its rig's frame into the world of the georeferenced model."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

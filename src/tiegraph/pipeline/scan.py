@@ -1,7 +1,5 @@
 """Glue of scan: what a user hands over becomes a scene and a folder of images."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path

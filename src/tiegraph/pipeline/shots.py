@@ -1,7 +1,5 @@
 """Glue of the single-shot mode: a point cloud for each shot of a calibrated rig, without any sparse model."""
 
-from __future__ import annotations
-
 import tempfile
 from dataclasses import dataclass
 from functools import partial

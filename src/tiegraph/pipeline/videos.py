@@ -1,8 +1,6 @@
 """Glue of scan for videos and the image topics of bags: their clocks, the offsets between those of a rig, and their
 pictures."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Glue of watch: one step after another, files that have arrived become previews, ties and poses."""
 
-from __future__ import annotations
-
 import json
 import logging
 import statistics

@@ -1,7 +1,5 @@
 """Glue of watch: the coarse model of what has arrived, made in a process of its own, and the surface it shows."""
 
-from __future__ import annotations
-
 import logging
 import threading
 import time

@@ -1,7 +1,5 @@
 """Glue of watch: previews of new images, the pairs that their order proposes, their matches, and poses by them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
