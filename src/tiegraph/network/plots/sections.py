@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
-from tiegraph.network.plots.common import BLUE, DPI, INK, RED
+from tiegraph.network.plots.map import BLUE, DPI, INK, RED
 from tiegraph.network.sections.light import Cue
 from tiegraph.network.sections.sections import Section
 from tiegraph.scene.figures import png

@@ -25,8 +25,7 @@ import numpy as np
 from tiegraph.geometry import transforms
 from tiegraph.network.coarse.pairshare import pair_share
 from tiegraph.network.passes import MatchCache, Pass
-from tiegraph.network.poses.headings import with_headings
-from tiegraph.network.poses.poses import PoseResult, pose_pairs, prior_views, view_cameras
+from tiegraph.network.poses.poses import PoseResult, pose_pairs, prior_views, view_cameras, with_headings
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.network.tuning.poses import PriorTuning

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from tiegraph.network.passes import Pass
-from tiegraph.network.tuning.sections import SectionsTuning
+from tiegraph.network.tuning import SectionsTuning
 from tiegraph.scene.scene import Scene
 
 

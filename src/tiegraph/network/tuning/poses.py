@@ -38,7 +38,7 @@ class PriorTuning(Section):
 
 
 class PosesTuning(Section):
-    """Pairs by prior poses (`poses.py`, `headings.py`)."""
+    """Pairs by prior poses (`poses.py`)."""
 
     range_spacings: float = Field(10.0, gt=0)
     """Assumed distance to the object, in distances between frames."""
