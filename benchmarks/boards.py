@@ -39,7 +39,7 @@ from tiegraph.calibrate.start import start
 from tiegraph.calibrate.state import State
 from tiegraph.calibrate.tuning import Tuning
 from tiegraph.geometry import transforms
-from tiegraph.scene.targets.corners import CENTRE
+from tiegraph.scene.targets import CENTRE
 
 SIDES = ("left", "right")
 BOARD = "checker:9x6:0.025"

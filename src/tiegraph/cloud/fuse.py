@@ -30,10 +30,9 @@ from tiegraph.cloud.voxels import (
 )
 from tiegraph.errors import ReconstructionError
 from tiegraph.geometry.geodesy import Origin
-from tiegraph.geometry.rowstrips import row_strips
 from tiegraph.geometry.transforms import invert
 from tiegraph.scene.atomic import replacing
-from tiegraph.scene.results import Cloud, DepthMap
+from tiegraph.scene.results import Cloud, DepthMap, row_strips
 from tiegraph.scene.sorting import order_of, row_numbers, run_starts
 
 Tile = tuple[int, int, int]

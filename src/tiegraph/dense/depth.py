@@ -15,8 +15,7 @@ from tiegraph.dense.settings import DenseSettings
 from tiegraph.dense.tuning import NormalTuning, Tuning
 from tiegraph.dense.undistort import load_view
 from tiegraph.errors import choose
-from tiegraph.geometry.rowstrips import row_strips
-from tiegraph.scene.results import DepthMap
+from tiegraph.scene.results import DepthMap, row_strips
 
 
 def depth_map(

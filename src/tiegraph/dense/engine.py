@@ -19,9 +19,8 @@ from tiegraph.dense.sgbm import match_sgbm
 from tiegraph.dense.triangulate import Candidates, triangulate
 from tiegraph.dense.tsgm import available, kernel_in_use, match_tsgm, volume_bytes
 from tiegraph.dense.tuning import PairTuning, RayTuning, Tuning
-from tiegraph.geometry.rowstrips import row_strips
 from tiegraph.geometry.stereo import Pinhole, Rectification, rectify
-from tiegraph.scene.results import DepthMap
+from tiegraph.scene.results import DepthMap, row_strips
 
 _BITS = np.array([bin(k).count("1") for k in range(256)], np.uint8)
 

@@ -4,11 +4,11 @@ import cv2
 import numpy as np
 
 from tiegraph.dense.settings import DenseSettings
-from tiegraph.dense.speckles import without_speckles
 from tiegraph.dense.tuning import SgbmTuning, Tuning
 
 _MODES = {3: cv2.STEREO_SGBM_MODE_SGBM_3WAY, 5: cv2.STEREO_SGBM_MODE_SGBM, 8: cv2.STEREO_SGBM_MODE_HH}
-_SUBPIXEL = 16  # OpenCV's fixed point
+_SUBPIXEL = 16  # OpenCV's fixed point: steps of a pixel in 16 bits; the disparities of one image may span 2000 pixels
+_SHIFT_PX = 16  # the sub-pixel part of a disparity of 0 may be negative
 
 
 def match_sgbm(
@@ -63,3 +63,11 @@ def _left_right(forward: np.ndarray, backward: np.ndarray, count: int, most_px: 
     back = np.take_along_axis(backward, np.clip(column, 0, backward.shape[1] - 1), axis=1)
     agrees = np.abs(back - forward) <= most_px  # NaN compares false
     return np.where(known & agrees, forward, np.float32(np.nan))
+
+
+def without_speckles(disparity: np.ndarray, size_px: int, jump_px: float) -> np.ndarray:
+    """Disparity (h, w) f4 > -16, NaN = none, without patches of fewer than ``size_px`` pixels enclosed by jumps of more
+    than ``jump_px``."""
+    fixed = np.where(np.isfinite(disparity), (disparity + _SHIFT_PX) * _SUBPIXEL, 0).astype(np.int16)
+    cv2.filterSpeckles(fixed, 0, size_px, jump_px * _SUBPIXEL)
+    return np.where(fixed > 0, disparity, np.float32(np.nan))

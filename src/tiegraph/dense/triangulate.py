@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tiegraph.dense.tuning import RayTuning
-from tiegraph.geometry.rowstrips import row_strips
+from tiegraph.scene.results import row_strips
 
 _STRIP_PIXELS = 1 << 15  # pixels solved together, so that the partners' columns stay in the cache
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from tiegraph.dense import cuda
 from tiegraph.dense.settings import DenseSettings
-from tiegraph.dense.speckles import without_speckles
+from tiegraph.dense.sgbm import without_speckles
 from tiegraph.dense.tuning import TsgmTuning, Tuning
 from tiegraph.errors import EngineMissing
 

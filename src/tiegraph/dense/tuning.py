@@ -180,7 +180,7 @@ class TsgmTuning(Section):
 
 
 class SpeckleTuning(Section):
-    """Small patches of disparity (`speckles.py`)."""
+    """Small patches of disparity (`sgbm.py`)."""
 
     size_px: int = Field(100, ge=0)
     """Patches below 100 pixels ... (paper 004, section 5.2.2)"""

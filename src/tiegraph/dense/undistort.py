@@ -11,9 +11,9 @@ from tiegraph.dense.plan import CameraModel, ViewPlan
 from tiegraph.dense.settings import DenseSettings
 from tiegraph.dense.tuning import ViewTuning
 from tiegraph.errors import InputError
-from tiegraph.geometry.rowstrips import row_strips
 from tiegraph.geometry.stereo import Pinhole
 from tiegraph.scene.images import read_pixels
+from tiegraph.scene.results import row_strips
 
 _MAX_CACHED_MAPS = 8  # a rig of six and two to spare; a map takes 8 bytes a pixel
 

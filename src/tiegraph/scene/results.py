@@ -1,13 +1,17 @@
-"""What the later stages make: depth maps, clouds, trajectories, metrics."""
+"""What the later stages make: depth maps, clouds, trajectories, metrics and their file (metrics.json)."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+import math
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 
 from tiegraph.geometry import transforms
 from tiegraph.geometry.geodesy import Origin
+from tiegraph.scene.accuracy import Accuracy
 
 
 @dataclass(frozen=True)
@@ -100,3 +104,33 @@ class Metric:
     unit: str
     better: str
     target: float = float("nan")
+
+
+def row_strips(shape: tuple[int, ...], pixels: int = 1 << 18) -> list[slice]:
+    """Rows of an image (height, width) in order, about ``pixels`` at a time; at least one row."""
+    height, width = shape
+    rows = max(1, pixels // width)
+    return [slice(top, min(top + rows, height)) for top in range(0, height, rows)]
+
+
+def metrics_to_dict(
+    metrics: Iterable[Metric],
+    tables: dict[str, dict] | None = None,
+    notes: Iterable[str] = (),
+    contradictions: Iterable[str] = (),
+    accuracy: Accuracy | None = None,
+) -> dict[str, Any]:
+    """{"accuracy": the layers, "metrics": [{name, value, unit, better, target}], "tables", "notes", "contradictions"}.
+
+    NaN and infinity as null.
+    """
+    rows = [{k: _finite(v) for k, v in asdict(m).items()} for m in metrics]
+    clean = {n: {**t, "rows": [[_finite(v) for v in row] for row in t["rows"]]} for n, t in (tables or {}).items()}
+    said = {} if accuracy is None else {"accuracy": accuracy.to_dict()}
+    return {**said, "metrics": rows, "tables": clean, "notes": list(notes), "contradictions": list(contradictions)}
+
+
+def _finite(value: Any) -> Any:
+    if hasattr(value, "item"):
+        value = value.item()
+    return None if isinstance(value, float) and not math.isfinite(value) else value

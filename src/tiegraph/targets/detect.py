@@ -11,8 +11,7 @@ import cv2
 import numpy as np
 
 from tiegraph.scene.rays import on_plane
-from tiegraph.scene.targets.corners import CENTRE, refined
-from tiegraph.scene.targets.names import Target, dictionary
+from tiegraph.scene.targets import CENTRE, Target, dictionary, refined
 from tiegraph.targets.tuning import Tuning
 
 if TYPE_CHECKING:
