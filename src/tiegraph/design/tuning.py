@@ -9,7 +9,7 @@ from tiegraph.settings import Section
 
 
 class CostTuning(Section):
-    """What matching costs of a run (`cost.py`): CPU seconds of a core that compares 4096 with 4096 key points in 13 ms.
+    """What matching costs of a run (`Cost`): CPU seconds of a core that compares 4096 with 4096 key points in 13 ms.
 
     Only ratios count. They give the runs in benchmarks/results (8 to 300 images; rendered, vehicle, facades, telephone)
     within a factor of two.

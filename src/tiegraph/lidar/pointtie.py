@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry.align import CAUCHY_SIGMAS, Similarity
-from tiegraph.lidar.motion import first_of_voxels, voxel_keys
+from tiegraph.lidar.scans import first_of_voxels, voxel_keys
 from tiegraph.lidar.tuning import TieTuning
 
 _MAD = 1.4826

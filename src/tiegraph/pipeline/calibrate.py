@@ -30,14 +30,13 @@ from tiegraph.project.pool import map_items, open_pool
 from tiegraph.project.progress import Reporter
 from tiegraph.project.stages import write_atomic
 from tiegraph.project.verbtunings import VerbTunings
-from tiegraph.scan.assign import Report
+from tiegraph.scan.assign import Report, usable_images
 from tiegraph.scan.folders import guess_layout
 from tiegraph.scan.frames import match_frames
 from tiegraph.scan.rigfiles.camerafile import MODELS
 from tiegraph.scan.rigfiles.rigreader import nearest
 from tiegraph.scan.rigfiles.rigwrite import rig_config, rig_toml
 from tiegraph.scan.tuning import Tuning as ScanTuning
-from tiegraph.scan.usable import usable_images
 from tiegraph.scene.atomic import must_be_new
 from tiegraph.scene.hanging import WIDE
 from tiegraph.scene.images import Probe, probe_image, search_images

@@ -10,7 +10,7 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 
-from tiegraph.scan.assign import Report, Shot, Survey, Usable, assign, some
+from tiegraph.scan.assign import Report, Shot, Survey, Usable, assign, need_two, some, usable_images
 from tiegraph.scan.calibration import with_camera, with_start_cameras
 from tiegraph.scan.cameras import FileFacts, calibrate
 from tiegraph.scan.fisheye import ImageFiles, into_views, with_lit_circle
@@ -26,7 +26,6 @@ from tiegraph.scan.rigfiles.rigspec import RigSpec
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import Tuning
 from tiegraph.scan.twolenses import two_lenses
-from tiegraph.scan.usable import need_two, usable_images
 from tiegraph.scene.exif import Exif
 from tiegraph.scene.hanging import wide_first
 from tiegraph.scene.images import IMAGES_FOLDER, Probe, find_images, probe_image

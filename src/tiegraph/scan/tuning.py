@@ -179,7 +179,7 @@ class PicturesTuning(Section):
 
 
 class MotionTuning(Section):
-    """How a video's picture moves (`videomotion.py`)."""
+    """How a video's picture moves (`videooffset.py`)."""
 
     width_px: int = Field(640, ge=64)
     """Width at which pictures are compared: KITTI's two cameras agree best there (of 320, 640 and 1241)."""
