@@ -114,7 +114,7 @@ def evaluate_survey(
         found.metrics.extend(passes.metrics())
         found.tables.update(passes.tables())
         found.notes.append(passes.note())
-        found.figures += passes_figure(passes, stated.predicted, tuning.m3c2.confidence)
+        found.figures += passes_figure(passes, stated.predicted)
     accuracy = in_layers(stated, found.figures)
     if settings.tolerance_m is not None:
         contradicted = bool(found.contradictions or stated.world.get("contradictions"))

@@ -26,6 +26,7 @@ from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene, of_frames
 
 _PAIRS_AT_ONCE = 20_000  # pairs whose points are looked up at once: bounds the memory
+_AXES_LISTED = 1000  # images, beyond which pairs that the axes rule out are counted and not listed
 
 
 @dataclass(frozen=True)
@@ -69,7 +70,7 @@ def join_network(
     asked, own = settings
     notes: list[str] = []
     if asked.uses_axes():
-        pairs, notes = _with_axes(pairs, scene, find_passes(scene), asked, tuning.sources.axes_listed)
+        pairs, notes = _with_axes(pairs, scene, find_passes(scene), asked)
     pairs = pairs.with_(score=np.where(np.isnan(pairs.score), ties.known(pairs.i, pairs.j), pairs.score))
     cut = _sections(scene, light, pairs, own, tuning.sections)
     scene = scene.with_(section=cut.of_frame)
@@ -99,17 +100,14 @@ def positions_of(scene: Scene, cam_from_world: np.ndarray | None) -> tuple[np.nd
 
 
 def _with_axes(
-    pairs: Pairs, scene: Scene, passes: tuple[Pass, ...], settings: CandidatesSettings, listed: int
+    pairs: Pairs, scene: Scene, passes: tuple[Pass, ...], settings: CandidatesSettings
 ) -> tuple[Pairs, list[str]]:
-    """The pairs of one pass that the axes rule out added, but for those the model has found to share surface.
-
-    ``listed``: images, beyond which they are only counted.
-    """
+    """The pairs of one pass that the axes rule out added, but for those the model has found to share surface."""
     count = axes_count(passes, settings)
     if not count:
         return pairs, []
     said = f"axes more than {settings.axes_deg:.0f} deg apart: {count} pairs of images of one pass are not tried"
-    if len(scene) > listed:
+    if len(scene) > _AXES_LISTED:
         return pairs, [f"{said} (not listed one by one)"]
     apart = axes_pairs(passes, settings)
     found = int(apart.isin(pairs.kept()).sum())

@@ -30,6 +30,8 @@ from tiegraph.scene.colmapmodel import model_centres
 from tiegraph.scene.measuredcloud import write_measured
 from tiegraph.text import csv_text
 
+_LISTED = 50  # changes in the table, the largest first
+
 
 @dataclass(frozen=True)
 class EpochOptions:
@@ -98,7 +100,7 @@ def differences_of(pair: Pair, out: Path, tuning: Tuning, depth_m: float | None)
         assert folder is not None
         found = m3c2_of(pair, Path(scratch), tuning, depth_m)
         changed = changes(found, tuning.changes)
-        result = _result(found, changed, pair, tuning.changes.listed)
+        result = _result(found, changed, pair)
         _write(folder, found, changed, result, pair.origin)
     return result
 
@@ -182,11 +184,11 @@ def _cameras(epoch: _Epoch) -> Cameras:
     return Cameras(centres, ("",) * len(centres))
 
 
-def _result(found: Differences, changed: Changes, pair: Pair, listed: int) -> dict[str, Any]:
+def _result(found: Differences, changed: Changes, pair: Pair) -> dict[str, Any]:
     return {
         "differences": {k: float(f"{v:.6g}") for k, v in found.summary().items()},
         "areas_and_volumes": {k: float(f"{v:.6g}") for k, v in changed.totals().items()},
-        "changes": changed.table(_shift(pair.origin), listed),
+        "changes": changed.table(_shift(pair.origin), _LISTED),
         "cylinders": asdict(found.cylinders),
         "registration": None if pair.fitted is None else pair.fitted.table(),
         "crs": None if pair.origin is None else pair.origin.crs,

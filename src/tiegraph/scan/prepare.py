@@ -43,7 +43,7 @@ def prepare_image(source: Path, target: Path, sensor: Sensor, settings: ScanSett
         if pixels is None:
             _link(source, partial)
         else:
-            write_pixels(partial, pixels, tuning)
+            write_pixels(partial, pixels)
 
 
 def crop_camera(camera: pycolmap.Camera, left: int, top: int, right: int, bottom: int) -> pycolmap.Camera:
@@ -191,11 +191,11 @@ def _link(source: Path, target: Path) -> None:
                 raise
 
 
-def write_pixels(target: Path, pixels: np.ndarray, tuning: PicturesTuning, taken: Taken | None = None) -> None:
+def write_pixels(target: Path, pixels: np.ndarray, taken: Taken | None = None) -> None:
     """Write RGB or grey pixels (H, W[, 3]) u1 by the suffix; JPEG nearly without loss, and with EXIF that says when and
     where it was taken. Raises OSError (full disk)."""
     suffix = target.suffix.lower()
     how: dict[str, Any] = {} if taken is None else {"exif": exif_of(taken)}
     if suffix in (".jpg", ".jpeg"):
-        how |= {"quality": tuning.jpeg_quality, "subsampling": 0}
+        how |= {"quality": 98, "subsampling": 0}
     Image.fromarray(np.ascontiguousarray(pixels)).save(target, **how)

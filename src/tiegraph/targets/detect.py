@@ -41,7 +41,7 @@ def find_targets(pixels: np.ndarray, families: Sequence[str], tuning: Tuning) ->
         for number, quad in zip(np.zeros(0, int) if numbers is None else numbers.ravel(), quads):
             xy = quad.reshape(4, 2)
             side = float(np.linalg.norm(xy - np.roll(xy, 1, axis=0), axis=1).min())
-            free = side * tuning.border_bits / tuning.bits
+            free = side / tuning.bits  # the border, one bit wide
             corners = refined(pixels, xy, free, tuning.refine_share, tuning.refine_px)
             half = int(np.clip(round(tuning.refine_share * free), *tuning.refine_px))
             sigma = float(np.hypot(np.median([_sigma(pixels, c, half, noise) for c in corners]), tuning.least_sigma_px))

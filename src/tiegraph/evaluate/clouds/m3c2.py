@@ -25,6 +25,7 @@ _CORES = 10_000  # core points looked at together: some 10 million pairs of poin
 _OBLIQUE = np.array([0.36, 0.48, 0.8])  # where normals point without cameras: up, else to the north-east
 
 Sigma = Callable[[np.ndarray, np.ndarray], np.ndarray]  # of points (N, 3) along normals (N, 3): metres (N,)
+CONFIDENCE = 1.96  # sigmas at which 5 % of the differences of equal surfaces are called significant
 
 
 @dataclass(frozen=True)
@@ -151,7 +152,7 @@ def m3c2(
     enough = (one.count >= tuning.least_points) & (two.count >= tuning.least_points)
     distance = np.where(enough, two.mean - one.mean, np.nan)
     variance = one.variance_of_mean() + two.variance_of_mean() + np.square(registration)
-    return distance, np.where(enough, tuning.confidence * np.sqrt(variance), np.nan)
+    return distance, np.where(enough, CONFIDENCE * np.sqrt(variance), np.nan)
 
 
 @dataclass(frozen=True)

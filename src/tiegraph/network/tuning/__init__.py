@@ -25,8 +25,6 @@ class SectionsTuning(Section):
     """Factor by which the classes' luminances must differ."""
     brightness_contrast: float = Field(1.25, gt=0)
     """Factor by which the classes' brightnesses must differ."""
-    gamma: float = Field(2.2, gt=0)
-    """Of grey values, to make them proportional to light."""
     known_exposure: float = Field(0.9, ge=0, le=1)
     """Share of the up images that must carry their exposure."""
     narrowest: float = Field(1 / 6, gt=0)
@@ -62,8 +60,6 @@ class SourcesTuning(Section):
     """Loose photographs that are all compared with one another (435 pairs)."""
     nearest: int = Field(10, ge=0)
     """Loose photographs with positions: nearest ones that are kept whatever the preview says."""
-    axes_listed: int = Field(1000, ge=0)
-    """Images of a survey, beyond which pairs that the axes rule out are counted and not listed."""
     sample: int = Field(40, gt=0)
     """Pairs of neighbours, and of images half a pass apart, that are previewed."""
     least_neighbours: int = Field(8, gt=0)

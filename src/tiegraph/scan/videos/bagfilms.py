@@ -21,6 +21,7 @@ import numpy as np
 from tiegraph.errors import InputError
 from tiegraph.scan.folders import is_camera
 from tiegraph.scan.recording import Recording
+from tiegraph.scan.recording.fixes import RECORDED_RANGE_S
 from tiegraph.scan.rigfiles.camerafile import check_lens
 from tiegraph.scan.rigfiles.cameraread import FoundCamera
 from tiegraph.scan.rigfiles.camerayaml import opencv
@@ -169,7 +170,7 @@ class BagFilm:
     def clock(self, shift_s: float) -> VideoClock:
         """The clock of the headers, ``shift_s`` later: one for all topics of a bag."""
         start_s, name = self._start_ns * 1e-9, shown(self._bag.path, self._topic.name)
-        low, high = self._tuning.recorded_range_s
+        low, high = RECORDED_RANGE_S
         dated = low <= start_s <= high
         when = f"{datetime.fromtimestamp(start_s, timezone.utc):%Y-%m-%d %H:%M:%S} UTC" if dated else f"{start_s:.3f} s"
         late = f"which it was received {(self._received_ns - self._start_ns) * 1e-9:.3f} s after"
