@@ -1,7 +1,5 @@
 """What is estimated: cameras, where they are in the rig, and where the board was at every instant."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
@@ -25,7 +23,7 @@ class State:
         """(4, 4) of a view."""
         return np.asarray(self.sensor_from_rig[view.camera] @ self.rig_from_board[view.instant])
 
-    def at(self, instants: Collection[int]) -> State:
+    def at(self, instants: Collection[int]) -> "State":
         """The state with the board of these instants alone."""
         kept = {k: pose for k, pose in self.rig_from_board.items() if k in instants}
         return State(self.cameras, self.sensor_from_rig, kept)

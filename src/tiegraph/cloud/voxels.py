@@ -6,8 +6,6 @@ Space is cut into cubic tiles, and a voxel is numbered within its tile: points a
 coordinates of any survey fit.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,7 +45,7 @@ class Voxels:
     def __len__(self) -> int:
         return len(self.cell)
 
-    def where(self, mask: np.ndarray) -> Voxels:
+    def where(self, mask: np.ndarray) -> "Voxels":
         """The voxels of a boolean mask."""
         return Voxels(*(values[mask] for values in self.__dict__.values()))
 

@@ -1,7 +1,5 @@
 """The two steps of a depth map, each for one image in one worker: match with partners, then compare with neighbours."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -85,7 +83,7 @@ class _Planes:
     c: np.ndarray
     good: np.ndarray  # bool
 
-    def rows(self, rows: slice) -> _Planes:
+    def rows(self, rows: slice) -> "_Planes":
         """Of some rows."""
         return _Planes(**{name: values[rows] for name, values in self.__dict__.items()})
 

@@ -1,7 +1,5 @@
 """What one depth map needs to be made: small picklable objects, so that a worker never loads the whole model."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -18,7 +16,7 @@ class CameraModel:
     params: tuple[float, ...]
 
     @staticmethod
-    def of(camera: pycolmap.Camera) -> CameraModel:
+    def of(camera: pycolmap.Camera) -> "CameraModel":
         """Of a pycolmap camera."""
         return CameraModel(
             model=camera.model_name,

@@ -7,8 +7,6 @@ images is a weighted mean of inverse depths: the linear solution is already the 
 and what is left to refine is who takes part and with what weight.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -33,7 +31,7 @@ class Candidates:
     unit: np.ndarray
 
     @staticmethod
-    def nothing(shape: tuple[int, int]) -> Candidates:
+    def nothing(shape: tuple[int, int]) -> "Candidates":
         """A partner that proposes nothing."""
         return Candidates(np.full(shape, np.nan, np.float32), np.full(shape, np.nan, np.float32))
 

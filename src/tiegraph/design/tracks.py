@@ -1,7 +1,5 @@
 """Tracks of the design: which preview features are joined by the chosen pairs, and what one more pair would join."""
 
-from __future__ import annotations
-
 from copy import copy
 from dataclasses import dataclass
 
@@ -42,7 +40,7 @@ class Candidates:
     @staticmethod
     def make(
         i: np.ndarray, j: np.ndarray, expected: np.ndarray, ties: PreviewMatches | None, images: int
-    ) -> Candidates:
+    ) -> "Candidates":
         """Candidates of pairs i < j (E,) from the preview matches of those that were previewed."""
         ties = PreviewMatches.empty() if ties is None else ties
         row = ties.find(i, j)
@@ -138,7 +136,7 @@ class Tracks:
         rows = (spread(c.start[places[k]], count[k]) for k in own)
         self.parent = unite(self.parent, ((c.left[at], c.right[at]) for at in rows))
 
-    def copy(self) -> Tracks:
+    def copy(self) -> "Tracks":
         """The same, to be joined further by itself."""
         other = copy(self)
         other.parent, other.chosen = self.parent.copy(), self.chosen.copy()

@@ -5,8 +5,6 @@ is false. Overlap changes slowly along a pass, so the kernel mean over neighbour
 rendered images, the same recall at 0.8 instead of 0.5 precision, from a ninth of the previews.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -76,7 +74,7 @@ class ScoreMatrix:
         c, d, a, b = np.nonzero(nodes)
         return self.p.images[c, self.rows[a]], self.q.images[d, self.columns[b]]
 
-    def measured(self, nodes: Nodes, cache: MatchCache) -> ScoreMatrix:
+    def measured(self, nodes: Nodes, cache: MatchCache) -> "ScoreMatrix":
         """With the nodes (K,) previewed; those that do not exist are left out."""
         made = replace(self, inliers=self.inliers.copy())
         made.measure(nodes, cache)

@@ -1,7 +1,5 @@
 """Pair sources by name: each proposes pairs with a score and, where it refused one, the reason."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -53,7 +51,7 @@ class Proposal:
     surfaces: tuple[OffsetSurface, ...] = ()
     apart: bool = False  # the images say that the poses of different passes do not stand in one world
 
-    def __or__(self, other: Proposal) -> Proposal:
+    def __or__(self, other: "Proposal") -> "Proposal":
         return Proposal(
             pairs=self.pairs | other.pairs,
             notes=self.notes + other.notes,

@@ -4,8 +4,6 @@ There is no run folder: what is made are a rig.toml and, beside it, a folder wit
 summary. Neither may be there before.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -270,7 +268,7 @@ class Outputs:
     folder: Path
 
     @classmethod
-    def beside(cls, out: Path) -> Outputs:
+    def beside(cls, out: Path) -> "Outputs":
         """Raises InputError if one of them is there, or ``out`` is no TOML file."""
         if out.suffix.lower() != ".toml":
             raise InputError(f"-o {out}: the rig is written as TOML: give a name that ends in .toml")

@@ -10,8 +10,6 @@ which M3C2 needs nothing (mean places in cylinders hardly feel 3 % of strays), t
 5000 core points are enough. Half of the depth maps would leave one of the example's sections without any.
 """
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -50,7 +48,7 @@ class _Pass:
     images: tuple[str, ...]
     centres: np.ndarray
 
-    def where(self, rows: np.ndarray) -> _Pass:
+    def where(self, rows: np.ndarray) -> "_Pass":
         """Some of the images."""
         return _Pass(self.name, tuple(self.images[k] for k in rows), self.centres[rows])
 

@@ -1,7 +1,5 @@
 """The scan stage: from a folder of images and what came with it to a Scene."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from collections.abc import Sequence
@@ -244,7 +242,7 @@ class _Named:
     renamed: int
 
     @staticmethod
-    def of(survey: Survey, pictures: ImageFiles) -> _Named:
+    def of(survey: Survey, pictures: ImageFiles) -> "_Named":
         names, probes, files = pictures.names, pictures.probes, pictures.files
         given = [names[s.image] for s in survey.shots]
         safe = safe_names(given)

@@ -3,8 +3,6 @@
 Memory is that of a part (of an E57 file: that of a scan).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -42,7 +40,7 @@ class PointSource:
     parts: Callable[[], Iterator[Points]]
     crs: str | None = None
 
-    def moved(self, function: Callable[[np.ndarray], np.ndarray], crs: str | None = None) -> PointSource:
+    def moved(self, function: Callable[[np.ndarray], np.ndarray], crs: str | None = None) -> "PointSource":
         """The cloud with its coordinates (N, 3) carried by a function; sigmas stay."""
 
         def parts() -> Iterator[Points]:

@@ -5,8 +5,6 @@ point says that nothing stands between it and what took it. Points of another cl
 fit, however well the surfaces meet elsewhere. Points behind a surface say nothing: they were hidden.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -42,7 +40,7 @@ class Pair:
         """Of the shift in the middle of the overlap, the largest of any direction."""
         return float(np.sqrt(np.linalg.eigvalsh(np.linalg.inv(self.information)[3:, 3:])[-1]))
 
-    def refused(self, why: str) -> Pair:
+    def refused(self, why: str) -> "Pair":
         """The pair, not believed."""
         return replace(self, why_not=why)
 

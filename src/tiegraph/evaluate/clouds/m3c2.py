@@ -8,8 +8,6 @@ what the cloud states as sigma of its points is therefore not divided by their n
 "M3C2-PM"), while the spread in the cylinder is.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
@@ -77,7 +75,7 @@ class Differences:
         with np.errstate(invalid="ignore"):
             return np.asarray(np.abs(self.distance_m) > self.lod_m)
 
-    def where(self, cores: np.ndarray) -> Differences:
+    def where(self, cores: np.ndarray) -> "Differences":
         """Those at some core points: (N,) bool or indices."""
         return replace(
             self,

@@ -1,7 +1,5 @@
 """The tie graph on the map: frames at their positions, ties by kind, weak links in red."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -220,7 +218,7 @@ class _Page:
     across: bool
 
     @staticmethod
-    def make(nodes: _Nodes, count: int) -> _Page:
+    def make(nodes: _Nodes, count: int) -> "_Page":
         place = nodes.place if len(nodes.place) else np.zeros((1, 2))
         low, high = place.min(axis=0), place.max(axis=0)
         room = (0.04 + _HIGHEST) * max(float((high - low).max()), 1e-9)

@@ -1,7 +1,5 @@
 """Positions that a camera's own receiver wrote into its video: which are believed, and where a frame was taken."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,7 +25,7 @@ class Readings:
     def __len__(self) -> int:
         return len(self.stamp_s)
 
-    def take(self, rows: np.ndarray) -> Readings:
+    def take(self, rows: np.ndarray) -> "Readings":
         """Some of them: a mask or numbers."""
         return Readings(
             stamp_s=self.stamp_s[rows],

@@ -5,8 +5,6 @@ ROS has no rule but a habit: the topics below one name are of one camera (/left/
 folder of the pictures is called as what stands before ``image``: left.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -123,7 +121,7 @@ def _camera_name(topic: str) -> str:
 
 
 @contextmanager
-def open_topic(bag_path: Path, topic: str, tuning: PicturesTuning) -> Iterator[BagFilm]:
+def open_topic(bag_path: Path, topic: str, tuning: PicturesTuning) -> "Iterator[BagFilm]":
     """An image topic of a bag. Raises what ``open_bag`` raises, and InputError if the topic is none of images."""
     with open_bag(bag_path) as bag:
         yield BagFilm(bag, bag.only(KINDS, (topic,)), tuning)
