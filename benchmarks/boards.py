@@ -91,7 +91,7 @@ def main() -> None:
 
 
 def _ours(pixels: np.ndarray) -> np.ndarray:
-    return detect(pixels, read_board(BOARD, TUNING.board), TUNING.board)[1]
+    return detect(pixels, read_board(BOARD), TUNING.board)[1]
 
 
 def _sample(pixels: np.ndarray) -> np.ndarray:
@@ -105,7 +105,7 @@ def _sample(pixels: np.ndarray) -> np.ndarray:
 
 def observed(folder: Path, find: Callable[[np.ndarray], np.ndarray]) -> Observations:
     """The corners of all images, numbered as ``_ours`` does."""
-    board, views = read_board(BOARD, TUNING.board), []
+    board, views = read_board(BOARD), []
     for camera, side in enumerate(SIDES):
         for file in sorted(folder.glob(f"{side}[01][0-9].jpg")):
             pixels = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)

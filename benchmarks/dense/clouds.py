@@ -50,8 +50,7 @@ from tiegraph.geometry.align import Similarity, umeyama
 from tiegraph.pipeline.dense import coloured
 from tiegraph.scene.cloudchunks import open_cloud, points_of
 from tiegraph.scene.cloudfile import write_cloud
-from tiegraph.scene.depthfile import load_depth, save_depth
-from tiegraph.scene.results import Cloud, DepthMap
+from tiegraph.scene.results import Cloud, DepthMap, load_depth, save_depth
 
 Truth = Callable[[ImagePlan], "np.ndarray | None"]  # depth at the pixels of the undistorted image, NaN = unknown
 

@@ -17,7 +17,7 @@ from tiegraph.project.progress import Reporter
 from tiegraph.project.run import Run, check_run, let_go, run_stages, status, without_inputs
 from tiegraph.project.settings import SETTING_OF, Settings
 from tiegraph.project.stages import Stage, needed
-from tiegraph.scene.bags.topics import source_of
+from tiegraph.scene.bags import source_of
 from tiegraph.scene.colmapmodel import read_model
 from tiegraph.scene.names import check_text
 from tiegraph.scene.pairs import Pairs

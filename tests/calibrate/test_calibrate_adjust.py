@@ -23,7 +23,7 @@ from tiegraph.scan.rigfiles.rigfile import read_rig_file
 from tiegraph.scan.tuning import Tuning as ScanTuning
 
 TUNING = Tuning()
-BOARD = read_board("charuco:9x7:0.03:0.022", TUNING.board)
+BOARD = read_board("charuco:9x7:0.03:0.022")
 SIZE = (640, 480)
 OPENCV = [800.0, 802.0, 325.0, 238.0, -0.2, 0.05, 0.0005, -0.0003]
 NAMES = ["left", "middle", "right"]
@@ -191,7 +191,7 @@ def test_what_cannot_be_calibrated_is_said_at_the_start():
     refused([*(v for v in seen.views if v.camera != 2), first], "right: the board was found in 1 of its 12 images")
     apart = [v if v.camera < 2 else replace(v, instant=v.instant + 100) for v in seen.views]
     refused(apart, r"nothing ties these cameras together: left, middle \| right")
-    refused(seen.views, "looks the same after half a turn", read_board("checker:8x6:0.03", TUNING.board))
+    refused(seen.views, "looks the same after half a turn", read_board("checker:8x6:0.03"))
 
 
 @pytest.mark.slow

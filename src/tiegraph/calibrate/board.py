@@ -18,7 +18,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from tiegraph.calibrate.tuning import BoardTuning
 from tiegraph.errors import InputError
 from tiegraph.scene.regular import regular
 
@@ -53,17 +52,17 @@ class Board:
         return self.kind == CHECKER and sum(self.counts) % 2 == 0
 
 
-def read_board(text: str, tuning: BoardTuning) -> Board:
+def read_board(text: str) -> Board:
     """The board of ``--board``. Raises InputError naming what is wrong and the forms that are read."""
     kind, *words = text.split(":")
     if kind in _EXAMPLES:
-        return (_charuco if kind == CHARUCO else _checker)(text, words, tuning)
+        return (_charuco if kind == CHARUCO else _checker)(text, words)
     if Path(text).suffix.lower() in (".yaml", ".yml"):
-        return _kalibr(Path(text), tuning)
+        return _kalibr(Path(text))
     raise InputError(f"--board {text}: {_FORMS}")
 
 
-def _charuco(text: str, words: list[str], tuning: BoardTuning) -> Board:
+def _charuco(text: str, words: list[str]) -> Board:
     legacy = words[-1:] == ["legacy"]
     words = words[: len(words) - legacy]
     if not 3 <= len(words) <= 4:
@@ -88,7 +87,7 @@ def _charuco(text: str, words: list[str], tuning: BoardTuning) -> Board:
     )  # fmt: skip
 
 
-def _checker(text: str, words: list[str], tuning: BoardTuning) -> Board:
+def _checker(text: str, words: list[str]) -> Board:
     if len(words) == 1:
         raise InputError(
             f"--board {text}: the side of a square is missing, in metres: measure it over many squares. For a single "
@@ -101,7 +100,7 @@ def _checker(text: str, words: list[str], tuning: BoardTuning) -> Board:
     return Board(CHECKER, counts, _length(words[1], where) * _grid(*counts))
 
 
-def _kalibr(path: Path, tuning: BoardTuning) -> Board:
+def _kalibr(path: Path) -> Board:
     try:
         content = regular(path).read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:

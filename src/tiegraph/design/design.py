@@ -20,11 +20,10 @@ from tiegraph.design.settings import DesignSettings
 from tiegraph.design.tracks import Candidates
 from tiegraph.design.tuning import CostTuning, HoldingTuning, Tuning
 from tiegraph.errors import choose as choose_entry
-from tiegraph.scene.graph import cuts, forest, frame_links, groups, parts, two_links
+from tiegraph.scene.graph import cuts, forest, frame_links, groups, parts, strongest_places, two_links
 from tiegraph.scene.matches import PreviewMatches, Visibility
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
-from tiegraph.scene.strongest import strongest_places
 
 
 @dataclass(frozen=True)

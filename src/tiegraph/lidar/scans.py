@@ -16,8 +16,7 @@ from tiegraph.geometry import transforms
 from tiegraph.geometry.transforms import from_quaternion_wxyz
 from tiegraph.lidar.formats import BIN_COLUMNS, READERS, Points, points_of
 from tiegraph.lidar.tuning import ScanTuning
-from tiegraph.scene.bags.bag import open_bag, stamp_ns
-from tiegraph.scene.bags.topics import is_bag, split_topics
+from tiegraph.scene.bags import is_bag, open_bag, split_topics, stamp_ns
 from tiegraph.scene.posefile import read_poses
 from tiegraph.scene.regular import regular
 from tiegraph.scene.table import in_seconds, parse_time, read_table

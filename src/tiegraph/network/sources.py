@@ -20,8 +20,7 @@ from tiegraph.network.retrieval.retrieval import retrieve
 from tiegraph.network.rig.axes import allowed_within
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
-from tiegraph.scene.pairlist import read_pair_list
-from tiegraph.scene.pairs import REASONS, Pairs
+from tiegraph.scene.pairs import REASONS, Pairs, read_pair_list
 from tiegraph.scene.scene import Scene
 
 Descriptors = Callable[[], Sequence[np.ndarray]]  # (K, 128) u1 of every image

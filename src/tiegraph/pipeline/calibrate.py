@@ -62,7 +62,7 @@ def calibrate(
     reporter, tunings = reporter or Reporter("quiet"), tunings or VerbTunings()
     tuning = tunings.calibrate
     made = Outputs.beside(out)
-    pattern = read_board(board, tuning.board)
+    pattern = read_board(board)
     survey = _read_folder(images, settings, pool, reporter, tunings)
     check_wide(settings.wide, [c.name for c in survey.cameras])
     seen = _detect(survey, pattern, tuning.board, pool, reporter)

@@ -25,9 +25,8 @@ from tiegraph.project.folder import SETTINGS, check_format
 from tiegraph.project.run import save_json
 from tiegraph.project.settings import read_settings
 from tiegraph.project.stages import write_atomic
-from tiegraph.scene.cloudchunks import PointSource, open_cloud
+from tiegraph.scene.cloudchunks import PointSource, open_cloud, write_measured
 from tiegraph.scene.colmapmodel import model_centres
-from tiegraph.scene.measuredcloud import write_measured
 from tiegraph.text import csv_text
 
 _LISTED = 50  # changes in the table, the largest first

@@ -11,7 +11,7 @@ from tiegraph.plan.effort import Effort, effort
 from tiegraph.plan.tuning import EffortTuning
 from tiegraph.project.run import Run
 from tiegraph.scan.videos.video import find_videos
-from tiegraph.scene.bags.topics import is_bag, source_of
+from tiegraph.scene.bags import is_bag, source_of
 from tiegraph.scene.images import probe_image, search_images
 
 _PROBED = 40  # images whose size stands for all

@@ -32,9 +32,8 @@ from tiegraph.pipeline.evaluate import PASSES, measured
 from tiegraph.pipeline.files import checked, load_model, world_origin
 from tiegraph.project.run import Run, save_json
 from tiegraph.project.stages import write_atomic
-from tiegraph.scene.cloudchunks import Points, PointSource
+from tiegraph.scene.cloudchunks import Points, PointSource, write_measured
 from tiegraph.scene.colmapmodel import matrix
-from tiegraph.scene.measuredcloud import write_measured
 from tiegraph.scene.scene import Scene
 
 Mapper = Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[Any]]

@@ -19,8 +19,7 @@ from tiegraph.scan.calibration import start_cameras
 from tiegraph.scan.priors.startmodel import read_start
 from tiegraph.scan.scan import ScanInputs, build_scene, prepare_image, probe_image
 from tiegraph.scan.settings import ScanSettings
-from tiegraph.scan.tuning import PicturesTuning
-from tiegraph.scene.bags.topics import source_of
+from tiegraph.scene.bags import source_of
 from tiegraph.scene.hanging import carrying
 from tiegraph.scene.images import search_images
 from tiegraph.scene.names import clean_names
@@ -59,7 +58,7 @@ def scan(run: Run) -> Outcome:
     todo: dict[str, list[tuple[str, Sensor]]] = {}  # a panorama is read once for all its views
     for k, name in enumerate(scene.names):
         todo.setdefault(file_of[scene.source_name(k)], []).append((name, scene.sensor_of(k)))
-    run.map(_prepare_item, list(todo.items()), root, run.path("images"), settings, tuning.pictures)
+    run.map(_prepare_item, list(todo.items()), root, run.path("images"), settings)
     if given.trajectory == FOLLOW:
         found_path, said = followed(run, scene)
         scene = build_scene(replace(inputs, trajectory=found_path), names, probes, settings, tuning)
@@ -100,13 +99,9 @@ def _placed(world_from_rig: np.ndarray) -> int:
 
 
 def _prepare_item(
-    item: tuple[str, list[tuple[str, Sensor]]],
-    source: Path,
-    target: Path,
-    settings: ScanSettings,
-    tuning: PicturesTuning,
+    item: tuple[str, list[tuple[str, Sensor]]], source: Path, target: Path, settings: ScanSettings
 ) -> None:
     found, images = item
     for name, sensor in images:
         if not (target / name).exists():
-            prepare_image(source / found, target / name, sensor, settings, tuning)
+            prepare_image(source / found, target / name, sensor, settings)

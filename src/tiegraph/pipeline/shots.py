@@ -20,9 +20,9 @@ from tiegraph.project.settings import Settings
 from tiegraph.project.stages import Outcome, remove
 from tiegraph.scene.atomic import replacing
 from tiegraph.scene.cloudfile import write_cloud
-from tiegraph.scene.depthfile import save_depth
 from tiegraph.scene.hanging import carries
 from tiegraph.scene.names import shortened
+from tiegraph.scene.results import save_depth
 from tiegraph.scene.scene import Scene
 
 _FOLDER = "shots"

@@ -37,7 +37,7 @@ from tiegraph.scan.videos.videooffset import (
     offsets_given,
 )
 from tiegraph.scan.videos.videotime import VideoClock, video_clock
-from tiegraph.scene.bags.topics import split_topics
+from tiegraph.scene.bags import split_topics
 from tiegraph.scene.images import find_images, has_images
 
 

@@ -30,7 +30,7 @@ from tiegraph.project.receipts import Receipts
 from tiegraph.project.software import software
 from tiegraph.project.stages import Stage, changed_parts, engines, key_parts, needed, stage_keys, write_atomic
 from tiegraph.project.stamps import Stamps
-from tiegraph.scene.bags.topics import source_of
+from tiegraph.scene.bags import source_of
 
 log = logging.getLogger("tiegraph")
 

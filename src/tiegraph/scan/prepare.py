@@ -13,13 +13,11 @@ from PIL import Image
 
 from tiegraph.errors import InputError
 from tiegraph.scan.settings import ScanSettings
-from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scene.atomic import replacing
 from tiegraph.scene.exif import Taken, exif_of
 from tiegraph.scene.filecache import cached_by_file
 from tiegraph.scene.fisheye import render_lens_view
-from tiegraph.scene.images import decode_deep, deep_png, open_image
-from tiegraph.scene.panorama import render_view
+from tiegraph.scene.images import decode_deep, deep_png, open_image, render_view
 from tiegraph.scene.regular import real_path, regular
 from tiegraph.scene.rig import Sensor, Source, camera_from_dict, camera_to_dict
 
@@ -30,7 +28,7 @@ KEPT_SUFFIXES = tuple(s for suffixes in LINKED_FORMATS.values() for s in suffixe
 _ORIENTATION = 0x0112
 
 
-def prepare_image(source: Path, target: Path, sensor: Sensor, settings: ScanSettings, tuning: PicturesTuning) -> None:
+def prepare_image(source: Path, target: Path, sensor: Sensor, settings: ScanSettings) -> None:
     """Make ``target`` the image that ``sensor.camera`` describes: a link to ``source``, or its changed pixels.
 
     Grey and RGB of 8 bits stay as they are; 16 bits, CMYK, palettes, transparency and EXIF-turned images are converted.

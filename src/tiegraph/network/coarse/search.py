@@ -22,11 +22,11 @@ from tiegraph.network.coarse.visible import Overlap
 from tiegraph.network.passes import MatchCache
 from tiegraph.network.settings import CandidatesSettings, CoarseSettings
 from tiegraph.network.tuning.coarse import CoarseTuning
+from tiegraph.scene.graph import strongest_pairs
 from tiegraph.scene.matches import PreviewMatches
 from tiegraph.scene.pairs import REASONS, Pairs, pair_key
 from tiegraph.scene.rig import Rig, calibrated, camera_from_dict, camera_to_dict
 from tiegraph.scene.scene import Scene
-from tiegraph.scene.strongest import strongest_pairs
 
 NO_MODEL = "coarse model: none could be made; pairs are chosen by preview counts alone"
 

@@ -27,10 +27,9 @@ def make_preview(scene: Scene, image: int, source: Path, folder: Path, settings:
     """The preview of an image into the run folder. Raises InputError for a file that can no longer be read."""
     name = scene.names[image]
     prepared = folder / _PREPARED / name
-    tuning = settings.tuning
-    prepare_image(source, prepared, scene.sensor_of(image), settings.scan, tuning.scan.pictures)
+    prepare_image(source, prepared, scene.sensor_of(image), settings.scan)
     try:
-        made = extract_preview(read_image(prepared), None, settings.preview, tuning.features)
+        made = extract_preview(read_image(prepared), None, settings.preview, settings.tuning.features)
     finally:
         prepared.unlink(missing_ok=True)
     save_npz(preview_path(folder, name), **made.to_npz())

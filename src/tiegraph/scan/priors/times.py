@@ -236,7 +236,7 @@ def exif_times(frames: Sequence[FrameRow], exif: Sequence[Exif]) -> np.ndarray:
     return out
 
 
-def name_times(frames: Sequence[FrameRow], names: Sequence[str], tuning: TimesTuning) -> np.ndarray:
+def name_times(frames: Sequence[FrameRow], names: Sequence[str]) -> np.ndarray:
     """(F,) times written in the file names, as Unix time or as a date; NaN for all unless every frame has one."""
     stems = [PurePosixPath(names[f.images[0]]).stem for f in frames]
     found = np.array([_time_in(stem) for stem in stems], float)

@@ -31,7 +31,7 @@ def kalibr_rig(path: Path, content: str, name: str, tuning: RigTuning) -> RigSpe
         check_count(found.model, found.params, found.where)
         check_lens(found, tuning.camera)
         if number:
-            pose = pose @ invert(_link(blocks[camera], f"{path}, {camera}", tuning))
+            pose = pose @ invert(_link(blocks[camera], f"{path}, {camera}"))
         sensors.append(
             SensorSpec(
                 name=camera,
@@ -49,7 +49,7 @@ def kalibr_rig(path: Path, content: str, name: str, tuning: RigTuning) -> RigSpe
     return rig
 
 
-def _link(block: str, where: str, tuning: RigTuning) -> np.ndarray:
+def _link(block: str, where: str) -> np.ndarray:
     """(4, 4) from the camera before to this one."""
     given = matrix_of(block, _CHAIN)
     if not given:

@@ -25,8 +25,7 @@ from tiegraph.scan.rigfiles.cameraread import FoundCamera
 from tiegraph.scan.rigfiles.camerayaml import opencv
 from tiegraph.scan.tuning import CameraTuning, PicturesTuning
 from tiegraph.scan.videos.videotime import VideoClock
-from tiegraph.scene.bags.bag import Bag, Topic, open_bag, stamp_ns
-from tiegraph.scene.bags.topics import METADATA, SUFFIXES, in_full, is_bag, of_topic, shown
+from tiegraph.scene.bags import METADATA, SUFFIXES, Bag, Topic, in_full, is_bag, of_topic, open_bag, shown, stamp_ns
 from tiegraph.scene.gnss.navsat import KINDS as FIXES
 from tiegraph.scene.images import files_below
 

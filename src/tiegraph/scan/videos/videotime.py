@@ -77,7 +77,7 @@ def video_clock(video: Path, settings: ScanSettings, tuning: PicturesTuning) -> 
     if subtitles is not None and np.isfinite(subtitles.start_s):
         start = subtitles.start_s + told.all_s
         return VideoClock(start_s=start, known=True, places=subtitles, note="; ".join(notes))
-    container = _container(video, told.from_end, tuning)
+    container = _container(video, told.from_end)
     telemetry = None if subtitles is not None else read_gpmf(video, settings.max_gap_s, tuning)
     if telemetry is not None:
         found = _by_telemetry(telemetry, container, told, tuning)
@@ -150,7 +150,7 @@ def _zone(fixes: Readings, clock: VideoClock, length_s: float, tuning: PicturesT
     return zone if fits else None
 
 
-def _container(video: Path, from_end: bool, tuning: PicturesTuning) -> _Container:
+def _container(video: Path, from_end: bool) -> _Container:
     created = _created(video)
     if created is None or not RECORDED_RANGE_S[0] <= created[0] <= RECORDED_RANGE_S[1]:
         remedy = "--scan.video-offset says when it began (seconds since 1970)"
