@@ -28,7 +28,7 @@ import numpy as np
 import pycolmap
 
 import tiegraph  # noqa: F401  before pycolmap
-from tiegraph.calibrate.adjust import adjust_robustly
+from tiegraph.calibrate.adjust import State, adjust_robustly
 from tiegraph.calibrate.board import read_board
 from tiegraph.calibrate.covariance import Precision, parameters, precision
 from tiegraph.calibrate.detect import detect
@@ -36,7 +36,6 @@ from tiegraph.calibrate.exchange import lens_of
 from tiegraph.calibrate.judge import judge
 from tiegraph.calibrate.observations import CameraImages, Observations, View
 from tiegraph.calibrate.start import start
-from tiegraph.calibrate.state import State
 from tiegraph.calibrate.tuning import Tuning
 from tiegraph.geometry import transforms
 from tiegraph.scene.targets import CENTRE

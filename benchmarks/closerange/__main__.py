@@ -27,8 +27,8 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.closerange import world
 from calibrate.board_world import boards_of_rig, render_rig
+from tiegraph.calibrate.adjust import State
 from tiegraph.calibrate.board import read_board
-from tiegraph.calibrate.state import State
 from tiegraph.geometry import transforms
 from tiegraph.scan.rigfiles.rigfile import read_rig_file
 from tiegraph.scan.tuning import Tuning as ScanTuning

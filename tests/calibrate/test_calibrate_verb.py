@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from calibrate.board_world import boards_of_rig, camera, render_rig, rig_pose
+from tiegraph.calibrate.adjust import State
 from tiegraph.calibrate.board import read_board
-from tiegraph.calibrate.state import State
 from tiegraph.cli.main import main
 from tiegraph.errors import InputError
 from tiegraph.geometry import transforms

@@ -75,7 +75,6 @@ class ImagePlan:
     partners: tuple[ViewPlan, ...]
     witnesses: tuple[str, ...]  # names of images whose depth maps are compared with this one's
     depth_range: DepthRange
-    note: str = ""
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,7 +2,7 @@
 
 from pydantic import Field
 
-from tiegraph.geometry.coarse.tuning import CoarseTuning
+from tiegraph.geometry.coarse import CoarseTuning
 from tiegraph.settings import Section
 
 

@@ -107,10 +107,10 @@ def _read_folder(
 ) -> _Survey:
     """Cameras, instants and files below a folder, in the layouts that ``scan`` reads."""
     tuning, report = tunings.scan, Report()
-    found = search_images(images)
-    names = clean_names(list(found.names))
+    found, passed_over = search_images(images)
+    names = clean_names(found)
     check_count(images, len(names), tunings.calibrate.start)
-    paths = [Path(images, f) for f in found.names]
+    paths = [Path(images, f) for f in found]
     with reporter.stage("images"):
         reporter.total(len(paths))
         probes = _map(pool, reporter, probe_image, paths, tunings.scene.images)
@@ -143,7 +143,7 @@ def _read_folder(
         for k in own
     )
     dropped = (f"{d.name}: {d.reason}" for d in report.dropped)
-    return _Survey(cameras, files, (*found.notes, *report.notes, *dropped))
+    return _Survey(cameras, files, (*passed_over, *report.notes, *dropped))
 
 
 def _one_size(folder: str, names: Sequence[str], probes: Sequence[Probe], upright: bool) -> tuple[int, int]:

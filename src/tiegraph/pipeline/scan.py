@@ -31,8 +31,7 @@ def scan(run: Run) -> Outcome:
     given, settings, tuning = run.inputs, run.settings.scan, run.settings.tuning.scan
     taken = photographs(run)
     root = taken.folder
-    found = search_images(root)
-    files = list(found.names)
+    files, passed_over = search_images(root)
     names = clean_names(files)  # from here on: only their opening needs the names that the file system has
     run.reporter.total(2 * len(names))
     probes = run.map(probe_image, [root / f for f in files], run.settings.tuning.scene.images)
@@ -79,7 +78,7 @@ def scan(run: Run) -> Outcome:
             *taken.notes,
             *(() if known is None else known.said),
             *_unreadable_names(names, files),
-            *found.notes,
+            *passed_over,
             *scene.notes,
             *told,
         ),

@@ -53,16 +53,8 @@ class Probe:
         return (self.height, self.width) if self.exif.orientation >= 5 else (self.width, self.height)
 
 
-@dataclass(frozen=True)
-class SearchResult:
-    """Names (POSIX, relative to the folder, sorted) of the image files below a folder; what was passed over and why."""
-
-    names: tuple[str, ...]
-    notes: tuple[str, ...] = ()
-
-
-def search_images(root: Path) -> SearchResult:
-    """The image files below a folder.
+def search_images(root: Path) -> tuple[list[str], list[str]]:
+    """The image files below a folder: their names (POSIX, relative to it, sorted), and what was passed over and why.
 
     Hidden files and folders, ``._*``, ``Thumbs.db`` and the like are passed over. If ``root`` has a folder ``images``
     only that is searched, so that masks and depth maps beside it are not taken for photographs. Raises InputError if
@@ -79,7 +71,7 @@ def search_images(root: Path) -> SearchResult:
     if not names:
         found = f"{len(files)} files, none of them an image" if files else "an empty folder"
         raise InputError(f"{root}: {'; '.join([found, *notes])}; images end in {' '.join(SUFFIXES)}")
-    return SearchResult(tuple(sorted(names)), tuple(notes))
+    return sorted(names), notes
 
 
 def searched(root: Path) -> Path:
@@ -89,7 +81,7 @@ def searched(root: Path) -> Path:
 
 def find_images(root: Path) -> list[str]:
     """The names alone of ``search_images``, which see."""
-    return list(search_images(root).names)
+    return search_images(root)[0]
 
 
 def files_below(folder: Path, notes: list[str] | None = None) -> Iterator[Path]:

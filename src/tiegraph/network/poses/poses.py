@@ -16,8 +16,7 @@ from tiegraph.network.coarse.visible import Overlap, assumed_proxy, shared_surfa
 from tiegraph.network.passes import Pass
 from tiegraph.network.rig.axes import vertical
 from tiegraph.network.settings import CandidatesSettings
-from tiegraph.network.tuning import Tuning
-from tiegraph.network.tuning.poses import PosesTuning
+from tiegraph.network.tuning import PosesTuning, Tuning
 from tiegraph.scene.pairs import REASONS, Pairs, pair_key
 from tiegraph.scene.scene import Scene
 
