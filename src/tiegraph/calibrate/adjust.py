@@ -15,7 +15,7 @@ from tiegraph.calibrate.observations import Observations, View
 from tiegraph.calibrate.tuning import AdjustTuning
 from tiegraph.errors import ReconstructionError
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import CAUCHY_SIGMAS
+from tiegraph.geometry.align import CAUCHY_SIGMAS, robust_sigma
 from tiegraph.scene.colmapmodel import matrix, rigid3d
 
 _RIG = 1
@@ -56,9 +56,10 @@ def view_residuals(seen: Observations, state: State) -> list[np.ndarray]:
     ]
 
 
-def robust_sigma(values: list[np.ndarray]) -> float:
+def _sigma(values: list[np.ndarray]) -> float:
     """Sigma of one coordinate by the median of the absolute residuals, pixels."""
-    return 1.4826 * float(np.nanmedian(np.abs(np.concatenate([v.ravel() for v in values]))))
+    every = np.concatenate([v.ravel() for v in values])
+    return robust_sigma(every[~np.isnan(every)])
 
 
 @dataclass(frozen=True)
@@ -89,12 +90,12 @@ def adjust_robustly(seen: Observations, start: State, tuning: AdjustTuning, boar
         kept = seen.without(left_out)
         _check_kept(seen, kept, left_out, tuning)
         state = adjust(kept, state.at(kept.instants()), tuning, tuning.stages_px[-1:])
-    scale = max(CAUCHY_SIGMAS * robust_sigma(view_residuals(kept, state)), tuning.least_scale_px)
+    scale = max(CAUCHY_SIGMAS * _sigma(view_residuals(kept, state)), tuning.least_scale_px)
     state = adjust(kept, state, tuning, (scale,))
     flat = kept.board.points
     if board_sigma_m > 0:
         kept, state = _with_bent_board(kept, state, tuning, scale, board_sigma_m)
-    sigma_px = robust_sigma(view_residuals(kept, state))
+    sigma_px = _sigma(view_residuals(kept, state))
     left = tuple(left_out.items())
     return Adjusted(seen=kept, state=state, left_out=left, sigma_px=sigma_px, bent_m=kept.board.points - flat)
 
@@ -107,7 +108,7 @@ def _with_bent_board(
     for _ in range(tuning.board_rounds):  # the sigma of a pixel falls once the bend is no longer in it
         model = build(seen, state)
         adjuster = problem(model, tuning, scale_px, points=True)
-        pixel = robust_sigma(view_residuals(seen, state))
+        pixel = _sigma(view_residuals(seen, state))
         kept = _add_flatness(adjuster.problem, model, sigma_m / pixel)
         adjuster.solve()
         del kept  # the problem only borrows them
@@ -115,7 +116,7 @@ def _with_bent_board(
         for key, corner in zip(sorted(model.point3D_ids()), seen.corners()):
             points[corner] = model.point3D(key).xyz
         seen, state = replace(seen, board=replace(seen.board, points=points)), _state(model, state)
-        scale_px = max(CAUCHY_SIGMAS * robust_sigma(view_residuals(seen, state)), tuning.least_scale_px)
+        scale_px = max(CAUCHY_SIGMAS * _sigma(view_residuals(seen, state)), tuning.least_scale_px)
     return seen, state
 
 
@@ -146,7 +147,7 @@ def _doubtful(seen: Observations, state: State, tuning: AdjustTuning) -> dict[st
     """The worst view of every instant, if it is off by much more than the others, with the reason: the rest of its
     instant may fit without it."""
     all_off = view_residuals(seen, state)
-    usual = robust_sigma(all_off)
+    usual = _sigma(all_off)
     limit = max(tuning.doubt_px, tuning.doubt_sigmas * usual)
     worst: dict[int, tuple[float, str]] = {}
     for view, residual in zip(seen.views, all_off):

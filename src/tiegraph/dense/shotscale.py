@@ -9,6 +9,7 @@ import numpy as np
 
 from tiegraph.dense.tuning import ShotScaleTuning
 from tiegraph.geometry import transforms
+from tiegraph.geometry.align import robust_sigma
 from tiegraph.scene.results import DepthMap
 
 
@@ -77,7 +78,7 @@ def shot_scale(seen: Sequence[Seen], tuning: ShotScaleTuning) -> ShotScale | Non
         return None
     medians = np.array([np.median(s) for s in good])
     scale = float(np.median(medians))
-    scatter = 1.4826 * float(np.median(np.abs(medians / scale - 1)))
+    scatter = robust_sigma(medians / scale - 1)
     sigma = scatter / float(np.sqrt(len(medians)))
     return ShotScale(metres_per_unit=scale, sigma=sigma, points=sum(map(len, good)), shots=len(medians))
 

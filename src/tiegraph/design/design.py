@@ -15,7 +15,7 @@ import numpy as np
 from tiegraph.design.coverage import Coverage
 from tiegraph.design.hybrid import Budget, Choice, choose
 from tiegraph.design.matchprediction import counted_matches, expected_matches, predict_matches, verified_chance
-from tiegraph.design.predict import Predictor
+from tiegraph.design.resistance import Predictor
 from tiegraph.design.settings import DesignSettings
 from tiegraph.design.tracks import Candidates
 from tiegraph.design.tuning import CostTuning, HoldingTuning, Tuning

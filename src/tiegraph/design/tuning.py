@@ -84,7 +84,7 @@ class HoldingTuning(Section):
 
 
 class NetTuning(Section):
-    """The network as a one-dimensional adjustment of its tracks (`tracks.py`, `resistance.py`, `predict.py`)."""
+    """The network as a one-dimensional adjustment of its tracks (`tracks.py`, `resistance.py`)."""
 
     wide_images: int = Field(300, gt=0)
     """Images of a track: one of more, which wrong matches made, counts as one for each so many images in a row.

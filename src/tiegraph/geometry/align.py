@@ -33,6 +33,11 @@ class Similarity:
         return Similarity(1 / self.scale, self.rotation.T, -turned @ self.translation)
 
 
+def robust_sigma(residual: np.ndarray) -> float:
+    """Sigma of normal errors around zero by the median of their absolute values: up to half may be wrong."""
+    return 1.4826 * float(np.median(np.abs(residual)))
+
+
 def rms_length(vectors: np.ndarray) -> float:
     """Root mean square length of vectors (N, D), NaN of none."""
     return float(np.sqrt(np.mean(np.sum(vectors**2, axis=1)))) if len(vectors) else float("nan")

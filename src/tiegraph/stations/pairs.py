@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import rms_length
+from tiegraph.geometry.align import rms_length, robust_sigma
 from tiegraph.geometry.coarse.consistent import motions
 from tiegraph.stations.station import Level, Station, engine
 from tiegraph.stations.tuning import PairTuning, SightTuning, Tuning
@@ -33,7 +33,7 @@ class Met:
     @property
     def sigma_m(self) -> float:
         """Robust sigma of the residuals."""
-        return 1.4826 * float(np.median(np.abs(self.residual_m))) if len(self.residual_m) else np.inf
+        return robust_sigma(self.residual_m) if len(self.residual_m) else np.inf
 
     def agree(self, limit_m: float) -> float:
         """The overlap that agrees to within a limit."""

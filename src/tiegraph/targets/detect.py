@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
+from tiegraph.geometry.align import robust_sigma
 from tiegraph.scene.rays import on_plane
 from tiegraph.scene.targets import CENTRE, Target, dictionary, refined
 from tiegraph.targets.tuning import Tuning
@@ -74,8 +75,8 @@ def _detector(family: str, least_rate: float, correction: float) -> cv2.aruco.Ar
 
 def _noise(pixels: np.ndarray) -> float:
     """Sigma of an image's noise, grey levels, from its quieter half."""
-    high = np.abs(cv2.filter2D(pixels, cv2.CV_32F, _NOISE)) / _NOISE_NORM
-    return max(1.4826 * float(np.median(high)), _LEAST_NOISE)
+    high = cv2.filter2D(pixels, cv2.CV_32F, _NOISE) / _NOISE_NORM
+    return max(robust_sigma(high), _LEAST_NOISE)
 
 
 def _sigma(pixels: np.ndarray, xy: np.ndarray, half: int, noise: float) -> float:

@@ -1,4 +1,5 @@
-"""Pictures of the network as PNG: correspondence matrix, offset curves and surfaces; the others by name from here too.
+"""Pictures of the network as PNG: correspondence matrix, offset curves and surfaces, sections and what the up
+camera showed along the passes; the map by name from here too.
 
 The funnel: how many pairs each filter leaves (paper 002, table 1).
 """
@@ -11,12 +12,13 @@ from matplotlib.axes import Axes
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import FuncFormatter, MaxNLocator
 
 from tiegraph.network.offsets.curves import OffsetCurve
 from tiegraph.network.offsets.surface import OffsetSurface
-from tiegraph.network.plots.map import BLUE, DPI, RED, edges_of, grouped, map_png, weak_pairs
-from tiegraph.network.plots.sections import sections_png
+from tiegraph.network.plots.map import BLUE, DPI, INK, RED, edges_of, grouped, map_png, weak_pairs
+from tiegraph.network.sections.light import Cue
+from tiegraph.network.sections.sections import Section
 from tiegraph.scene.figures import png
 from tiegraph.scene.pairs import REASON_LOOKS, REASONS, Pairs
 from tiegraph.scene.scene import Scene
@@ -33,6 +35,7 @@ _SMALL = 12  # panels of camera pairs beside the rig's
 _UNSEEN = "#eeeeee"
 _LONG = 19  # characters that fit above a small panel
 _BAND_IN = 3.5  # height of a couple
+_PANEL_IN = 2.2
 
 
 def matrix_png(pairs: Pairs, scene: Scene) -> bytes:
@@ -282,3 +285,88 @@ def _draw(axes: Axes, s: OffsetSurface, most: float, line: float) -> None:
     axes.set_ylim(float(down[-1]), float(down[0]))
     axes.xaxis.set_major_locator(MaxNLocator(nbins=4, integer=True))
     axes.yaxis.set_major_locator(MaxNLocator(nbins=4, integer=True))
+
+
+def sections_png(scene: Scene, sections: Sequence[Section], cues: Sequence[Cue]) -> bytes:
+    """One panel a cue: its values by frame, the threshold of each pass, the sections as coloured bands."""
+    frames = np.lexsort((scene.sequence_index, scene.sequence))
+    frames = frames[np.any([np.isfinite(c.values[frames]) for c in cues], axis=0)]
+    height = 0.7 + _PANEL_IN * len(cues) + 0.5
+    figure = Figure(figsize=(10, height), dpi=DPI)
+    panel: Axes | None = None
+    for k, cue in enumerate(cues):
+        bottom = (0.5 + _PANEL_IN * (len(cues) - 1 - k) + 0.1) / height
+        panel = figure.add_axes((0.075, bottom, 0.91, (_PANEL_IN - 0.3) / height))
+        _bands(panel, scene, sections, frames, named=k == 0)
+        _values(panel, scene, cue, frames)
+        _ticks(panel, scene, frames, last=k == len(cues) - 1)
+    if panel is not None:
+        panel.set_xlabel("frame of the pass", fontsize=9)
+    figure.text(0.03, 1 - 0.28 / height, "Bridge and open sections by the up camera", fontsize=12)
+    key = "brown: bridge; blue: open sky; dashed: threshold of the pass (none: the cue did not decide)"
+    figure.text(0.03, 1 - 0.5 / height, key, fontsize=8.5, color="#555555")
+    return png(figure)
+
+
+def _bands(axes: Axes, scene: Scene, sections: Sequence[Section], frames: np.ndarray, named: bool) -> None:
+    of_frame, sequence = scene.section[frames], scene.sequence[frames]
+    edges = np.r_[0, 1 + np.flatnonzero((np.diff(of_frame) != 0) | (np.diff(sequence) != 0)), len(frames)]
+    for a, b in zip(edges[:-1], edges[1:]):
+        section = sections[of_frame[a]] if 0 <= of_frame[a] < len(sections) else None
+        dark = section is not None and section.kind == "bridge"
+        axes.axvspan(a - 0.5, b - 0.5, color="#dccfbf" if dark else "#e8f1f8", lw=0)
+        if named and section is not None and b - a >= max(2, 0.03 * len(frames)):
+            axes.text((a + b - 1) / 2, 1.02, section.name, transform=axes.get_xaxis_transform(), ha="center",
+                      fontsize=8, color=INK)  # fmt: skip
+    for e in 1 + np.flatnonzero(np.diff(sequence)):
+        axes.axvline(e - 0.5, color=INK, lw=1.2)
+
+
+def _values(axes: Axes, scene: Scene, cue: Cue, frames: np.ndarray) -> None:
+    place, values = np.arange(len(frames)), cue.values[frames]
+    axes.set_xlim(-0.5, len(frames) - 0.5)
+    axes.set_ylabel(cue.name + (", grey value" if "255" in cue.unit else ""), fontsize=8.5)
+    if "255" in cue.unit:
+        axes.set_ylim(0, 255)
+    elif np.nanmax(values, initial=0) <= 1 and np.nanmin(values, initial=1) >= 0 and not cue.unit:
+        axes.set_ylim(0, 1.05)
+    else:
+        axes.set_yscale("log")
+    for sequence in np.unique(scene.sequence[frames]):
+        own = np.flatnonzero(scene.sequence[frames] == sequence)
+        size = 3.0 if len(frames) < 400 else 1.2
+        axes.plot(place[own], values[own], "o-", ms=size, lw=1.1, color=BLUE)
+        threshold = float(cue.threshold[frames[own[0]]])
+        if np.isfinite(threshold):
+            axes.plot([own[0] - 0.5, own[-1] + 0.5], [threshold] * 2, color=RED, lw=1, ls="--")
+            axes.annotate(f"{threshold:.3g}", (own[-1] + 0.4, threshold), (0, 2), textcoords="offset points",
+                          ha="right", fontsize=8, color=RED)  # fmt: skip
+    axes.tick_params(labelsize=8)
+
+
+def _ticks(axes: Axes, scene: Scene, frames: np.ndarray, last: bool) -> None:
+    """Whole numbers of frames, counted anew in every pass; the passes' names inside the lowest panel."""
+    sequence = scene.sequence[frames]
+    start = np.array([int(np.argmax(sequence == t)) for t in sequence]) if len(frames) else np.zeros(0, int)
+
+    def rank(value: float, _: int | None = None) -> str:
+        k = round(value)
+        return str(k - int(start[k])) if 0 <= k < len(frames) and abs(value - k) < 1e-6 else ""
+
+    starts = np.unique(start)
+    if len(starts) > 1:
+        most = max(1, 14 // len(starts))
+        steps = [s for s in (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000) if s * most >= len(frames) / len(starts)]
+        step = steps[0] if steps else 2000
+        ends = np.r_[starts[1:], len(frames)]
+        axes.set_xticks(np.concatenate([np.arange(a, b, step) for a, b in zip(starts, ends)]))
+    else:
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    axes.xaxis.set_major_formatter(FuncFormatter(rank))
+    if not last:
+        axes.tick_params(labelbottom=False)
+        return
+    for t in np.unique(sequence):
+        name = f"pass {scene.sequences[t]}" if 0 <= t < len(scene.sequences) else "loose"
+        axes.annotate(name, (float(np.flatnonzero(sequence == t)[0]) - 0.3, 0), (2, 3), textcoords="offset points",
+                      xycoords=("data", "axes fraction"), fontsize=9, color=INK)  # fmt: skip

@@ -19,6 +19,7 @@ import numpy as np
 import scipy
 
 from tiegraph.errors import InputError
+from tiegraph.geometry.align import robust_sigma
 from tiegraph.scan.assign import Report, Usable, assign
 from tiegraph.scan.perspective import PRESET
 from tiegraph.scan.settings import ScanSettings, video_offsets
@@ -287,6 +288,6 @@ def _global_motion(flow_px: np.ndarray, tuning: MotionTuning) -> np.ndarray:
         normal = design.T @ (weight[:, None] * design)
         motion = np.linalg.solve(normal, design.T @ (weight * measured))
         residual = np.abs(measured - design @ motion)
-        scale = max(1.4826 * float(np.median(residual)), tuning.noise_px)
+        scale = max(robust_sigma(residual), tuning.noise_px)
         weight = 1 / (1 + (residual / scale) ** 2)
     return motion
