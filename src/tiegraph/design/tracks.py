@@ -84,7 +84,7 @@ class Tracks:
     def __init__(self, candidates: Candidates, tuning: NetTuning) -> None:
         self.candidates = candidates
         self._tuning = tuning
-        self.parent = np.arange(len_of(candidates), dtype=np.int32)
+        self.parent = np.arange(candidates.first[-1], dtype=np.int32)
         self.extra = np.zeros(len(candidates))
         self.chosen = np.zeros(len(candidates), bool)
         self.shared = np.zeros(len(candidates))  # J of unseen pairs
@@ -197,11 +197,6 @@ class Tracks:
             self._joint = csr_array(seen @ seen.T)
             self._joint.sort_indices()
         return self._joint
-
-
-def len_of(candidates: Candidates) -> int:
-    """Number of nodes."""
-    return int(candidates.first[-1])
 
 
 def _symmetric(i: np.ndarray, j: np.ndarray, value: np.ndarray, n: int) -> csr_array:

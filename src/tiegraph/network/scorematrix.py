@@ -12,8 +12,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter, label, maximum, maximum_filter1d
 
 from tiegraph.network.passes import MatchCache, Pass
-from tiegraph.network.tuning import CountsTuning, Tuning
-from tiegraph.network.tuning.offsets import ScoreMatrixTuning
+from tiegraph.network.tuning import CountsTuning, ScoreMatrixTuning, Tuning
 
 Nodes = tuple[np.ndarray, ...]
 """Cameras of both passes, rows and columns of some nodes of a lattice, (K,) each."""

@@ -16,7 +16,7 @@ from tiegraph.scan.settings import ScanSettings
 from tiegraph.scene.atomic import replacing
 from tiegraph.scene.exif import Taken, exif_of
 from tiegraph.scene.filecache import cached_by_file
-from tiegraph.scene.fisheye import render_lens_view
+from tiegraph.scene.fisheye import frozen, render_lens_view
 from tiegraph.scene.images import decode_deep, deep_png, open_image, render_view
 from tiegraph.scene.regular import real_path, regular
 from tiegraph.scene.rig import Sensor, Source, camera_from_dict, camera_to_dict
@@ -157,12 +157,8 @@ def _turn(pixels: np.ndarray, orientation: int) -> np.ndarray:
 
 
 def _undistort(pixels: np.ndarray, camera: pycolmap.Camera, pinhole: pycolmap.Camera) -> np.ndarray:
-    x, y = _undistortion_map(_frozen_camera(camera), _frozen_camera(pinhole))
+    x, y = _undistortion_map(frozen(camera), frozen(pinhole))
     return cv2.remap(pixels, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-
-
-def _frozen_camera(camera: pycolmap.Camera) -> tuple:
-    return camera.model.name, camera.width, camera.height, tuple(camera.params)
 
 
 @lru_cache(maxsize=1)  # images come sensor by sensor; one map of 6 Mpx takes 48 MiB

@@ -175,7 +175,8 @@ def _read(path: Path, option: str, tuning: ControlTuning) -> GcpFile:
     lines = [(number, line) for number, line in lines if not _TITLE.fullmatch(line)]
     if not lines:
         raise InputError(f"{option} {path}: the file is empty; {FORMS}")
-    read = _read_csv if _has_header(lines) else _read_odm
+    # The first line that is no comment names columns; the CRS in the first line of the other form does not.
+    read = _read_csv if _is_header(next((line for _, line in lines if line[0] not in "#%"), "")) else _read_odm
     return read(path, lines, tuning)
 
 
@@ -207,11 +208,6 @@ def _doubtful(found: GcpFile) -> list[str]:
                 f"{known.line}: one point by two names?"
             )
     return notes
-
-
-def _has_header(lines: list[tuple[int, str]]) -> bool:
-    """Whether the first line that is no comment names columns; the CRS in the first line of the other form does not."""
-    return _is_header(next((line for _, line in lines if line[0] not in "#%"), ""))
 
 
 def _is_header(line: str) -> bool:

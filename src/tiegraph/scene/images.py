@@ -122,7 +122,9 @@ def _identity(folder: Path) -> tuple[int, int]:
 def _entries(folder: Path) -> list[os.DirEntry[str]]:
     try:
         with os.scandir(folder) as entries:
-            return sorted((e for e in entries if not _ignored(e.name)), key=lambda e: e.name)
+            return sorted(
+                (e for e in entries if e.name[0] != "." and e.name.lower() not in _IGNORED), key=lambda e: e.name
+            )
     except OSError as error:
         raise InputError(
             f"{folder}: cannot be read ({error.strerror}): its images would be missing; make it readable or take it out"
@@ -135,10 +137,6 @@ def has_images(root: Path) -> bool:
         return bool(find_images(root))
     except InputError:
         return False
-
-
-def _ignored(name: str) -> bool:
-    return name.startswith(".") or name.lower() in _IGNORED
 
 
 def probe_image(path: Path, tuning: ImageTuning) -> Probe:

@@ -189,7 +189,8 @@ class Pairs:
         columns = [self.i, self.j, self.source, self.dropped, self.inliers, *(getattr(self, n) for n in NUMBERS)]
         for first in range(0, len(self), _LINES):  # as Python's own numbers: several times as fast, not all at once
             for i, j, source, dropped, inliers, *numbers in zip(*(c[first : first + _LINES].tolist() for c in columns)):
-                yield [names[i], names[j], source_names(source), REASONS[dropped], *map(_number, numbers), inliers]
+                by = "+".join(s for k, s in enumerate(SOURCES) if source >> k & 1)
+                yield [names[i], names[j], by, REASONS[dropped], *map(_number, numbers), inliers]
 
     def to_npz(self) -> dict[str, np.ndarray]:
         """Columns for ``np.savez``."""
@@ -204,11 +205,6 @@ class Pairs:
 def source_bit(source: str) -> int:
     """Bit of a pair source."""
     return 1 << SOURCES.index(source)
-
-
-def source_names(bits: int) -> str:
-    """Sources of a bit set, joined by +."""
-    return "+".join(s for k, s in enumerate(SOURCES) if bits >> k & 1)
 
 
 def _number(value: float) -> str:

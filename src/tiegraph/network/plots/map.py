@@ -142,7 +142,7 @@ def _by_ties(kept: Pairs, scene: Scene) -> np.ndarray:
     if not 4 < n <= _SPECTRAL_LIMIT or not len(kept):
         return circle
     # A faint tie of all to all keeps separate parts apart and the problem well posed.
-    strength = _strength(kept)
+    strength = np.where(kept.inliers > 0, kept.inliers, kept.score).astype(float)  # verified, else of previews
     usual = max(float(np.nanmean(strength)), 1.0) if np.isfinite(strength).any() else 1.0
     graph = coo_array((np.nan_to_num(strength / usual, nan=1.0), (a, b)), shape=(n, n)).tocsr()
     dense, root = laplacian((graph + graph.T).toarray() + 0.02, normed=True, return_diag=True)
@@ -154,11 +154,6 @@ def _by_ties(kept: Pairs, scene: Scene) -> np.ndarray:
     # Ranks on each axis, half way: clusters of look-alikes would else fall on one dot.
     rank = np.argsort(np.argsort(place, axis=0, kind="stable"), axis=0) / n - 0.5
     return 0.5 * place / max(float(np.abs(place).max()), 1e-9) + 0.5 * rank
-
-
-def _strength(pairs: Pairs) -> np.ndarray:
-    """(P,) verified matches, else those of previews."""
-    return np.where(pairs.inliers > 0, pairs.inliers, pairs.score).astype(float)
 
 
 def _joined(place: np.ndarray, scene: Scene) -> _Nodes:

@@ -180,7 +180,7 @@ def _fold(camera: pycolmap.Camera, middle: np.ndarray, fisheye: bool, tuning: Ca
         if np.linalg.norm(end - middle) < limit:  # the principal point is at that edge
             continue
         pixels = middle + _EDGE * share * (end - middle)
-        rays = np.array([_ray(camera, p) for p in pixels])
+        rays = np.array([np.append(on_plane(camera, p[None])[0], 1.0) for p in pixels])
         off = np.array([_pixel(camera, r) for r in rays]) - pixels
         lost = ~(np.hypot(off[:, 0], off[:, 1]) < limit)
         outward = rays[:, :2] @ (end - middle) / np.linalg.norm(end - middle)
@@ -207,10 +207,6 @@ def _ends(camera: pycolmap.Camera, middle: np.ndarray, fisheye: bool, tuning: Ca
         return middle + tuning.fisheye_middle * min(width, height) / 2 * np.stack([np.cos(turn), np.sin(turn)], axis=1)
     x, y = middle
     return np.array([[0, 0], [x, 0], [width, 0], [0, y], [width, y], [0, height], [x, height], [width, height]], float)
-
-
-def _ray(camera: pycolmap.Camera, pixel: np.ndarray) -> np.ndarray:
-    return np.append(on_plane(camera, pixel[None])[0], 1.0)
 
 
 def _pixel(camera: pycolmap.Camera, ray: np.ndarray) -> np.ndarray:
