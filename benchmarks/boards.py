@@ -28,7 +28,7 @@ import numpy as np
 import pycolmap
 
 import tiegraph  # noqa: F401  before pycolmap
-from tiegraph.calibrate.adjust import adjust_robustly
+from tiegraph.calibrate.adjust import State, adjust_robustly
 from tiegraph.calibrate.board import read_board
 from tiegraph.calibrate.covariance import Precision, parameters, precision
 from tiegraph.calibrate.detect import detect
@@ -36,10 +36,9 @@ from tiegraph.calibrate.exchange import lens_of
 from tiegraph.calibrate.judge import judge
 from tiegraph.calibrate.observations import CameraImages, Observations, View
 from tiegraph.calibrate.start import start
-from tiegraph.calibrate.state import State
 from tiegraph.calibrate.tuning import Tuning
 from tiegraph.geometry import transforms
-from tiegraph.scene.targets.corners import CENTRE
+from tiegraph.scene.targets import CENTRE
 
 SIDES = ("left", "right")
 BOARD = "checker:9x6:0.025"
@@ -91,7 +90,7 @@ def main() -> None:
 
 
 def _ours(pixels: np.ndarray) -> np.ndarray:
-    return detect(pixels, read_board(BOARD, TUNING.board), TUNING.board)[1]
+    return detect(pixels, read_board(BOARD), TUNING.board)[1]
 
 
 def _sample(pixels: np.ndarray) -> np.ndarray:
@@ -105,7 +104,7 @@ def _sample(pixels: np.ndarray) -> np.ndarray:
 
 def observed(folder: Path, find: Callable[[np.ndarray], np.ndarray]) -> Observations:
     """The corners of all images, numbered as ``_ours`` does."""
-    board, views = read_board(BOARD, TUNING.board), []
+    board, views = read_board(BOARD), []
     for camera, side in enumerate(SIDES):
         for file in sorted(folder.glob(f"{side}[01][0-9].jpg")):
             pixels = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)

@@ -27,9 +27,8 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.closerange import world
 from calibrate.board_world import boards_of_rig, render_rig
+from tiegraph.calibrate.adjust import State
 from tiegraph.calibrate.board import read_board
-from tiegraph.calibrate.state import State
-from tiegraph.calibrate.tuning import Tuning
 from tiegraph.geometry import transforms
 from tiegraph.scan.rigfiles.rigfile import read_rig_file
 from tiegraph.scan.tuning import Tuning as ScanTuning
@@ -45,7 +44,7 @@ _WIDE = world.NAMES.index("wide")
 
 def rendered(store: Path) -> None:
     """Images of the board, and of the object with both surfaces, where they are not there."""
-    board = read_board(BOARD, Tuning().board)
+    board = read_board(BOARD)
     cameras, sensors = world.cameras(), world.sensor_from_rig()
     if not (store / "boards").is_dir():
         poses = boards_of_rig(board, list(cameras), list(sensors), count=_INSTANTS, seed=_BOARD_SEED)

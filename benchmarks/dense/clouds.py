@@ -38,7 +38,7 @@ from tiegraph.dense.engine import propose, solve
 from tiegraph.dense.neighbours import plan_images
 from tiegraph.dense.plan import ImagePlan
 from tiegraph.dense.settings import DenseSettings
-from tiegraph.dense.sgbm import match_sgbm
+from tiegraph.dense.sgbm import MAX_CELLS, match_sgbm
 from tiegraph.dense.triangulate import Candidates
 from tiegraph.dense.tsgm import match_tsgm
 from tiegraph.dense.tuning import Tuning
@@ -50,8 +50,7 @@ from tiegraph.geometry.align import Similarity, umeyama
 from tiegraph.pipeline.dense import coloured
 from tiegraph.scene.cloudchunks import open_cloud, points_of
 from tiegraph.scene.cloudfile import write_cloud
-from tiegraph.scene.depthfile import load_depth, save_depth
-from tiegraph.scene.results import Cloud, DepthMap
+from tiegraph.scene.results import Cloud, DepthMap, load_depth, save_depth
 
 Truth = Callable[[ImagePlan], "np.ndarray | None"]  # depth at the pixels of the undistorted image, NaN = unknown
 
@@ -77,7 +76,7 @@ def first_maps(plan: ImagePlan, out: Path, store: Path, variants: Sequence[str])
     partners = [load_view(v, out / "images", masks, _SETTINGS, _TUNING.views) for v in plan.partners]
     reading = time.process_time() - start
     spent, candidates = {}, {}
-    for name, matcher, cells in (("sgbm", match_sgbm, _TUNING.sgbm.max_cells), ("tsgm", match_tsgm, np.inf)):
+    for name, matcher, cells in (("sgbm", match_sgbm, MAX_CELLS), ("tsgm", match_tsgm, np.inf)):
         if name == "tsgm" or "sgbm" in variants:
             start = time.process_time()
             candidates[name] = propose(reference, partners, plan.depth_range, _SETTINGS, _TUNING, matcher, cells)

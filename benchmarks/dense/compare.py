@@ -20,7 +20,7 @@ import numpy as np
 from benchmarks.dense.data import Pair, middlebury, rendered
 from benchmarks.dense.score import score
 from tiegraph.dense import _sgm
-from tiegraph.dense.speckles import without_speckles
+from tiegraph.dense.sgbm import without_speckles
 from tiegraph.dense.tsgm import match
 from tiegraph.dense.tuning import SpeckleTuning, TsgmTuning
 

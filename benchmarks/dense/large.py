@@ -33,8 +33,7 @@ from tiegraph.project.inputs import Inputs
 from tiegraph.project.progress import Meter
 from tiegraph.project.run import Run
 from tiegraph.project.settings import Settings
-from tiegraph.scene.depthfile import load_depth, save_depth
-from tiegraph.scene.results import DepthMap
+from tiegraph.scene.results import DepthMap, load_depth, save_depth
 
 _HEIGHT_M, _LINES, _A_LINE, _FORWARD, _SIDE = 60.0, 2, 5, 0.75, 0.65  # flying height, images, overlaps
 _BOXES, _TRIES = 45, 400

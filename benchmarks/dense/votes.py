@@ -28,7 +28,7 @@ from tiegraph.dense.neighbours import plan_images
 from tiegraph.dense.plan import ImagePlan
 from tiegraph.dense.settings import DenseSettings
 from tiegraph.dense.tuning import Tuning
-from tiegraph.scene.depthfile import load_depth
+from tiegraph.scene.results import load_depth
 
 _SETTINGS, _TUNING = DenseSettings(), Tuning()
 _WRONG, _RIGHT = 0.05, 0.02

@@ -25,7 +25,7 @@ from tiegraph.features import nearest
 from tiegraph.features.extract import read_gray
 from tiegraph.features.matchblocks import Rules, colmap_options
 from tiegraph.features.sift import root_sift, shrunk
-from tiegraph.scene.images import search_images
+from tiegraph.scene.images import find_images
 
 _RULES = (
     "doubled,0,4096,10", "doubled,1,4096,10", "own,1,4096,10", "own,1,8192,10", "own,1,12288,10", "own,2,12288,10",
@@ -47,7 +47,7 @@ def main() -> None:
     cv2.setNumThreads(1)
     pycolmap.logging.minloglevel = 2
     for folder in args.folders:
-        images = [folder / name for name in search_images(folder).names]
+        images = [folder / name for name in find_images(folder)]
         first = range(0, len(images), max(len(images) // args.most, 1))
         pairs = [(images[k], images[k + s]) for k in first for s in args.steps if k + s < len(images)]
         theirs, row = _inliers(pairs, _colmap)

@@ -17,7 +17,7 @@ from tiegraph.project.progress import Reporter
 from tiegraph.project.run import Run, check_run, let_go, run_stages, status, without_inputs
 from tiegraph.project.settings import SETTING_OF, Settings
 from tiegraph.project.stages import Stage, needed
-from tiegraph.scene.bags.topics import source_of
+from tiegraph.scene.bags import source_of
 from tiegraph.scene.colmapmodel import read_model
 from tiegraph.scene.names import check_text
 from tiegraph.scene.pairs import Pairs
@@ -118,7 +118,7 @@ class Project:
         """The clouds of ``shots`` whose frames have a pose, as LAZ in the world of the georeferenced model: a new
         folder. A model without scale gets that of the shots. Raises InputError without shots or metres, and for a
         folder that holds something."""
-        from tiegraph.pipeline.posedshots import posed_shots  # loads the engine
+        from tiegraph.pipeline.shots import posed_shots  # loads the engine
 
         files, said = posed_shots(self.as_run(), Path(folder))
         if reporter is not None and said:

@@ -10,9 +10,9 @@ import numpy as np
 import pycolmap
 from scipy.spatial.transform import Rotation
 
+from tiegraph.calibrate.adjust import State
 from tiegraph.calibrate.board import APRILGRID, CHARUCO, Board
 from tiegraph.calibrate.observations import CameraImages, Observations, View
-from tiegraph.calibrate.state import State
 from tiegraph.geometry import transforms
 from tiegraph.scene.rays import on_plane
 

@@ -6,14 +6,13 @@ import numpy as np
 import pytest
 
 from calibrate.board_world import board_before, boards_of_rig, camera, observed, rig_pose
-from tiegraph.calibrate.adjust import adjust_robustly, place_boards
+from tiegraph.calibrate.adjust import State, adjust_robustly, place_boards
 from tiegraph.calibrate.board import read_board
 from tiegraph.calibrate.covariance import parameters, precision
 from tiegraph.calibrate.exchange import kalibr_yaml, opencv_yaml
 from tiegraph.calibrate.judge import judge
 from tiegraph.calibrate.observations import check_views
 from tiegraph.calibrate.start import start
-from tiegraph.calibrate.state import State
 from tiegraph.calibrate.summary import parameter_rows
 from tiegraph.calibrate.tuning import Tuning
 from tiegraph.errors import InputError, ReconstructionError
@@ -23,7 +22,7 @@ from tiegraph.scan.rigfiles.rigfile import read_rig_file
 from tiegraph.scan.tuning import Tuning as ScanTuning
 
 TUNING = Tuning()
-BOARD = read_board("charuco:9x7:0.03:0.022", TUNING.board)
+BOARD = read_board("charuco:9x7:0.03:0.022")
 SIZE = (640, 480)
 OPENCV = [800.0, 802.0, 325.0, 238.0, -0.2, 0.05, 0.0005, -0.0003]
 NAMES = ["left", "middle", "right"]
@@ -191,7 +190,7 @@ def test_what_cannot_be_calibrated_is_said_at_the_start():
     refused([*(v for v in seen.views if v.camera != 2), first], "right: the board was found in 1 of its 12 images")
     apart = [v if v.camera < 2 else replace(v, instant=v.instant + 100) for v in seen.views]
     refused(apart, r"nothing ties these cameras together: left, middle \| right")
-    refused(seen.views, "looks the same after half a turn", read_board("checker:8x6:0.03", TUNING.board))
+    refused(seen.views, "looks the same after half a turn", read_board("checker:8x6:0.03"))
 
 
 @pytest.mark.slow

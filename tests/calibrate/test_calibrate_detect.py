@@ -16,7 +16,7 @@ GRID = "target_type: aprilgrid\ntagCols: 6\ntagRows: 5\ntagSize: 0.03\ntagSpacin
 
 def errors(text: str, spread: float, seeds: range) -> tuple[np.ndarray, float]:
     """Errors (K, 2) of all corners, pixels, and the share of those in the image that were found."""
-    board = read_board(text, TUNING)
+    board = read_board(text)
     render, off, there = Renderer(CAMERA, texture(board)), [], 0
     for seed in seeds:
         rng = np.random.default_rng(seed)
@@ -43,7 +43,7 @@ def test_charuco_and_aprilgrid_are_found_to_hundredths_of_a_pixel_though_cut_off
 @pytest.mark.slow
 def test_a_checkerboard_is_numbered_alike_however_it_is_turned():
     """Its numbers may begin at either end, but always at the same; and a trimmed edge draws no corner to it."""
-    board = read_board("checker:9x6:0.02", TUNING)
+    board = read_board("checker:9x6:0.02")
     render, kinds = Renderer(CAMERA, texture(board, trimmed=0.4)), set()
     for seed, turn in enumerate((0.0, 0.5, 1.6, 3.1, 4.5)):
         rng = np.random.default_rng(seed)
@@ -62,5 +62,5 @@ def test_a_checkerboard_is_numbered_alike_however_it_is_turned():
 def test_nothing_is_found_where_there_is_no_board():
     noise = np.random.default_rng(0).integers(0, 255, (240, 320), np.uint8)
     for text in ("charuco:9x7:0.03:0.022", "checker:9x6:0.02"):
-        numbers, xy = detect(noise, read_board(text, TUNING), TUNING)
+        numbers, xy = detect(noise, read_board(text), TUNING)
         assert len(numbers) == 0 and xy.shape == (0, 2)

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from calibrate.board_world import boards_of_rig, camera, render_rig, rig_pose
+from tiegraph.calibrate.adjust import State
 from tiegraph.calibrate.board import read_board
-from tiegraph.calibrate.state import State
-from tiegraph.calibrate.tuning import Tuning
 from tiegraph.cli.main import main
 from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
@@ -20,7 +19,7 @@ from tiegraph.scan.rigfiles.rigfile import read_rig_file
 from tiegraph.scan.tuning import Tuning as ScanTuning
 
 WORDS = "charuco:18x13:0.018:0.0115:4X4_250"
-BOARD = read_board(WORDS, Tuning().board)
+BOARD = read_board(WORDS)
 SIZE = (960, 720)
 NAMES = ["cam0", "cam1", "cam2"]
 

@@ -10,7 +10,7 @@ import pytest
 from clouds_world import ground
 from tiegraph.cli.main import main
 from tiegraph.geometry.geodesy import Origin, crs_coordinates, geodetic_from_world, world_from_geodetic
-from tiegraph.scene.measuredcloud import Measured, write_measured
+from tiegraph.scene.cloudchunks import Measured, write_measured
 
 NORTH = Origin(lat_deg=35.7, lon_deg=139.7, height_m=37.0, crs="EPSG:32654", shift_m=(382300.0, 3951500.0, 30.0))
 

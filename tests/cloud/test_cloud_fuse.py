@@ -6,8 +6,7 @@ from scipy.spatial import cKDTree
 
 from tiegraph.cloud import fuse as fuse_module
 from tiegraph.cloud import voxels as voxels_module
-from tiegraph.cloud.filter import filter_points
-from tiegraph.cloud.fuse import Maps, automatic_voxel, fuse, map_points
+from tiegraph.cloud.fuse import Maps, automatic_voxel, filter_points, fuse, map_points
 from tiegraph.cloud.settings import CloudSettings
 from tiegraph.cloud.tuning import Tuning
 from tiegraph.cloud.voxels import add_up, rows_of, spacing, sums, without_coarse_duplicates
@@ -134,7 +133,7 @@ def cloud_of(xyz, sigma=0.01):
 
 def tile_of(xyz, justified, voxel=0.1, sigma=0.01):
     """The voxels of points that lie in one tile, and the tile."""
-    tile, rows = rows_of(cloud_of(xyz, sigma), np.asarray(justified, float), voxel, TUNING.levels)
+    tile, rows = rows_of(cloud_of(xyz, sigma), np.asarray(justified, float), voxel)
     assert (tile == tile[:, :1]).all()
     return sums(rows, voxel), tuple(tile[:, 0].tolist())
 
@@ -156,7 +155,7 @@ def test_sums_of_parts_are_sums_of_the_whole():
 
 def test_points_keep_their_places_on_both_sides_of_the_origin():
     xyz = np.random.default_rng(0).uniform(-1e5, 1e5, (300, 3))
-    tile, rows = rows_of(cloud_of(xyz), np.full(300, 0.01), 0.01, TUNING.levels)
+    tile, rows = rows_of(cloud_of(xyz), np.full(300, 0.01), 0.01)
     back = np.concatenate(
         [sums(rows[k : k + 1], 0.01).cloud(tuple(tile[:, k].tolist()), 0.01).xyz_m for k in range(300)]
     )
@@ -166,8 +165,8 @@ def test_points_keep_their_places_on_both_sides_of_the_origin():
 def test_a_coarse_point_yields_to_finer_ones():
     fine, _ = tile_of([[0.05, 0.05, 0.05], [0.05, 3.25, 0.05]], [0.1, 0.1])
     coarse, tile = tile_of([[0.3, 0.3, 0.3], [5.0, 5.0, 5.0], [0.1, 3.7, 0.1]], [0.4, 0.4, 3.2], sigma=0.3)
-    left = without_coarse_duplicates(add_up([fine, coarse]), TUNING.levels)
-    assert left.level.tolist() == [0, 0, 2]
+    left = without_coarse_duplicates(add_up([fine, coarse]))
+    assert (left.cell >> 27).tolist() == [0, 0, 2]
     np.testing.assert_allclose(left.cloud(tile, 0.1).xyz_m[2], [5, 5, 5], atol=1e-5)
 
 
@@ -175,31 +174,29 @@ def test_filters_drop_outliers_and_keep_the_surface():
     x, y = np.meshgrid(np.arange(60) * 0.1, np.arange(60) * 0.1)
     surface = np.c_[x.ravel(), y.ravel(), np.random.default_rng(0).normal(0, 0.01, x.size)]
     outliers = np.random.default_rng(1).uniform((0, 0, 1), (6, 6, 9), (40, 3))
-    spacing = np.full(len(surface) + 40, 0.1)
-    result = filter_points(np.r_[surface, outliers], spacing, SETTINGS, TUNING)
-    assert result.keep[: len(surface)].mean() > 0.97
-    assert result.keep[len(surface) :].mean() < 0.05
-    assert (~result.keep).sum() == result.statistical + result.radius
-    only_radius = filter_points(np.r_[surface, outliers], spacing, CloudSettings(statistical_ratio=0), TUNING)
-    assert only_radius.keep[: len(surface)].all() and not only_radius.keep[len(surface) :].any()
-    only_statistical = filter_points(np.r_[surface, outliers], spacing, CloudSettings(radius_neighbours=0), TUNING)
-    assert only_statistical.keep[: len(surface)].mean() > 0.97 and not only_statistical.keep[len(surface) :].any()
-    assert only_statistical.statistical == (~only_statistical.keep).sum() and only_statistical.radius == 0
-    off = filter_points(
-        np.r_[surface, outliers], spacing, CloudSettings(statistical_ratio=0, radius_neighbours=0), TUNING
-    )
-    assert off.keep.all()
-    assert len(filter_points(np.zeros((0, 3)), np.zeros(0), SETTINGS, TUNING).keep) == 0
+    points, spacing = np.r_[surface, outliers], np.full(len(surface) + 40, 0.1)
+    keep, statistical, radius = filter_points(points, spacing, SETTINGS, TUNING)
+    assert keep[: len(surface)].mean() > 0.97
+    assert keep[len(surface) :].mean() < 0.05
+    assert (~keep).sum() == statistical + radius
+    keep, _, _ = filter_points(points, spacing, CloudSettings(statistical_ratio=0), TUNING)
+    assert keep[: len(surface)].all() and not keep[len(surface) :].any()
+    keep, statistical, radius = filter_points(points, spacing, CloudSettings(radius_neighbours=0), TUNING)
+    assert keep[: len(surface)].mean() > 0.97 and not keep[len(surface) :].any()
+    assert statistical == (~keep).sum() and radius == 0
+    off = CloudSettings(statistical_ratio=0, radius_neighbours=0)
+    assert filter_points(points, spacing, off, TUNING)[0].all()
+    assert len(filter_points(np.zeros((0, 3)), np.zeros(0), SETTINGS, TUNING)[0]) == 0
 
 
 def test_the_surroundings_of_a_tile_count_as_neighbours():
     lonely = np.array([[0.0, 0, 0]])
     around = np.random.default_rng(0).normal(0, 0.05, (30, 3))
-    assert not filter_points(lonely, np.array([0.1]), SETTINGS, TUNING).keep[0]
-    assert filter_points(lonely, np.array([0.1]), SETTINGS, TUNING, around).keep[0]
+    assert not filter_points(lonely, np.array([0.1]), SETTINGS, TUNING)[0][0]
+    assert filter_points(lonely, np.array([0.1]), SETTINGS, TUNING, around)[0][0]
 
 
 def test_tiles_far_apart_are_told_apart():
     far = cloud_of([[1e9, 1e9, 1e9], [-1e9, -1e9, -1e9], [1e9, 1e9, 1e9]])
-    numbers = row_numbers(rows_of(far, np.full(3, 0.001), 0.001, TUNING.levels)[0])
+    numbers = row_numbers(rows_of(far, np.full(3, 0.001), 0.001)[0])
     assert numbers[0] == numbers[2] > numbers[1] >= 0

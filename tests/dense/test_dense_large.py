@@ -26,8 +26,7 @@ from tiegraph.dense.plan import CameraModel
 from tiegraph.dense.settings import DenseSettings
 from tiegraph.dense.tuning import Tuning
 from tiegraph.dense.undistort import _maps, pinhole_of
-from tiegraph.geometry.rowstrips import row_strips
-from tiegraph.scene.results import DepthMap
+from tiegraph.scene.results import DepthMap, row_strips
 
 WIDTH, HEIGHT = 8064, 6048
 CAMERA = CameraModel("SIMPLE_RADIAL", WIDTH, HEIGHT, (5376.0, WIDTH / 2, HEIGHT / 2, -0.02))

@@ -12,7 +12,7 @@ from tiegraph.design.coverage import coverage
 from tiegraph.design.design import METHODS as PLUGGED
 from tiegraph.design.design import design, with_coverage
 from tiegraph.design.matchprediction import expected_matches
-from tiegraph.design.predict import Predictor
+from tiegraph.design.resistance import Predictor
 from tiegraph.design.settings import DesignSettings
 from tiegraph.design.tracks import Candidates, Tracks
 from tiegraph.design.tuning import MatchPredictionTuning, NetTuning, Tuning

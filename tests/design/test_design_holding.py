@@ -6,8 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from boat_world import photos
-from tiegraph.design.cost import Cost, cost, predicted_keypoints
-from tiegraph.design.design import design, holding
+from tiegraph.design.design import Cost, cost, design, holding, predicted_keypoints
 from tiegraph.design.matchprediction import verified_chance
 from tiegraph.design.settings import DesignSettings
 from tiegraph.design.tuning import Tuning

@@ -47,7 +47,7 @@ def test_a_step_in_one_section_is_found_there(agreement: PassAgreement) -> None:
 
 def test_it_is_a_figure_of_the_shape_that_nothing_independent_measured(agreement: PassAgreement) -> None:
     predicted = Predicted(inside_m=0.006, scale=0.001)
-    (figure,) = passes_figure(agreement, predicted, TUNING.m3c2.confidence)
+    (figure,) = passes_figure(agreement, predicted)
     assert figure.key == "shape.passes" and not figure.independent and "what both passes share" in figure.proves_not
     assert 0.01 < figure.measured < 0.03
     # of the points 3 mm each, of two cameras 6 mm in space
@@ -58,7 +58,7 @@ def test_it_is_a_figure_of_the_shape_that_nothing_independent_measured(agreement
 
 def test_what_was_not_compared_says_why_and_states_nothing() -> None:
     none = PassAgreement(("up", "down"), (5, 6), (5, 9), {}, "the clouds do not meet")
-    assert none.metrics() == [] and none.tables() == {} and passes_figure(none, Predicted(), 1.96) == []
+    assert none.metrics() == [] and none.tables() == {} and passes_figure(none, Predicted()) == []
     assert none.note() == "Passes up and down were not compared with each other: the clouds do not meet"
 
 

@@ -15,7 +15,6 @@ from scipy.spatial.transform import Rotation
 from tiegraph.errors import InputError
 from tiegraph.evaluate import reference
 from tiegraph.evaluate.backprojection import View
-from tiegraph.evaluate.metrics import metrics_to_dict
 from tiegraph.evaluate.reference import ModelPoses, ReferencePoses
 from tiegraph.evaluate.settings import EvaluateSettings
 from tiegraph.evaluate.survey import Products, evaluate_survey, pinhole_views
@@ -24,7 +23,7 @@ from tiegraph.geometry import geodesy, transforms
 from tiegraph.geometry.geodesy import Origin
 from tiegraph.scene.cloudchunks import points_of
 from tiegraph.scene.registered import registration
-from tiegraph.scene.results import Cloud, Metric
+from tiegraph.scene.results import Cloud, Metric, metrics_to_dict
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
 from tiegraph.scene.tuning import RegisteredTuning

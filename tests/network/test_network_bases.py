@@ -7,7 +7,7 @@ import numpy as np
 import pycolmap
 import pytest
 
-from tiegraph.network.coarse.bases import metres_per_unit, with_bases
+from tiegraph.network.network import metres_per_unit, with_bases
 from tiegraph.network.sections.light import UpLight
 from tiegraph.pipeline import network as glue
 from tiegraph.project.inputs import Inputs

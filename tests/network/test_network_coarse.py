@@ -11,9 +11,8 @@ from scipy.spatial.transform import Rotation
 from boat_world import HALF_WIDTH_M, World, boat
 from network_steps import estimate_network
 from tiegraph.geometry import transforms
-from tiegraph.network.coarse.calibrated import calibrated_rigs
 from tiegraph.network.coarse.model import CoarseModel
-from tiegraph.network.coarse.search import NO_MODEL, _judged
+from tiegraph.network.coarse.search import NO_MODEL, _judged, calibrated_rigs
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.scene.pairs import REASONS, Pairs

@@ -23,8 +23,7 @@ from tiegraph.network.plots import (
     surfaces_png,
     weak_pairs,
 )
-from tiegraph.network.plots.common import edges_of
-from tiegraph.network.plots.map import _aggregated, _joined, _layout
+from tiegraph.network.plots.map import _aggregated, _joined, _layout, edges_of
 from tiegraph.network.scorematrix import score_matrix
 from tiegraph.network.sections.light import UpLight
 from tiegraph.network.sections.sections import find_sections

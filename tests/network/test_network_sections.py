@@ -105,7 +105,7 @@ def test_exif_exposure_gives_the_light_itself() -> None:
     rng = np.random.default_rng(4)
     exposure = np.where(under, 1 / 60, 1 / 600) * np.exp(rng.normal(0, 0.1, len(under)))
     luminance = np.where(under, 8.0, 80.0)
-    grey = 255 * np.clip(luminance * exposure, 0, 1) ** (1 / TUNING.gamma) + rng.normal(0, 2, len(under))
+    grey = 255 * np.clip(luminance * exposure, 0, 1) ** (1 / 2.2) + rng.normal(0, 2, len(under))
     passes = find_passes(world.scene)
     found = find_sections(world.scene, passes, UpLight(grey, None, exposure), TUNING)
     truth = by_up_frame(world.scene, under.astype(float)) > 0.5

@@ -12,8 +12,7 @@ from tiegraph.network.passes import MatchCache, find_passes
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.sources import Context, axes_count, axes_pairs, exhaustive, sequence
 from tiegraph.network.tuning import Tuning
-from tiegraph.scene.pairlist import read_pair_list
-from tiegraph.scene.pairs import REASONS
+from tiegraph.scene.pairs import REASONS, read_pair_list
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Dropped, Scene, simple_scene
 

@@ -129,7 +129,7 @@ def test_a_killed_process_costs_a_second_try(run, stage, child):
 
 def test_a_signal_within_an_exec_ends_the_process_with_its_exit_code(tmp_path):
     """Imports execute strings (dataclasses, namedtuples); CPython then ended the stopped run by SIGINT."""
-    code = "import sys\nfrom tiegraph.cli.stopping import say_stopped\n"
+    code = "import sys\nfrom tiegraph.cli.main import say_stopped\n"
     code += "try:\n    exec('raise KeyboardInterrupt')\nexcept KeyboardInterrupt:\n    say_stopped()\nsys.exit(1)\n"
     (tmp_path / "stopped.py").write_text(code)
     command = [sys.executable, "-m", "stopped"]

@@ -4,7 +4,7 @@ import numpy as np
 import pycolmap
 import pytest
 
-from tiegraph.plan.compare import comparison
+from tiegraph.plan.tables import comparison
 from tiegraph.sfm.covariance import PointSigma, PositionSigma, SharedErrors
 from tiegraph.sfm.relativesigma import PATHS, own_paths
 

@@ -14,7 +14,7 @@ from tiegraph.report.html import write_report
 from tiegraph.report.runfolder import RunFolder, read_run
 from tiegraph.report.settings import ReportSettings
 from tiegraph.report.spatial import distance_scales, section_scale
-from tiegraph.scene.measuredcloud import Measured, write_measured
+from tiegraph.scene.cloudchunks import Measured, write_measured
 
 pytestmark = pytest.mark.slow  # a made-up run and its page
 COLUMNS = ["section", "core points", "median m", "spread m"]

@@ -13,7 +13,7 @@ from jinja2 import nodes
 
 from accuracy_marks import check, unmarked
 from tiegraph.errors import EngineMissing, InputError
-from tiegraph.report import formatting, glossary, pdf, spatial, texts
+from tiegraph.report import formatting, html, pdf, spatial, texts
 from tiegraph.report.formatting import without_folders
 from tiegraph.report.html import environment, write_report
 from tiegraph.report.images import ABSENT, HANGING, LEFT_OUT, REGISTERED, image_rows
@@ -150,7 +150,7 @@ def test_every_text_of_the_page_is_in_the_table(japanese: str, monkeypatch: pyte
     calls = environment().parse(template).find_all(nodes.Call)
     asked = {c.args[0].value for c in calls if getattr(c.node, "name", "") == "t" and hasattr(c.args[0], "value")}
     assert len(asked) > 60 and asked <= set(known)
-    assert {text for row in glossary.words() for text in row} <= set(known)
+    assert {text for row in html.words() for text in row} <= set(known)
     for english, form in known.items():
         assert english.count("{}") == len(set(re.findall(r"\{\d?\}", form))) or english.count("{}") == form.count("{}")
     with texts.language("ja"):

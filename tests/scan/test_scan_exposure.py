@@ -9,7 +9,7 @@ from scan_worlds import exif_of, picture, scan
 
 from tiegraph.network.passes import find_passes
 from tiegraph.network.sections.sections import find_sections
-from tiegraph.network.tuning.sections import SectionsTuning
+from tiegraph.network.tuning import SectionsTuning
 from tiegraph.pipeline.previews import up_light
 from tiegraph.project.settings import Settings
 

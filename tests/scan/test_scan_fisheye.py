@@ -14,7 +14,6 @@ from near import baselines_m
 from tiegraph.errors import InputError
 from tiegraph.scan.scan import prepare_image
 from tiegraph.scan.settings import ScanSettings
-from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scene.fisheye import lit
 from tiegraph.scene.scene import Scene
 
@@ -82,7 +81,7 @@ def test_views_show_what_the_rig_sees_there(tmp_path: Path) -> None:
     scene = scan(images, rig=rig_config(tmp_path / "rig_config.json", LENS))
     for k, name in enumerate(scene.names):
         sensor = scene.sensor_of(k)
-        prepare_image(images / scene.source_name(k), tmp_path / name, sensor, ScanSettings(), PicturesTuning())
+        prepare_image(images / scene.source_name(k), tmp_path / name, sensor, ScanSettings())
         with Image.open(tmp_path / name) as file:
             seen = np.asarray(file, float)
         view, pose, used = sensor.camera, sensor.sensor_from_rig, lit(sensor, 80.0)
@@ -185,7 +184,7 @@ def test_two_circles_side_by_side_are_two_lenses_back_to_back(tmp_path: Path) ->
         assert sensor.camera_sigma_px and Scene.from_json(scene.to_json()).rigs[0].sensors[k].source == source
     for name in ("lens0/IMG_001.jpg", "lens1/IMG_001.jpg"):
         sensor = scene.sensor_of(scene.image_index[name])
-        prepare_image(images / "IMG_001.insp", tmp_path / name, sensor, ScanSettings(), PicturesTuning())
+        prepare_image(images / "IMG_001.insp", tmp_path / name, sensor, ScanSettings())
         with Image.open(tmp_path / name) as made, Image.open(images / "IMG_001.insp") as whole:
             left = SIDE * int(name[4])
             expected = np.asarray(whole.crop((left, 0, left + SIDE, SIDE)), float)
@@ -207,7 +206,7 @@ def test_a_rig_file_for_two_circles_side_by_side(tmp_path: Path) -> None:
     assert (len(scene), scene.frames, scene.rigs[0].fixed) == (18, 3, True)
     for k in (0, 17):
         sensor, target = scene.sensor_of(k), tmp_path / scene.names[k]
-        prepare_image(images / scene.source_name(k), target, sensor, ScanSettings(), PicturesTuning())
+        prepare_image(images / scene.source_name(k), target, sensor, ScanSettings())
         with Image.open(target) as file:
             assert np.asarray(file).mean() > 90
     with pytest.raises(InputError, match="--rig ring:5: the files hold two fisheye images"):

@@ -107,12 +107,11 @@ def test_what_storage_keeps_is_passed_over_and_counted_as_are_images_of_other_na
     (tmp_path / "a.jpg_original").write_bytes((tmp_path / "a.jpg").read_bytes())
     (tmp_path / "raw.iiq").write_bytes(b"II*\0")
     (tmp_path / "notes.txt").write_text("flown in the morning")
-    found = search_images(tmp_path)
-    assert found.names == ("a.jpg", "b.JFIF", "c.jpe", "d.mpo", "raw.iiq")
-    counted, odd = found.notes
+    names, (counted, odd) = search_images(tmp_path)
+    assert names == ["a.jpg", "b.JFIF", "c.jpe", "d.mpo", "raw.iiq"]
     assert counted.startswith("3 files in 3 folders of the storage passed over, such as ")
     assert odd == "1 files begin like images but are not named so, and are passed over: a.jpg_original"
-    assert [p.reason for p in (probe_image(tmp_path / n, ImageTuning()) for n in found.names)] == ["", "", "", "", (
+    assert [p.reason for p in (probe_image(tmp_path / n, ImageTuning()) for n in names)] == ["", "", "", "", (
         ".iiq files are not read: convert to JPEG, PNG or TIFF")]  # fmt: skip
 
 

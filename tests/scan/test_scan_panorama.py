@@ -13,12 +13,9 @@ from near import baselines_m
 from tiegraph.errors import InputError
 from tiegraph.scan.scan import prepare_image
 from tiegraph.scan.settings import ScanSettings
-from tiegraph.scan.tuning import PicturesTuning
-from tiegraph.scene.panorama import is_equirectangular
+from tiegraph.scene.images import is_equirectangular
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import PanoramaTuning
-
-PICTURES = PicturesTuning()
 
 
 def colour(rays: np.ndarray, turn: float) -> np.ndarray:
@@ -69,7 +66,7 @@ def test_views_show_what_their_rays_see(walk: tuple[Path, Scene], tmp_path: Path
     folder, scene = walk
     for k in range(len(scene)):
         sensor, frame = scene.sensor_of(k), int(scene.source_name(k)[1:3])
-        prepare_image(folder / scene.source_name(k), tmp_path / scene.names[k], sensor, ScanSettings(), PICTURES)
+        prepare_image(folder / scene.source_name(k), tmp_path / scene.names[k], sensor, ScanSettings())
         with Image.open(tmp_path / scene.names[k]) as file:
             seen = np.asarray(file, float)
         camera = sensor.camera

@@ -10,16 +10,14 @@ from scan_worlds import exif_of, picture, scan
 from tiegraph.errors import InputError
 from tiegraph.scan.prepare import crop_camera, pinhole_camera, prepare_image
 from tiegraph.scan.settings import ScanSettings
-from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scene.rig import Sensor, Source
 
-PICTURES = PicturesTuning()
 PLAIN = Sensor("camera")
 
 
 def prepared(source: Path, sensor: Sensor = PLAIN, settings: ScanSettings | None = None, name: str = "") -> Path:
     target = source.parent / "out" / "deep" / (name or source.name)
-    prepare_image(source, target, sensor, settings or ScanSettings(), PICTURES)
+    prepare_image(source, target, sensor, settings or ScanSettings())
     assert [p.name for p in target.parent.iterdir()] == [target.name]
     return target
 
@@ -135,4 +133,4 @@ def test_scene_camera_is_that_of_the_prepared_image(tmp_path: Path) -> None:
 
 def test_a_source_that_went_away(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="scan again"):
-        prepare_image(tmp_path / "gone.jpg", tmp_path / "out" / "gone.jpg", PLAIN, ScanSettings(), PICTURES)
+        prepare_image(tmp_path / "gone.jpg", tmp_path / "out" / "gone.jpg", PLAIN, ScanSettings())

@@ -170,7 +170,7 @@ def test_times_are_read(text: str, seconds: float) -> None:
      ("000123", np.nan), ("9999999999", np.nan), ("IMG_20239915_010000", np.nan)],
 )  # fmt: skip
 def test_times_in_names(stem: str, seconds: float) -> None:
-    assert time_in_name(stem, TIMES) == pytest.approx(seconds, abs=1e-5, nan_ok=True)
+    assert time_in_name(stem) == pytest.approx(seconds, abs=1e-5, nan_ok=True)
 
 
 # --- positions of frames --------------------

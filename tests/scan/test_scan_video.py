@@ -133,11 +133,11 @@ class Stamped:
      ([0, 100, 50, 300], [0, 0.1, 0.2, 0.3], 1)],
 )  # fmt: skip
 def test_stamps_are_the_containers_and_missing_ones_follow_the_rate(stamps_ms, expected, unstamped) -> None:
-    video = OpenVideo(Stamped(stamps_ms), PICTURES.max_fps)
+    video = OpenVideo(Stamped(stamps_ms))
     assert np.allclose([stamp for stamp, _ in video.frames()], expected)
     assert video.unstamped == unstamped
     said = Stamped(stamps_ms, fps=0.0)
-    assert list(OpenVideo(said, PICTURES.max_fps).frames()) == []
+    assert list(OpenVideo(said).frames()) == []
 
 
 def test_the_frames_nearest_to_instants_are_taken() -> None:

@@ -9,8 +9,7 @@ from scan_worlds import data
 
 from tiegraph.scan.settings import ScanSettings, video_offsets
 from tiegraph.scan.tuning import MotionTuning, OffsetTuning, Tuning
-from tiegraph.scan.videos.videomotion import MotionCurve, motion_curve
-from tiegraph.scan.videos.videooffset import Film, films_together, find_offset, offsets_given
+from tiegraph.scan.videos.videooffset import Film, MotionCurve, films_together, find_offset, motion_curve, offsets_given
 from video_world import Shake, pictures
 
 OFFSET = OffsetTuning()

@@ -19,8 +19,7 @@ from bag_world import FORMS, START_S
 from tiegraph.errors import EngineMissing, InputError
 from tiegraph.scan.priors.trajectory import read_trajectory
 from tiegraph.scan.videos.bagfilms import KINDS, bgr, unread
-from tiegraph.scene.bags.bag import open_bag
-from tiegraph.scene.bags.topics import is_bag, shown, split_topics
+from tiegraph.scene.bags import is_bag, open_bag, shown, split_topics
 from tiegraph.scene.gnss import read_gnss
 from tiegraph.scene.tuning import GnssTuning
 

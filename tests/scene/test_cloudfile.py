@@ -12,8 +12,7 @@ from tiegraph.scene import cloudfile
 from tiegraph.scene.atomic import replacing
 from tiegraph.scene.cloudfile import read_cloud, write_cloud, write_las, write_ply
 from tiegraph.scene.copc import write_copc
-from tiegraph.scene.depthfile import load_depth, save_depth
-from tiegraph.scene.results import Cloud, DepthMap
+from tiegraph.scene.results import Cloud, DepthMap, load_depth, save_depth
 
 UTM = make_origin(35.6965, 139.7695, 40.0, "EPSG:6691")
 ENU = Origin(35.6965, 139.7695, 37.0)

@@ -10,10 +10,9 @@ import pytest
 from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import Origin
 from tiegraph.scene import cloudchunks
-from tiegraph.scene.cloudchunks import check_cloud, open_cloud
+from tiegraph.scene.cloudchunks import Measured, check_cloud, open_cloud, write_measured
 from tiegraph.scene.cloudfile import write_cloud
 from tiegraph.scene.copc import write_copc
-from tiegraph.scene.measuredcloud import Measured, write_measured
 from tiegraph.scene.results import Cloud
 
 ORIGIN = Origin(lat_deg=35.7, lon_deg=139.7, height_m=37.0, crs="EPSG:32654", shift_m=(380000.0, 3950000.0, 30.0))

@@ -17,7 +17,7 @@ from tiegraph.geometry import transforms
 from tiegraph.project.settings import Settings
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import simple_scene
-from tiegraph.scene.targets.names import dictionary, target_of
+from tiegraph.scene.targets import dictionary, target_of
 
 EAST, NORTH = 386_000.0, 3_951_000.0  # of the table's zero, EPSG:32654
 SIZE, FOCAL = (640, 480), 620.0

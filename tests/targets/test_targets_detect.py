@@ -6,7 +6,7 @@ import pytest
 from calibrate.board_world import OVERSAMPLING, Renderer, Texture, camera
 from targets.targets_world import PLACES, picture, printed, table
 from tiegraph.geometry import transforms
-from tiegraph.scene.targets.names import Target, count_of, target_of
+from tiegraph.scene.targets import Target, count_of, target_of
 from tiegraph.targets.detect import centre_of, find_targets
 from tiegraph.targets.marks import likely_family, marks_of
 from tiegraph.targets.tuning import Tuning

@@ -1,6 +1,9 @@
-"""The joint adjustment of interiors, rig and boards, by pycolmap's bundle adjustment over points that are held."""
+"""The joint adjustment of interiors, rig and boards, by pycolmap's bundle adjustment over points that are held.
 
-from collections.abc import Sequence
+What is estimated: cameras, where they are in the rig, and where the board was at every instant (``State``).
+"""
+
+from collections.abc import Collection, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -8,15 +11,55 @@ from typing import Any
 import numpy as np
 import pycolmap
 
-from tiegraph.calibrate.observations import Observations
-from tiegraph.calibrate.state import State, robust_sigma, view_residuals
+from tiegraph.calibrate.observations import Observations, View
 from tiegraph.calibrate.tuning import AdjustTuning
 from tiegraph.errors import ReconstructionError
-from tiegraph.geometry.align import CAUCHY_SIGMAS
+from tiegraph.geometry import transforms
+from tiegraph.geometry.align import CAUCHY_SIGMAS, robust_sigma
 from tiegraph.scene.colmapmodel import matrix, rigid3d
 
 _RIG = 1
 _THREADS = 1  # Ceres adds up the parts of its threads in the order they come
+
+
+@dataclass(frozen=True)
+class State:
+    """Cameras (COLMAP's, C of them), sensor_from_rig (C, 4, 4), the first camera's being one; rig_from_board (4, 4) by
+    instant, metres."""
+
+    cameras: tuple[pycolmap.Camera, ...]
+    sensor_from_rig: np.ndarray
+    rig_from_board: Mapping[int, np.ndarray]
+
+    def camera_from_board(self, view: View) -> np.ndarray:
+        """(4, 4) of a view."""
+        return np.asarray(self.sensor_from_rig[view.camera] @ self.rig_from_board[view.instant])
+
+    def at(self, instants: Collection[int]) -> "State":
+        """The state with the board of these instants alone."""
+        kept = {k: pose for k, pose in self.rig_from_board.items() if k in instants}
+        return State(self.cameras, self.sensor_from_rig, kept)
+
+
+def residuals(camera: pycolmap.Camera, camera_from_board: np.ndarray, points: np.ndarray, xy: np.ndarray) -> np.ndarray:
+    """(K, 2) seen minus projected, pixels; NaN where a point is not before the camera."""
+    inside = transforms.apply(camera_from_board, points)
+    projected = np.asarray(camera.img_from_cam(inside), float)
+    return np.where(inside[:, 2:] > 0, xy - projected, np.nan)
+
+
+def view_residuals(seen: Observations, state: State) -> list[np.ndarray]:
+    """Of every view, as of ``residuals``."""
+    return [
+        residuals(state.cameras[v.camera], state.camera_from_board(v), seen.board.points[v.corners], v.xy)
+        for v in seen.views
+    ]
+
+
+def _sigma(values: list[np.ndarray]) -> float:
+    """Sigma of one coordinate by the median of the absolute residuals, pixels."""
+    every = np.concatenate([v.ravel() for v in values])
+    return robust_sigma(every[~np.isnan(every)])
 
 
 @dataclass(frozen=True)
@@ -47,12 +90,12 @@ def adjust_robustly(seen: Observations, start: State, tuning: AdjustTuning, boar
         kept = seen.without(left_out)
         _check_kept(seen, kept, left_out, tuning)
         state = adjust(kept, state.at(kept.instants()), tuning, tuning.stages_px[-1:])
-    scale = max(CAUCHY_SIGMAS * robust_sigma(view_residuals(kept, state)), tuning.least_scale_px)
+    scale = max(CAUCHY_SIGMAS * _sigma(view_residuals(kept, state)), tuning.least_scale_px)
     state = adjust(kept, state, tuning, (scale,))
     flat = kept.board.points
     if board_sigma_m > 0:
         kept, state = _with_bent_board(kept, state, tuning, scale, board_sigma_m)
-    sigma_px = robust_sigma(view_residuals(kept, state))
+    sigma_px = _sigma(view_residuals(kept, state))
     left = tuple(left_out.items())
     return Adjusted(seen=kept, state=state, left_out=left, sigma_px=sigma_px, bent_m=kept.board.points - flat)
 
@@ -65,7 +108,7 @@ def _with_bent_board(
     for _ in range(tuning.board_rounds):  # the sigma of a pixel falls once the bend is no longer in it
         model = build(seen, state)
         adjuster = problem(model, tuning, scale_px, points=True)
-        pixel = robust_sigma(view_residuals(seen, state))
+        pixel = _sigma(view_residuals(seen, state))
         kept = _add_flatness(adjuster.problem, model, sigma_m / pixel)
         adjuster.solve()
         del kept  # the problem only borrows them
@@ -73,7 +116,7 @@ def _with_bent_board(
         for key, corner in zip(sorted(model.point3D_ids()), seen.corners()):
             points[corner] = model.point3D(key).xyz
         seen, state = replace(seen, board=replace(seen.board, points=points)), _state(model, state)
-        scale_px = max(CAUCHY_SIGMAS * robust_sigma(view_residuals(seen, state)), tuning.least_scale_px)
+        scale_px = max(CAUCHY_SIGMAS * _sigma(view_residuals(seen, state)), tuning.least_scale_px)
     return seen, state
 
 
@@ -104,7 +147,7 @@ def _doubtful(seen: Observations, state: State, tuning: AdjustTuning) -> dict[st
     """The worst view of every instant, if it is off by much more than the others, with the reason: the rest of its
     instant may fit without it."""
     all_off = view_residuals(seen, state)
-    usual = robust_sigma(all_off)
+    usual = _sigma(all_off)
     limit = max(tuning.doubt_px, tuning.doubt_sigmas * usual)
     worst: dict[int, tuple[float, str]] = {}
     for view, residual in zip(seen.views, all_off):

@@ -18,7 +18,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from tiegraph.calibrate.tuning import BoardTuning
 from tiegraph.errors import InputError
 from tiegraph.scene.regular import regular
 
@@ -26,6 +25,8 @@ CHARUCO, CHECKER, APRILGRID = "charuco", "checker", "aprilgrid"
 _EXAMPLES = {CHARUCO: "charuco:7x5:0.04:0.03:DICT_5X5_1000", CHECKER: "checker:9x6:0.025"}
 _FORMS = f"give {_EXAMPLES[CHARUCO]}, {_EXAMPLES[CHECKER]} or Kalibr's aprilgrid.yaml"
 _DEFAULT_DICTIONARY = "DICT_5X5_1000"
+_MOST_M = 1.0  # side of a square or tag: a larger one is in millimetres
+_MAX_COUNT = 100  # of squares, corners or tags along a side
 
 
 @dataclass(frozen=True)
@@ -51,24 +52,24 @@ class Board:
         return self.kind == CHECKER and sum(self.counts) % 2 == 0
 
 
-def read_board(text: str, tuning: BoardTuning) -> Board:
+def read_board(text: str) -> Board:
     """The board of ``--board``. Raises InputError naming what is wrong and the forms that are read."""
     kind, *words = text.split(":")
     if kind in _EXAMPLES:
-        return (_charuco if kind == CHARUCO else _checker)(text, words, tuning)
+        return (_charuco if kind == CHARUCO else _checker)(text, words)
     if Path(text).suffix.lower() in (".yaml", ".yml"):
-        return _kalibr(Path(text), tuning)
+        return _kalibr(Path(text))
     raise InputError(f"--board {text}: {_FORMS}")
 
 
-def _charuco(text: str, words: list[str], tuning: BoardTuning) -> Board:
+def _charuco(text: str, words: list[str]) -> Board:
     legacy = words[-1:] == ["legacy"]
     words = words[: len(words) - legacy]
     if not 3 <= len(words) <= 4:
         raise InputError(f"--board {text}: squares, side of a square and of a marker: {_EXAMPLES[CHARUCO]}")
     where = f"--board {text}"
-    counts = _counts(words[0], where, tuning)
-    square, marker = (_length(w, where, tuning) for w in words[1:3])
+    counts = _counts(words[0], where)
+    square, marker = (_length(w, where) for w in words[1:3])
     if marker >= square:
         raise InputError(f"--board {text}: the marker ({marker:g} m) is not smaller than its square ({square:g} m)")
     dictionary = (words[3:] or [_DEFAULT_DICTIONARY])[0].upper()
@@ -86,7 +87,7 @@ def _charuco(text: str, words: list[str], tuning: BoardTuning) -> Board:
     )  # fmt: skip
 
 
-def _checker(text: str, words: list[str], tuning: BoardTuning) -> Board:
+def _checker(text: str, words: list[str]) -> Board:
     if len(words) == 1:
         raise InputError(
             f"--board {text}: the side of a square is missing, in metres: measure it over many squares. For a single "
@@ -95,11 +96,11 @@ def _checker(text: str, words: list[str], tuning: BoardTuning) -> Board:
     if len(words) != 2:
         raise InputError(f"--board {text}: inner corners and side of a square: {_EXAMPLES[CHECKER]}")
     where = f"--board {text}"
-    counts = _counts(words[0], where, tuning)
-    return Board(CHECKER, counts, _length(words[1], where, tuning) * _grid(*counts))
+    counts = _counts(words[0], where)
+    return Board(CHECKER, counts, _length(words[1], where) * _grid(*counts))
 
 
-def _kalibr(path: Path, tuning: BoardTuning) -> Board:
+def _kalibr(path: Path) -> Board:
     try:
         content = regular(path).read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
@@ -112,11 +113,11 @@ def _kalibr(path: Path, tuning: BoardTuning) -> Board:
         raise InputError(f"--board {path}: {said}; read are aprilgrid and checkerboard (Kalibr's calibration targets)")
     names = ("tagCols", "tagRows") if kind == "aprilgrid" else ("targetCols", "targetRows")
     where = f"--board {path}"
-    counts = _counts("x".join(_value(values, n, where) for n in names), where, tuning)
+    counts = _counts("x".join(_value(values, n, where) for n in names), where)
     if kind == "checkerboard":
-        sides = [_length(_value(values, f"{n}SpacingMeters", where), where, tuning) for n in ("col", "row")]
+        sides = [_length(_value(values, f"{n}SpacingMeters", where), where) for n in ("col", "row")]
         return Board(CHECKER, counts, _grid(*counts) * (*sides, 0.0))
-    size = _length(_value(values, "tagSize", where), where, tuning)
+    size = _length(_value(values, "tagSize", where), where)
     spacing = _number(_value(values, "tagSpacing", where), where)
     if not 0 < spacing <= 1:
         raise InputError(f"--board {path}: tagSpacing = {spacing:g}: the gap between tags over their side, 0 to 1")
@@ -137,13 +138,13 @@ def _value(values: Mapping[str, str], name: str, where: str) -> str:
     return values[name]
 
 
-def _counts(word: str, where: str, tuning: BoardTuning) -> tuple[int, int]:
+def _counts(word: str, where: str) -> tuple[int, int]:
     found = re.fullmatch(r"(\d{1,6})[xX](\d{1,6})", word)
     if not found:
         raise InputError(f"{where}: {word!r} are no counts across and down, such as 7x5")
     across, down = int(found[1]), int(found[2])
-    if not 2 <= min(across, down) <= max(across, down) <= tuning.max_count or max(across, down) < 3:
-        raise InputError(f"{where}: {across} x {down}: 3 x 2 at least, {tuning.max_count} at most along a side")
+    if not 2 <= min(across, down) <= max(across, down) <= _MAX_COUNT or max(across, down) < 3:
+        raise InputError(f"{where}: {across} x {down}: 3 x 2 at least, {_MAX_COUNT} at most along a side")
     return across, down
 
 
@@ -157,10 +158,9 @@ def _number(word: str, where: str) -> float:
     return value
 
 
-def _length(word: str, where: str, tuning: BoardTuning) -> float:
+def _length(word: str, where: str) -> float:
     value = _number(word, where)
-    if not 0 < value <= tuning.max_square_m:
-        most = tuning.max_square_m
-        hint = f": {value:g} mm are {value / 1000:g}" if value > most else ""
-        raise InputError(f"{where}: a side of {value:g} m: above 0, {most:g} at most; lengths are in metres{hint}")
+    if not 0 < value <= _MOST_M:
+        hint = f": {value:g} mm are {value / 1000:g}" if value > _MOST_M else ""
+        raise InputError(f"{where}: a side of {value:g} m: above 0, {_MOST_M:g} at most; lengths are in metres{hint}")
     return value

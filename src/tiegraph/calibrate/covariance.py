@@ -12,8 +12,7 @@ import numpy as np
 from scipy import sparse
 from scipy.spatial.transform import Rotation
 
-from tiegraph.calibrate.adjust import Adjusted, build, problem
-from tiegraph.calibrate.state import State
+from tiegraph.calibrate.adjust import Adjusted, State, build, problem
 from tiegraph.calibrate.tuning import AdjustTuning
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import CAUCHY_SIGMAS

@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 
 from tiegraph.calibrate.board import APRILGRID, CHARUCO, Board
 from tiegraph.calibrate.tuning import BoardTuning
-from tiegraph.scene.targets.corners import CENTRE, refined
+from tiegraph.scene.targets import CENTRE, refined
 
 _KALIBR_BORDER_BITS = 2
 _KALIBR_BITS = 10  # along the side of a tag, with its borders

@@ -12,7 +12,7 @@ import numpy as np
 import pycolmap
 
 from tiegraph.geometry.transforms import invert
-from tiegraph.scene.targets.corners import CENTRE
+from tiegraph.scene.targets import CENTRE
 
 _RADTAN_TERMS = 4  # of Kalibr: k1 k2 p1 p2
 

@@ -4,10 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tiegraph.calibrate.adjust import Adjusted, adjust, place_boards
+from tiegraph.calibrate.adjust import Adjusted, State, adjust, place_boards, view_residuals
 from tiegraph.calibrate.covariance import Precision, precision
 from tiegraph.calibrate.observations import CameraImages, Observations
-from tiegraph.calibrate.state import State, view_residuals
 from tiegraph.calibrate.tuning import AdjustTuning, JudgeTuning, Tuning
 from tiegraph.errors import ReconstructionError
 from tiegraph.geometry.align import CAUCHY_SIGMAS

@@ -1,7 +1,5 @@
 """What the cameras see of the board: one view for every camera and instant; and what they must see at least."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
@@ -47,7 +45,7 @@ class Observations:
     cameras: tuple[CameraImages, ...]
     views: tuple[View, ...]
 
-    def of_camera(self, camera: int) -> Observations:
+    def of_camera(self, camera: int) -> "Observations":
         """One camera and its views, in which it is the first."""
         views = tuple(replace(v, camera=0) for v in self.views if v.camera == camera)
         return Observations(self.board, self.cameras[camera : camera + 1], views)
@@ -60,11 +58,11 @@ class Observations:
         """(K,) numbers of the corners that any view has, ascending."""
         return np.unique(np.concatenate([view.corners for view in self.views]))
 
-    def among(self, instants: Collection[int]) -> Observations:
+    def among(self, instants: Collection[int]) -> "Observations":
         """The views of these instants."""
         return replace(self, views=tuple(v for v in self.views if v.instant in instants))
 
-    def without(self, views: Collection[str]) -> Observations:
+    def without(self, views: Collection[str]) -> "Observations":
         """All views but those of these names."""
         return replace(self, views=tuple(v for v in self.views if v.name not in views))
 

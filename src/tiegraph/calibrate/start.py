@@ -4,9 +4,8 @@ import cv2
 import numpy as np
 import pycolmap
 
-from tiegraph.calibrate.adjust import adjust
+from tiegraph.calibrate.adjust import State, adjust, residuals
 from tiegraph.calibrate.observations import CameraImages, Observations, View, joint_instants
-from tiegraph.calibrate.state import State, residuals
 from tiegraph.calibrate.tuning import StartTuning, Tuning
 from tiegraph.geometry import transforms
 from tiegraph.scene.rays import on_plane

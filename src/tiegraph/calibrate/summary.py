@@ -5,10 +5,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from tiegraph.calibrate.adjust import Adjusted
+from tiegraph.calibrate.adjust import Adjusted, view_residuals
 from tiegraph.calibrate.covariance import PLACE, TURN, Parameter, Precision
 from tiegraph.calibrate.judge import Verdict
-from tiegraph.calibrate.state import view_residuals
 from tiegraph.calibrate.tuning import JudgeTuning
 from tiegraph.geometry import transforms
 from tiegraph.scene.figures import plain_text, png

@@ -8,10 +8,6 @@ from tiegraph.settings import Section
 class BoardTuning(Section):
     """What a board can be, and when it counts as seen (`board.py`, `detect.py`)."""
 
-    max_square_m: float = Field(1.0, gt=0)
-    """Side of a square or tag: more are millimetres."""
-    max_count: int = Field(100, gt=2)
-    """Squares, corners or tags along a side."""
     least_corners: int = Field(8, ge=4)
     """Corners of a view: four hold a pose without telling anything of it."""
     least_area: float = Field(0.15, ge=0, le=1)

@@ -1,8 +1,6 @@
 """`tiegraph calibrate IMAGES --board BOARD -o rig.toml`: cameras and rig from images of a board; `--from OUT`: as a run
 found them, beside those of a board."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated

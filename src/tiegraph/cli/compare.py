@@ -1,7 +1,5 @@
 """`tiegraph compare A B ...`: runs side by side; what has changed between two surveys; another method on a block."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal

@@ -1,7 +1,5 @@
 """`tiegraph demo`: the example survey that comes with the package, from images to the report."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated

@@ -1,7 +1,5 @@
 """`tiegraph evaluate OUT` (the stage), `evaluate OUT POSES` (poses alone), `evaluate CLOUD REFERENCE` (two clouds)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any

@@ -1,7 +1,5 @@
 """`tiegraph init IMAGES`: what is in the folder, and files to edit before a run."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated

@@ -1,7 +1,5 @@
 """`tiegraph lidar SCANS -o FOLDER`: trajectory and map of a LiDAR, and a run beside them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any

@@ -1,21 +1,30 @@
-"""`tiegraph <verb> ...`, a file each; stages are verbs too. Exit codes: 0 done, 1 failed, 2 misuse, 3 by `--strict`."""
+"""`tiegraph <verb> ...`, a file each; stages are verbs too. Exit codes: 0 done, 1 failed, 2 misuse, 3 by `--strict`.
 
+Ctrl-C, SIGTERM and SIGHUP end a run within seconds, in one line, and leave no process behind.
+"""
+
+import contextlib
 import gc
 import logging
 import os
+import signal
 import sys
-from collections.abc import Sequence
+import threading
+from collections.abc import Iterator, Sequence
+from typing import Any
 
 from tiegraph.__version__ import __version__
+from tiegraph.child import STOPPING, end_helpers
 from tiegraph.cli.output import complain, lost_output, prepare_streams, say
-from tiegraph.cli.stopping import hear, say_stopped, stoppable
 from tiegraph.cli.verbs import VERBS, wants_page
 from tiegraph.errors import EngineMissing, InputError, SettingsError, TiegraphError
-from tiegraph.forking import allow
+from tiegraph.forking import HARMLESS, allow
 from tiegraph.limits import explained
 from tiegraph.scene.names import check_text
 
 DONE, FAILED, MISUSE = 0, 1, 2
+_STOPPED = "stopped; finished work is kept: run the same command again to go on"
+_GRACE_S = 6.0  # for what is under way to give up; then the process ends without it, as after a SIGKILL
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -114,3 +123,71 @@ def _help() -> int:
 
 if __name__ == "__main__":
     sys.exit(main())
+
+
+@contextlib.contextmanager
+def stoppable(for_good: bool = False) -> Iterator[None]:
+    """The stopping signals raise KeyboardInterrupt in the main thread; those ignored from outside (nohup) stay so.
+
+    A second one ends the process at once. If the first has not ended it in a few seconds, because it is deep in native
+    code or something caught the exception, it ends all the same. Elsewhere than in the main thread: nothing.
+    ``for_good``: the interpreter ends after this; a signal from then on ends it without a stack trace.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    heard = tuple(s for s in STOPPING if signal.getsignal(s) != signal.SIG_IGN)
+    before = {s: signal.getsignal(s) for s in heard}
+    reader, writer = os.pipe()
+    os.set_blocking(writer, False)
+    wakeup = signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
+    over = threading.Event()
+    watch = threading.Thread(target=_watch, args=(reader, heard, over), daemon=True, name=HARMLESS)
+    watch.start()
+    try:
+        hear(heard)
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, signal.SIG_DFL if for_good or handler is None else handler)
+        signal.set_wakeup_fd(wakeup)
+        over.set()
+        os.close(writer)
+
+
+def hear(signals: tuple[signal.Signals, ...] = ()) -> None:
+    """Take the signals over (again: pycolmap, once imported, has a handler of its own that prints stack traces)."""
+    for number in signals or STOPPING:
+        if signal.getsignal(number) != signal.SIG_IGN:
+            signal.signal(number, _stop)
+
+
+def say_stopped() -> None:
+    """End what is still at work, and say that the run was stopped."""
+    end_helpers()
+    # CPython remembers that a KeyboardInterrupt went through the exec() of a string (a library imported, a dataclass
+    # made), though it was caught, and ends the process by SIGINT instead of its exit code. The next exec() forgets it.
+    exec("")
+    with contextlib.suppress(OSError, ValueError):  # the terminal may have gone
+        sys.stderr.write(f"tiegraph: {_STOPPED}\n")
+        sys.stderr.flush()
+
+
+def _stop(number: int, frame: Any) -> None:
+    for heard in STOPPING:  # a second one ends the process by itself, whatever it is at
+        if signal.getsignal(heard) != signal.SIG_IGN:
+            signal.signal(heard, signal.SIG_DFL)
+    raise KeyboardInterrupt
+
+
+def _watch(reader: int, heard: tuple[int, ...], over: threading.Event) -> None:
+    with open(reader, "rb", buffering=0) as pipe:
+        while True:
+            byte = pipe.read(1)
+            if not byte:
+                return
+            if byte[0] in heard:
+                break
+    if not over.wait(_GRACE_S):
+        say_stopped()
+        os._exit(FAILED)

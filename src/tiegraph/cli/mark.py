@@ -1,7 +1,5 @@
 """`tiegraph mark OUT --points FILE`: a page in the browser to mark control points in the images."""
 
-from __future__ import annotations
-
 import webbrowser
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`tiegraph odometry IMAGES --rig rig.toml -o vo.tum`: the path of the cameras from the images alone."""
 
-from __future__ import annotations
-
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path

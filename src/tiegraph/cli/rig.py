@@ -1,7 +1,5 @@
 """`tiegraph rig OUT`: the rig as a run found it, for the next survey, `shots` or COLMAP."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal

@@ -1,7 +1,5 @@
 """`tiegraph shots IMAGES --rig RIG`: a point cloud a shot from the rig's calibration alone."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated

@@ -1,7 +1,5 @@
 """`tiegraph stations SHOTS... -o FOLDER`: clouds of single shots without poses into one frame and one cloud."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any

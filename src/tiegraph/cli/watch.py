@@ -1,7 +1,5 @@
 """`tiegraph watch FOLDER`: images are followed while they arrive, on a page of this machine."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated

@@ -5,8 +5,6 @@ file); tile -> points added up by voxel; tile -> outliers removed, with its neig
 some hundred depth maps at a time, which bounds the files.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -14,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial import cKDTree
 
-from tiegraph.cloud.filter import filter_points
 from tiegraph.cloud.settings import CloudSettings
 from tiegraph.cloud.tuning import Tuning
 from tiegraph.cloud.voxels import (
@@ -32,10 +30,9 @@ from tiegraph.cloud.voxels import (
 )
 from tiegraph.errors import ReconstructionError
 from tiegraph.geometry.geodesy import Origin
-from tiegraph.geometry.rowstrips import row_strips
 from tiegraph.geometry.transforms import invert
 from tiegraph.scene.atomic import replacing
-from tiegraph.scene.results import Cloud, DepthMap
+from tiegraph.scene.results import Cloud, DepthMap, row_strips
 from tiegraph.scene.sorting import order_of, row_numbers, run_starts
 
 Tile = tuple[int, int, int]
@@ -45,6 +42,7 @@ Run = Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[Any]]  # map over
 _MERGE_ROWS = 2_000_000  # points read before they are added up: about 0.3 GB
 _POINTS_AT_ONCE = 400_000_000  # that lie in files before they are added up: 10 GB, and ...
 _MAPS_AT_ONCE = 60  # ... what so many depth maps more may have
+_ASKED_AT_ONCE = 200_000  # points whose neighbours are: bounds the memory of the neighbour table
 _PIXELS = 1 << 20  # of a depth map that are made points together: about 0.2 GB
 
 
@@ -119,7 +117,7 @@ def fuse_points(
     """Fuse the points of ``names``, of depth maps or clouds, in parts each; None if there are none. As ``fuse``;
     ``settings`` say the size of the voxels."""
     voxel = settings.voxel_size
-    scatter = partial(_scatter_one, points=points, scratch=scratch, voxel=voxel, levels=tuning.levels)
+    scatter = partial(_scatter_one, points=points, scratch=scratch, voxel=voxel)
     scattered: list[_Scattered] = []
     merged: dict[Tile, int] = {}
     waiting: dict[int, _Scattered] = {}
@@ -129,7 +127,7 @@ def fuse_points(
         scattered += found
         waiting |= dict(zip([k for k, _ in numbered], found, strict=True))
         if len(scattered) == len(names) or sum(s.pixels for s in waiting.values()) > _POINTS_AT_ONCE:
-            merged |= _merge(waiting, scratch, voxel, tuning.levels, run)
+            merged |= _merge(waiting, scratch, voxel, run)
             waiting = {}
     if not merged:
         return None
@@ -218,7 +216,7 @@ def _points_of_map(name: str, maps: Maps, settings: CloudSettings) -> Iterator[M
 
 
 def _scatter_one(
-    item: tuple[int, str], points: Callable[[str], Iterable[MapPoints]], scratch: Path, voxel: float, levels: int
+    item: tuple[int, str], points: Callable[[str], Iterable[MapPoints]], scratch: Path, voxel: float
 ) -> _Scattered:
     """Write the points of one depth map or cloud, each part of them sorted by tile."""
     number, name = item
@@ -229,7 +227,7 @@ def _scatter_one(
             left_out += uncertain
             if len(cloud) == 0:
                 continue
-            tile, rows = rows_of(cloud, justified, voxel, levels)
+            tile, rows = rows_of(cloud, justified, voxel)
             numbers = row_numbers(tile)
             order = order_of(numbers)
             np.take(rows, order).tofile(file)
@@ -241,21 +239,21 @@ def _scatter_one(
     return _Scattered(tuple(parts), written, left_out)
 
 
-def _merge(scattered: dict[int, _Scattered], scratch: Path, voxel: float, levels: int, run: Run) -> dict[Tile, int]:
+def _merge(scattered: dict[int, _Scattered], scratch: Path, voxel: float, run: Run) -> dict[Tile, int]:
     """Add up the points of some depth maps, by their numbers: the number of voxels of the tiles they touch."""
     parts: dict[Tile, list[tuple[int, int, int]]] = {}
     for number, found in scattered.items():
         for tile, start, count in found.parts:
             parts.setdefault(tile, []).append((number, start, count))
     tiles = sorted(parts)
-    merge = partial(_merge_one, scratch=scratch, voxel=voxel, levels=levels)
+    merge = partial(_merge_one, scratch=scratch, voxel=voxel)
     sizes = list(run(merge, [(tile, parts[tile]) for tile in tiles]))
     for number in scattered:
         _map_path(scratch, number).unlink(missing_ok=True)
     return dict(zip(tiles, sizes, strict=True))
 
 
-def _merge_one(item: tuple[Tile, list[tuple[int, int, int]]], scratch: Path, voxel: float, levels: int) -> int:
+def _merge_one(item: tuple[Tile, list[tuple[int, int, int]]], scratch: Path, voxel: float) -> int:
     """Add up the points of one tile, and what earlier depth maps left of it: the number of voxels."""
     tile, parts = item
     path = _tile_path(scratch, tile, "merged")
@@ -266,7 +264,7 @@ def _merge_one(item: tuple[Tile, list[tuple[int, int, int]]], scratch: Path, vox
         if k == len(parts) or sum(len(h) for h in held) > _MERGE_ROWS:
             added = [add_up([*added, sums(np.concatenate(held), voxel)])]
             held = []
-    merged = without_coarse_duplicates(added[0], levels)
+    merged = without_coarse_duplicates(added[0])
     _save(path, merged)
     return len(merged)
 
@@ -282,10 +280,10 @@ def _filter_one(
     justified = spacing(voxels.cell, voxel)
     around = _margin(tile, scratch, voxel, settings.radius_voxels * float(justified.max()))
     xyz = positions(voxels.cell, voxels.weight, voxels.place, tile, voxel)
-    result = filter_points(xyz, justified, settings, tuning, around)
-    kept = voxels.where(result.keep)
+    keep, statistical, radius = filter_points(xyz, justified, settings, tuning, around)
+    kept = voxels.where(keep)
     _save(_tile_path(scratch, tile, "final"), kept)
-    return len(kept), result.statistical, result.radius
+    return len(kept), statistical, radius
 
 
 def _margin(tile: Tile, scratch: Path, voxel: float, reach: float) -> np.ndarray:
@@ -330,3 +328,33 @@ def _columns(path: Path, count: int) -> list[np.ndarray]:
     rows = path.stat().st_size // sum(np.dtype(kind).itemsize for kind in COLUMNS)
     with open(path, "rb") as file:
         return [np.fromfile(file, kind, rows) for kind in COLUMNS[:count]]
+
+
+def filter_points(
+    xyz: np.ndarray, spacing: np.ndarray, settings: CloudSettings, tuning: Tuning, around: np.ndarray | None = None
+) -> tuple[np.ndarray, int, int]:
+    """Outlier filters in object space as in PCL (paper 004, section 6) on points (M, 3) with spacing (M,): which are
+    kept (M,) bool, and how many each filter dropped. Distances are counted in each point's own spacing, because it
+    varies within a cloud. ``around`` (K, 3): points of the surroundings, counted as neighbours only, so that the border
+    of a tile is not a border of the cloud.
+
+    *Statistical*: the mean distance to the nearest ``neighbours`` is at most the mean of all plus ``statistical_ratio``
+    deviations. *Radius*: ``radius_neighbours`` other points lie within ``radius_voxels`` spacings.
+    """
+    count, wanted = settings.neighbours, settings.radius_neighbours
+    if len(xyz) == 0:
+        return np.zeros(0, bool), 0, 0
+    tree = cKDTree(xyz if around is None else np.concatenate([xyz, around]))
+    statistical = settings.statistical_ratio > 0 and tree.n > count
+    mean, furthest = np.zeros(len(xyz)), np.zeros(len(xyz))
+    for s in range(0, len(xyz) if statistical or wanted else 0, _ASKED_AT_ONCE):
+        part = slice(s, s + _ASKED_AT_ONCE)
+        # The distance to the n-th neighbour says whether n are within the radius.
+        distance = np.asarray(tree.query(xyz[part], k=1 + max(count if statistical else 0, wanted))[0])
+        furthest[part] = distance[:, wanted]
+        mean[part] = distance[:, 1 : count + 1] @ np.full(count, 1 / count) if statistical else 0
+    mean /= spacing
+    held = np.minimum(mean, tuning.held_medians * np.median(mean))
+    near = mean <= held.mean() + settings.statistical_ratio * held.std()
+    dense = furthest <= settings.radius_voxels * spacing
+    return near & dense, int(np.count_nonzero(~near)), int(np.count_nonzero(near & ~dense))

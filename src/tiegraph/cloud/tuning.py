@@ -1,7 +1,5 @@
 """What cloud decides by: each constant with its unit, its meaning and where its value comes from."""
 
-from __future__ import annotations
-
 from pydantic import Field
 
 from tiegraph.settings import Section
@@ -12,8 +10,6 @@ class Tuning(Section):
 
     sampled_maps: int = Field(50, gt=0)
     """Depth maps that decide the automatic voxel size."""
-    levels: int = Field(6, ge=1, le=10)
-    """Sizes of voxels, each twice the one before; with ten the largest is a whole tile."""
     held_medians: float = Field(10.0, gt=0)
     """The statistical filter holds distances at so many medians: a few points very far away would enlarge the deviation
     and save the others."""

@@ -6,8 +6,6 @@ Space is cut into cubic tiles, and a voxel is numbered within its tile: points a
 coordinates of any survey fit.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +15,7 @@ from tiegraph.scene.results import Cloud
 from tiegraph.scene.sorting import order_of, run_starts
 
 TILE_VOXELS = 512  # edge of a tile in finest voxels: a wall through it has a quarter of a million points
+_LEVELS = 6  # sizes of voxels, each twice the one before; with ten the largest is a whole tile
 _BITS = 9  # of one coordinate of a voxel within its tile
 _MASK = (1 << _BITS) - 1
 _STEPS = 1 << 16  # places along the edge of a voxel that are told apart
@@ -46,12 +45,7 @@ class Voxels:
     def __len__(self) -> int:
         return len(self.cell)
 
-    @property
-    def level(self) -> np.ndarray:
-        """(V,) u4 level of each voxel, 0 = finest."""
-        return self.cell >> np.uint32(3 * _BITS)
-
-    def where(self, mask: np.ndarray) -> Voxels:
+    def where(self, mask: np.ndarray) -> "Voxels":
         """The voxels of a boolean mask."""
         return Voxels(*(values[mask] for values in self.__dict__.values()))
 
@@ -90,10 +84,9 @@ def _indices(cell: np.ndarray) -> list[np.ndarray]:
     return [(cell >> np.uint32(shift * _BITS)) & np.uint32(_MASK) for shift in (2, 1, 0)]
 
 
-def rows_of(cloud: Cloud, justified: np.ndarray, voxel: float, levels: int) -> tuple[np.ndarray, np.ndarray]:
-    """The tile (3, M) i8 of each point and its ROW; justified (M,) is the distance between neighbouring points, levels
-    the number of voxel sizes."""
-    level = np.clip(np.rint(np.log2(np.maximum(justified / voxel, 1e-9))), 0, levels - 1).astype(np.int32)
+def rows_of(cloud: Cloud, justified: np.ndarray, voxel: float) -> tuple[np.ndarray, np.ndarray]:
+    """The tile (3, M) i8 of each point and its ROW; justified (M,) is the distance between neighbouring points."""
+    level = np.clip(np.rint(np.log2(np.maximum(justified / voxel, 1e-9))), 0, _LEVELS - 1).astype(np.int32)
     per_voxel = np.ldexp(1.0 / voxel, -level)
     down = (TILE_VOXELS.bit_length() - 1) - level
     rows = np.empty(len(cloud), ROW)
@@ -150,12 +143,12 @@ def add_up(parts: list[Voxels]) -> Voxels:
     return Voxels(*(cell[start], *added, np.maximum.reduceat(columns[-1][order], start)))
 
 
-def without_coarse_duplicates(voxels: Voxels, levels: int) -> Voxels:
+def without_coarse_duplicates(voxels: Voxels) -> Voxels:
     """Leave out a coarse voxel in which a finer one lies: the finer knows the place better."""
     keep = np.ones(len(voxels), bool)
-    border = np.searchsorted(voxels.cell, np.arange(levels + 1, dtype=np.uint64) << np.uint64(3 * _BITS))
+    border = np.searchsorted(voxels.cell, np.arange(_LEVELS + 1, dtype=np.uint64) << np.uint64(3 * _BITS))
     taken = np.zeros(0, np.uint32)  # voxels of the level that hold a finer one, sorted
-    for level in range(levels):
+    for level in range(_LEVELS):
         mine = voxels.cell[border[level] : border[level + 1]]
         if len(taken):
             at = np.minimum(np.searchsorted(taken, mine), len(taken) - 1)

@@ -10,9 +10,8 @@ import numpy as np
 
 from tiegraph.dense.settings import DenseSettings
 from tiegraph.dense.tuning import RayTuning
-from tiegraph.geometry.rowstrips import row_strips
 from tiegraph.geometry.transforms import invert
-from tiegraph.scene.results import DepthMap
+from tiegraph.scene.results import DepthMap, row_strips
 
 LoadDepth = Callable[[str], "DepthMap | None"]
 

@@ -1,7 +1,5 @@
 """The two steps of a depth map, each for one image in one worker: match with partners, then compare with neighbours."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -15,8 +13,7 @@ from tiegraph.dense.settings import DenseSettings
 from tiegraph.dense.tuning import NormalTuning, Tuning
 from tiegraph.dense.undistort import load_view
 from tiegraph.errors import choose
-from tiegraph.geometry.rowstrips import row_strips
-from tiegraph.scene.results import DepthMap
+from tiegraph.scene.results import DepthMap, row_strips
 
 
 def depth_map(
@@ -86,7 +83,7 @@ class _Planes:
     c: np.ndarray
     good: np.ndarray  # bool
 
-    def rows(self, rows: slice) -> _Planes:
+    def rows(self, rows: slice) -> "_Planes":
         """Of some rows."""
         return _Planes(**{name: values[rows] for name, values in self.__dict__.items()})
 

@@ -5,8 +5,6 @@ rectification, masking, the way back into the reference and the triangulation ov
 matcher of a rectified pair (``PairMatcher``). An engine that matches otherwise is one more entry of ``ENGINES``.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -17,13 +15,12 @@ import numpy as np
 
 from tiegraph.dense.plan import DepthRange
 from tiegraph.dense.settings import DenseSettings
-from tiegraph.dense.sgbm import match_sgbm
+from tiegraph.dense.sgbm import MAX_CELLS, match_sgbm
 from tiegraph.dense.triangulate import Candidates, triangulate
 from tiegraph.dense.tsgm import available, kernel_in_use, match_tsgm, volume_bytes
 from tiegraph.dense.tuning import PairTuning, RayTuning, Tuning
-from tiegraph.geometry.rowstrips import row_strips
 from tiegraph.geometry.stereo import Pinhole, Rectification, rectify
-from tiegraph.scene.results import DepthMap
+from tiegraph.scene.results import DepthMap, row_strips
 
 _BITS = np.array([bin(k).count("1") for k in range(256)], np.uint8)
 
@@ -119,7 +116,7 @@ def _sgbm_engine(
     tuning: Tuning,
 ) -> DepthMap:
     """OpenCV's matcher does not bound its cost volume; tsgm does (``tsgm.volume_bytes``)."""
-    return rectified_engine(reference, partners, depth_range, settings, tuning, match_sgbm, tuning.sgbm.max_cells)
+    return rectified_engine(reference, partners, depth_range, settings, tuning, match_sgbm, MAX_CELLS)
 
 
 ENGINES: dict[str, DenseEngine] = {"tsgm": partial(rectified_engine, matcher=match_tsgm), "sgbm": _sgbm_engine}

@@ -1,7 +1,5 @@
 """Which images to match with which: by shared sparse points, angle of intersection, scale and epipole."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass

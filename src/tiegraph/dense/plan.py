@@ -1,7 +1,5 @@
 """What one depth map needs to be made: small picklable objects, so that a worker never loads the whole model."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -18,7 +16,7 @@ class CameraModel:
     params: tuple[float, ...]
 
     @staticmethod
-    def of(camera: pycolmap.Camera) -> CameraModel:
+    def of(camera: pycolmap.Camera) -> "CameraModel":
         """Of a pycolmap camera."""
         return CameraModel(
             model=camera.model_name,
@@ -77,7 +75,6 @@ class ImagePlan:
     partners: tuple[ViewPlan, ...]
     witnesses: tuple[str, ...]  # names of images whose depth maps are compared with this one's
     depth_range: DepthRange
-    note: str = ""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,16 +1,17 @@
 """Matching of a rectified pair by OpenCV's semi-global matching (Hirschmueller 2008, block matching variant)."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 
 from tiegraph.dense.settings import DenseSettings
-from tiegraph.dense.speckles import without_speckles
 from tiegraph.dense.tuning import SgbmTuning, Tuning
 
 _MODES = {3: cv2.STEREO_SGBM_MODE_SGBM_3WAY, 5: cv2.STEREO_SGBM_MODE_SGBM, 8: cv2.STEREO_SGBM_MODE_HH}
-_SUBPIXEL = 16  # OpenCV's fixed point
+_SUBPIXEL = 16  # OpenCV's fixed point: steps of a pixel in 16 bits; the disparities of one image may span 2000 pixels
+_SHIFT_PX = 16  # the sub-pixel part of a disparity of 0 may be negative
+LEFT_RIGHT_PX = 1  # disagreement between both directions, at most: paper 004, section 5.2.2
+# Of the largest cost volume, pixels times disparities: a larger pair is matched at a coarser resolution.
+MAX_CELLS = 800e6
 
 
 def match_sgbm(
@@ -36,7 +37,7 @@ def match_sgbm(
     mirror_left = np.ascontiguousarray(cv2.copyMakeBorder(wide_right, 0, 0, 0, count, cv2.BORDER_REPLICATE)[:, ::-1])
     mirror_right = np.ascontiguousarray(cv2.copyMakeBorder(wide_left, 0, 0, 0, count, cv2.BORDER_REPLICATE)[:, ::-1])
     backward = _run(mirror_left, mirror_right, count, settings, tuning.sgbm)[:, count:][:, ::-1]
-    checked = _left_right(forward, backward, count, tuning.sgbm.left_right_px)
+    checked = _left_right(forward, backward, count)
     return without_speckles(checked, tuning.speckles.size_px, tuning.speckles.jump_px)
 
 
@@ -57,11 +58,19 @@ def _run(left: np.ndarray, right: np.ndarray, count: int, settings: DenseSetting
     return np.where(fixed < 0, np.float32(np.nan), fixed.astype(np.float32) / _SUBPIXEL)
 
 
-def _left_right(forward: np.ndarray, backward: np.ndarray, count: int, most_px: float) -> np.ndarray:
-    """Forward disparities (h, w) whose right pixel leads back to within ``most_px``; backward is (h, w + count)."""
+def _left_right(forward: np.ndarray, backward: np.ndarray, count: int) -> np.ndarray:
+    """Forward disparities (h, w) whose right pixel leads back to nearly the left one; backward is (h, w + count)."""
     h, w = forward.shape
     known = np.isfinite(forward)
     column = np.arange(w)[None, :] + count - np.rint(np.where(known, forward, 0)).astype(np.int64)
     back = np.take_along_axis(backward, np.clip(column, 0, backward.shape[1] - 1), axis=1)
-    agrees = np.abs(back - forward) <= most_px  # NaN compares false
+    agrees = np.abs(back - forward) <= LEFT_RIGHT_PX  # NaN compares false
     return np.where(known & agrees, forward, np.float32(np.nan))
+
+
+def without_speckles(disparity: np.ndarray, size_px: int, jump_px: float) -> np.ndarray:
+    """Disparity (h, w) f4 > -16, NaN = none, without patches of fewer than ``size_px`` pixels enclosed by jumps of more
+    than ``jump_px``."""
+    fixed = np.where(np.isfinite(disparity), (disparity + _SHIFT_PX) * _SUBPIXEL, 0).astype(np.int16)
+    cv2.filterSpeckles(fixed, 0, size_px, jump_px * _SUBPIXEL)
+    return np.where(fixed > 0, disparity, np.float32(np.nan))

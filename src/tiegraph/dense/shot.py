@@ -1,7 +1,5 @@
 """One shot of a calibrated rig without any sparse model (paper 004, sections 4 and 5.3): partners by geometry alone."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Collection, Sequence
 

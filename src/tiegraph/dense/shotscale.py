@@ -2,8 +2,6 @@
 station, so that one camera will do for the poses; its model has no scale, but its points lie on the surface of the
 clouds."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -11,6 +9,7 @@ import numpy as np
 
 from tiegraph.dense.tuning import ShotScaleTuning
 from tiegraph.geometry import transforms
+from tiegraph.geometry.align import robust_sigma
 from tiegraph.scene.results import DepthMap
 
 
@@ -79,7 +78,7 @@ def shot_scale(seen: Sequence[Seen], tuning: ShotScaleTuning) -> ShotScale | Non
         return None
     medians = np.array([np.median(s) for s in good])
     scale = float(np.median(medians))
-    scatter = 1.4826 * float(np.median(np.abs(medians / scale - 1)))
+    scatter = robust_sigma(medians / scale - 1)
     sigma = scatter / float(np.sqrt(len(medians)))
     return ShotScale(metres_per_unit=scale, sigma=sigma, points=sum(map(len, good)), shots=len(medians))
 

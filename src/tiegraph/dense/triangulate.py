@@ -7,17 +7,17 @@ images is a weighted mean of inverse depths: the linear solution is already the 
 and what is left to refine is who takes part and with what weight.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from tiegraph.dense.tuning import RayTuning
-from tiegraph.geometry.rowstrips import row_strips
+from tiegraph.scene.results import row_strips
 
 _STRIP_PIXELS = 1 << 15  # pixels solved together, so that the partners' columns stay in the cache
+_HUBER_SIGMAS = 1.345  # residual from which a ray loses weight, Huber's constant: 95 % efficient on normal errors
+_SIGMA_SAMPLES = 100_000  # pixels of an image that tell its sigma
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +31,7 @@ class Candidates:
     unit: np.ndarray
 
     @staticmethod
-    def nothing(shape: tuple[int, int]) -> Candidates:
+    def nothing(shape: tuple[int, int]) -> "Candidates":
         """A partner that proposes nothing."""
         return Candidates(np.full(shape, np.nan, np.float32), np.full(shape, np.nan, np.float32))
 
@@ -68,7 +68,7 @@ def triangulate(candidates: Sequence[Candidates], tolerance_px: float, tuning: R
         return np.stack(inverse), np.stack(unit)
 
     count = candidates[0].inverse.size
-    some = proposals(slice(None, None, max(1, count // tuning.sigma_samples)))
+    some = proposals(slice(None, None, max(1, count // _SIGMA_SAMPLES)))
     sigma_px = disparity_sigma_px(*some, tolerance_px, tuning)
     parts = row_strips((count, 1), _STRIP_PIXELS)
     found = [_solve(*proposals(pixels), tolerance_px, sigma_px, tuning) for pixels in parts]
@@ -103,7 +103,7 @@ def _solve(
     for _ in range(tuning.refinements):
         residual = np.abs(inverse - mean) / unit  # pixels of disparity; NaN = none
         part = (residual <= tolerance_px) & (np.abs(inverse - mean) <= tuning.max_relative * mean)
-        robust = weight * part / np.maximum(1, np.where(part, residual, 0) / (tuning.huber_sigmas * sigma_px))
+        robust = weight * part / np.maximum(1, np.where(part, residual, 0) / (_HUBER_SIGMAS * sigma_px))
         mean = _mean(value, robust, mean)
     return mean, _sigma(value, weight * part, mean, sigma_px, tuning.shared_variance), _bits(part)
 

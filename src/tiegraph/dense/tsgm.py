@@ -5,8 +5,6 @@ neighbourhood had on the level above. The costs are census, on the last level bl
 there is a GPU (``cuda``) the same steps run on it, with the same bits.
 """
 
-from __future__ import annotations
-
 import logging
 import threading
 from dataclasses import dataclass
@@ -17,7 +15,7 @@ import numpy as np
 
 from tiegraph.dense import cuda
 from tiegraph.dense.settings import DenseSettings
-from tiegraph.dense.speckles import without_speckles
+from tiegraph.dense.sgbm import LEFT_RIGHT_PX, without_speckles
 from tiegraph.dense.tuning import TsgmTuning, Tuning
 from tiegraph.errors import EngineMissing
 
@@ -219,9 +217,6 @@ def _match(
             blended = level == 0 and tuning.cost != "census"
             mutual = mutual_information(kernels.joint_greys(*above), tuning) if blended else None
             found = pair.full(mutual) if tuning.everywhere else pair.within(found, mutual, uses[level])
-        if level and tuning.coarse_speckle_px:
-            size_px, jump_px = tuning.coarse_speckle_px, tuning.coarse_speckle_jump_px
-            found = kernels.upload(without_speckles(kernels.download(found) - rules.low, size_px, jump_px) + rules.low)
         coarser = level
     assert found is not None
     found = found + np.float32(aligned)
@@ -264,9 +259,8 @@ def _options(tuning: TsgmTuning, last: bool) -> _sgm.Options:
         max(tuning.small_jump, round(tuning.large_jump * max(tuning.large_floor, min(1.0, tuning.large_knee / step))))
         for step in steps
     ]
-    options.parabola = tuning.parabola
-    options.uniqueness = tuning.uniqueness_percent if last else 0
-    options.left_right = tuning.left_right_px
+    options.parabola = False  # equiangular lines below the pixel
+    options.left_right = LEFT_RIGHT_PX
     options.mode = _MODES[tuning.cost] if last else 0
     options.kernel = "" if tuning.kernel == _CUDA else tuning.kernel
     return options
@@ -325,6 +319,7 @@ def _strips(volume: np.ndarray, overlap: int) -> list[tuple[slice, slice]]:
 
 
 _SMOOTHING_PX = 7  # window of the Gaussian that stands for the Parzen estimate, as in Hirschmueller 2008
+_SCALE_PERCENT = (1, 99)  # pairs of grey values at either end do not set the scale
 _WORST = 62  # the largest cost, that of two census windows of 9 x 7 which differ everywhere
 
 
@@ -336,8 +331,7 @@ def mutual_information(joint: np.ndarray, tuning: TsgmTuning) -> np.ndarray:
     share = count / max(1, joint.sum())
     entropy = _information(share)
     gain = entropy - _information(share.sum(axis=1))[:, None] - _information(share.sum(axis=0))[None, :]
-    tail = tuning.mutual_tail_percent
-    low, high = np.percentile(gain[count > 0], [tail, 100 - tail]) if count.any() else (0.0, 1.0)
+    low, high = np.percentile(gain[count > 0], _SCALE_PERCENT) if count.any() else (0.0, 1.0)
     scaled = (gain - low) / max(high - low, 1e-6) * (tuning.mutual_span * _WORST)
     return np.clip(np.rint(scaled), 0, _WORST).astype(np.uint8)
 

@@ -1,7 +1,5 @@
 """What dense decides by: each constant with its unit, its meaning and where its value comes from."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 from pydantic import Field
@@ -14,8 +12,6 @@ class ViewTuning(Section):
 
     max_growth: float = Field(1.3, gt=0)
     """Pixels of the undistorted image per pixel of the original: more only stretches the corners."""
-    border_samples: int = Field(65, gt=1)
-    """Points of each side of an image that tell its field of view."""
     round_trip_px: float = Field(0.5, gt=0)
     """A ray that comes back from the image farther off lies where the distortion polynomial folds over."""
     averaged_below: float = Field(0.75, ge=0)
@@ -126,10 +122,6 @@ class SgbmTuning(Section):
     """By which the best disparity must beat all but its neighbours."""
     prefilter_cap: int = Field(63, ge=0)
     """Bound of the gradients that are compared."""
-    left_right_px: float = Field(1.0, ge=0)
-    """Disagreement between both directions, at most: paper 004, section 5.2.2."""
-    max_cells: float = Field(800e6, gt=0)
-    """Of the largest cost volume, pixels times disparities: a larger pair is matched at a coarser resolution."""
 
 
 class TsgmTuning(Section):
@@ -152,17 +144,8 @@ class TsgmTuning(Section):
     hole_disparities: int = Field(254, gt=0)
     """Disparities at most where the coarser level has none. 510 find thin bars a little better in the same time, but
     then no strip of 192 rows is sure to stay within 300 MB."""
-    uniqueness_percent: int = Field(0, ge=0)
-    """By which the best disparity of the last level must beat all but its neighbours; 0 = not asked. 10 % removed 16 %
-    of the wrong answers of canal and 3 % of all."""
-    left_right_px: int = Field(1, ge=0)
-    """Disagreement between both directions, at most: paper 004, section 5.2.2."""
-    parabola: bool = False
-    """Below the pixel: a parabola instead of equiangular lines."""
     cost: Literal["census", "blend", "mutual"] = "blend"
     """On the last level census, mutual information or the mean of both, which beats census on seven of nine pairs."""
-    mutual_tail_percent: float = Field(1.0, ge=0, lt=50)
-    """Pairs of grey values at either end of the mutual information that do not set its scale."""
     mutual_span: float = Field(0.5, gt=0)
     """Span of the others' costs, as a share of the largest census cost."""
     full_disparities: int = Field(256, gt=0)
@@ -173,16 +156,12 @@ class TsgmTuning(Section):
     """Rows that strips of a level share: a path has nearly forgotten where it began."""
     everywhere: bool = False
     """Full size is matched over its full range too: a reference for measurements."""
-    coarse_speckle_px: int = Field(0, ge=0)
-    """Smaller patches of the coarser levels are errors; 0 = not looked at ..."""
-    coarse_speckle_jump_px: float = Field(1.0, gt=0)
-    """... and end at steps above this many of the level's pixels."""
     kernel: str = ""
     """Name of a native kernel, or cuda; empty = the fastest of this machine. All give the same."""
 
 
 class SpeckleTuning(Section):
-    """Small patches of disparity (`speckles.py`)."""
+    """Small patches of disparity (`sgbm.py`)."""
 
     size_px: int = Field(100, ge=0)
     """Patches below 100 pixels ... (paper 004, section 5.2.2)"""
@@ -206,10 +185,6 @@ class RayTuning(Section):
     canal by 0.15-0.23 and 0.11-0.24 px."""
     few_pixels: int = Field(1000, gt=0)
     """Pixels with two proposals; below, an image says nothing of its sigma."""
-    sigma_samples: int = Field(100_000, gt=0)
-    """Pixels of an image that tell its sigma."""
-    huber_sigmas: float = Field(1.345, gt=0)
-    """Residual from which a ray loses weight, Huber's constant: 95 % efficient on normal errors."""
     refinements: int = Field(2, ge=0)
     """Rounds in which partners are judged again: two or three rays settle at once, four or five in two steps."""
     min_along: float = Field(0.3, gt=0, le=1)

@@ -1,7 +1,5 @@
 """From an image of any COLMAP camera to an undistorted view with a pinhole matrix."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 from pathlib import Path
 
@@ -13,11 +11,12 @@ from tiegraph.dense.plan import CameraModel, ViewPlan
 from tiegraph.dense.settings import DenseSettings
 from tiegraph.dense.tuning import ViewTuning
 from tiegraph.errors import InputError
-from tiegraph.geometry.rowstrips import row_strips
 from tiegraph.geometry.stereo import Pinhole
 from tiegraph.scene.images import read_pixels
+from tiegraph.scene.results import row_strips
 
 _MAX_CACHED_MAPS = 8  # a rig of six and two to spare; a map takes 8 bytes a pixel
+_BORDER_SAMPLES = 65  # points of each side of an image that tell its field of view
 
 
 def pinhole_of(camera: CameraModel, settings: DenseSettings, tuning: ViewTuning) -> tuple[np.ndarray, tuple[int, int]]:
@@ -29,7 +28,7 @@ def pinhole_of(camera: CameraModel, settings: DenseSettings, tuning: ViewTuning)
     model = camera.to_pycolmap()
     if model.model_name == "EQUIRECTANGULAR":
         raise InputError(f"camera model {camera.model} sees all round and cannot be undistorted: cut it into views")
-    low, high = _field(camera, np.tan(np.radians(settings.max_fov_deg / 2)), tuning.border_samples)
+    low, high = _field(camera, np.tan(np.radians(settings.max_fov_deg / 2)))
     focal = _central_focal(camera)
     if camera.model in ("PINHOLE", "SIMPLE_PINHOLE"):
         focal = model.focal_length_x
@@ -83,9 +82,9 @@ def _read(path: Path, flag: int, camera: CameraModel) -> np.ndarray:
     return image
 
 
-def _field(camera: CameraModel, limit: float, samples: int) -> tuple[np.ndarray, np.ndarray]:
+def _field(camera: CameraModel, limit: float) -> tuple[np.ndarray, np.ndarray]:
     """Corners (2,), (2,) on the plane z = 1 of the field of view seen through the image border."""
-    s = np.linspace(0.0, 1.0, samples)
+    s = np.linspace(0.0, 1.0, _BORDER_SAMPLES)
     zero, one = np.zeros_like(s), np.ones_like(s)
     border = np.concatenate([np.c_[s, zero], np.c_[s, one], np.c_[zero, s], np.c_[one, s]])
     rays = np.asarray(camera.to_pycolmap().cam_ray_from_img(border * [camera.width, camera.height]))

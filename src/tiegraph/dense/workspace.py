@@ -3,8 +3,6 @@
 COLMAP's ``stereo_fusion`` (which needs no CUDA), Poisson and Delaunay meshing then work on our depth maps.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from pathlib import Path
 

@@ -15,8 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tiegraph.design.predict import Predictor
-from tiegraph.design.resistance import Net, laplacian
+from tiegraph.design.resistance import Net, Predictor, laplacian
 from tiegraph.design.tracks import Candidates, Tracks
 from tiegraph.design.tuning import GrowthTuning, NetTuning, Tuning
 

@@ -1,7 +1,5 @@
 """Tracks of the design: which preview features are joined by the chosen pairs, and what one more pair would join."""
 
-from __future__ import annotations
-
 from copy import copy
 from dataclasses import dataclass
 
@@ -42,7 +40,7 @@ class Candidates:
     @staticmethod
     def make(
         i: np.ndarray, j: np.ndarray, expected: np.ndarray, ties: PreviewMatches | None, images: int
-    ) -> Candidates:
+    ) -> "Candidates":
         """Candidates of pairs i < j (E,) from the preview matches of those that were previewed."""
         ties = PreviewMatches.empty() if ties is None else ties
         row = ties.find(i, j)
@@ -86,7 +84,7 @@ class Tracks:
     def __init__(self, candidates: Candidates, tuning: NetTuning) -> None:
         self.candidates = candidates
         self._tuning = tuning
-        self.parent = np.arange(len_of(candidates), dtype=np.int32)
+        self.parent = np.arange(candidates.first[-1], dtype=np.int32)
         self.extra = np.zeros(len(candidates))
         self.chosen = np.zeros(len(candidates), bool)
         self.shared = np.zeros(len(candidates))  # J of unseen pairs
@@ -138,7 +136,7 @@ class Tracks:
         rows = (spread(c.start[places[k]], count[k]) for k in own)
         self.parent = unite(self.parent, ((c.left[at], c.right[at]) for at in rows))
 
-    def copy(self) -> Tracks:
+    def copy(self) -> "Tracks":
         """The same, to be joined further by itself."""
         other = copy(self)
         other.parent, other.chosen = self.parent.copy(), self.chosen.copy()
@@ -199,11 +197,6 @@ class Tracks:
             self._joint = csr_array(seen @ seen.T)
             self._joint.sort_indices()
         return self._joint
-
-
-def len_of(candidates: Candidates) -> int:
-    """Number of nodes."""
-    return int(candidates.first[-1])
 
 
 def _symmetric(i: np.ndarray, j: np.ndarray, value: np.ndarray, n: int) -> csr_array:

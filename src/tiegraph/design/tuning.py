@@ -9,7 +9,7 @@ from tiegraph.settings import Section
 
 
 class CostTuning(Section):
-    """What matching costs of a run (`cost.py`): CPU seconds of a core that compares 4096 with 4096 key points in 13 ms.
+    """What matching costs of a run (`Cost`): CPU seconds of a core that compares 4096 with 4096 key points in 13 ms.
 
     Only ratios count. They give the runs in benchmarks/results (8 to 300 images; rendered, vehicle, facades, telephone)
     within a factor of two.
@@ -84,7 +84,7 @@ class HoldingTuning(Section):
 
 
 class NetTuning(Section):
-    """The network as a one-dimensional adjustment of its tracks (`tracks.py`, `resistance.py`, `predict.py`)."""
+    """The network as a one-dimensional adjustment of its tracks (`tracks.py`, `resistance.py`)."""
 
     wide_images: int = Field(300, gt=0)
     """Images of a track: one of more, which wrong matches made, counts as one for each so many images in a row.

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.distance import pdist
 
+from tiegraph.evaluate.clouds.m3c2 import CONFIDENCE
 from tiegraph.evaluate.clouds.nearest import CloudComparison
 from tiegraph.evaluate.clouds.passes import PassAgreement
 from tiegraph.evaluate.trajectory import PoseMatch, TrajectoryError
@@ -211,16 +212,16 @@ def cloud_figure(result: CloudComparison, reach_m: float, predicted: Predicted, 
     )  # fmt: skip
 
 
-def passes_figure(found: PassAgreement, predicted: Predicted, confidence: float) -> list[Figure]:
+def passes_figure(found: PassAgreement, predicted: Predicted) -> list[Figure]:
     """What the clouds of two passes say of each other, along the surface's normal; none where they were not compared.
 
-    Predicted: what the points of both state (the level of detection is ``confidence`` sigmas of it), and two cameras
+    Predicted: what the points of both state (the level of detection is so many sigmas of it), and two cameras
     inside the model, one axis of them. The adjustment knew both passes, so that neither is independent.
     """
     if not np.isfinite(found.rms_m):
         return []
     cameras = np.nan_to_num(predicted.inside_m) * np.sqrt(2 / 3)
-    told = float(np.hypot(found.detection_m / confidence, cameras))
+    told = float(np.hypot(found.detection_m / CONFIDENCE, cameras))
     of = "a surface, one pass against the other"
     return [_figure("shape.passes", of, told, found.rms_m, by=f"the clouds of passes {' and '.join(found.passes)}")]
 

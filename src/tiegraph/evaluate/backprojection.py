@@ -1,7 +1,5 @@
 """Back-projection error of papers 000 and 001: a round trip through the images, named for what it is."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -30,7 +28,7 @@ class View:
     height: int
 
     @staticmethod
-    def of(depth: DepthMap) -> View:
+    def of(depth: DepthMap) -> "View":
         """The image of a depth map."""
         height, width = depth.depth_m.shape
         return View(name=depth.image, K=depth.K, cam_from_world=depth.cam_from_world, width=width, height=height)

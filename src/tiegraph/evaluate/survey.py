@@ -14,7 +14,6 @@ from tiegraph.evaluate.clouds.judge import CloudJudgement, Question, judge_cloud
 from tiegraph.evaluate.clouds.nearest import Cameras
 from tiegraph.evaluate.clouds.passes import PassAgreement
 from tiegraph.evaluate.contradictions import against_cloud, against_poses
-from tiegraph.evaluate.metrics import metrics_to_dict
 from tiegraph.evaluate.reference import ModelPoses
 from tiegraph.evaluate.settings import EvaluateSettings
 from tiegraph.evaluate.trajectory import TrajectoryError, evaluate_trajectory, registered_metrics, registered_table
@@ -25,7 +24,7 @@ from tiegraph.scene.accuracy import Figure
 from tiegraph.scene.cloudchunks import PointSource, open_cloud
 from tiegraph.scene.colmapmodel import matrix
 from tiegraph.scene.registered import Registration
-from tiegraph.scene.results import Metric
+from tiegraph.scene.results import Metric, metrics_to_dict
 from tiegraph.scene.scene import Scene
 
 _SAMPLE = 4_000_000  # points of the cloud that are projected back: bounds memory
@@ -115,7 +114,7 @@ def evaluate_survey(
         found.metrics.extend(passes.metrics())
         found.tables.update(passes.tables())
         found.notes.append(passes.note())
-        found.figures += passes_figure(passes, stated.predicted, tuning.m3c2.confidence)
+        found.figures += passes_figure(passes, stated.predicted)
     accuracy = in_layers(stated, found.figures)
     if settings.tolerance_m is not None:
         contradicted = bool(found.contradictions or stated.world.get("contradictions"))

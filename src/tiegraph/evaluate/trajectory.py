@@ -1,7 +1,5 @@
 """Trajectory error: ATE after alignment, RPE over travelled distances, yaw drift, registered shares."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 
@@ -30,7 +28,7 @@ class PoseMatch:
     order: np.ndarray
     parts: Mapping[str, np.ndarray] = field(default_factory=dict)
 
-    def where(self, rows: np.ndarray) -> PoseMatch:
+    def where(self, rows: np.ndarray) -> "PoseMatch":
         """Some of the poses."""
         parts = {kind: names[rows] for kind, names in self.parts.items()}
         columns = {c: getattr(self, c)[rows] for c in ("estimate", "reference", "group", "order")}

@@ -2,7 +2,7 @@
 
 from pydantic import Field
 
-from tiegraph.geometry.coarse.tuning import CoarseTuning
+from tiegraph.geometry.coarse import CoarseTuning
 from tiegraph.settings import Section
 
 
@@ -43,8 +43,6 @@ class CloudTuning(Section):
     walls in the wrong place, a larger one calls more of what lies beyond its border wrong."""
     search_factor: float = Field(10.0, ge=1)
     """Nearest points are looked for up to this many times the largest distance."""
-    bands_m: tuple[float, ...] = (5.0, 10.0, 20.0, 50.0)
-    """Between the bands of distance from camera to point."""
 
 
 class M3c2Tuning(Section):
@@ -60,8 +58,6 @@ class M3c2Tuning(Section):
     """The same, if it is asked for, at most."""
     least_points: int = Field(10, ge=2)
     """Of each cloud in a cylinder: with fewer the spread does not tell the level of detection."""
-    confidence: float = Field(1.96, gt=0)
-    """Sigmas at which 5 % of the differences of equal surfaces are called significant."""
 
 
 class RegistrationTuning(Section):
@@ -79,8 +75,6 @@ class RegistrationTuning(Section):
     """With each of these, at most ..."""
     still: float = Field(1e-3, gt=0)
     """... until no point moves by more than this share of the spacing."""
-    tukey: float = Field(4.685, gt=0)
-    """Residuals beyond so many sigmas do not count (Tukey's function, 95 % efficient)."""
     least_points: int = Field(100, ge=7)
     """Pairs of points, to go on."""
     open_share: float = Field(0.005, gt=0)
@@ -97,8 +91,6 @@ class ChangesTuning(Section):
     """Of a change that is listed: fewer stand together by chance (5 % of unchanged ones are called significant)."""
     area_spacings: float = Field(3.0, gt=1)
     """Core points within so many spacings tell what area one stands for."""
-    listed: int = Field(50, gt=0)
-    """Changes in the table, the largest first."""
 
 
 class PassesTuning(Section):

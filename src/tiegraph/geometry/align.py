@@ -1,7 +1,5 @@
 """Least-squares alignment of point sets (Umeyama 1991), plain and robust; the robust mean of rotations."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,10 +27,15 @@ class Similarity:
         """Points (N, 3) of the source in the target frame."""
         return self.scale * np.asarray(points, float) @ self.rotation.T + self.translation
 
-    def inverse(self) -> Similarity:
+    def inverse(self) -> "Similarity":
         """source = scale * rotation @ target + translation."""
         turned = self.rotation.T / self.scale
         return Similarity(1 / self.scale, self.rotation.T, -turned @ self.translation)
+
+
+def robust_sigma(residual: np.ndarray) -> float:
+    """Sigma of normal errors around zero by the median of their absolute values: up to half may be wrong."""
+    return 1.4826 * float(np.median(np.abs(residual)))
 
 
 def rms_length(vectors: np.ndarray) -> float:

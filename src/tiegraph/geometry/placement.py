@@ -1,7 +1,5 @@
 """How well any point of the world is known: the covariance of the placement, carried to points."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,7 +38,7 @@ class PlacementError:
         jacobian[:, :, 6] = from_middle
         return jacobian
 
-    def widened_to(self, sigma: dict[str, float]) -> PlacementError:
+    def widened_to(self, sigma: dict[str, float]) -> "PlacementError":
         """The same with sigmas at least those of ``sigma`` (position_m, height_m, yaw_deg, tilt_deg, scale)."""
         return PlacementError(self.middle, widened(self.covariance, sigma))
 
@@ -49,7 +47,7 @@ class PlacementError:
         return {"middle": self.middle.tolist(), "covariance": self.covariance.tolist()}
 
     @staticmethod
-    def from_dict(data: dict) -> PlacementError:
+    def from_dict(data: dict) -> "PlacementError":
         """Inverse of ``to_dict``."""
         return PlacementError(np.array(data["middle"], float), np.array(data["covariance"], float))
 

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tiegraph.lidar.motion import deskew, velocities, voxel_keys
 from tiegraph.lidar.odometry import ThinScan
+from tiegraph.lidar.scans import deskew, velocities, voxel_keys
 from tiegraph.lidar.tuning import AdjustTuning
 
 _DAMPING = 1e-6  # of the normal equations, relative

@@ -11,8 +11,6 @@ What both sides have measured tells more than their motion (``pointtie``): with 
 has the LiDAR's place on the rig (``settled``). What is left of the clock's sigma times the speed is in its sigma.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -38,7 +36,7 @@ class Poses:
     poses: np.ndarray
     group: np.ndarray
 
-    def where(self, mask: np.ndarray) -> Poses:
+    def where(self, mask: np.ndarray) -> "Poses":
         """Those of a mask or index array."""
         return Poses(self.time_s[mask], self.poses[mask], self.group[mask])
 
@@ -65,7 +63,7 @@ class HandEye:
     clock_sigma_s: float
     scale_sigma: float
     left_open: tuple[str, ...]
-    fit: Fit
+    fit: "Fit"
     tie: PointTie | None = None
 
 

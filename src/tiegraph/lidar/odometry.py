@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 
 from tiegraph.errors import EngineMissing, InputError, ReconstructionError
-from tiegraph.lidar.motion import first_of_voxels
-from tiegraph.lidar.scans import Scan
+from tiegraph.lidar.scans import Scan, first_of_voxels
 from tiegraph.lidar.tuning import Tuning
 
 

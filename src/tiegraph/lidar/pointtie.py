@@ -10,11 +10,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from tiegraph.geometry.align import CAUCHY_SIGMAS, Similarity
-from tiegraph.lidar.motion import first_of_voxels, voxel_keys
+from tiegraph.geometry.align import CAUCHY_SIGMAS, Similarity, robust_sigma
+from tiegraph.lidar.scans import first_of_voxels, voxel_keys
 from tiegraph.lidar.tuning import TieTuning
-
-_MAD = 1.4826
 
 
 @dataclass(frozen=True)
@@ -48,7 +46,7 @@ def tie_by_points(points: np.ndarray, surface: np.ndarray, start: Similarity, tu
                 return None
             away, axis = at[rows] - centre, normal[near[rows]]
             residual = np.einsum("ni,ni->n", at[rows] - middle[near[rows]], axis)
-            sigma = max(_MAD * float(np.median(np.abs(residual))), tuning.least_sigma_m)
+            sigma = max(robust_sigma(residual), tuning.least_sigma_m)
             weight = 1 / (1 + (residual / (CAUCHY_SIGMAS * sigma)) ** 2)
             slope = np.column_stack([np.cross(away, axis), axis, np.einsum("ni,ni->n", away, axis)])
             matrix = slope.T @ (slope * weight[:, None])

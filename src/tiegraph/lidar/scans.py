@@ -3,30 +3,33 @@
 import json
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from tiegraph.errors import EngineMissing, InputError
 from tiegraph.geometry import transforms
 from tiegraph.geometry.transforms import from_quaternion_wxyz
 from tiegraph.lidar.formats import BIN_COLUMNS, READERS, Points, points_of
-from tiegraph.lidar.scantimes import find_times, of_scans, read_scan_times
 from tiegraph.lidar.tuning import ScanTuning
-from tiegraph.scene.bags.bag import open_bag, stamp_ns
-from tiegraph.scene.bags.topics import is_bag, split_topics
+from tiegraph.scene.bags import is_bag, open_bag, split_topics, stamp_ns
 from tiegraph.scene.posefile import read_poses
 from tiegraph.scene.regular import regular
-from tiegraph.scene.table import in_seconds
+from tiegraph.scene.table import in_seconds, parse_time, read_table
+from tiegraph.scene.timecolumns import times_of
 
 _CLOUD_KINDS = ("sensor_msgs/PointCloud2",)
 _FIELD_TYPES = ("i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8")  # by PointField.datatype, from 1
 _FOLDERS = ("velodyne", "velodyne_points/data", "lidar")  # of KITTI odometry, KITTI raw, PandaSet
 _ABSOLUTE_S = 1e6  # times of points above this count from an epoch and not from the scan's start
 _KINDS = f"a folder of scans ({', '.join(sorted(READERS))}), a ROS bag, or a .pcap file"
+_FILES = ("times.txt", "timestamps.txt", "times.csv", "timestamps.csv", "timestamps.json")
+_START = ("time_start", "start", "stamp")
+_NAME = ("scan", "name", "file", "frame")
 
 
 @dataclass(frozen=True)
@@ -269,3 +272,98 @@ def read_scan_poses(path: Path) -> np.ndarray:
     if len(bad):
         raise InputError(f"{path}: pose {bad[0]} is none: position {place[bad[0]]}, heading {turn[bad[0]]}")
     return from_quaternion_wxyz(turn, place)
+
+
+def deskew(xyz: np.ndarray, before_s: np.ndarray | None, velocity: np.ndarray) -> np.ndarray:
+    """Points (N, 3) as the scanner sees them at the instant of the pose; ``before_s`` (N,) <= 0 from it, None: as they
+    are. ``velocity`` (6,) in the scanner's axes: turn (rad/s), then m/s, constant over the scan."""
+    if before_s is None:
+        return xyz
+    turned = Rotation.from_rotvec(before_s[:, None] * velocity[:3]).apply(xyz)
+    return turned + before_s[:, None] * velocity[3:]
+
+
+def velocities(time_s: np.ndarray, poses: np.ndarray) -> np.ndarray:
+    """(T, 6) of poses (T, 4, 4) at growing times, from the one before; of the first from the one behind."""
+    step = np.linalg.inv(poses[:-1]) @ poses[1:]
+    rate = np.hstack([Rotation.from_matrix(step[:, :3, :3]).as_rotvec(), step[:, :3, 3]])
+    rate /= np.diff(time_s)[:, None]
+    return np.vstack([rate[:1], rate])
+
+
+def first_of_voxels(xyz: np.ndarray, size: float) -> np.ndarray:
+    """Rows of the first point in each voxel, in order."""
+    return np.sort(np.unique(voxel_keys(xyz, size), return_index=True)[1])
+
+
+def voxel_keys(xyz: np.ndarray, size: float) -> np.ndarray:
+    """(N,) i8: equal for points (N, 3) in one voxel of this side."""
+    cell = np.floor(xyz / size).astype(np.int64)
+    cell -= cell.min(axis=0)
+    extent = cell.max(axis=0) + 1
+    return (cell[:, 0] * extent[1] + cell[:, 1]) * extent[2] + cell[:, 2]
+
+
+def find_times(folder: Path) -> Path | None:
+    """The file of times in the folder of the scans or in the one above it."""
+    places = [place / name for place in (folder, folder.parent) for name in _FILES]
+    return next((p for p in places if p.is_file()), None)
+
+
+def read_scan_times(path: Path, stems: Sequence[str]) -> np.ndarray:
+    """(N,) seconds of the scans with these names without ending.
+
+    A .json is a list of numbers, a .csv a table with a column time (or time_start) and, perhaps, one with the scans'
+    names; any other file has a number or a date a line. Raises InputError for times that are none or too few.
+    """
+    try:
+        if path.suffix.lower() == ".csv":
+            return _of_table(path, stems)
+        text = path.read_text()
+        rows = json.loads(text) if path.suffix.lower() == ".json" else text.split("\n")
+        lines = [(k, str(row).strip()) for k, row in enumerate(rows, start=1)]
+    except (OSError, ValueError, TypeError) as error:
+        raise InputError(f"{path}: cannot be read as times of scans: {error}") from None
+    lines = [(k, line) for k, line in lines if line and not line.startswith("#")]
+    seconds = np.array([parse_time(line) for _, line in lines])
+    bad = np.flatnonzero(~np.isfinite(seconds))
+    if len(bad):
+        k, line = lines[bad[0]]
+        raise InputError(f"{path}, line {k}: {line[:80]!r} is no time (seconds, or a date and time)")
+    return of_scans(path, in_seconds(seconds), stems)
+
+
+def of_scans(path: Path, rows: np.ndarray, stems: Sequence[str]) -> np.ndarray:
+    """The rows (R, ...) of a file that belong to scans: as many as these in their order, else by their numbers.
+
+    Raises InputError where neither fits.
+    """
+    if len(rows) == len(stems):
+        return rows
+    numbers = [int(s) if s.isdigit() else -1 for s in stems]
+    if min(numbers) >= 0 and max(numbers) < len(rows):
+        return rows[numbers]
+    raise InputError(f"{path}: {len(rows)} rows for {len(stems)} scans ({stems[0]} to {stems[-1]}): one each is needed")
+
+
+def _of_table(path: Path, stems: Sequence[str]) -> np.ndarray:
+    table = read_table(path, "times of the scans")
+    column = table.find(_START)
+    if column is not None:
+        seconds = table.times(column)
+    else:
+        found = times_of(table)
+        if found is None:
+            raise InputError(f"{path}: found the columns {', '.join(table.columns)}; expected one called time")
+        seconds = found.seconds
+    bad = np.flatnonzero(~np.isfinite(seconds))
+    if len(bad):
+        raise InputError(f"{path}, line {table.line(int(bad[0]))}: no time (seconds, or a date and time)")
+    names = table.find(_NAME)
+    if names is None:
+        return of_scans(path, seconds, stems)
+    by_name = {Path(table.cell(k, names)).stem: seconds[k] for k in range(len(seconds))}
+    missing = [s for s in stems if s not in by_name]
+    if missing:
+        raise InputError(f"{path}: no row for the scan {missing[0]} ({len(missing)} of {len(stems)} have none)")
+    return np.array([by_name[s] for s in stems])

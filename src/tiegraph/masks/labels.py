@@ -5,8 +5,6 @@ cannot tell a sky from a smooth surface seen straight from above: neither has an
 edges can.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -35,7 +33,7 @@ class Edges:
     down: float = 0.0
     length: float = 0.0
 
-    def __add__(self, other: Edges) -> Edges:
+    def __add__(self, other: "Edges") -> "Edges":
         return Edges(self.down + other.down, self.length + other.length)
 
 

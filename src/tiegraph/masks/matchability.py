@@ -19,6 +19,7 @@ from tiegraph.masks.frames import grey, read_small
 from tiegraph.masks.tuning_learnt import MatchabilityTuning
 
 _SEED = 0
+_CONFIDENCE, _TRIALS, _MOTION_TRIALS = 0.999, 1000, 200  # of RANSAC
 
 
 @dataclass(frozen=True)
@@ -76,7 +77,7 @@ def _agreeing(a: np.ndarray, b: np.ndarray, tuning: MatchabilityTuning) -> np.nd
     """Which of the matches (K, 2) one epipolar geometry explains, (K,) bool."""
     cv2.setRNGSeed(_SEED)
     try:
-        _, inliers = cv2.findFundamentalMat(a, b, cv2.USAC_MAGSAC, tuning.epipolar_px, tuning.confidence, tuning.trials)
+        _, inliers = cv2.findFundamentalMat(a, b, cv2.USAC_MAGSAC, tuning.epipolar_px, _CONFIDENCE, _TRIALS)
     except cv2.error:  # where no geometry fits any sample, OpenCV 5 stops at an assertion of its own (model.empty())
         return np.zeros(len(a), bool)
     return np.zeros(len(a), bool) if inliers is None else inliers.ravel() > 0
@@ -126,7 +127,7 @@ def _by_focal(
     every = slice(None, None, -(-len(a) // tuning.motion_matches))
     cv2.setRNGSeed(_SEED)
     try:
-        options = cv2.RANSAC, tuning.confidence, tuning.epipolar_px / focal, tuning.motion_trials
+        options = cv2.RANSAC, _CONFIDENCE, tuning.epipolar_px / focal, _MOTION_TRIALS
         essential, inliers = cv2.findEssentialMat(ray_a[every], ray_b[every], np.eye(3), *options)
         if essential is None or essential.shape != (3, 3):
             return unknown

@@ -4,8 +4,6 @@ A platform stands still while the scene moves, so frames must verify that anythi
 matches in it must be farther than the scene. Water lies below a horizon, so where the sky is refuted there is none.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 
@@ -31,7 +29,7 @@ class MatchCounts:
     room: float = 0.0
     white: float = 0.0
 
-    def __add__(self, other: MatchCounts) -> MatchCounts:
+    def __add__(self, other: "MatchCounts") -> "MatchCounts":
         return MatchCounts(**{f.name: getattr(self, f.name) + getattr(other, f.name) for f in fields(self)})
 
     def refuted(self, tuning: ProofTuning) -> bool:

@@ -1,7 +1,5 @@
 """Settings of the masks stage."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -51,7 +49,7 @@ class MasksSettings(Section):
     the image before. They are flagged in masks.csv and in the report in any case."""
 
     @model_validator(mode="after")
-    def _folder_goes_with_source(self) -> MasksSettings:
+    def _folder_goes_with_source(self) -> "MasksSettings":
         if self.source == "folder" and self.folder is None:
             raise ValueError("source = folder needs the setting folder: where the masks are")
         if self.source == "model" and self.model is None:

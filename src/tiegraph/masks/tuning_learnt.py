@@ -30,18 +30,12 @@ class MatchabilityTuning(Section):
     """What does not move is the platform's."""
     epipolar_px: float = Field(1.0, gt=0)
     """By which a match may miss its epipolar line."""
-    confidence: float = Field(0.999, gt=0, lt=1)
-    """With which an epipolar geometry must be found."""
-    trials: int = Field(1000, gt=0)
-    """Of the search for the fundamental matrix, at most."""
     around: int = Field(3, gt=1)
     """Matched features that say where one that does not match went."""
     focals: tuple[float, ...] = Field((0.9, 1.4), min_length=1)
     """Focal lengths that are tried, of the longer side: no lens is known yet."""
     motion_matches: int = Field(200, gt=0)
     """Matches from which the motion is found."""
-    motion_trials: int = Field(200, gt=0)
-    """Of the search for the essential matrix, at most."""
     min_in_front: int = Field(8, gt=0)
     """Matches that one motion must explain."""
     min_parallax_px: float = Field(3.0, ge=0)

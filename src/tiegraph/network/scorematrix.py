@@ -5,8 +5,6 @@ is false. Overlap changes slowly along a pass, so the kernel mean over neighbour
 rendered images, the same recall at 0.8 instead of 0.5 precision, from a ninth of the previews.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -14,8 +12,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter, label, maximum, maximum_filter1d
 
 from tiegraph.network.passes import MatchCache, Pass
-from tiegraph.network.tuning import CountsTuning, Tuning
-from tiegraph.network.tuning.offsets import ScoreMatrixTuning
+from tiegraph.network.tuning import CountsTuning, ScoreMatrixTuning, Tuning
 
 Nodes = tuple[np.ndarray, ...]
 """Cameras of both passes, rows and columns of some nodes of a lattice, (K,) each."""
@@ -76,7 +73,7 @@ class ScoreMatrix:
         c, d, a, b = np.nonzero(nodes)
         return self.p.images[c, self.rows[a]], self.q.images[d, self.columns[b]]
 
-    def measured(self, nodes: Nodes, cache: MatchCache) -> ScoreMatrix:
+    def measured(self, nodes: Nodes, cache: MatchCache) -> "ScoreMatrix":
         """With the nodes (K,) previewed; those that do not exist are left out."""
         made = replace(self, inliers=self.inliers.copy())
         made.measure(nodes, cache)

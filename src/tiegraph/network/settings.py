@@ -1,7 +1,5 @@
 """Settings of the stages candidates, coarse and network."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Literal
 
@@ -47,7 +45,7 @@ class CandidatesSettings(Section):
     frames."""
 
     @model_validator(mode="after")
-    def _file_goes_with_source(self) -> CandidatesSettings:
+    def _file_goes_with_source(self) -> "CandidatesSettings":
         if self.pairs_file is not None and "file" not in self.sources:
             said = " ".join(self.sources)
             raise ValueError(f"pairs_file is given, but sources = {said} does not read it: add file, or leave it away")

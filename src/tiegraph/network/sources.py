@@ -1,7 +1,5 @@
 """Pair sources by name: each proposes pairs with a score and, where it refused one, the reason."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -22,8 +20,7 @@ from tiegraph.network.retrieval.retrieval import retrieve
 from tiegraph.network.rig.axes import allowed_within
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
-from tiegraph.scene.pairlist import read_pair_list
-from tiegraph.scene.pairs import REASONS, Pairs
+from tiegraph.scene.pairs import REASONS, Pairs, read_pair_list
 from tiegraph.scene.scene import Scene
 
 Descriptors = Callable[[], Sequence[np.ndarray]]  # (K, 128) u1 of every image
@@ -53,7 +50,7 @@ class Proposal:
     surfaces: tuple[OffsetSurface, ...] = ()
     apart: bool = False  # the images say that the poses of different passes do not stand in one world
 
-    def __or__(self, other: Proposal) -> Proposal:
+    def __or__(self, other: "Proposal") -> "Proposal":
         return Proposal(
             pairs=self.pairs | other.pairs,
             notes=self.notes + other.notes,

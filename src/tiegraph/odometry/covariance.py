@@ -15,6 +15,7 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from tiegraph.geometry import transforms
+from tiegraph.geometry.align import robust_sigma
 from tiegraph.geometry.transforms import skew
 from tiegraph.odometry.cameras import Cameras
 from tiegraph.odometry.follow import Tracks
@@ -37,7 +38,7 @@ def keyframe_covariances(world: WorldMap, numbers: Sequence[int], loss_px: float
     points, row = np.unique(seen.point, return_inverse=True)
     reduced, gradient = _eliminated(by_pose, by_point, weight, residual, row, len(points))
     rows, unknowns = len(residual), 6 * (len(numbers) - 1) + 3 * len(points)
-    spread = 1.4826 * float(np.median(np.abs(residual)))
+    spread = robust_sigma(residual)
     variance = spread**2 * rows / max(rows - unknowns, 1)
     normal = (reduced + _gauge(world, numbers, reduced, metric)).tocsc()
     factor = splu(normal, diag_pivot_thresh=0.0, options={"SymmetricMode": True})
@@ -76,7 +77,7 @@ def resection_covariance(
     by_pose, residual = by_pose[known], residual[known]
     weight = np.repeat(1 / (1 + np.sum(residual**2, axis=1) / loss_px**2), 2)
     rows = by_pose.reshape(-1, 6)
-    spread = 1.4826 * float(np.median(np.abs(residual)))
+    spread = robust_sigma(residual)
     normal = rows.T @ (weight[:, None] * rows)
     return np.asarray(spread**2 * np.linalg.pinv(normal, rcond=1e-15))
 

@@ -1,7 +1,5 @@
 """Corners and where they go: found, followed from image to image, and found in the other cameras of the rig."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -26,18 +24,18 @@ class Tracks:
     xy: np.ndarray
 
     @staticmethod
-    def none() -> Tracks:
+    def none() -> "Tracks":
         """No corner."""
         return Tracks(np.zeros(0, int), np.zeros(0, int), np.zeros((0, 2)))
 
     def __len__(self) -> int:
         return len(self.point)
 
-    def where(self, keep: np.ndarray) -> Tracks:
+    def where(self, keep: np.ndarray) -> "Tracks":
         """Some of them."""
         return Tracks(self.point[keep], self.camera[keep], self.xy[keep])
 
-    def plus(self, other: Tracks) -> Tracks:
+    def plus(self, other: "Tracks") -> "Tracks":
         """These and others."""
         both = zip((self.point, self.camera, self.xy), (other.point, other.camera, other.xy))
         return Tracks(*(np.concatenate(pair) for pair in both))

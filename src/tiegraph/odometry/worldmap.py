@@ -1,7 +1,5 @@
 """The map: keyframes with what they see, and points with their places."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
@@ -35,7 +33,7 @@ class Observations:
     camera: np.ndarray
     xy: np.ndarray
 
-    def where(self, keep: np.ndarray) -> Observations:
+    def where(self, keep: np.ndarray) -> "Observations":
         """Some of them."""
         return Observations(
             keyframe=self.keyframe[keep], point=self.point[keep], camera=self.camera[keep], xy=self.xy[keep]

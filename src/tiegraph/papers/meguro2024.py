@@ -30,7 +30,7 @@ from tiegraph.network.rig.axes import allowed_within
 from tiegraph.network.scorematrix import ScoreMatrix, score_matrix
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
-from tiegraph.papers.presets import COLMAP_ALONE
+from tiegraph.papers import COLMAP_ALONE
 from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.sorting import evenly
 

@@ -23,7 +23,7 @@ from tiegraph.masks.sources import MaskSource, check_shape, each, prepare_nothin
 from tiegraph.masks.tuning import Meguro2025Tuning
 from tiegraph.masks.tuning import Tuning as MasksTuning
 from tiegraph.network.sections.light import UpLight, otsu
-from tiegraph.papers.presets import COLMAP_ALONE
+from tiegraph.papers import COLMAP_ALONE
 from tiegraph.scene.scene import Scene
 
 _PIXELS = 1 << 16  # that stand for those of all upward images

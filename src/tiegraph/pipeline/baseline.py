@@ -1,7 +1,5 @@
 """Glue of `compare --baseline`: a block of a finished survey, laid out as one of its own, and what was made of it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,7 +17,7 @@ from tiegraph.project.artefacts import LOST
 from tiegraph.project.folder import check_format
 from tiegraph.project.run import Run, save_json
 from tiegraph.project.stages import Stage, needed, remove
-from tiegraph.scene.bags.topics import source_of
+from tiegraph.scene.bags import source_of
 from tiegraph.scene.registered import registration
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.covariance import position_sigma

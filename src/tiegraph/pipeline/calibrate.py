@@ -4,8 +4,6 @@ There is no run folder: what is made are a rig.toml and, beside it, a folder wit
 summary. Neither may be there before.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -30,14 +28,13 @@ from tiegraph.project.pool import map_items, open_pool
 from tiegraph.project.progress import Reporter
 from tiegraph.project.stages import write_atomic
 from tiegraph.project.verbtunings import VerbTunings
-from tiegraph.scan.assign import Report
+from tiegraph.scan.assign import Report, usable_images
 from tiegraph.scan.folders import guess_layout
 from tiegraph.scan.frames import match_frames
 from tiegraph.scan.rigfiles.camerafile import MODELS
 from tiegraph.scan.rigfiles.rigreader import nearest
 from tiegraph.scan.rigfiles.rigwrite import rig_config, rig_toml
 from tiegraph.scan.tuning import Tuning as ScanTuning
-from tiegraph.scan.usable import usable_images
 from tiegraph.scene.atomic import must_be_new
 from tiegraph.scene.hanging import WIDE
 from tiegraph.scene.images import Levels, Probe, eight_bit, probe_image, search_images
@@ -65,7 +62,7 @@ def calibrate(
     reporter, tunings = reporter or Reporter("quiet"), tunings or VerbTunings()
     tuning = tunings.calibrate
     made = Outputs.beside(out)
-    pattern = read_board(board, tuning.board)
+    pattern = read_board(board)
     survey = _read_folder(images, settings, pool, reporter, tunings)
     check_wide(settings.wide, [c.name for c in survey.cameras])
     seen = _detect(survey, pattern, tuning.board, pool, reporter)
@@ -110,10 +107,10 @@ def _read_folder(
 ) -> _Survey:
     """Cameras, instants and files below a folder, in the layouts that ``scan`` reads."""
     tuning, report = tunings.scan, Report()
-    found = search_images(images)
-    names = clean_names(list(found.names))
+    found, passed_over = search_images(images)
+    names = clean_names(found)
     check_count(images, len(names), tunings.calibrate.start)
-    paths = [Path(images, f) for f in found.names]
+    paths = [Path(images, f) for f in found]
     with reporter.stage("images"):
         reporter.total(len(paths))
         probes = _map(pool, reporter, probe_image, paths, tunings.scene.images)
@@ -146,7 +143,7 @@ def _read_folder(
         for k in own
     )
     dropped = (f"{d.name}: {d.reason}" for d in report.dropped)
-    return _Survey(cameras, files, (*found.notes, *report.notes, *dropped))
+    return _Survey(cameras, files, (*passed_over, *report.notes, *dropped))
 
 
 def _one_size(folder: str, names: Sequence[str], probes: Sequence[Probe], upright: bool) -> tuple[int, int]:
@@ -211,7 +208,7 @@ def _labels(
     for one in sorted(set(sequence.values())):
         own = {c: [k for k in images if sequence[k] == one] for c, images in enumerate(owned)}
         stems = {c: [Path(names[k]).stem for k in images] for c, images in own.items() if images}
-        keys, _ = match_frames(stems, how, tuning.frames, tuning.times)
+        keys, _ = match_frames(stems, how, tuning.frames)
         out |= {k: (one, key) for c in stems for k, key in zip(own[c], keys[c])}
     return out
 
@@ -269,7 +266,7 @@ class Outputs:
     folder: Path
 
     @classmethod
-    def beside(cls, out: Path) -> Outputs:
+    def beside(cls, out: Path) -> "Outputs":
         """Raises InputError if one of them is there, or ``out`` is no TOML file."""
         if out.suffix.lower() != ".toml":
             raise InputError(f"-o {out}: the rig is written as TOML: give a name that ends in .toml")

@@ -1,7 +1,5 @@
 """Glue of candidates: which images may tie, by previews and priors."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Glue of cloud: the depth maps fused."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from pathlib import Path

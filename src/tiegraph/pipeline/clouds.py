@@ -1,7 +1,5 @@
 """Glue of comparisons of clouds outside the table of stages: two files, and two epochs (``epochs``)."""
 
-from __future__ import annotations
-
 import os
 import tempfile
 from collections.abc import Iterator
@@ -13,7 +11,6 @@ import numpy as np
 
 from tiegraph.errors import InputError
 from tiegraph.evaluate.clouds.judge import Question, judge_cloud
-from tiegraph.evaluate.metrics import metrics_to_dict
 from tiegraph.evaluate.reference import to_world
 from tiegraph.evaluate.tuning import Tuning
 from tiegraph.geometry.geodesy import ENU, Origin
@@ -21,6 +18,7 @@ from tiegraph.pipeline.evaluate import write_judgement
 from tiegraph.project.run import save_json
 from tiegraph.scene.atomic import must_be_new
 from tiegraph.scene.cloudchunks import PointSource, open_cloud
+from tiegraph.scene.results import metrics_to_dict
 
 
 def evaluate_clouds(files: tuple[Path, Path], out: Path | None, question: Question, tuning: Tuning) -> dict[str, Any]:

@@ -5,8 +5,6 @@ block. A finished block is kept until the stage is done, under a key of its imag
 the next block, and a try whose ties changed in one block maps only that one again.
 """
 
-from __future__ import annotations
-
 import hashlib
 import logging
 from functools import partial

@@ -1,7 +1,5 @@
 """Glue of dense: a depth map for every image."""
 
-from __future__ import annotations
-
 import json
 import logging
 from collections import Counter
@@ -28,10 +26,9 @@ from tiegraph.limits import explained
 from tiegraph.pipeline.files import FINAL, load_json, load_map, load_model, whole
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, remove, write_atomic
-from tiegraph.scene.depthfile import save_depth
 from tiegraph.scene.hanging import carries
 from tiegraph.scene.names import inside
-from tiegraph.scene.results import DepthMap
+from tiegraph.scene.results import DepthMap, save_depth
 
 _log = logging.getLogger(__name__)
 FIRST = ".first"  # depth maps before they are compared with each other; removed when the stage is done

@@ -1,7 +1,5 @@
 """Glue of design: which of the candidate pairs are matched."""
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,9 +9,8 @@ from typing import Any
 import numpy as np
 
 from tiegraph import papers
-from tiegraph.design.cost import Cost, cost, predicted_keypoints
 from tiegraph.design.coverage import Coverage, coverage, on_few_points, unknown_across
-from tiegraph.design.design import METHODS, DesignResult, takes_all, with_coverage
+from tiegraph.design.design import METHODS, Cost, DesignResult, cost, predicted_keypoints, takes_all, with_coverage
 from tiegraph.design.design import design as select_pairs
 from tiegraph.design.surface import CoveredSurface, surface_map, surface_png, weak_places
 from tiegraph.features.sift import most_features

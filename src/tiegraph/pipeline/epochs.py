@@ -1,7 +1,5 @@
 """Glue of `compare --epochs`: what has changed between two surveys of one place, beyond what both are known to."""
 
-from __future__ import annotations
-
 import tempfile
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -27,10 +25,11 @@ from tiegraph.project.folder import SETTINGS, check_format
 from tiegraph.project.run import save_json
 from tiegraph.project.settings import read_settings
 from tiegraph.project.stages import write_atomic
-from tiegraph.scene.cloudchunks import PointSource, open_cloud
+from tiegraph.scene.cloudchunks import PointSource, open_cloud, write_measured
 from tiegraph.scene.colmapmodel import model_centres
-from tiegraph.scene.measuredcloud import write_measured
 from tiegraph.text import csv_text
+
+_LISTED = 50  # changes in the table, the largest first
 
 
 @dataclass(frozen=True)
@@ -100,7 +99,7 @@ def differences_of(pair: Pair, out: Path, tuning: Tuning, depth_m: float | None)
         assert folder is not None
         found = m3c2_of(pair, Path(scratch), tuning, depth_m)
         changed = changes(found, tuning.changes)
-        result = _result(found, changed, pair, tuning.changes.listed)
+        result = _result(found, changed, pair)
         _write(folder, found, changed, result, pair.origin)
     return result
 
@@ -184,11 +183,11 @@ def _cameras(epoch: _Epoch) -> Cameras:
     return Cameras(centres, ("",) * len(centres))
 
 
-def _result(found: Differences, changed: Changes, pair: Pair, listed: int) -> dict[str, Any]:
+def _result(found: Differences, changed: Changes, pair: Pair) -> dict[str, Any]:
     return {
         "differences": {k: float(f"{v:.6g}") for k, v in found.summary().items()},
         "areas_and_volumes": {k: float(f"{v:.6g}") for k, v in changed.totals().items()},
-        "changes": changed.table(_shift(pair.origin), listed),
+        "changes": changed.table(_shift(pair.origin), _LISTED),
         "cylinders": asdict(found.cylinders),
         "registration": None if pair.fitted is None else pair.fitted.table(),
         "crs": None if pair.origin is None else pair.origin.crs,

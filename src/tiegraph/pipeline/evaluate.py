@@ -1,7 +1,5 @@
 """Glue of evaluate: the result against what is known."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -23,9 +21,8 @@ from tiegraph.pipeline.files import FINAL, checked, load_json, load_model, readi
 from tiegraph.pipeline.predicted import stated
 from tiegraph.project.run import Run, save_json
 from tiegraph.project.stages import Outcome, remove, write_atomic
-from tiegraph.scene.cloudchunks import open_cloud
+from tiegraph.scene.cloudchunks import Measured, open_cloud, write_measured
 from tiegraph.scene.cloudfile import shift_of
-from tiegraph.scene.measuredcloud import Measured, write_measured
 from tiegraph.scene.registered import registration
 from tiegraph.scene.scene import Scene
 

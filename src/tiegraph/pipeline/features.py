@@ -1,7 +1,5 @@
 """Glue of features: SIFT of the images into the database."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Reading and writing the artefacts that several stages share."""
 
-from __future__ import annotations
-
 import errno
 import io
 import json
@@ -23,11 +21,10 @@ from tiegraph.masks import NAMES
 from tiegraph.project.run import Run
 from tiegraph.project.stages import write_atomic
 from tiegraph.scene.colmapmodel import read_model
-from tiegraph.scene.depthfile import load_depth
 from tiegraph.scene.images import read_pixels
 from tiegraph.scene.matches import PreviewMatches, Visibility
 from tiegraph.scene.pairs import REASONS, Pairs
-from tiegraph.scene.results import DepthMap
+from tiegraph.scene.results import DepthMap, load_depth
 from tiegraph.scene.scene import Scene
 
 _OURS = (errno.EMFILE, errno.ENFILE, errno.ENOMEM)  # the machine's limits say nothing of a file

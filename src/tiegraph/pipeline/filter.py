@@ -1,7 +1,5 @@
 """Glue of filter: matched pairs that contradict the rig or loops of frames are refused before the mapping."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """What a run will need before it begins: images, disk, CPU time."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,8 +11,8 @@ from tiegraph.plan.effort import Effort, effort
 from tiegraph.plan.tuning import EffortTuning
 from tiegraph.project.run import Run
 from tiegraph.scan.videos.video import find_videos
-from tiegraph.scene.bags.topics import is_bag, source_of
-from tiegraph.scene.images import probe_image, search_images
+from tiegraph.scene.bags import is_bag, source_of
+from tiegraph.scene.images import find_images, probe_image
 
 _PROBED = 40  # images whose size stands for all
 _GB = 1e9
@@ -57,8 +55,8 @@ def forecast(run: Run) -> Forecast | None:
     source = source_of(run.inputs.images)
     if is_bag(source) or find_videos(source):
         return None
-    found = search_images(source)
-    some = found.names[:: max(len(found.names) // _PROBED, 1)]
+    names = find_images(source)
+    some = names[:: max(len(names) // _PROBED, 1)]
     probes = [probe_image(source / name, run.settings.tuning.scene.images) for name in some]
     sizes = [(p.width, p.height) for p in probes if not p.reason]
     if not sizes:
@@ -67,7 +65,7 @@ def forecast(run: Run) -> Forecast | None:
     settings = run.settings
     most = most_features(megapixels, settings.features.max_features, settings.tuning.features.sift)
     tuning = EffortTuning(features_px=settings.features.max_image_size, dense_px=settings.dense.max_image_size)
-    count = len(found.names)
+    count = len(names)
     cost = effort((sizes * (count // len(sizes) + 1))[:count], 1, 0.0, None, float(most.mean()), tuning)
     where = next(p for p in (run.folder, *run.folder.parents) if p.exists())
     return Forecast(cost, _size(run.folder), shutil.disk_usage(where).free)

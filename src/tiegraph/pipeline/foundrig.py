@@ -9,8 +9,6 @@ How the model was made its receipt says: which rigs and lenses were held, and th
 that was written since counts before a constant of the receipt, but never says that a rig was held that was not.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -22,6 +20,7 @@ from tiegraph.geometry.transforms import centre
 from tiegraph.pipeline.files import load_scene
 from tiegraph.pipeline.foundrun import FoundRun, found_run, with_camera
 from tiegraph.project.folder import names_run
+from tiegraph.scan.rigfiles.rigfaults import SIGMA_DEG, SIGMA_M
 from tiegraph.scan.rigfiles.rigfile import parse_rig_file
 from tiegraph.scan.rigfiles.rigwrite import rig_config, rig_toml
 from tiegraph.scene.colmapmodel import model_rigs
@@ -271,9 +270,8 @@ def _with_sigmas(run: FoundRun, found: Rig, index: int) -> Rig:
 def _sigmas(run: FoundRun, row: list) -> tuple[float, float]:
     """Sigma of each axis in degrees, and of each coordinate in metres with that of the scale: x, y, z, sigma, turn."""
     scale = float(np.nan_to_num(run.metres.scale, nan=1.0))
-    most_deg, most_m = run.tuning.scan.rig.sigma_deg[1], run.tuning.scan.rig.sigma_m[1]
     place = _with_scale(run, scale * row[3] / np.sqrt(3), scale * float(np.linalg.norm(row[:3])))
-    return min(row[4] / np.sqrt(3), most_deg), min(place, most_m)
+    return min(row[4] / np.sqrt(3), SIGMA_DEG[1]), min(place, SIGMA_M[1])
 
 
 def _unmoved(sensor: Sensor, before: Sensor) -> bool:

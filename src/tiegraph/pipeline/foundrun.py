@@ -1,7 +1,5 @@
 """What of a run folder its rigs are read from: the models, the receipts, the constants they were made with."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Glue of georef: the model into the world, with everything that was measured there."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

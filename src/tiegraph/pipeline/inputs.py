@@ -5,8 +5,6 @@ with file, line, value and remedy. What is only doubtful is a note. What only th
 ``scan``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -28,13 +26,13 @@ from tiegraph.scan.priors.startmodel import read_start
 from tiegraph.scan.priors.trajectory import read_trajectory
 from tiegraph.scan.rigfiles.rigfile import read_rig_file
 from tiegraph.scan.rigfiles.rigspec import preset_sizes
-from tiegraph.scene.bags.topics import is_bag, source_of
+from tiegraph.scene.bags import is_bag, source_of
 from tiegraph.scene.control import image_lookup, locate, locate_bars
 from tiegraph.scene.exif import orientation_of
 from tiegraph.scene.gcp import GcpFile, read_gcps
 from tiegraph.scene.gnss import read_gnss
 from tiegraph.scene.namedposes import has_named_poses
-from tiegraph.scene.pairlist import pair_lines, read_pair_list
+from tiegraph.scene.pairs import pair_lines, read_pair_list
 from tiegraph.scene.scene import Scene
 
 

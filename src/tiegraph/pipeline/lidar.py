@@ -3,8 +3,6 @@
 What is made stands in a folder of its own; ``evaluate`` takes rig and map.laz from there as references of a run.
 """
 
-from __future__ import annotations
-
 import os
 import time
 from dataclasses import dataclass
@@ -20,9 +18,8 @@ from tiegraph.geometry import transforms
 from tiegraph.lidar.adjust import adjusted
 from tiegraph.lidar.handeye import Given, Poses, rig_in_lidar_world
 from tiegraph.lidar.mapcloud import MapCloud
-from tiegraph.lidar.motion import deskew, velocities
 from tiegraph.lidar.odometry import before_pose, odometry
-from tiegraph.lidar.scans import Reading, Recording, open_scans
+from tiegraph.lidar.scans import Reading, Recording, deskew, open_scans, velocities
 from tiegraph.lidar.settings import LidarSettings
 from tiegraph.lidar.tables import finite
 from tiegraph.lidar.tuning import Tuning

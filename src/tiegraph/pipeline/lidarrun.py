@@ -1,7 +1,5 @@
 """Glue of the LiDAR reference: what a run made, beside the LiDAR's trajectory and map."""
 
-from __future__ import annotations
-
 import tempfile
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -57,7 +55,7 @@ class SurveyRun:
     seconds: dict[str, float]
 
     @classmethod
-    def read(cls, folder: Path, tuning: RegisteredTuning) -> SurveyRun:
+    def read(cls, folder: Path, tuning: RegisteredTuning) -> "SurveyRun":
         """Raises InputError for a folder without a model in the world, and for a run without times."""
         check_format(folder)
         world = folder / "sparse" / "world"

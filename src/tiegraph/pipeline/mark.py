@@ -1,8 +1,7 @@
 """Glue of marking: a run and the points of a file, where they are to be seen, and the file of marks."""
 
-from __future__ import annotations
-
 import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -21,11 +20,11 @@ from tiegraph.project.stages import write_atomic
 from tiegraph.scene.colmapmodel import matrix
 from tiegraph.scene.control import Marks, image_lookup, surveyed_world
 from tiegraph.scene.gcp import FileMark, GcpFile, parse_crs_line, read_gcps, read_points
-from tiegraph.scene.gcpwrite import gcp_csv, odm_text
 from tiegraph.scene.markpixels import prepared_pixel, source_pixel
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.world.marks import Target, targets
 from tiegraph.targets.marks import seen_in
+from tiegraph.text import csv_text
 
 _THREE = 3  # places, for a similarity
 _ALONG_LINE = 0.02  # of their length
@@ -240,3 +239,30 @@ def _digest(path: Path) -> str:
 @lru_cache(maxsize=6)
 def _read(path: Path) -> np.ndarray:
     return read_image(path, cv2.IMREAD_COLOR)
+
+
+def odm_text(file: GcpFile, crs: str, marks: Sequence[FileMark]) -> str:
+    """A gcp_list.txt: a row a mark, check points with the word ``check``. Raises InputError for names with blanks."""
+    rows = [crs]
+    points = {p.name: p for p in file.points}
+    for mark in marks:
+        point = points[mark.name]
+        bad = next((n for n in (mark.name, mark.image) if not n or len(n.split()) != 1), None)
+        if bad is not None:
+            raise InputError(f"{bad!r} has blanks, which a gcp_list.txt cannot hold: give -o a name that ends in .csv")
+        x, y, z = (point.xyz[k] for k in ((1, 0, 2) if file.geographic else (0, 1, 2)))
+        place = f"{x:.10g} {y:.10g} {z:.6g}" if file.geographic else f"{x:.4f} {y:.4f} {z:.4f}"
+        role = " check" if point.check else ""
+        rows.append(f"{place} {mark.xy[0]:.3f} {mark.xy[1]:.3f} {mark.image} {mark.name}{role}")
+    return "\n".join(rows) + "\n"
+
+
+def gcp_csv(file: GcpFile, crs: str, marks: Sequence[FileMark]) -> str:
+    """A CSV with a table of points and a table of marks."""
+    heads = ["name", *(("lat", "lon", "height") if file.geographic else "xyz"), "sigma_xy", "sigma_z", "role"]
+    points = (
+        [p.name, *(repr(v) for v in p.xyz), p.sigma_m[0], p.sigma_m[2], "check" if p.check else "gcp"]
+        for p in file.points
+    )
+    placed = ([m.name, m.image, f"{m.xy[0]:.3f}", f"{m.xy[1]:.3f}"] for m in marks)
+    return f"# crs: {crs}\n{csv_text(heads, points)}{csv_text(['name', 'image', 'px', 'py'], placed)}"

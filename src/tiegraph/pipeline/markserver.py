@@ -4,8 +4,6 @@ Other sites that a browser has open must neither read nor write here: a request 
 (a name that is rebound to 127.0.0.1 does not), and what changes something has to be JSON from this very origin.
 """
 
-from __future__ import annotations
-
 import json
 import threading
 from http import HTTPStatus

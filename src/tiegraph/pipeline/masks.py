@@ -1,7 +1,5 @@
 """Glue of masks: from images to the pixels that are worth a feature."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Glue of match: the listed pairs matched and verified."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

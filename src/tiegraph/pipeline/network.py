@@ -1,9 +1,6 @@
 """Glue of network: the candidate pairs as they go on, with sections and pictures."""
 
-from __future__ import annotations
-
-from tiegraph.network.coarse.bases import with_bases
-from tiegraph.network.network import join_network
+from tiegraph.network.network import join_network, with_bases
 from tiegraph.pipeline.files import load_npz, load_scene, pairs_of, save_npz, ties_of, visibility_of
 from tiegraph.pipeline.previews import up_light
 from tiegraph.project.run import Run, save_json

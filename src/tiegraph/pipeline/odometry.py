@@ -1,7 +1,5 @@
 """Glue of the odometry: from a scanned survey to trajectories with sigmas, a file a pass."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass

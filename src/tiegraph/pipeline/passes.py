@@ -10,8 +10,6 @@ which M3C2 needs nothing (mean places in cylinders hardly feel 3 % of strays), t
 5000 core points are enough. Half of the depth maps would leave one of the example's sections without any.
 """
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -34,9 +32,8 @@ from tiegraph.pipeline.evaluate import PASSES, measured
 from tiegraph.pipeline.files import checked, load_model, world_origin
 from tiegraph.project.run import Run, save_json
 from tiegraph.project.stages import write_atomic
-from tiegraph.scene.cloudchunks import Points, PointSource
+from tiegraph.scene.cloudchunks import Points, PointSource, write_measured
 from tiegraph.scene.colmapmodel import matrix
-from tiegraph.scene.measuredcloud import write_measured
 from tiegraph.scene.scene import Scene
 
 Mapper = Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[Any]]
@@ -50,7 +47,7 @@ class _Pass:
     images: tuple[str, ...]
     centres: np.ndarray
 
-    def where(self, rows: np.ndarray) -> _Pass:
+    def where(self, rows: np.ndarray) -> "_Pass":
         """Some of the images."""
         return _Pass(self.name, tuple(self.images[k] for k in rows), self.centres[rows])
 

@@ -1,7 +1,5 @@
 """Glue of the planner: cameras as `scan` reads them, the covariance of `sparse`, the viewer of `report`; files."""
 
-from __future__ import annotations
-
 import json
 from functools import partial
 from pathlib import Path
@@ -13,11 +11,10 @@ from tiegraph.errors import InputError
 from tiegraph.features.settings import FeaturesSettings
 from tiegraph.geometry import transforms
 from tiegraph.plan.accuracy import Shape
-from tiegraph.plan.compare import comparison, frames_apart
 from tiegraph.plan.network import MountedCamera, model_figures
 from tiegraph.plan.planner import Plan, Rigged, make_plan
 from tiegraph.plan.request import CameraRequest, PlanRequest
-from tiegraph.plan.tables import Table
+from tiegraph.plan.tables import Table, comparison, frames_apart
 from tiegraph.plan.tuning import ErrorTuning
 from tiegraph.project.run import save_json
 from tiegraph.project.stages import write_atomic

@@ -1,7 +1,5 @@
 """What a run says of its own accuracy before anything measures it: by world.json, its model and its cloud."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Glue of preview: SIFT of the reduced images."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from tiegraph.features.preview import Preview, extract_preview

@@ -1,7 +1,5 @@
 """Previews matched, for the stages candidates, coarse and design."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

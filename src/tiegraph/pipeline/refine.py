@@ -1,7 +1,5 @@
 """Glue of refine: the first masks, corrected by what the model knows."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

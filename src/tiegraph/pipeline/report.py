@@ -1,7 +1,5 @@
 """Glue of report: receipts and artefacts become one page, and one file for programs."""
 
-from __future__ import annotations
-
 from tiegraph.errors import InputError
 from tiegraph.pipeline.plan import PLAN, compare
 from tiegraph.project.run import Run

@@ -1,7 +1,5 @@
 """Glue of scan: what a user hands over becomes a scene and a folder of images."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -21,8 +19,7 @@ from tiegraph.scan.calibration import start_cameras
 from tiegraph.scan.priors.startmodel import read_start
 from tiegraph.scan.scan import ScanInputs, build_scene, prepare_image, probe_image
 from tiegraph.scan.settings import ScanSettings
-from tiegraph.scan.tuning import PicturesTuning
-from tiegraph.scene.bags.topics import source_of
+from tiegraph.scene.bags import source_of
 from tiegraph.scene.hanging import carrying
 from tiegraph.scene.images import search_images
 from tiegraph.scene.names import clean_names
@@ -34,8 +31,7 @@ def scan(run: Run) -> Outcome:
     given, settings, tuning = run.inputs, run.settings.scan, run.settings.tuning.scan
     taken = photographs(run)
     root = taken.folder
-    found = search_images(root)
-    files = list(found.names)
+    files, passed_over = search_images(root)
     names = clean_names(files)  # from here on: only their opening needs the names that the file system has
     run.reporter.total(2 * len(names))
     probes = run.map(probe_image, [root / f for f in files], run.settings.tuning.scene.images)
@@ -61,7 +57,7 @@ def scan(run: Run) -> Outcome:
     todo: dict[str, list[tuple[str, Sensor]]] = {}  # a panorama is read once for all its views
     for k, name in enumerate(scene.names):
         todo.setdefault(file_of[scene.source_name(k)], []).append((name, scene.sensor_of(k)))
-    run.map(_prepare_item, list(todo.items()), root, run.path("images"), settings, tuning.pictures)
+    run.map(_prepare_item, list(todo.items()), root, run.path("images"), settings)
     if given.trajectory == FOLLOW:
         found_path, said = followed(run, scene)
         scene = build_scene(replace(inputs, trajectory=found_path), names, probes, settings, tuning)
@@ -82,7 +78,7 @@ def scan(run: Run) -> Outcome:
             *taken.notes,
             *(() if known is None else known.said),
             *_unreadable_names(names, files),
-            *found.notes,
+            *passed_over,
             *scene.notes,
             *told,
         ),
@@ -102,13 +98,9 @@ def _placed(world_from_rig: np.ndarray) -> int:
 
 
 def _prepare_item(
-    item: tuple[str, list[tuple[str, Sensor]]],
-    source: Path,
-    target: Path,
-    settings: ScanSettings,
-    tuning: PicturesTuning,
+    item: tuple[str, list[tuple[str, Sensor]]], source: Path, target: Path, settings: ScanSettings
 ) -> None:
     found, images = item
     for name, sensor in images:
         if not (target / name).exists():
-            prepare_image(source / found, target / name, sensor, settings, tuning)
+            prepare_image(source / found, target / name, sensor, settings)

@@ -1,7 +1,5 @@
 """Glue of `tiegraph calibrate --from OUT`: the calibration that a run found, beside one of a board."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

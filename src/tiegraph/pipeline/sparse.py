@@ -1,7 +1,5 @@
 """Glue of sparse: from verified matches to models."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from tiegraph.geometry import transforms

@@ -1,7 +1,5 @@
 """Glue of stations: clouds of single shots -> poses -> one filtered cloud, in a folder of its own."""
 
-from __future__ import annotations
-
 import re
 import tempfile
 from collections.abc import Sequence

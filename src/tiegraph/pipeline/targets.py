@@ -1,7 +1,5 @@
 """Glue of coded targets: the images of a run, searched for the targets that its control point file names."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

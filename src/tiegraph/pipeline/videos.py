@@ -1,8 +1,6 @@
 """Glue of scan for videos and the image topics of bags: their clocks, the offsets between those of a rig, and their
 pictures."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -29,10 +27,17 @@ from tiegraph.scan.videos.video import (
     sharpest,
     take_pictures,
 )
-from tiegraph.scan.videos.videomotion import MotionCurve, motion_curve
-from tiegraph.scan.videos.videooffset import Film, Offset, films_together, find_offset, offsets_given
+from tiegraph.scan.videos.videooffset import (
+    Film,
+    MotionCurve,
+    Offset,
+    films_together,
+    find_offset,
+    motion_curve,
+    offsets_given,
+)
 from tiegraph.scan.videos.videotime import VideoClock, video_clock
-from tiegraph.scene.bags.topics import split_topics
+from tiegraph.scene.bags import split_topics
 from tiegraph.scene.images import find_images, has_images
 
 

@@ -16,6 +16,7 @@ from tiegraph.plan.tuning import PathTuning
 
 _BEYOND = 4.0  # distances that walls go on before and behind the way
 _UP = np.array([0.0, 0.0, 1.0])
+_FACETS = 16  # planes that stand for a round wall
 
 
 @dataclass(frozen=True)
@@ -121,7 +122,7 @@ def _corridor(c: Course, tuning: PathTuning) -> Path:
 
 def _tunnel(c: Course, tuning: PathTuning) -> Path:
     """A round lining about the way."""
-    angle = 2 * np.pi * np.arange(tuning.facets + 1) / tuning.facets
+    angle = 2 * np.pi * np.arange(_FACETS + 1) / _FACETS
     ring = c.distance_m * np.stack([np.zeros_like(angle), np.cos(angle), np.sin(angle)], axis=1)
     reach = _BEYOND * c.distance_m
     start, long = np.array([-reach, 0, 0]), np.array([c.length_m + 2 * reach, 0, 0])
@@ -148,7 +149,7 @@ def _grid(c: Course, tuning: PathTuning) -> Path:
 def _orbit(c: Course, tuning: PathTuning) -> Path:
     """A round object of the given width on the ground, by rings about it. Frames are a base apart on its surface."""
     radius = c.width_m / 2
-    angle = 2 * np.pi * np.arange(tuning.facets + 1) / tuning.facets
+    angle = 2 * np.pi * np.arange(_FACETS + 1) / _FACETS
     ring = radius * np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=1)
     up = np.array([0, 0, c.height_m])
     surface = tuple(Facet(a, np.stack([b - a, up])) for a, b in zip(ring, ring[1:]))

@@ -10,6 +10,8 @@ from tiegraph.plan.path import Path
 from tiegraph.plan.tuning import Tuning
 from tiegraph.plan.world import ControlPoints, Receiver, control_point, known_of
 
+_WORST = 3  # places of the largest sigmas that are named
+
 
 @dataclass(frozen=True)
 class Place:
@@ -110,7 +112,7 @@ def _worst(path: Path, e: Expected, known: Known, tuning: Tuning) -> list[str]:
     apart = np.linalg.norm(np.ptp(centres, axis=0)) / (2 * tuning.world.sections)
     chosen: list[int] = []
     for k in np.argsort(-sigma, kind="stable").tolist():
-        if len(chosen) < tuning.world.worst and all(np.linalg.norm(centres[k] - centres[c]) > apart for c in chosen):
+        if len(chosen) < _WORST and all(np.linalg.norm(centres[k] - centres[c]) > apart for c in chosen):
             chosen.append(k)
     out = []
     for k in chosen:

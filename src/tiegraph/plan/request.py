@@ -1,7 +1,5 @@
 """What a user says of a survey: the options of `tiegraph plan`, in groups, and what they mean."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from pathlib import Path

@@ -104,8 +104,6 @@ class PathTuning(Section):
     """Between the ways out and back, in parts of the distance to the wall: one keeps to the right."""
     camera_m: float = Field(2.0, gt=0)
     """Height of a camera over water or road."""
-    facets: int = Field(16, ge=6)
-    """Of a round tunnel or object."""
 
 
 class WorldTuning(Section):
@@ -119,8 +117,6 @@ class WorldTuning(Section):
     """Sigma of a receiver's height over that of its place, where none is given."""
     sections: int = Field(8, ge=1)
     """Of a way that are told apart."""
-    worst: int = Field(3, ge=1)
-    """Places that are named."""
     gain: float = Field(0.15, gt=0, lt=1)
     """By which a change must lower the worst sigma to be advised."""
 

@@ -15,7 +15,7 @@ from tiegraph.project.folder import names_run
 from tiegraph.project.settings import Settings, sections, shortened
 from tiegraph.project.stages import digest
 from tiegraph.project.stamps import Stamps
-from tiegraph.scene.bags.topics import is_bag, source_of, split_topics
+from tiegraph.scene.bags import is_bag, source_of, split_topics
 from tiegraph.scene.images import searched
 from tiegraph.scene.regular import names_file, regular
 from tiegraph.scene.startplace import find_start

@@ -30,7 +30,7 @@ from tiegraph.project.receipts import Receipts
 from tiegraph.project.software import software
 from tiegraph.project.stages import Stage, changed_parts, engines, key_parts, needed, stage_keys, write_atomic
 from tiegraph.project.stamps import Stamps
-from tiegraph.scene.bags.topics import source_of
+from tiegraph.scene.bags import source_of
 
 log = logging.getLogger("tiegraph")
 
@@ -321,7 +321,7 @@ def _run_one(stage: Stage, key: str, run: Run, artefacts: Artefacts) -> None:
         "seconds": seconds,
         **used,
         "software": software(),
-        "finished": _now(),
+        "finished": datetime.now(timezone.utc).isoformat(timespec="seconds"),
     }
     run.rest()
     receipt = artefacts.finish(stage, key, outcome, more)
@@ -382,10 +382,6 @@ def _short(value: Any) -> str:
     if isinstance(value, float) and not value.is_integer():
         return f"{value:.3g}"
     return f"{int(value)}" if isinstance(value, (int, float)) else str(value)
-
-
-def _now() -> str:
-    return datetime.now(timezone.utc).isoformat(timespec="seconds")
 
 
 def save_json(path: Path, data: Any) -> None:

@@ -37,7 +37,9 @@ def print_pdf(page: Path, target: Path) -> None:
     with TemporaryDirectory() as scratch, replacing(target) as temporary:
         made = Path(scratch) / "report.pdf"
         command = [browser, "--headless", "--disable-gpu", "--no-first-run", f"--user-data-dir={scratch}/profile"]
-        command += ["--no-pdf-header-footer", "--no-sandbox"] if _is_root() else ["--no-pdf-header-footer"]
+        command.append("--no-pdf-header-footer")
+        if hasattr(os, "geteuid") and os.geteuid() == 0:  # Chromium refuses its sandbox to root
+            command.append("--no-sandbox")
         command += [f"--print-to-pdf={made}", page.resolve().as_uri()]
         try:
             done = subprocess.run(command, capture_output=True, timeout=_PATIENCE_S, check=False)
@@ -49,8 +51,3 @@ def print_pdf(page: Path, target: Path) -> None:
 
 
 _REMEDY = "open it in a browser and print it to a file there"
-
-
-def _is_root() -> bool:
-    """Chromium refuses its sandbox to root."""
-    return hasattr(os, "geteuid") and os.geteuid() == 0

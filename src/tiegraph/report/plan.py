@@ -5,8 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tiegraph.scene.places import between_neighbours
-from tiegraph.scene.scene import Scene
+from tiegraph.scene.scene import Scene, between_neighbours
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,7 @@ from typing import Any
 from markupsafe import escape
 
 from tiegraph.report import formatting, images, spatial, summary
-from tiegraph.report.client.deliverables import deliverables
-from tiegraph.report.client.page import worst
-from tiegraph.report.client.where import middle, times
+from tiegraph.report.client import deliverables, middle, times, worst
 from tiegraph.report.runfolder import STAGES, RunFolder
 from tiegraph.report.settings import ReportSettings
 from tiegraph.report.spatial import Scenery, scenery

@@ -117,7 +117,8 @@ def ellipse_map(run: RunFolder, seen: Scenery) -> tuple[Markup, str] | None:
     error, place = PlacementError.from_dict(told), seen.place
     way = np.concatenate([track.positions[np.isfinite(track.positions[:, 0])] for track in seen.tracks])
     rows = evenly(len(way), _ELLIPSES)
-    at = way[np.argsort(way @ _main_axis(way))][rows]
+    axis = np.linalg.svd(way - way.mean(axis=0), full_matrices=False)[2][0]  # along which most of it lies
+    at = way[np.argsort(way @ axis)][rows]
     flat = error.covariances(at)[:, :2, :2]
     largest = max(float(np.sqrt(np.linalg.eigvalsh(c)[-1])) for c in flat)
     if not largest > 0:
@@ -127,10 +128,6 @@ def ellipse_map(run: RunFolder, seen: Scenery) -> tuple[Markup, str] | None:
     factor = float(max(k * power for k in (1, 2, 5) if k * power <= exact * 1.0001))
     drawn = [maps.ellipse(place, p, c, factor) for p, c in zip(at, flat)]
     return maps.survey_map(place, seen.tracks, seen.given[:0], "", seen.north, drawn), f"{factor:g}"
-
-
-def _main_axis(path: np.ndarray) -> np.ndarray:
-    return np.linalg.svd(path - path.mean(axis=0), full_matrices=False)[2][0]
 
 
 def views(run: RunFolder, seen: Scenery) -> list[tuple[str, str]]:

@@ -6,10 +6,9 @@ from typing import Any
 import numpy as np
 
 from tiegraph.report import accuracy, formatting
-from tiegraph.report.contradictions import about, contradictions
 from tiegraph.report.formatting import Table, is_number
 from tiegraph.report.runfolder import STAGES, RunFolder
-from tiegraph.report.tables import section_name
+from tiegraph.report.tables import about, contradictions, section_name
 from tiegraph.report.texts import many, said, t
 from tiegraph.report.warnings import warnings, weak_placement
 from tiegraph.scene.registered import BY_RIG

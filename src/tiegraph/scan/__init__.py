@@ -16,9 +16,8 @@ whose lengths are off by more than 1 % at the positions is refused.
 
 Videos become pictures before anything else (``video``), with the time and place of each frame as EXIF (``videotime``,
 ``djisubtitles``, ``recording``), so that what holds for photographs holds for them. Videos of one rig are told apart by
-the same reading of folders as their pictures (``videooffset``) and aligned by their motion (``videomotion``,
-``videooffset``). PyAV would decode sound, but its wheels bundle x264 and x265 (GPL); OpenCV's FFmpeg is LGPL, and gives
-stamps.
+the same reading of folders as their pictures and aligned by their motion (``videooffset``). PyAV would decode sound,
+but its wheels bundle x264 and x265 (GPL); OpenCV's FFmpeg is LGPL, and gives stamps.
 
 An image topic of a ROS bag is a video whose stamps are those of its messages' headers (``bagfilms``): what chooses and
 writes the pictures of videos does it here, and the camera that a bag has for them is a start, as a start model's is.

@@ -10,10 +10,10 @@ import numpy as np
 from tiegraph.scan.assign import Report, Shot, Survey
 from tiegraph.scan.folders import natural
 from tiegraph.scan.priors.times import time_in_name
-from tiegraph.scan.tuning import FramesTuning, TimesTuning, Tuning
+from tiegraph.scan.tuning import FramesTuning
 
 
-def into_frames(survey: Survey, files: Sequence[str], how: str, report: Report, tuning: Tuning) -> Survey:
+def into_frames(survey: Survey, files: Sequence[str], how: str, report: Report, tuning: FramesTuning) -> Survey:
     """The survey with the frame of each image; the report gets second images of a frame."""
     groups: dict[tuple[int, str], list[Shot]] = {}
     for shot in survey.shots:
@@ -25,7 +25,7 @@ def into_frames(survey: Survey, files: Sequence[str], how: str, report: Report, 
             continue
         sensors = sorted({s.sensor for s in shots})
         stems = {k: [s.stem for s in shots if s.sensor == k] for k in sensors}
-        keys, by = match_frames(stems, how, tuning.frames, tuning.times)
+        keys, by = match_frames(stems, how, tuning)
         _say_frames(sequence, by, stems, how, report)
         for sensor in sensors:
             mine = [s for s in shots if s.sensor == sensor]
@@ -60,7 +60,7 @@ def _without_twins(shots: list[Shot], names: Sequence[str], report: Report) -> l
 
 
 def match_frames(
-    stems: Mapping[int, Sequence[str]], how: str, tuning: FramesTuning, times: TimesTuning
+    stems: Mapping[int, Sequence[str]], how: str, tuning: FramesTuning
 ) -> tuple[dict[int, list[str]], str]:
     """Frame label of each image of one pass, by sensor, from the file stems, and how: name, number, time or order.
 
@@ -76,7 +76,7 @@ def match_frames(
         by_number = {sensor: [_last_number(s) for s in names] for sensor, names in stems.items()}
         if how == "number" or (_shared(by_number) >= tuning.agree and _mostly_unique(by_number, tuning)):
             return by_number, "number"
-    if how == "auto" and (by_time := _by_time(stems, tuning, times)) and _shared(by_time) >= tuning.agree:
+    if how == "auto" and (by_time := _by_time(stems, tuning)) and _shared(by_time) >= tuning.agree:
         return by_time, "time"
     by_order = {}
     for sensor, names in stems.items():
@@ -85,10 +85,10 @@ def match_frames(
     return by_order, "order"
 
 
-def _by_time(stems: Mapping[int, Sequence[str]], tuning: FramesTuning, times: TimesTuning) -> dict[int, list[str]]:
+def _by_time(stems: Mapping[int, Sequence[str]], tuning: FramesTuning) -> dict[int, list[str]]:
     """By sensor the name in the fullest one whose time is nearest, or the image's own where none is near; empty unless
     all names are times."""
-    seconds = {k: np.array([time_in_name(s, times) for s in names]) for k, names in stems.items()}
+    seconds = {k: np.array([time_in_name(s) for s in names]) for k, names in stems.items()}
     fullest = max(stems, key=lambda k: len(stems[k]))
     order = np.argsort(seconds[fullest])
     ordered = seconds[fullest][order]

@@ -13,13 +13,11 @@ from PIL import Image
 
 from tiegraph.errors import InputError
 from tiegraph.scan.settings import ScanSettings
-from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scene.atomic import replacing
 from tiegraph.scene.exif import Taken, exif_of
 from tiegraph.scene.filecache import cached_by_file
-from tiegraph.scene.fisheye import render_lens_view
-from tiegraph.scene.images import Levels, decode_deep, deep_png, eight_bit, open_image
-from tiegraph.scene.panorama import render_view
+from tiegraph.scene.fisheye import frozen, render_lens_view
+from tiegraph.scene.images import Levels, decode_deep, deep_png, eight_bit, open_image, render_view
 from tiegraph.scene.regular import real_path, regular
 from tiegraph.scene.rig import Sensor, Source, camera_from_dict, camera_to_dict
 
@@ -31,7 +29,7 @@ _WITH_ALPHA = (".png", ".tif", ".tiff")
 _ORIENTATION = 0x0112
 
 
-def prepare_image(source: Path, target: Path, sensor: Sensor, settings: ScanSettings, tuning: PicturesTuning) -> None:
+def prepare_image(source: Path, target: Path, sensor: Sensor, settings: ScanSettings) -> None:
     """Make ``target`` the image that ``sensor.camera`` describes: a link to ``source``, or its changed pixels.
 
     Grey and RGB of 8 bits stay as they are; 16 bits, CMYK, palettes and EXIF-turned images are converted. What is
@@ -45,7 +43,7 @@ def prepare_image(source: Path, target: Path, sensor: Sensor, settings: ScanSett
         if pixels is None:
             _link(source, partial)
         else:
-            write_pixels(partial, pixels, tuning)
+            write_pixels(partial, pixels)
 
 
 def crop_camera(camera: pycolmap.Camera, left: int, top: int, right: int, bottom: int) -> pycolmap.Camera:
@@ -166,12 +164,8 @@ def _turn(pixels: np.ndarray, orientation: int) -> np.ndarray:
 
 
 def _undistort(pixels: np.ndarray, camera: pycolmap.Camera, pinhole: pycolmap.Camera) -> np.ndarray:
-    x, y = _undistortion_map(_frozen_camera(camera), _frozen_camera(pinhole))
+    x, y = _undistortion_map(frozen(camera), frozen(pinhole))
     return cv2.remap(pixels, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-
-
-def _frozen_camera(camera: pycolmap.Camera) -> tuple:
-    return camera.model.name, camera.width, camera.height, tuple(camera.params)
 
 
 @lru_cache(maxsize=1)  # images come sensor by sensor; one map of 6 Mpx takes 48 MiB
@@ -198,11 +192,11 @@ def _link(source: Path, target: Path) -> None:
                 raise
 
 
-def write_pixels(target: Path, pixels: np.ndarray, tuning: PicturesTuning, taken: Taken | None = None) -> None:
+def write_pixels(target: Path, pixels: np.ndarray, taken: Taken | None = None) -> None:
     """Write RGB or grey pixels (H, W[, 3]) u1 by the suffix; JPEG nearly without loss, and with EXIF that says when and
     where it was taken. Raises OSError (full disk)."""
     suffix = target.suffix.lower()
     how: dict[str, Any] = {} if taken is None else {"exif": exif_of(taken)}
     if suffix in (".jpg", ".jpeg"):
-        how |= {"quality": tuning.jpeg_quality, "subsampling": 0}
+        how |= {"quality": 98, "subsampling": 0}
     Image.fromarray(np.ascontiguousarray(pixels)).save(target, **how)

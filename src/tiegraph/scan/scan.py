@@ -1,7 +1,5 @@
 """The scan stage: from a folder of images and what came with it to a Scene."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from collections.abc import Sequence
@@ -10,7 +8,7 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 
-from tiegraph.scan.assign import Report, Shot, Survey, Usable, assign, some
+from tiegraph.scan.assign import Report, Shot, Survey, Usable, assign, need_two, some, usable_images
 from tiegraph.scan.calibration import with_camera, with_start_cameras
 from tiegraph.scan.cameras import FileFacts, calibrate
 from tiegraph.scan.fisheye import ImageFiles, into_views, with_lit_circle
@@ -26,7 +24,6 @@ from tiegraph.scan.rigfiles.rigspec import RigSpec
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import Tuning
 from tiegraph.scan.twolenses import two_lenses
-from tiegraph.scan.usable import need_two, usable_images
 from tiegraph.scene.exif import Exif
 from tiegraph.scene.hanging import wide_first
 from tiegraph.scene.images import EIGHT_BIT, IMAGES_FOLDER, Probe, find_images, probe_image
@@ -73,7 +70,7 @@ def build_scene(
     usable = replace(usable_images(names, probes, report), video=inputs.video)
     survey, pictures, whole = _assigned(inputs, usable, ImageFiles(names, probes, names), settings, report, tuning)
     survey = _one_size(survey, pictures.names, pictures.probes, report)
-    survey = into_frames(survey, pictures.files, settings.frames, report, tuning)
+    survey = into_frames(survey, pictures.files, settings.frames, report, tuning.frames)
     need_two(len(survey.shots), report)
     survey = _with_cameras(inputs, survey, pictures, whole, report, tuning)
     rigs, survey = _rigs(survey, pictures.probes, settings, report, tuning)
@@ -245,7 +242,7 @@ class _Named:
     renamed: int
 
     @staticmethod
-    def of(survey: Survey, pictures: ImageFiles) -> _Named:
+    def of(survey: Survey, pictures: ImageFiles) -> "_Named":
         names, probes, files = pictures.names, pictures.probes, pictures.files
         given = [names[s.image] for s in survey.shots]
         safe = safe_names(given)

@@ -60,12 +60,6 @@ class CameraTuning(Section):
     """Side that cropping must leave."""
     start_focal: float = Field(0.01, gt=0)
     """Sigma of the focal length of a camera of a start model, of that length: it is adjusted."""
-    max_side_px: int = Field(100_000, gt=0)
-    """Side of an image that a rig file may name."""
-    max_focal_px: float = Field(1e6, gt=0)
-    """Focal length that a rig file may name."""
-    max_hfov_deg: float = Field(360.0, gt=0, le=360)
-    """Field of view that a rig file may name: of a fisheye, for perspective images have `max_fov_deg`."""
     min_fov_deg: float = Field(1.0, ge=0)
     """What an image sees across, at least."""
     max_fov_deg: float = Field(170.0, gt=0, lt=180)
@@ -74,10 +68,6 @@ class CameraTuning(Section):
     """fx over fy: pixels are nearly square."""
     stretch: tuple[float, float] = (1 / 3, 10.0)
     """How far out distortion lets the edge of an image look, times what a straight lens does."""
-    steps: int = Field(24, gt=0)
-    """Along a line from the middle to the edge."""
-    edge: float = Field(0.95, gt=0, le=1)
-    """Share of that line that is looked at: calibrations may fold in the last corner pixels."""
     round_trip: float = Field(0.01, gt=0)
     """Of the image's longer side: by so much may a pixel miss itself by way of its ray."""
     fisheye_lines: int = Field(8, gt=0)
@@ -91,18 +81,8 @@ class RigTuning(Section):
 
     max_rig_m: float = Field(100.0, gt=0)
     """Between two cameras, or a camera and the antenna, of one rig; farther apart: wrong units."""
-    sigma_m: tuple[float, float] = (1e-6, 100.0)
-    """Sigmas of lengths, from and to."""
-    sigma_deg: tuple[float, float] = (1e-6, 180.0)
-    """Sigmas of angles, from and to."""
     contradiction_sigmas: float = Field(10.0, gt=0)
     """Between what a pair says and what the positions say: more is said."""
-    unit: float = Field(1e-3, gt=0)
-    """By so much may the length of a quaternion, or a product of two rows of a rotation, miss what it must be."""
-    max_ring: int = Field(360, ge=2)
-    """Cameras of the preset `ring`."""
-    ladybug_hfov_deg: float = Field(90.0, gt=0, lt=180)
-    """Of a rectified side image of the preset `ladybug5`, about."""
     camera: CameraTuning = Field(default_factory=CameraTuning)
     """Its cameras."""
 
@@ -152,16 +132,10 @@ class LensViewsTuning(Section):
 class PicturesTuning(Section):
     """Images that scan writes (`prepare.py`), and those it takes from videos (`video.py`)."""
 
-    jpeg_quality: int = Field(98, ge=1, le=100)
-    """Nearly without loss."""
     least_decoded: float = Field(0.95, ge=0, le=1)
     """Of the frames that a video says it has; the count in some headers is an estimate. Fewer are said."""
     sharp_px: int = Field(480, gt=0)
     """Width at which sharpness is compared."""
-    max_fps: float = Field(1000.0, gt=0)
-    """Frames a second from which the header of a video is not believed."""
-    recorded_range_s: tuple[float, float] = (946684800.0, 4102444800.0)
-    """2000 ... 2100: creation times of videos outside are those of clocks that were never set (0 = 1904, 1970)."""
     rate_frames: int = Field(50, gt=1)
     """Messages of an image topic of a bag, from its start, whose stamps tell its rate."""
     creation_apart_s: float = Field(2.0, ge=0)
@@ -172,8 +146,6 @@ class PicturesTuning(Section):
     most_dop: float = Field(5.0, gt=0)
     """Dilution of precision of a camera's own receiver from which a fix is left out: "under 500 is good", GoPro says of
     its hundredfold (gpmf-parser)."""
-    most_height_m: float = Field(100_000.0, gt=0)
-    """Above or below the sea: other numbers are no heights."""
     receiver_apart_s: float = Field(0.5, gt=0)
     """Median difference of the receiver's clock from the video's that is said: those of payloads differ by a tenth."""
     zone_apart_s: float = Field(60.0, gt=0, lt=450)
@@ -186,7 +158,7 @@ class PicturesTuning(Section):
 
 
 class MotionTuning(Section):
-    """How a video's picture moves (`videomotion.py`)."""
+    """How a video's picture moves (`videooffset.py`)."""
 
     width_px: int = Field(640, ge=64)
     """Width at which pictures are compared: KITTI's two cameras agree best there (of 320, 640 and 1241)."""
@@ -233,8 +205,6 @@ class TimesTuning(Section):
     """A frame's time is far from those of its pass: so much, and ten times their range."""
     same_shot_s: float = Field(0.5, ge=0)
     """Images of one frame whose times are farther apart are said."""
-    unix_range_s: tuple[float, float] = (631152000.0, 4102444800.0)
-    """1990 ... 2100: other numbers of ten digits in file names are serial numbers."""
 
 
 class PositionsTuning(Section):

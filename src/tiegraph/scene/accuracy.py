@@ -6,8 +6,6 @@ where something tells, measured (root mean square unless said otherwise); the le
 ``evaluate`` makes it and ``metrics.json`` holds it, under ``accuracy``; nobody else computes one.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
@@ -94,7 +92,7 @@ class Accuracy:
         return {**out, "tolerance": None if self.answer is None else asdict(self.answer)}
 
     @staticmethod
-    def from_dict(data: Mapping[str, Any]) -> Accuracy:
+    def from_dict(data: Mapping[str, Any]) -> "Accuracy":
         """Inverse of ``to_dict``."""
         rows: list[dict[str, Any]]
         rows = [{k: NAN if v is None else v for k, v in row.items() if k != RATIO} for row in data["figures"]]

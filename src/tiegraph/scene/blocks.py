@@ -20,8 +20,7 @@ from scipy.spatial import cKDTree
 
 from tiegraph.scene.graph import parts
 from tiegraph.scene.matches import PreviewMatches
-from tiegraph.scene.places import between_neighbours
-from tiegraph.scene.scene import Scene
+from tiegraph.scene.scene import Scene, between_neighbours
 from tiegraph.scene.tuning import BlocksTuning
 
 

@@ -83,7 +83,7 @@ def write_las(clouds: Cloud | Iterable[Cloud], path: Path, spacing: float | None
     parts, first = _parts(clouds)
     header, notes = las_header(first, spacing)
     with replacing(path) as temporary:
-        with laspy.open(temporary, mode="w", header=header, do_compress=_is_laz(path)) as out:
+        with laspy.open(temporary, mode="w", header=header, do_compress=path.suffix.lower() == ".laz") as out:
             for part in chain([first], parts):
                 for start in range(0, len(part), _CHUNK):
                     out.write_points(las_points(part.where(slice(start, start + _CHUNK)), header))  # type: ignore[arg-type]
@@ -122,10 +122,6 @@ def _parts(clouds: Cloud | Iterable[Cloud]) -> tuple[Iterator[Cloud], Cloud]:
     parts = iter([clouds] if isinstance(clouds, Cloud) else clouds)
     first = next(parts, None)
     return parts, Cloud.empty() if first is None else first
-
-
-def _is_laz(path: Path) -> bool:
-    return path.suffix.lower() == ".laz"
 
 
 def shift_of(origin: Origin | None) -> np.ndarray:

@@ -7,8 +7,6 @@ The file is in SQLite's WAL mode: what was committed survives the SIGKILL of its
 to the file, as COLMAP's own opening does.
 """
 
-from __future__ import annotations
-
 import sqlite3
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -49,7 +47,7 @@ class Rows:
         uri = f"{path.absolute().as_uri()}?mode=ro"
         self._connection = sqlite3.connect(uri, uri=True, check_same_thread=not any_thread)
 
-    def __enter__(self) -> Rows:
+    def __enter__(self) -> "Rows":
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -1,7 +1,5 @@
 """Control points in the survey: places in its world, marks as pixels of its prepared images."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
@@ -65,7 +63,7 @@ class Marks:
     def __len__(self) -> int:
         return len(self.point)
 
-    def where(self, keep: np.ndarray) -> Marks:
+    def where(self, keep: np.ndarray) -> "Marks":
         """Those that ``keep`` (M,) names."""
         own: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self) if getattr(self, f.name) is not None}
         return Marks(**{name: value[keep] for name, value in own.items()})

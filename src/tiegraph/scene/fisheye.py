@@ -124,7 +124,7 @@ def seen_half_deg(camera: pycolmap.Camera) -> float:
 
 def render_lens_view(pixels: np.ndarray, view: LensView, camera: pycolmap.Camera) -> np.ndarray:
     """Pixels (H, W[, 3]) of the pinhole ``camera`` that looks out of a fisheye image (h, w[, 3]); black beyond it."""
-    x, y = _lens_map(_frozen(view.lens), view.rotation, _frozen(camera))
+    x, y = _lens_map(frozen(view.lens), view.rotation, frozen(camera))
     return cv2.remap(pixels, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_CONSTANT)
 
 
@@ -136,7 +136,7 @@ def lit(sensor: Sensor, half_deg: float) -> np.ndarray | None:
         return None
     if source.view is not None:
         lens = source.view.lens
-        x, y = (m + 0.5 for m in _lens_map(_frozen(lens), source.view.rotation, _frozen(camera)))
+        x, y = (m + 0.5 for m in _lens_map(frozen(lens), source.view.rotation, frozen(camera)))
         seen = (x > 0) & (x < lens.width) & (y > 0) & (y < lens.height)
     else:
         x, y = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
@@ -163,7 +163,8 @@ def _within(camera: pycolmap.Camera, half_deg: float) -> np.ndarray:
 _RIM = 360  # corners of the rim of a cone, drawn as a polygon
 
 
-def _frozen(camera: pycolmap.Camera) -> tuple:
+def frozen(camera: pycolmap.Camera) -> tuple:
+    """A camera as the key of a cache."""
     return camera.model.name, camera.width, camera.height, tuple(camera.params)
 
 

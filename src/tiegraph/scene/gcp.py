@@ -4,7 +4,7 @@ Two forms are read. OpenDroneMap's ``gcp_list.txt``: first line the CRS, then ``
 CSV with a header: points (name, x, y, z or lat, lon, height; sigma_xy, sigma_z, role) and marks (name, image, px, py),
 in one table with rows of either kind or of both at once, in two tables of one file, or in two files. Pixels count from
 the outer corner of the upright image's first pixel: its centre is (0.5, 0.5). A point named as a coded target
-(``targets/names.py``) needs no marks. A CSV may hold scale bars (``targets/bars.py``) too, or nothing else.
+(``targets.py``) needs no marks. A CSV may hold scale bars too, or nothing else.
 """
 
 from __future__ import annotations
@@ -21,9 +21,7 @@ from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import utm_by_name
 from tiegraph.scene.regular import regular
 from tiegraph.scene.table import Table, table_of, text_lines
-from tiegraph.scene.targets.bars import FORM as BARS_FORM
-from tiegraph.scene.targets.bars import FileBar, names_bars, read_bars
-from tiegraph.scene.targets.names import FORM, Target, count_of, target_of
+from tiegraph.scene.targets import BAR_FORM, FORM, FileBar, Target, count_of, names_bars, read_bars, target_of
 from tiegraph.scene.tuning import ControlTuning
 
 if TYPE_CHECKING:
@@ -46,7 +44,7 @@ FORMS = (
     "points need the columns name, x, y, z (or name, lat, lon, height; if known sigma_xy, sigma_z, role: gcp or "
     "check), marks name, image, px, py, in one table, in two tables of one file with a header each, or in two files "
     "(--gcp POINTS --marks MARKS); '# crs: EPSG:n' in the first line says the CRS of x, y, z; or give ODM's "
-    f"gcp_list.txt. Points named as coded targets need no marks: {FORM}. {BARS_FORM[0].upper()}{BARS_FORM[1:]}"
+    f"gcp_list.txt. Points named as coded targets need no marks: {FORM}. {BAR_FORM[0].upper()}{BAR_FORM[1:]}"
 )
 _SIGMA, _SIGMA_XY, _SIGMA_Z = ("sigma", "sigma_m"), ("sigma_xy", "sigma_h", "sigma_xy_m"), ("sigma_z", "sigma_v")
 
@@ -178,7 +176,8 @@ def _read(path: Path, option: str, tuning: ControlTuning) -> GcpFile:
     lines = [(number, line) for number, line in lines if not _TITLE.fullmatch(line)]
     if not lines:
         raise InputError(f"{option} {path}: the file is empty; {FORMS}")
-    read = _read_csv if _has_header(lines) else _read_odm
+    # The first line that is no comment names columns; the CRS in the first line of the other form does not.
+    read = _read_csv if _is_header(next((line for _, line in lines if line[0] not in "#%"), "")) else _read_odm
     return read(path, lines, tuning)
 
 
@@ -210,11 +209,6 @@ def _doubtful(found: GcpFile) -> list[str]:
                 f"{known.line}: one point by two names?"
             )
     return notes
-
-
-def _has_header(lines: list[tuple[int, str]]) -> bool:
-    """Whether the first line that is no comment names columns; the CRS in the first line of the other form does not."""
-    return _is_header(next((line for _, line in lines if line[0] not in "#%"), ""))
 
 
 def _is_header(line: str) -> bool:

@@ -1,4 +1,4 @@
-"""Finding images and opening each of them once."""
+"""Finding images and opening each of them once; panoramas, how one is told from a photograph, and their views."""
 
 import hashlib
 import io
@@ -8,19 +8,20 @@ import warnings
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import cv2
 import numpy as np
+import pycolmap
 from PIL import Image, ImageFile
 
 from tiegraph.errors import InputError
 from tiegraph.scene.exif import Exif, read_exif
 from tiegraph.scene.fisheye import image_circles
-from tiegraph.scene.panorama import is_equirectangular
 from tiegraph.scene.regular import regular
 from tiegraph.scene.rig import Circle
-from tiegraph.scene.tuning import ImageTuning
+from tiegraph.scene.tuning import ImageTuning, PanoramaTuning
 
 SUFFIXES = (".jpg", ".jpeg", ".jpe", ".jfif", ".png", ".tif", ".tiff", ".bmp", ".webp", ".ppm", ".pgm", ".mpo", ".insp")
 # Photographs nobody here can decode: found, and refused by name, so that they are not missed silently.
@@ -64,16 +65,8 @@ class Probe:
         return (self.height, self.width) if self.exif.orientation >= 5 else (self.width, self.height)
 
 
-@dataclass(frozen=True)
-class SearchResult:
-    """Names (POSIX, relative to the folder, sorted) of the image files below a folder; what was passed over and why."""
-
-    names: tuple[str, ...]
-    notes: tuple[str, ...] = ()
-
-
-def search_images(root: Path) -> SearchResult:
-    """The image files below a folder.
+def search_images(root: Path) -> tuple[list[str], list[str]]:
+    """The image files below a folder: their names (POSIX, relative to it, sorted), and what was passed over and why.
 
     Hidden files and folders, ``._*``, ``Thumbs.db`` and the like are passed over, as are the folders that network
     storage keeps thumbnails and deleted files in; these are counted. If ``root`` has a folder ``images``
@@ -96,7 +89,7 @@ def search_images(root: Path) -> SearchResult:
     if not names:
         found = f"{len(files)} files, none of them an image" if files else "an empty folder"
         raise InputError(f"{root}: {'; '.join([found, *notes])}; images end in {' '.join(SUFFIXES)}")
-    return SearchResult(tuple(sorted(names)), tuple(notes))
+    return sorted(names), notes
 
 
 def searched(root: Path) -> Path:
@@ -106,7 +99,7 @@ def searched(root: Path) -> Path:
 
 def find_images(root: Path) -> list[str]:
     """The names alone of ``search_images``, which see."""
-    return list(search_images(root).names)
+    return search_images(root)[0]
 
 
 def files_below(folder: Path, notes: list[str] | None = None) -> Iterator[Path]:
@@ -153,7 +146,9 @@ def _identity(folder: Path) -> tuple[int, int]:
 def _entries(folder: Path) -> list[os.DirEntry[str]]:
     try:
         with os.scandir(folder) as entries:
-            return sorted((e for e in entries if not _ignored(e.name)), key=lambda e: e.name)
+            return sorted(
+                (e for e in entries if e.name[0] != "." and e.name.lower() not in _IGNORED), key=lambda e: e.name
+            )
     except OSError as error:
         raise InputError(
             f"{folder}: cannot be read ({error.strerror}): its images would be missing; make it readable or take it out"
@@ -176,10 +171,6 @@ def _begins_like_an_image(path: Path) -> bool:
             return file.read(8).startswith(_BEGINS)
     except OSError:
         return False
-
-
-def _ignored(name: str) -> bool:
-    return name.startswith(".") or name.lower() in _IGNORED
 
 
 def probe_image(path: Path, tuning: ImageTuning) -> Probe:
@@ -334,3 +325,48 @@ def _describe_array(data: bytes, digest: str) -> Probe:
         raise _Unusable(f"{pixels.dtype} pixels: convert to 8 or 16 bits")
     height, width = pixels.shape[:2]
     return Probe(width=width, height=height, levels=levels_of(pixels), digest=digest)
+
+
+def is_equirectangular(image: Image.Image, tuning: PanoramaTuning) -> bool:
+    """Whether a decoded image is a full panorama: by its XMP (GPano), else by its poles and its seam.
+
+    The first and the last row of an equirectangular panorama are one point each, and its left border goes on at the
+    right one.
+    """
+    if image.width != 2 * image.height or image.width < tuning.min_width_px:
+        return False
+    xmp = image.info.get("xmp", b"")
+    if b"equirectangular" in (xmp if isinstance(xmp, bytes) else str(xmp).encode()):
+        return True
+    size = tuning.look_px, tuning.look_px // 2
+    grey = np.asarray(image.convert("L").resize(size, Image.Resampling.BOX), float)
+    poles = max(grey[0].std(), grey[-1].std())
+    borders = grey[:, : tuning.beside], grey[:, -tuning.beside :]
+    beside = np.abs(np.diff(borders[0], axis=1)).mean() + np.abs(np.diff(borders[1], axis=1)).mean()
+    seam = np.abs(grey[:, 0] - grey[:, -1]).mean()
+    step = max(beside / 2, tuning.least_step_grey)
+    return bool(poles < tuning.pole_grey and grey.std() > tuning.pole_grey and seam < tuning.seam * step)
+
+
+def render_view(panorama: np.ndarray, camera: pycolmap.Camera, view_from_panorama: np.ndarray) -> np.ndarray:
+    """Pixels (H, W[, 3]) of a pinhole view of a panorama (h, 2 h[, 3]), turned by a rotation (3, 3).
+
+    The middle of the panorama is straight ahead (z), its upper border the zenith (-y).
+    """
+    fx, fy, cx, cy = camera.calibration_matrix()[[0, 1, 0, 1], [0, 1, 2, 2]]
+    key = (tuple(np.ravel(view_from_panorama)), (fx, fy, cx, cy), (camera.width, camera.height))
+    x, y = _map(key, panorama.shape[1], panorama.shape[0])
+    return cv2.remap(panorama, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_WRAP)
+
+
+@lru_cache(maxsize=6)  # the views of one panorama are made one after another
+def _map(key: tuple, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
+    rotation, (fx, fy, cx, cy), (columns, rows) = key
+    u = (np.arange(columns) + 0.5 - cx) / fx
+    v = (np.arange(rows) + 0.5 - cy) / fy
+    rays = np.stack([*np.meshgrid(u, v), np.ones((rows, columns))], axis=-1) @ np.reshape(rotation, (3, 3))
+    longitude = np.arctan2(rays[..., 0], rays[..., 2])
+    latitude = np.arctan2(-rays[..., 1], np.hypot(rays[..., 0], rays[..., 2]))
+    x = (longitude / (2 * np.pi) + 0.5) * width - 0.5  # OpenCV counts from the centre of the first pixel
+    y = (0.5 - latitude / np.pi) * height - 0.5
+    return x.astype(np.float32), y.astype(np.float32)

@@ -3,8 +3,6 @@
 Copies are smaller or larger, or turned by EXIF where the survey's images are not.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -34,7 +32,7 @@ class Copy:
         size = (camera.height, camera.width) if orientation >= 5 else (camera.width, camera.height)  # of the copy
         return _turned((x, y), size, orientation if source.upright else {6: 8, 8: 6}.get(orientation, orientation))
 
-    def like(self, other: Copy) -> bool:
+    def like(self, other: "Copy") -> bool:
         """Whether it is hardly larger or smaller, and turned the same way."""
         return self.turned == other.turned and 0.9 < self.size / other.size < 1 / 0.9
 

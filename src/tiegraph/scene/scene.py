@@ -1,6 +1,4 @@
-"""The survey as a table: images, the frames they belong to, the rigs and passes."""
-
-from __future__ import annotations
+"""The survey as a table: images, the frames they belong to and where these were taken, the rigs and passes."""
 
 import json
 from dataclasses import dataclass, replace
@@ -12,14 +10,6 @@ import numpy as np
 from tiegraph.geometry.geodesy import Origin
 from tiegraph.scene.names import check_name
 from tiegraph.scene.rig import Rig, Sensor, rig_from_dict, rig_to_dict
-
-PRIORS = (
-    "none",
-    "gnss",  # positions of the GNSS antenna; with a trajectory also rotations
-    "exif",  # positions written by the camera
-    "trajectory",  # poses of the rig, all in one frame
-    "odometry",  # poses of the rig, each pass in a frame of its own: never compare them between passes
-)
 
 
 def _frozen(array: np.ndarray, dtype: Any) -> np.ndarray:
@@ -53,7 +43,10 @@ class Scene:
     section: np.ndarray  # (F,) i2, -1 = not cut into sections
     sequences: tuple[str, ...] = ()  # names of the passes
     origin: Origin | None = None  # None: the world is not on the Earth
-    prior: str = "none"  # where the prior poses come from: one of PRIORS
+    # Where the prior poses come from: "none"; "gnss", positions of the antenna, with a trajectory also rotations;
+    # "exif", positions written by the camera; "trajectory", poses of the rig, all in one frame; "odometry", poses of
+    # the rig, each pass in a frame of its own: never compare them between passes.
+    prior: str = "none"
     started: bool = False  # rotations, and positions without a sigma, are those of a start model: never measured
     dropped: tuple[Dropped, ...] = ()
     notes: tuple[str, ...] = ()  # what was guessed or found odd, for people
@@ -153,7 +146,7 @@ class Scene:
         """Whether the prior positions are in metres: not those of a start model alone."""
         return not (self.prior == "trajectory" and self.started)
 
-    def measured(self) -> Scene:
+    def measured(self) -> "Scene":
         """This scene with only the measured prior positions and orientations: what a model may be held by and judged
         with."""
         keep = self.measured_positions()
@@ -177,11 +170,11 @@ class Scene:
                 rig_from_sensor[k] = np.linalg.inv(pose)
         return self.world_from_rig[self.frame] @ rig_from_sensor
 
-    def with_(self, **changes: Any) -> Scene:
+    def with_(self, **changes: Any) -> "Scene":
         """A copy with some fields replaced."""
         return replace(self, **changes)
 
-    def only(self, images: np.ndarray) -> Scene:
+    def only(self, images: np.ndarray) -> "Scene":
         """A scene of some images (K,), increasing, and their frames; rigs and passes keep their numbers."""
         frames, frame = np.unique(self.frame[images], return_inverse=True)
         of_frames = (name for name in _COLUMNS if name not in ("frame", "sensor"))
@@ -211,7 +204,7 @@ class Scene:
         return json.dumps({**head, **columns}, allow_nan=False)
 
     @staticmethod
-    def from_json(text: str) -> Scene:
+    def from_json(text: str) -> "Scene":
         """Inverse of ``to_json``. Raises InputError for an image name that leads out of the folder."""
         data = json.loads(text)
         for name in data["names"]:
@@ -278,3 +271,26 @@ def simple_scene(
     }
     columns.update(more)
     return Scene(rigs=(rig,), names=tuple(names), frame=frame, sensor=sensor, **columns)
+
+
+def between_neighbours(positions: np.ndarray, scene: Scene) -> np.ndarray:
+    """Positions (F, C) of the frames; those without one (NaN) stand between their neighbours on the pass, evenly by
+    number. Beyond the known ends of a pass they stay unknown."""
+    out = positions.copy()
+    for number in np.unique(scene.sequence[scene.sequence >= 0]):
+        own = np.flatnonzero(scene.sequence == number)
+        own = own[np.argsort(scene.sequence_index[own], kind="stable")]
+        known = np.flatnonzero(np.isfinite(positions[own]).all(axis=1))
+        if len(known) > 1:
+            inside = np.arange(known[0], known[-1] + 1)
+            for c in range(positions.shape[1]):
+                out[own[inside], c] = np.interp(inside, known, positions[own[known], c])
+    return out
+
+
+def of_frames(centre: np.ndarray, scene: Scene) -> np.ndarray:
+    """(F, 3) place of each frame: of its first image with one, of centre (N, 3); NaN = none has."""
+    out = np.full((scene.frames, 3), np.nan)
+    for k in np.flatnonzero(np.isfinite(centre).all(axis=1))[::-1]:
+        out[scene.frame[k]] = centre[k]
+    return out

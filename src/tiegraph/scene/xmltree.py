@@ -1,7 +1,5 @@
 """XML as a tree of elements with their lines; no entities, no name spaces."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,9 +16,9 @@ class Element:
     line: int
     given: dict[str, str]
     text: str = ""
-    children: list[Element] = field(default_factory=list)
+    children: "list[Element]" = field(default_factory=list)
 
-    def all(self, name: str) -> Iterator[Element]:
+    def all(self, name: str) -> "Iterator[Element]":
         """Elements of a name at any depth, in their order."""
         todo: list[Element] = [self]
         while todo:

@@ -9,9 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import transforms
 from tiegraph.stations.adjust import Part, adjusted
-from tiegraph.stations.fine import met
 from tiegraph.stations.loops import contradicted, motion, parts, taken_apart
-from tiegraph.stations.pairs import Pair, from_shapes, from_start
+from tiegraph.stations.pairs import Pair, from_shapes, from_start, met
 from tiegraph.stations.station import Shot, Station, common_side, station_of
 from tiegraph.stations.tuning import Tuning
 

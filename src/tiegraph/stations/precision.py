@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tiegraph.geometry import transforms
+from tiegraph.geometry.align import robust_sigma
 from tiegraph.stations.pairs import Pair
 from tiegraph.stations.station import Level, Sample, Station
 from tiegraph.stations.tuning import PrecisionTuning, Tuning
@@ -66,7 +67,7 @@ def _bands(rows: np.ndarray, tuning: PrecisionTuning) -> list[Band]:
         if len(inside) < tuning.least_points:
             continue
         stated = inside[np.isfinite(inside[:, 2]), 2]
-        sigma = 1.4826 * float(np.median(np.abs(inside[:, 1] - np.median(inside[:, 1]))))
+        sigma = robust_sigma(inside[:, 1] - np.median(inside[:, 1]))
         out.append(
             Band(
                 from_m=float(low),

@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 
 from tiegraph.errors import EngineMissing
 from tiegraph.geometry import transforms
+from tiegraph.geometry.align import robust_sigma
 from tiegraph.geometry.coarse.shape import Shape, normals, shape_of, side_for, thinned
 from tiegraph.stations.tuning import SpacingTuning, Tuning
 
@@ -59,7 +60,7 @@ class Level:
         self.normal = normals(xyz, neighbours)
         near = xyz[self.tree.query(xyz, k=min(9, len(xyz)))[1][:, 1:]] - xyz[:, None]
         off = np.einsum("nki,ni->nk", near, self.normal)
-        self.rough = 1.4826 * float(np.median(np.abs(off - off.mean(axis=1, keepdims=True))))
+        self.rough = robust_sigma(off - off.mean(axis=1, keepdims=True))
         # In voxels, because small_gicp's covariances and limits are absolute numbers.
         gicp = engine()
         self.gicp = gicp.PointCloud(xyz / side)

@@ -3,12 +3,12 @@ object, `rgbd_250` and `pandaset` (docs/stations.md)."""
 
 from pydantic import Field
 
-from tiegraph.geometry.coarse.tuning import CoarseTuning
+from tiegraph.geometry.coarse import CoarseTuning
 from tiegraph.settings import Section
 
 
 class PairTuning(Section):
-    """Two clouds laid on each other (`pairs.py`, `fine.py`). Lengths are in sides of the coarse voxels."""
+    """Two clouds laid on each other (`pairs.py`). Lengths are in sides of the coarse voxels."""
 
     levels: tuple[float, ...] = (1.0, 0.5, 0.25)
     """Voxels of the refinement, one after another: the last has some 40 000 points a cloud."""

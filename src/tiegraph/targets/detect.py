@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
+from tiegraph.geometry.align import robust_sigma
 from tiegraph.scene.rays import on_plane
-from tiegraph.scene.targets.corners import CENTRE, refined
-from tiegraph.scene.targets.names import Target, dictionary
+from tiegraph.scene.targets import CENTRE, Target, dictionary, refined
 from tiegraph.targets.tuning import Tuning
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ def find_targets(pixels: np.ndarray, families: Sequence[str], tuning: Tuning) ->
         for number, quad in zip(np.zeros(0, int) if numbers is None else numbers.ravel(), quads):
             xy = quad.reshape(4, 2)
             side = float(np.linalg.norm(xy - np.roll(xy, 1, axis=0), axis=1).min())
-            free = side * tuning.border_bits / tuning.bits
+            free = side / tuning.bits  # the border, one bit wide
             corners = refined(pixels, xy, free, tuning.refine_share, tuning.refine_px)
             half = int(np.clip(round(tuning.refine_share * free), *tuning.refine_px))
             sigma = float(np.hypot(np.median([_sigma(pixels, c, half, noise) for c in corners]), tuning.least_sigma_px))
@@ -75,8 +75,8 @@ def _detector(family: str, least_rate: float, correction: float) -> cv2.aruco.Ar
 
 def _noise(pixels: np.ndarray) -> float:
     """Sigma of an image's noise, grey levels, from its quieter half."""
-    high = np.abs(cv2.filter2D(pixels, cv2.CV_32F, _NOISE)) / _NOISE_NORM
-    return max(1.4826 * float(np.median(high)), _LEAST_NOISE)
+    high = cv2.filter2D(pixels, cv2.CV_32F, _NOISE) / _NOISE_NORM
+    return max(robust_sigma(high), _LEAST_NOISE)
 
 
 def _sigma(pixels: np.ndarray, xy: np.ndarray, half: int, noise: float) -> float:

@@ -12,8 +12,6 @@ class Tuning(Section):
     """Side of a target: of 8 bits across each then has two pixels, and fewer are not read reliably."""
     error_correction: float = Field(0.3, ge=0, le=1)
     """Share of a family's correctable bits that may be wrong; OpenCV's 0.6 finds small families in gravel."""
-    border_bits: float = Field(1.0, gt=0)
-    """Width of the black border that is free of other edges, inside ..."""
     bits: float = Field(8.0, gt=0)
     """... and how many of it make the side of an AprilTag 36h11; others are near."""
     refine_share: float = Field(0.5, gt=0, lt=1)

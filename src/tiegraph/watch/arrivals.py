@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tiegraph.errors import InputError
-from tiegraph.scene.images import search_images, searched
+from tiegraph.scene.images import find_images, searched
 from tiegraph.watch.tuning import ArrivalsTuning
 
 
@@ -40,7 +40,7 @@ class Arrivals:
     def look(self, now: float) -> list[str]:
         """Names of files to open, in the order they came. Never raises: a folder that is gone is ``trouble``."""
         try:
-            names = search_images(self.folder).names
+            names = find_images(self.folder)
             self.trouble = ""
         except (InputError, OSError) as error:
             there = os.path.isdir(self.folder)

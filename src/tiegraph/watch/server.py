@@ -1,7 +1,5 @@
 """The page and its data, for browsers of this machine alone."""
 
-from __future__ import annotations
-
 import json
 import threading
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer

@@ -66,5 +66,3 @@ class Tuning(Section):
     with; photographs without order by their names."""
     save_s: float = Field(10.0, ge=0)
     """Between two writings of what is known."""
-    drawn_ties: int = Field(4000, gt=0)
-    """On the page, the strongest."""

@@ -8,8 +8,6 @@ what the cloud states as sigma of its points is therefore not divided by their n
 "M3C2-PM"), while the spread in the cylinder is.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
@@ -25,6 +23,7 @@ _CORES = 10_000  # core points looked at together: some 10 million pairs of poin
 _OBLIQUE = np.array([0.36, 0.48, 0.8])  # where normals point without cameras: up, else to the north-east
 
 Sigma = Callable[[np.ndarray, np.ndarray], np.ndarray]  # of points (N, 3) along normals (N, 3): metres (N,)
+CONFIDENCE = 1.96  # sigmas at which 5 % of the differences of equal surfaces are called significant
 
 
 @dataclass(frozen=True)
@@ -76,7 +75,7 @@ class Differences:
         with np.errstate(invalid="ignore"):
             return np.asarray(np.abs(self.distance_m) > self.lod_m)
 
-    def where(self, cores: np.ndarray) -> Differences:
+    def where(self, cores: np.ndarray) -> "Differences":
         """Those at some core points: (N,) bool or indices."""
         return replace(
             self,
@@ -151,7 +150,7 @@ def m3c2(
     enough = (one.count >= tuning.least_points) & (two.count >= tuning.least_points)
     distance = np.where(enough, two.mean - one.mean, np.nan)
     variance = one.variance_of_mean() + two.variance_of_mean() + np.square(registration)
-    return distance, np.where(enough, tuning.confidence * np.sqrt(variance), np.nan)
+    return distance, np.where(enough, CONFIDENCE * np.sqrt(variance), np.nan)
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,7 @@ MEANING = (
     "is not looked at. F = 2AC/(A+C). Ghosts: points where the reference observed, further than {ghost_m:g} m from it. "
     "The reference's points are {spacing_m:.2g} m apart: distances below half of that are not told."
 )
+_BANDS_M = (5.0, 10.0, 20.0, 50.0)  # between the bands of distance from camera to point
 
 
 @dataclass(frozen=True)
@@ -190,7 +191,7 @@ def cloud_to_cloud(
         raise ValueError(apart(clouds))
     if not sides[1].count()[0]:
         raise ValueError(f"no reference point lies within {criteria.range_m:g} m of a camera: do both share a frame?")
-    groups = ((), ()) if cameras is None else (_band_names(tuning.bands_m), cameras.sections())
+    groups = ((), ()) if cameras is None else (_band_names(), cameras.sections())
     return CloudComparison(
         criteria=criteria,
         whole=_shares(*sides, criteria),
@@ -235,7 +236,7 @@ class _Judge:
             return np.zeros(len(xyz)), np.zeros((len(xyz), 2), np.uint8)
         away, near = cKDTree(self.cameras.centres).query(xyz)
         section = self.cameras.section_numbers()[near]
-        return away, np.stack([np.searchsorted(self.tuning.bands_m, away), section], axis=1).astype(np.uint8)
+        return away, np.stack([np.searchsorted(_BANDS_M, away), section], axis=1).astype(np.uint8)
 
 
 def thinned(clouds: TiledClouds, which: int, tile: int, voxel_m: float) -> np.ndarray:
@@ -286,9 +287,9 @@ def _grouped(cloud: Tally, reference: Tally, criteria: Criteria, group: int, nam
     return found if len(found) > 1 else {}
 
 
-def _band_names(edges_m: Sequence[float]) -> tuple[str, ...]:
-    between = [f"{a:g} to {b:g} m" for a, b in zip((0.0, *edges_m), edges_m)]
-    return (*between, f"over {edges_m[-1]:g} m")
+def _band_names() -> tuple[str, ...]:
+    between = [f"{a:g} to {b:g} m" for a, b in zip((0.0, *_BANDS_M), _BANDS_M)]
+    return (*between, f"over {_BANDS_M[-1]:g} m")
 
 
 def meeting(clouds: TiledClouds) -> None:

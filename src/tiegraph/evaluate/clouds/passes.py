@@ -1,7 +1,5 @@
 """How well two passes of one survey agree, by M3C2 between the clouds of each: what tells without any reference."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
@@ -87,7 +85,7 @@ class PassAgreement:
         return asdict(self)
 
     @staticmethod
-    def from_dict(data: Mapping[str, Any]) -> PassAgreement:
+    def from_dict(data: Mapping[str, Any]) -> "PassAgreement":
         """Inverse of ``to_dict``."""
         pairs = {name: tuple(data[name]) for name in ("passes", "maps", "there")}
         return PassAgreement(**pairs, found=data["found"], why_not=data["why_not"])

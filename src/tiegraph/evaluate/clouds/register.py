@@ -11,13 +11,14 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from tiegraph.evaluate.tuning import RegistrationTuning
-from tiegraph.geometry.align import Similarity
+from tiegraph.geometry.align import Similarity, robust_sigma
 from tiegraph.geometry.coarse.consistent import Start, start_of
 from tiegraph.geometry.placement import PlacementError
 from tiegraph.scene.cloudchunks import PointSource
 
 _PARTS, _CELLS = 10, 20  # of the jackknife: each a tenth of the cells, of which the survey's length has so many
 _NAMES = ("turn about x", "turn about y", "turn about z", "x", "y", "z", "scale")
+_TUKEY = 4.685  # residuals beyond so many sigmas do not count (Tukey's function, 95 % efficient)
 
 
 @dataclass(frozen=True)
@@ -148,8 +149,8 @@ def _meet(
         )
     n, from_middle = normal[at[met]], xyz[met] - middle
     residual = np.einsum("ij,ij->i", n, np.asarray(tree.data)[at[met]] - xyz[met])
-    sigma = 1.4826 * float(np.median(np.abs(residual - np.median(residual)))) + 1e-12
-    weight = np.square(np.clip(1 - np.square(residual / (tuning.tukey * sigma)), 0, None))
+    sigma = robust_sigma(residual - np.median(residual)) + 1e-12
+    weight = np.square(np.clip(1 - np.square(residual / (_TUKEY * sigma)), 0, None))
     growth = np.einsum("ij,ij->i", n, from_middle)
     design = np.column_stack([np.cross(from_middle, n), n, growth])[:, : len(unit)] * unit
     cell = np.floor(from_middle * (_CELLS / np.ptp(from_middle, axis=0).max())).astype(int)

@@ -1,7 +1,5 @@
 """Distances of any number of judged points in a file: shares below limits and exact quantiles, in bounded memory."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -37,7 +35,7 @@ class Tally:
     group: int = 0
     number: int | None = None
 
-    def where(self, group: int, number: int) -> Tally:
+    def where(self, group: int, number: int) -> "Tally":
         """Those of one band or section."""
         return Tally(self.path, group, number)
 

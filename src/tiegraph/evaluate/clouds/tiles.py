@@ -1,7 +1,5 @@
 """Two clouds in files, cut in plan into tiles of a bounded number of points, each read with a halo."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -74,7 +72,7 @@ class TiledClouds:
     def __len__(self) -> int:
         return len(self.bounds)
 
-    def exchanged(self) -> TiledClouds:
+    def exchanged(self) -> "TiledClouds":
         """The same with cloud 1 as cloud 0."""
         (a, b), (low_a, low_b), (high_a, high_b), (one, two) = self.laid, self.low, self.high, self.spacing_m
         return TiledClouds(

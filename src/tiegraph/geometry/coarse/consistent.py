@@ -7,8 +7,8 @@ from scipy.spatial import cKDTree
 
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import umeyama
+from tiegraph.geometry.coarse import CoarseTuning
 from tiegraph.geometry.coarse.shape import Shape, shape_of, side_for
-from tiegraph.geometry.coarse.tuning import CoarseTuning
 
 _UPWARDS = np.array([0.36, 0.48, 0.8])  # the side of surfaces where nothing tells it: walls have one too
 _WIDER = 4  # times the points of the tuning, that the larger of two clouds may have

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from tiegraph.geometry.coarse.tuning import CoarseTuning
+from tiegraph.geometry.coarse import CoarseTuning
 
 _BINS = 11  # of each of the three angles, as in Rusu's definition
 _CHUNK = 20_000  # points whose neighbours are looked at together: bounds the memory

@@ -1,7 +1,5 @@
 """Points in compact groups, and these in groups: which of them a cone touches, without looking at all of them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,7 +19,7 @@ class _Balls:
     radius: np.ndarray
     reach: np.ndarray
 
-    def around(self) -> _Balls:
+    def around(self) -> "_Balls":
         """Of each ``_FAN`` in a row one that holds them."""
         starts = np.arange(0, len(self.radius), _FAN)
         middle = (np.minimum.reduceat(self.middle, starts) + np.maximum.reduceat(self.middle, starts)) / 2

@@ -1,7 +1,5 @@
 """The coarse model of a survey or of a block of it, made of previews: poses, cameras, points, and who sees them."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -76,7 +74,7 @@ class CoarseModel:
         }
 
     @staticmethod
-    def from_npz(data: Mapping[str, np.ndarray]) -> CoarseModel:
+    def from_npz(data: Mapping[str, np.ndarray]) -> "CoarseModel":
         """Inverse of ``to_npz``."""
         kinds = [camera_from_dict(json.loads(str(c))) for c in data["cameras"]]
         rigs = tuple(rig_from_dict(json.loads(str(r))) for r in data["rigs"])

@@ -1,7 +1,5 @@
 """Points that stand for the surveyed surface: of a model, of a scan, or at an assumed range from poses alone."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -23,7 +21,7 @@ class View:
     slope: float  # tangent of half the field of view across and down that is taken where there is no camera
 
     @staticmethod
-    def of(camera: pycolmap.Camera | None, guessed_view_deg: float) -> View:
+    def of(camera: pycolmap.Camera | None, guessed_view_deg: float) -> "View":
         slope = float(np.tan(np.radians(guessed_view_deg / 2)))
         if camera is None:
             return View(None, float(np.arctan(np.sqrt(2) * slope)), slope)
@@ -74,7 +72,7 @@ class Proxy:
     def __len__(self) -> int:
         return len(self.points)
 
-    def keep(self, mask: np.ndarray) -> Proxy:
+    def keep(self, mask: np.ndarray) -> "Proxy":
         """Only the points of a mask (P,)."""
         number = np.cumsum(mask) - 1
         seen = mask[self.point]

@@ -8,8 +8,6 @@ second model must find the same, or that camera stays as given and its pairs are
 does not hold together only the largest part is believed, and the receipt says so.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,7 +38,7 @@ class Trust:
     sound: bool
 
     @staticmethod
-    def none(images: int) -> Trust:
+    def none(images: int) -> "Trust":
         """That in no model."""
         nothing = np.zeros(0, np.int64)
         return Trust(

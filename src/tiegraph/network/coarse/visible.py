@@ -6,8 +6,6 @@ not seen from behind, and not from much further than by those that observed it. 
 occupied cell of i one vote, so that a cluster of points on one facade does not stand for the whole image.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -51,7 +49,7 @@ class Overlap:
         return np.where(own[at] == key, self.share[at], 0.0)
 
     @staticmethod
-    def together(parts: Sequence[Overlap]) -> Overlap:
+    def together(parts: "Sequence[Overlap]") -> "Overlap":
         """One list of several that have no pair in common."""
         if not parts:
             return Overlap(*np.zeros((2, 0), np.int32), *np.zeros((3, 0)))
@@ -59,7 +57,7 @@ class Overlap:
         order = np.lexsort((columns[1], columns[0]))
         return Overlap(*(c[order] for c in columns))
 
-    def where(self, mask: np.ndarray) -> Overlap:
+    def where(self, mask: np.ndarray) -> "Overlap":
         """The rows of a mask (K,)."""
         return Overlap(*(getattr(self, n)[mask] for n in self.__dataclass_fields__))
 

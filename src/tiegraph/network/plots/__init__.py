@@ -1,20 +1,24 @@
-"""Pictures of the network as PNG bytes: correspondence matrix and offset curves; the others by name from here too.
+"""Pictures of the network as PNG: correspondence matrix, offset curves and surfaces, sections and what the up
+camera showed along the passes; the map by name from here too.
 
 The funnel: how many pairs each filter leaves (paper 002, table 1).
 """
 
+import os.path
 from collections.abc import Sequence
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
+from matplotlib.ticker import FuncFormatter, MaxNLocator
 
 from tiegraph.network.offsets.curves import OffsetCurve
-from tiegraph.network.plots.common import BLUE, DPI, grouped
-from tiegraph.network.plots.map import map_png, weak_pairs
-from tiegraph.network.plots.sections import sections_png
-from tiegraph.network.plots.surfaces import surfaces_png
+from tiegraph.network.offsets.surface import OffsetSurface
+from tiegraph.network.plots.map import BLUE, DPI, INK, RED, edges_of, grouped, map_png, weak_pairs
+from tiegraph.network.sections.light import Cue
+from tiegraph.network.sections.sections import Section
 from tiegraph.scene.figures import png
 from tiegraph.scene.pairs import REASON_LOOKS, REASONS, Pairs
 from tiegraph.scene.scene import Scene
@@ -26,6 +30,12 @@ __all__ = [
 MATRIX_CELLS = 1200  # cells a side at most: larger matrices are reduced by their most telling entry
 MAX_PANELS = 60
 NEVER = "#ffffff"
+MAX_PAIRS = 8  # couples of passes in one picture
+_SMALL = 12  # panels of camera pairs beside the rig's
+_UNSEEN = "#eeeeee"
+_LONG = 19  # characters that fit above a small panel
+_BAND_IN = 3.5  # height of a couple
+_PANEL_IN = 2.2
 
 
 def matrix_png(pairs: Pairs, scene: Scene) -> bytes:
@@ -206,3 +216,157 @@ def funnel_png(pairs: Pairs, images: int) -> bytes:
     share = 100 * left[-1] / max(every, 1)
     axes.set_title(f"From {grouped(every)} pairs of images to {grouped(left[-1])} ({share:.1f} %)", loc="left")
     return png(figure)
+
+
+def surfaces_png(surfaces: Sequence[OffsetSurface]) -> bytes:
+    """One band a couple of passes: left the rig's surface, beside it the strongest camera pairs."""
+    couples = list(dict.fromkeys((s.pass_a, s.pass_b) for s in surfaces))
+    by_couple = {c: [s for s in surfaces if (s.pass_a, s.pass_b) == c] for c in couples}
+    shown = sorted(couples, key=lambda c: -_weight(by_couple[c][0]))[:MAX_PAIRS]
+    shown = [c for c in couples if c in shown]
+    height = 0.75 + _BAND_IN * len(shown) + 0.15
+    figure = Figure(figsize=(13, height), dpi=DPI)
+    for k, couple in enumerate(shown):
+        _band(figure, by_couple[couple], 1 - (0.75 + _BAND_IN * k) / height, _BAND_IN / height)
+    text = "What the frames of two passes share: preview matches above chance, smoothed over neighbouring frames"
+    more = f" ({len(couples) - len(shown)} weaker couples of passes not shown)" if len(couples) > len(shown) else ""
+    figure.text(0.03, 1 - 0.3 / height, text + more, fontsize=12)
+    key = (
+        "black line: border of what is kept; red: path the rig follows from frame to frame; grey: not looked at; "
+        "blue: from none to the most of the rig (left) and of its best camera pair (right)"
+    )
+    figure.text(0.03, 1 - 0.53 / height, key, fontsize=9, color="#555555")
+    return png(figure)
+
+
+def _weight(surface: OffsetSurface) -> float:
+    return float(np.nansum(np.where(surface.kept, surface.evidence, 0)))
+
+
+def _band(figure: Figure, surfaces: Sequence[OffsetSurface], top: float, height: float) -> None:
+    inch = height / _BAND_IN
+    a, b = surfaces[0].pass_a, surfaces[0].pass_b
+    title = f"pass {a} with itself" if a == b else f"passes {a} and {b}"
+    figure.text(0.03, top - 0.2 * inch, title, fontsize=11, weight="bold")
+    bottom = top - height
+    large = figure.add_axes((0.055, bottom + 0.5 * inch, 0.2, 2.55 * inch))
+    _draw(large, surfaces[0], float(np.nanmax(surfaces[0].evidence, initial=1)), 1.4)
+    large.set_title("whole rig (all camera pairs)" if len(surfaces) > 1 else "", fontsize=9, pad=3)
+    large.set_xlabel(f"frame in {b}", fontsize=9)
+    large.set_ylabel(f"frame in {a}", fontsize=9)
+    large.tick_params(labelsize=8, length=2)
+    most = max((float(np.nanmax(s.evidence, initial=1)) for s in surfaces[1:]), default=1.0)
+    ending = _ending([name for s in surfaces[1:] for name in s.sensors.split(" – ")])
+    for k, surface in enumerate(surfaces[1 : 1 + _SMALL]):
+        row, column = divmod(k, 6)
+        left, low = 0.3 + 0.115 * column, bottom + (1.93 - 1.43 * row) * inch
+        small = figure.add_axes((left, low, 0.095, 1.12 * inch))
+        _draw(small, surface, most, 0.7)
+        label = surface.sensors.replace(ending, "") if len(surface.sensors) > _LONG else surface.sensors
+        small.set_title(label, fontsize=min(8.0, 8.0 * _LONG / len(label)), pad=2)
+        small.tick_params(labelsize=6, length=1.5, pad=1)
+
+
+def _ending(names: Sequence[str]) -> str:
+    """What all names end with, as in left_camera and right_camera; a name of its own stays whole."""
+    end = os.path.commonprefix([name[::-1] for name in names])[::-1]
+    return end if end and all(len(name) > len(end) for name in names) else "\n"
+
+
+def _draw(axes: Axes, s: OffsetSurface, most: float, line: float) -> None:
+    axes.set_facecolor(_UNSEEN)
+    shown = np.ma.masked_invalid(s.evidence)
+    axes.pcolormesh(edges_of(s.columns), edges_of(s.rows), shown, cmap="Blues", vmin=0, vmax=most)
+    if min(s.kept.shape) > 1 and s.kept.any() and not s.kept.all():
+        axes.contour(s.columns, s.rows, s.kept.astype(float), levels=[0.5], colors="#222222", linewidths=0.7)
+    axes.plot(s.path, s.rows, color=RED, lw=line)
+    across, down = edges_of(s.columns), edges_of(s.rows)
+    axes.set_xlim(float(across[0]), float(across[-1]))
+    axes.set_ylim(float(down[-1]), float(down[0]))
+    axes.xaxis.set_major_locator(MaxNLocator(nbins=4, integer=True))
+    axes.yaxis.set_major_locator(MaxNLocator(nbins=4, integer=True))
+
+
+def sections_png(scene: Scene, sections: Sequence[Section], cues: Sequence[Cue]) -> bytes:
+    """One panel a cue: its values by frame, the threshold of each pass, the sections as coloured bands."""
+    frames = np.lexsort((scene.sequence_index, scene.sequence))
+    frames = frames[np.any([np.isfinite(c.values[frames]) for c in cues], axis=0)]
+    height = 0.7 + _PANEL_IN * len(cues) + 0.5
+    figure = Figure(figsize=(10, height), dpi=DPI)
+    panel: Axes | None = None
+    for k, cue in enumerate(cues):
+        bottom = (0.5 + _PANEL_IN * (len(cues) - 1 - k) + 0.1) / height
+        panel = figure.add_axes((0.075, bottom, 0.91, (_PANEL_IN - 0.3) / height))
+        _bands(panel, scene, sections, frames, named=k == 0)
+        _values(panel, scene, cue, frames)
+        _ticks(panel, scene, frames, last=k == len(cues) - 1)
+    if panel is not None:
+        panel.set_xlabel("frame of the pass", fontsize=9)
+    figure.text(0.03, 1 - 0.28 / height, "Bridge and open sections by the up camera", fontsize=12)
+    key = "brown: bridge; blue: open sky; dashed: threshold of the pass (none: the cue did not decide)"
+    figure.text(0.03, 1 - 0.5 / height, key, fontsize=8.5, color="#555555")
+    return png(figure)
+
+
+def _bands(axes: Axes, scene: Scene, sections: Sequence[Section], frames: np.ndarray, named: bool) -> None:
+    of_frame, sequence = scene.section[frames], scene.sequence[frames]
+    edges = np.r_[0, 1 + np.flatnonzero((np.diff(of_frame) != 0) | (np.diff(sequence) != 0)), len(frames)]
+    for a, b in zip(edges[:-1], edges[1:]):
+        section = sections[of_frame[a]] if 0 <= of_frame[a] < len(sections) else None
+        dark = section is not None and section.kind == "bridge"
+        axes.axvspan(a - 0.5, b - 0.5, color="#dccfbf" if dark else "#e8f1f8", lw=0)
+        if named and section is not None and b - a >= max(2, 0.03 * len(frames)):
+            axes.text((a + b - 1) / 2, 1.02, section.name, transform=axes.get_xaxis_transform(), ha="center",
+                      fontsize=8, color=INK)  # fmt: skip
+    for e in 1 + np.flatnonzero(np.diff(sequence)):
+        axes.axvline(e - 0.5, color=INK, lw=1.2)
+
+
+def _values(axes: Axes, scene: Scene, cue: Cue, frames: np.ndarray) -> None:
+    place, values = np.arange(len(frames)), cue.values[frames]
+    axes.set_xlim(-0.5, len(frames) - 0.5)
+    axes.set_ylabel(cue.name + (", grey value" if "255" in cue.unit else ""), fontsize=8.5)
+    if "255" in cue.unit:
+        axes.set_ylim(0, 255)
+    elif np.nanmax(values, initial=0) <= 1 and np.nanmin(values, initial=1) >= 0 and not cue.unit:
+        axes.set_ylim(0, 1.05)
+    else:
+        axes.set_yscale("log")
+    for sequence in np.unique(scene.sequence[frames]):
+        own = np.flatnonzero(scene.sequence[frames] == sequence)
+        size = 3.0 if len(frames) < 400 else 1.2
+        axes.plot(place[own], values[own], "o-", ms=size, lw=1.1, color=BLUE)
+        threshold = float(cue.threshold[frames[own[0]]])
+        if np.isfinite(threshold):
+            axes.plot([own[0] - 0.5, own[-1] + 0.5], [threshold] * 2, color=RED, lw=1, ls="--")
+            axes.annotate(f"{threshold:.3g}", (own[-1] + 0.4, threshold), (0, 2), textcoords="offset points",
+                          ha="right", fontsize=8, color=RED)  # fmt: skip
+    axes.tick_params(labelsize=8)
+
+
+def _ticks(axes: Axes, scene: Scene, frames: np.ndarray, last: bool) -> None:
+    """Whole numbers of frames, counted anew in every pass; the passes' names inside the lowest panel."""
+    sequence = scene.sequence[frames]
+    start = np.array([int(np.argmax(sequence == t)) for t in sequence]) if len(frames) else np.zeros(0, int)
+
+    def rank(value: float, _: int | None = None) -> str:
+        k = round(value)
+        return str(k - int(start[k])) if 0 <= k < len(frames) and abs(value - k) < 1e-6 else ""
+
+    starts = np.unique(start)
+    if len(starts) > 1:
+        most = max(1, 14 // len(starts))
+        steps = [s for s in (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000) if s * most >= len(frames) / len(starts)]
+        step = steps[0] if steps else 2000
+        ends = np.r_[starts[1:], len(frames)]
+        axes.set_xticks(np.concatenate([np.arange(a, b, step) for a, b in zip(starts, ends)]))
+    else:
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    axes.xaxis.set_major_formatter(FuncFormatter(rank))
+    if not last:
+        axes.tick_params(labelbottom=False)
+        return
+    for t in np.unique(sequence):
+        name = f"pass {scene.sequences[t]}" if 0 <= t < len(scene.sequences) else "loose"
+        axes.annotate(name, (float(np.flatnonzero(sequence == t)[0]) - 0.3, 0), (2, 3), textcoords="offset points",
+                      xycoords=("data", "axes fraction"), fontsize=9, color=INK)  # fmt: skip

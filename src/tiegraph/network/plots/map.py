@@ -1,7 +1,5 @@
 """The tie graph on the map: frames at their positions, ties by kind, weak links in red."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -14,11 +12,27 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import laplacian
 from scipy.sparse.linalg import eigsh
 
-from tiegraph.network.plots.common import DPI, INK, RED, grouped
 from tiegraph.scene.figures import plain_text, png
 from tiegraph.scene.pairs import Pairs
-from tiegraph.scene.places import between_neighbours
-from tiegraph.scene.scene import Scene
+from tiegraph.scene.scene import Scene, between_neighbours
+
+DPI = 110
+BLUE, RED, INK = "#1b6ca8", "#c0392b", "#444444"
+
+
+def edges_of(nodes: np.ndarray) -> np.ndarray:
+    """(K + 1,) borders of cells around rising numbers (K,): half way to the neighbours."""
+    nodes = np.asarray(nodes, float)
+    if len(nodes) < 2:
+        return np.array([nodes[0] - 0.5, nodes[0] + 0.5]) if len(nodes) else np.zeros(1)
+    middle = 0.5 * (nodes[:-1] + nodes[1:])
+    return np.r_[2 * nodes[0] - middle[0], middle, 2 * nodes[-1] - middle[-1]]
+
+
+def grouped(number: float) -> str:
+    """A whole number with spaces between thousands."""
+    return f"{round(number):,}".replace(",", " ")
+
 
 MAX_NODES = 300  # more frames than this are drawn as runs of neighbours
 MAX_LINES = 2500  # the strongest of each kind
@@ -128,7 +142,7 @@ def _by_ties(kept: Pairs, scene: Scene) -> np.ndarray:
     if not 4 < n <= _SPECTRAL_LIMIT or not len(kept):
         return circle
     # A faint tie of all to all keeps separate parts apart and the problem well posed.
-    strength = _strength(kept)
+    strength = np.where(kept.inliers > 0, kept.inliers, kept.score).astype(float)  # verified, else of previews
     usual = max(float(np.nanmean(strength)), 1.0) if np.isfinite(strength).any() else 1.0
     graph = coo_array((np.nan_to_num(strength / usual, nan=1.0), (a, b)), shape=(n, n)).tocsr()
     dense, root = laplacian((graph + graph.T).toarray() + 0.02, normed=True, return_diag=True)
@@ -140,11 +154,6 @@ def _by_ties(kept: Pairs, scene: Scene) -> np.ndarray:
     # Ranks on each axis, half way: clusters of look-alikes would else fall on one dot.
     rank = np.argsort(np.argsort(place, axis=0, kind="stable"), axis=0) / n - 0.5
     return 0.5 * place / max(float(np.abs(place).max()), 1e-9) + 0.5 * rank
-
-
-def _strength(pairs: Pairs) -> np.ndarray:
-    """(P,) verified matches, else those of previews."""
-    return np.where(pairs.inliers > 0, pairs.inliers, pairs.score).astype(float)
 
 
 def _joined(place: np.ndarray, scene: Scene) -> _Nodes:
@@ -204,7 +213,7 @@ class _Page:
     across: bool
 
     @staticmethod
-    def make(nodes: _Nodes, count: int) -> _Page:
+    def make(nodes: _Nodes, count: int) -> "_Page":
         place = nodes.place if len(nodes.place) else np.zeros((1, 2))
         low, high = place.min(axis=0), place.max(axis=0)
         room = (0.04 + _HIGHEST) * max(float((high - low).max()), 1e-9)

@@ -25,11 +25,9 @@ import numpy as np
 from tiegraph.geometry import transforms
 from tiegraph.network.coarse.pairshare import pair_share
 from tiegraph.network.passes import MatchCache, Pass
-from tiegraph.network.poses.headings import with_headings
-from tiegraph.network.poses.poses import PoseResult, pose_pairs, prior_views, view_cameras
+from tiegraph.network.poses.poses import PoseResult, pose_pairs, prior_views, view_cameras, with_headings
 from tiegraph.network.settings import CandidatesSettings
-from tiegraph.network.tuning import Tuning
-from tiegraph.network.tuning.poses import PriorTuning
+from tiegraph.network.tuning import PriorTuning, Tuning
 from tiegraph.scene.evidence import RARELY, mostly_more
 from tiegraph.scene.pairs import Pairs, pair_key
 from tiegraph.scene.scene import Scene

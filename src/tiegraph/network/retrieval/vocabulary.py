@@ -6,8 +6,6 @@ photographs 0.83 instead of 0.79 of the pairs that SIFT verifies; whitening by t
 worse (0.23). Nothing is downloaded.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -29,7 +27,7 @@ class BagsOfWords:
     def __len__(self) -> int:
         return int(self.weights.shape[0])
 
-    def among(self, images: np.ndarray) -> BagsOfWords:
+    def among(self, images: np.ndarray) -> "BagsOfWords":
         """The words of some images (K,), in their order."""
         return BagsOfWords(csr_array(self.weights[images]))
 

@@ -13,8 +13,10 @@ from typing import Any
 import numpy as np
 
 from tiegraph.network.passes import Pass
-from tiegraph.network.tuning.sections import SectionsTuning
+from tiegraph.network.tuning import SectionsTuning
 from tiegraph.scene.scene import Scene
+
+_GAMMA = 2.2  # of grey values, to make them proportional to light
 
 
 @dataclass(frozen=True)
@@ -115,7 +117,7 @@ def read_cues(scene: Scene, passes: Sequence[Pass], light: UpLight, tuning: Sect
         and np.mean(np.isfinite(stop[known]) & (stop[known] > 0)) >= tuning.known_exposure
     ):
         with np.errstate(invalid="ignore", divide="ignore"):
-            luminance = np.where(stop > 0, (grey / 255) ** tuning.gamma / stop, np.nan)
+            luminance = np.where(stop > 0, (grey / 255) ** _GAMMA / stop, np.nan)
         cues.append(_cue(_luminance(tuning), luminance, passes, tuning))
     else:
         cues.append(_cue(_brightness(tuning), grey, passes, tuning))

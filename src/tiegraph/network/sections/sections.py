@@ -9,7 +9,7 @@ from scipy.sparse.csgraph import maximum_bipartite_matching
 
 from tiegraph.network.passes import Pass, find_passes
 from tiegraph.network.sections.light import Cue, UpLight, read_cues, two_states
-from tiegraph.network.tuning.sections import SectionsTuning
+from tiegraph.network.tuning import SectionsTuning
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
 

@@ -105,7 +105,7 @@ class SignificanceTuning(Section):
 
 
 class CopiesTuning(Section):
-    """Passes that hold the same pictures (`copies.py`)."""
+    """Passes that hold the same pictures (`offsets.py`)."""
 
     max_shift: float = Field(0.003, ge=0)
     """Of the image size: median motion of a copy."""

@@ -1,7 +1,5 @@
 """Glue of watch: one step after another, files that have arrived become previews, ties and poses."""
 
-from __future__ import annotations
-
 import json
 import logging
 import statistics
@@ -45,6 +43,7 @@ _BATCH = 8  # images of a step: a folder that is full already shows its first po
 _RECENT = 100  # images of the median time
 
 log = logging.getLogger(__name__)
+_DRAWN_TIES = 4000  # on the page at most, the strongest
 
 
 def watch(run: Run, port: int, tuning: Tuning) -> None:
@@ -296,9 +295,9 @@ class Watched:
         if scene is None:
             out["surface"] = shown_surface(self._models, np.eye(4), 1.0)
         else:
-            least, drawn = self.run.settings.candidates.min_matches, self.tuning.drawn_ties
+            least = self.run.settings.candidates.min_matches
             poses = self._known(scene).poses
-            out |= shown_scene(scene, self.ties(scene), poses, self._models, least=least, drawn=drawn)
+            out |= shown_scene(scene, self.ties(scene), poses, self._models, least=least, drawn=_DRAWN_TIES)
             broken = {**{d.name: d.reason for d in scene.dropped}, **broken}
             out["notes"] = list(scene.notes)
         out["broken"] = [[name, why] for name, why in sorted(broken.items())]

@@ -1,7 +1,5 @@
 """Glue of watch: the coarse model of what has arrived, made in a process of its own, and the surface it shows."""
 
-from __future__ import annotations
-
 import logging
 import threading
 import time
@@ -24,11 +22,11 @@ from tiegraph.pipeline.watch.ties import matched
 from tiegraph.project.inputs import Inputs
 from tiegraph.project.run import Run
 from tiegraph.project.settings import Settings
+from tiegraph.scene.graph import strongest_pairs
 from tiegraph.scene.matches import PreviewMatches
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.rig import rig_from_dict, rig_to_dict
 from tiegraph.scene.scene import Scene
-from tiegraph.scene.strongest import strongest_pairs
 from tiegraph.watch.tuning import ModelTuning
 
 log = logging.getLogger(__name__)

@@ -1,7 +1,5 @@
 """Glue of watch: what the page shows, of scene, ties, poses and the surface of the last model."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

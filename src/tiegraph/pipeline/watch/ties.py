@@ -1,7 +1,5 @@
 """Glue of watch: previews of new images, the pairs that their order proposes, their matches, and poses by them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -29,10 +27,9 @@ def make_preview(scene: Scene, image: int, source: Path, folder: Path, settings:
     """The preview of an image into the run folder. Raises InputError for a file that can no longer be read."""
     name = scene.names[image]
     prepared = folder / _PREPARED / name
-    tuning = settings.tuning
-    prepare_image(source, prepared, scene.sensor_of(image), settings.scan, tuning.scan.pictures)
+    prepare_image(source, prepared, scene.sensor_of(image), settings.scan)
     try:
-        made = extract_preview(read_image(prepared), None, settings.preview, tuning.features)
+        made = extract_preview(read_image(prepared), None, settings.preview, settings.tuning.features)
     finally:
         prepared.unlink(missing_ok=True)
     save_npz(preview_path(folder, name), **made.to_npz())

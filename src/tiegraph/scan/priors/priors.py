@@ -19,7 +19,7 @@ from tiegraph.scan.priors.trajectory import read_trajectory, same_start, traject
 from tiegraph.scan.rigfiles.rigspec import AXES
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import TimesTuning, TrajectoryTuning, Tuning
-from tiegraph.scene.bags.topics import source_of
+from tiegraph.scene.bags import source_of
 from tiegraph.scene.gnss import read_gnss
 from tiegraph.scene.results import Trajectory
 
@@ -116,7 +116,7 @@ def _times(frames: Frames, file: Path | None, files: dict, notes: list[str], tun
     if np.isfinite(out).any():
         notes.append(f"{np.isnan(out).sum()} of {len(out)} frames have no EXIF time")
         return out
-    named = _unless_one(name_times(frames.rows, frames.names, tuning), "file names", notes)
+    named = _unless_one(name_times(frames.rows, frames.names), "file names", notes)
     if np.isfinite(named).any():
         notes.append("times of the frames read from the file names")
         return named

@@ -15,8 +15,6 @@ component (rotation, translation, scale) leads on to the Earth and is not needed
 whose world may be any. Cameras are called by labels, which are file names, mostly without their ending.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections import Counter
@@ -75,7 +73,7 @@ def read_start(path: Path) -> StartModel:
 # --- COLMAP ---------------------------------------------------------------------------------------------------------
 
 
-def _colmap(folder: Path) -> Found:
+def _colmap(folder: Path) -> "Found":
     model = read_model(folder)
     cameras = {
         key: FoundCamera(
@@ -101,7 +99,7 @@ def _colmap(folder: Path) -> Found:
 # --- nerfstudio -----------------------------------------------------------------------------------------------------
 
 
-def _transforms(path: Path) -> Found:
+def _transforms(path: Path) -> "Found":
     data = read_json(path, ACCEPTED)
     poses = poses_of_transforms(data, path)
     cameras: dict[str, FoundCamera] = {}

@@ -21,6 +21,7 @@ _FRAME = ("frame", "frame_id", "frame_name", "shot")
 _PASS = ("pass", "track", "run", "strip")
 _UNIX_NAME = re.compile(r"(?:^|\D)(\d{10}(?:[._]\d{1,9})?|\d{13}|\d{16}|\d{19})$")
 _DATE_NAME = re.compile(r"(?:^|\D)((?:19|20)\d{6})[_\-T ]?(\d{6})(\d{0,6})(?:\D|$)")
+_UNIX_RANGE_S = (631152000.0, 4102444800.0)  # 1990 ... 2100: other numbers of ten digits are serial numbers
 
 
 @dataclass(frozen=True)
@@ -235,21 +236,21 @@ def exif_times(frames: Sequence[FrameRow], exif: Sequence[Exif]) -> np.ndarray:
     return out
 
 
-def name_times(frames: Sequence[FrameRow], names: Sequence[str], tuning: TimesTuning) -> np.ndarray:
+def name_times(frames: Sequence[FrameRow], names: Sequence[str]) -> np.ndarray:
     """(F,) times written in the file names, as Unix time or as a date; NaN for all unless every frame has one."""
     stems = [PurePosixPath(names[f.images[0]]).stem for f in frames]
-    found = np.array([time_in_name(stem, tuning) for stem in stems], float)
+    found = np.array([time_in_name(stem) for stem in stems], float)
     if len(found) < 2 or np.isnan(found).any():
         return np.full(len(frames), np.nan)
     return found
 
 
-def time_in_name(stem: str, tuning: TimesTuning) -> float:
+def time_in_name(stem: str) -> float:
     """The time that a file's stem is, seconds since 1970; NaN if it is none."""
     match = _UNIX_NAME.search(stem)
     if match:
         seconds = float(in_seconds(np.array([float(match[1].replace("_", "."))]))[0])
-        if tuning.unix_range_s[0] <= seconds <= tuning.unix_range_s[1]:
+        if _UNIX_RANGE_S[0] <= seconds <= _UNIX_RANGE_S[1]:
             return seconds
     match = _DATE_NAME.search(stem)
     if match:

@@ -11,8 +11,7 @@ from tiegraph.errors import InputError
 from tiegraph.geometry.transforms import angle_deg, quaternion_xyzw
 from tiegraph.scan.folders import words
 from tiegraph.scan.tuning import TrajectoryTuning
-from tiegraph.scene.bags.bag import Bag, Topic, open_bag, stamp_ns
-from tiegraph.scene.bags.topics import is_bag, split_topics
+from tiegraph.scene.bags import Bag, Topic, is_bag, open_bag, split_topics, stamp_ns
 from tiegraph.scene.namedposes import has_named_poses, read_named_poses
 from tiegraph.scene.names import clean
 from tiegraph.scene.posefile import PoseFile, checked_poses, read_poses

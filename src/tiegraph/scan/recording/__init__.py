@@ -15,7 +15,7 @@ used.
 from dataclasses import dataclass
 from pathlib import Path
 
-from tiegraph.scene.bags.topics import shown
+from tiegraph.scene.bags import shown
 from tiegraph.scene.names import clean
 
 

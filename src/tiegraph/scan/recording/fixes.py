@@ -1,13 +1,15 @@
 """Positions that a camera's own receiver wrote into its video: which are believed, and where a frame was taken."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
 
 from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scene.exif import Taken
+
+# 2000 ... 2100: times outside are those of clocks that were never set (0 = 1904, 1970).
+RECORDED_RANGE_S = (946684800.0, 4102444800.0)
+_MOST_HEIGHT_M = 100_000.0  # above or below the sea: other numbers are no heights
 
 
 @dataclass(frozen=True)
@@ -23,7 +25,7 @@ class Readings:
     def __len__(self) -> int:
         return len(self.stamp_s)
 
-    def take(self, rows: np.ndarray) -> Readings:
+    def take(self, rows: np.ndarray) -> "Readings":
         """Some of them: a mask or numbers."""
         return Readings(
             stamp_s=self.stamp_s[rows],
@@ -64,7 +66,7 @@ def believed(readings: Readings, tuning: PicturesTuning) -> tuple[Readings, str]
     """Those with a fix and a DOP that is not too large, in order of their stamps; and how many were left out, why."""
     lat, lon, height = readings.lat_lon_height.T
     no_fix = (readings.fix < 2) | ((lat == 0) & (lon == 0))
-    on_earth = (np.abs(lat) <= 90) & (np.abs(lon) <= 180) & ~(np.abs(height) > tuning.most_height_m)
+    on_earth = (np.abs(lat) <= 90) & (np.abs(lon) <= 180) & ~(np.abs(height) > _MOST_HEIGHT_M)
     nowhere = ~no_fix & ~on_earth
     poor = ~no_fix & on_earth & (readings.dop > tuning.most_dop)
     reasons = {
@@ -77,7 +79,7 @@ def believed(readings: Readings, tuning: PicturesTuning) -> tuple[Readings, str]
     good = good.take(np.argsort(good.stamp_s, kind="stable"))
     level = good.lat_lon_height.copy()
     level[good.fix == 2, 2] = np.nan
-    first, last = tuning.recorded_range_s
+    first, last = RECORDED_RANGE_S
     time = np.where((good.time_s >= first) & (good.time_s <= last), good.time_s, np.nan)
     kept = Readings(good.stamp_s, time, level, fix=good.fix, dop=good.dop)
     return kept, f"{len(kept)} of {len(readings)} fixes used" + (f" ({words} left out)" if words else "")

@@ -17,7 +17,7 @@ from tiegraph.errors import InputError
 from tiegraph.scan.rigfiles.cameraforeign import agisoft, is_agisoft, is_opensfm, opensfm
 from tiegraph.scan.rigfiles.cameraread import NUMBER, FoundCamera
 from tiegraph.scan.rigfiles.camerayaml import is_kalibr, is_opencv, kalibr, opencv
-from tiegraph.scan.rigfiles.rigfaults import lens_fault
+from tiegraph.scan.rigfiles.rigfaults import MAX_SIDE_PX, lens_fault
 from tiegraph.scan.rigfiles.rigreader import nearest
 from tiegraph.scan.tuning import CameraTuning
 from tiegraph.scene.regular import regular
@@ -63,8 +63,8 @@ def check_lens(found: FoundCamera, tuning: CameraTuning) -> None:
     if found.size is None:
         return
     width, height = found.size
-    if max(found.size) > tuning.max_side_px:
-        raise InputError(f"{found.where}: images of {width} x {height}: at most {tuning.max_side_px} are read; mend it")
+    if max(found.size) > MAX_SIDE_PX:
+        raise InputError(f"{found.where}: images of {width} x {height}: at most {MAX_SIDE_PX} are read; mend it")
     camera = pycolmap.Camera(model=found.model, width=width, height=height, params=list(found.params))
     if wrong := lens_fault(camera, tuning):
         raise InputError(f"{found.where}: {wrong}")

@@ -12,6 +12,11 @@ from tiegraph.scan.tuning import CameraTuning, RigTuning
 from tiegraph.scene.rays import on_plane
 from tiegraph.scene.rig import PAIR_KEYS, SensorPair
 
+MAX_SIDE_PX = 100_000  # of an image that a rig file may name
+SIGMA_M, SIGMA_DEG = (1e-6, 100.0), (1e-6, 180.0)  # sigmas of lengths and angles, from and to
+_STEPS = 24  # along a line from the middle to the edge
+_EDGE = 0.95  # share of that line that is looked at: calibrations may fold in the last corner pixels
+
 
 @dataclass(frozen=True)
 class Fault:
@@ -28,8 +33,8 @@ def faults(spec: RigSpec, tuning: RigTuning) -> Iterator[Fault]:
     yield from _far_apart(spec, tuning.max_rig_m)
     for number, sensor in enumerate(spec.sensors):
         for key, value, (_, most) in (
-            ("sigma_m", sensor.sigma_m, tuning.sigma_m),
-            ("sigma_deg", sensor.sigma_deg, tuning.sigma_deg),
+            ("sigma_m", sensor.sigma_m, SIGMA_M),
+            ("sigma_deg", sensor.sigma_deg, SIGMA_DEG),
         ):
             if value is not None and value > most:
                 yield Fault(
@@ -106,9 +111,9 @@ def _pair(pair: SensorPair, number: int, tuning: RigTuning) -> Iterator[Fault]:
         )
     limits = {
         "baseline_m": (0.0, tuning.max_rig_m),
-        "baseline_sigma_m": tuning.sigma_m,
+        "baseline_sigma_m": SIGMA_M,
         "axis_deg": (0.0, 180.0),
-        "axis_sigma_deg": tuning.sigma_deg,
+        "axis_sigma_deg": SIGMA_DEG,
     }
     for key, (least, most) in limits.items():
         value = values[key]
@@ -170,12 +175,12 @@ def _perspective(camera: pycolmap.Camera) -> bool:
 def _fold(camera: pycolmap.Camera, middle: np.ndarray, fisheye: bool, tuning: CameraTuning) -> str:
     said = f"{camera.model.name} with the parameters {[float(f'{p:.6g}') for p in camera.params]}"
     limit = tuning.round_trip * max(camera.width, camera.height)
-    share = np.linspace(0, 1, tuning.steps + 1)[1:, None]
+    share = np.linspace(0, 1, _STEPS + 1)[1:, None]
     for end in _ends(camera, middle, fisheye, tuning):
         if np.linalg.norm(end - middle) < limit:  # the principal point is at that edge
             continue
-        pixels = middle + tuning.edge * share * (end - middle)
-        rays = np.array([_ray(camera, p) for p in pixels])
+        pixels = middle + _EDGE * share * (end - middle)
+        rays = np.array([np.append(on_plane(camera, p[None])[0], 1.0) for p in pixels])
         off = np.array([_pixel(camera, r) for r in rays]) - pixels
         lost = ~(np.hypot(off[:, 0], off[:, 1]) < limit)
         outward = rays[:, :2] @ (end - middle) / np.linalg.norm(end - middle)
@@ -184,7 +189,7 @@ def _fold(camera: pycolmap.Camera, middle: np.ndarray, fisheye: bool, tuning: Ca
         if lost.any():
             x, y = pixels[int(np.argmax(lost))]
             return f"{said} folds or tears the image at pixel ({x:.0f}, {y:.0f}): are the distortion parameters right?"
-        straight = np.linalg.norm((end - middle) * tuning.edge) / camera.mean_focal_length()
+        straight = np.linalg.norm((end - middle) * _EDGE) / camera.mean_focal_length()
         stretch = float(angle[-1] if fisheye else np.tan(angle[-1])) / straight
         if not tuning.stretch[0] <= stretch <= tuning.stretch[1]:
             return (
@@ -202,10 +207,6 @@ def _ends(camera: pycolmap.Camera, middle: np.ndarray, fisheye: bool, tuning: Ca
         return middle + tuning.fisheye_middle * min(width, height) / 2 * np.stack([np.cos(turn), np.sin(turn)], axis=1)
     x, y = middle
     return np.array([[0, 0], [x, 0], [width, 0], [0, y], [width, y], [0, height], [x, height], [width, height]], float)
-
-
-def _ray(camera: pycolmap.Camera, pixel: np.ndarray) -> np.ndarray:
-    return np.append(on_plane(camera, pixel[None])[0], 1.0)
 
 
 def _pixel(camera: pycolmap.Camera, ray: np.ndarray) -> np.ndarray:

@@ -54,10 +54,10 @@ from tiegraph.errors import InputError
 from tiegraph.geometry.transforms import invert, rigid
 from tiegraph.scan.rigfiles.camerafile import check_lens, read_camera_file
 from tiegraph.scan.rigfiles.cameraread import only_one
-from tiegraph.scan.rigfiles.rigfaults import faults, lens_fault
+from tiegraph.scan.rigfiles.rigfaults import MAX_SIDE_PX, faults, lens_fault
 from tiegraph.scan.rigfiles.rigkalibr import kalibr_rig
 from tiegraph.scan.rigfiles.rigreader import Reader, is_number
-from tiegraph.scan.rigfiles.rigspec import AXES, PRESET_WORDS, RigSpec, SensorSpec, orient
+from tiegraph.scan.rigfiles.rigspec import AXES, PRESET_WORDS, UNIT, RigSpec, SensorSpec, orient
 from tiegraph.scan.tuning import RigTuning
 from tiegraph.scene.regular import regular
 from tiegraph.scene.rig import PAIR_KEYS, ROLES, SensorPair
@@ -80,6 +80,7 @@ _COLMAP_KEYS = (
 _KALIBR = (".yaml", ".yml")
 RIG_NAME = "rig"  # of a file that gives none: a file's own name says how it was sent, not what it describes
 _TURNS = ("yaw_pitch_roll_deg", "body_from_sensor_wxyz", "body_from_sensor")
+_MAX_FOCAL_PX = 1e6  # that a rig file may name
 
 
 def read_rig_file(path: Path | str, tuning: RigTuning) -> tuple[RigSpec, ...]:
@@ -256,7 +257,7 @@ class _TomlReader(Reader):
         if len(matrix) == 4 and not np.array_equal(matrix[3], [0, 0, 0, 1]):
             raise self.fail(key, f"{key}: the fourth row must be 0, 0, 0, 1", table, number)
         rotation = matrix[:3, :3]
-        if not np.allclose(rotation @ rotation.T, np.eye(3), atol=self.tuning.unit) or np.linalg.det(rotation) < 0:
+        if not np.allclose(rotation @ rotation.T, np.eye(3), atol=UNIT) or np.linalg.det(rotation) < 0:
             raise self.fail(
                 key, f"{key}: not a rotation (rows of length 1, at right angles, right-handed)", table, number
             )
@@ -280,11 +281,11 @@ class _TomlReader(Reader):
         if params is not None and "model" not in data:
             raise self.fail("params", f"camera of {where}: params need a model, for example OPENCV", *at)
         model = self.model(data["model"], params, *at) if "model" in data else None
-        for key, most in (("focal_px", can.max_focal_px), ("hfov_deg", can.max_hfov_deg)):
+        for key, most in (("focal_px", _MAX_FOCAL_PX), ("hfov_deg", 360.0)):
             value = data.get(key, 1.0)
             if not is_number(value) or not 0 < value <= most:
                 raise self.fail(key, f"{key} = {value!r:.99}: expected a number above 0, at most {most:g}", *at)
-        if size is not None and (any(v != int(v) for v in size) or not 1 <= min(size) <= max(size) <= can.max_side_px):
+        if size is not None and (any(v != int(v) for v in size) or not 1 <= min(size) <= max(size) <= MAX_SIDE_PX):
             raise self.fail("size", f"size = {data['size']!r}: expected width and height in whole pixels", *at)
         if size is not None and params is not None and model is not None:
             lens = pycolmap.Camera(model=model, width=int(size[0]), height=int(size[1]), params=params)

@@ -16,7 +16,7 @@ from tiegraph.scan.rigfiles.camerafile import check_count, check_lens
 from tiegraph.scan.rigfiles.cameraread import exactly, matrix_of
 from tiegraph.scan.rigfiles.camerayaml import kalibr, kalibr_blocks
 from tiegraph.scan.rigfiles.rigfaults import faults
-from tiegraph.scan.rigfiles.rigspec import RigSpec, SensorSpec
+from tiegraph.scan.rigfiles.rigspec import UNIT, RigSpec, SensorSpec
 from tiegraph.scan.tuning import RigTuning
 
 _CHAIN = "T_cn_cnm1"
@@ -31,7 +31,7 @@ def kalibr_rig(path: Path, content: str, name: str, tuning: RigTuning) -> RigSpe
         check_count(found.model, found.params, found.where)
         check_lens(found, tuning.camera)
         if number:
-            pose = pose @ invert(_link(blocks[camera], f"{path}, {camera}", tuning))
+            pose = pose @ invert(_link(blocks[camera], f"{path}, {camera}"))
         sensors.append(
             SensorSpec(
                 name=camera,
@@ -49,7 +49,7 @@ def kalibr_rig(path: Path, content: str, name: str, tuning: RigTuning) -> RigSpe
     return rig
 
 
-def _link(block: str, where: str, tuning: RigTuning) -> np.ndarray:
+def _link(block: str, where: str) -> np.ndarray:
     """(4, 4) from the camera before to this one."""
     given = matrix_of(block, _CHAIN)
     if not given:
@@ -59,11 +59,7 @@ def _link(block: str, where: str, tuning: RigTuning) -> np.ndarray:
         )
     matrix = np.array(exactly(given, 16, f"{where}: {_CHAIN}")).reshape(4, 4)
     turn = matrix[:3, :3]
-    good = (
-        np.isfinite(matrix).all()
-        and np.allclose(turn @ turn.T, np.eye(3), atol=tuning.unit)
-        and np.linalg.det(turn) > 0
-    )
+    good = np.isfinite(matrix).all() and np.allclose(turn @ turn.T, np.eye(3), atol=UNIT) and np.linalg.det(turn) > 0
     if not good or not np.array_equal(matrix[3], [0, 0, 0, 1]):
         raise InputError(f"{where}: {_CHAIN} is no rotation and place (4 rows of 4, the last 0, 0, 0, 1)")
     return matrix

@@ -12,7 +12,7 @@ import pycolmap
 from tiegraph.errors import InputError
 from tiegraph.geometry.transforms import from_quaternion_wxyz
 from tiegraph.scan.rigfiles.rigfaults import Fault
-from tiegraph.scan.rigfiles.rigspec import RigSpec
+from tiegraph.scan.rigfiles.rigspec import UNIT, RigSpec
 from tiegraph.scan.tuning import RigTuning
 from tiegraph.scene.table import text_lines
 
@@ -114,7 +114,7 @@ class Reader:
 
     def quaternion(self, q: tuple[float, ...], key: str, table: str = "", number: int = 0) -> np.ndarray:
         """Rotation (3, 3) of a unit quaternion, w first."""
-        if abs(np.linalg.norm(q) - 1) > self.tuning.unit:
+        if abs(np.linalg.norm(q) - 1) > UNIT:
             raise self.fail(key, f"{key}: the quaternion has length {np.linalg.norm(q):.4g}, not 1", table, number)
         return from_quaternion_wxyz(np.array(q), np.zeros(3))[:3, :3]
 

@@ -19,6 +19,9 @@ AXES = {
 }
 LADYBUG_SIDES = 5
 PRESET_WORDS = "ladybug5, ring:N, stereo, stereo:BASELINE, single, panorama"
+UNIT = 1e-3  # by so much may the length of a quaternion, or a product of two rows of a rotation, miss what it must be
+_MAX_RING = 360  # cameras of the preset ring
+_LADYBUG_HFOV_DEG = 90.0  # of a rectified side image of the preset ladybug5, about
 
 
 @dataclass(frozen=True)
@@ -98,7 +101,7 @@ def preset_sizes(text: str, tuning: RigTuning) -> tuple[int, ...]:
     word, _, number = text.strip().lower().partition(":")
     if word == "ring":
         count = _number(number, text)
-        if count != int(count) or not 2 <= count <= tuning.max_ring:
+        if count != int(count) or not 2 <= count <= _MAX_RING:
             raise InputError(f"--rig {text}: a ring has 2 or more cameras, for example ring:5")
         return (int(count),)
     if word == "stereo":
@@ -134,7 +137,7 @@ def preset(text: str, folders: tuple[str, ...], tuning: RigTuning) -> RigSpec:
         return _named("single", [np.eye(4)], folders)
     poses = _ring(LADYBUG_SIDES) + [rigid(orient(0, 90, 0), np.zeros(3))]
     rig = _named("ladybug5", poses[: len(folders)], folders)
-    sensors = [replace(s, hfov_deg=tuning.ladybug_hfov_deg) for s in rig.sensors]
+    sensors = [replace(s, hfov_deg=_LADYBUG_HFOV_DEG) for s in rig.sensors]
     sensors[LADYBUG_SIDES:] = [replace(s, role="up") for s in sensors[LADYBUG_SIDES:]]
     return replace(rig, sensors=tuple(sensors))
 

@@ -5,8 +5,6 @@ ROS has no rule but a habit: the topics below one name are of one camera (/left/
 folder of the pictures is called as what stands before ``image``: left.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -21,13 +19,13 @@ import numpy as np
 from tiegraph.errors import InputError
 from tiegraph.scan.folders import is_camera
 from tiegraph.scan.recording import Recording
+from tiegraph.scan.recording.fixes import RECORDED_RANGE_S
 from tiegraph.scan.rigfiles.camerafile import check_lens
 from tiegraph.scan.rigfiles.cameraread import FoundCamera
 from tiegraph.scan.rigfiles.camerayaml import opencv
 from tiegraph.scan.tuning import CameraTuning, PicturesTuning
 from tiegraph.scan.videos.videotime import VideoClock
-from tiegraph.scene.bags.bag import Bag, Topic, open_bag, stamp_ns
-from tiegraph.scene.bags.topics import METADATA, SUFFIXES, in_full, is_bag, of_topic, shown
+from tiegraph.scene.bags import METADATA, SUFFIXES, Bag, Topic, in_full, is_bag, of_topic, open_bag, shown, stamp_ns
 from tiegraph.scene.gnss.navsat import KINDS as FIXES
 from tiegraph.scene.images import files_below
 
@@ -122,7 +120,7 @@ def _camera_name(topic: str) -> str:
 
 
 @contextmanager
-def open_topic(bag_path: Path, topic: str, tuning: PicturesTuning) -> Iterator[BagFilm]:
+def open_topic(bag_path: Path, topic: str, tuning: PicturesTuning) -> "Iterator[BagFilm]":
     """An image topic of a bag. Raises what ``open_bag`` raises, and InputError if the topic is none of images."""
     with open_bag(bag_path) as bag:
         yield BagFilm(bag, bag.only(KINDS, (topic,)), tuning)
@@ -169,7 +167,7 @@ class BagFilm:
     def clock(self, shift_s: float) -> VideoClock:
         """The clock of the headers, ``shift_s`` later: one for all topics of a bag."""
         start_s, name = self._start_ns * 1e-9, shown(self._bag.path, self._topic.name)
-        low, high = self._tuning.recorded_range_s
+        low, high = RECORDED_RANGE_S
         dated = low <= start_s <= high
         when = f"{datetime.fromtimestamp(start_s, timezone.utc):%Y-%m-%d %H:%M:%S} UTC" if dated else f"{start_s:.3f} s"
         late = f"which it was received {(self._received_ns - self._start_ns) * 1e-9:.3f} s after"

@@ -34,6 +34,7 @@ _TAKEN = ".taken.json"  # hidden: no image
 _SAME_S = 1e-6  # by so much are stamps rounded
 
 Frame = tuple[float, np.ndarray]  # stamp in s since the first frame, BGR picture
+_MAX_FPS = 1000.0  # frames a second from which the header of a video is not believed
 
 
 @dataclass(frozen=True)
@@ -70,11 +71,11 @@ class OpenVideo:
 
     broken = "cannot be decoded as a video: convert it to H.264 in MP4, or extract its pictures"
 
-    def __init__(self, capture: cv2.VideoCapture, max_fps: float) -> None:
+    def __init__(self, capture: cv2.VideoCapture) -> None:
         self._capture = capture
         self.count = self.unstamped = 0
         fps = float(capture.get(cv2.CAP_PROP_FPS)) if capture.isOpened() else 0.0
-        self.fps = fps if 0 < fps < max_fps else 0.0
+        self.fps = fps if 0 < fps < _MAX_FPS else 0.0
         self.expected = float(capture.get(cv2.CAP_PROP_FRAME_COUNT))
 
     def frames(self) -> Iterator[Frame]:
@@ -115,7 +116,7 @@ def check_film(recording: Recording) -> None:
 def open_film(recording: Recording, tuning: PicturesTuning) -> Iterator[OpenVideo | BagFilm]:
     """A video, one track of it, or the topic of a bag. Raises InputError for a bag that is damaged."""
     if recording.topic is None:
-        with _open_video(recording, tuning) as video:
+        with _open_video(recording) as video:
             yield video
     else:
         with open_topic(recording.file, recording.topic, tuning) as topic:
@@ -123,7 +124,7 @@ def open_film(recording: Recording, tuning: PicturesTuning) -> Iterator[OpenVide
 
 
 @contextmanager
-def _open_video(recording: Recording, tuning: PicturesTuning) -> Iterator[OpenVideo]:
+def _open_video(recording: Recording) -> Iterator[OpenVideo]:
     """By OpenCV."""
     os.environ.setdefault("OPENCV_FFMPEG_CAPTURE_OPTIONS", "protocol_whitelist;file")  # a play list may name a server
     with ExitStack() as stack:
@@ -133,7 +134,7 @@ def _open_video(recording: Recording, tuning: PicturesTuning) -> Iterator[OpenVi
             view = stack.enter_context(OneVideoTrack(recording.file, recording.track))
             capture = cv2.VideoCapture(view, cv2.CAP_FFMPEG, [])  # type: ignore[call-overload]
         stack.callback(capture.release)
-        yield OpenVideo(capture, tuning.max_fps)
+        yield OpenVideo(capture)
 
 
 def _capture(video: Path) -> cv2.VideoCapture:
@@ -172,7 +173,7 @@ def take_pictures(
         with open_film(recording, tuning) as opened:
             for number, (stamp, picture) in choice.pick(opened.frames()):
                 target = partial / f"{folder.name}_{number:06d}.jpg"
-                write_pixels(target, picture[..., ::-1], tuning, clock.taken(stamp))
+                write_pixels(target, picture[..., ::-1], clock.taken(stamp))
                 numbers.append(number)
                 stamps.append(stamp)
         found = Pictures(tuple(numbers), tuple(stamps), _said(name, choice.words, len(stamps), opened, tuning))

@@ -9,7 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
-from tiegraph.scan.recording.fixes import Fixes, Readings, believed
+from tiegraph.scan.recording.fixes import RECORDED_RANGE_S, Fixes, Readings, believed
 from tiegraph.scan.recording.gpmf import Telemetry, read_gpmf
 from tiegraph.scan.recording.insta360 import BrokenTrailer, read_trailer
 from tiegraph.scan.recording.tracks import boxes
@@ -77,7 +77,7 @@ def video_clock(video: Path, settings: ScanSettings, tuning: PicturesTuning) -> 
     if subtitles is not None and np.isfinite(subtitles.start_s):
         start = subtitles.start_s + told.all_s
         return VideoClock(start_s=start, known=True, places=subtitles, note="; ".join(notes))
-    container = _container(video, told.from_end, tuning)
+    container = _container(video, told.from_end)
     telemetry = None if subtitles is not None else read_gpmf(video, settings.max_gap_s, tuning)
     if telemetry is not None:
         found = _by_telemetry(telemetry, container, told, tuning)
@@ -150,9 +150,9 @@ def _zone(fixes: Readings, clock: VideoClock, length_s: float, tuning: PicturesT
     return zone if fits else None
 
 
-def _container(video: Path, from_end: bool, tuning: PicturesTuning) -> _Container:
+def _container(video: Path, from_end: bool) -> _Container:
     created = _created(video)
-    if created is None or not tuning.recorded_range_s[0] <= created[0] <= tuning.recorded_range_s[1]:
+    if created is None or not RECORDED_RANGE_S[0] <= created[0] <= RECORDED_RANGE_S[1]:
         remedy = "--scan.video-offset says when it began (seconds since 1970)"
         said = f"it does not say when it was recorded: its times count from its start; {remedy}"
         return _Container(0.0, known=False, length_s=created[1] if created else 0.0, said=said)

@@ -17,7 +17,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from tiegraph.scene.bags.topics import is_bag
+from tiegraph.scene.bags import is_bag
 from tiegraph.scene.gnss import columns, geotxt, mrk, navsat, nmea, rtklib, sbet, xmltracks
 from tiegraph.scene.gnss.columns import IMAGE
 from tiegraph.scene.gnss.fixes import HEIGHT_RANGE_M, SIGMA_RANGE_M, Fixes, judged
@@ -54,7 +54,7 @@ FORMATS: dict[str, Format] = {
 
 
 def read_gnss(path: Path, tuning: GnssTuning) -> Gnss:
-    """Read positions of any of ``FORMATS``, or of a ROS bag (of a topic of one: ``scene.bags.topics``).
+    """Read positions of any of ``FORMATS``, or of a ROS bag (of a topic of one: ``scene.bags``).
 
     Rows without a usable position are left out and noted with their lines. Raises InputError, naming file and line, for
     what cannot be read, is damaged, or has no usable row.

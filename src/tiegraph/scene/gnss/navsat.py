@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from tiegraph.errors import InputError
-from tiegraph.scene.bags.bag import open_bag, stamp_ns
-from tiegraph.scene.bags.topics import split_topics
+from tiegraph.scene.bags import open_bag, split_topics, stamp_ns
 from tiegraph.scene.gnss.fixes import Fixes
 
 KINDS = ("sensor_msgs/NavSatFix",)

@@ -1,7 +1,5 @@
 """Positions of a receiver, and what they can be among each other: in order of time, without leaps, a place an image."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -30,7 +28,7 @@ class Gnss:
     line: tuple[int, ...] = ()  # (G,) line of the file each row stands in; in a binary one, its record
     period_s: float = 0.0  # times count within a day (UTC) or a GPS week that nothing names; 0 = from an epoch
 
-    def only(self, keep: np.ndarray, notes: Sequence[str]) -> Gnss:
+    def only(self, keep: np.ndarray, notes: Sequence[str]) -> "Gnss":
         """Some rows (K,), with other notes."""
         names, line = (tuple(c[k] for k in keep) if c else () for c in (self.names, self.line))
         place, sigma = self.lat_lon_height[keep], self.sigma_m[keep]

@@ -1,4 +1,14 @@
-"""An opened bag: its topics, and their messages one after another."""
+"""Recordings of ROS 1 and ROS 2 (bags), as far as a survey needs them; read by ``rosbags``, an extra.
+
+A bag is named by its path, and some of what it holds by its topics, ``run.bag:/gps/fix`` or
+``run.bag:/left/image,/right/image``, wherever a file can be named. Only messages of ROS's own packages are read. Their
+definitions have been the same in every release, so those that stand in the bag, or are missing in it, do not matter.
+Messages come one after another: a bag may be larger than the memory. Positions are read in ``scene.gnss.navsat``, poses
+in ``scan.priors.trajectory``, pixels in ``scan.videos.bagfilms``, which asks which topics are cameras.
+
+A message has two times: of its header, when it was measured, and of its receipt, later by what the way takes. The first
+counts; where it is not set, the second.
+"""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -7,11 +17,59 @@ from pathlib import Path
 from typing import Any
 
 from tiegraph.errors import EngineMissing, InputError
-from tiegraph.scene.bags.topics import ROS1, in_full, of_topic
 from tiegraph.scene.names import clean
 from tiegraph.scene.regular import regular
 
 _LISTED = 12  # topics in an error
+ROS1 = (".bag", ".active")  # the second while it is recorded
+SUFFIXES = (*ROS1, ".mcap", ".db3")
+METADATA, _MARK, _HEAD = "metadata.yaml", b"rosbag2_bagfile_information", 4096
+
+
+def split_topics(path: Path) -> tuple[Path, tuple[str, ...]]:
+    """What a path names, and the topics that stand behind it: (``run.bag``, ("/gps/fix",)), or (the path, ())."""
+    head, _, tail = str(path).rpartition(":")
+    bag = Path(head)
+    if not head or not tail or path.exists() or not (bag.is_dir() or _is_file(bag)):
+        return path, ()
+    return bag, tuple(in_full(name) for name in tail.split(",") if name.strip("/"))
+
+
+def in_full(topic: str) -> str:
+    """A topic's name with the slash before it, which need not be written."""
+    return f"/{topic.strip('/')}"
+
+
+def source_of(path: Path) -> Path:
+    """What a path names, without topics."""
+    return split_topics(path)[0]
+
+
+def of_topic(bag: Path, topic: str) -> Path:
+    """The name of a topic of a bag."""
+    return Path(f"{bag}:{topic}")
+
+
+def shown(bag: Path, topic: str) -> str:
+    """A topic of a bag, without the folders it lies in."""
+    return clean(str(of_topic(Path(bag.name), topic)))
+
+
+def is_bag(path: Path) -> bool:
+    """Whether a path is that of a bag, or of topics of one: a file by its suffix, a folder by its metadata.yaml and the
+    files beside it."""
+    bag = source_of(path)
+    if not bag.is_dir():
+        return _is_file(bag)
+    try:
+        with regular(bag / METADATA).open("rb") as file:
+            return _MARK in file.read(_HEAD) or any(f.suffix.lower() in SUFFIXES for f in bag.iterdir())
+    except OSError:
+        return False
+
+
+def _is_file(path: Path) -> bool:
+    return path.suffix.lower() in SUFFIXES and path.exists()
 
 
 @dataclass(frozen=True)

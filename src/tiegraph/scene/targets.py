@@ -1,24 +1,104 @@
-"""Scale bars in a control point file: a table of two names, a length and its sigma.
+"""Coded targets and scale bars as their files name them, and corners of what is printed black on white.
 
-The header has the columns from, to, length and, if known, sigma and role (bar or check); lengths are in metres, or as
-the header says in brackets: ``from,to,length (mm),sigma (mm)``.
+A target is named by its family and number: ``tag36h11:12``, ``tag25h9:3``, ``4x4_50:7``, ``aruco_original:5``,
+``DICT_6X6_250:1``; the families are OpenCV's dictionaries.
+
+A scale bar is a row of a table in a control point file. The header has the columns from, to, length and, if known,
+sigma and role (bar or check); lengths are in metres, or as the header says in brackets: ``from,to,length (mm),sigma
+(mm)``.
+
+The corners, found by OpenCV to hundredths of a pixel, serve boards (``calibrate``) and targets (``targets``) alike.
 """
 
 import re
 from dataclasses import dataclass
+from functools import cache
 
+import cv2
 import numpy as np
 
 from tiegraph.errors import InputError
 from tiegraph.scene.table import Table, number
 from tiegraph.scene.tuning import ControlTuning
 
+FORM = "a target is named by its family and number, such as tag36h11:12 or 4x4_50:7"
+_NAME = re.compile(r"\s*([A-Za-z][\w ]*|\d[xX]\d_\d+)\s*:\s*(\d{1,6})\s*")
+_APRILTAG, _ARUCO = "apriltag_", "aruco_"
+
+
+@dataclass(frozen=True, order=True)
+class Target:
+    """A coded target: the name of its family, as OpenCV calls it in lower case without DICT_, and its number."""
+
+    family: str
+    number: int
+
+    @property
+    def name(self) -> str:
+        """As a user writes it."""
+        return f"{self.family.replace(_APRILTAG, 'tag')}:{self.number}"
+
+
+def target_of(name: str) -> Target | None:
+    """The target that a point's name means, None if it is the name of no target."""
+    found = _NAME.fullmatch(name)
+    if found is None:
+        return None
+    family = found[1].lower().removeprefix("dict_").replace(" ", "")
+    known = families()
+    for spelling in (
+        family,
+        re.sub(r"^(april)?tag_?", _APRILTAG, family),
+        family.removeprefix(_ARUCO),
+        _ARUCO + family,
+    ):
+        if spelling in known:
+            return Target(spelling, int(found[2]))
+    return None
+
+
+@cache
+def families() -> dict[str, str]:
+    """OpenCV's names of the dictionaries by family, each once."""
+    out: dict[int, str] = {}
+    for name in sorted(n for n in dir(cv2.aruco) if n.startswith("DICT_")):
+        out.setdefault(int(getattr(cv2.aruco, name)), name)
+    return {name.lower().removeprefix("dict_"): name for name in out.values()}
+
+
+@cache
+def dictionary(family: str) -> cv2.aruco.Dictionary:
+    """OpenCV's dictionary of a family."""
+    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, families()[family]))
+
+
+def count_of(family: str) -> int:
+    """How many targets a family has, numbered from 0."""
+    return len(dictionary(family).bytesList)
+
+
+CENTRE = 0.5  # OpenCV counts pixels from the centre of the first one, COLMAP from its corner
+_REFINED = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 50, 0.001)
+
+
+def refined(pixels: np.ndarray, xy: np.ndarray, free_px: float, share: float, bounds_px: tuple[int, int]) -> np.ndarray:
+    """Corners (K, 2) of an image (H, W) u1, OpenCV's pixels, each where all edges about it meet.
+
+    About each so much (``free_px``) is free of other edges; half the window is a ``share`` of that, within bounds.
+    """
+    half = int(np.clip(round(share * free_px), *bounds_px))
+    places = np.array(xy, np.float32).reshape(-1, 1, 2)
+    return cv2.cornerSubPix(pixels, places, (half, half), (-1, -1), _REFINED).reshape(-1, 2)
+
+
 _FROM = ("from", "first", "target_1", "target1", "point_1", "point1")
 _TO = ("to", "second", "target_2", "target2", "point_2", "point2")
 _LENGTH = ("length", "length_m", "distance", "distance_m")
 _SIGMA = ("sigma", "sigma_m")
 _CHECK = ("check", "checkbar", "check_bar")
-FORM = "scale bars need the columns from, to, length (metres; if known sigma, role: bar or check) in a table of theirs"
+BAR_FORM = (
+    "scale bars need the columns from, to, length (metres; if known sigma, role: bar or check) in a table of theirs"
+)
 
 
 @dataclass(frozen=True)

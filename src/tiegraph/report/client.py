@@ -1,16 +1,75 @@
-"""Where and when a survey was made, as far as the run knows."""
+"""Page one, for the client: what, where, when, how good, whether that is good enough, what is handed over, and the
+three worst problems; on one sheet of paper, with a line to sign."""
 
 from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from tiegraph.geometry.geodesy import Origin, geodetic_from_world
-from tiegraph.report import formatting, summary
+from tiegraph.report import accuracy, formatting, spatial, summary
 from tiegraph.report.runfolder import RunFolder
+from tiegraph.report.settings import ReportSettings
 from tiegraph.report.spatial import Scenery
-from tiegraph.report.texts import t
+from tiegraph.report.summary import Verdict, what_was_done
+from tiegraph.report.texts import said, t
 
+PROBLEMS = 3
+_FILES = {
+    "cloud.copc.laz": "point cloud for viewers (COPC), colours, sigma of each point",
+    "cloud.laz": "point cloud as LAZ, colours, sigma of each point",
+    "cloud.ply": "point cloud as PLY, with normals",
+    "sparse/world": "camera positions and sparse points (COLMAP)",
+    "metrics.json": "accuracy, all figures",
+    "accuracy.csv": "accuracy, as a table",
+}
 _EPOCH_S = 3e8  # a time beyond is counted from 1970, one below from a start of its own
+
+
+def client_page(
+    run: RunFolder, settings: ReportSettings, seen: spatial.Scenery | None, verdict: Verdict
+) -> dict[str, Any]:
+    """The parts of the page, for the template."""
+    about = settings.about
+    fields = ((t("Client"), about.client), (t("Project"), about.project), (t("Equipment"), about.equipment))
+    return {
+        "fields": [*fields, (t("Surveyor"), about.surveyor)],
+        "surveyor": about.surveyor,
+        "what": what_was_done(run),
+        "where": where(run, seen),
+        "when": when(run),
+        "map": spatial.survey_map(seen) if seen is not None else None,
+        "north": seen is not None and seen.north,
+        "answer": accuracy.answer(run.accuracy) if run.accuracy is not None else None,
+        "layers": accuracy.layers(run.accuracy) if run.accuracy is not None else [],
+        "held_by": accuracy.holding(run.accuracy) if run.accuracy is not None else "",
+        "files": sizes(deliverables(run)),
+        "problems": [text[:1].upper() + text[1:] for text in map(said, worst(verdict))],
+    }
+
+
+def worst(verdict: Verdict) -> list[str]:
+    """The worst problems, the worst first: contradictions come before warnings, which are ranked already; [] if the
+    run found nothing wrong."""
+    return [*verdict.contradictions, *verdict.warnings][:PROBLEMS]
+
+
+def deliverables(run: RunFolder) -> list[tuple[str, str, int]]:
+    """(name, what it is, bytes) of each that is there."""
+    there = [(name, run.path / name, words) for name, words in _FILES.items()]
+    return [(name, t(words), _bytes(path)) for name, path, words in there if path.exists()]
+
+
+def sizes(rows: list[tuple[str, str, int]]) -> list[tuple[str, str, str]]:
+    """The same with sizes as text."""
+    return [(name, words, formatting.size(amount)) for name, words, amount in rows]
+
+
+def _bytes(path: Path) -> int:
+    if path.is_dir():
+        return sum(p.stat().st_size for p in path.iterdir() if p.is_file())
+    return path.stat().st_size
 
 
 def middle(run: RunFolder, seen: Scenery | None) -> tuple[float, float, float] | None:
