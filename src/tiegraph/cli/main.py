@@ -121,10 +121,6 @@ def _help() -> int:
     return DONE
 
 
-if __name__ == "__main__":
-    sys.exit(main())
-
-
 @contextlib.contextmanager
 def stoppable(for_good: bool = False) -> Iterator[None]:
     """The stopping signals raise KeyboardInterrupt in the main thread; those ignored from outside (nohup) stay so.
@@ -191,3 +187,7 @@ def _watch(reader: int, heard: tuple[int, ...], over: threading.Event) -> None:
     if not over.wait(_GRACE_S):
         say_stopped()
         os._exit(FAILED)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

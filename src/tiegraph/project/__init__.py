@@ -22,7 +22,7 @@ finished with them.
 **Pool.** ``serial | local[:n] | dask:<address>``: one executor a run, in the main process, never nested. A task is a
 chunk of items; workers get paths and settings and write files themselves. Workers and child processes end with the
 process that started them, also after its SIGKILL. Ctrl-C, SIGTERM and SIGHUP end the run in one line
-(``cli.stopping``), a second one at once. A process that is lost is an error, ``ProcessLost``, that names its signal.
+(``cli.main``), a second one at once. A process that is lost is an error, ``ProcessLost``, that names its signal.
 With Dask (``daskpool``) the workers that are there at the start do the run, after each was checked (same versions;
 run folder and images under the same paths). Each makes one item at a time, and its threads go to the libraries. A
 lost worker ends the run with an error, and the next run continues it. Workers stop between two items when the run has
