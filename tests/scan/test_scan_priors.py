@@ -267,6 +267,18 @@ def test_positions_from_exif(tmp_path: Path) -> None:
     assert scene.origin is not None and scene.origin.crs == "EPSG:6677"
 
 
+@pytest.mark.parametrize(("others", "taken"), [(400.0, False), (2.0, True)])
+def test_a_height_of_nought_among_others_is_none(tmp_path: Path, others: float, taken: bool) -> None:
+    for k in range(5):
+        picture(
+            tmp_path / f"IMG_{k}.jpg", exif=exif_of(lat=35.0, lon=139 + 1e-4 * k, alt=0.0 if k == 2 else others + k)
+        )
+    scene = scan(tmp_path, ScanSettings(crs="ENU"))
+    heights = scene.world_from_rig[:, 2, 3]
+    assert (np.ptp(heights) < 10) and any("1 positions have no height" in n for n in scene.notes) != taken
+    assert (scene.position_sigma_m[2, 2] > 50) != taken
+
+
 @pytest.mark.parametrize("crs", ["ENU", "auto"])
 def test_a_survey_on_both_sides_of_180_degrees_is_one_place(tmp_path: Path, crs: str) -> None:
     for k in range(4):

@@ -264,6 +264,9 @@ def body_of(spec: RigSpec | None) -> tuple[np.ndarray, str]:
     return (np.eye(4), "camera") if spec is None or pose is None else (pose, spec.axes)
 
 
+_NEAR_NOUGHT_M = 5.0  # of a height: where another is so near to 0 metres, 0 may be one
+
+
 def from_exif(
     priors: Priors, frames: Frames, settings: ScanSettings, notes: list[str], tuning: PositionsTuning
 ) -> Priors:
@@ -285,6 +288,10 @@ def from_exif(
         places[k] = np.mean(llh[found[k]], axis=0)
         flat = given[found[k][0]] if np.isfinite(given[found[k][0]]) else settings.gnss_sigma_m
         sigma[k] = flat, flat, tuning.gnss.vertical * flat
+    nought = there & (places[:, 2] == 0)  # what some cameras write while they have no height
+    others = np.abs(places[there & ~nought, 2])
+    if nought.sum() < len(others) and np.nanmin(others, initial=np.inf) > _NEAR_NOUGHT_M:
+        places[nought, 2] = np.nan
     low = there & np.isnan(places[:, 2])
     if low.any():
         places[low, 2] = np.nanmedian(places[:, 2]) if (there & ~low).any() else 0.0
