@@ -44,13 +44,14 @@ def main() -> None:
 
 
 def _flat(images: Path, target: Path) -> dict[str, str]:
-    """Links to all images in one folder; the old name of each."""
+    """Links to all images in one folder, without blanks, at which it ends a name; the old name of each."""
     target.mkdir(parents=True)
     names = {}
     for path in sorted(p for p in images.rglob("*") if p.is_file()):
         old = path.relative_to(images).as_posix()
-        names[old.replace("/", "__")] = old
-        os.symlink(path.resolve(), target / old.replace("/", "__"))
+        new = old.replace("/", "__").replace(" ", "_")
+        names[new] = old
+        os.symlink(path.resolve(), target / new)
     return names
 
 
