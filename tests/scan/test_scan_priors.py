@@ -104,7 +104,7 @@ def test_another_letter_is_an_error_with_its_line(tmp_path: Path) -> None:
         read_gnss(path, GnssTuning())
 
 
-@pytest.mark.parametrize(("pitch", "heading"), [(-90, np.nan), (4, 120)])
+@pytest.mark.parametrize(("pitch", "heading"), [(-90, np.nan), (4, 120), (359.5, 120)])
 def test_the_yaw_of_a_tilted_camera_is_no_heading(tmp_path: Path, pitch: float, heading: float) -> None:
     path = tmp_path / "g.csv"
     path.write_text(f"image,lat,lon,height,yaw,pitch,roll\na.jpg,33.5,70.25,40,120,{pitch},0\n")

@@ -254,11 +254,12 @@ def _operation(crs: str) -> list[str]:
         return []
     used = group.transformers[0]
     better = [o for o in group.unavailable_operations if 0 <= o.accuracy < used.accuracy]
-    grids = sorted({g.short_name for o in better for g in o.grids if not g.available})
     text = f"between it and WGS84 places are good to {used.accuracy:g} m"
-    return [
-        text + (f" (with the grid {grids[0]}, which projsync fetches, to {better[0].accuracy:g} m)" if grids else "")
-    ]
+    if not better:
+        return [text]
+    best = min(better, key=lambda o: o.accuracy)
+    grids = ", ".join(sorted({g.short_name for g in best.grids if not g.available}))
+    return [f"{text} (with {grids}, which projsync fetches, to {best.accuracy:g} m)"]
 
 
 class _Transformer:

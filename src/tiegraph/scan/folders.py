@@ -239,11 +239,9 @@ def _camera_level_by_structure(
         if likeness < tuning.named and len(shared) >= tuning.equal_names * min(map(len, groups)):
             equal = f"the folders {_some(levels[0])} hold equal file names"
             apart = _apart([[g[s] for s in sorted(shared)] for g in groups], tuning)
-            return (
-                (None, f"{equal}, but {apart}: no cameras of a rig (if they are, give --scan.layout cameras)")
-                if apart
-                else (0, equal)
-            )
+            if apart:
+                return None, f"{equal}, but {apart}: no cameras of a rig (if they are, give --scan.layout cameras)"
+            return 0, equal
     if uniform and len(levels) == 2:
         below = [{t[1] for t in tails if t[0] == f} for f in levels[0]]
         if len(below) > 1 and len(below[0]) > 1 and all(b == below[0] for b in below):

@@ -152,9 +152,10 @@ def _sigma(table: Table, notes: list[str]) -> np.ndarray:
 def _heading(table: Table, notes: list[str]) -> np.ndarray:
     found = table.find(_HEADING)
     values = table.numbers(found)
-    tilted = [k for k, c in enumerate(table.columns) if set(c.split("_")) & set(_TILT)]
+    lat = table.find(_LAT)  # may be called phi
+    tilted = [k for k, c in enumerate(table.columns) if k != lat and set(c.split("_")) & set(_TILT)]
     if found is not None and tilted:
-        most = max(float(np.nanmax(np.abs(table.numbers(k)), initial=0)) for k in tilted)
+        most = max(float(np.nanmax(np.abs((table.numbers(k) + 180) % 360 - 180), initial=0)) for k in tilted)
         if most > _LEVEL_DEG:
             notes.append(
                 f"{table.path.name}: {', '.join(table.columns[k] for k in (found, *tilted))}: cameras tilted by up to "
