@@ -54,7 +54,7 @@ STAGES = (
     _stage("preview", ("scan", "masks"), ("preview",), "image", version=2, tuned=("features",)),
     _stage("candidates", ("scan", "preview"), ("candidates.npz", "candidates"), "pair", version=5,
            scratch=("candidates/matched",), tuned=("scene", "network", "features")),
-    _stage("coarse", ("scan", "preview", "candidates"), ("coarse.npz", "coarse"), "block", version=7,
+    _stage("coarse", ("scan", "preview", "candidates"), ("coarse.npz", "coarse"), "block", version=8,
            uses=("candidates",), scratch=("coarse/blocks", "coarse/mapping", "coarse/matched"),
            tuned=("scene", "network", "features", "sfm")),
     _stage("network", ("scan", "masks", "preview", "coarse"), ("network.npz", "network.csv", "network"), version=8,
