@@ -249,8 +249,22 @@ def _by_camera(spec: RigSpec, shots: tuple[Shot, ...], usable: Usable, report: R
     return Survey(tuple(specs), tuple(replace(s, rig=order.index(camera(s))) for s in shots), loose)
 
 
+def zoomed(probes: Sequence[Probe]) -> Sequence[Probe]:
+    """Probes with focal lengths that count a digital zoom: where images that differ in it alone have one focal length,
+    EXIF leaves it out."""
+    keys = [str((e.make, e.model, e.lens, e.focal_mm, e.focal_px)) for e in (p.exif for p in probes)]
+    kinds: dict[str, set[float]] = {}
+    for key, probe in zip(keys, probes):
+        kinds.setdefault(key, set()).add(probe.exif.zoom)
+    return [
+        p if len(kinds[key]) == 1 else replace(p, exif=replace(p.exif, focal_px=p.exif.focal_px * p.exif.zoom))
+        for key, p in zip(keys, probes)
+    ]
+
+
 def _millimetres(exif: Exif) -> str:
-    return f"{exif.focal_mm:.1f}mm" if np.isfinite(exif.focal_mm) else ""
+    zoom = f" zoom {exif.zoom:g}" if exif.zoom > 1 else ""
+    return f"{exif.focal_mm:.1f}mm{zoom}" if np.isfinite(exif.focal_mm) else ""
 
 
 def _lenses(usable: Usable) -> set[tuple[str, str]]:
