@@ -115,7 +115,7 @@ def _place(gps: dict, xmp: Place, rtk: bool) -> tuple[Place, str]:
     """
     if rtk and _is_place(xmp):
         return xmp, ""
-    lat, lon, height, sigma = _angle(gps, 2, 1, "S"), _angle(gps, 4, 3, "W"), _height(gps), _positive(gps.get(31))
+    lat, lon, height = _angle(gps, 2, 1, "S"), _angle(gps, 4, 3, "W"), _height(gps)
     known, given = bool(_text(gps.get(1)) and _text(gps.get(3))), 2 in gps or 4 in gps
     empty = np.isnan([lat, lon]).all() or (lat, lon) == (0, 0)
     if empty or (_rounds(lat, xmp.lat_deg) and _rounds(lon, xmp.lon_deg)):
@@ -123,9 +123,7 @@ def _place(gps: dict, xmp: Place, rtk: bool) -> tuple[Place, str]:
             lat, lon, known, given = xmp.lat_deg, xmp.lon_deg, True, True
     if not height > 0 and not height < 0 and np.isfinite(xmp.height_m):
         height = xmp.height_m
-    up = NAN if rtk else xmp.sigma_up_m
-    if np.isnan(sigma) and not rtk:
-        sigma = xmp.sigma_m
+    sigmas = (_positive(gps.get(31)), NAN) if rtk or 31 in gps else (xmp.sigma_m, xmp.sigma_up_m)
     if not given:
         return Place(), ""
     if np.isnan([lat, lon]).all():
@@ -134,17 +132,17 @@ def _place(gps: dict, xmp: Place, rtk: bool) -> tuple[Place, str]:
         return Place(), f"latitude {lat:g}, longitude {lon:g} is no place on the Earth"
     if lat == 0 and lon == 0:
         return Place(), "latitude 0, longitude 0 is what a receiver without a fix writes"
-    if sigma > SIGMA_RANGE_M[1]:
-        return Place(), f"an accuracy of {sigma:g} m is none"
-    lat, lon, sigma, doubt = _in_wgs84(gps, lat, lon, sigma)
-    if not known:
-        doubt = "nothing says whether it is north or south, east or west (N and E assumed)"
-    if _text(gps.get(9)).upper() == "V":
-        doubt = "the receiver had no fix when it was taken (GPSStatus V), so the position may be an old one"
+    if sigmas[0] > SIGMA_RANGE_M[1]:
+        return Place(), f"an accuracy of {sigmas[0]:g} m is none"
+    flat, up = (s if s >= SIGMA_RANGE_M[0] else NAN for s in sigmas)
+    place = Place(lat_deg=lat, lon_deg=lon, height_m=height, sigma_m=flat, sigma_up_m=up)
     if np.isfinite(height) and not HEIGHT_RANGE_M[0] <= height <= HEIGHT_RANGE_M[1]:
-        height, doubt = NAN, f"height {height:g} m is none (the position is taken without it)"
-    sigma, up = (s if s >= SIGMA_RANGE_M[0] else NAN for s in (sigma, up))
-    return Place(lat, lon, height, sigma, up), doubt
+        return place._replace(height_m=NAN), f"height {height:g} m is none (the position is taken without it)"
+    if _text(gps.get(9)).upper() == "V":
+        return place, "the receiver had no fix when it was taken (GPSStatus V), so the position may be an old one"
+    if not known:
+        return place, "nothing says whether it is north or south, east or west (N and E assumed)"
+    return _in_wgs84(place, _text(gps.get(18)))
 
 
 def _rounds(coarse_deg: float, fine_deg: float) -> bool:
@@ -154,15 +152,14 @@ def _rounds(coarse_deg: float, fine_deg: float) -> bool:
     return abs(coarse - fine) <= 10.0**-digits
 
 
-def _in_wgs84(gps: dict, lat: float, lon: float, sigma: float) -> tuple[float, float, float, str]:
-    """Latitude, longitude and sigma in WGS 84 of those in the datum that EXIF names, and what is doubtful."""
-    datum = _text(gps.get(18))
+def _in_wgs84(place: Place, datum: str) -> tuple[Place, str]:
+    """A position in the datum that EXIF names, in WGS 84, and what is doubtful."""
     plain = re.sub(r"[^A-Z0-9]", "", datum.upper())
     if plain == "TOKYO":
-        lon, lat, _ = crs_transformer(_TOKYO).transform(lon, lat, 0.0, "INVERSE")
-        return lat, lon, max(_TOKYO_SIGMA_M, np.nan_to_num(sigma)), ""
+        lon, lat, _ = crs_transformer(_TOKYO).transform(place.lon_deg, place.lat_deg, 0.0, "INVERSE")
+        return place._replace(lat_deg=lat, lon_deg=lon, sigma_m=max(_TOKYO_SIGMA_M, np.nan_to_num(place.sigma_m))), ""
     doubt = f"its datum is {datum}, which may lie hundreds of metres from WGS 84"
-    return lat, lon, sigma, "" if _LIKE_WGS84.fullmatch(plain) else doubt
+    return place, "" if _LIKE_WGS84.fullmatch(plain) else doubt
 
 
 def _is_place(given: Place) -> bool:

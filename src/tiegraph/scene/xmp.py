@@ -69,11 +69,11 @@ def read_place(text: str) -> tuple[Place, bool]:
     if np.isnan(height):
         below = value_of(text, "GPSAltitudeRef", "exif") == "1"
         height = ratio(value_of(text, "GPSAltitude", "exif")) * (-1 if below else 1)
+    flat, up = (number(value_of(text, f"GPS{axes}Accuracy")) for axes in ("XY", "Z"))
     if rtk:
         flat = max(number(value_of(text, tag, _DJI)) for tag in ("RtkStdLat", "RtkStdLon"))
-        return Place(lat, lon, height, flat, number(value_of(text, "RtkStdHgt", _DJI))), True
-    flat, up = (number(value_of(text, f"GPS{axes}Accuracy")) for axes in ("XY", "Z"))
-    return Place(lat, lon, height, flat, up), False
+        up = number(value_of(text, "RtkStdHgt", _DJI))
+    return Place(lat_deg=lat, lon_deg=lon, height_m=height, sigma_m=flat, sigma_up_m=up), rtk
 
 
 def _degrees(text: str) -> float:
