@@ -22,6 +22,7 @@ CRS_WORDS = (
 )
 _MAX_DISTORTION = 0.01  # of lengths in a grid: a UTM zone has 0.001 inside and 0.004 in its neighbours
 _TOLD_DATUM_M = 0.5  # datum operations that are less accurate are told
+_WGS84_M = 6378137.0  # half its longer axis
 _STEP_M = 50.0  # from a place to those that tell the grid's scale there
 FAR_FACTOR, FAR_FLOOR_M = 10.0, 2000.0  # far from the rest: so many of its radii, and so many metres more
 _CENTRES = 200  # positions at most that are tried for the middle of the rest
@@ -239,27 +240,37 @@ def vertical_note(crs: str) -> str:
     heights = "heights are as given, with GNSS above the ellipsoid; no geoid is applied"
     if parsed.is_compound:
         heights = f"heights are {parsed.sub_crs_list[-1].name}"
-    return "; ".join([heights, *_operation(crs)])
+    return "; ".join(filter(None, [heights, datum_note(crs)]))
 
 
-def _operation(crs: str) -> list[str]:
-    """The datum operation of a CRS, its accuracy and the grid that would do it better, where it is off by a metre."""
+def datum_note(crs: str) -> str:
+    """How well a CRS is tied to WGS84, and by which grid it would be better; "" where that is no metre, and for ENU."""
+    if crs.upper() == ENU:
+        return ""
     import pyproj
     from pyproj.transformer import TransformerGroup
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # says the same as unavailable_operations
-        group = TransformerGroup("EPSG:4326", pyproj.CRS.from_user_input(crs))
-    if not group.transformers or not group.transformers[0].accuracy > _TOLD_DATUM_M:
-        return []
-    used = group.transformers[0]
+        parsed = pyproj.CRS.from_user_input(crs)
+        group = TransformerGroup("EPSG:4326", parsed)
+    if not group.transformers:
+        return ""
+    used, ellipsoid = group.transformers[0], parsed.ellipsoid
+    if "Ballpark geographic" in used.description and ellipsoid and abs(ellipsoid.semi_major_metre - _WGS84_M) > 1:
+        return (
+            f"its datum is not named, and on the ellipsoid {ellipsoid.name} places may lie hundreds of metres from "
+            "those of WGS84: give the CRS by its EPSG code, or +towgs84"
+        )
+    if not used.accuracy > _TOLD_DATUM_M:
+        return ""
     better = [o for o in group.unavailable_operations if 0 <= o.accuracy < used.accuracy]
     text = f"between it and WGS84 places are good to {used.accuracy:g} m"
     if not better:
-        return [text]
+        return text
     best = min(better, key=lambda o: o.accuracy)
     grids = ", ".join(sorted({g.short_name for g in best.grids if not g.available}))
-    return [f"{text} (with {grids}, which projsync fetches, to {best.accuracy:g} m)"]
+    return f"{text} (with {grids}, which projsync fetches, to {best.accuracy:g} m)"
 
 
 class _Transformer:

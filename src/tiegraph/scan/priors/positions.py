@@ -7,7 +7,7 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from tiegraph.errors import InputError
-from tiegraph.geometry.geodesy import Origin, area_note, make_origin, middle, world_from_geodetic
+from tiegraph.geometry.geodesy import Origin, area_note, datum_note, make_origin, middle, world_from_geodetic
 from tiegraph.geometry.transforms import rigid
 from tiegraph.scan.priors.times import FrameRow, absent, frame_by_image, plain_name
 from tiegraph.scan.rigfiles.rigspec import AXES, RigSpec
@@ -127,8 +127,9 @@ def _away(gnss: Gnss, time_s: float) -> str:
 
 def _origin(lat_lon_height: np.ndarray, settings: ScanSettings, notes: list[str]) -> Origin:
     origin = make_origin(*middle(lat_lon_height), settings.crs)
-    if settings.crs.lower() != "auto" and (note := area_note(origin.crs, lat_lon_height)):
-        notes.append(note)
+    if settings.crs.lower() != "auto":
+        datum = datum_note(origin.crs)
+        notes += filter(None, [area_note(origin.crs, lat_lon_height), datum and f"--scan.crs {origin.crs}: {datum}"])
     return origin
 
 
