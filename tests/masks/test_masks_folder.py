@@ -18,7 +18,8 @@ def half(high=255):
 
 
 @pytest.mark.parametrize(
-    "file", ["up/cam0/a.jpg.png", "up/cam0/a_mask.png", "up/cam0/a.png", "up/cam0.png", "cam0.png"]
+    "file",
+    ["up/cam0/a.jpg.png", "up/cam0/a_mask.png", "up/cam0/a.mask.png", "up/cam0/a.png", "up/cam0.png", "cam0.png"],
 )
 def test_every_naming_is_found(tmp_path, file):
     write(tmp_path / file, half())
@@ -37,7 +38,7 @@ def test_the_mask_of_the_image_goes_before_that_of_the_camera(tmp_path):
 def test_images_folder_of_the_name_may_be_left_away(tmp_path):
     write(tmp_path / "up/cam0/a.jpg.png", half())
     assert find_mask(tmp_path, "images/" + NAME) is not None
-    assert candidates("a.jpg") == ["a.jpg.png", "a_mask.png", "a.png"]
+    assert candidates("a.jpg") == ["a.jpg.png", "a_mask.png", "a.mask.png", "a.png"]
 
 
 def test_missing_masks_are_listed(tmp_path):

@@ -1,6 +1,7 @@
 """Which images can be used, and which sensor and pass each belongs to: by the rig file, a preset, or a guess."""
 
 import difflib
+import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -281,9 +282,16 @@ def some(texts: Iterable[str]) -> str:
 def usable_images(names: Sequence[str], probes: Sequence[Probe], report: Report) -> Usable:
     """The images that can be read, each file once; the report gets the others. InputError with fewer than two."""
     first: dict[str, str] = {}
-    usable, repeated = [], []
+    usable, repeated, masks = [], [], masks_among(names)
+    if masks:
+        report.notes.append(
+            f"{len(masks)} files are masks of other images by their names, such as {min(masks)}: left out "
+            "(--masks.folder with this folder uses them)"
+        )
     for k, (name, probe) in enumerate(zip(names, probes)):
-        if probe.reason:
+        if name in masks:
+            report.drop([name], f"a mask of {masks[name]} by its name")
+        elif probe.reason:
             report.drop([name], probe.reason)
         elif probe.digest in first:
             report.drop([name], f"the same file as {first[probe.digest]}")
@@ -294,6 +302,19 @@ def usable_images(names: Sequence[str], probes: Sequence[Probe], report: Report)
     report.notes += _say_repeated(repeated, names)
     need_two(len(usable), report)
     return Usable(tuple(usable), tuple(names[k] for k in usable), tuple(probes[k] for k in usable))
+
+
+def masks_among(names: Sequence[str]) -> dict[str, str]:
+    """The image that each mask beside it is of: a.jpg.png (COLMAP), a_mask.png (OpenDroneMap, Metashape, openMVG),
+    a.mask.png (openMVS), dynamic_mask_a.png (instant-ngp)."""
+    images = {str(PurePosixPath(n).with_suffix("")): n for n in names} | {n: n for n in names}
+    found: dict[str, str] = {}
+    for path in map(PurePosixPath, names):
+        of = re.fullmatch(r"(?:dynamic_mask_(.+)|(.+?)[_.]mask|(.+\.\w+))", path.stem, re.IGNORECASE)
+        image = images.get(str(path.with_name(of[1] or of[2] or of[3])), "") if of else ""
+        if image not in ("", str(path)):
+            found[str(path)] = image
+    return found
 
 
 def _say_repeated(repeated: Sequence[tuple[str, str]], names: Sequence[str]) -> list[str]:
