@@ -128,8 +128,11 @@ def _grey(image: Image.Image, labels: bool, path: Path) -> np.ndarray:
 
 
 def _missing(folder: Path, missing: Sequence[str], total: int) -> InputError:
+    plain = PurePosixPath(missing[0]).with_suffix("")
+    jpeg = [n for end in ("_mask.JPG", "_mask.jpg", ".jpg", ".JPG") if (folder / (n := f"{plain}{end}")).is_file()]
+    lossy = f" {jpeg[0]} is there, but JPEG blurs the edges of masks: save PNG." if jpeg else ""
     more = f" and {len(missing) - _LISTED} more" if len(missing) > _LISTED else ""
     return InputError(
-        f"{folder}: no mask for {len(missing)} of {total} images: {', '.join(missing[:_LISTED])}{more}. "
-        f"For {missing[0]} these were looked for: {', '.join(candidates(missing[0]))}"
+        f"{folder}: no mask for {len(missing)} of {total} images: {', '.join(missing[:_LISTED])}{more}."
+        f"{lossy} For {missing[0]} these were looked for: {', '.join(candidates(missing[0]))}"
     )
