@@ -214,8 +214,8 @@ def check_vertical(crs: str) -> None:
     import pyproj
     from pyproj.transformer import TransformerGroup
 
-    parsed = pyproj.CRS.from_user_input(crs)
-    if not parsed.is_compound:
+    parsed = None if crs.upper() == ENU else pyproj.CRS.from_user_input(crs)
+    if parsed is None or not parsed.is_compound:
         return
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # says the same as best_available

@@ -75,7 +75,7 @@ STAGES = (
     _stage("cloud", ("dense",), ("cloud.copc.laz", "cloud.laz", "cloud.ply", "passes"), version=6,
            scratch=(".tiles",), tuned=("evaluate",)),
     _stage("evaluate", ("filter", "georef", "refine", "dense", "cloud"), ("metrics.json", "accuracy.csv", "evaluate"),
-           version=8, scratch=("evaluate/.tiles",), tuned=("scene",), spares=("dense", "cloud")),
+           version=9, scratch=("evaluate/.tiles",), tuned=("scene",), spares=("dense", "cloud")),
     _stage("report", ("evaluate",), ("report.html", "report.json"), version=9, alone=True),
 )
 # fmt: on
