@@ -156,3 +156,11 @@ def test_positions_that_repeat_are_said(tmp_path: Path) -> None:
     for k in range(6):
         picture(tmp_path / f"{k}.jpg", exif=exif_of(lat=35.5 + k // 3 / 1000, lon=139.25, alt=100.0 + k))
     assert any("4 of 6 positions are those of another frame" in n for n in scan(tmp_path, ScanSettings()).notes)
+
+
+def test_damaged_entries_count_as_not_written() -> None:
+    """XMP that is no XML, a focal length of 0/0 and a make that is no text."""
+    xmp = "<x drone-dji:GpsLatitude='+35.5' drone-dji:GpsLongitude=\"+139.25\" <\0& drone-dji:AbsoluteAltitude='+1,5'"
+    found = facts(detail={0x920A: EMPTY, 0xA405: 0}, base={0x010F: b"\xff\0"}, xmp=xmp)
+    assert (found.lat_deg, found.lon_deg, found.make) == (35.5, 139.25, "\xff")
+    assert np.isnan([found.height_m, found.focal_mm, found.focal_px]).all()
