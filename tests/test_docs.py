@@ -124,4 +124,4 @@ def test_every_package_is_a_chapter_of_the_documentation():
 
 def test_the_tests_of_every_situation_are_there():
     named = re.findall(r"`(tests/[\w/]+\.py)::(\w+)`", (ROOT / "docs" / "situations.md").read_text())
-    assert len(named) > 60 and [f"{p}::{n}" for p, n in named if f"def {n}(" not in (ROOT / p).read_text()] == []
+    assert len(named) > 50 and [f"{p}::{n}" for p, n in named if f"def {n}(" not in (ROOT / p).read_text()] == []

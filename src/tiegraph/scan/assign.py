@@ -194,14 +194,18 @@ def _checked(spec: RigSpec) -> RigSpec:
 
 
 def _bound(spec: RigSpec, names: Sequence[str]) -> RigSpec:
-    """The rig with each sensor's folder written out; a lone sensor without a folder of its name takes every image."""
+    """The rig with each sensor's folder written out; a lone sensor without a folder of its name takes every image. A
+    pattern "cam1*" is the folder cam1 where there is one."""
     parts = {p for n in names for p in PurePosixPath(n).parts[:-1]}
     lone = len(spec.sensors) == 1
-    sensors = [
-        replace(s, folder=s.folder if s.folder is not None else "" if lone and s.name not in parts else s.name)
-        for s in spec.sensors
-    ]
-    return replace(spec, sensors=tuple(sensors))
+
+    def written(sensor: SensorSpec) -> str:
+        if sensor.folder is None:
+            return "" if lone and sensor.name not in parts else sensor.name
+        begin = sensor.folder.removesuffix("*")
+        return begin if any(place_by_folders(names, [begin])) else sensor.folder
+
+    return replace(spec, sensors=tuple(replace(s, folder=written(s)) for s in spec.sensors))
 
 
 def _all_found(file: Path, specs: Sequence[RigSpec], places: Sequence[Place | None], names: Sequence[str]) -> None:
@@ -213,8 +217,8 @@ def _all_found(file: Path, specs: Sequence[RigSpec], places: Sequence[Place | No
                 continue
             if is_pattern(sensor.folder or ""):
                 raise InputError(
-                    f"{file}: sensor {sensor.name!r}: folder = {sensor.folder!r}, but no usable image's name ends so; "
-                    f"names here are as {names[0]}. Mend folder, or take the sensor out of the file"
+                    f"{file}: sensor {sensor.name!r}: folder = {sensor.folder!r}, but no usable image's name is "
+                    f"so; names here are as {names[0]}. Mend folder, or take the sensor out of the file"
                 )
             near = difflib.get_close_matches(sensor.folder or "", there, n=1)
             hint = f" Perhaps you meant {near[0]!r}?" if near else ""
