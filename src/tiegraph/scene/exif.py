@@ -138,11 +138,12 @@ def _place(gps: dict, xmp: Place, rtk: bool) -> tuple[Place, str]:
     place = Place(lat_deg=lat, lon_deg=lon, height_m=height, sigma_m=flat, sigma_up_m=up)
     if np.isfinite(height) and not HEIGHT_RANGE_M[0] <= height <= HEIGHT_RANGE_M[1]:
         return place._replace(height_m=NAN), f"height {height:g} m is none (the position is taken without it)"
+    place, doubt = _in_wgs84(place, _text(gps.get(18)))
     if _text(gps.get(9)).upper() == "V":
         return place, "the receiver had no fix when it was taken (GPSStatus V), so the position may be an old one"
     if not known:
         return place, "nothing says whether it is north or south, east or west (N and E assumed)"
-    return _in_wgs84(place, _text(gps.get(18)))
+    return place, doubt
 
 
 def _rounds(coarse_deg: float, fine_deg: float) -> bool:
