@@ -240,37 +240,62 @@ def vertical_note(crs: str) -> str:
     heights = "heights are as given, with GNSS above the ellipsoid; no geoid is applied"
     if parsed.is_compound:
         heights = f"heights are {parsed.sub_crs_list[-1].name}"
-    return "; ".join(filter(None, [heights, datum_note(crs)]))
+    return "; ".join([heights, *_operation(crs)])
+
+
+def datum_sigma_m(crs: str) -> float:
+    """How well PROJ ties the datum of a CRS to WGS84 here, in metres; 0 = to half a metre, or the two are taken as one:
+    GNSS with corrections has the datum of their network, and calls it WGS84."""
+    if crs.upper() == ENU or not (operations := _operations(crs).transformers):
+        return 0.0
+    shifted = re.search(r"helmert|molodensky|grid|cart", operations[0].definition)
+    return float(operations[0].accuracy) if shifted and operations[0].accuracy > _TOLD_DATUM_M else 0.0
 
 
 def datum_note(crs: str) -> str:
-    """How well a CRS is tied to WGS84, and by which grid it would be better; "" where that is no metre, and for ENU."""
-    if crs.upper() == ENU:
+    """What to say of a CRS whose datum nobody names, on an ellipsoid of old; "" of others."""
+    if crs.upper() == ENU or not (operations := _operations(crs).transformers):
         return ""
+    import pyproj
+
+    ellipsoid = pyproj.CRS.from_user_input(crs).ellipsoid
+    named = "Ballpark geographic" not in operations[0].description
+    if named or ellipsoid is None or abs(ellipsoid.semi_major_metre - _WGS84_M) < 1:
+        return ""
+    return (
+        f"its datum is not named, and on the ellipsoid {ellipsoid.name} places may lie hundreds of metres from "
+        "those of WGS84: give the CRS by its EPSG code, or +towgs84"
+    )
+
+
+def _operations(crs: str) -> Any:
     import pyproj
     from pyproj.transformer import TransformerGroup
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # says the same as unavailable_operations
-        parsed = pyproj.CRS.from_user_input(crs)
-        group = TransformerGroup("EPSG:4326", parsed)
-    if not group.transformers:
-        return ""
-    used, ellipsoid = group.transformers[0], parsed.ellipsoid
-    if "Ballpark geographic" in used.description and ellipsoid and abs(ellipsoid.semi_major_metre - _WGS84_M) > 1:
-        return (
-            f"its datum is not named, and on the ellipsoid {ellipsoid.name} places may lie hundreds of metres from "
-            "those of WGS84: give the CRS by its EPSG code, or +towgs84"
-        )
-    if not used.accuracy > _TOLD_DATUM_M:
-        return ""
-    better = [o for o in group.unavailable_operations if 0 <= o.accuracy < used.accuracy]
-    text = f"between it and WGS84 places are good to {used.accuracy:g} m"
+        return TransformerGroup("EPSG:4326", pyproj.CRS.from_user_input(crs))
+
+
+def _operation(crs: str) -> list[str]:
+    """The accuracy of the datum operation of a CRS, and the grid that would do it better, where it is worth a word."""
+    group = _operations(crs)
+    if unknown := datum_note(crs):
+        return [unknown]
+    if not group.transformers or not group.transformers[0].accuracy > _TOLD_DATUM_M:
+        return []
+    used = group.transformers[0].accuracy
+    if not datum_sigma_m(crs):
+        return [
+            f"its datum and WGS84 are taken as one, as GNSS with a network's corrections has it; else {used:g} m off"
+        ]
+    better = [o for o in group.unavailable_operations if 0 <= o.accuracy < used]
+    text = f"between it and WGS84 places are good to {used:g} m, which counts in the sigma of positions"
     if not better:
-        return text
+        return [text]
     best = min(better, key=lambda o: o.accuracy)
     grids = ", ".join(sorted({g.short_name for g in best.grids if not g.available}))
-    return f"{text} (with {grids}, which projsync fetches, to {best.accuracy:g} m)"
+    return [f"{text} (with {grids}, which projsync fetches, to {best.accuracy:g} m)"]
 
 
 class _Transformer:

@@ -54,7 +54,7 @@ class PointSource:
             for part in self.parts():
                 yield Points(function(part.xyz), part.sigma)
 
-        return PointSource(self.name, parts, crs, self.note)
+        return PointSource(self.name, parts, crs=crs, note=self.note)
 
     def sample(self, most: int) -> np.ndarray:
         """(N, 3) at most so many points, evenly from the order in the file."""
@@ -89,7 +89,7 @@ def open_cloud(path: Path) -> PointSource:
         crs, _, heights = str(crs).partition("+")
         note = f"its heights count from another level (EPSG:{heights}) and are compared as they are: {error}"
     name = str(path) if crs is None else f"{path} ({crs} by its header)"
-    return PointSource(name, lambda: _checked(path, read), crs, note)
+    return PointSource(name, lambda: _checked(path, read), crs=crs, note=note)
 
 
 def check_cloud(path: Path) -> None:
