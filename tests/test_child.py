@@ -7,11 +7,13 @@ import signal
 import subprocess
 import sys
 import time
+import types
+from multiprocessing import spawn
 from pathlib import Path
 
 import pytest
 
-from tiegraph.child import run_in_child
+from tiegraph.child import _main_kept_out, run_in_child
 from tiegraph.errors import InputError, ProcessLost, ReconstructionError, TiegraphError
 
 
@@ -159,3 +161,17 @@ def _gone(pid: int) -> bool:
             return True
         time.sleep(0.05)
     return False
+
+
+@pytest.mark.parametrize(("text", "kept"), [("x.run()\n", False), ("if __name__ == '__main__':\n    x.run()\n", True)])
+def test_a_script_that_would_run_itself_again_is_kept_out_of_helpers(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str, kept: bool
+) -> None:
+    script = tmp_path / "script.py"
+    script.write_text(text)
+    main = types.ModuleType("__main__")
+    main.__file__ = str(script)
+    monkeypatch.setitem(sys.modules, "__main__", main)
+    with _main_kept_out():
+        assert ("init_main_from_path" in spawn.get_preparation_data("helper")) == kept
+    assert main.__file__ == str(script) and main.__spec__ is None

@@ -120,3 +120,8 @@ def test_every_package_is_a_chapter_of_the_documentation():
     named = {n.value for n in ast.walk(tree) if isinstance(n, ast.Constant) and isinstance(n.value, str)}
     packages = {path.parent.name for path in (ROOT / "src" / "tiegraph").glob("*/__init__.py")}
     assert packages <= named
+
+
+def test_the_tests_of_every_situation_are_there():
+    named = re.findall(r"`(tests/[\w/]+\.py)::(\w+)`", (ROOT / "docs" / "situations.md").read_text())
+    assert len(named) > 50 and [f"{p}::{n}" for p, n in named if f"def {n}(" not in (ROOT / p).read_text()] == []

@@ -50,7 +50,7 @@ class Helper(SpawnProcess):
 
     def start(self) -> None:
         """Start it deaf to the signals that stop a run: a terminal sends them to every process at once."""
-        with _deaf():
+        with _deaf(), _main_kept_out():
             super().start()
 
     def run(self) -> None:
@@ -121,6 +121,23 @@ def _deaf() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextlib.contextmanager
+def _main_kept_out() -> Iterator[None]:
+    """A process started meanwhile does not run the script of the program again, unless that is made for it: one that
+    never asks for its ``__name__`` would start the whole run anew in every helper."""
+    main = sys.modules["__main__"]
+    try:
+        kept = "__name__" in Path(getattr(main, "__file__", None) or "").read_text(errors="replace")
+    except OSError:  # no script: a notebook, a prompt
+        kept = True
+    before = {} if kept else {"__file__": main.__file__, "__spec__": main.__spec__}
+    vars(main).update(dict.fromkeys(before))
+    try:
+        yield
+    finally:
+        vars(main).update(before)
 
 
 def start_server() -> bool:

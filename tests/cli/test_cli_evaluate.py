@@ -5,6 +5,7 @@ from pathlib import Path
 
 import laspy
 import numpy as np
+import pyproj
 import pytest
 
 from clouds_world import ground
@@ -39,6 +40,22 @@ def test_two_clouds_are_judged_and_written(tmp_path: Path, capsys) -> None:
     assert sorted(p.name for p in tmp_path.iterdir()) == ["cloud.laz", "judged", "reference.las"]  # no scratch left
     assert main(["evaluate", cloud, reference, "-o", str(out)]) == 2
     assert "is there already" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("crs", "said"), [("EPSG:32654", True), ("EPSG:32654+6695", False)])
+def test_heights_from_another_level_are_said(tmp_path: Path, capsys, crs: str, said: bool) -> None:
+    xyz = np.random.default_rng(0).uniform(0, 20, (400, 3)) + [382300.0, 3951500.0, 0.0]
+    files = []
+    for name, stated in ("own.las", crs), ("reference.las", "EPSG:32654+6695"):  # above the geoid of Japan
+        header = laspy.LasHeader(point_format=6, version="1.4")
+        header.scales, header.offsets = np.full(3, 0.001), np.round(xyz.mean(axis=0))
+        header.add_crs(pyproj.CRS(stated))
+        cloud = laspy.LasData(header)
+        cloud.xyz = xyz
+        cloud.write(tmp_path / name)
+        files.append(str(tmp_path / name))
+    assert main(["evaluate", *files]) == 0
+    assert ("heights count from another level (EPSG:6695)" in capsys.readouterr().out) == said
 
 
 @pytest.mark.slow

@@ -1,3 +1,5 @@
+import re
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ from tiegraph.geometry.geodesy import (
     area_note,
     crs_coordinates,
     crs_transformer,
+    datum_note,
     far_from_rest,
     geodetic_from_world,
     make_origin,
@@ -85,6 +88,22 @@ def test_how_well_two_datums_are_tied_is_said() -> None:
     assert "places are good to 9 m" in vertical_note("EPSG:30169")
     assert "taken as one" in vertical_note("EPSG:6677")
     assert "good to" not in vertical_note("EPSG:32632") and "no geoid" in vertical_note("EPSG:32632")
+
+
+SWISS = "+proj=somerc +lat_0=46.9524055555556 +lon_0=7.43958333333333 +x_0=2600000 +y_0=1200000 +ellps=bessel"
+
+
+@pytest.mark.parametrize(
+    ("crs", "words"),
+    [
+        (SWISS, "datum is not named, and on the ellipsoid Bessel 1841 places may lie hundreds of metres"),
+        (f"{SWISS} +towgs84=674.374,15.056,405.346", "^$"),
+        ("+proj=utm +zone=54 +ellps=GRS80", "^$"),  # metres at most
+        ("ENU", "^$"),
+    ],
+)
+def test_a_grid_on_an_ellipsoid_without_a_datum_is_said(crs: str, words: str) -> None:
+    assert re.search(words, datum_note(crs))
 
 
 def test_japanese_plane_axes_are_east_north():

@@ -18,7 +18,7 @@ def half(high=255):
 
 
 @pytest.mark.parametrize(
-    "file", ["up/cam0/a.jpg.png", "up/cam0/a_mask.png", "up/cam0/a.png", "up/cam0.png", "cam0.png"]
+    "file", "up/cam0/a.jpg.png up/cam0/a_mask.png up/cam0/a.mask.png up/cam0/a.png up/cam0.png cam0.png".split()
 )
 def test_every_naming_is_found(tmp_path, file):
     write(tmp_path / file, half())
@@ -37,7 +37,7 @@ def test_the_mask_of_the_image_goes_before_that_of_the_camera(tmp_path):
 def test_images_folder_of_the_name_may_be_left_away(tmp_path):
     write(tmp_path / "up/cam0/a.jpg.png", half())
     assert find_mask(tmp_path, "images/" + NAME) is not None
-    assert candidates("a.jpg") == ["a.jpg.png", "a_mask.png", "a.png"]
+    assert candidates("a.jpg") == ["a.jpg.png", "a_mask.png", "a.mask.png", "a.png"]
 
 
 def test_missing_masks_are_listed(tmp_path):
@@ -122,3 +122,9 @@ def test_labels(tmp_path):
     assert (read_mask_file(path, (2,)) == (labels == 2)).all()
     with pytest.raises(InputError, match="not class labels"):
         read_mask_file(write(path, half()), (4,))
+
+
+def test_masks_in_jpeg_are_said(tmp_path):
+    Image.new("L", (8, 6)).save(tmp_path / "a_mask.JPG")
+    with pytest.raises(InputError, match="a_mask.JPG is there, but JPEG blurs the edges of masks: save PNG"):
+        check_folder(tmp_path, ["a.jpg"])

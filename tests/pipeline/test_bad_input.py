@@ -154,6 +154,16 @@ def test_missing_mask(run: Run, images: Path, tmp_path: Path) -> None:
     assert code == 2 and "up/cam1/000002.jpg" in said and str(masks) in said
 
 
+def test_masks_that_leave_little_may_be_inverted(run: Run, images: Path, tmp_path: Path) -> None:
+    for folder, white, asked in (tmp_path / "own", 255, False), (tmp_path / "inverted", 0, True):
+        for path in _masks(images, folder).rglob("*.png"):
+            mask = np.full((240, 320), white, np.uint8)
+            mask[200:] = 255 - white
+            cv2.imwrite(str(path), mask)
+        code, said = run("--masks.folder", folder, until="masks")
+        assert code == 0 and ("are they inverted?" in said) == asked
+
+
 def test_mask_of_the_wrong_size(run: Run, images: Path, tmp_path: Path) -> None:
     masks = _masks(images, tmp_path / "own")
     cv2.imwrite(str(masks / "up/cam0/000001.jpg.png"), np.full((120, 160), 255, np.uint8))

@@ -100,6 +100,9 @@ def test_a_pair_against_the_positions_is_said(tmp_path: Path) -> None:
         ("SIMPLE_PINHOLE", [1e6, 400, 300], "degrees across 800 px"),
         ("SIMPLE_PINHOLE", [500, 4000, 300], r"principal point \(4000, 300\)"),
         ("SIMPLE_PINHOLE", [500, 400, 300], ""),
+        ("SIMPLE_PINHOLE", [500, 0.5, 0.5], r"principal point \(0.5, 0.5\) is in a corner"),  # shares of the sides
+        ("SIMPLE_PINHOLE", [500, 12.5, 8.0], r"principal point \(12.5, 8\) is in a corner"),  # from the middle
+        ("SIMPLE_PINHOLE", [500, 40, 300], ""),  # of a cropped image
         ("OPENCV", [500, 500, 400, 300, -0.28, 0.07, 1e-4, 1e-4], ""),
         ("RADIAL", [500, 400, 300, 0.5, 0.0], ""),
         ("OPENCV_FISHEYE", [129.1, 129.2, 400, 300, 0.038, -0.008, 0.0083, -0.0027], ""),

@@ -1,4 +1,5 @@
 import json
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -254,6 +255,25 @@ def test_colmap_rig_config_puts_the_reference_first(tmp_path: Path) -> None:
     assert rig.sensors[2].sensor_from_rig is None and not rig.known() and not rig.nominal
     camera = rig.sensors[2].camera
     assert camera is not None and camera.has_prior_focal_length and camera.model.name == "PINHOLE"
+
+
+@pytest.mark.parametrize(
+    ("prefixes", "names"),
+    [
+        (("left_", "right_"), "{}_{:04d}.jpg"),
+        (("imgs/left_", "imgs/right_"), "imgs/{}_{:04d}.jpg"),
+        (("left", "right"), "left_right/{}/{:04d}.jpg"),  # folders without the slash
+        (("left_", "right_"), "up/{}_{:04d}.jpg"),
+        (("left_c", "right_c"), "{}_camera/{:04d}.jpg"),  # the beginnings of folders' names
+    ],
+)
+def test_an_image_prefix_of_colmap_may_begin_names(tmp_path: Path, prefixes: tuple, names: str) -> None:
+    for side, k in product(("left", "right"), range(3)):
+        picture(tmp_path / "in" / names.format(side, k))
+    one, other = ({**REF, "image_prefix": prefixes[0]}, {**LEFT, "image_prefix": prefixes[1]})
+    scene = scan(tmp_path / "in", rig=colmap(tmp_path, one, other))
+    assert scene.sensor.tolist() == [0] * 3 + [1] * 3 and scene.frame.tolist() == [0, 1, 2] * 2
+    assert len(scene.sequences) == 1
 
 
 @pytest.mark.parametrize(

@@ -349,3 +349,17 @@ def test_real_folders(folder: tuple[str, ...], rigs: int, sensors: int, frames: 
     assert (len(scene.rigs), len(scene.all_sensors), scene.frames, scene.dropped) == (rigs, sensors, frames, ())
     assert bool((scene.sequence == -1).all()) == loose
     assert len(find_images(data(*folder))) == len(scene)
+
+
+@pytest.mark.parametrize(
+    "form", ["{0}_mask.png", "{0}.mask.png", "{0}.jpg.png", "dynamic_mask_{0}.png", "{0}_Mask.jpg"]
+)
+def test_masks_beside_their_images_are_no_photographs(tmp_path: Path, form: str) -> None:
+    for k in range(3):
+        picture(tmp_path / f"d/IMG_{k}.jpg")
+        picture(tmp_path / "d" / form.format(f"IMG_{k}"), mode="L")
+    picture(tmp_path / "d/IMG_9_mask.jpg")  # of no image here
+    scene = scan(tmp_path)
+    assert scene.names == ("d/IMG_0.jpg", "d/IMG_1.jpg", "d/IMG_2.jpg", "d/IMG_9_mask.jpg")
+    assert [d.reason for d in scene.dropped] == [f"a mask of d/IMG_{k}.jpg by its name" for k in range(3)]
+    assert any("3 files are masks of other images by their names" in n for n in scene.notes)

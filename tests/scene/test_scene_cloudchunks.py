@@ -119,6 +119,16 @@ def test_a_crs_in_degrees_or_feet_is_refused(tmp_path: Path) -> None:
         check_cloud(las_in(tmp_path / "feet.laz", "EPSG:2229"))
 
 
+def test_heights_above_a_geoid_are_those_of_the_header_or_said(tmp_path: Path, monkeypatch) -> None:
+    path = las_in(tmp_path / "a.laz", "EPSG:6691+6695")
+    found = open_cloud(path)
+    assert found.crs == "EPSG:6691" and "heights count from another level (EPSG:6695)" in found.note
+    monkeypatch.setattr(cloudchunks, "check_vertical", lambda crs: None)  # its grid is there
+    assert (open_cloud(path).crs, open_cloud(path).note) == ("EPSG:6691+6695", "")
+    with pytest.raises(InputError, match=r"feet.laz: the CRS in its header .* foot"):
+        check_cloud(las_in(tmp_path / "feet.laz", "EPSG:6340+6360"))
+
+
 def test_what_was_measured_is_written_part_by_part(tmp_path: Path) -> None:
     xyz, value = a_cloud().xyz_m, np.linspace(-0.1, 0.1, 500)
     value[7] = np.nan

@@ -7,7 +7,7 @@ import pytest
 
 from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import crs_coordinates, make_origin, vertical_note, world_from_geodetic
-from tiegraph.scene.control import locate
+from tiegraph.scene.control import image_lookup, image_of, locate
 from tiegraph.scene.gcp import read_gcps
 from tiegraph.scene.markpixels import prepared_pixel
 from tiegraph.scene.rig import Rig, Sensor, Source
@@ -49,6 +49,14 @@ def test_odm_list_with_and_without_names(tmp_path) -> None:
     np.testing.assert_allclose(control.world_m[1] - control.world_m[0], [5, 0, 1], atol=1e-6)
     np.testing.assert_array_equal(control.marks.image, [0, 1, 2])
     assert any("EPSG:32654" in n and "ellipsoid" in n for n in control.notes)
+
+
+def test_images_are_named_in_any_case_where_that_is_unique() -> None:
+    names = ["a/IMG_1.JPG", "a/IMG_2.JPG", "b/img_2.jpg"]
+    scene = simple_scene(Rig("lone", (Sensor("cam"),)), names, np.arange(3), np.zeros(3))
+    lookup = image_lookup(scene)
+    asked = ("img_1.jpg", "A\\Img_1.jpg", "a/img_1.JPG", "IMG_2.JPG", "img_2.jpg", "Img_2.jpg", "IMG_3.JPG")
+    assert [image_of(lookup, name) for name in asked] == [0, 0, 0, 1, 2, None, None]
 
 
 def test_csv_of_points_and_marks_with_roles(tmp_path) -> None:

@@ -194,6 +194,8 @@ def _cloud(
     if source is None and alignment is None and origin is not None and origin.crs != ENU:
         source, taken = _origin_of(settings, origin.crs), f"no CRS in its header, so taken to be in {origin.crs}"
         truth, how = replace(truth, name=f"{truth.name} ({taken})"), f"{how}; {taken}, as the run's own files are"
+    if truth.note and source is not None:
+        how = f"{how}; {truth.note}"
     if source is not None and origin is not None:
         truth = truth.moved(lambda xyz: reference.to_world(xyz, source, origin))
     own, cameras = cloud, _cameras(work)

@@ -22,6 +22,7 @@ CRS_WORDS = (
 )
 _MAX_DISTORTION = 0.01  # of lengths in a grid: a UTM zone has 0.001 inside and 0.004 in its neighbours
 _TOLD_DATUM_M = 0.5  # datum operations that are less accurate are told
+_WGS84_M = 6378137.0  # half its longer axis
 _STEP_M = 50.0  # from a place to those that tell the grid's scale there
 FAR_FACTOR, FAR_FLOOR_M = 10.0, 2000.0  # far from the rest: so many of its radii, and so many metres more
 _CENTRES = 200  # positions at most that are tried for the middle of the rest
@@ -213,8 +214,8 @@ def check_vertical(crs: str) -> None:
     import pyproj
     from pyproj.transformer import TransformerGroup
 
-    parsed = pyproj.CRS.from_user_input(crs)
-    if not parsed.is_compound:
+    parsed = None if crs.upper() == ENU else pyproj.CRS.from_user_input(crs)
+    if parsed is None or not parsed.is_compound:
         return
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # says the same as best_available
@@ -251,6 +252,22 @@ def datum_sigma_m(crs: str) -> float:
     return float(operations[0].accuracy) if shifted and operations[0].accuracy > _TOLD_DATUM_M else 0.0
 
 
+def datum_note(crs: str) -> str:
+    """What to say of a CRS whose datum nobody names, on an ellipsoid of old; "" of others."""
+    if crs.upper() == ENU or not (operations := _operations(crs).transformers):
+        return ""
+    import pyproj
+
+    ellipsoid = pyproj.CRS.from_user_input(crs).ellipsoid
+    named = "Ballpark geographic" not in operations[0].description
+    if named or ellipsoid is None or abs(ellipsoid.semi_major_metre - _WGS84_M) < 1:
+        return ""
+    return (
+        f"its datum is not named, and on the ellipsoid {ellipsoid.name} places may lie hundreds of metres from "
+        "those of WGS84: give the CRS by its EPSG code, or +towgs84"
+    )
+
+
 def _operations(crs: str) -> Any:
     import pyproj
     from pyproj.transformer import TransformerGroup
@@ -263,6 +280,8 @@ def _operations(crs: str) -> Any:
 def _operation(crs: str) -> list[str]:
     """The accuracy of the datum operation of a CRS, and the grid that would do it better, where it is worth a word."""
     group = _operations(crs)
+    if unknown := datum_note(crs):
+        return [unknown]
     if not group.transformers or not group.transformers[0].accuracy > _TOLD_DATUM_M:
         return []
     used = group.transformers[0].accuracy

@@ -19,11 +19,12 @@ _TWO_LEVELS = ({0, 255}, {0, 1})
 def candidates(name: str) -> list[str]:
     """Where the mask of image ``name`` (POSIX) is looked for below the folder, best first.
 
-    For up/cam0/a.jpg: up/cam0/a.jpg.png (COLMAP), up/cam0/a_mask.png, up/cam0/a.png, then one mask a camera:
-    up/cam0.png, cam0.png, up.png. A leading images/ of the name may be left away.
+    For up/cam0/a.jpg: up/cam0/a.jpg.png (COLMAP), up/cam0/a_mask.png, up/cam0/a.mask.png (openMVS), up/cam0/a.png, then
+    one mask a camera: up/cam0.png, cam0.png, up.png. A leading images/ of the name may be left away.
     """
     path = PurePosixPath(name)
-    found = [f"{path}.png", str(path.with_name(f"{path.stem}_mask.png")), str(path.with_suffix(".png"))]
+    beside = (path.with_name(f"{path.stem}{end}") for end in ("_mask.png", ".mask.png", ".png"))
+    found = [f"{path}.png", *map(str, beside)]
     folders = path.parts[:-1]
     found += [str(PurePosixPath(*folders[:k])) + ".png" for k in range(len(folders), 1, -1)]
     found += [f"{folder}.png" for folder in reversed(folders)]
@@ -127,8 +128,11 @@ def _grey(image: Image.Image, labels: bool, path: Path) -> np.ndarray:
 
 
 def _missing(folder: Path, missing: Sequence[str], total: int) -> InputError:
+    plain = PurePosixPath(missing[0]).with_suffix("")
+    jpeg = [n for end in ("_mask.JPG", "_mask.jpg", ".jpg", ".JPG") if (folder / (n := f"{plain}{end}")).is_file()]
+    lossy = f" {jpeg[0]} is there, but JPEG blurs the edges of masks: save PNG." if jpeg else ""
     more = f" and {len(missing) - _LISTED} more" if len(missing) > _LISTED else ""
     return InputError(
-        f"{folder}: no mask for {len(missing)} of {total} images: {', '.join(missing[:_LISTED])}{more}. "
-        f"For {missing[0]} these were looked for: {', '.join(candidates(missing[0]))}"
+        f"{folder}: no mask for {len(missing)} of {total} images: {', '.join(missing[:_LISTED])}{more}."
+        f"{lossy} For {missing[0]} these were looked for: {', '.join(candidates(missing[0]))}"
     )

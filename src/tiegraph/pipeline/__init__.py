@@ -48,7 +48,7 @@ _BESIDE_DATABASE = tuple(f"database.db{s}" for s in ("-wal", "-shm", "-journal",
 
 # fmt: off
 STAGES = (
-    _stage("scan", (), ("scene.json", "whole.json", "images", "odometry"), "image", version=8,
+    _stage("scan", (), ("scene.json", "whole.json", "images", "odometry"), "image", version=9,
            tuned=("scene", "odometry")),
     _stage("masks", ("scan",), ("masks", "classes", "masks.csv"), "image", version=10),
     _stage("preview", ("scan", "masks"), ("preview",), "image", version=2, tuned=("features",)),
@@ -75,7 +75,7 @@ STAGES = (
     _stage("cloud", ("dense",), ("cloud.copc.laz", "cloud.laz", "cloud.ply", "passes"), version=6,
            scratch=(".tiles",), tuned=("evaluate",)),
     _stage("evaluate", ("filter", "georef", "refine", "dense", "cloud"), ("metrics.json", "accuracy.csv", "evaluate"),
-           version=8, scratch=("evaluate/.tiles",), tuned=("scene",), spares=("dense", "cloud")),
+           version=9, scratch=("evaluate/.tiles",), tuned=("scene",), spares=("dense", "cloud")),
     _stage("report", ("evaluate",), ("report.html", "report.json"), version=9, alone=True),
 )
 # fmt: on

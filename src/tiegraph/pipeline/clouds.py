@@ -37,6 +37,7 @@ def evaluate_clouds(files: tuple[Path, Path], out: Path | None, question: Questi
         notes.append(f"the reference was brought from {truth.crs} into {own.crs}; heights are taken as ellipsoidal")
     elif own.crs != truth.crs:
         notes.append(f"only one of both names a CRS ({own.crs or truth.crs}): they are compared as they are")
+    notes += [f"{cloud.name}: {cloud.note}" for cloud in (own, truth) if cloud.note and own.note != truth.note]
     with new_folder(out) as folder, tempfile.TemporaryDirectory(dir=folder) as scratch:
         found = judge_cloud(own, _into(truth, own.crs), Path(scratch), question, tuning)
         result = metrics_to_dict(found.metrics(), found.tables(), [found.notes(), *notes])

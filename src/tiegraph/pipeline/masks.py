@@ -45,10 +45,13 @@ def masks(run: Run) -> Outcome:
     empty = {n: "the mask leaves nothing of it" for n, s in zip(scene.names, shares[:, USE]) if s == 0}
     learnt = [f"{s.name}: {n}" for k, s in enumerate(scene.all_sensors) if (n := getattr(prepared.get(k), "note", ""))]
     counts = {"images": len(scene), "used_percent": round(float(100 * shares[:, USE].mean()), 1)}
+    inverted = []
+    if source == "folder" and counts["used_percent"] < _FEW_PERCENT:
+        inverted.append("the masks leave little of the images: 255 (or 1) is used, 0 ignored; are they inverted?")
     return Outcome(
         {**counts, "flagged": len(flagged), **_ties_lost(prepared)},
         dropped=tuple((empty | left_out).items()),
-        notes=(f"source {source}: {why}", *learnt, *_flag_note(flagged, left_out)),
+        notes=(f"source {source}: {why}", *inverted, *learnt, *_flag_note(flagged, left_out)),
         tables={"shares of the images": _by_camera(scene, shares), **_ties(scene, prepared)},
     )
 
@@ -65,6 +68,7 @@ def masks_by(source: str, scene: Scene, images: Path, target: Path, tuning: Tuni
         save_png(target / f"{name}.png", keep)
 
 
+_FEW_PERCENT = 20  # used of all pixels: what is seen of an object before a backdrop is more
 _NEED_A_FILE = ("folder", "model")
 _LEFT_OUT = {"none": (), "blurred": ("blurred",), "similar": ("similar",), "both": ("blurred", "similar")}
 

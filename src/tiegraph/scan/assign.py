@@ -1,6 +1,7 @@
 """Which images can be used, and which sensor and pass each belongs to: by the rig file, a preset, or a guess."""
 
 import difflib
+import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -193,14 +194,18 @@ def _checked(spec: RigSpec) -> RigSpec:
 
 
 def _bound(spec: RigSpec, names: Sequence[str]) -> RigSpec:
-    """The rig with each sensor's folder written out; a lone sensor without a folder of its name takes every image."""
+    """The rig with each sensor's folder written out; a lone sensor without a folder of its name takes every image. A
+    pattern "cam1*" is the folder cam1 where there is one."""
     parts = {p for n in names for p in PurePosixPath(n).parts[:-1]}
     lone = len(spec.sensors) == 1
-    sensors = [
-        replace(s, folder=s.folder if s.folder is not None else "" if lone and s.name not in parts else s.name)
-        for s in spec.sensors
-    ]
-    return replace(spec, sensors=tuple(sensors))
+
+    def written(sensor: SensorSpec) -> str:
+        if sensor.folder is None:
+            return "" if lone and sensor.name not in parts else sensor.name
+        begin = sensor.folder.removesuffix("*")
+        return begin if any(place_by_folders(names, [begin])) else sensor.folder
+
+    return replace(spec, sensors=tuple(replace(s, folder=written(s)) for s in spec.sensors))
 
 
 def _all_found(file: Path, specs: Sequence[RigSpec], places: Sequence[Place | None], names: Sequence[str]) -> None:
@@ -212,8 +217,8 @@ def _all_found(file: Path, specs: Sequence[RigSpec], places: Sequence[Place | No
                 continue
             if is_pattern(sensor.folder or ""):
                 raise InputError(
-                    f"{file}: sensor {sensor.name!r}: folder = {sensor.folder!r}, but no usable image's name ends so; "
-                    f"names here are as {names[0]}. Mend folder, or take the sensor out of the file"
+                    f"{file}: sensor {sensor.name!r}: folder = {sensor.folder!r}, but no usable image's name is "
+                    f"so; names here are as {names[0]}. Mend folder, or take the sensor out of the file"
                 )
             near = difflib.get_close_matches(sensor.folder or "", there, n=1)
             hint = f" Perhaps you meant {near[0]!r}?" if near else ""
@@ -249,8 +254,22 @@ def _by_camera(spec: RigSpec, shots: tuple[Shot, ...], usable: Usable, report: R
     return Survey(tuple(specs), tuple(replace(s, rig=order.index(camera(s))) for s in shots), loose)
 
 
+def zoomed(probes: Sequence[Probe]) -> Sequence[Probe]:
+    """Probes with focal lengths that count a digital zoom: where images that differ in it alone have one focal length,
+    EXIF leaves it out."""
+    keys = [str((e.make, e.model, e.lens, e.focal_mm, e.focal_px)) for e in (p.exif for p in probes)]
+    kinds: dict[str, set[float]] = {}
+    for key, probe in zip(keys, probes):
+        kinds.setdefault(key, set()).add(probe.exif.zoom)
+    return [
+        p if len(kinds[key]) == 1 else replace(p, exif=replace(p.exif, focal_px=p.exif.focal_px * p.exif.zoom))
+        for key, p in zip(keys, probes)
+    ]
+
+
 def _millimetres(exif: Exif) -> str:
-    return f"{exif.focal_mm:.1f}mm" if np.isfinite(exif.focal_mm) else ""
+    zoom = f" zoom {exif.zoom:g}" if exif.zoom > 1 else ""
+    return f"{exif.focal_mm:.1f}mm{zoom}" if np.isfinite(exif.focal_mm) else ""
 
 
 def _lenses(usable: Usable) -> set[tuple[str, str]]:
@@ -267,9 +286,16 @@ def some(texts: Iterable[str]) -> str:
 def usable_images(names: Sequence[str], probes: Sequence[Probe], report: Report) -> Usable:
     """The images that can be read, each file once; the report gets the others. InputError with fewer than two."""
     first: dict[str, str] = {}
-    usable, repeated = [], []
+    usable, repeated, masks = [], [], masks_among(names)
+    if masks:
+        report.notes.append(
+            f"{len(masks)} files are masks of other images by their names, such as {min(masks)}: left out "
+            "(--masks.folder with this folder uses them)"
+        )
     for k, (name, probe) in enumerate(zip(names, probes)):
-        if probe.reason:
+        if name in masks:
+            report.drop([name], f"a mask of {masks[name]} by its name")
+        elif probe.reason:
             report.drop([name], probe.reason)
         elif probe.digest in first:
             report.drop([name], f"the same file as {first[probe.digest]}")
@@ -280,6 +306,19 @@ def usable_images(names: Sequence[str], probes: Sequence[Probe], report: Report)
     report.notes += _say_repeated(repeated, names)
     need_two(len(usable), report)
     return Usable(tuple(usable), tuple(names[k] for k in usable), tuple(probes[k] for k in usable))
+
+
+def masks_among(names: Sequence[str]) -> dict[str, str]:
+    """The image that each mask beside it is of: a.jpg.png (COLMAP), a_mask.png (OpenDroneMap, Metashape, openMVG),
+    a.mask.png (openMVS), dynamic_mask_a.png (instant-ngp)."""
+    images = {str(PurePosixPath(n).with_suffix("")): n for n in names} | {n: n for n in names}
+    found: dict[str, str] = {}
+    for path in map(PurePosixPath, names):
+        of = re.fullmatch(r"(?:dynamic_mask_(.+)|(.+?)[_.]mask|(.+\.\w+))", path.stem, re.IGNORECASE)
+        image = images.get(str(path.with_name(of[1] or of[2] or of[3])), "") if of else ""
+        if image not in ("", str(path)):
+            found[str(path)] = image
+    return found
 
 
 def _say_repeated(repeated: Sequence[tuple[str, str]], names: Sequence[str]) -> list[str]:

@@ -83,7 +83,8 @@ def place_by_folders(names: Sequence[str], folders: Sequence[str]) -> list[Place
     """Places of images below known sensor folders; a folder "" takes what no other folder takes.
 
     A sensor folder may have several levels and stand above or below the pass; the longest and deepest match counts. A
-    pattern such as "*_GRE" stands for the images whose names end so, in any folder.
+    pattern such as "*_GRE" stands for the images whose names end so, in any folder; "left_*" for those whose names
+    begin so, with their folders or in any.
     """
     wanted = sorted((tuple(f.split("/")) for f in folders if f and not is_pattern(f)), key=len, reverse=True)
     patterns = sorted(filter(is_pattern, folders), key=len, reverse=True)
@@ -91,11 +92,11 @@ def place_by_folders(names: Sequence[str], folders: Sequence[str]) -> list[Place
     for name in names:
         parts = PurePosixPath(name).parts[:-1]
         match = next((_without(parts, w) for w in wanted if _position(parts, w) >= 0), None)
-        mark = next((p for p in patterns if shot_stem(name, p) != PurePosixPath(name).stem), None)
+        mark = next((p for p in patterns if _fits(name, p)), None)
         if match is not None:
             places.append(match)
         elif mark is not None:
-            places.append((mark, parts))
+            places.append((mark, _besides(name, mark)))
         else:
             places.append(("", parts) if "" in folders else None)
     common = _common([p[1] for p in places if p is not None])
@@ -103,13 +104,30 @@ def place_by_folders(names: Sequence[str], folders: Sequence[str]) -> list[Place
 
 
 def is_pattern(folder: str) -> bool:
-    """Whether a sensor's folder is a pattern of file names, "*_GRE": cameras that write into one folder."""
-    return folder.startswith("*")
+    """Whether a sensor's folder is a pattern of file names, "*_GRE" or "left_*": cameras that write into one folder."""
+    return folder.startswith("*") or folder.endswith("*")
+
+
+def _fits(name: str, pattern: str) -> bool:
+    path, begin = PurePosixPath(name), pattern.removesuffix("*")
+    if pattern.startswith("*"):
+        return shot_stem(name, pattern) != path.stem
+    return name.startswith(begin) or path.name.startswith(begin)
+
+
+def _besides(name: str, pattern: str) -> tuple[str, ...]:
+    """The folders of an image without those that a pattern names, or begins the names of."""
+    begin = pattern.removesuffix("*")
+    if pattern.startswith("*") or not name.startswith(begin):
+        return PurePosixPath(name).parts[:-1]
+    return PurePosixPath(name[len(begin) :]).parts[1:-1]
 
 
 def shot_stem(name: str, folder: str) -> str:
     """Stem of an image's file name without the mark of its camera, which a pattern tells."""
     stem, mark = PurePosixPath(name).stem, folder[1:].lower()
+    if folder.endswith("*"):
+        return stem.removeprefix(folder[:-1].rpartition("/")[2])
     return stem[: -len(mark)] if is_pattern(folder) and mark and stem.lower().endswith(mark) else stem
 
 

@@ -8,7 +8,7 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 
-from tiegraph.scan.assign import Report, Shot, Survey, Usable, assign, need_two, some, usable_images
+from tiegraph.scan.assign import Report, Shot, Survey, Usable, assign, need_two, some, usable_images, zoomed
 from tiegraph.scan.calibration import with_camera, with_start_cameras
 from tiegraph.scan.cameras import FileFacts, calibrate
 from tiegraph.scan.fisheye import ImageFiles, into_views, with_lit_circle
@@ -64,7 +64,7 @@ def build_scene(
     Images that cannot be used go to ``Scene.dropped``. Raises InputError for fewer than two usable images and for rig,
     GNSS, trajectory and times files that are wrong or do not fit.
     """
-    report = Report()
+    report, probes = Report(), zoomed(probes)
     if Path(inputs.images, IMAGES_FOLDER).is_dir():
         report.notes.append(f"only the folder {IMAGES_FOLDER}/ was searched for images")
     usable = replace(usable_images(names, probes, report), video=inputs.video)

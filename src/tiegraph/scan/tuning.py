@@ -66,6 +66,8 @@ class CameraTuning(Section):
     """Of a perspective image, across: its edges lie at tan(85) = 11 focal lengths."""
     max_aspect: float = Field(2.0, ge=1)
     """fx over fy: pixels are nearly square."""
+    off_centre: float = Field(0.4, gt=0, le=0.5)
+    """Of the sides, both ways: a principal point that is farther from the middle counts from elsewhere."""
     stretch: tuple[float, float] = (1 / 3, 10.0)
     """How far out distortion lets the edge of an image look, times what a straight lens does."""
     round_trip: float = Field(0.01, gt=0)

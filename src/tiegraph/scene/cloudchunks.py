@@ -15,7 +15,7 @@ import numpy as np
 import pyproj
 
 from tiegraph.errors import InputError
-from tiegraph.geometry.geodesy import Origin, parse_crs
+from tiegraph.geometry.geodesy import ENU, Origin, check_vertical, parse_crs
 from tiegraph.scene.atomic import replacing
 from tiegraph.scene.cloudfile import las_header, ply_parts, refuse_cut_las, shift_of, undate
 from tiegraph.scene.regular import regular
@@ -39,11 +39,13 @@ class Points:
 
 @dataclass(frozen=True)
 class PointSource:
-    """A cloud that is gone through part by part; ``name`` is what errors call it, ``crs`` "EPSG:n" if it says one."""
+    """A cloud that is gone through part by part; ``name`` is what errors call it, ``crs`` "EPSG:n" (with heights above
+    a geoid "EPSG:n+m") if it says one, ``note`` what is doubtful about that."""
 
     name: str
     parts: Callable[[], Iterator[Points]]
     crs: str | None = None
+    note: str = ""
 
     def moved(self, function: Callable[[np.ndarray], np.ndarray], crs: str | None = None) -> "PointSource":
         """The cloud with its coordinates (N, 3) carried by a function; sigmas stay."""
@@ -52,7 +54,7 @@ class PointSource:
             for part in self.parts():
                 yield Points(function(part.xyz), part.sigma)
 
-        return PointSource(self.name, parts, crs)
+        return PointSource(self.name, parts, crs=crs, note=self.note)
 
     def sample(self, most: int) -> np.ndarray:
         """(N, 3) at most so many points, evenly from the order in the file."""
@@ -80,9 +82,14 @@ def open_cloud(path: Path) -> PointSource:
     check_cloud(path)
     kind = path.suffix.lower()
     read = {".ply": _ply, ".e57": _e57}.get(kind, _las)
-    crs = las_crs(path) if kind in (".las", ".laz") else None
+    crs, note = las_crs(path) if kind in (".las", ".laz") else None, ""
+    try:
+        check_vertical(crs or ENU)
+    except InputError as error:
+        crs, _, heights = str(crs).partition("+")
+        note = f"its heights count from another level (EPSG:{heights}) and are compared as they are: {error}"
     name = str(path) if crs is None else f"{path} ({crs} by its header)"
-    return PointSource(name, lambda: _checked(path, read), crs)
+    return PointSource(name, lambda: _checked(path, read), crs=crs, note=note)
 
 
 def check_cloud(path: Path) -> None:
@@ -111,7 +118,7 @@ def check_cloud(path: Path) -> None:
 
 
 def las_crs(path: Path) -> str | None:
-    """ "EPSG:n" of the horizontal CRS that the header of a LAS file names, None if it names none.
+    """ "EPSG:n" of the CRS that the header of a LAS file names, "EPSG:n+m" with heights, None if it names none.
 
     Raises InputError for one that is not projected in metres.
     """
@@ -120,17 +127,16 @@ def las_crs(path: Path) -> str | None:
             crs = reader.header.parse_crs()
     except pyproj.exceptions.CRSError:
         return None
-    if crs is not None and crs.is_compound:
-        crs = crs.sub_crs_list[0]
-    code = None if crs is None else crs.to_epsg()
-    if code is None:
+    codes = [] if crs is None else [part.to_epsg() for part in (crs.sub_crs_list if crs.is_compound else [crs])]
+    if not codes or codes[0] is None:
         return None
+    name = f"EPSG:{'+'.join(str(code) for code in codes if code is not None)}"
     try:
-        parse_crs(f"EPSG:{code}")
+        parse_crs(name)
     except InputError as error:
         raise InputError(f"{path}: the CRS in its header cannot be used: {error}; convert the file to such a one, or "
                          "take the CRS out of its header if it is wrong") from None  # fmt: skip
-    return f"EPSG:{code}"
+    return name
 
 
 class _reading:

@@ -4,7 +4,9 @@ arrays by the scene's images and sensors; ids in its database.
 
 from __future__ import annotations
 
+import shutil
 import struct
+import tempfile
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -43,13 +45,75 @@ def read_model(folder: Path | str) -> Any:
     for name, end_of in _RECORDS.items():
         _check(folder / f"{name}.bin", end_of)
         _check(folder / f"{name}.txt", None)
+    text = (folder / "images.txt").exists() and not (folder / "images.bin").exists()
     try:
-        model = pycolmap.Reconstruction(str(folder))
+        model = _read_text(folder) if text else pycolmap.Reconstruction(str(folder))
         for image in model.images.values():
             check_text(image.name, "image")  # read here: one that is not UTF-8 is an error of its own
+    except InputError:
+        raise
     except Exception as error:
         raise InputError(f"{folder}: not a readable COLMAP model: {one_line(str(error))}") from None
     return model
+
+
+def _read_text(folder: Path) -> Any:
+    """The model of text files as other programs write them: names with blanks, which pycolmap would end at the first,
+    images without a line for points, of which it would take every second one alone, and no points at all."""
+    import pycolmap
+
+    if not (folder / "cameras.txt").exists():
+        raise InputError(f"{folder}: no cameras.txt; a model has cameras.txt, images.txt and, if any, points3D.txt")
+    cameras = (folder / "cameras.txt").read_text("utf-8-sig", "replace").split("\n")
+    known = {line.split()[0] for line in cameras if line.strip() and line[0] != "#"}
+    names, lines = _image_lines(folder / "images.txt")
+    lost = next((line.split() for line in lines[::2] if line.split()[8] not in known), None)
+    if lost is not None:
+        raise InputError(
+            f"{folder / 'cameras.txt'}: no camera {lost[8]}, which images.txt has for {names[int(lost[0])]}"
+        )
+    with tempfile.TemporaryDirectory() as made:
+        for name in ("rigs.txt", "cameras.txt", "frames.txt", "points3D.txt"):
+            if (folder / name).exists():
+                shutil.copyfile(folder / name, Path(made, name))
+        Path(made, "points3D.txt").touch()
+        Path(made, "images.txt").write_text("\n".join([*lines, ""]), encoding="ascii")
+        model = pycolmap.Reconstruction(made)
+    for number, name in names.items():
+        model.images[number].name = name
+    return model
+
+
+def _image_lines(path: Path) -> tuple[dict[int, str], list[str]]:
+    """Name of each image by its id, and two lines an image with the id instead of the name.
+
+    Raises InputError for a line that is neither an image nor its points, no rotation, and a name or id of two images.
+    """
+    names: dict[int, str] = {}
+    lines: list[str] = []
+    for number, line in enumerate(path.read_text("utf-8-sig", "surrogateescape").split("\n"), 1):
+        count, where = len(line.split()), f"{path}, line {number}"
+        if not count or line.startswith("#"):
+            continue
+        if _OF_NUMBERS.issuperset(line) and count % 3 == 0 and lines and not lines[-1]:
+            lines[-1] = line
+            continue
+        *values, name = line.strip().split(None, 9)
+        try:
+            _, qw, qx, qy, qz, tx, ty, tz, _ = (float(v) for v in values)
+        except ValueError:
+            text = "neither an image (id, qw, qx, qy, qz, tx, ty, tz, camera, name; with decimal points) nor its points"
+            raise InputError(f"{where}: {text}") from None
+        if not 0 < qw * qw + qx * qx + qy * qy + qz * qz < np.inf or not np.isfinite(tx + ty + tz):
+            raise InputError(f"{where}: {' '.join(values[1:8])} is no pose: a quaternion is not 0")
+        if int(values[0]) in names or name in names.values():
+            raise InputError(f"{where}: {name} or its number {values[0]} stands there twice")
+        names[int(values[0])] = name
+        lines += [" ".join([*values, values[0]]), ""]
+    return names, lines
+
+
+_OF_NUMBERS = frozenset("0123456789.+-eE \t\r")
 
 
 def _check(path: Path, end_of: Callable[[bytes, int], int] | None) -> None:

@@ -191,7 +191,7 @@ def _images(file: GcpFile, scene: Scene, notes: list[str]) -> tuple[np.ndarray, 
     lookup = image_lookup(scene)
     found, keep, unknown = [], [], []
     for k, mark in enumerate(file.marks):
-        index = lookup.get(mark.image.replace("\\", "/"))
+        index = image_of(lookup, mark.image)
         if index is None:
             unknown.append(mark)
         else:
@@ -289,7 +289,8 @@ def _few_marks(file: GcpFile, count: np.ndarray, notes: list[str]) -> None:
 
 
 def image_lookup(scene: Scene) -> dict[str, int]:
-    """Scene index by image name, the user's own file name, and by bare file name or stem where that is unique."""
+    """Scene index by image name, the user's own file name, and by bare file name or stem where that is unique. For
+    ``image_of``."""
     short: Counter[str] = Counter()
     out: dict[str, int] = {}
     for k in range(len(scene)):
@@ -300,7 +301,17 @@ def image_lookup(scene: Scene) -> dict[str, int]:
     out = {key: k for key, k in out.items() if short[key] == 1}
     for k, name in enumerate(scene.names):
         out[scene.source_name(k)] = out[name] = k
-    return out
+    lower = Counter(key.lower() for key in out)
+    return {f"{_ANY_CASE}{key.lower()}": k for key, k in out.items() if lower[key.lower()] == 1} | out
+
+
+def image_of(lookup: Mapping[str, int], name: str) -> int | None:
+    """The image of a name in a file: as it is written there, else in any case, as Windows takes names."""
+    plain = name.replace("\\", "/")
+    return lookup.get(plain, lookup.get(f"{_ANY_CASE}{plain.lower()}"))
+
+
+_ANY_CASE = "\0"  # before names in lower case: in no file's name
 
 
 def _origin_of_points(file: GcpFile, crs: str) -> Origin:

@@ -9,20 +9,30 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+from tiegraph.geometry.geodesy import crs_transformer
 from tiegraph.scene import exif as tags
 from tiegraph.scene.gnss import HEIGHT_RANGE_M, SIGMA_RANGE_M
-from tiegraph.scene.xmp import RigTags, read_rig_tags, read_rtk_position
+from tiegraph.scene.xmp import NAN, Place, RigTags, ratio, read_place, read_rig_tags, value_of, xmp_of
 
-NAN = float("nan")
 # Tags of the EXIF 2.32 standard (CIPA DC-008).
 EXIF_IFD, GPS_IFD = 0x8769, 0x8825
 _MAKE, _MODEL, _ORIENTATION, _DATE_TIME = 0x010F, 0x0110, 0x0112, 0x0132
 TIME_ORIGINAL, SUBSEC_ORIGINAL, OFFSET_ORIGINAL = 0x9003, 0x9291, 0x9011
+_TIME_DIGITIZED, _SUBSEC_DIGITIZED, _OFFSET_DIGITIZED, _SUBSEC, _OFFSET = 0x9004, 0x9292, 0x9012, 0x9290, 0x9010
 _EXPOSURE_S, _F_NUMBER, _ISO = 0x829A, 0x829D, 0x8827
-_FOCAL_MM, _FOCAL_35MM, _LENS = 0x920A, 0xA405, 0xA434
+_FOCAL_MM, _FOCAL_35MM, _LENS, _ZOOM = 0x920A, 0xA405, 0xA434, 0xA404
 _PLANE_X, _PLANE_UNIT, _EXIF_WIDTH, _EXIF_HEIGHT = 0xA20E, 0xA210, 0xA002, 0xA003
 _UNIT_MM = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
 _DIAGONAL_35MM = 43.27  # mm; CIPA DC-008 compares the diagonals of the fields of view
+# Where Adobe's programs write the same: tag, namespace and name in XMP.
+_BASE_IN_XMP = ((_MAKE, "tiff", "Make"), (_MODEL, "tiff", "Model"))
+_DETAIL_IN_XMP = ((TIME_ORIGINAL, "exif", "DateTimeOriginal"), (_FOCAL_MM, "exif", "FocalLength"),
+                  (_FOCAL_35MM, "exif", "FocalLengthIn35mmFilm"), (_LENS, "aux", "Lens"))  # fmt: skip
+_WHEN = re.compile(r"(\d{4})[:/-](\d\d)[:/-](\d\d)[T ](\d\d):(\d\d):(\d\d)(\.\d+)?(Z|[+-]\d\d:?\d\d)?")
+_ZONE = re.compile(r"Z|([+-])(\d\d):?(\d\d)")
+_LIKE_WGS84 = re.compile(r"(WGS|ITRF|JGD|ETRS|GDA|NAD83|CGCS).*|")  # datums within some metres of it
+_TOKYO, _TOKYO_SIGMA_M = "EPSG:4301", 9.0  # the accuracy that EPSG states of its parameters (operation 1230)
+_CLOCK_OFF_S = 120.0  # of a camera whose receiver tells its zone: half of the least difference of zones is 450 s
 
 
 @dataclass(frozen=True)
@@ -35,12 +45,15 @@ class Exif:
     lon_deg: float = NAN
     height_m: float = NAN
     position_sigma_m: float = NAN
+    height_sigma_m: float = NAN
     time_s: float = NAN  # seconds since 1970; in the camera's own clock and zone unless time_utc
     time_utc: bool = False
+    zone_s: float = NAN  # what that clock is ahead of UTC by the receiver's time, in whole quarters of an hour
     make: str = ""
     model: str = ""
     lens: str = ""
     focal_mm: float = NAN
+    zoom: float = 1.0  # digital: the middle of the sensor's picture, enlarged
     exposure: float = NAN  # time in s x ISO / (f-number squared); a fixed aperture or ISO may be left away
     rig: RigTags = RigTags()
     doubt: str = ""  # what is wrong with the position as written; it is used where lat_deg is finite all the same
@@ -63,54 +76,98 @@ def read_exif(image: Any, focal_range: tuple[float, float]) -> Exif:
         detail, gps = base.get_ifd(EXIF_IFD), base.get_ifd(GPS_IFD)
     except Exception:  # a damaged EXIF block makes PIL raise anything from struct.error to SyntaxError
         return Exif()
-    place, doubt = _place(gps)
-    rtk = read_rtk_position(image)  # EXIF rounds to millimetres at best, and has no accuracy
-    if _is_place(rtk):
-        place, doubt = rtk, ""
+    xmp = xmp_of(image)
+    base, detail = _with_xmp(dict(base), xmp, _BASE_IN_XMP), _with_xmp(detail, xmp, _DETAIL_IN_XMP)
+    place, doubt = _place(gps, *read_place(xmp))
     time_s, utc = _time(base, detail)
     return Exif(
         orientation=_orientation(base),
         focal_px=_focal(detail, image.size, focal_range),
-        lat_deg=place[0],
-        lon_deg=place[1],
-        height_m=place[2],
-        position_sigma_m=place[3],
+        lat_deg=place.lat_deg,
+        lon_deg=place.lon_deg,
+        height_m=place.height_m,
+        position_sigma_m=place.sigma_m,
+        height_sigma_m=place.sigma_up_m,
         time_s=time_s,
         time_utc=utc,
+        zone_s=NAN if utc else _zone(gps, time_s),
         make=_text(base.get(_MAKE)),
         model=_text(base.get(_MODEL)),
         lens=_text(detail.get(_LENS)),
         focal_mm=_positive(detail.get(_FOCAL_MM)),
+        zoom=_zoom(detail),
         exposure=_exposure(detail),
-        rig=read_rig_tags(image),
+        rig=read_rig_tags(xmp),
         doubt=doubt,
     )
 
 
-def _place(gps: dict) -> tuple[tuple[float, ...], str]:
-    """Latitude, longitude, height and sigma, NaN where not written or not believable, and what is not believable."""
-    if 2 not in gps and 4 not in gps:
-        return (NAN, NAN, NAN, NAN), ""
-    lat, lon, height, sigma = _angle(gps, 2, 1, "S"), _angle(gps, 4, 3, "W"), _height(gps), _positive(gps.get(31))
+def _with_xmp(table: dict, xmp: str, names: tuple[tuple[int, str, str], ...]) -> dict:
+    """The tags of EXIF, and those of XMP that it lacks."""
+    found = {tag: value_of(xmp, name, space) for tag, space, name in names if tag not in table} if xmp else {}
+    return {**{tag: value for tag, value in found.items() if value}, **table}
+
+
+def _place(gps: dict, xmp: Place, rtk: bool) -> tuple[Place, str]:
+    """Where EXIF and XMP say the image was taken, NaN where not written or not believable, and what is doubtful.
+
+    XMP counts where it comes from RTK (EXIF has no accuracy), where EXIF has nothing, and where EXIF is its rounding.
+    """
+    if rtk and _is_place(xmp):
+        return xmp, ""
+    lat, lon, height = _angle(gps, 2, 1, "S"), _angle(gps, 4, 3, "W"), _height(gps)
+    known, given = bool(_text(gps.get(1)) and _text(gps.get(3))), 2 in gps or 4 in gps
+    empty = np.isnan([lat, lon]).all() or (lat, lon) == (0, 0)
+    if empty or (_rounds(lat, xmp.lat_deg) and _rounds(lon, xmp.lon_deg)):
+        if np.isfinite([xmp.lat_deg, xmp.lon_deg]).all():
+            lat, lon, known, given = xmp.lat_deg, xmp.lon_deg, True, True
+    if not height > 0 and not height < 0 and np.isfinite(xmp.height_m):
+        height = xmp.height_m
+    sigmas = (_positive(gps.get(31)), NAN) if rtk or 31 in gps else (xmp.sigma_m, xmp.sigma_up_m)
+    if not given:
+        return Place(), ""
+    if np.isnan([lat, lon]).all():
+        return Place(), "its fields for latitude and longitude are empty"
     if not (abs(lat) <= 90 and abs(lon) <= 180):
-        return (NAN, NAN, NAN, NAN), f"latitude {lat:g}, longitude {lon:g} is no place on the Earth"
+        return Place(), f"latitude {lat:g}, longitude {lon:g} is no place on the Earth"
     if lat == 0 and lon == 0:
-        return (NAN, NAN, NAN, NAN), "latitude 0, longitude 0 is what a receiver without a fix writes"
-    if sigma > SIGMA_RANGE_M[1]:
-        return (NAN, NAN, NAN, NAN), f"an accuracy of {sigma:g} m is none"
-    if 6 in gps and not HEIGHT_RANGE_M[0] <= height <= HEIGHT_RANGE_M[1]:
-        return (lat, lon, NAN, sigma), f"height {height:g} m is none (the position is taken without it)"
-    if not (_text(gps.get(1)) and _text(gps.get(3))):
-        return (lat, lon, height, sigma), "nothing says whether it is north or south, east or west (N and E assumed)"
-    return (lat, lon, height, sigma if sigma >= SIGMA_RANGE_M[0] else NAN), ""
+        return Place(), "latitude 0, longitude 0 is what a receiver without a fix writes"
+    if sigmas[0] > SIGMA_RANGE_M[1]:
+        return Place(), f"an accuracy of {sigmas[0]:g} m is none"
+    flat, up = (s if s >= SIGMA_RANGE_M[0] else NAN for s in sigmas)
+    place = Place(lat_deg=lat, lon_deg=lon, height_m=height, sigma_m=flat, sigma_up_m=up)
+    if np.isfinite(height) and not HEIGHT_RANGE_M[0] <= height <= HEIGHT_RANGE_M[1]:
+        return place._replace(height_m=NAN), f"height {height:g} m is none (the position is taken without it)"
+    place, doubt = _in_wgs84(place, _text(gps.get(18)))
+    if _text(gps.get(9)).upper() == "V":
+        return place, "the receiver had no fix when it was taken (GPSStatus V), so the position may be an old one"
+    if not known:
+        return place, "nothing says whether it is north or south, east or west (N and E assumed)"
+    return place, doubt
 
 
-def _is_place(given: tuple[float, ...]) -> bool:
-    """Whether latitude, longitude, height and sigma are those of a receiver with a position."""
-    lat, lon, height, sigma = given
+def _rounds(coarse_deg: float, fine_deg: float) -> bool:
+    """Whether an angle in whole seconds, or tenths, ... of them stands for another."""
+    coarse, fine = coarse_deg * 3600, fine_deg * 3600
+    digits = next((k for k in range(5) if abs(coarse * 10**k - round(coarse * 10**k)) < 1e-3), 5)
+    return abs(coarse - fine) <= 10.0**-digits
+
+
+def _in_wgs84(place: Place, datum: str) -> tuple[Place, str]:
+    """A position in the datum that EXIF names, in WGS 84, and what is doubtful."""
+    plain = re.sub(r"[^A-Z0-9]", "", datum.upper())
+    if plain == "TOKYO":
+        lon, lat, _ = crs_transformer(_TOKYO).transform(place.lon_deg, place.lat_deg, 0.0, "INVERSE")
+        return place._replace(lat_deg=lat, lon_deg=lon, sigma_m=max(_TOKYO_SIGMA_M, np.nan_to_num(place.sigma_m))), ""
+    doubt = f"its datum is {datum}, which may lie hundreds of metres from WGS 84"
+    return place, "" if _LIKE_WGS84.fullmatch(plain) else doubt
+
+
+def _is_place(given: Place) -> bool:
+    """Whether these are the position and sigma of a receiver with a fix."""
     low, high = HEIGHT_RANGE_M
-    sure = SIGMA_RANGE_M[0] <= sigma <= SIGMA_RANGE_M[1]
-    return abs(lat) <= 90 and abs(lon) <= 180 and (lat, lon) != (0, 0) and low <= height <= high and sure
+    somewhere = abs(given.lat_deg) <= 90 and abs(given.lon_deg) <= 180 and (given.lat_deg, given.lon_deg) != (0, 0)
+    return somewhere and low <= given.height_m <= high and SIGMA_RANGE_M[0] <= given.sigma_m <= SIGMA_RANGE_M[1]
 
 
 def _focal(detail: dict, size: tuple[int, int], range_: tuple[float, float]) -> float:
@@ -123,12 +180,17 @@ def _focal(detail: dict, size: tuple[int, int], range_: tuple[float, float]) -> 
     smaller = min(max(width / wide, height / high), max(width / high, height / wide))
     equivalent = _positive(detail.get(_FOCAL_35MM))
     focal = equivalent / _DIAGONAL_35MM * (wide**2 + high**2) ** 0.5 * smaller
-    if _believable(focal, longer, range_):
-        return focal
     mm, density = _positive(detail.get(_FOCAL_MM)), _positive(detail.get(_PLANE_X))
     unit_mm = _UNIT_MM.get(int(_number(detail.get(_PLANE_UNIT, 2), 2)), 25.4)
-    focal = mm * density / unit_mm * smaller
-    return focal if _believable(focal, longer, range_) else NAN
+    by_pixels, zoom = mm * density / unit_mm * smaller, _zoom(detail)
+    if focal < by_pixels * zoom**0.5:  # some cameras leave a digital zoom out of the equivalent
+        focal *= zoom
+    return next((f for f in (focal, by_pixels * zoom) if _believable(f, longer, range_)), NAN)
+
+
+def _zoom(detail: dict) -> float:
+    zoom = _positive(detail.get(_ZOOM))
+    return zoom if zoom > 1 else 1.0
 
 
 def _exposure(detail: dict) -> float:
@@ -147,38 +209,60 @@ def _believable(focal_px: float, longer_px: int, range_: tuple[float, float]) ->
 
 
 def _angle(gps: dict, key: int, reference_key: int, negative: str) -> float:
-    try:
-        degrees, minutes, seconds = (float(v) for v in gps[key])
-    except (KeyError, TypeError, ValueError, ZeroDivisionError):
+    """Degrees of up to three numbers, of which the last may be empty (0/0); some cameras write a sign beside the
+    letter."""
+    given = gps.get(key)
+    parts = [_number(v) for v in (given if isinstance(given, tuple) else (given,))][:3]
+    if not parts or np.isnan(parts[0]):
         return NAN
-    sign = -1.0 if _text(gps.get(reference_key)).upper().startswith(negative) else 1.0
-    return sign * (degrees + minutes / 60 + seconds / 3600)
+    size = sum(abs(part) / 60**k for k, part in enumerate(parts) if np.isfinite(part))
+    return -size if parts[0] < 0 or _text(gps.get(reference_key)).upper().startswith(negative) else size
 
 
 def _height(gps: dict) -> float:
     height = _number(gps.get(6), NAN)
     reference = gps.get(5)
-    below = reference in (1, 3, b"\x01", b"\x03")  # 2 and 3 (EXIF 3.0): above and below sea level, no ellipsoid
+    # 2 and 3 (EXIF 3.0): above and below sea level, no ellipsoid; some programs write a digit
+    below = reference in (1, 3, b"\x01", b"\x03", b"1", "1")
     return -height if below else height
 
 
-def _time(base: Any, detail: dict) -> tuple[float, bool]:
-    text = _text(detail.get(TIME_ORIGINAL)) or _text(base.get(_DATE_TIME))
+def _time(base: dict, detail: dict) -> tuple[float, bool]:
+    """Seconds since 1970, and whether they are UTC: of the first of EXIF's three times that is one."""
+    offset = detail.get(_OFFSET)
+    for text, fraction, zone in (
+        (detail.get(TIME_ORIGINAL), detail.get(SUBSEC_ORIGINAL), detail.get(OFFSET_ORIGINAL, offset)),
+        (detail.get(_TIME_DIGITIZED), detail.get(_SUBSEC_DIGITIZED), detail.get(_OFFSET_DIGITIZED, offset)),
+        (base.get(_DATE_TIME), detail.get(_SUBSEC), offset),
+    ):
+        found = _WHEN.fullmatch(_text(text))
+        if found is None:
+            continue
+        ahead = _ZONE.fullmatch(_text(zone)) or _ZONE.fullmatch(found[8] or "")
+        hours, minutes = (int(f"{ahead[1]}{ahead[k]}") for k in (2, 3)) if ahead and ahead[1] else (0, 0)
+        year, month, day, hour, minute, second = (int(v) for v in found.groups()[:6])
+        try:
+            local = datetime(year, month, day, hour, minute, second, tzinfo=timezone.utc)
+            seconds = (local - timedelta(hours=hours, minutes=minutes)).timestamp()
+        except (ValueError, OverflowError):  # the 31st of a short month; the first day of the year 1
+            continue
+        part = found[7] or (f".{_text(fraction)}" if _text(fraction).isdigit() else ".0")
+        return seconds + float(part), ahead is not None
+    return NAN, False
+
+
+def _zone(gps: dict, time_s: float) -> float:
+    """What a camera's clock is ahead of UTC, by the receiver's date and time."""
+    day, clock = re.fullmatch(r"(\d{4})\D(\d\d)\D(\d\d)", _text(gps.get(29))), gps.get(7)
+    if day is None or not isinstance(clock, tuple) or len(clock) != 3:
+        return NAN
     try:
-        stamp = datetime.strptime(text[:19], "%Y:%m:%d %H:%M:%S")
+        midnight = datetime(int(day[1]), int(day[2]), int(day[3]), tzinfo=timezone.utc).timestamp()
     except ValueError:
-        return NAN, False
-    fraction = _text(detail.get(SUBSEC_ORIGINAL))
-    seconds = float(f"0.{fraction}") if fraction.isdigit() else 0.0
-    offset = re.fullmatch(r"([+-])(\d\d):(\d\d)", _text(detail.get(OFFSET_ORIGINAL)))
-    shift = timedelta()
-    if offset:
-        shift = timedelta(hours=int(offset[2]), minutes=int(offset[3])) * (1 if offset[1] == "+" else -1)
-    try:
-        utc = (stamp - shift).replace(tzinfo=timezone.utc)
-    except OverflowError:  # the first day of the year 1
-        return NAN, False
-    return utc.timestamp() + seconds, offset is not None
+        return NAN
+    ahead = time_s - midnight - sum(_number(v) * 60 ** (2 - k) for k, v in enumerate(clock))
+    zone = round(ahead / 900) * 900.0 if abs(ahead) < 15 * 3600 else NAN
+    return zone if abs(ahead - zone) <= _CLOCK_OFF_S else NAN
 
 
 def _text(value: Any) -> str:
@@ -189,7 +273,7 @@ def _text(value: Any) -> str:
 
 def _number(value: Any, otherwise: float = NAN) -> float:
     try:
-        return float(value)
+        return ratio(value) if isinstance(value, str) else float(value)
     except (TypeError, ValueError, ZeroDivisionError):
         return otherwise
 

@@ -1,15 +1,17 @@
-"""What cameras write into a file's XMP: the rig of a multispectral camera, and the position of a DJI drone with RTK.
+"""What cameras and programs write into a file's XMP: the rig of a multispectral camera, positions, and EXIF's own tags.
 
 The rig's tags are those of Pix4D's namespace Camera (http://pix4d.com/camera/1.0), written by Parrot, MicaSense and
 Sentera, as attributes, as elements or as lists: RigCameraIndex, BandName, RigRelatives and
-RigRelativesReferenceRigCameraIndex. DJI's stand in its namespace drone-dji (DJI, photo file description): GpsLatitude,
-GpsLongitude (in old firmware GpsLongtitude), AbsoluteAltitude, RtkFlag (0 none, 16 single, 34 float, 50 fixed) and the
-standard deviations RtkStdLat, RtkStdLon, RtkStdHgt in metres.
+RigRelativesReferenceRigCameraIndex; and GPSXYAccuracy, GPSZAccuracy, in metres. DJI's stand in its namespace drone-dji
+(DJI, photo file description): GpsLatitude, GpsLongitude (in old firmware GpsLongtitude), AbsoluteAltitude, RtkFlag (0
+none, 16 single, 34 float, 50 fixed) and the standard deviations RtkStdLat, RtkStdLon, RtkStdHgt in metres. Adobe's
+programs leave EXIF away in some formats and write its tags as exif:GPSLatitude="35,41.37N" (XMP part 2).
 """
 
 import re
 from dataclasses import dataclass
-from typing import Any
+from fractions import Fraction
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -18,6 +20,7 @@ from tiegraph.scene.table import number
 _XMP_TAG = 700  # of TIFF
 _MAX_DEG = 360.0
 _DJI = "drone-dji"
+NAN = float("nan")
 
 
 @dataclass(frozen=True)
@@ -30,31 +33,64 @@ class RigTags:
     reference: int = -1  # index of the reference camera
 
 
-def read_rig_tags(image: Any) -> RigTags:
-    """Rig tags of an opened PIL image; damaged ones count as not written."""
-    text = _text(image)
+class Place(NamedTuple):
+    """Where an image was taken, and the sigmas of that (horizontal, up); NaN = not written."""
+
+    lat_deg: float = NAN
+    lon_deg: float = NAN
+    height_m: float = NAN
+    sigma_m: float = NAN
+    sigma_up_m: float = NAN
+
+
+def read_rig_tags(text: str) -> RigTags:
+    """Rig tags of the XMP of an image; damaged ones count as not written."""
     if "RigCameraIndex" not in text and "BandName" not in text:
         return RigTags()
-    angles = [number(v) for v in re.split(r"[,\s]+", _value(text, "RigRelatives")) if v]
+    angles = [number(v) for v in re.split(r"[,\s]+", value_of(text, "RigRelatives")) if v]
     good = len(angles) == 3 and bool(np.all(np.abs(angles) <= _MAX_DEG))
     return RigTags(
-        index=_whole(_value(text, "RigCameraIndex")),
-        band=_value(text, "BandName")[:40],
+        index=_whole(value_of(text, "RigCameraIndex")),
+        band=value_of(text, "BandName")[:40],
         relatives_deg=tuple(angles) if good else (),
-        reference=_whole(_value(text, "RigRelativesReferenceRigCameraIndex")),
+        reference=_whole(value_of(text, "RigRelativesReferenceRigCameraIndex")),
     )
 
 
-def read_rtk_position(image: Any) -> tuple[float, ...]:
-    """Latitude, longitude, height and horizontal standard deviation that a DJI drone with RTK wrote into an opened PIL
-    image; NaN where it wrote none or had no position."""
-    text = _text(image)
-    if "RtkFlag" not in text or not number(_value(text, "RtkFlag", _DJI)) > 0:
-        return (float("nan"),) * 4
-    lon = _value(text, "GpsLongitude", _DJI) or _value(text, "GpsLongtitude", _DJI)
-    height = number(_value(text, "AbsoluteAltitude", _DJI))
-    sigma = max(number(_value(text, tag, _DJI)) for tag in ("RtkStdLat", "RtkStdLon"))
-    return number(_value(text, "GpsLatitude", _DJI)), number(lon), height, sigma
+def read_place(text: str) -> tuple[Place, bool]:
+    """The position in the XMP of an image, and whether a receiver with RTK that had a fix wrote it."""
+    rtk = number(value_of(text, "RtkFlag", _DJI)) > 0
+    dji = {t: number(value_of(text, t, _DJI)) for t in ("GpsLatitude", "GpsLongitude", "GpsLongtitude")}
+    lat, lon = dji["GpsLatitude"], dji["GpsLongitude"]
+    lon = dji["GpsLongtitude"] if np.isnan(lon) else lon
+    height = number(value_of(text, "AbsoluteAltitude", _DJI))
+    if np.isnan(lat):
+        lat, lon = (_degrees(value_of(text, t, "exif")) for t in ("GPSLatitude", "GPSLongitude"))
+    if np.isnan(height):
+        below = value_of(text, "GPSAltitudeRef", "exif") == "1"
+        height = ratio(value_of(text, "GPSAltitude", "exif")) * (-1 if below else 1)
+    flat, up = (number(value_of(text, f"GPS{axes}Accuracy")) for axes in ("XY", "Z"))
+    if rtk:
+        flat = max(number(value_of(text, tag, _DJI)) for tag in ("RtkStdLat", "RtkStdLon"))
+        up = number(value_of(text, "RtkStdHgt", _DJI))
+    return Place(lat_deg=lat, lon_deg=lon, height_m=height, sigma_m=flat, sigma_up_m=up), rtk
+
+
+def _degrees(text: str) -> float:
+    """Degrees of "35,41.37N" or "35,41,22N"."""
+    found = re.fullmatch(r"(\d+),(\d+(?:\.\d+)?)(?:,(\d+(?:\.\d+)?))?([NSEW])", text)
+    if found is None:
+        return NAN
+    size = int(found[1]) + float(found[2]) / 60 + float(found[3] or 0) / 3600
+    return -size if found[4] in "SW" else size
+
+
+def ratio(text: str) -> float:
+    """The number that "88/10" or "8.8" is, NaN if it is none."""
+    try:
+        return float(Fraction(text))
+    except (ValueError, ZeroDivisionError):
+        return NAN
 
 
 def relative_rotation(relatives_deg: tuple[float, ...]) -> np.ndarray:
@@ -67,7 +103,8 @@ def relative_rotation(relatives_deg: tuple[float, ...]) -> np.ndarray:
     return rx @ ry @ rz
 
 
-def _text(image: Any) -> str:
+def xmp_of(image: Any) -> str:
+    """The XMP of an opened PIL image, "" without any."""
     found = image.info.get("xmp") or image.info.get("XML:com.adobe.xmp") or b""
     try:
         found = found or getattr(image, "tag_v2", {}).get(_XMP_TAG, b"")
@@ -76,7 +113,7 @@ def _text(image: Any) -> str:
     return found.decode("utf-8", errors="replace") if isinstance(found, bytes) else str(found)
 
 
-def _value(text: str, tag: str, space: str = "Camera") -> str:
+def value_of(text: str, tag: str, space: str = "Camera") -> str:
     """Text of a tag written as an attribute, as an element or as a list, its items parted by blanks."""
     attribute = re.search(rf'\b{space}:{tag}\s*=\s*["\']([^"\']*)["\']', text)
     if attribute:

@@ -7,7 +7,7 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from tiegraph.errors import InputError
-from tiegraph.geometry.geodesy import Origin, area_note, make_origin, middle, world_from_geodetic
+from tiegraph.geometry.geodesy import Origin, area_note, datum_note, make_origin, middle, world_from_geodetic
 from tiegraph.geometry.transforms import rigid
 from tiegraph.scan.priors.times import FrameRow, absent, frame_by_image, plain_name
 from tiegraph.scan.rigfiles.rigspec import AXES, RigSpec
@@ -127,8 +127,9 @@ def _away(gnss: Gnss, time_s: float) -> str:
 
 def _origin(lat_lon_height: np.ndarray, settings: ScanSettings, notes: list[str]) -> Origin:
     origin = make_origin(*middle(lat_lon_height), settings.crs)
-    if settings.crs.lower() != "auto" and (note := area_note(origin.crs, lat_lon_height)):
-        notes.append(note)
+    if settings.crs.lower() != "auto":
+        datum = datum_note(origin.crs)
+        notes += filter(None, [area_note(origin.crs, lat_lon_height), datum and f"--scan.crs {origin.crs}: {datum}"])
     return origin
 
 
@@ -286,8 +287,9 @@ def from_exif(
     sigma = np.full((len(found), 3), np.nan)
     for k in np.flatnonzero(there):
         places[k] = np.mean(llh[found[k]], axis=0)
-        flat = given[found[k][0]] if np.isfinite(given[found[k][0]]) else settings.gnss_sigma_m
-        sigma[k] = flat, flat, tuning.gnss.vertical * flat
+        flat, up = given[found[k][0]]
+        flat = flat if np.isfinite(flat) else settings.gnss_sigma_m
+        sigma[k] = flat, flat, up if np.isfinite(up) else tuning.gnss.vertical * flat
     nought = there & (places[:, 2] == 0)  # what some cameras write while they have no height
     others = np.abs(places[there & ~nought, 2])
     if nought.sum() < len(others) and np.nanmin(others, initial=np.inf) > _NEAR_NOUGHT_M:
@@ -300,6 +302,12 @@ def from_exif(
     if stuck := stuck_note(places[there], "EXIF", tuning.gnss.stuck):
         notes.append(f"{stuck} Not used")
         return priors
+    places_of = {(frames.rows[k].rig, *places[k, :2]) for k in np.flatnonzero(there)}
+    if len(places_of) < there.sum():
+        notes.append(
+            f"EXIF: {there.sum() - len(places_of)} of {there.sum()} positions are those of another frame to the digit: "
+            "taken from one place, or the receiver had no new one"
+        )
     origin = _origin(places[there], settings, notes)
     pose = np.full((len(found), 4, 4), np.nan)
     pose[there, :3, 3] = world_from_geodetic(places[there], origin)
@@ -325,7 +333,8 @@ def _say_doubts(frames: Frames, notes: list[str]) -> None:
 
 
 def _exif_positions(frames: Frames, notes: list[str], most_far: float) -> tuple[np.ndarray, np.ndarray]:
-    """Lat, lon, height (N, 3) of the images and their sigmas (N,) in metres; NaN = none, or far from all others."""
+    """Lat, lon, height (N, 3) of the images and their sigmas (N, 2), horizontal and up, in metres; NaN = none, or far
+    from all others."""
     llh = np.array([[e.lat_deg, e.lon_deg, e.height_m] for e in frames.exif], float).reshape(-1, 3)
     known = np.flatnonzero(np.isfinite(llh[:, 0]))
     level = np.nan_to_num(llh[known])  # an unknown height serves as zero here: a mountain is no gap of kilometres
@@ -333,4 +342,4 @@ def _exif_positions(frames: Frames, notes: list[str], most_far: float) -> tuple[
     if note:
         notes.append(note)
     llh[known[far]] = np.nan
-    return llh, np.array([e.position_sigma_m for e in frames.exif], float)
+    return llh, np.array([[e.position_sigma_m, e.height_sigma_m] for e in frames.exif], float)

@@ -20,6 +20,7 @@ from tiegraph.scan.rigfiles.rigspec import AXES
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import TimesTuning, TrajectoryTuning, Tuning
 from tiegraph.scene.bags import source_of
+from tiegraph.scene.exif import Exif
 from tiegraph.scene.gnss import read_gnss
 from tiegraph.scene.results import Trajectory
 
@@ -108,9 +109,10 @@ def _times(frames: Frames, file: Path | None, files: dict, notes: list[str], tun
         if np.isnan(out).any():
             notes.append(f"{Path(file).name}: {np.isnan(out).sum()} of {len(out)} frames have no time in it")
         return out
-    out = _unless_one(exif_times(frames.rows, frames.exif), "EXIF", notes)
+    exif = _in_utc(frames.exif, notes)
+    out = _unless_one(exif_times(frames.rows, exif), "EXIF", notes)
     if np.isfinite(out).all():
-        if not all(e.time_utc for e in frames.exif):
+        if not all(e.time_utc for e in exif):
             notes.append("times of the frames from EXIF, in the camera's own clock (no time zone written)")
         return out
     if np.isfinite(out).any():
@@ -126,6 +128,16 @@ def _times(frames: Frames, file: Path | None, files: dict, notes: list[str], tun
             out[rows] = trajectory.time_s
             notes.append(f"{path.name}: as many poses as frames ({len(rows)}): the frames take its times in order")
     return out
+
+
+def _in_utc(exif: Sequence[Exif], notes: list[str]) -> Sequence[Exif]:
+    """EXIF with the times of cameras without a zone in UTC, where the receiver's own times tell one zone for all."""
+    zones = {e.zone_s for e in exif if np.isfinite(e.zone_s)}
+    if len(zones) != 1:
+        return exif
+    (ahead,) = zones
+    notes.append(f"the cameras' clock is UTC{ahead / 3600:+g} h by the receiver's time in EXIF: taken off")
+    return [e if e.time_utc else replace(e, time_s=e.time_s - ahead, time_utc=True) for e in exif]
 
 
 def _unless_one(time_s: np.ndarray, where: str, notes: list[str]) -> np.ndarray:

@@ -150,6 +150,11 @@ def lens_fault(camera: pycolmap.Camera, tuning: CameraTuning) -> str:
             f"the principal point ({middle[0]:g}, {middle[1]:g}) is not inside the {width} x {height} image. If the "
             "parameters belong to another image size, give it as size = [width, height] in a rig.toml"
         )
+    if (np.abs(middle / [width, height] - 0.5) > tuning.off_centre).all():
+        return (
+            f"the principal point ({middle[0]:g}, {middle[1]:g}) is in a corner of the {width} x {height} image: it "
+            "counts pixels from the upper left corner, not from the middle, and is no share of the sides"
+        )
     return _fold(camera, middle, fisheye, tuning)
 
 

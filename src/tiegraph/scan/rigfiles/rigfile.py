@@ -374,7 +374,7 @@ class _ColmapReader(Reader):
         folder = prefix.strip("/")
         return SensorSpec(
             name=folder or "camera",
-            folder=folder,
+            folder=folder if prefix.endswith("/") or not folder else f"{folder}*",  # it may begin the names of files
             body_from_sensor=self.pose(data, number),
             model=None if model is None else self.model(model, params, *at, "camera_model_name"),
             params=params,

@@ -38,7 +38,7 @@ def rig_config(rigs: Sequence[Rig]) -> str:
 def _colmap_cameras(rig: Rig) -> list[dict]:
     cameras: list[dict] = []
     for number, sensor in enumerate(rig.sensors):
-        camera: dict[str, Any] = {"image_prefix": f"{sensor.folder}/" if sensor.folder else ""}
+        camera: dict[str, Any] = {"image_prefix": f"{sensor.folder}/".removesuffix("*/") if sensor.folder else ""}
         if number == 0:
             camera["ref_sensor"] = True
         elif sensor.sensor_from_rig is not None:
