@@ -15,7 +15,7 @@ from tiegraph.masks.folder import find_mask
 from tiegraph.project.settings import merged
 from tiegraph.scan.scan import safe_names
 from tiegraph.scene.colmapmodel import read_model
-from tiegraph.scene.images import read_pixels
+from tiegraph.scene.decoding import read_pixels
 from tiegraph.scene.names import LONGEST_BYTES, check_name, clean, clean_names, inside, shortened, unclean
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene

@@ -8,7 +8,8 @@ import numpy as np
 from PIL import Image
 
 from tiegraph.errors import InputError
-from tiegraph.scene.images import IMAGES_FOLDER, decode_deep, open_image
+from tiegraph.scene.decoding import decode_deep, open_image
+from tiegraph.scene.images import IMAGES_FOLDER
 from tiegraph.scene.names import unclean
 from tiegraph.scene.regular import regular
 

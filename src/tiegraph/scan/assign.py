@@ -29,7 +29,7 @@ from tiegraph.scan.rigfiles.rigspec import RigSpec, SensorSpec, preset, preset_s
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import FoldersTuning, Tuning
 from tiegraph.scene.exif import Exif
-from tiegraph.scene.images import Probe
+from tiegraph.scene.images import OF_CAMERAS, SUFFIXES, Probe
 from tiegraph.scene.scene import Dropped
 
 _NAMED = 4  # how many names a note shows
@@ -265,11 +265,14 @@ def some(texts: Iterable[str]) -> str:
 
 
 def usable_images(names: Sequence[str], probes: Sequence[Probe], report: Report) -> Usable:
-    """The images that can be read, each file once; the report gets the others. InputError with fewer than two."""
+    """The images that can be read, each photograph once; the report gets the others. InputError with fewer than two."""
     first: dict[str, str] = {}
     usable, repeated = [], []
+    twins = _twins(names, probes)
     for k, (name, probe) in enumerate(zip(names, probes)):
-        if probe.reason:
+        if k in twins:
+            report.drop([name], f"the photograph that {names[twins[k]]} is, too")
+        elif probe.reason:
             report.drop([name], probe.reason)
         elif probe.digest in first:
             report.drop([name], f"the same file as {first[probe.digest]}")
@@ -277,9 +280,53 @@ def usable_images(names: Sequence[str], probes: Sequence[Probe], report: Report)
         else:
             first[probe.digest] = name
             usable.append(k)
+    if twins:
+        copy, kept = next(iter(twins.items()))
+        report.notes.append(
+            f"{len(twins)} photographs are here in two formats: of {names[kept]} and {names[copy]} the first is used"
+        )
     report.notes += _say_repeated(repeated, names)
+    told = Counter(d.reason for d in report.dropped if "pip install" in d.reason)
+    told.update(probes[k].said for k in usable if probes[k].said)
+    report.notes += [f"{count} images: {text}" for text, count in told.items()]
     need_two(len(usable), report)
     return Usable(tuple(usable), tuple(names[k] for k in usable), tuple(probes[k] for k in usable))
+
+
+def _twins(names: Sequence[str], probes: Sequence[Probe]) -> dict[int, int]:
+    """Files that are a photograph in another format (raw and JPEG, HEIC and its copy), and the file that is used: one
+    that can be read, a developed one, of the most usual format.
+
+    They are called alike, and lie in one folder or have one time and camera in EXIF; where both are such formats as
+    anything is kept in (a photograph and a thermal TIFF), their sizes must be equal, too.
+    """
+    found: dict[str, list[int]] = {}
+    for k, name in enumerate(names):
+        found.setdefault(PurePosixPath(name).stem.lower(), []).append(k)
+    out: dict[int, int] = {}
+    for same in found.values():
+        if len({_suffix(names[k]) for k in same}) == 1:
+            continue
+        same.sort(key=lambda k: (bool(probes[k].reason), SUFFIXES.index(_suffix(names[k]))))
+        for n, k in enumerate(same):
+            kept = next((j for j in same[:n] if j not in out and _one_photograph(names, probes, j, k)), None)
+            if kept is not None:
+                out[k] = kept
+    return out
+
+
+def _suffix(name: str) -> str:
+    return PurePosixPath(name).suffix.lower()
+
+
+def _one_photograph(names: Sequence[str], probes: Sequence[Probe], one: int, other: int) -> bool:
+    formats, exif = {_suffix(names[one]), _suffix(names[other])}, (probes[one].exif, probes[other].exif)
+    if len(formats) == 1 or probes[one].reason:
+        return False
+    if PurePosixPath(names[one]).parent == PurePosixPath(names[other]).parent:
+        sizes = {probes[k].upright_size() for k in (one, other)}
+        return bool(formats & set(OF_CAMERAS)) or len(sizes) == 1
+    return len({(e.time_s, e.make, e.model) for e in exif}) == 1 and bool(exif[0].make)
 
 
 def _say_repeated(repeated: Sequence[tuple[str, str]], names: Sequence[str]) -> list[str]:
@@ -312,7 +359,10 @@ def _heads(name: str, other: str) -> tuple[str, str]:
 def need_two(count: int, report: Report) -> None:
     """Raise InputError, with what was left out, for fewer than two images."""
     if count < 2:
-        why = "; ".join(f"{d.name}: {d.reason}" for d in report.dropped[:3])
+        first = {d.reason: d.name for d in reversed(report.dropped)}
+        count_of = Counter(d.reason for d in report.dropped)
+        more = {reason: f" and {n - 1} more" if n > 1 else "" for reason, n in count_of.items()}
+        why = "; ".join(f"{first[reason]}{more[reason]}: {reason}" for reason in list(count_of)[:3])
         raise InputError(
             f"{count} usable image(s): at least 2 are needed, and about 10 for a model. "
             + (f"Left out {len(report.dropped)}: {why}" if why else "Give a folder with more images")

@@ -55,9 +55,9 @@ def orientation_of(path: Path) -> int:
         return 1
 
 
-def read_exif(image: Any, focal_range: tuple[float, float]) -> Exif:
-    """EXIF of an opened PIL image; damaged entries count as not written, as do focal lengths out of a range (in longer
-    image sides)."""
+def read_exif(image: Any, size: tuple[int, int], focal_range: tuple[float, float]) -> Exif:
+    """EXIF of an opened PIL image, whose pixels are ``size`` (width, height); damaged entries count as not written, as
+    do focal lengths out of a range (in longer image sides)."""
     try:
         base = image.getexif()
         detail, gps = base.get_ifd(EXIF_IFD), base.get_ifd(GPS_IFD)
@@ -70,7 +70,7 @@ def read_exif(image: Any, focal_range: tuple[float, float]) -> Exif:
     time_s, utc = _time(base, detail)
     return Exif(
         orientation=_orientation(base),
-        focal_px=_focal(detail, image.size, focal_range),
+        focal_px=_focal(detail, size, focal_range),
         lat_deg=place[0],
         lon_deg=place[1],
         height_m=place[2],

@@ -32,29 +32,29 @@ class RigTags:
 
 def read_rig_tags(image: Any) -> RigTags:
     """Rig tags of an opened PIL image; damaged ones count as not written."""
-    text = _text(image)
+    text = xmp_text(image)
     if "RigCameraIndex" not in text and "BandName" not in text:
         return RigTags()
-    angles = [number(v) for v in re.split(r"[,\s]+", _value(text, "RigRelatives")) if v]
+    angles = [number(v) for v in re.split(r"[,\s]+", xmp_value(text, "RigRelatives")) if v]
     good = len(angles) == 3 and bool(np.all(np.abs(angles) <= _MAX_DEG))
     return RigTags(
-        index=_whole(_value(text, "RigCameraIndex")),
-        band=_value(text, "BandName")[:40],
+        index=_whole(xmp_value(text, "RigCameraIndex")),
+        band=xmp_value(text, "BandName")[:40],
         relatives_deg=tuple(angles) if good else (),
-        reference=_whole(_value(text, "RigRelativesReferenceRigCameraIndex")),
+        reference=_whole(xmp_value(text, "RigRelativesReferenceRigCameraIndex")),
     )
 
 
 def read_rtk_position(image: Any) -> tuple[float, ...]:
     """Latitude, longitude, height and horizontal standard deviation that a DJI drone with RTK wrote into an opened PIL
     image; NaN where it wrote none or had no position."""
-    text = _text(image)
-    if "RtkFlag" not in text or not number(_value(text, "RtkFlag", _DJI)) > 0:
+    text = xmp_text(image)
+    if "RtkFlag" not in text or not number(xmp_value(text, "RtkFlag", _DJI)) > 0:
         return (float("nan"),) * 4
-    lon = _value(text, "GpsLongitude", _DJI) or _value(text, "GpsLongtitude", _DJI)
-    height = number(_value(text, "AbsoluteAltitude", _DJI))
-    sigma = max(number(_value(text, tag, _DJI)) for tag in ("RtkStdLat", "RtkStdLon"))
-    return number(_value(text, "GpsLatitude", _DJI)), number(lon), height, sigma
+    lon = xmp_value(text, "GpsLongitude", _DJI) or xmp_value(text, "GpsLongtitude", _DJI)
+    height = number(xmp_value(text, "AbsoluteAltitude", _DJI))
+    sigma = max(number(xmp_value(text, tag, _DJI)) for tag in ("RtkStdLat", "RtkStdLon"))
+    return number(xmp_value(text, "GpsLatitude", _DJI)), number(lon), height, sigma
 
 
 def relative_rotation(relatives_deg: tuple[float, ...]) -> np.ndarray:
@@ -67,7 +67,8 @@ def relative_rotation(relatives_deg: tuple[float, ...]) -> np.ndarray:
     return rx @ ry @ rz
 
 
-def _text(image: Any) -> str:
+def xmp_text(image: Any) -> str:
+    """The XMP packet of an opened PIL image; "" without one."""
     found = image.info.get("xmp") or image.info.get("XML:com.adobe.xmp") or b""
     try:
         found = found or getattr(image, "tag_v2", {}).get(_XMP_TAG, b"")
@@ -76,7 +77,7 @@ def _text(image: Any) -> str:
     return found.decode("utf-8", errors="replace") if isinstance(found, bytes) else str(found)
 
 
-def _value(text: str, tag: str, space: str = "Camera") -> str:
+def xmp_value(text: str, tag: str, space: str = "Camera") -> str:
     """Text of a tag written as an attribute, as an element or as a list, its items parted by blanks."""
     attribute = re.search(rf'\b{space}:{tag}\s*=\s*["\']([^"\']*)["\']', text)
     if attribute:
