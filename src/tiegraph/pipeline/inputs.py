@@ -32,6 +32,7 @@ from tiegraph.scene.exif import orientation_of
 from tiegraph.scene.gcp import GcpFile, read_gcps
 from tiegraph.scene.gnss import read_gnss
 from tiegraph.scene.namedposes import has_named_poses
+from tiegraph.scene.names import on_disk, plain_name
 from tiegraph.scene.pairs import pair_lines, read_pair_list
 from tiegraph.scene.scene import Scene
 
@@ -135,9 +136,9 @@ def check_against(run: Run, scene: Scene) -> tuple[str, ...]:
 def orientations(run: Run, scene: Scene, file: GcpFile) -> dict[int, int]:
     """By EXIF, of the images that a file marks, by scene index; those that are no files of the user's are left out."""
     root, lookup = source_of(run.inputs.images), image_lookup(scene)
-    images = {k for mark in file.marks if (k := lookup.get(mark.image.replace("\\", "/"))) is not None}
-    found = {k: root / scene.source_name(k) for k in sorted(images)}
-    return {k: orientation_of(path) for k, path in found.items() if path.is_file()}
+    images = {k for mark in file.marks if (k := lookup.get(plain_name(mark.image))) is not None}
+    found = {k: on_disk(root, scene.source_name(k)) for k in sorted(images)}
+    return {k: orientation_of(path) for k, path in found.items() if path is not None}
 
 
 def control_file(run: Run) -> GcpFile | None:

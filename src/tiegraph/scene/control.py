@@ -29,6 +29,7 @@ from tiegraph.scene.markpixels import (
     prepared_pixel,
     within,
 )
+from tiegraph.scene.names import plain_name
 from tiegraph.scene.scene import Scene
 
 MIN_MARKS = 2  # of a point whose place in the model can be found: two rays meet
@@ -191,7 +192,7 @@ def _images(file: GcpFile, scene: Scene, notes: list[str]) -> tuple[np.ndarray, 
     lookup = image_lookup(scene)
     found, keep, unknown = [], [], []
     for k, mark in enumerate(file.marks):
-        index = lookup.get(mark.image.replace("\\", "/"))
+        index = lookup.get(plain_name(mark.image))
         if index is None:
             unknown.append(mark)
         else:

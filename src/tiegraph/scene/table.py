@@ -13,6 +13,7 @@ import numpy as np
 
 from tiegraph.errors import InputError
 from tiegraph.scene.regular import regular
+from tiegraph.text import composed
 
 TIME_LIMIT_S = 1e11  # the year 5138: what is larger in size is no time in seconds
 _UNIT_S = {"ms": 1e-3, "msec": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}
@@ -183,7 +184,7 @@ def decoded(path: Path, raw: bytes, purpose: str) -> tuple[str, list[str]]:
     """Text of a file, UTF-8 or UTF-16 with its mark, and notes. Raises InputError if it is none."""
     utf16 = raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     try:
-        text = raw.decode("utf-16" if utf16 else "utf-8-sig")
+        text = composed(raw.decode("utf-16" if utf16 else "utf-8-sig"))
     except UnicodeDecodeError as error:
         line = raw.count(b"\n", 0, error.start) + 1
         text = raw.decode("utf-8-sig", errors="replace")
