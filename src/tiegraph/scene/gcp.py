@@ -23,7 +23,6 @@ from tiegraph.scene.regular import regular
 from tiegraph.scene.table import Table, table_of, text_lines
 from tiegraph.scene.targets import BAR_FORM, FORM, FileBar, Target, count_of, names_bars, read_bars, target_of
 from tiegraph.scene.tuning import ControlTuning
-from tiegraph.text import composed
 
 if TYPE_CHECKING:
     import pyproj
@@ -170,7 +169,7 @@ def _read(path: Path, option: str, tuning: ControlTuning) -> GcpFile:
         data = regular(path).read_bytes()
     except OSError as error:
         raise InputError(f"{option} {path}: cannot be read ({error.strerror})") from None
-    text = composed(data.decode("utf-8-sig", errors="replace"))  # a name of a point may be in another encoding
+    text = data.decode("utf-8-sig", errors="replace")  # a name of a point may be in another encoding
     if "\0" in text:
         raise InputError(f"{option} {path}: no text file in UTF-8; {FORMS}")
     lines = [(k + 1, line.strip()) for k, line in enumerate(text_lines(text)) if line.strip()]

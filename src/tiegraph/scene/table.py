@@ -168,8 +168,9 @@ def table_of(path: Path, purpose: str, lines: Sequence[tuple[int, str]], notes: 
 
 
 def text_lines(text: str) -> list[str]:
-    """The lines of a text as editors count them: ``str.splitlines`` also parts at form feeds and other separators."""
-    return re.split(r"\r\n|\r|\n", text)
+    """The lines of a text as editors count them (``str.splitlines`` also parts at form feeds and other separators), in
+    composed form, as names are."""
+    return re.split(r"\r\n|\r|\n", composed(text))
 
 
 def whole_file(path: Path, purpose: str) -> bytes:
@@ -184,7 +185,7 @@ def decoded(path: Path, raw: bytes, purpose: str) -> tuple[str, list[str]]:
     """Text of a file, UTF-8 or UTF-16 with its mark, and notes. Raises InputError if it is none."""
     utf16 = raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     try:
-        text = composed(raw.decode("utf-16" if utf16 else "utf-8-sig"))
+        text = raw.decode("utf-16" if utf16 else "utf-8-sig")
     except UnicodeDecodeError as error:
         line = raw.count(b"\n", 0, error.start) + 1
         text = raw.decode("utf-8-sig", errors="replace")
