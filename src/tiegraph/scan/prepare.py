@@ -14,8 +14,8 @@ from PIL import Image
 from tiegraph.errors import InputError
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scene.atomic import replacing
-from tiegraph.scene.decoding import ORIENTATION, Levels, Opened, eight_bit, opened, turned
-from tiegraph.scene.exif import Taken, exif_of
+from tiegraph.scene.decoding import Levels, Opened, eight_bit, opened, turned
+from tiegraph.scene.exif import Taken, exif_of, orientation_in
 from tiegraph.scene.filecache import cached_by_file
 from tiegraph.scene.fisheye import frozen, render_lens_view
 from tiegraph.scene.panorama import render_view, sphere_of
@@ -126,7 +126,7 @@ def _panorama(path: Path, levels: Levels) -> np.ndarray:
 
 def _plain(file: Opened, suffix: str) -> bool:
     image = file.image
-    if image is None or file.deep or image.getexif().get(ORIENTATION, 1) not in (0, 1):
+    if image is None or file.deep or orientation_in(image) != 1:
         return False
     kept = suffix in LINKED_FORMATS.get(image.format or "", ())
     return kept and image.mode in ("L", "RGB") and not image.has_transparency_data

@@ -4,6 +4,7 @@ bits; raw files of cameras by LibRaw. And how deeper pixels become those of 8 bi
 import importlib
 import io
 import warnings
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -12,20 +13,18 @@ import cv2
 import numpy as np
 from PIL import Image, ImageFile
 
-ORIENTATION, _XMP = 0x0112, 700  # tags of TIFF
+from tiegraph.scene.exif import orientation_in
+from tiegraph.scene.xmp import XMP_TAG
+
 LARGEST_PX = 1_000_000_000  # bound of memory: PIL refuses more than 179 Mpx; survey cameras and mosaics go beyond
 RAW = (".dng", ".gpr", ".cr2", ".cr3", ".nef", ".nrw", ".arw", ".srf", ".sr2", ".srw", ".orf", ".rw2", ".raf", ".pef",
        ".iiq", ".3fr", ".fff", ".mrw", ".x3f", ".rwl")  # fmt: skip
-_PLUGINS = (("pi_heif", "register_heif_opener"), ("pillow_heif", "register_heif_opener"))
-_BRANDS = {
-    b"avif": "AVIF is read by Pillow 11.3 and newer: pip install -U pillow",
-    b"avis": "AVIF is read by Pillow 11.3 and newer: pip install -U pillow",
-    **dict.fromkeys(
-        (b"heic", b"heix", b"hevc", b"heim", b"heis", b"mif1", b"msf1"),
-        "HEIC is read by pi-heif, which is not installed: pip install 'tiegraph[heif]'",
-    ),
+_PLUGINS = ("pi_heif", "pillow_heif")
+_MISSING = {  # by the brand of a file
+    "avif avis": "AVIF is read by Pillow 11.3 and newer: pip install -U pillow",
+    "heic heix hevc heim heis mif1 msf1": "HEIC is read by pi-heif, which is missing: pip install 'tiegraph[heif]'",
 }
-_NO_RAW = "raw files of cameras are read by rawpy, which is not installed: pip install 'tiegraph[raw]'"
+_NO_RAW = "raw files of cameras are read by rawpy, which is missing: pip install 'tiegraph[raw]'"
 
 Levels = tuple[float, float]
 """Values of a file that become 0 and 255."""
@@ -33,7 +32,7 @@ EIGHT_BIT: Levels = (0, 255)
 _LEVELS_PERCENT, _LEVELS_PX = (0.1, 99.9), 1_000_000  # a hot pixel is none of a thousand; so many pixels tell
 
 
-class Unreadable(Exception):
+class Unreadable(OSError):
     """Why an image file cannot be used."""
 
 
@@ -48,9 +47,8 @@ class Opened:
     @cached_property
     def orientation(self) -> int:
         """By EXIF, of what ``pixels`` returns: TIFF and HEIC come upright."""
-        if self.image is None or (self.image.format in ("TIFF", "HEIF") and not self.raw):
-            return 1
-        return self.image.getexif().get(ORIENTATION, 1)
+        upright = self.image is None or self.image.format in ("TIFF", "HEIF")
+        return 1 if upright else orientation_in(self.image)
 
     @cached_property
     def deep(self) -> bool:
@@ -98,8 +96,10 @@ def opened(data: bytes, suffix: str = "") -> Opened:
     try:
         return Opened(open_image(data), data)
     except Image.UnidentifiedImageError:
-        if data[4:8] == b"ftyp" and data[8:12] in _BRANDS:
-            raise Unreadable(_BRANDS[data[8:12]]) from None
+        brand = data[8:12].decode("latin-1") if data[4:8] == b"ftyp" else "none"
+        why = next((why for brands, why in _MISSING.items() if brand in brands), None)
+        if why:
+            raise Unreadable(why) from None
         return Opened(None, data)
 
 
@@ -115,12 +115,9 @@ def open_image(data: bytes) -> Image.Image:
 
 @lru_cache(maxsize=1)
 def _register() -> None:
-    for module, register in _PLUGINS:
-        try:
-            getattr(importlib.import_module(module), register)()
-            return
-        except ImportError:
-            pass
+    for module in _PLUGINS:
+        with suppress(ImportError):
+            return importlib.import_module(module).register_heif_opener()
 
 
 def _header_of_raw(data: bytes) -> Image.Image | None:
@@ -129,7 +126,7 @@ def _header_of_raw(data: bytes) -> Image.Image | None:
     header = Image.new("1", (1, 1))
     try:
         header.getexif().load(b"II*\0" + data[4:] if data[:2] == b"II" else data)
-        header.info["xmp"] = header.getexif().get(_XMP, b"")
+        header.info["xmp"] = header.getexif().get(XMP_TAG, b"")
         return header
     except Exception:  # no TIFF; of a damaged one PIL raises anything from struct.error to SyntaxError
         pass

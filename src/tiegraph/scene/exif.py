@@ -50,7 +50,15 @@ def orientation_of(path: Path) -> int:
     """EXIF orientation of an image file, 1 to 8; 1 where nothing says it."""
     try:
         with Image.open(path) as image:
-            return _orientation(image.getexif())
+            return orientation_in(image)
+    except Exception:  # see read_exif
+        return 1
+
+
+def orientation_in(image: Any) -> int:
+    """EXIF orientation of an opened PIL image, 1 to 8; 1 where nothing says it."""
+    try:
+        return _orientation(image.getexif())
     except Exception:  # see read_exif
         return 1
 

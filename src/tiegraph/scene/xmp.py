@@ -15,7 +15,7 @@ import numpy as np
 
 from tiegraph.scene.table import number
 
-_XMP_TAG = 700  # of TIFF
+XMP_TAG = 700  # of TIFF
 _MAX_DEG = 360.0
 _DJI = "drone-dji"
 
@@ -71,7 +71,7 @@ def xmp_text(image: Any) -> str:
     """The XMP packet of an opened PIL image; "" without one."""
     found = image.info.get("xmp") or image.info.get("XML:com.adobe.xmp") or b""
     try:
-        found = found or getattr(image, "tag_v2", {}).get(_XMP_TAG, b"")
+        found = found or getattr(image, "tag_v2", {}).get(XMP_TAG, b"")
     except Exception:  # a damaged directory
         return ""
     return found.decode("utf-8", errors="replace") if isinstance(found, bytes) else str(found)
