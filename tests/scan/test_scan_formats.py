@@ -133,7 +133,7 @@ def test_what_a_library_is_missing_for_is_said_with_the_remedy(
         else:
             path.write_bytes(HEIC.read_bytes() + bytes(k))
     _unregistered(monkeypatch)
-    with pytest.raises(InputError, match=f"a1.* and 1 more: .*{remedy.replace('[', '.')}"):
+    with pytest.raises(InputError, match=f"a1.*, a2.*: .*{remedy.replace('[', '.')}"):
         scan(tmp_path)
     for k in range(2):
         picture(tmp_path / f"{k}.png")
@@ -178,7 +178,7 @@ def test_a_photograph_in_two_formats_is_one_image(
     files = {scene.source_name(k) for k in range(len(scene))}
     assert kept in files and len(files) == 4 - 2 * others and len(scene.dropped) == 2 * others
     assert any(n.startswith("2 photographs are here in two formats: of ") for n in scene.notes) == bool(others)
-    assert all(d.reason.startswith("the photograph that ") for d in scene.dropped)
+    assert all(d.reason.startswith("the same photograph as ") for d in scene.dropped)
 
 
 def test_a_photograph_and_its_thermal_image_are_two(tmp_path: Path) -> None:

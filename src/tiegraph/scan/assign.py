@@ -271,7 +271,7 @@ def usable_images(names: Sequence[str], probes: Sequence[Probe], report: Report)
     twins = _twins(names, probes)
     for k, (name, probe) in enumerate(zip(names, probes)):
         if k in twins:
-            report.drop([name], f"the photograph that {names[twins[k]]} is, too")
+            report.drop([name], f"the same photograph as {names[twins[k]]} in another format")
         elif probe.reason:
             report.drop([name], probe.reason)
         elif probe.digest in first:
@@ -280,11 +280,9 @@ def usable_images(names: Sequence[str], probes: Sequence[Probe], report: Report)
         else:
             first[probe.digest] = name
             usable.append(k)
-    if twins:
-        copy, kept = next(iter(twins.items()))
-        report.notes.append(
-            f"{len(twins)} photographs are here in two formats: of {names[kept]} and {names[copy]} the first is used"
-        )
+    for copy, kept in list(twins.items())[:1]:
+        both = f"of {names[kept]} and {names[copy]} the first is used"
+        report.notes.append(f"{len(twins)} photographs are here in two formats: {both}")
     report.notes += _say_repeated(repeated, names)
     told = Counter(d.reason for d in report.dropped if "pip install" in d.reason)
     told.update(probes[k].said for k in usable if probes[k].said)
@@ -359,10 +357,10 @@ def _heads(name: str, other: str) -> tuple[str, str]:
 def need_two(count: int, report: Report) -> None:
     """Raise InputError, with what was left out, for fewer than two images."""
     if count < 2:
-        first = {d.reason: d.name for d in reversed(report.dropped)}
-        count_of = Counter(d.reason for d in report.dropped)
-        more = {reason: f" and {n - 1} more" if n > 1 else "" for reason, n in count_of.items()}
-        why = "; ".join(f"{first[reason]}{more[reason]}: {reason}" for reason in list(count_of)[:3])
+        names_of: dict[str, list[str]] = {}
+        for d in report.dropped:
+            names_of.setdefault(d.reason, []).append(d.name)
+        why = "; ".join(f"{some(names)}: {reason}" for reason, names in list(names_of.items())[:3])
         raise InputError(
             f"{count} usable image(s): at least 2 are needed, and about 10 for a model. "
             + (f"Left out {len(report.dropped)}: {why}" if why else "Give a folder with more images")

@@ -1,6 +1,5 @@
 """Equirectangular panoramas: each becomes one frame of a rig of pinhole views that share its centre."""
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import PurePosixPath
@@ -16,7 +15,7 @@ from tiegraph.scan.rigfiles.rigspec import RigSpec, SensorSpec, orient
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import PanoramaTuning, Tuning
 from tiegraph.scene.images import Probe
-from tiegraph.scene.panorama import Sphere, sees
+from tiegraph.scene.panorama import seen
 
 PRESET = "panorama"
 
@@ -75,11 +74,15 @@ def of_one_kind(
 
 def _views(usable: Usable, settings: ScanSettings, report: Report, tuning: Tuning) -> SharedFiles:
     spheres = [p.sphere for p in usable.probes if p.sphere is not None]
-    width = Counter(s.width for s in spheres).most_common(1)[0][0]
+    width = sorted(s.width for s in spheres)[len(spheres) // 2]
     spec = panorama_rig(width, tuning.panorama)
     shared = share_files(usable, spec, settings, tuning)
     columns, rows = spec.sensors[0].size or (0, 0)
-    shots = tuple(s for s in shared.survey.shots if _seen(shared.probes[s.image].sphere, spec.sensors[s.sensor]))
+    cameras = [pycolmap.Camera(model=s.model, width=columns, height=rows, params=s.params) for s in spec.sensors]
+    turns = [np.reshape(s.view_of_panorama, (3, 3)) for s in spec.sensors]
+    of = {s.image: (shared.probes[s.image].sphere, s.sensor) for s in shared.survey.shots}
+    share = {k: seen(sphere, cameras[view], turns[view]) for k, (sphere, view) in of.items() if sphere is not None}
+    shots = tuple(s for s in shared.survey.shots if share[s.image] > 0)
     level, parts = len(spec.sensors) - 1, sum(s.part for s in spheres)
     report.notes.append(
         f"{len(usable.names)} equirectangular panoramas, {width} x {width // 2} pixels: each unfolded into {level} "
@@ -90,24 +93,10 @@ def _views(usable: Usable, settings: ScanSettings, report: Report, tuning: Tunin
             f"{parts} of the panoramas are parts of a sphere, by their tags (GPano) or for the rest is black: what is "
             f"not in them is masked, and {len(shared.survey.shots) - len(shots)} views that see nothing are left out"
         )
-    return replace(
-        shared,
-        names=tuple(_with_alpha(n) if p.sphere and p.sphere.part else n for n, p in zip(shared.names, shared.probes)),
-        probes=tuple(_as_view(p, columns, rows) for p in shared.probes),
-        survey=replace(shared.survey, shots=shots),
-    )
-
-
-def _seen(sphere: Sphere | None, sensor: SensorSpec) -> bool:
-    if sphere is None or sensor.size is None:
-        return True
-    width, height = sensor.size
-    camera = pycolmap.Camera(model=sensor.model, width=width, height=height, params=sensor.params)
-    return sees(sphere, camera, np.reshape(sensor.view_of_panorama, (3, 3)))
-
-
-def _with_alpha(name: str) -> str:
-    return str(PurePosixPath(name).with_suffix(".png"))
+    # What is masked of a view is the transparency of its file.
+    names = [n if share[k] == 1 else str(PurePosixPath(n).with_suffix(".png")) for k, n in enumerate(shared.names)]
+    probes = tuple(_as_view(p, columns, rows) for p in shared.probes)
+    return replace(shared, names=tuple(names), probes=probes, survey=replace(shared.survey, shots=shots))
 
 
 def share_files(usable: Usable, spec: RigSpec, settings: ScanSettings, tuning: Tuning) -> SharedFiles:

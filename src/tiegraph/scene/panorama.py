@@ -40,9 +40,9 @@ class Sphere:
     lit: Box = (0, 0, 0, 0)
 
     def holds(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Whether pixels of the whole sphere are of the picture."""
+        """Whether places on the whole sphere, from the centre of its first pixel, are of the picture."""
         left, top, right, bottom = self.lit
-        column, row = (x - self.left) % self.width, y - self.top
+        column, row = (np.floor(x + 0.5) - self.left) % self.width, np.floor(y + 0.5) - self.top
         return (column >= left) & (column < right) & (row >= top) & (row < bottom)
 
     @property
@@ -136,14 +136,14 @@ def render_view(panorama: np.ndarray, camera: pycolmap.Camera, view_from_panoram
     return out
 
 
-def sees(sphere: Sphere, camera: pycolmap.Camera, view_from_panorama: np.ndarray) -> bool:
-    """Whether a view sees anything of a picture, by 5 x 5 of its pixels."""
+def seen(sphere: Sphere, camera: pycolmap.Camera, view_from_panorama: np.ndarray) -> float:
+    """Share of a view in which it sees something of a picture, by 65 x 65 of its pixels."""
     small = pycolmap.Camera(camera.todict())
     small.rescale(_LOOK, _LOOK)
-    return bool(sphere.holds(*_map(_key(small, view_from_panorama), sphere.width, sphere.width // 2)).any())
+    return float(sphere.holds(*_map(_key(small, view_from_panorama), sphere.width, sphere.width // 2)).mean())
 
 
-_LOOK = 5
+_LOOK = 65  # a degree and a half
 
 
 def _key(camera: pycolmap.Camera, view_from_panorama: np.ndarray) -> tuple:
