@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import builtins
 import io
+import re
 import shutil
 import struct
 import zlib
@@ -147,6 +148,7 @@ def _unregistered(monkeypatch: pytest.MonkeyPatch) -> None:
     _register.cache_clear()
     Image.init()
     monkeypatch.setattr(Image, "ID", [i for i in Image.ID if i != "HEIF"])
+    monkeypatch.delitem(Image.OPEN, "HEIF", raising=False)
 
 
 @pytest.mark.parametrize(
@@ -287,6 +289,21 @@ def test_orientation_is_read_of_every_format(tmp_path: Path, suffix: str) -> Non
     assert np.abs(prepared(tmp_path)[..., ::-1].astype(int) - np.rot90(LARGE))[4::8, 4::8].mean() < 10
 
 
+@pytest.mark.parametrize("kind", ["heic", "avif", "dng", "jp2", "tif"])
+def test_what_is_cut_off_in_other_formats_is_said(tmp_path: Path, kind: str) -> None:
+    path = tmp_path / f"a.{kind}"
+    if kind == "heic":
+        pytest.importorskip("pi_heif")
+        shutil.copy(HEIC, path)
+    elif kind == "dng":
+        pytest.importorskip("rawpy")
+        dng(path, LARGE.astype(int) * 10)
+    else:
+        cv2.imwrite(str(path), LARGE.astype(np.uint16 if kind == "tif" else np.uint8))
+    path.write_bytes(path.read_bytes()[: path.stat().st_size * 2 // 3])
+    assert re.match("truncated|damaged|broken|LibRaw cannot", probe(path).reason)
+
+
 def test_files_that_are_none_are_left_out_and_the_survey_goes_on(tmp_path: Path) -> None:
     for k in range(3):
         picture(tmp_path / f"IMG_{k}.JPG", (320, 240))
@@ -303,5 +320,5 @@ def test_files_that_are_none_are_left_out_and_the_survey_goes_on(tmp_path: Path)
     scene = scan(tmp_path)
     reasons = {d.name: d.reason for d in scene.dropped}
     assert len(scene) == 2 and len(reasons) == 5
-    for number, word in ((2, "truncated"), (3, "zero bytes"), (5, "40000 x 30000"), (6, "convert")):
+    for number, word in ((2, "truncated"), (3, "zero bytes"), (4, "rare"), (5, "40000 x 30000"), (6, "convert")):
         assert word in next(r for n, r in reasons.items() if n.startswith(f"IMG_{number}"))

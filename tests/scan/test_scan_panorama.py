@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -27,13 +28,18 @@ def colour(rays: np.ndarray, turn: float) -> np.ndarray:
     return np.stack([128 + 60 * np.sin(5 * x), 128 + 90 * y, 128 + 60 * np.cos(4 * z + y)], axis=-1)
 
 
-def panorama(path: Path, turn: float, width: int = 1200, **save: object) -> Path:
-    """A panorama of ``colour``, turned about the vertical."""
+@lru_cache(maxsize=4)
+def sphere(turn: float, width: int = 1200) -> np.ndarray:
+    """All of ``colour``, turned about the vertical, as a panorama (width / 2, width, 3)."""
     longitude = ((np.arange(width) + 0.5) / width - 0.5) * 360
     latitude = (0.5 - (np.arange(width // 2) + 0.5) / (width // 2)) * 180
-    rays = rays_of(np.array(np.meshgrid(longitude, latitude)))
+    return colour(rays_of(np.array(np.meshgrid(longitude, latitude))), turn).round().astype(np.uint8)
+
+
+def panorama(path: Path, turn: float, width: int = 1200, **save: object) -> Path:
+    """A file of ``sphere``."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    Image.fromarray(colour(rays, turn).round().astype(np.uint8)).save(path, quality=95, **save)
+    Image.fromarray(sphere(turn, width)).save(path, quality=95, **save)
     return path
 
 
@@ -120,11 +126,9 @@ def test_a_part_of_a_panorama_is_where_its_tags_say(
     tmp_path: Path, left: int, top: int, columns: int, rows: int, scale: float, views: int
 ) -> None:
     for k in range(2):
-        with Image.open(panorama(tmp_path / "whole.png", 0.3 * k)) as whole:
-            twice = np.tile(np.asarray(whole), (1, 2, 1))
+        twice = np.tile(sphere(0.3 * k), (1, 2, 1))
         part = Image.fromarray(twice[top : top + rows, left : left + columns])
         part.save(tmp_path / f"p{k}.jpg", quality=95, xmp=gpano(1200, (left, top, columns, rows), scale))
-    (tmp_path / "whole.png").unlink()
     scene = scan(tmp_path)
     assert (len(scene), scene.frames) == (2 * views, 2) and scene.rigs[0].fixed
     turns = [np.reshape(s.source.panorama, (3, 3)) for s in scene.rigs[0].sensors]
@@ -159,11 +163,9 @@ def test_tags_that_contradict_the_file_are_not_used_and_that_is_said(tmp_path: P
 @pytest.mark.slow
 def test_black_poles_and_sides_are_masked(tmp_path: Path) -> None:
     for k in range(2):
-        with Image.open(panorama(tmp_path / "whole.png", 0.3 * k)) as whole:
-            pixels = np.array(whole)
+        pixels = sphere(0.3 * k).copy()
         pixels[:100], pixels[380:], pixels[:, :30] = 0, 0, 0
         Image.fromarray(pixels).save(tmp_path / f"p{k}.jpg", quality=95)
-    (tmp_path / "whole.png").unlink()
     scene = scan(tmp_path, rig="panorama")
     for k in range(0, len(scene), 2):
         _, shown, (lon, lat) = seen_of(tmp_path, scene, k, tmp_path / "out")

@@ -16,13 +16,15 @@ from PIL import Image, ImageFile
 from tiegraph.scene.exif import orientation_in
 from tiegraph.scene.xmp import XMP_TAG
 
+BEGINS = (b"\xff\xd8\xff", b"\x89PNG\r\n", b"II*\0", b"MM\0*")  # JPEG, PNG, TIFF and most raw formats
 LARGEST_PX = 1_000_000_000  # bound of memory: PIL refuses more than 179 Mpx; survey cameras and mosaics go beyond
 RAW = (".dng", ".gpr", ".cr2", ".cr3", ".nef", ".nrw", ".arw", ".srf", ".sr2", ".srw", ".orf", ".rw2", ".raf", ".pef",
        ".iiq", ".3fr", ".fff", ".mrw", ".x3f", ".rwl")  # fmt: skip
 _PLUGINS = ("pi_heif", "pillow_heif")
-_MISSING = {  # by the brand of a file
-    "avif avis": "AVIF is read by Pillow 11.3 and newer: pip install -U pillow",
-    "heic heix hevc heim heis mif1 msf1": "HEIC is read by pi-heif, which is missing: pip install 'tiegraph[heif]'",
+_BRANDS = {"HEIF": "heic heix hevc heim heis mif1 msf1", "AVIF": "avif avis"}  # of Pillow's formats
+_MISSING = {
+    "HEIF": "HEIC is read by pi-heif, which is missing: pip install 'tiegraph[heif]'",
+    "AVIF": "AVIF is read by Pillow 11.3 and newer: pip install -U pillow",
 }
 _NO_RAW = "raw files of cameras are read by rawpy, which is missing: pip install 'tiegraph[raw]'"
 
@@ -74,7 +76,8 @@ class Opened:
         found = decode_deep(self.data) if self.deep else None
         if found is None:
             if image is None:
-                raise Unreadable("not an image file")
+                rare = "damaged, or of a rare kind: convert it to JPEG, PNG or TIFF of 8 or 16 bits"
+                raise Unreadable(rare if self.data.startswith(BEGINS) else "not an image file")
             if image.has_transparency_data and not np.asarray(image.convert("RGBA"))[..., 3].all():
                 return np.asarray(image.convert("RGBA"))
             if image.mode in ("I", "F") or image.mode.startswith("I;"):
@@ -97,9 +100,9 @@ def opened(data: bytes, suffix: str = "") -> Opened:
         return Opened(open_image(data), data)
     except Image.UnidentifiedImageError:
         brand = data[8:12].decode("latin-1") if data[4:8] == b"ftyp" else "none"
-        why = next((why for brands, why in _MISSING.items() if brand in brands), None)
-        if why:
-            raise Unreadable(why) from None
+        kind = next((kind for kind, brands in _BRANDS.items() if brand in brands), "")
+        if kind:
+            raise Unreadable("truncated or damaged" if kind in Image.OPEN else _MISSING[kind]) from None
         return Opened(None, data)
 
 

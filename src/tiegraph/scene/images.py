@@ -11,7 +11,18 @@ from pathlib import Path
 from PIL import Image
 
 from tiegraph.errors import InputError
-from tiegraph.scene.decoding import EIGHT_BIT, LARGEST_PX, RAW, Levels, Opened, Unreadable, eight_bit, levels_of, opened
+from tiegraph.scene.decoding import (
+    BEGINS,
+    EIGHT_BIT,
+    LARGEST_PX,
+    RAW,
+    Levels,
+    Opened,
+    Unreadable,
+    eight_bit,
+    levels_of,
+    opened,
+)
 from tiegraph.scene.exif import Exif, read_exif
 from tiegraph.scene.fisheye import image_circles
 from tiegraph.scene.panorama import Sphere, has_crop, is_equirectangular, sphere_of
@@ -34,7 +45,6 @@ _IGNORED = ("thumbs.db", "desktop.ini", "__macosx")
 # Folders of network storage and of systems, with thumbnails and what was thrown away.
 _SERVICE = ("@eadir", "#recycle", "@recycle", "@recently-snapshot", "#snapshot", "$recycle.bin", "lost+found",
             "system volume information")  # fmt: skip
-_BEGINS = (b"\xff\xd8\xff", b"\x89PNG\r\n", b"II*\0", b"MM\0*")  # JPEG, PNG, TIFF and most raw formats
 # A bound of memory: a JPEG of one colour has 85 pixels a byte with the standard's tables; a deflated one 1032 bytes of
 # pixels a byte.
 _BOMB_PX, _BOMB_PX_PER_BYTE = 100_000_000, 300
@@ -163,7 +173,7 @@ def _begins_like_an_image(path: Path) -> bool:
         if not path.is_file():  # a pipe would wait for ever
             return False
         with open(path, "rb") as file:
-            return file.read(8).startswith(_BEGINS)
+            return file.read(8).startswith(BEGINS)
     except OSError:
         return False
 
@@ -228,7 +238,13 @@ def _said(file: Opened, sphere: Sphere | None) -> str:
     if has_crop(xmp_text(file.image)) and not (sphere and sphere.sure):
         return "tags of a panorama (GPano) that contradict the file's size, or are of no sphere, are not used"
     count = getattr(file.image, "n_frames", 1)
-    several = count > 1 and file.image.format in ("TIFF", "WEBP", "PNG", "AVIF")  # of MPO all are of one instant
+    several = count > 1 and file.image.format in (
+        "TIFF",
+        "WEBP",
+        "PNG",
+        "AVIF",
+        "HEIF",
+    )  # of MPO all are of one instant
     return f"the first of {count} pictures in the file is used" if several else ""
 
 
