@@ -161,17 +161,19 @@ def test_tags_that_contradict_the_file_are_not_used_and_that_is_said(tmp_path: P
 
 
 @pytest.mark.slow
-def test_black_poles_and_sides_are_masked(tmp_path: Path) -> None:
+@pytest.mark.parametrize("mode", ["RGB", "L"])
+def test_black_poles_and_sides_are_masked(tmp_path: Path, mode: str) -> None:
     for k in range(2):
         pixels = sphere(0.3 * k).copy()
-        pixels[:100], pixels[380:], pixels[:, :30] = 0, 0, 0
-        Image.fromarray(pixels).save(tmp_path / f"p{k}.jpg", quality=95)
+        pixels[:100], pixels[460:], pixels[:, :30] = 0, 0, 0
+        Image.fromarray(pixels).convert(mode).save(tmp_path / f"p{k}.jpg", quality=95)
     scene = scan(tmp_path, rig="panorama")
+    assert {n[-4:] for n in scene.names} == {".jpg", ".png"}
     for k in range(0, len(scene), 2):
         _, shown, (lon, lat) = seen_of(tmp_path, scene, k, tmp_path / "out")
         column, row = (lon / 360 + 0.5) * 1200, (0.5 - lat / 180) * 600
-        inside = (row > 100) & (row < 380) & (column > 30)
-        edge = np.minimum.reduce([np.abs(column - 30), column, 1200 - column, np.abs(row - 100), np.abs(row - 380)]) < 3
+        inside = (row > 100) & (row < 460) & (column > 30)
+        edge = np.minimum.reduce([np.abs(column - 30), column, 1200 - column, np.abs(row - 100), np.abs(row - 460)]) < 3
         assert (shown == inside)[~edge].all()
 
 

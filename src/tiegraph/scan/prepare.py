@@ -70,17 +70,14 @@ def _changed_pixels(
     path: Path, how: Source, sensor: Sensor, settings: ScanSettings, suffix: str
 ) -> np.ndarray | None:  # (H, W) or (H, W, 3) RGB u1; None = nothing to change
     if how.panorama:
-        pixels = _cropped(_view(path, how), how)
-        return pixels if suffix in _WITH_ALPHA else pixels[..., :3]
+        return _for_suffix(_cropped(_view(path, how), how), suffix)
     try:
         file = opened(regular(path).read_bytes(), path.suffix)
         bend = settings.undistort and how.view is None and how.camera is not None and not how.camera.is_undistorted()
         changed = bend or how.view is not None or how.part is not None or any(how.crop_px)
         if not changed and _plain(file, suffix):
             return None
-        pixels = eight_bit(file.pixels(), how.levels)
-        if pixels.shape[2:] == (4,) and suffix not in _WITH_ALPHA:
-            pixels = pixels[..., :3]
+        pixels = _for_suffix(eight_bit(file.pixels(), how.levels), suffix)
     except OSError as error:
         raise _gone(path, error) from None
     if how.upright:
@@ -91,6 +88,10 @@ def _changed_pixels(
     if bend and how.camera is not None and sensor.camera is not None:
         pixels = _undistort(pixels, crop_camera(how.camera, *how.crop_px), sensor.camera)
     return pixels
+
+
+def _for_suffix(pixels: np.ndarray, suffix: str) -> np.ndarray:
+    return pixels[..., :3] if pixels.shape[2:] == (4,) and suffix not in _WITH_ALPHA else pixels
 
 
 def _part(pixels: np.ndarray, how: Source) -> np.ndarray:

@@ -238,13 +238,7 @@ def _said(file: Opened, sphere: Sphere | None) -> str:
     if has_crop(xmp_text(file.image)) and not (sphere and sphere.sure):
         return "tags of a panorama (GPano) that contradict the file's size, or are of no sphere, are not used"
     count = getattr(file.image, "n_frames", 1)
-    several = count > 1 and file.image.format in (
-        "TIFF",
-        "WEBP",
-        "PNG",
-        "AVIF",
-        "HEIF",
-    )  # of MPO all are of one instant
+    several = count > 1 and file.image.format != "MPO"  # whose pictures are of one instant
     return f"the first of {count} pictures in the file is used" if several else ""
 
 
