@@ -83,6 +83,7 @@ def test_the_height_of_a_grid_in_feet_is_in_feet() -> None:
 
 def test_how_well_two_datums_are_tied_is_said() -> None:
     assert "places are good to 9 m" in vertical_note("EPSG:30169")
+    assert "taken as one" in vertical_note("EPSG:6677")
     assert "good to" not in vertical_note("EPSG:32632") and "no geoid" in vertical_note("EPSG:32632")
 
 

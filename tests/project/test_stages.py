@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +17,7 @@ from tiegraph.project.pool import map_items, open_pool
 from tiegraph.project.progress import Reporter
 from tiegraph.project.run import Run, let_go, run_stages, status, without_inputs
 from tiegraph.project.stages import Outcome, Stage, write_atomic
+from tiegraph.scene.atomic import replacing
 from tiegraph.settings import Section
 
 
@@ -171,6 +173,40 @@ def test_a_new_time_alone_is_no_change_of_an_input_and_other_bytes_of_the_same_s
     assert run_stages(STAGES, make(second=two)) == ["first", "second", "third"]
     later(image, listed)
     assert run_stages(STAGES, make(second=two)) == []
+
+
+def linked(run):
+    with replacing(run.path("first", "a.jpg")) as temporary:
+        temporary.symlink_to(run.inputs.images / "a.jpg")
+    write_atomic(run.path("first", "0.txt"), "1")
+    return Outcome()
+
+
+@pytest.mark.parametrize("how", ["moved", "copied", "copied and changed"])
+def test_a_survey_that_was_moved_or_copied_is_looked_at_again_and_not_computed_again(tmp_path, how):
+    stages = (replace(STAGES[0], run=linked, item=""), *STAGES[1:])
+
+    def run(place):
+        two = Two(file=place / "pairs.txt")
+        return Run(place / "out", Inputs(place / "images", gnss=place / "track.csv"), All(second=two), pool="serial")
+
+    old, new = tmp_path / "old", tmp_path / "new"
+    (old / "images").mkdir(parents=True)
+    for name in ("images/a.jpg", "track.csv", "pairs.txt"):
+        (old / name).write_text("x")
+    run_stages(stages, run(old))
+    if how == "moved":
+        old.rename(new)
+    else:
+        shutil.copytree(old, new, symlinks=True, copy_function=shutil.copyfile)  # with new times
+    if how == "copied and changed":
+        (new / "images" / "a.jpg").write_text("z")
+        assert run_stages(stages, run(new)) == ["first", "second", "third"]
+    else:
+        assert status(stages, run(new))[0][1] == "changed: the place of the images"
+        assert run_stages(stages, run(new)) == ["first", "second"]  # they need no other stage
+    assert os.readlink(new / "out" / "first" / "a.jpg") == str(new / "images" / "a.jpg")
+    assert run_stages(stages, run(new)) == []
 
 
 def test_one_file_that_is_gone_is_a_change_and_a_folder_that_is_gone_counts_as_it_was(make, tmp_path):

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from sfm_worlds import make_world, true_frames, with_positions
 
 from tiegraph.geometry.align import Similarity
+from tiegraph.geometry.geodesy import make_origin
 from tiegraph.geometry.gravity import Up
 from tiegraph.sfm.model import frame_poses, image_poses
 from tiegraph.sfm.settings import GeorefSettings
@@ -60,6 +61,14 @@ def test_positions_bring_the_model_back(world) -> None:
     # What all positions of a receiver share (0.1 m east and north) no residual shows.
     assert 0.14 < found.uncertainty.sigma["position_m"] < 0.2 and 0.1 < found.uncertainty.sigma["yaw_deg"] < 5
     assert error < 5 * found.uncertainty.sigma["position_m"]
+    for crs, place, tied_m in (
+        ("EPSG:27700", (52.0, -1.0, 0.0), 2.0),
+        ("EPSG:6677", (36.0, 140.0, 0.0), 0.0),
+    ):  # a shift of datum; one datum by two names
+        here = replace(survey, origin=make_origin(*place, crs))
+        there = georeference(_moved(truth), here, GeorefSettings(), TUNING).uncertainty.sigma
+        assert there["position_m"] == pytest.approx(np.hypot(found.uncertainty.sigma["position_m"], tied_m), rel=0.01)
+        assert there["height_m"] == found.uncertainty.sigma["height_m"]
 
 
 def test_apply_scales_the_rig_too(world) -> None:

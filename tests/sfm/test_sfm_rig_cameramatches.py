@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from moving_world import moving_world, write_database
 
+from tiegraph.scene.rig import Source
 from tiegraph.sfm.rig.cameramatches import camera_matches, sentence, table
 from tiegraph.sfm.tuning.placement import AgreementTuning
 from tiegraph.sfm.tuning.rig import CameraMatchesTuning
@@ -28,6 +30,8 @@ def test_two_cameras_that_fire_apart_are_told_by_their_matches(late_s: float, tm
     said = sentence(found, scene)
     assert len(said) == (late_s > 0)
     assert all("cam2" in line and "fire apart" in line for line in said)
+    views = [replace(s, source=Source(panorama=True)) for s in scene.rigs[0].sensors]
+    assert sentence(found, replace(scene, rigs=(replace(scene.rigs[0], sensors=tuple(views)),))) == []
 
 
 def test_cameras_without_ties_have_no_opinion(tmp_path: Path) -> None:

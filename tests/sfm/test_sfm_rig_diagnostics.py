@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 from moving_world import moving_world
 
 from tiegraph.geometry import transforms
+from tiegraph.scene.rig import Source
 from tiegraph.sfm import rigcheck
 from tiegraph.sfm.adjustment.adjust import final_adjustment
 from tiegraph.sfm.model import image_poses
@@ -108,6 +110,11 @@ def test_a_relaxed_model_that_loses_images_is_not_kept(tmp_path: Path, monkeypat
         assert checked.model is (kept or relaxed)
         said = [line for line in checked.contradictions if "stays rigid" in line and scene.names[poor] in line]
         assert bool(said) == (kept is model)
+    views = [replace(s, source=Source(panorama=True)) for s in scene.rigs[0].sensors]
+    scene = replace(scene, rigs=(replace(scene.rigs[0], sensors=tuple(views)),))
+    monkeypatch.setattr(rigcheck, "calibrate_times", None)  # views of one picture have one time
+    checked = rigcheck.checked_rig(model, model, scene, request)
+    assert not checked.contradictions and any("stitched" in note for note in checked.notes)
 
 
 @pytest.mark.slow

@@ -242,19 +242,36 @@ def vertical_note(crs: str) -> str:
     return "; ".join([heights, *_operation(crs)])
 
 
-def _operation(crs: str) -> list[str]:
-    """The datum operation of a CRS, its accuracy and the grid that would do it better, where it is off by a metre."""
+def datum_sigma_m(crs: str) -> float:
+    """How well PROJ ties the datum of a CRS to WGS84 here, in metres; 0 = to half a metre, or the two are taken as one:
+    GNSS with corrections has the datum of their network, and calls it WGS84."""
+    if crs.upper() == ENU or not (operations := _operations(crs).transformers):
+        return 0.0
+    shifted = re.search(r"helmert|molodensky|grid|cart", operations[0].definition)
+    return float(operations[0].accuracy) if shifted and operations[0].accuracy > _TOLD_DATUM_M else 0.0
+
+
+def _operations(crs: str) -> Any:
     import pyproj
     from pyproj.transformer import TransformerGroup
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # says the same as unavailable_operations
-        group = TransformerGroup("EPSG:4326", pyproj.CRS.from_user_input(crs))
+        return TransformerGroup("EPSG:4326", pyproj.CRS.from_user_input(crs))
+
+
+def _operation(crs: str) -> list[str]:
+    """The accuracy of the datum operation of a CRS, and the grid that would do it better, where it is worth a word."""
+    group = _operations(crs)
     if not group.transformers or not group.transformers[0].accuracy > _TOLD_DATUM_M:
         return []
-    used = group.transformers[0]
-    better = [o for o in group.unavailable_operations if 0 <= o.accuracy < used.accuracy]
-    text = f"between it and WGS84 places are good to {used.accuracy:g} m"
+    used = group.transformers[0].accuracy
+    if not datum_sigma_m(crs):
+        return [
+            f"its datum and WGS84 are taken as one, as GNSS with a network's corrections has it; else {used:g} m off"
+        ]
+    better = [o for o in group.unavailable_operations if 0 <= o.accuracy < used]
+    text = f"between it and WGS84 places are good to {used:g} m, which counts in the sigma of positions"
     if not better:
         return [text]
     best = min(better, key=lambda o: o.accuracy)

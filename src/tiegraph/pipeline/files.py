@@ -139,8 +139,10 @@ def save_npz(path: Path, **arrays: Any) -> None:
 
 
 def save_png(path: Path, image: np.ndarray) -> None:
-    """Write an image (H, W) or (H, W, 3) BGR as PNG atomically."""
-    write_atomic(path, cv2.imencode(".png", image)[1].tobytes())
+    """Write an image (H, W) or (H, W, 3) BGR u1, or a mask (H, W) bool of one bit a pixel, as PNG atomically."""
+    mask = image.dtype == bool
+    pixels = np.where(image, 255, 0).astype(np.uint8) if mask else image
+    write_atomic(path, cv2.imencode(".png", pixels, [cv2.IMWRITE_PNG_BILEVEL, int(mask)])[1].tobytes())
 
 
 def mask_path(folder: Path, name: str) -> Path:

@@ -40,7 +40,7 @@ def masks(run: Run) -> Outcome:
     flagged = _flagged(run, scene)
     left_out = {n: why for n, why in flagged.items() if why.split(":")[0] in _LEFT_OUT[settings.leave_out]}
     for name in left_out:
-        save_png(mask_path(run.folder, name), np.zeros_like(read_mask(run.folder, name), np.uint8))
+        save_png(mask_path(run.folder, name), np.zeros_like(read_mask(run.folder, name)))
     write_atomic(run.path("masks.csv"), _table(scene, shares, flagged))
     empty = {n: "the mask leaves nothing of it" for n, s in zip(scene.names, shares[:, USE]) if s == 0}
     learnt = [f"{s.name}: {n}" for k, s in enumerate(scene.all_sensors) if (n := getattr(prepared.get(k), "note", ""))]
@@ -62,7 +62,7 @@ def masks_by(source: str, scene: Scene, images: Path, target: Path, tuning: Tuni
     prepared = made.prepare(_cameras(scene, images), settings, tuning, map)
     for k, name in enumerate(scene.names):
         keep = made.mask(images / name, prepared[int(scene.sensor_key[k])], settings, tuning, scene.mask_name(k))
-        save_png(target / f"{name}.png", np.where(keep, 255, 0).astype(np.uint8))
+        save_png(target / f"{name}.png", keep)
 
 
 _NEED_A_FILE = ("folder", "model")
@@ -119,7 +119,7 @@ def _mask_item(name: str, how: _How, prepared: dict[int, Any], keyed: dict[str, 
         keep = full_size(classes == USE, image_size(image))
     if lit_there is not None:
         keep = keep & lit_there
-    save_png(mask_path(how.folder, name), np.where(keep, 255, 0).astype(np.uint8))
+    save_png(mask_path(how.folder, name), keep)
 
 
 def _shares(name: str, folder: Path) -> np.ndarray:

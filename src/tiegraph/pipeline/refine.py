@@ -151,7 +151,7 @@ def _final_item(item: tuple[str, tuple[np.ndarray, Lines | None] | None], folder
         if use.any() and (found != first).any():
             save_png(classes_path(final, name), found)
             keep = full_size(found == USE, use.shape)  # type: ignore[arg-type]
-            save_png(mask_path(final, name), np.where(keep, 255, 0).astype(np.uint8))
+            save_png(mask_path(final, name), keep)
             return
     if classes.exists():
         same_file(classes, classes_path(final, name))

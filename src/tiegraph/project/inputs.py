@@ -39,21 +39,24 @@ class Inputs:
     start: Path | None = None  # a model to go on from
 
     def key(self, stamps: Stamps) -> str:
-        """Hash over names, sizes and times of all inputs."""
-        of = self.parts(stamps)
-        files = [of[n] for n in ("--gnss", "--trajectory", "--times", *(("--start",) if self.start else ()))]
-        return digest([of[_IMAGES][0], *of["--rig"], [of[_IMAGES][1], *files], *of["--camera"]])
+        """Hash over all inputs, wherever they lie."""
+        return digest(self.parts(stamps))
+
+    def place(self) -> str:
+        """Where the images lie: links of the run folder lead there."""
+        return str(source_of(self.images).absolute())
 
     def parts(self, stamps: Stamps) -> dict[str, Any]:
-        """Names, sizes and times of each input, by what the user calls it; None for what is not given."""
-        images, rig, camera, start = source_of(self.images), self.rig or "", self.camera or "", self.start
+        """What counts of each input, by what the user calls it: of files the names below what is given, sizes and
+        times; None for what is not given."""
+        (images, topics), rig, camera, start = split_topics(self.images), self.rig or "", self.camera or "", self.start
         files = {n: _files_stamp(p, stamps) if p else None for n, p in self._files().items()}
         if start is not None:
             files["--start"] = stamps.of(start, lambda: files["--start"])
         return {
-            _IMAGES: [str(self.images), stamps.of(images, lambda: stamps.now(searched(images)))],
-            "--rig": [self.rig, stamps.of(rig, lambda: _rig_stamp(Path(rig), stamps)) if rig else None],
-            "--camera": [camera, *(stamps.of(camera, lambda: _words_stamp(camera, stamps)) or [])] if camera else [],
+            _IMAGES: [list(topics), stamps.of(images, lambda: stamps.now(searched(images)))],
+            "--rig": (stamps.of(rig, lambda: _rig_stamp(Path(rig), stamps)) or rig) if rig else None,
+            "--camera": (stamps.of(camera, lambda: _words_stamp(camera, stamps)) or camera) if camera else None,
             **files,
             **({"--trajectory": str(FOLLOW)} if self.trajectory == FOLLOW else {}),
         }

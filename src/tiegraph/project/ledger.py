@@ -104,9 +104,10 @@ def trouble(path: Path, entry: list, thorough: bool = False) -> str:
 
 
 def digest_of(ledger: Ledger, tops: Iterable[str]) -> str:
-    """16 hex digits over names and contents (not times) of the files at or below ``tops``."""
+    """16 hex digits over names and contents of the files at or below ``tops``, not over times and places: what a link
+    leads to counts in the key of its stage."""
     tops = tuple(tops)
-    rows = [[name, *entry[-1:]] for name, entry in sorted(ledger.items()) if covered(name, tops)]
+    rows = [[n, *(e[:1] if e[:1] == ["link"] else e[-1:])] for n, e in sorted(ledger.items()) if covered(n, tops)]
     return hashlib.blake2b(json.dumps(rows).encode(), digest_size=8).hexdigest()
 
 

@@ -56,11 +56,13 @@ class Run:
 
     def keys(self, stages: Sequence[Stage]) -> dict[str, str]:
         """The key of every stage, by what its inputs and settings are now."""
-        return stage_keys(stages, self.settings, self.inputs.key(self.stamps), self.stamps)
+        source = self.inputs.key(self.stamps)
+        return stage_keys(stages, self.settings, source, self.stamps, self.inputs.place())
 
     def parts(self, stage: Stage) -> dict[str, str]:
         """What the key of a stage counts beside the keys of what it needs."""
-        sources = {} if stage.needs else self.inputs.parts(self.stamps)
+        place = {"the place of the images": self.inputs.place()}
+        sources = {} if stage.needs else self.inputs.parts(self.stamps) | place
         return key_parts(stage, self.settings, sources, self.stamps)
 
     def path(self, *parts: str) -> Path:

@@ -8,7 +8,7 @@ can name what changed.
 import hashlib
 import json
 import shutil
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -78,10 +78,9 @@ def digest(data: Any) -> str:
 
 
 def settings_key(section: Any, stamp: Callable[[Path], Any]) -> Any:
-    """A settings section as data; the files and folders it names count with their stamps."""
-    values = section.model_dump(mode="json")
-    files = {n: stamp(v) for n in type(section).model_fields if isinstance(v := getattr(section, n), Path)}
-    return {"values": values, "files": files}
+    """A settings section as data; the files and folders it names count by their stamps, wherever they lie."""
+    files = {n: v for n in type(section).model_fields if isinstance(v := getattr(section, n), Path)}
+    return section.model_dump(mode="json") | {n: [v.suffix, stamp(v)] for n, v in files.items()}
 
 
 def key_parts(stage: Stage, settings: Any, sources: Mapping[str, Any], stamp: Callable[[Path], Any]) -> dict[str, str]:
@@ -90,7 +89,7 @@ def key_parts(stage: Stage, settings: Any, sources: Mapping[str, Any], stamp: Ca
     parts: dict[str, Any] = {} if stage.needs else dict(sources)
     for name in (stage.name, *stage.uses):
         key = settings_key(getattr(settings, name), stamp)
-        parts.update({f"{name}.{n}": [value, key["files"].get(n)] for n, value in key["values"].items()})
+        parts.update({f"{name}.{n}": value for n, value in key.items()})
     for engine in engines(stage, settings):
         parts[f"tuning.{engine}"] = settings_key(getattr(settings.tuning, engine), stamp)
     return {"version of tiegraph": digest(stage.version), **{name: digest(part) for name, part in parts.items()}}
@@ -121,11 +120,14 @@ def remove(path: Path) -> None:
         path.unlink(missing_ok=True)
 
 
-def stage_keys(stages: Iterable[Stage], settings: Any, source_key: str, stamp: Callable[[Path], Any]) -> dict[str, str]:
-    """The key of every stage; ``stamp``: by what a change of a file is noticed."""
+def stage_keys(
+    stages: Sequence[Stage], settings: Any, source_key: str, stamp: Callable[[Path], Any], place: str = ""
+) -> dict[str, str]:
+    """The key of every stage; ``stamp``: by what a change of a file is noticed. ``place``: where the sources lie; it
+    counts for the stages that need no other, which are made again for it, and what they make is the same."""
     keys = {"source": source_key}
     for stage in stages:
         sections = [settings_key(getattr(settings, name), stamp) for name in (stage.name, *stage.uses)]
         sections += [settings_key(getattr(settings.tuning, engine), stamp) for engine in engines(stage, settings)]
         keys[stage.name] = digest([stage.name, stage.version, sections, [keys[n] for n in ("source", *stage.needs)]])
-    return keys
+    return keys | {s.name: digest([keys[s.name], place]) for s in stages if not s.needs}

@@ -1,12 +1,13 @@
 """By what a change of an input is noticed.
 
-A file counts by its size and time until a run has read it, then by its content: a copy of it, or the same disk mounted
-anew, has other times and is the same. A file or folder that is gone counts as it was when a run read it: what is
-finished can be reported without the images.
+A file counts by its size and time until a run has read it, then by its content: a copy of it, wherever it lies, or the
+same disk mounted anew, has other times and is the same. A file or folder that is gone counts as it was when a run read
+it: what is finished can be reported without the images.
 """
 
 import json
 from collections.abc import Callable
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -66,13 +67,23 @@ class Stamps:
         known: _Entry | None = self._seen.get(str(path)) or self._files.get(str(path))
         size, now = info.st_size, info.st_mtime_ns
         entry: _Entry = [size, now, now, ""]
-        if known is not None and known[0] == size:
-            if now in known[1:3]:
-                entry = known
-            elif known[3] and digests([path])[0] == known[3]:
-                entry = [size, known[1], now, known[3]]
+        if known is not None and known[0] == size and now in known[1:3]:
+            entry = known
+        else:
+            alike = [known] if known is not None else self._elsewhere.get((path.name, size), [])
+            found = digests([path])[0] if any(e[0] == size and e[3] for e in alike) else ""
+            same = next((e for e in alike if found and e[3] == found), None)
+            entry = entry if same is None else [size, same[1], now, found]
         self._seen[str(path)] = entry
         return entry[:2]
+
+    @cached_property
+    def _elsewhere(self) -> dict[tuple[str, int], list[_Entry]]:
+        """What earlier runs have read, by name and size: a survey that was moved or copied is the same."""
+        out: dict[tuple[str, int], list[_Entry]] = {}
+        for name, entry in self._files.items():
+            out.setdefault((Path(name).name, entry[0]), []).append(entry)
+        return out
 
 
 def _there(given: Path | str) -> bool:

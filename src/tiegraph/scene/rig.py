@@ -112,6 +112,10 @@ class Rig:
         given = all(s.camera is not None and calibrated(s.camera) and not s.camera_sigma_px for s in self.sensors)
         return self.fixed or (not self.nominal and given)
 
+    def stitched(self) -> bool:
+        """Whether its cameras are views of panoramas: what moves between them is the stitching, not a camera."""
+        return all(s.source is not None and s.source.panorama for s in self.sensors)
+
     def axis_angles_deg(self) -> np.ndarray:
         """(S, S) angles between the optical axes, NaN where unknown."""
         axes = np.stack([s.optical_axis() for s in self.sensors])

@@ -48,7 +48,8 @@ from tiegraph.sfm.rig.support import ties_of, unsupported_sensors
 from tiegraph.sfm.rigcheck import FinishRequest, Held
 from tiegraph.sfm.sectionwise import start_from_sections
 from tiegraph.sfm.settings import SparseSettings
-from tiegraph.sfm.tuning import Tuning
+from tiegraph.sfm.start.turning import no_base
+from tiegraph.sfm.tuning import MappingTuning, Tuning
 from tiegraph.sfm.tuning.rig import DeriveTuning
 
 __all__ = ["Model", "Source", "SparseResult", "reconstruct"]
@@ -122,7 +123,7 @@ def reconstruct(
     """
     job = Job(
         rigs=RigsUsed.known(scene, rig_modes(scene, settings.rig)),
-        graph=_view_graph(source, scene, settings),
+        graph=_view_graph(source, scene, settings, tuning.mapping),
         source=source,
         out=out,
         scene=scene,
@@ -145,10 +146,12 @@ def reconstruct(
         shutil.rmtree(out / SCRATCH, ignore_errors=True)
 
 
-def _view_graph(source: Source, scene: Scene, settings: SparseSettings) -> ViewGraph:
+def _view_graph(source: Source, scene: Scene, settings: SparseSettings, tuning: MappingTuning) -> ViewGraph:
     graph = ViewGraph(source.database, scene, settings.min_matches, source.refused)
     if len(graph.pairs) == 0:
         raise ReconstructionError(no_model_text(scene, graph, "no pair of images has enough verified matches"))
+    if why := no_base(source.database, graph.pairs, scene, tuning):
+        raise ReconstructionError(f"no model: {why}")
     return graph
 
 

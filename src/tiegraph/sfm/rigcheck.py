@@ -178,6 +178,12 @@ def _relaxed(
     relaxed: dict[int, TimeCalibration] = {}
     for index in found.moving:
         rig = _Rig(scene, index, request)
+        if scene.rigs[index].stitched():
+            out.notes.append(
+                f"the views of {rig.name} are cut from one picture and stay together: what scatters there is where the "
+                "lenses were stitched, which is exact far away only"
+            )
+            continue
         if rig.ordered:
             out.contradictions.append(
                 f"rig {rig.name} was ordered to stay as given (sparse.rig = fixed) and does; the images contradict it: "

@@ -117,7 +117,7 @@ def lag_notes(passes: Sequence[Pass], cache: MatchCache, settings: CandidatesSet
     for p in (passes[k] for k in evenly(len(passes), sync.lag_passes)):
         camera_pairs = _neighbours(p.rig, sync.near_deg)
         longest = min(sync.max_lag, (len(p) - 1) // sync.frames_a_lag)
-        if not len(camera_pairs) or longest < 1:
+        if not len(camera_pairs) or longest < 1 or p.rig.stitched():
             continue
         if len(camera_pairs) > sync.few and not _odd(_measured(p, camera_pairs, 0, cache, settings, tuning), p, sync):
             continue

@@ -67,8 +67,9 @@ def table(found: Sequence[CameraMatches], scene: Scene) -> dict:
 
 
 def sentence(found: Sequence[CameraMatches], scene: Scene) -> list[str]:
-    """One sentence on all that contradict, the worst named; none where nothing does."""
-    bad = sorted((t for t in found if t.contradicted), key=lambda t: t.between)
+    """One sentence on all that contradict, the worst named; none where nothing does. Views of one panorama cannot."""
+    stitched = [rig.stitched() for rig in scene.rigs for _ in rig.sensors]
+    bad = sorted((t for t in found if t.contradicted and not stitched[t.first]), key=lambda t: t.between)
     if not bad:
         return []
     names = [s.name for s in scene.all_sensors]

@@ -26,6 +26,14 @@ class MappingTuning(Section):
     and EXIF are good to some percent; what ran off was 2.1 times too long (a hand-held kitchen)."""
     second_survey: int = Field(10, gt=0)
     """Images without any tie to the model that are mapped by themselves."""
+    turned_share: float = Field(0.9, gt=0, le=1)
+    """Of pairs that turns alone explain, where there is no base to make a model of (`start/turning.py`). Views of one
+    panorama 0.99; thirty real surveys 0 to 0.06, a drone over the sea 0.33."""
+    turned_off: float = Field(0.002, gt=0)
+    """What a turn may leave of such a pair, in parts of the longer side: 0.0003 in those views, 0.003 to 0.06 in the
+    surveys."""
+    turned_least_deg: float = Field(0.3, gt=0)
+    """Below it nothing turned: what matches stands still before the camera."""
     min_model_images: int = Field(3, ge=2)
     """Of a mapper's model."""
     rough_tracks: int = Field(100, gt=0)

@@ -7,7 +7,7 @@ import pycolmap
 from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry.align import Similarity, rms_length
-from tiegraph.geometry.geodesy import Origin, vertical_note
+from tiegraph.geometry.geodesy import Origin, datum_sigma_m, vertical_note
 from tiegraph.geometry.gravity import up_vector
 from tiegraph.geometry.placement import PlacementError
 from tiegraph.scene.control import Control
@@ -267,7 +267,8 @@ def _with_common(sigma: dict[str, float], placing: SimilarityFit, scene: Scene) 
     """The sigmas of a placement with what all positions of a receiver share, which no residual shows.
 
     The errors of a receiver (base station, ambiguities, multipath, atmosphere) last minutes: their mean is known no
-    better than its stated sigma says of one. Control points, where there are some, hold the place against it.
+    better than its stated sigma says of one. Nor do positions show how well the datum of the CRS is tied to theirs.
+    Control points, where there are some, hold the place against both.
     """
     if scene.prior not in ("gnss", "exif") or not len(placing.fixes) or len(placing.points):
         return sigma
@@ -275,7 +276,8 @@ def _with_common(sigma: dict[str, float], placing: SimilarityFit, scene: Scene) 
     if not np.isfinite(stated).any():
         return sigma
     east, north, up = np.nanmedian(stated, axis=0)
-    plan, height = np.hypot(east, north), up
+    datum = 0.0 if scene.origin is None else datum_sigma_m(scene.origin.crs)
+    plan, height = np.hypot(np.hypot(east, north), datum), up
     wider = {"position_m": np.hypot(sigma["position_m"], plan), "height_m": np.hypot(sigma["height_m"], height)}
     return sigma | {n: round(float(v), 6) for n, v in wider.items()}
 
