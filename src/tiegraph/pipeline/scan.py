@@ -90,8 +90,8 @@ def _unreadable_names(names: Sequence[str], files: Sequence[str]) -> list[str]:
     odd = [n for n, f in zip(names, files) if any(map(acts, f))]
     twins = [n for n, f in zip(names, files) if n != composed(f) and n not in odd]
     texts = {
-        "have names with control characters or bytes that are not UTF-8 (an archive of another system?): such a byte is "
-        "written as %XX here": odd,
+        "have names with control characters or bytes that are not UTF-8 (an archive of another system?): such a "
+        "byte is written as %XX here": odd,
         "have the names of others but for the normal form of Unicode (NFC, NFD; copied twice?): numbered here": twins,
     }
     return [f"{len(of)} images {text}, as in {of[0]}" for text, of in texts.items() if of]
