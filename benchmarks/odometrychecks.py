@@ -24,7 +24,7 @@ from tiegraph.odometry.odometry import Odometry
 from tiegraph.odometry.path import OdometryPath, path_of
 from tiegraph.odometry.tuning import Tuning
 from tiegraph.scene.colmapmodel import matrix
-from tiegraph.scene.images import read_pixels
+from tiegraph.scene.decoding import read_pixels
 from tiegraph.scene.rig import Rig
 
 _STARTS = (0.0, 0.2, 0.4, 0.6)  # of the sequence, from either end

@@ -74,6 +74,25 @@ def two_tracks(path: Path, first: Path, second: Path) -> Path:
     return path
 
 
+def edited(path: Path, number: int, edits: Sequence[tuple[float, float]], wide: bool = False) -> Path:
+    """The MP4 with an edit list of its track with a number: (length, place in the media or -1 for nothing, both s); its
+    header is at the end."""
+    data = path.read_bytes()
+    boxes, made = split(dict(split(data))[b"moov"]), []
+    scale = int.from_bytes(dict(boxes)[b"mvhd"][12:16], "big")
+    for kind, inside in boxes:
+        if kind == b"trak" and (number := number - 1) < 0:
+            parts = [(k, i) for k, i in split(inside) if k != b"edts"]
+            unit = int.from_bytes(dict(split(dict(parts)[b"mdia"]))[b"mdhd"][12:16], "big")
+            rows = [(round(scale * length), -1 if at < 0 else round(unit * at), 65536) for length, at in edits]
+            table = b"".join(struct.pack(">QqI" if wide else ">IiI", *row) for row in rows)
+            made.append(box(b"edts", box(b"elst", struct.pack(">II", wide << 24, len(rows)), table)))
+            inside, number = b"".join([box(*parts[0]), made.pop(), *(box(*p) for p in parts[1:])]), 99
+        made.append(box(kind, inside))
+    path.write_bytes(data[: data.rindex(b"moov") - 4] + box(b"moov", *made))
+    return path
+
+
 @dataclass(frozen=True)
 class Layout:
     """How payloads lie in the file: seconds each lasts, payloads a chunk, long offsets."""

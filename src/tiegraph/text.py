@@ -16,6 +16,11 @@ def acts(character: str) -> bool:
     return unicodedata.category(character) in _ACTING
 
 
+def composed(text: str) -> str:
+    """Letters with their marks as one character (NFC): macOS writes file names with the marks apart (NFD)."""
+    return text if text.isascii() else unicodedata.normalize("NFC", text)
+
+
 def printable(text: str) -> str:
     r"""``text`` with every character that acts as an escape such as ``\x1b`` or ``\u202e``; line breaks and tabs stay.
 

@@ -319,7 +319,7 @@ def test_folders_that_have_no_rig_to_give(tmp_path: Path) -> None:
     (out / "receipts" / "sparse.json").unlink()
     with pytest.raises(InputError, match=r"has no sparse model yet; `tiegraph sparse .*out` makes it"):
         rig_file(out)
-    views = tuple(replace(s, source=Source(panorama=True)) for s in _given().sensors)
+    views = tuple(replace(s, source=Source(panorama=(1, 0, 0, 0, 1, 0, 0, 0, 1))) for s in _given().sensors)
     with pytest.raises(InputError, match=r"views of panoramas, .* give --rig panorama"):
         rig_file(_run(tmp_path / "views", _given(sensors=views), _poses(0.3)))
     damaged = _run(tmp_path / "damaged", _given(), _poses(0.3))

@@ -373,11 +373,11 @@ def test_one_exif_position_and_the_same_for_all(tmp_path: Path) -> None:
 def test_exif_without_hemisphere_and_of_no_accuracy(tmp_path: Path) -> None:
     exif = exif_of(lat=-35.69, lon=139.77, alt=40.0)
     del exif.get_ifd(0x8825)[1]
-    found = read_exif(Image.open(picture(tmp_path / "a.jpg", exif=exif)), ImageTuning().focal_range)
+    found = read_exif(Image.open(picture(tmp_path / "a.jpg", exif=exif)), (64, 48), ImageTuning().focal_range)
     assert found.lat_deg > 0 and "north or south" in found.doubt
     exif = exif_of(lat=35.69, lon=139.77, alt=40.0)
     exif.get_ifd(0x8825)[31] = 1e7
-    found = read_exif(Image.open(picture(tmp_path / "b.jpg", exif=exif)), ImageTuning().focal_range)
+    found = read_exif(Image.open(picture(tmp_path / "b.jpg", exif=exif)), (64, 48), ImageTuning().focal_range)
     assert np.isnan(found.lat_deg) and "accuracy of 1e+07 m is none" in found.doubt
 
 

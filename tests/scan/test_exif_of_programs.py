@@ -25,7 +25,7 @@ def facts(gps: dict | None = None, detail: dict | None = None, base: dict | None
     block.get_ifd(0x8769).update(detail or {})
     block.update(base or {})
     image = SimpleNamespace(getexif=lambda: block, size=(4000, 3000), info={"xmp": xmp.encode()})
-    return read_exif(image, (0.2, 20.0))
+    return read_exif(image, image.size, (0.2, 20.0))
 
 
 def place(found: Exif) -> list[float]:

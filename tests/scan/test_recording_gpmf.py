@@ -181,7 +181,7 @@ TABLES = {
     "few places": (b"stsc", 12, struct.pack(">I", 0), "stsc and stco have 0 samples, stsz has 3"),
     "places": (b"stco", 8, struct.pack(">I", 2**32 - 1), "1 of its 3 GPMF payloads cannot be read (a payload lies"),
     "no table": (b"stco", -4, b"none", "it has no table stco"),
-    "no scale": (b"mdhd", 12, bytes(4), "mdhd has no time scale"),
+    "no scale": (b"mdhd", 12, bytes(4), "its header has no time scale"),
 }  # fmt: skip
 
 

@@ -9,7 +9,7 @@ import pytest
 
 import recording_world as world
 from tiegraph.scan.recording import Recording
-from tiegraph.scan.recording.tracks import OneVideoTrack, tracks
+from tiegraph.scan.recording.tracks import OneVideoTrack, edits, samples, tracks
 from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scan.videos.video import open_film, recordings_of
 
@@ -27,6 +27,47 @@ def test_frames_of_each_track(two: Path, track: int | None, level: int) -> None:
         frames = list(opened.frames())
     assert [stamp for stamp, _ in frames] == pytest.approx(np.arange(20) / 10)
     assert np.all(np.abs([picture.mean() - level - k for k, (_, picture) in enumerate(frames)]) < 6)
+
+
+@pytest.mark.parametrize("wide", [False, True])
+@pytest.mark.parametrize(
+    "listed, first, stamp, count",
+    [
+        ([(2.0, 0)], 0, 0.0, 20),
+        ([(0.37, -1), (2.0, 0)], 0, 0.37, 20),  # recorded later than the sound
+        ([(0.25, -1), (0.12, -1), (2.0, 0)], 0, 0.37, 20),
+        ([(1.5, 0.5)], 5, 0.0, 15),  # cut without encoding it again
+        ([(0.3, -1), (1.0, 0.5)], 5, 0.3, 10),
+    ],
+)
+def test_frames_count_as_the_edit_list_shows_them(
+    tmp_path: Path, listed: list, first: int, stamp: float, count: int, wide: bool
+) -> None:
+    path = world.film(tmp_path / "a.mp4")
+    with open_film(Recording(path), PicturesTuning()) as opened:
+        whole = [picture.mean() for _, picture in opened.frames()]
+    with open_film(Recording(world.edited(path, 0, listed, wide)), PicturesTuning()) as opened:
+        frames = list(opened.frames())
+    assert [s for s, _ in frames] == pytest.approx(stamp + np.arange(count) / 10, abs=1e-6)
+    assert [p.mean() for _, p in frames] == pytest.approx(whole[first : first + count])
+
+
+def test_telemetry_counts_as_its_own_edit_list_says(tmp_path: Path) -> None:
+    path = world.with_telemetry(world.film(tmp_path / "a.mp4"), [b"abcd"] * 4)
+    for listed, first in (([(4.0, 0)], 0.0), ([(0.37, -1), (3.0, 1.5)], -1.13)):
+        world.edited(path, 1, listed)
+        with path.open("rb") as file:
+            assert samples(file, tracks(file)[1]).begin_s == pytest.approx(first + np.arange(4))
+
+
+@pytest.mark.parametrize("rows", [0, 1, 10**9])
+def test_broken_edit_lists_do_nothing(tmp_path: Path, rows: int) -> None:
+    path = world.edited(world.film(tmp_path / "a.mp4"), 0, [(0.5, -1)])
+    data = path.read_bytes()
+    at = data.index(b"elst") + 8
+    path.write_bytes(data[:at] + rows.to_bytes(4, "big") + data[at + 4 :])
+    with path.open("rb") as file:
+        assert edits(file, tracks(file)[0])[1] == 0
 
 
 def test_the_file_is_what_it_was_but_for_one_word(two: Path) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +15,8 @@ from near import baselines_m
 from tiegraph.errors import InputError
 from tiegraph.scan.scan import prepare_image
 from tiegraph.scan.settings import ScanSettings
-from tiegraph.scene.images import is_equirectangular
+from tiegraph.scene.decoding import opaque
+from tiegraph.scene.panorama import is_equirectangular
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import PanoramaTuning
 
@@ -25,15 +28,18 @@ def colour(rays: np.ndarray, turn: float) -> np.ndarray:
     return np.stack([128 + 60 * np.sin(5 * x), 128 + 90 * y, 128 + 60 * np.cos(4 * z + y)], axis=-1)
 
 
+@lru_cache(maxsize=4)
+def sphere(turn: float, width: int = 1200) -> np.ndarray:
+    """All of ``colour``, turned about the vertical, as a panorama (width / 2, width, 3)."""
+    longitude = ((np.arange(width) + 0.5) / width - 0.5) * 360
+    latitude = (0.5 - (np.arange(width // 2) + 0.5) / (width // 2)) * 180
+    return colour(rays_of(np.array(np.meshgrid(longitude, latitude))), turn).round().astype(np.uint8)
+
+
 def panorama(path: Path, turn: float, width: int = 1200, **save: object) -> Path:
-    """A panorama of ``colour``, turned about the vertical."""
-    longitude = ((np.arange(width) + 0.5) / width - 0.5) * 2 * np.pi
-    latitude = (0.5 - (np.arange(width // 2) + 0.5) / (width // 2)) * np.pi
-    longitude, latitude = np.meshgrid(longitude, latitude)
-    flat = np.cos(latitude)
-    rays = np.stack([flat * np.sin(longitude), -np.sin(latitude), flat * np.cos(longitude)], axis=-1)
+    """A file of ``sphere``."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    Image.fromarray(colour(rays, turn).round().astype(np.uint8)).save(path, quality=95, **save)
+    Image.fromarray(sphere(turn, width)).save(path, quality=95, **save)
     return path
 
 
@@ -65,18 +71,110 @@ def test_each_panorama_is_a_frame_of_views_with_one_centre(walk: tuple[Path, Sce
 def test_views_show_what_their_rays_see(walk: tuple[Path, Scene], tmp_path: Path) -> None:
     folder, scene = walk
     for k in range(len(scene)):
-        sensor, frame = scene.sensor_of(k), int(scene.source_name(k)[1:3])
-        prepare_image(folder / scene.source_name(k), tmp_path / scene.names[k], sensor, ScanSettings())
-        with Image.open(tmp_path / scene.names[k]) as file:
-            seen = np.asarray(file, float)
-        camera = sensor.camera
-        assert camera is not None and seen.shape[:2] == (camera.height, camera.width)
-        px = np.stack(np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5), axis=-1)
-        rays = np.concatenate([camera.cam_from_img(px.reshape(-1, 2)), np.ones((px[..., 0].size, 1))], axis=1)
-        rays = rays / np.linalg.norm(rays, axis=1, keepdims=True) @ sensor.sensor_from_rig[:3, :3]
-        expected = colour(rays, 0.3 * frame).reshape(seen.shape)
-        assert np.abs(seen - expected).mean() < 1.5  # JPEG twice
-        assert np.quantile(np.abs(seen - expected), 0.999) < 12
+        seen, shown, angles = seen_of(folder, scene, k, tmp_path)
+        off = np.abs(seen - colour(rays_of(angles), 0.3 * int(scene.source_name(k)[1:3])))
+        assert shown.all() and off.mean() < 1.5  # JPEG twice
+        assert np.quantile(off, 0.999) < 12
+
+
+def rays_of(angles: np.ndarray) -> np.ndarray:
+    """Unit rays (..., 3) of longitudes and latitudes (2, ...) in degrees."""
+    lon, lat = np.radians(angles)
+    return np.stack([np.cos(lat) * np.sin(lon), -np.sin(lat), np.cos(lat) * np.cos(lon)], axis=-1)
+
+
+def gpano(width: int, box: tuple[int, int, int, int], scale: float = 1.0) -> bytes:
+    """XMP of a part (left, top, columns, rows) of a panorama, as the program wrote it before a change of size."""
+    left, top, columns, rows = (round(v / scale) for v in box)
+    of_file = {"ImageWidthPixels": columns, "ImageHeightPixels": rows, "LeftPixels": left, "TopPixels": top}
+    tags = {"FullPanoWidthPixels": width / scale, "FullPanoHeightPixels": width / 2 / scale}
+    tags |= {f"CroppedArea{tag}": value for tag, value in of_file.items()}
+    said = "".join(f'GPano:{k}="{round(v)}" ' for k, v in tags.items())
+    return f'<x:xmpmeta><rdf:Description GPano:ProjectionType="equirectangular" {said}/></x:xmpmeta>'.encode()
+
+
+def seen_of(folder: Path, scene: Scene, k: int, target: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Prepared pixels (H, W, 3) of an image, what is not masked of it (H, W), and longitude and latitude (2, H, W) of
+    its rays, degrees."""
+    prepare_image(folder / scene.source_name(k), target / scene.names[k], scene.sensor_of(k), ScanSettings())
+    with Image.open(target / scene.names[k]) as file:
+        pixels = np.asarray(file.convert("RGB"), float)
+    shown = opaque(target / scene.names[k])
+    camera, source = scene.sensor_of(k).camera, scene.sensor_of(k).source
+    assert camera is not None and source is not None and pixels.shape[:2] == (camera.height, camera.width)
+    px = np.stack(np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5), axis=-1)
+    rays = np.concatenate([camera.cam_from_img(px.reshape(-1, 2)), np.ones((px[..., 0].size, 1))], axis=1)
+    x, y, z = (rays / np.linalg.norm(rays, axis=1, keepdims=True) @ np.reshape(source.panorama, (3, 3))).T.reshape(
+        3, *pixels.shape[:2]
+    )
+    angles = np.degrees([np.arctan2(x, z), -np.arcsin(y)])
+    return pixels, np.ones(px.shape[:2], bool) if shown is None else shown, angles
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "left, top, columns, rows, scale, views",
+    [
+        (0, 150, 1200, 300, 1.0, 6),  # a band of 90 degrees
+        (300, 150, 600, 300, 1.0, 4),  # 2:1
+        (900, 60, 600, 400, 1.0, 5),  # over the seam
+        (0, 150, 1200, 300, 0.5, 6),  # made half as large since its tags were written
+        (0, 0, 1200, 600, 1.0, 6),  # all of it
+    ],
+)
+def test_a_part_of_a_panorama_is_where_its_tags_say(
+    tmp_path: Path, left: int, top: int, columns: int, rows: int, scale: float, views: int
+) -> None:
+    for k in range(2):
+        twice = np.tile(sphere(0.3 * k), (1, 2, 1))
+        part = Image.fromarray(twice[top : top + rows, left : left + columns])
+        part.save(tmp_path / f"p{k}.jpg", quality=95, xmp=gpano(1200, (left, top, columns, rows), scale))
+    scene = scan(tmp_path)
+    assert (len(scene), scene.frames) == (2 * views, 2) and scene.rigs[0].fixed
+    turns = [np.reshape(s.source.panorama, (3, 3)) for s in scene.rigs[0].sensors]
+    for turn, sensor in zip(turns, scene.rigs[0].sensors):
+        np.testing.assert_allclose(sensor.sensor_from_rig[:3, :3], turn @ turns[0].T, atol=1e-12)
+    for k in range(0, len(scene), 2):
+        pixels, shown, (lon, lat) = seen_of(tmp_path, scene, k, tmp_path / "out")
+        column, row = ((lon / 360 + 0.5) * 1200 - left) % 1200, (0.5 - lat / 180) * 600 - top
+        inside = (column < columns) & (row > 0) & (row < rows)
+        edge = np.minimum.reduce([np.abs(column - columns), column, 1200 - column, np.abs(row), np.abs(row - rows)]) < 3
+        assert (shown == inside)[~edge | (columns == 1200) & (np.minimum(row, rows - row) > 3)].all()
+        off = np.abs(pixels - colour(rays_of(np.array([lon, lat])), 0.0))[shown & ~edge]
+        assert shown.any() and off.mean() < 2
+        assert scene.names[k].endswith(".jpg" if inside.all() else ".png")
+
+
+@pytest.mark.parametrize(
+    "change", [{"left": None}, {"FullPanoHeightPixels": 999}, {"CroppedAreaTopPixels": 500}, {"equi": "cylindrical"}]
+)
+def test_tags_that_contradict_the_file_are_not_used_and_that_is_said(tmp_path: Path, change: dict) -> None:
+    tags = gpano(1200, (0, 150, 1200, 300)).decode()
+    for tag, value in change.items():
+        tags = tags.replace("equirectangular", str(value)) if tag == "equi" else re.sub(f"{tag}\\S*=\"\\d+\"", "" if
+            value is None else f'{tag}="{value}"', tags, flags=re.IGNORECASE)  # fmt: skip
+    for k in range(2):
+        picture(tmp_path / f"{k}.jpg", (1200, 300), xmp=tags.encode())
+    scene = scan(tmp_path)
+    assert len(scene) == 2 and len(scene.all_sensors) == 1
+    assert any(n.startswith("2 images: tags of a panorama (GPano) that contradict") for n in scene.notes)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("mode", ["RGB", "L"])
+def test_black_poles_and_sides_are_masked(tmp_path: Path, mode: str) -> None:
+    for k in range(2):
+        pixels = sphere(0.3 * k).copy()
+        pixels[:100], pixels[460:], pixels[:, :30] = 0, 0, 0
+        Image.fromarray(pixels).convert(mode).save(tmp_path / f"p{k}.jpg", quality=95)
+    scene = scan(tmp_path, rig="panorama")
+    assert {n[-4:] for n in scene.names} == {".jpg", ".png"}
+    for k in range(0, len(scene), 2):
+        _, shown, (lon, lat) = seen_of(tmp_path, scene, k, tmp_path / "out")
+        column, row = (lon / 360 + 0.5) * 1200, (0.5 - lat / 180) * 600
+        inside = (row > 100) & (row < 460) & (column > 30)
+        edge = np.minimum.reduce([np.abs(column - 30), column, 1200 - column, np.abs(row - 100), np.abs(row - 460)]) < 3
+        assert (shown == inside)[~edge].all()
 
 
 def test_photographs_of_that_shape_are_no_panoramas(tmp_path: Path) -> None:

@@ -175,7 +175,7 @@ def test_bad_images_are_listed_with_a_reason_and_never_fatal(tmp_path: Path) -> 
     assert found["up/cam0/000002.jpg"] == "zero bytes"
     assert found["up/cam0/000003.jpg"] == "not an image file"
     assert found["up/cam0/000009.jpg"] == "the same file as up/cam0/000004.jpg"
-    assert "a second image of frame 000005; up/cam0/000005.jpg is used" == found["up/cam0/000005.png"]
+    assert found["up/cam0/000005.png"] == "the same photograph as up/cam0/000005.jpg in another format"
     assert "80 x 60 pixels, but most images of cam1 have 64 x 48" == found["up/cam1/000006.jpg"]
     assert len(found) == 6 and len(scene) == 9 and scene.frames == 6
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import os
+import unicodedata
 from pathlib import Path
 
 import pytest
@@ -15,7 +17,7 @@ from tiegraph.masks.folder import find_mask
 from tiegraph.project.settings import merged
 from tiegraph.scan.scan import safe_names
 from tiegraph.scene.colmapmodel import read_model
-from tiegraph.scene.images import read_pixels
+from tiegraph.scene.decoding import read_pixels
 from tiegraph.scene.names import LONGEST_BYTES, check_name, clean, clean_names, inside, shortened, unclean
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
@@ -103,6 +105,68 @@ def test_the_mask_of_an_image_with_such_a_name(tmp_path: Path) -> None:
     (tmp_path / f"{SJIS}.png").touch()
     assert find_mask(tmp_path, ESCAPED) == tmp_path / f"{SJIS}.png"
     assert find_mask(tmp_path, "x" * 251 + ".jpg") is None, "too long for a mask's name: no error"
+
+
+@pytest.mark.parametrize("folder", ["NFC", "NFD"])
+@pytest.mark.parametrize("file", ["NFC", "NFD"])
+def test_a_mask_is_found_in_whatever_normal_form_folders_and_files_are(tmp_path: Path, folder: str, file: str) -> None:
+    path = tmp_path / unicodedata.normalize(folder, "Süd") / f"{unicodedata.normalize(file, 'Höhe_1')}.jpg.png"
+    path.parent.mkdir()
+    path.touch()
+    (name,) = clean_names([f"{unicodedata.normalize('NFD', 'Süd')}/Höhe_1.jpg"])
+    assert name == "Süd/Höhe_1.jpg" and find_mask(tmp_path, name) == path
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("disk", "typed"), [("NFD", "NFC"), ("NFC", "NFD")])
+def test_names_in_the_normal_forms_of_two_systems_are_one(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], disk: str, typed: str
+) -> None:
+    def written(name: str, text: str) -> str:
+        (tmp_path / name).write_text(unicodedata.normalize(typed, text), encoding="utf-8")
+        return str(tmp_path / name)
+
+    survey = worlds.make_survey(tmp_path / "s", passes=("up",), frames=4)
+    for path in sorted(survey.images.rglob("*.jpg")):
+        to = f"Rückweg/höhe{path.parent.name[-1]}/Brücke_{int(path.stem)}.jpg"
+        target = tmp_path / "images" / unicodedata.normalize(disk, to)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.write_bytes(path.read_bytes())
+    names = [f"Rückweg/höhe{c}/Brücke_{k}.jpg" for c in range(2) for k in range(4)]
+    poses = [{"file_path": n, "transform_matrix": [[1, 0, 0, k], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]} for k, n in
+             enumerate(names)]  # fmt: skip
+    rows = "".join(f"{n},{35 + k % 4 * 1e-5},139,10\n" for k, n in enumerate(names))
+    marks = "".join(f"{1e-5 * k + 139} 35.0 0 {30 + 9 * k} 40 {n} Tür{k}\n" for k in range(3) for n in names[:2])
+    given = {
+        "--rig": written("rig.toml", "".join(f'[[sensors]]\nname = "höhe{c}"\nposition_m = [{c}, 0, 0]\n'
+                         "yaw_pitch_roll_deg = [0, 0, 0]\n" for c in range(2))),
+        "--gnss": written("gnss.csv", f"image,lat,lon,height\n{rows}"),
+        "--times": written("times.csv", "pass,frame,time\n" + "".join(f"Rückweg,Brücke_{k},{k}\n" for k in range(4))),
+        "--gcp": written("gcp_list.txt", f"EPSG:4326\n{marks}"),
+        "--start": written("transforms.json", json.dumps({"frames": poses}, ensure_ascii=False)),
+        "--candidates.pairs-file": written("pairs.txt", f"{names[0]} {names[5]}\n"),
+    }  # fmt: skip
+    arguments = ["run", str(tmp_path / "images"), "-o", str(tmp_path / "out"), "--pool", "serial", "--until", "scan"]
+    arguments += ["--candidates.sources", "file"]
+    code = main([*arguments, *(word for pair in given.items() for word in pair)])
+    said = capsys.readouterr().err
+    assert code == 0, said
+    scene = Scene.from_json((tmp_path / "out" / "scene.json").read_text())
+    assert scene.names == tuple(names) and scene.frames == 4 and scene.time_s.tolist() == [0, 1, 2, 3]
+    assert scene.has_positions() and "1 pairs from pairs.txt" in said and "not here" not in said
+
+
+def test_two_files_that_only_differ_in_their_normal_form_are_kept_and_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    survey = worlds.make_survey(tmp_path / "s", passes=("up",), frames=2)
+    for path, form in zip(sorted(survey.images.rglob("*.jpg")), ("NFC", "NFD")):
+        (tmp_path / "images").mkdir(exist_ok=True)
+        (tmp_path / "images" / unicodedata.normalize(form, "Höhe.jpg")).write_bytes(path.read_bytes())
+    code = main(["run", str(tmp_path / "images"), "-o", str(tmp_path / "out"), "--pool", "serial", "--until", "scan"])
+    assert code == 0
+    assert Scene.from_json((tmp_path / "out" / "scene.json").read_text()).names == ("Höhe.jpg", "Höhe_2.jpg")
+    assert "1 images have the names of others but for the normal form of Unicode" in capsys.readouterr().err
 
 
 def test_a_model_with_such_a_name_is_refused(tmp_path: Path) -> None:

@@ -111,7 +111,8 @@ def test_velocity_and_turn_are_those_of_the_way_and_not_across_a_gap() -> None:
         np.testing.assert_allclose(cut[f + 1], true, rtol=0, atol=near)
     assert np.linalg.norm(cut[20][:3]) > 1.0  # at the gap itself: from its own side
     assert image_motion(model, scene.with_(time_s=np.full(FRAMES, np.nan)), TUNING) == {}
-    views = replace(scene.rigs[0], sensors=(replace(scene.rigs[0].sensors[0], source=Source(panorama=True)),))
+    view = replace(scene.rigs[0].sensors[0], source=Source(panorama=(1, 0, 0, 0, 1, 0, 0, 0, 1)))
+    views = replace(scene.rigs[0], sensors=(view,))
     assert image_motion(model, scene.with_(rigs=(views,)), TUNING) == {}  # their rows are not the camera's
 
 

@@ -113,6 +113,9 @@ def test_broken_images_and_doubles_are_named_and_stop_nothing(site):
     os.utime(site / "card" / "left" / "000002.png", (1, 1))
     state = settle(watch, 10.0)
     assert [name for name, _ in state["broken"]] == ["left/000003.png"] and state["counts"]["images"] == 5
+    copy(site, [7], ["left"])  # as macOS writes names
+    (site / "card" / "left" / "000007.png").rename(site / "card" / "left" / "Bru\u0308cke_000007.png")
+    assert settle(watch, 20.0)["counts"]["images"] == 6
 
 
 @pytest.mark.slow

@@ -49,6 +49,8 @@ def findings() -> Iterator[tuple[str, str]]:
     yield "PROJ grids", _grids()
     yield "dask", _optional("distributed", "dask", "--pool dask:<address>")
     yield "rosbags", _optional("rosbags", "ros", "bags of ROS")
+    yield "pi-heif", _optional("pi-heif", "heif", "HEIC images")
+    yield "rawpy", _optional("rawpy", "raw", "DNG and other raw files of cameras")
 
 
 def _disk(place: Callable[[], Path]) -> str:

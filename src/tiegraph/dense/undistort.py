@@ -12,7 +12,7 @@ from tiegraph.dense.settings import DenseSettings
 from tiegraph.dense.tuning import ViewTuning
 from tiegraph.errors import InputError
 from tiegraph.geometry.stereo import Pinhole
-from tiegraph.scene.images import read_pixels
+from tiegraph.scene.decoding import read_pixels
 from tiegraph.scene.results import row_strips
 
 _MAX_CACHED_MAPS = 8  # a rig of six and two to spare; a map takes 8 bytes a pixel

@@ -20,7 +20,7 @@ from tiegraph.features.settings import FeaturesSettings
 from tiegraph.features.sift import check_input, extract_sift, most_features, on_mask, shrunk
 from tiegraph.features.tuning import SiftTuning
 from tiegraph.gpu import device, on_gpu
-from tiegraph.scene.images import read_pixels
+from tiegraph.scene.decoding import read_pixels
 
 Extractor = Callable[[np.ndarray, np.ndarray | None, FeaturesSettings, SiftTuning], tuple[np.ndarray, np.ndarray]]
 

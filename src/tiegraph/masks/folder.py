@@ -1,6 +1,5 @@
 """Masks from a folder of the user's: finding the one of an image, reading it, and saying clearly what is wrong."""
 
-import os
 from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
 
@@ -8,8 +7,9 @@ import numpy as np
 from PIL import Image
 
 from tiegraph.errors import InputError
-from tiegraph.scene.images import IMAGES_FOLDER, decode_deep, open_image
-from tiegraph.scene.names import unclean
+from tiegraph.scene.decoding import decode_deep, open_image
+from tiegraph.scene.images import IMAGES_FOLDER
+from tiegraph.scene.names import on_disk
 from tiegraph.scene.regular import regular
 
 _LISTED = 5  # missing masks named in an error
@@ -34,10 +34,8 @@ def candidates(name: str) -> list[str]:
 
 
 def find_mask(folder: Path, name: str) -> Path | None:
-    """The mask file of an image, None if there is none. Names that the scan made readable are undone."""
-    found = candidates(name)
-    found += [raw for c in found if (raw := unclean(c)) != c]
-    return next((folder / c for c in found if os.path.isfile(folder / c)), None)  # False also for a name too long
+    """The mask file of an image, None if there is none."""
+    return next((path for c in candidates(name) if (path := on_disk(folder, c)) is not None), None)
 
 
 def check_folder(folder: Path, names: Sequence[str]) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from tiegraph.errors import InputError
 from tiegraph.masks.tuning import FramesTuning
-from tiegraph.scene.images import open_image
+from tiegraph.scene.decoding import open_image
 from tiegraph.scene.regular import regular
 
 _log = logging.getLogger(__name__)

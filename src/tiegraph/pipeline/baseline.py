@@ -18,6 +18,7 @@ from tiegraph.project.folder import check_format
 from tiegraph.project.run import Run, save_json
 from tiegraph.project.stages import Stage, needed, remove
 from tiegraph.scene.bags import source_of
+from tiegraph.scene.names import on_disk
 from tiegraph.scene.registered import registration
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.covariance import position_sigma
@@ -96,10 +97,10 @@ def _frame_centres(run: Run, scene: Scene) -> np.ndarray:
 
 def _link(root: Path, block: Block) -> None:
     for name in sorted({block.scene.source_name(k) for k in range(len(block.scene))}):
-        source, place = root / name, block.images / name
-        if not source.is_file():
+        source, place = on_disk(root, name), block.images / name
+        if source is None:
             raise InputError(
-                f"{source}: no such file: a block is of a survey of images, not of videos or bags; run "
+                f"{root / name}: no such file: a block is of a survey of images, not of videos or bags; run "
                 f"{block.run.path('images')} as a survey and compare that"
             )
         place.parent.mkdir(parents=True, exist_ok=True)

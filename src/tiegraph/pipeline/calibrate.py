@@ -36,8 +36,9 @@ from tiegraph.scan.rigfiles.rigreader import nearest
 from tiegraph.scan.rigfiles.rigwrite import rig_config, rig_toml
 from tiegraph.scan.tuning import Tuning as ScanTuning
 from tiegraph.scene.atomic import must_be_new
+from tiegraph.scene.decoding import Levels, eight_bit, opened, turned
 from tiegraph.scene.hanging import WIDE
-from tiegraph.scene.images import Levels, Probe, eight_bit, probe_image, search_images
+from tiegraph.scene.images import Probe, probe_image, search_images
 from tiegraph.scene.names import clean_names
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.text import one_line
@@ -248,11 +249,10 @@ def _without_board(survey: _Survey, seen: Observations) -> list[str]:
 
 def _corners(file: _File, board: Board, tuning: BoardTuning) -> Corners:
     """The corners in one image."""
-    flag = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH | (0 if file.upright else cv2.IMREAD_IGNORE_ORIENTATION)
-    pixels = cv2.imdecode(np.frombuffer(file.path.read_bytes(), np.uint8), flag)
-    if pixels is None:
-        raise InputError(f"{file.path}: OpenCV cannot read it: convert it to JPEG or PNG")
-    return detect(eight_bit(pixels, file.levels), board, tuning)
+    found = opened(file.path.read_bytes(), file.path.suffix)
+    pixels = eight_bit(found.pixels(), file.levels)
+    grey = pixels if pixels.ndim == 2 else cv2.cvtColor(np.ascontiguousarray(pixels[..., :3]), cv2.COLOR_RGB2GRAY)
+    return detect(np.ascontiguousarray(turned(grey, found.orientation) if file.upright else grey), board, tuning)
 
 
 # --- what is written ------------------------------------------------------------------------------------------------

@@ -21,7 +21,7 @@ from tiegraph.masks import NAMES
 from tiegraph.project.run import Run
 from tiegraph.project.stages import write_atomic
 from tiegraph.scene.colmapmodel import read_model
-from tiegraph.scene.images import read_pixels
+from tiegraph.scene.decoding import read_pixels
 from tiegraph.scene.matches import PreviewMatches, Visibility
 from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.results import DepthMap, load_depth

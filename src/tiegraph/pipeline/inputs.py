@@ -32,6 +32,7 @@ from tiegraph.scene.exif import orientation_of
 from tiegraph.scene.gcp import GcpFile, read_gcps
 from tiegraph.scene.gnss import read_gnss
 from tiegraph.scene.namedposes import has_named_poses
+from tiegraph.scene.names import on_disk
 from tiegraph.scene.pairs import pair_lines, read_pair_list
 from tiegraph.scene.scene import Scene
 
@@ -136,8 +137,8 @@ def orientations(run: Run, scene: Scene, file: GcpFile) -> dict[int, int]:
     """By EXIF, of the images that a file marks, by scene index; those that are no files of the user's are left out."""
     root, lookup = source_of(run.inputs.images), image_lookup(scene)
     images = {k for mark in file.marks if (k := image_of(lookup, mark.image)) is not None}
-    found = {k: root / scene.source_name(k) for k in sorted(images)}
-    return {k: orientation_of(path) for k, path in found.items() if path.is_file()}
+    found = {k: on_disk(root, scene.source_name(k)) for k in sorted(images)}
+    return {k: orientation_of(path) for k, path in found.items() if path is not None}
 
 
 def control_file(run: Run) -> GcpFile | None:

@@ -18,8 +18,8 @@ from tiegraph.masks.tuning import Tuning
 from tiegraph.pipeline.files import class_shares, classes_path, mask_path, read_mask, save_png, scanned
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, write_atomic
+from tiegraph.scene.decoding import opaque
 from tiegraph.scene.fisheye import lit
-from tiegraph.scene.images import opaque
 from tiegraph.scene.scene import Scene
 from tiegraph.text import csv_text
 

@@ -19,7 +19,7 @@ from tiegraph.project.stages import write_atomic
 from tiegraph.scan.priors.priors import Followed
 from tiegraph.scan.priors.trajectory import FREE_UNIT
 from tiegraph.scan.rigfiles.rigfile import parse_rig_file, read_rig_file
-from tiegraph.scene.images import read_pixels
+from tiegraph.scene.decoding import read_pixels
 from tiegraph.scene.regular import names_file
 from tiegraph.scene.scene import Scene
 

@@ -31,7 +31,7 @@ from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import Tuning as ScanTuning
 from tiegraph.scene.atomic import must_be_new
 from tiegraph.scene.colmapmodel import read_model
-from tiegraph.scene.images import EIGHT_BIT
+from tiegraph.scene.decoding import EIGHT_BIT
 from tiegraph.scene.rig import Rig, Sensor, calibrated
 from tiegraph.sfm.adjustment.adjust import free_cameras
 from tiegraph.sfm.covariance import planned_sigma

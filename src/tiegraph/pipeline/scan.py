@@ -24,6 +24,7 @@ from tiegraph.scene.hanging import carrying
 from tiegraph.scene.images import search_images
 from tiegraph.scene.names import clean_names
 from tiegraph.scene.rig import Sensor
+from tiegraph.text import acts, composed
 
 
 def scan(run: Run) -> Outcome:
@@ -86,11 +87,14 @@ def scan(run: Run) -> Outcome:
 
 
 def _unreadable_names(names: Sequence[str], files: Sequence[str]) -> list[str]:
-    odd = [n for n, f in zip(names, files) if n != f]
-    if not odd:
-        return []
-    text = "have names with control characters or bytes that are not UTF-8 (an archive of another system?)"
-    return [f"{len(odd)} images {text}: such a byte is written as %XX here, as in {odd[0]}"]
+    odd = [n for n, f in zip(names, files) if any(map(acts, f))]
+    twins = [n for n, f in zip(names, files) if n != composed(f) and n not in odd]
+    texts = {
+        "have names with control characters or bytes that are not UTF-8 (an archive of another system?): such a "
+        "byte is written as %XX here": odd,
+        "have the names of others but for the normal form of Unicode (NFC, NFD; copied twice?): numbered here": twins,
+    }
+    return [f"{len(of)} images {text}, as in {of[0]}" for text, of in texts.items() if of]
 
 
 def _placed(world_from_rig: np.ndarray) -> int:

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from markupsafe import Markup
 
-from tiegraph.scene.images import read_pixels
+from tiegraph.scene.decoding import read_pixels
 
 _IGNORED_BGR = (60, 40, 210)  # red: what the mask takes out
 CLASSES = (  # by number, as the masks stage writes them: name, colour

@@ -30,7 +30,7 @@ from tiegraph.scan.rigfiles.rigspec import RigSpec, SensorSpec, preset, preset_s
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import FoldersTuning, Tuning
 from tiegraph.scene.exif import Exif
-from tiegraph.scene.images import Probe
+from tiegraph.scene.images import OF_CAMERAS, SUFFIXES, Probe
 from tiegraph.scene.scene import Dropped
 
 _NAMED = 4  # how many names a note shows
@@ -284,7 +284,7 @@ def some(texts: Iterable[str]) -> str:
 
 
 def usable_images(names: Sequence[str], probes: Sequence[Probe], report: Report) -> Usable:
-    """The images that can be read, each file once; the report gets the others. InputError with fewer than two."""
+    """The images that can be read, each photograph once; the report gets the others. InputError with fewer than two."""
     first: dict[str, str] = {}
     usable, repeated, masks = [], [], masks_among(names)
     if masks:
@@ -292,9 +292,12 @@ def usable_images(names: Sequence[str], probes: Sequence[Probe], report: Report)
             f"{len(masks)} files are masks of other images by their names, such as {min(masks)}: left out "
             "(--masks.folder with this folder uses them)"
         )
+    twins = _twins(names, probes)
     for k, (name, probe) in enumerate(zip(names, probes)):
         if name in masks:
             report.drop([name], f"a mask of {masks[name]} by its name")
+        elif k in twins:
+            report.drop([name], f"the same photograph as {names[twins[k]]} in another format")
         elif probe.reason:
             report.drop([name], probe.reason)
         elif probe.digest in first:
@@ -303,7 +306,13 @@ def usable_images(names: Sequence[str], probes: Sequence[Probe], report: Report)
         else:
             first[probe.digest] = name
             usable.append(k)
+    for copy, kept in list(twins.items())[:1]:
+        both = f"of {names[kept]} and {names[copy]} the first is used"
+        report.notes.append(f"{len(twins)} photographs are here in two formats: {both}")
     report.notes += _say_repeated(repeated, names)
+    told = Counter(d.reason for d in report.dropped if "pip install" in d.reason)
+    told.update(probes[k].said for k in usable if probes[k].said)
+    report.notes += [f"{count} images: {text}" for text, count in told.items()]
     need_two(len(usable), report)
     return Usable(tuple(usable), tuple(names[k] for k in usable), tuple(probes[k] for k in usable))
 
@@ -319,6 +328,42 @@ def masks_among(names: Sequence[str]) -> dict[str, str]:
         if image not in ("", str(path)):
             found[str(path)] = image
     return found
+
+
+def _twins(names: Sequence[str], probes: Sequence[Probe]) -> dict[int, int]:
+    """Files that are a photograph in another format (raw and JPEG, HEIC and its copy), and the file that is used: one
+    that can be read, a developed one, of the most usual format.
+
+    They are called alike, and lie in one folder or have one time and camera in EXIF; where both are such formats as
+    anything is kept in (a photograph and a thermal TIFF), their sizes must be equal, too.
+    """
+    found: dict[str, list[int]] = {}
+    for k, name in enumerate(names):
+        found.setdefault(PurePosixPath(name).stem.lower(), []).append(k)
+    out: dict[int, int] = {}
+    for same in found.values():
+        if len({_suffix(names[k]) for k in same}) == 1:
+            continue
+        same.sort(key=lambda k: (bool(probes[k].reason), SUFFIXES.index(_suffix(names[k]))))
+        for n, k in enumerate(same):
+            kept = next((j for j in same[:n] if j not in out and _one_photograph(names, probes, j, k)), None)
+            if kept is not None:
+                out[k] = kept
+    return out
+
+
+def _suffix(name: str) -> str:
+    return PurePosixPath(name).suffix.lower()
+
+
+def _one_photograph(names: Sequence[str], probes: Sequence[Probe], one: int, other: int) -> bool:
+    formats, exif = {_suffix(names[one]), _suffix(names[other])}, (probes[one].exif, probes[other].exif)
+    if len(formats) == 1 or probes[one].reason:
+        return False
+    if PurePosixPath(names[one]).parent == PurePosixPath(names[other]).parent:
+        sizes = {probes[k].upright_size() for k in (one, other)}
+        return bool(formats & set(OF_CAMERAS)) or len(sizes) == 1
+    return len({(e.time_s, e.make, e.model) for e in exif}) == 1 and bool(exif[0].make)
 
 
 def _say_repeated(repeated: Sequence[tuple[str, str]], names: Sequence[str]) -> list[str]:
@@ -351,7 +396,10 @@ def _heads(name: str, other: str) -> tuple[str, str]:
 def need_two(count: int, report: Report) -> None:
     """Raise InputError, with what was left out, for fewer than two images."""
     if count < 2:
-        why = "; ".join(f"{d.name}: {d.reason}" for d in report.dropped[:3])
+        names_of: dict[str, list[str]] = {}
+        for d in report.dropped:
+            names_of.setdefault(d.reason, []).append(d.name)
+        why = "; ".join(f"{some(names)}: {reason}" for reason, names in list(names_of.items())[:3])
         raise InputError(
             f"{count} usable image(s): at least 2 are needed, and about 10 for a model. "
             + (f"Left out {len(report.dropped)}: {why}" if why else "Give a folder with more images")

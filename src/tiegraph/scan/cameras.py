@@ -13,7 +13,7 @@ from tiegraph.scan.rigfiles.rigfaults import focal_fault, lens_fault
 from tiegraph.scan.rigfiles.rigspec import SensorSpec
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import CameraTuning
-from tiegraph.scene.images import EIGHT_BIT, Levels
+from tiegraph.scene.decoding import EIGHT_BIT, Levels
 from tiegraph.scene.rig import Source
 
 
@@ -68,10 +68,10 @@ def calibrate(
             prepared = pinhole_camera(prepared)
     deep = facts.levels != EIGHT_BIT
     if deep:
-        how += "; pixels of 16 bits: {} to {} become 0 to 255".format(*facts.levels)
-    changed = spec.of_panorama or any(crop) or prepared.model != camera.model or not facts.upright or deep
-    source = Source(camera=camera, crop_px=crop, upright=facts.upright, levels=facts.levels, panorama=spec.of_panorama)
-    source = replace(source, part=spec.part)
+        how += "; pixels deeper than 8 bits: {:g} to {:g} become 0 to 255".format(*facts.levels)
+    changed = spec.view_of_panorama or any(crop) or prepared.model != camera.model or not facts.upright or deep
+    source = Source(camera=camera, crop_px=crop, upright=facts.upright, levels=facts.levels, part=spec.part)
+    source = replace(source, panorama=spec.view_of_panorama)
     return Calibrated(prepared, source if changed or spec.part is not None else None, how)
 
 
@@ -127,7 +127,7 @@ def _from_params(
         camera.rescale(*facts.size)
     camera.has_prior_focal_length = True
     named = Path(file).name or "its circle, a guess"
-    origin = "an exact view of the panoramas" if spec.of_panorama else f"camera from {named}"
+    origin = "an exact view of the panoramas" if spec.view_of_panorama else f"camera from {named}"
     return camera, f"{origin}{_scaled(scale)}"
 
 

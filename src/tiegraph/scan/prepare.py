@@ -14,10 +14,11 @@ from PIL import Image
 from tiegraph.errors import InputError
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scene.atomic import replacing
-from tiegraph.scene.exif import Taken, exif_of
+from tiegraph.scene.decoding import Levels, Opened, eight_bit, opened, turned
+from tiegraph.scene.exif import Taken, exif_of, orientation_in
 from tiegraph.scene.filecache import cached_by_file
 from tiegraph.scene.fisheye import frozen, render_lens_view
-from tiegraph.scene.images import Levels, decode_deep, deep_png, eight_bit, open_image, render_view
+from tiegraph.scene.panorama import render_view, sphere_of
 from tiegraph.scene.regular import real_path, regular
 from tiegraph.scene.rig import Sensor, Source, camera_from_dict, camera_to_dict
 
@@ -26,7 +27,6 @@ LINKED_FORMATS = {"JPEG": (".jpg", ".jpeg"), "MPO": (".jpg", ".jpeg"), "PNG": ("
                   "BMP": (".bmp",)}  # fmt: skip
 KEPT_SUFFIXES = tuple(s for suffixes in LINKED_FORMATS.values() for s in suffixes)
 _WITH_ALPHA = (".png", ".tif", ".tiff")
-_ORIENTATION = 0x0112
 
 
 def prepare_image(source: Path, target: Path, sensor: Sensor, settings: ScanSettings) -> None:
@@ -70,27 +70,28 @@ def _changed_pixels(
     path: Path, how: Source, sensor: Sensor, settings: ScanSettings, suffix: str
 ) -> np.ndarray | None:  # (H, W) or (H, W, 3) RGB u1; None = nothing to change
     if how.panorama:
-        return _cropped(_view(path, how, sensor), how)
+        return _for_suffix(_cropped(_view(path, how), how), suffix)
     try:
-        data = regular(path).read_bytes()
-        image = _opened(data)
+        file = opened(regular(path).read_bytes(), path.suffix)
         bend = settings.undistort and how.view is None and how.camera is not None and not how.camera.is_undistorted()
         changed = bend or how.view is not None or how.part is not None or any(how.crop_px)
-        if image is not None and not changed and _plain(image, data, suffix):
+        if not changed and _plain(file, suffix):
             return None
-        pixels = _eight_bit(image, data, how.levels)
-        if pixels.shape[2:] == (4,) and suffix not in _WITH_ALPHA:
-            pixels = pixels[..., :3]
+        pixels = _for_suffix(eight_bit(file.pixels(), how.levels), suffix)
     except OSError as error:
         raise _gone(path, error) from None
-    if image is not None and how.upright:
-        pixels = _turn(pixels, image.getexif().get(_ORIENTATION, 1))
+    if how.upright:
+        pixels = turned(pixels, file.orientation)
     pixels = _cropped(_part(pixels, how), how)
     if how.view is not None and sensor.camera is not None:
         return render_lens_view(pixels, how.view, sensor.camera)
     if bend and how.camera is not None and sensor.camera is not None:
         pixels = _undistort(pixels, crop_camera(how.camera, *how.crop_px), sensor.camera)
     return pixels
+
+
+def _for_suffix(pixels: np.ndarray, suffix: str) -> np.ndarray:
+    return pixels[..., :3] if pixels.shape[2:] == (4,) and suffix not in _WITH_ALPHA else pixels
 
 
 def _part(pixels: np.ndarray, how: Source) -> np.ndarray:
@@ -108,59 +109,28 @@ def _cropped(pixels: np.ndarray, how: Source) -> np.ndarray:
     return pixels[top : pixels.shape[0] - bottom, left : pixels.shape[1] - right]
 
 
-def _view(path: Path, how: Source, sensor: Sensor) -> np.ndarray:
-    assert how.camera is not None and sensor.sensor_from_rig is not None
-    return render_view(_panorama(path, how.levels), how.camera, sensor.sensor_from_rig[:3, :3])
+def _view(path: Path, how: Source) -> np.ndarray:
+    assert how.camera is not None
+    return render_view(_panorama(path, how.levels), how.camera, np.reshape(how.panorama, (3, 3)))
 
 
 @cached_by_file(maxsize=1)  # its views are made one after another
 def _panorama(path: Path, levels: Levels) -> np.ndarray:
     try:
-        data = regular(path).read_bytes()
-        return _eight_bit(_opened(data), data, levels)[..., :3]
+        file = opened(regular(path).read_bytes(), path.suffix)
+        pixels = eight_bit(file.pixels(), levels)
     except OSError as error:
         raise _gone(path, error) from None
+    sphere = sphere_of(file.image, pixels)
+    return pixels if sphere is None else sphere.unfolded(pixels)
 
 
-def _opened(data: bytes) -> Image.Image | None:
-    try:
-        return open_image(data)
-    except Image.UnidentifiedImageError:  # read by OpenCV only
-        return None
-
-
-def _plain(image: Image.Image, data: bytes, suffix: str) -> bool:
-    turned = image.getexif().get(_ORIENTATION, 1) not in (0, 1)
+def _plain(file: Opened, suffix: str) -> bool:
+    image = file.image
+    if image is None or file.deep or orientation_in(image) != 1:
+        return False
     kept = suffix in LINKED_FORMATS.get(image.format or "", ())
-    return kept and image.mode in ("L", "RGB") and not deep_png(data) and not turned
-
-
-def _eight_bit(image: Image.Image | None, data: bytes, levels: Levels) -> np.ndarray:
-    """Grey, RGB, or RGBA where parts are transparent."""
-    pixels: Any
-    if image is not None and not image.mode.startswith("I") and not deep_png(data):
-        if image.has_transparency_data and not np.asarray(image.convert("RGBA"))[..., 3].all():
-            return np.asarray(image.convert("RGBA"))
-        return np.asarray(image.convert("L" if image.mode in ("1", "L", "LA") else "RGB"))
-    pixels = decode_deep(data)
-    if pixels is None:
-        pixels = np.asarray(image)
-    if pixels.ndim == 2:
-        return eight_bit(pixels, levels)
-    colours = eight_bit(cv2.cvtColor(np.ascontiguousarray(pixels[..., :3]), cv2.COLOR_BGR2RGB), levels)
-    opaque = pixels[..., 3:] > 0
-    return colours if opaque.all() else np.concatenate([colours, np.where(opaque, 255, 0).astype(np.uint8)], axis=2)
-
-
-def _turn(pixels: np.ndarray, orientation: int) -> np.ndarray:
-    # EXIF: the number says where the first row and column of the file lie in the upright picture.
-    if orientation in (5, 6, 7, 8):
-        pixels = np.swapaxes(pixels, 0, 1)
-    if orientation in (2, 3, 6, 7):
-        pixels = pixels[:, ::-1]
-    if orientation in (3, 4, 7, 8):
-        pixels = pixels[::-1]
-    return pixels
+    return kept and image.mode in ("L", "RGB") and not image.has_transparency_data
 
 
 def _undistort(pixels: np.ndarray, camera: pycolmap.Camera, pinhole: pycolmap.Camera) -> np.ndarray:

@@ -24,9 +24,10 @@ from tiegraph.scan.rigfiles.rigspec import RigSpec
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import Tuning
 from tiegraph.scan.twolenses import two_lenses
+from tiegraph.scene.decoding import EIGHT_BIT
 from tiegraph.scene.exif import Exif
 from tiegraph.scene.hanging import wide_first
-from tiegraph.scene.images import EIGHT_BIT, IMAGES_FOLDER, Probe, find_images, probe_image
+from tiegraph.scene.images import IMAGES_FOLDER, Probe, find_images, probe_image
 from tiegraph.scene.names import clean, shortened
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene

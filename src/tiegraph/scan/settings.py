@@ -8,6 +8,7 @@ from pydantic import Field, field_validator
 
 from tiegraph.geometry.geodesy import utm_by_name
 from tiegraph.settings import Section
+from tiegraph.text import composed
 
 _Px = Annotated[int, Field(ge=0, le=100_000)]
 
@@ -94,7 +95,7 @@ def video_offsets(words: tuple[str, ...]) -> VideoOffsets:
         if (equals and not name) or not isfinite(seconds) or (word == "end", name) in found:
             form = "NAME=SECONDS (the video's name without ending), SECONDS or end"
             raise ValueError(f"{word!r}: give {form}, each once")
-        found[word == "end", name] = seconds
+        found[word == "end", composed(name)] = seconds
     from_end = found.pop((True, ""), None) is not None
     all_s = found.pop((False, ""), 0.0)
     return VideoOffsets(all_s=all_s, by_name={name: s for (_, name), s in found.items()}, from_end=from_end)

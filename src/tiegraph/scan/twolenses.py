@@ -43,7 +43,7 @@ def two_lenses(
     both = [len(p.circles) == len(NAMES) and p.exif.orientation <= 1 for p in usable.probes]
     if sum(both) <= tuning.lens_views.most * len(both):
         return None
-    kept = of_one_kind(usable, both, "not two fisheye images, as most files here are", report)
+    kept = of_one_kind(usable, both, [True] * len(both), "not two fisheye images, as most files here are", report)
     spec = _nominal(kept.probes, report, tuning) if rig is None else _given(rig, text, tuning)
     shared = share_files(kept, spec, settings, tuning)
     halves = tuple(_half(p, s.sensor) for p, s in zip(shared.probes, shared.survey.shots))

@@ -29,6 +29,7 @@ from tiegraph.scene.markpixels import (
     prepared_pixel,
     within,
 )
+from tiegraph.scene.names import plain_name
 from tiegraph.scene.scene import Scene
 
 MIN_MARKS = 2  # of a point whose place in the model can be found: two rays meet
@@ -307,7 +308,7 @@ def image_lookup(scene: Scene) -> dict[str, int]:
 
 def image_of(lookup: Mapping[str, int], name: str) -> int | None:
     """The image of a name in a file: as it is written there, else in any case, as Windows takes names."""
-    plain = name.replace("\\", "/")
+    plain = plain_name(name)
     return lookup.get(plain, lookup.get(f"{_ANY_CASE}{plain.lower()}"))
 
 

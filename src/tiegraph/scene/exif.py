@@ -12,7 +12,7 @@ from PIL import Image
 from tiegraph.geometry.geodesy import crs_transformer
 from tiegraph.scene import exif as tags
 from tiegraph.scene.gnss import HEIGHT_RANGE_M, SIGMA_RANGE_M
-from tiegraph.scene.xmp import NAN, Place, RigTags, ratio, read_place, read_rig_tags, value_of, xmp_of
+from tiegraph.scene.xmp import NAN, Place, RigTags, ratio, read_place, read_rig_tags, xmp_text, xmp_value
 
 # Tags of the EXIF 2.32 standard (CIPA DC-008).
 EXIF_IFD, GPS_IFD = 0x8769, 0x8825
@@ -63,26 +63,34 @@ def orientation_of(path: Path) -> int:
     """EXIF orientation of an image file, 1 to 8; 1 where nothing says it."""
     try:
         with Image.open(path) as image:
-            return _orientation(image.getexif())
+            return orientation_in(image)
     except Exception:  # see read_exif
         return 1
 
 
-def read_exif(image: Any, focal_range: tuple[float, float]) -> Exif:
-    """EXIF of an opened PIL image; damaged entries count as not written, as do focal lengths out of a range (in longer
-    image sides)."""
+def orientation_in(image: Any) -> int:
+    """EXIF orientation of an opened PIL image, 1 to 8; 1 where nothing says it."""
+    try:
+        return _orientation(image.getexif())
+    except Exception:  # see read_exif
+        return 1
+
+
+def read_exif(image: Any, size: tuple[int, int], focal_range: tuple[float, float]) -> Exif:
+    """EXIF of an opened PIL image, whose pixels are ``size`` (width, height); damaged entries count as not written, as
+    do focal lengths out of a range (in longer image sides)."""
     try:
         base = image.getexif()
         detail, gps = base.get_ifd(EXIF_IFD), base.get_ifd(GPS_IFD)
     except Exception:  # a damaged EXIF block makes PIL raise anything from struct.error to SyntaxError
         return Exif()
-    xmp = xmp_of(image)
+    xmp = xmp_text(image)
     base, detail = _with_xmp(dict(base), xmp, _BASE_IN_XMP), _with_xmp(detail, xmp, _DETAIL_IN_XMP)
     place, doubt = _place(gps, *read_place(xmp))
     time_s, utc = _time(base, detail)
     return Exif(
         orientation=_orientation(base),
-        focal_px=_focal(detail, image.size, focal_range),
+        focal_px=_focal(detail, size, focal_range),
         lat_deg=place.lat_deg,
         lon_deg=place.lon_deg,
         height_m=place.height_m,
@@ -104,7 +112,7 @@ def read_exif(image: Any, focal_range: tuple[float, float]) -> Exif:
 
 def _with_xmp(table: dict, xmp: str, names: tuple[tuple[int, str, str], ...]) -> dict:
     """The tags of EXIF, and those of XMP that it lacks."""
-    found = {tag: value_of(xmp, name, space) for tag, space, name in names if tag not in table} if xmp else {}
+    found = {tag: xmp_value(xmp, name, space) for tag, space, name in names if tag not in table} if xmp else {}
     return {**{tag: value for tag, value in found.items() if value}, **table}
 
 

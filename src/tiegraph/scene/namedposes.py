@@ -15,6 +15,7 @@ from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
 from tiegraph.scene.colmapmodel import is_model, matrix, read_model
 from tiegraph.scene.regular import regular
+from tiegraph.text import composed
 
 TRANSFORMS = "transforms.json"
 _ROTATION = 1e-2  # by so much may R R^T miss 1
@@ -39,7 +40,7 @@ def read_named_poses(path: Path) -> dict[str, np.ndarray]:
         path = path / TRANSFORMS
     found = poses_of_model(read_model(path)) if path.is_dir() else poses_of_transforms(read_json(path), path)
     check_poses(found, path)
-    return found
+    return {composed(name): pose for name, pose in found.items()}
 
 
 def check_poses(found: dict[str, np.ndarray], path: Path) -> None:

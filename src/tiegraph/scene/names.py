@@ -2,17 +2,20 @@
 
 Linux keeps names as bytes. Those that are not UTF-8 (a Shift-JIS archive unpacked) reach Python as strings with lone
 surrogates, which kill the interpreter inside OpenCV and cannot be written to any text file. So a survey's files get
-names of ours where they are listed (``clean_names``), and nothing but the opening of a file ever sees the others.
+names of ours where they are listed (``clean_names``), and nothing but the opening of a file (``on_disk``) ever sees
+the others.
 """
 
 import hashlib
+import itertools
 import os
 import re
+import unicodedata
 from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
 
 from tiegraph.errors import InputError
-from tiegraph.text import acts, one_line
+from tiegraph.text import acts, composed, one_line
 
 # File systems take 255 bytes; masks/<name>.png, depth maps <name>.geometric.bin and temporary files add to a name.
 LONGEST_BYTES = 200
@@ -22,10 +25,23 @@ _ESCAPE = re.compile("%(?:[0189A-F][0-9A-F]|7F)")  # of control characters and o
 
 
 def clean(name: str) -> str:
-    """A name with every byte that is not text (control characters, bytes that are not UTF-8) as ``%XX``."""
+    """A name in composed form with every byte that is not text (control characters, bytes that are not UTF-8) as
+    ``%XX``."""
     if name.isascii() and name.isprintable():
         return name
-    return "".join("".join(f"%{b:02X}" for b in os.fsencode(c)) if acts(c) else c for c in name)
+    return composed("".join("".join(f"%{b:02X}" for b in os.fsencode(c)) if acts(c) else c for c in name))
+
+
+def plain_name(text: str) -> str:
+    """An image's name as ours are written: slashes, no ./ before it, in composed form."""
+    return composed(text.replace("\\", "/").removeprefix("./"))
+
+
+def on_disk(folder: Path, name: str) -> Path | None:
+    """The file below a folder that a name of ours (POSIX) is of, however the file system writes it; None without."""
+    parts = [(p, unclean(p), unicodedata.normalize("NFD", p)) for p in PurePosixPath(name).parts]
+    ways = itertools.product(*(dict.fromkeys(spellings) for spellings in parts))
+    return next((path for way in ways if os.path.isfile(path := folder.joinpath(*way))), None)  # False if too long, too
 
 
 def clean_names(names: Sequence[str]) -> list[str]:

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from tiegraph.errors import InputError
+from tiegraph.scene.names import plain_name
 from tiegraph.scene.regular import regular
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.table import text_lines
@@ -261,8 +262,7 @@ def pair_lines(path: Path) -> list[tuple[int, list[str]]]:
 def _pair_of(words: list[str], place: str, scene: Scene) -> tuple[int, int]:
     index = []
     for name in words:
-        if name not in scene.image_index:
-            name = name.replace("\\", "/").removeprefix("./")
+        name = plain_name(name)
         if name not in scene.image_index:
             near = difflib.get_close_matches(name, scene.names, n=1, cutoff=0.3)
             hint = f"; perhaps {near[0]!r}?" if near else ""

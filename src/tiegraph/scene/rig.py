@@ -33,8 +33,11 @@ class Source:
     camera: pycolmap.Camera | None = None  # camera of the file before cropping and undistortion; None = not known
     crop_px: tuple[int, int, int, int] = (0, 0, 0, 0)  # cut off left, top, right, bottom
     upright: bool = True  # turn by the EXIF orientation; False: keep the sensor's own rows and columns
-    levels: tuple[int, int] = (0, 255)  # of the pixels of a deeper file: what becomes 0 and 255, in all images alike
-    panorama: bool = False  # the file is an equirectangular panorama; the image is a view of it along the rig's sensor
+    levels: tuple[float, float] = (
+        0,
+        255,
+    )  # of a deeper file: what becomes 0 and 255, in all images alike
+    panorama: tuple[float, ...] = ()  # of a view of an equirectangular panorama: view_from_panorama (3, 3), row by row
     view: LensView | None = None  # the file, cropped, is a fisheye image; the image is a view of it
     circle_px: Circle | None = None  # what the lens lights of the cropped file; None = all of it
     part: int | None = None  # which of the two images side by side in the file this is of; None = the file is one
@@ -42,7 +45,7 @@ class Source:
     @property
     def rendered(self) -> bool:
         """Whether the image is one of several views of its file, made with a known lens."""
-        return self.panorama or self.view is not None
+        return bool(self.panorama) or self.view is not None
 
 
 @dataclass(frozen=True)
@@ -210,7 +213,7 @@ def _source_to_dict(source: Source | None) -> dict | None:
     if source is None:
         return None
     camera, view = camera_to_dict(source.camera), source.view
-    rest: dict = {"upright": source.upright, "levels": list(source.levels), "panorama": source.panorama}
+    rest: dict = {"upright": source.upright, "levels": list(source.levels), "panorama": list(source.panorama)}
     if view is not None:
         rest["view"] = {"name": view.name, "lens": camera_to_dict(view.lens), "rotation": list(view.rotation)}
     if source.circle_px is not None:
@@ -229,8 +232,8 @@ def _source_from_dict(data: dict | None) -> Source | None:
         camera=camera_from_dict(data["camera"]),
         crop_px=tuple(int(p) for p in data["crop_px"]),  # type: ignore[arg-type]
         upright=data["upright"],
-        levels=(int(data["levels"][0]), int(data["levels"][1])),
-        panorama=data.get("panorama", False),
+        levels=(data["levels"][0], data["levels"][1]),
+        panorama=tuple(data.get("panorama") or ()),
         view=None if view is None or lens is None else LensView(view["name"], lens, tuple(view["rotation"])),
         circle_px=None if circle is None else tuple(circle),
         part=data.get("part"),

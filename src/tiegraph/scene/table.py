@@ -13,6 +13,7 @@ import numpy as np
 
 from tiegraph.errors import InputError
 from tiegraph.scene.regular import regular
+from tiegraph.text import composed
 
 TIME_LIMIT_S = 1e11  # the year 5138: what is larger in size is no time in seconds
 _UNIT_S = {"ms": 1e-3, "msec": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}
@@ -167,8 +168,9 @@ def table_of(path: Path, purpose: str, lines: Sequence[tuple[int, str]], notes: 
 
 
 def text_lines(text: str) -> list[str]:
-    """The lines of a text as editors count them: ``str.splitlines`` also parts at form feeds and other separators."""
-    return re.split(r"\r\n|\r|\n", text)
+    """The lines of a text as editors count them (``str.splitlines`` also parts at form feeds and other separators), in
+    composed form, as names are."""
+    return re.split(r"\r\n|\r|\n", composed(text))
 
 
 def whole_file(path: Path, purpose: str) -> bytes:

@@ -9,7 +9,7 @@ from tiegraph.settings import Section
 
 
 class PanoramaTuning(Section):
-    """Which images are equirectangular panoramas (`images.py`)."""
+    """Which images are equirectangular panoramas (`panorama.py`)."""
 
     min_width_px: int = Field(1024, gt=0)
     """Smaller panoramas have views of less than 290 px."""

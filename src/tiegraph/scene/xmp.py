@@ -17,7 +17,7 @@ import numpy as np
 
 from tiegraph.scene.table import number
 
-_XMP_TAG = 700  # of TIFF
+XMP_TAG = 700  # of TIFF
 _MAX_DEG = 360.0
 _DJI = "drone-dji"
 NAN = float("nan")
@@ -47,32 +47,32 @@ def read_rig_tags(text: str) -> RigTags:
     """Rig tags of the XMP of an image; damaged ones count as not written."""
     if "RigCameraIndex" not in text and "BandName" not in text:
         return RigTags()
-    angles = [number(v) for v in re.split(r"[,\s]+", value_of(text, "RigRelatives")) if v]
+    angles = [number(v) for v in re.split(r"[,\s]+", xmp_value(text, "RigRelatives")) if v]
     good = len(angles) == 3 and bool(np.all(np.abs(angles) <= _MAX_DEG))
     return RigTags(
-        index=_whole(value_of(text, "RigCameraIndex")),
-        band=value_of(text, "BandName")[:40],
+        index=_whole(xmp_value(text, "RigCameraIndex")),
+        band=xmp_value(text, "BandName")[:40],
         relatives_deg=tuple(angles) if good else (),
-        reference=_whole(value_of(text, "RigRelativesReferenceRigCameraIndex")),
+        reference=_whole(xmp_value(text, "RigRelativesReferenceRigCameraIndex")),
     )
 
 
 def read_place(text: str) -> tuple[Place, bool]:
     """The position in the XMP of an image, and whether a receiver with RTK that had a fix wrote it."""
-    rtk = number(value_of(text, "RtkFlag", _DJI)) > 0
-    dji = {t: number(value_of(text, t, _DJI)) for t in ("GpsLatitude", "GpsLongitude", "GpsLongtitude")}
+    rtk = number(xmp_value(text, "RtkFlag", _DJI)) > 0
+    dji = {t: number(xmp_value(text, t, _DJI)) for t in ("GpsLatitude", "GpsLongitude", "GpsLongtitude")}
     lat, lon = dji["GpsLatitude"], dji["GpsLongitude"]
     lon = dji["GpsLongtitude"] if np.isnan(lon) else lon
-    height = number(value_of(text, "AbsoluteAltitude", _DJI))
+    height = number(xmp_value(text, "AbsoluteAltitude", _DJI))
     if np.isnan(lat):
-        lat, lon = (_degrees(value_of(text, t, "exif")) for t in ("GPSLatitude", "GPSLongitude"))
+        lat, lon = (_degrees(xmp_value(text, t, "exif")) for t in ("GPSLatitude", "GPSLongitude"))
     if np.isnan(height):
-        below = value_of(text, "GPSAltitudeRef", "exif") == "1"
-        height = ratio(value_of(text, "GPSAltitude", "exif")) * (-1 if below else 1)
-    flat, up = (number(value_of(text, f"GPS{axes}Accuracy")) for axes in ("XY", "Z"))
+        below = xmp_value(text, "GPSAltitudeRef", "exif") == "1"
+        height = ratio(xmp_value(text, "GPSAltitude", "exif")) * (-1 if below else 1)
+    flat, up = (number(xmp_value(text, f"GPS{axes}Accuracy")) for axes in ("XY", "Z"))
     if rtk:
-        flat = max(number(value_of(text, tag, _DJI)) for tag in ("RtkStdLat", "RtkStdLon"))
-        up = number(value_of(text, "RtkStdHgt", _DJI))
+        flat = max(number(xmp_value(text, tag, _DJI)) for tag in ("RtkStdLat", "RtkStdLon"))
+        up = number(xmp_value(text, "RtkStdHgt", _DJI))
     return Place(lat_deg=lat, lon_deg=lon, height_m=height, sigma_m=flat, sigma_up_m=up), rtk
 
 
@@ -103,17 +103,17 @@ def relative_rotation(relatives_deg: tuple[float, ...]) -> np.ndarray:
     return rx @ ry @ rz
 
 
-def xmp_of(image: Any) -> str:
+def xmp_text(image: Any) -> str:
     """The XMP of an opened PIL image, "" without any."""
     found = image.info.get("xmp") or image.info.get("XML:com.adobe.xmp") or b""
     try:
-        found = found or getattr(image, "tag_v2", {}).get(_XMP_TAG, b"")
+        found = found or getattr(image, "tag_v2", {}).get(XMP_TAG, b"")
     except Exception:  # a damaged directory
         return ""
     return found.decode("utf-8", errors="replace") if isinstance(found, bytes) else str(found)
 
 
-def value_of(text: str, tag: str, space: str = "Camera") -> str:
+def xmp_value(text: str, tag: str, space: str = "Camera") -> str:
     """Text of a tag written as an attribute, as an element or as a list, its items parted by blanks."""
     attribute = re.search(rf'\b{space}:{tag}\s*=\s*["\']([^"\']*)["\']', text)
     if attribute:

@@ -88,6 +88,7 @@ class Watched:
         self.times: deque[float] = deque(maxlen=_RECENT)
         self._trouble = ""
         self._probes: dict[str, Probe] = {}
+        self._file_of: dict[str, str] = {}  # as the file system calls it
         self._digest: dict[str, str] = {}  # of the file whose preview there is
         self._ties: dict[tuple[str, str], np.ndarray] = {}
         self._rigs: tuple[Rig, ...] = ()
@@ -124,7 +125,7 @@ class Watched:
     def _report(self, name: str) -> None:
         assert self.scene is not None
         source = self.scene.source_name(self.scene.image_index[name])
-        seconds = time.monotonic() - self.arrivals.came(source)
+        seconds = time.monotonic() - self.arrivals.came(self._file_of[source])
         self.times.append(seconds)
         waiting = self.arrivals.waiting()
         self.run.reporter.event(
@@ -146,7 +147,7 @@ class Watched:
             return []
         new, failed = [], False
         for image, name in enumerate(self.scene.names):
-            file = self.scene.source_name(image)
+            file = self._file_of[self.scene.source_name(image)]
             digest = self._probes[file].digest
             if self._digest.get(name) == digest and preview_path(self.run.folder, name).exists():
                 if file in files:
@@ -178,7 +179,9 @@ class Watched:
         )
         try:
             probes = [self._probes[f] for f in files]
-            self.scene = build_scene(inputs, clean_names(files), probes, settings.scan, settings.tuning.scan)
+            names = clean_names(files)
+            self.scene = build_scene(inputs, names, probes, settings.scan, settings.tuning.scan)
+            self._file_of = dict(zip(names, files))
             self._trouble = ""
         except InputError as error:
             if str(error) != self._trouble:

@@ -9,8 +9,9 @@ import numpy as np
 from tiegraph.errors import InputError
 from tiegraph.geometry.transforms import centre, rigid
 from tiegraph.scan.priors.positions import Frames
-from tiegraph.scan.priors.times import absent, plain_name
+from tiegraph.scan.priors.times import absent
 from tiegraph.scan.tuning import TrajectoryTuning
+from tiegraph.scene.names import plain_name
 from tiegraph.scene.results import Trajectory
 from tiegraph.scene.startplace import called
 

@@ -9,13 +9,14 @@ import numpy as np
 from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import Origin, area_note, datum_note, make_origin, middle, world_from_geodetic
 from tiegraph.geometry.transforms import rigid
-from tiegraph.scan.priors.times import FrameRow, absent, frame_by_image, plain_name
+from tiegraph.scan.priors.times import FrameRow, absent, frame_by_image
 from tiegraph.scan.rigfiles.rigspec import AXES, RigSpec
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import PositionsTuning
 from tiegraph.scene.exif import Exif
 from tiegraph.scene.gnss import Gnss, at_times, far_rows, on_clock_of, stuck_note, without_far
 from tiegraph.scene.gpstime import DAY_S, GPS_EPOCH_S
+from tiegraph.scene.names import plain_name
 from tiegraph.scene.rig import Rig
 
 _NAMED = 3  # frames without a position that are named

@@ -14,6 +14,7 @@ from tiegraph.scan.folders import LONE_PASS
 from tiegraph.scan.tuning import TimesTuning
 from tiegraph.scene.exif import Exif
 from tiegraph.scene.gnss import IMAGE
+from tiegraph.scene.names import plain_name
 from tiegraph.scene.table import Table, in_seconds, read_table
 from tiegraph.scene.timecolumns import Times, times_of
 
@@ -180,11 +181,6 @@ def _say_odd(
                 "correct it, or make a pass of its own of them"
             )
     return notes
-
-
-def plain_name(text: str) -> str:
-    """An image's name as ours are written: slashes, no ./ before it."""
-    return text.replace("\\", "/").removeprefix("./")
 
 
 def absent(name: str, names: Sequence[str]) -> str:

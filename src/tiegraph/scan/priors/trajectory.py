@@ -16,6 +16,7 @@ from tiegraph.scene.namedposes import has_named_poses, read_named_poses
 from tiegraph.scene.names import clean
 from tiegraph.scene.posefile import PoseFile, checked_poses, read_poses
 from tiegraph.scene.results import Trajectory
+from tiegraph.text import composed
 
 _PATH = "nav_msgs/Path"
 KINDS = ("nav_msgs/Odometry", "geometry_msgs/PoseStamped", "geometry_msgs/PoseWithCovarianceStamped", _PATH)
@@ -92,11 +93,12 @@ def trajectory_files(path: Path, sequences: Sequence[str]) -> dict[int, Path]:
 
 def _for_pass(name: str, files: Sequence[Path]) -> Path | None:
     slug = name.lower().replace("/", "_").replace(" ", "_")
+    stems = [(f, composed(f.stem)) for f in files]
     if slug.isalpha():
-        exact = [f for f in files if slug in words(f.stem)]
+        exact = [f for f, stem in stems if slug in words(stem)]
     else:
-        exact = [f for f in files if f.stem.lower() == slug or f.stem.lower().endswith("_" + slug)]
-    exact = exact or [f for f in files if slug in f.stem.lower().replace(" ", "_")]
+        exact = [f for f, stem in stems if f"_{stem.lower()}".endswith("_" + slug)]
+    exact = exact or [f for f, stem in stems if slug in stem.lower().replace(" ", "_")]
     return exact[0] if len(exact) == 1 else None
 
 

@@ -94,7 +94,25 @@ def samples(file: BinaryIO, track: Track) -> Samples:
     length = np.repeat(steps[:, 1], _at_most(counts, len(sizes))).astype(float) / scale
     if len(length) < len(sizes):
         raise BrokenTrack(f"its table stts has times of {len(length)} samples of {len(sizes)}")
-    return Samples(offset, sizes, begin_s=np.cumsum(length) - length, length_s=length)
+    delay_s, skipped_s = edits(file, track)
+    return Samples(offset, sizes, begin_s=np.cumsum(length) - length + delay_s - skipped_s, length_s=length)
+
+
+def edits(file: BinaryIO, track: Track) -> tuple[float, float]:
+    """By its edit list (8.6.6) for how long nothing is shown of a track at first, and what of its samples is left away
+    then, s. Raises BrokenTrack."""
+    found = _inside(file, track.span, (b"edts", b"elst"))
+    movie = next((h for span in boxes(file, b"moov", 0, file.seek(0, 2)) for h in boxes(file, b"mvhd", *span)), None)
+    if found is None or movie is None:
+        return 0.0, 0.0
+    file.seek(found[0])
+    data = file.read(min(found[1] - found[0], _MOST_SAMPLES))
+    wide = data[:1] == b"\1"
+    row = np.dtype([("length", ">u8" if wide else ">u4"), ("media", ">i8" if wide else ">i4"), ("rate", ">u4")])
+    rows = np.frombuffer(data[8 : 8 + (len(data) - 8) // row.itemsize * row.itemsize], row)
+    first = next(iter(np.flatnonzero(rows["media"] >= 0)), len(rows))
+    delay_s = float(rows["length"][:first].sum()) / _scale_at(file, movie) if first else 0.0
+    return delay_s, float(rows["media"][first]) / _scale(file, track) if first < len(rows) else 0.0
 
 
 def _at_most(counts: np.ndarray, total: int) -> np.ndarray:
@@ -105,7 +123,10 @@ def _at_most(counts: np.ndarray, total: int) -> np.ndarray:
 
 def _scale(file: BinaryIO, track: Track) -> int:
     """Units a second of a track's times (8.4.2)."""
-    found = _inside(file, track.span, (b"mdia", b"mdhd"))
+    return _scale_at(file, _inside(file, track.span, (b"mdia", b"mdhd")))
+
+
+def _scale_at(file: BinaryIO, found: tuple[int, int] | None) -> int:
     data = b""
     if found is not None:
         file.seek(found[0])
@@ -113,7 +134,7 @@ def _scale(file: BinaryIO, track: Track) -> int:
     wide = data[:1] == b"\1"
     scale = int.from_bytes(data[20:24] if wide else data[12:16], "big")
     if not scale:
-        raise BrokenTrack("its header mdhd has no time scale")
+        raise BrokenTrack("its header has no time scale")
     return scale
 
 

@@ -61,6 +61,7 @@ from tiegraph.scan.rigfiles.rigspec import AXES, PRESET_WORDS, UNIT, RigSpec, Se
 from tiegraph.scan.tuning import RigTuning
 from tiegraph.scene.regular import regular
 from tiegraph.scene.rig import PAIR_KEYS, ROLES, SensorPair
+from tiegraph.text import composed
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -94,7 +95,7 @@ def read_rig_file(path: Path | str, tuning: RigTuning) -> tuple[RigSpec, ...]:
     if path.is_dir():
         raise InputError(f"--rig {path}: a folder, not a file, and no run folder of tiegraph: give one of these")
     try:
-        text = regular(path).read_text(encoding="utf-8-sig")
+        text = composed(regular(path).read_text(encoding="utf-8-sig"))
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: cannot be read as text in UTF-8 ({error})") from None
     if path.suffix.lower() in _KALIBR:

@@ -42,7 +42,7 @@ class SensorSpec:
     sigma_m: float | None = None
     camera_sigma_px: float | None = None  # of the focal length; a camera with one is adjusted
     started: bool = False  # its camera is that of a start model
-    of_panorama: bool = False  # a view that is rendered from an equirectangular panorama
+    view_of_panorama: tuple[float, ...] = ()  # a view of an equirectangular panorama: see ``Source.panorama``
     part: int | None = None  # which of the two images side by side in its files; None = the whole file is its image
     number: int = 0  # of its table in the rig file
     at: str = ""  # file and line of its camera, "" = from no file

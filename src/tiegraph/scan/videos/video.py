@@ -20,7 +20,7 @@ import numpy as np
 
 from tiegraph.scan.prepare import write_pixels
 from tiegraph.scan.recording import Recording
-from tiegraph.scan.recording.tracks import VIDEO, OneVideoTrack, tracks
+from tiegraph.scan.recording.tracks import VIDEO, BrokenTrack, OneVideoTrack, edits, tracks
 from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scan.videos.bagfilms import BagFilm, open_topic
 from tiegraph.scan.videos.videotime import VideoClock
@@ -33,7 +33,7 @@ SUFFIXES = (".mp4", ".mov", ".avi", ".mkv", ".m4v", ".mts", ".webm", ".insv")
 _TAKEN = ".taken.json"  # hidden: no image
 _SAME_S = 1e-6  # by so much are stamps rounded
 
-Frame = tuple[float, np.ndarray]  # stamp in s since the first frame, BGR picture
+Frame = tuple[float, np.ndarray]  # stamp in s since the start of the recording, BGR picture
 _MAX_FPS = 1000.0  # frames a second from which the header of a video is not believed
 
 
@@ -71,8 +71,8 @@ class OpenVideo:
 
     broken = "cannot be decoded as a video: convert it to H.264 in MP4, or extract its pictures"
 
-    def __init__(self, capture: cv2.VideoCapture) -> None:
-        self._capture = capture
+    def __init__(self, capture: cv2.VideoCapture, delay_s: float = 0.0) -> None:
+        self._capture, self._delay_s = capture, delay_s
         self.count = self.unstamped = 0
         fps = float(capture.get(cv2.CAP_PROP_FPS)) if capture.isOpened() else 0.0
         self.fps = fps if 0 < fps < _MAX_FPS else 0.0
@@ -91,7 +91,7 @@ class OpenVideo:
                 self.unstamped += self.count > 0
             self.count += 1
             last = stamp
-            yield stamp, picture
+            yield stamp + self._delay_s, picture
 
     def doubts(self, tuning: PicturesTuning) -> str:
         """What is wrong with the frames seen, to follow other words; "" for nothing."""
@@ -134,7 +134,17 @@ def _open_video(recording: Recording) -> Iterator[OpenVideo]:
             view = stack.enter_context(OneVideoTrack(recording.file, recording.track))
             capture = cv2.VideoCapture(view, cv2.CAP_FFMPEG, [])  # type: ignore[call-overload]
         stack.callback(capture.release)
-        yield OpenVideo(capture)
+        yield OpenVideo(capture, _delay_s(recording))
+
+
+def _delay_s(recording: Recording) -> float:
+    """When an MP4 shows its first frame by its edit list; OpenCV counts from there, and leaves away what that cuts."""
+    try:
+        with regular(recording.file, None).open("rb") as file:
+            films = [track for track in tracks(file) if track.kind == VIDEO]
+            return edits(file, films[recording.track or 0])[0] if films else 0.0
+    except (BrokenTrack, OSError, IndexError):
+        return 0.0
 
 
 def _capture(video: Path) -> cv2.VideoCapture:
