@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from tiegraph.scene.table import number
+from tiegraph.scene.cells import number
 
 _XMP_TAG = 700  # of TIFF
 _MAX_DEG = 360.0

@@ -12,13 +12,12 @@ from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import apart
 from tiegraph.scan.folders import LONE_PASS
 from tiegraph.scan.tuning import TimesTuning
+from tiegraph.scene.bycontent import times as times_by_content
+from tiegraph.scene.cells import in_seconds
 from tiegraph.scene.exif import Exif
-from tiegraph.scene.gnss import IMAGE
-from tiegraph.scene.table import Table, in_seconds, read_table
+from tiegraph.scene.table import Table, read_table
 from tiegraph.scene.timecolumns import Times, times_of
 
-_FRAME = ("frame", "frame_id", "frame_name", "shot")
-_PASS = ("pass", "track", "run", "strip")
 _UNIX_NAME = re.compile(r"(?:^|\D)(\d{10}(?:[._]\d{1,9})?|\d{13}|\d{16}|\d{19})$")
 _DATE_NAME = re.compile(r"(?:^|\D)((?:19|20)\d{6})[_\-T ]?(\d{6})(\d{0,6})(?:\D|$)")
 _UNIX_RANGE_S = (631152000.0, 4102444800.0)  # 1990 ... 2100: other numbers of ten digits are serial numbers
@@ -43,9 +42,10 @@ def read_times(
     of several images of a frame the median counts. Notes say what is doubtful. Raises InputError for missing columns,
     times that are none, a frame or image with two times, one time for all frames, and when no row fits a frame.
     """
-    table = read_table(path, "times file")
+    table = read_table(path, "times file", "image,time", times_by_content)
     time = times_of(table)
-    image, frame, sequence = (table.find(c) for c in (IMAGE, _FRAME, _PASS))
+    image, frame, sequence = (table.find(c) for c in ("image", "frame", "pass"))
+    image = table.find("name") if image is None and frame is None else image
     if time is None or (image is None and frame is None):
         raise InputError(
             f"{path}: found the columns {', '.join(table.columns)}; expected time and image, or pass, frame and time"
@@ -53,7 +53,8 @@ def read_times(
     if image is None and sequence is None and len(sequences) > 1:
         raise InputError(f"{path}: a frame's name is not unique over {len(sequences)} passes: add a column pass")
     seconds = _seconds(table, time)
-    notes = [*table.notes, *time.notes]
+    said = table.said({**time.used, **({"image": image} if image is not None else {"frame": frame, "pass": sequence})})
+    notes = [*table.notes, said, *time.notes]
     keys: list[tuple[str, ...]]
     if image is not None:
         keys = [(plain_name(table.cell(k, image)),) for k in range(len(seconds))]

@@ -19,14 +19,13 @@ from pathlib import Path
 
 from tiegraph.scene.bags import is_bag
 from tiegraph.scene.gnss import columns, geotxt, mrk, navsat, nmea, rtklib, sbet, xmltracks
-from tiegraph.scene.gnss.columns import IMAGE
 from tiegraph.scene.gnss.fixes import HEIGHT_RANGE_M, SIGMA_RANGE_M, Fixes, judged
 from tiegraph.scene.gnss.rows import Gnss, at_times, far_rows, on_clock_of, stuck_note, without_far
 from tiegraph.scene.table import whole_file
 from tiegraph.scene.tuning import GnssTuning
 
 __all__ = [
-    "FORMATS", "HEIGHT_RANGE_M", "IMAGE", "SIGMA_RANGE_M", "Gnss", "at_times", "far_rows", "on_clock_of", "read_gnss",
+    "FORMATS", "HEIGHT_RANGE_M", "SIGMA_RANGE_M", "Gnss", "at_times", "far_rows", "on_clock_of", "read_gnss",
     "stuck_note", "without_far",
 ]  # fmt: skip
 
@@ -49,7 +48,7 @@ FORMATS: dict[str, Format] = {
     "DJI MRK": Format(mrk.is_mrk, mrk.read_mrk),
     "ODM geo.txt": Format(geotxt.is_geotxt, geotxt.read_geotxt),
     "NMEA 0183": Format(nmea.is_nmea, nmea.read_nmea),
-    "CSV": Format(lambda text, raw: True, lambda path, raw: columns.read_columns(path)),
+    "CSV": Format(lambda text, raw: True, columns.read_columns),
 }  # the first that fits
 
 

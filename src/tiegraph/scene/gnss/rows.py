@@ -9,8 +9,8 @@ import numpy as np
 from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import far_from_rest
 from tiegraph.geometry.transforms import interpolate, rigid
+from tiegraph.scene.cells import out_of_order
 from tiegraph.scene.gpstime import DAY_S, gps_from_utc, utc_from_gps
-from tiegraph.scene.table import out_of_order
 
 _DATED_S = 1e8  # 1973: times of frames above this are dates
 
