@@ -11,7 +11,6 @@ vehicle or a hand moves in much the same direction of its own body all along; an
 about its normal.
 """
 
-import math
 import re
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,10 +20,10 @@ from scipy.spatial.transform import Rotation
 
 from tiegraph.errors import InputError
 from tiegraph.geometry.transforms import rigid
-from tiegraph.scene.cells import in_seconds, number, out_of_order
+from tiegraph.scene.cells import number, out_of_order
 from tiegraph.scene.columnwords import without_unit
 from tiegraph.scene.table import read_table
-from tiegraph.scene.timecolumns import Times, times_in
+from tiegraph.scene.timecolumns import Times, times_in, times_of
 
 FORMS = "a TUM file: t x y z qx qy qz qw"
 _TUM, _KITTI, _EUROC = 8, 12, 17  # columns
@@ -34,7 +33,6 @@ _TIME = r"t|ts|t_n?s|.*(time|stamp).*|secs?|seconds?"
 _HEADERS = "'# time x y z qx qy qz qw' or '# time x y z qw qx qy qz'"
 # What a file of poses can mean, and how its form is told; where that is not sure it is refused.
 _NANOSECONDS = 1e17  # times since 1970 above this are in nanoseconds
-_LAST_S = 1e11  # a time later than this is none, in seconds
 _FAR_M = 1e8  # ECEF and grid coordinates are smaller
 _EXTENT_M = 1e6  # of a survey
 _MOVED = 1e-9  # poses that differ less are the same
@@ -65,9 +63,9 @@ class _Rows:
     path: Path
     numbers: np.ndarray
     lines: list[int]
-    header: tuple[int, ...] | None
-    commas: bool
-    times: Times | None = None
+    times: Times
+    header: tuple[int, ...] | None = None
+    commas: bool = False
     notes: tuple[str, ...] = ()
 
     def fail(self, row: int, message: str) -> InputError:
@@ -89,24 +87,14 @@ def read_poses(path: Path) -> PoseFile:
         return PoseFile(np.full(len(poses), np.nan), poses, rows.notes)
     columns, said = _columns(rows)
     table = rows.numbers[:, columns]
-    time_s = table[:, 0] if rows.times is not None else in_seconds(table[:, 0])
-    bad = np.flatnonzero(np.abs(time_s) > _LAST_S)
-    if len(bad):
-        raise rows.fail(bad[0], f"the time {table[bad[0], 0]:g} is none: seconds, or nanoseconds since 1970")
-    found = _checked(rows, time_s, table, (*rows.notes, *said))
-    return replace(found, period_s=rows.times.period_s if rows.times is not None else 0.0)
+    found = _checked(rows, rows.times.seconds, table, (*rows.notes, *said))
+    return replace(found, period_s=rows.times.period_s)
 
 
 def checked_poses(path: Path, time_s: np.ndarray, xyz: np.ndarray, quaternion_xyzw: np.ndarray) -> PoseFile:
     """Poses of a file without text as ``read_poses`` gives them, by their columns (T, ...); lines are their numbers."""
     table = np.column_stack([time_s, xyz, quaternion_xyzw])
-    rows = _Rows(
-        path=path,
-        numbers=table,
-        lines=list(range(1, len(table) + 1)),
-        header=None,
-        commas=False,
-    )
+    rows = _Rows(path, table, list(range(1, len(table) + 1)), Times(time_s, {}))
     if not len(table):
         raise InputError(f"{path}: no poses")
     bad = np.flatnonzero(~np.isfinite(table).all(axis=1))
@@ -117,6 +105,9 @@ def checked_poses(path: Path, time_s: np.ndarray, xyz: np.ndarray, quaternion_xy
 
 def _checked(rows: _Rows, time_s: np.ndarray, table: np.ndarray, said: tuple[str, ...] = ()) -> PoseFile:
     """Poses of (T, 8) columns of _FIELDS in time order. Raises InputError for what no trajectory can be."""
+    bad = np.flatnonzero(~np.isfinite(time_s))
+    if len(bad):
+        raise rows.fail(bad[0], f"the time {table[bad[0], 0]:g} is none: seconds, or nanoseconds since 1970")
     with np.errstate(over="ignore"):
         length = np.linalg.norm(table[:, 4:], axis=1)
     bad = np.flatnonzero(~(np.abs(length - 1) <= 1e-2))
@@ -139,33 +130,26 @@ def _rows(path: Path) -> _Rows:
     if named is None and table.head[0]:
         message = f"a header of other columns, {table.head[1][:80]!r}; name them as in {_HEADERS}"
         raise InputError(f"{path}, line {table.head[0]}: {message}")
-    lines = [line for line, _ in table.rows]
-    if named is None:
-        short = next((k for k, (_, cells) in enumerate(table.rows) if len(cells) != len(table.columns)), None)
-        if short is not None:
-            message = f"{len(table.rows[short][1])} columns, but the lines above have {len(table.columns)}"
-            raise InputError(f"{path}, line {lines[short]}: {message}")
-        order, times, notes = tuple(range(len(table.columns))), None, list(table.notes)
-    else:
-        times, order = times_in(table, named[0]), named
-        used = dict(zip(("x", "y", "z", "qx", "qy", "qz", "qw"), named[1:]))
-        notes = [*table.notes, table.said({**times.used, **used}), *times.notes]
-    numbers = np.stack([table.numbers(k) for k in order], axis=1)
-    if times is not None:
+    short = next((k for k, (_, cells) in enumerate(table.rows) if len(cells) < len(table.columns)), None)
+    if short is not None:
+        message = f"{len(table.rows[short][1])} columns, but the lines above have {len(table.columns)}"
+        raise InputError(f"{table.where(short)}: {message}")
+    times, notes = times_in(table, 0), list(table.notes)
+    if named is not None:
+        times = times_of(table) or times_in(table, named[0])
+        notes += [table.said({**times.used, **dict(zip(_FIELDS[1:], named[1:]))}), *times.notes]
+    numbers = np.stack([table.numbers(k) for k in named or range(len(table.columns))], axis=1)
+    if named is not None:
         numbers[:, 0] = times.seconds
-        numbers[:, 1:4] *= table.unit_m(order[1]) or 1.0
+        numbers[:, 1:4] *= table.unit_m(named[1]) or 1.0
     bad = np.flatnonzero(~np.isfinite(numbers).all(axis=1))
     if len(bad):
-        cells = [table.cell(int(bad[0]), k) for k in order]
-        what = (
-            "not all cells are numbers"
-            if any(math.isnan(number(c)) and c.lower() != "nan" for c in cells)
-            else ("not a finite number; leave lost poses out of the file")
-        )
-        raise InputError(f"{path}, line {lines[bad[0]]}: {what}: {' '.join(cells)!r:.99}")
-    return _Rows(
-        path, numbers, lines, named, table.delimiter is not None and table.delimiter in ",;", times, tuple(notes)
-    )
+        cells = [table.cell(int(bad[0]), k) for k in named or range(len(table.columns))]
+        words = any(np.isnan(number(c)) and c.lower() != "nan" for c in cells)
+        why = "not all cells are numbers" if words else "not a finite number; leave lost poses out of the file"
+        raise InputError(f"{table.where(int(bad[0]))}: {why}: {' '.join(cells)!r:.99}")
+    lines = [line for line, _ in table.rows]
+    return _Rows(path, numbers, lines, times, named, (table.delimiter or "\t") in ",;", tuple(notes))
 
 
 def _names(columns: tuple[str, ...]) -> tuple[int, ...] | None:

@@ -11,7 +11,16 @@ import numpy as np
 from tiegraph.errors import InputError
 from tiegraph.scene.cells import in_seconds, parse_time
 from tiegraph.scene.columnwords import UNIT_S
-from tiegraph.scene.gpstime import DAY_S, GPS_EPOCH_S, WEEK_S, check_week, going_on, leap_seconds, utc_from_gps
+from tiegraph.scene.gpstime import (
+    DAY_S,
+    GPS_EPOCH_S,
+    WEEK_S,
+    check_week,
+    going_on,
+    leap_seconds,
+    period_of,
+    utc_from_gps,
+)
 from tiegraph.scene.table import Table
 
 TIME_LIMIT_S = 1e11  # the year 5138: what is larger in size is no time in seconds
@@ -62,8 +71,8 @@ def times_in(table: Table, column: int) -> Times:
     date = _date(table)
     seconds = _seconds(table, column, date)
     clock = ":" in table.cell(0, column) and np.nanmax(seconds, initial=0.0) < DAY_S
-    used = {"time": column, "date": date}
-    return Times(going_on(seconds, DAY_S), used, DAY_S) if clock else Times(seconds, used)
+    period = DAY_S if clock else period_of(seconds)
+    return Times(going_on(seconds, period) if period else seconds, {"time": column, "date": date}, period)
 
 
 def _date(table: Table) -> int | None:

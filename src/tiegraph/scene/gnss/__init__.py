@@ -20,13 +20,22 @@ from pathlib import Path
 from tiegraph.scene.bags import is_bag
 from tiegraph.scene.gnss import columns, geotxt, mrk, navsat, nmea, rtklib, sbet, xmltracks
 from tiegraph.scene.gnss.fixes import HEIGHT_RANGE_M, SIGMA_RANGE_M, Fixes, judged
-from tiegraph.scene.gnss.rows import Gnss, at_times, far_rows, on_clock_of, stuck_note, without_far
+from tiegraph.scene.gnss.rows import (
+    Gnss,
+    at_times,
+    far_rows,
+    moved_within,
+    on_clock_of,
+    step_of,
+    stuck_note,
+    without_far,
+)
 from tiegraph.scene.table import whole_file
 from tiegraph.scene.tuning import GnssTuning
 
 __all__ = [
-    "FORMATS", "HEIGHT_RANGE_M", "SIGMA_RANGE_M", "Gnss", "at_times", "far_rows", "on_clock_of", "read_gnss",
-    "stuck_note", "without_far",
+    "FORMATS", "HEIGHT_RANGE_M", "SIGMA_RANGE_M", "Gnss", "at_times", "far_rows", "moved_within", "on_clock_of",
+    "read_gnss", "step_of", "stuck_note", "without_far",
 ]  # fmt: skip
 
 _HEAD = 1 << 16  # bytes that tell a format
