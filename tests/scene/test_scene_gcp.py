@@ -94,6 +94,10 @@ def test_wrong_files_say_where(tmp_path) -> None:
         locate(_odm(tmp_path, good, "EPSG:32653"), _scene())
     with pytest.raises(InputError, match=r"exchanged \(north, east\)"):
         locate(_odm(tmp_path, f"{NORTH} {EAST} 3 1 1 000.jpg\n"), _scene())
+    x, y, _ = crs_coordinates(np.zeros(3), make_origin(35.6965, 139.7695, 40.0, "EPSG:6677"))  # X north, near 0, 0
+    assert len(locate(_odm(tmp_path, f"{x} {y} 3 1 1 000.jpg\n", "EPSG:6677"), _scene())) == 1
+    with pytest.raises(InputError, match=r"lies 39 km from the survey's positions: .*exchanged \(north, east\)"):
+        locate(_odm(tmp_path, f"{y} {x} 3 1 1 000.jpg\n", "EPSG:6677"), _scene())
     (tmp_path / "m.csv").write_text("name,x,y,z,image,px,py\nA,,,,000.jpg,1,2\n")
     with pytest.raises(InputError, match=r"marks, but no points with coordinates; points need the columns name, x"):
         read_gcps(tmp_path / "m.csv", ControlTuning())

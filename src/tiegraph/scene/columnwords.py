@@ -57,7 +57,7 @@ ROLES: dict[str, tuple[str, ...]] = {
     "date": ("date", "utc_date", "day", "datum", "fecha", "data", "日付", "日期"),
 }  # fmt: skip
 SIGMAS = ("horizontal sigma", "sigma", "sigma to the east", "sigma to the north", "vertical sigma")
-_KNOWN = {word for words in ROLES.values() for word in words} | {"timestamp_ns", "ts"}
+_KNOWN = {word for role, words in ROLES.items() for word in words if role != "crs"} | {"ts"}
 # What a name speaks of that changes what the other columns mean.
 _SPEAKS = {
     "an angle": {"yaw", "pitch", "roll", "heading", "omega", "phi", "kappa", "azimuth", "tilt", "course", "bearing"},

@@ -127,50 +127,51 @@ def _rows(path: Path) -> _Rows:
     example = "time x y z qx qy qz qw, or give " + FORMS
     table = read_table(path, "trajectory", example, lambda rows: ("",) * len(rows[0]))
     named = _names(table.columns)
-    if named is None and table.head[0]:
+    stamp = next((k for k, c in enumerate(table.columns) if re.fullmatch(_TIME, c)), 0 if named is None else None)
+    times = None if named is None else times_of(table)
+    times = times_in(table, stamp) if times is None and stamp is not None else times
+    if (named is None and table.head[0]) or times is None:
         message = f"a header of other columns, {table.head[1][:80]!r}; name them as in {_HEADERS}"
         raise InputError(f"{path}, line {table.head[0]}: {message}")
     short = next((k for k, (_, cells) in enumerate(table.rows) if len(cells) < len(table.columns)), None)
     if short is not None:
         message = f"{len(table.rows[short][1])} columns, but the lines above have {len(table.columns)}"
         raise InputError(f"{table.where(short)}: {message}")
-    times, notes = times_in(table, 0), list(table.notes)
+    notes = list(table.notes)
+    order = tuple(range(len(table.columns))) if named is None else (times.column, *named)
+    numbers = np.stack([table.numbers(k) for k in order], axis=1)
     if named is not None:
-        times = times_of(table) or times_in(table, named[0])
-        notes += [table.said({**times.used, **dict(zip(_FIELDS[1:], named[1:]))}), *times.notes]
-    numbers = np.stack([table.numbers(k) for k in named or range(len(table.columns))], axis=1)
-    if named is not None:
+        notes += [table.said({**times.used, **dict(zip(_FIELDS[1:], named))}), *times.notes]
         numbers[:, 0] = times.seconds
-        numbers[:, 1:4] *= table.unit_m(named[1]) or 1.0
+        numbers[:, 1:4] *= table.unit_m(named[0]) or 1.0
     bad = np.flatnonzero(~np.isfinite(numbers).all(axis=1))
     if len(bad):
-        cells = [table.cell(int(bad[0]), k) for k in named or range(len(table.columns))]
+        cells = [table.cell(int(bad[0]), k) for k in order]
         words = any(np.isnan(number(c)) and c.lower() != "nan" for c in cells)
         why = "not all cells are numbers" if words else "not a finite number; leave lost poses out of the file"
         raise InputError(f"{table.where(int(bad[0]))}: {why}: {' '.join(cells)!r:.99}")
     lines = [line for line, _ in table.rows]
-    return _Rows(path, numbers, lines, times, named, (table.delimiter or "\t") in ",;", tuple(notes))
+    return _Rows(
+        path, numbers, lines, times, None if named is None else order, (table.delimiter or "\t") in ",;", tuple(notes)
+    )
 
 
 def _names(columns: tuple[str, ...]) -> tuple[int, ...] | None:
-    """Columns of _FIELDS among those that a header names; None if it lacks some.
+    """Columns of _FIELDS behind the time among those that a header names; None if it lacks some.
 
     The quaternion is what has components x, y, z and w under one prefix (q, rot, orientation_, r ...), the position the
     first other one with x, y and z.
     """
     groups: dict[str, dict[str, int]] = {}
-    time = None
     for k, cell in enumerate(columns):
         part = re.fullmatch(r"(|.*?[a-z0-9])_?([wxyz])", without_unit(cell)[0])
-        if re.fullmatch(_TIME, cell):
-            time = k if time is None else time
-        elif part:
+        if part and not re.fullmatch(_TIME, cell):
             groups.setdefault(part[1], {}).setdefault(part[2], k)
     turn = next((g for g in groups.values() if set(g) == set("wxyz")), None)
     place = next((g for g in groups.values() if g is not turn and set("xyz") <= set(g)), None)
-    if time is None or turn is None or place is None:
+    if turn is None or place is None:
         return None
-    return (time, *(place[c] for c in "xyz"), *(turn[c] for c in "xyzw"))
+    return (*(place[c] for c in "xyz"), *(turn[c] for c in "xyzw"))
 
 
 # --- which column is which ------------------------------------------------------------------------------------------

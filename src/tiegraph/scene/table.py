@@ -252,7 +252,8 @@ def _first_rows(lines: Sequence[tuple[int, str]]) -> tuple[int, int | None]:
         text = lines[k][1]
         bare = text.lstrip("#% ")
         names = tuple(plain_word(c) for c in _named(bare))
-        if not known_words(names) or (text[0] in "#%" and (len(names) < 2 or holds_values(bare))):
+        prose = text[0] in "#%" and (known_words(names) < (1 if _delimiter(bare) else 2) or holds_values(bare))
+        if prose or not known_words(names):
             continue
         if text[0] not in "#%" or _wide(lines[first][1], _delimiter(bare), len(names)):
             return first, k
