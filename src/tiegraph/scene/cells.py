@@ -65,12 +65,13 @@ def comma_marks(cells: Sequence[str]) -> bool | None:
 
 def plain(cell: str, comma: bool | None, where: str) -> str:
     """A number as Python writes it; what is none stays. Raises InputError, with ``where``, for one that may be two."""
-    if comma is None and _EITHER.fullmatch(cell):
+    mark = "." if comma else ","
+    if comma is not False and mark in cell and _EITHER.fullmatch(cell.replace(mark, ",")):
         raise InputError(
-            f"{where}: {cell!r} may be {cell.replace(',', '.')} or {cell.replace(',', '')}: write numbers with a point "
-            "and without separators of thousands"
+            f"{where}: {cell!r} may be {cell.replace(mark, '.')} or {cell.replace(mark, '')}: write numbers with a "
+            "point and without separators of thousands"
         )
-    if comma and _COMMA_MARKS.fullmatch(cell):
+    if comma and (_COMMA_MARKS.fullmatch(cell) or _COMMA_GROUPS.fullmatch(cell.replace(".", ","))):
         return _GROUPS.sub("", cell).replace(".", "").replace(",", ".")
     return _GROUPS.sub("", cell).replace(",", "") if _COMMA_GROUPS.fullmatch(cell) else cell
 

@@ -21,17 +21,9 @@ from tiegraph.scene.bycontent import is_file
 from tiegraph.scene.bycontent import points as points_by_content
 from tiegraph.scene.columnwords import SIGMAS, known_words
 from tiegraph.scene.crsline import crs_above, north_first, parse_crs_line
-from tiegraph.scene.table import (
-    Table,
-    decoded,
-    filled_lines,
-    header_words,
-    holds_values,
-    split_cells,
-    table_of,
-    whole_file,
-)
+from tiegraph.scene.table import Table, table_of
 from tiegraph.scene.targets import BAR_FORM, FORM, FileBar, Target, count_of, names_bars, read_bars, target_of
+from tiegraph.scene.textfile import decoded, filled_lines, header_words, holds_values, split_cells, whole_file
 from tiegraph.scene.tuning import ControlTuning
 
 if TYPE_CHECKING:

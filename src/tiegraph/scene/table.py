@@ -4,10 +4,7 @@ The header may stand behind # or %, below a preamble, in another language, with 
 or in a line of their own. Where there is none, what reads the table says by the cells what the columns are.
 """
 
-import codecs
-import csv
 import re
-import unicodedata
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -17,9 +14,19 @@ from pathlib import Path
 import numpy as np
 
 from tiegraph.errors import InputError
-from tiegraph.scene.cells import comma_marks, degrees, length_m, number, plain, says_value
+from tiegraph.scene.cells import comma_marks, degrees, length_m, number, plain
 from tiegraph.scene.columnwords import ROLES, UNIT_M, UNIT_S, known_words, speaks_of, without_unit
-from tiegraph.scene.regular import regular
+from tiegraph.scene.textfile import (
+    column_names,
+    decoded,
+    delimiter_of,
+    delimiter_of_rows,
+    filled_lines,
+    holds_values,
+    plain_word,
+    split_cells,
+    whole_file,
+)
 
 _SHOWN_LINES = 5
 _SHOWN_VALUES = 3
@@ -89,7 +96,8 @@ class Table:
 
     def plain(self, row: int, column: int | None) -> str:
         """Text of a cell, a number with a point and no groups. Raises InputError where it may be two numbers."""
-        return plain(self.cell(row, column), self.comma, self.where(row))
+        cell = self.cell(row, column)
+        return cell if not self.comma and number(cell) == number(cell) else plain(cell, self.comma, self.where(row))
 
     def numbers(self, column: int | None) -> np.ndarray:
         """(R,) numbers of a column, NaN where there is none."""
@@ -205,9 +213,9 @@ def table_of(
         raise InputError(f"{path}: no rows; give the {purpose} as a CSV file with a header line, such as {example}")
     first, start = _first_rows(lines)
     text = "" if start is None else lines[start][1].lstrip("#% ")
-    delimiter = _delimiter_of_rows(lines[first][1]) if start is None else _delimiter(text)
+    delimiter = delimiter_of_rows(lines[first][1]) if start is None else delimiter_of(text)
     if start is not None and first < len(lines):
-        delimiter = _row_delimiter(lines[first][1], delimiter, len(_named(text)))
+        delimiter = _row_delimiter(lines[first][1], delimiter, len(column_names(text)))
     below = lines[first if start is None else start + 1 :]
     given = [(n, tuple(split_cells(line, delimiter))) for n, line in below if line[0] not in "#%"]
     if start is None:
@@ -219,7 +227,7 @@ def table_of(
             )
         named = list(names)
     else:
-        named = _named(text)
+        named = column_names(text)
     columns, units = tuple(plain_word(c) for c in named), [_unit(c) for c in named]
     if given and all(re.fullmatch(r"[(\[].*[)\]]", c) for c in given[0][1] if c):  # a line of units below the names
         if len(given[0][1]) == len(columns):
@@ -251,11 +259,12 @@ def _first_rows(lines: Sequence[tuple[int, str]]) -> tuple[int, int | None]:
     for k in range(first - 1, -1, -1):
         text = lines[k][1]
         bare = text.lstrip("#% ")
-        names = tuple(plain_word(c) for c in _named(bare))
-        prose = text[0] in "#%" and (known_words(names) < (1 if _delimiter(bare) else 2) or holds_values(bare))
+        names = tuple(plain_word(c) for c in column_names(bare))
+        few = known_words(names) < 2 and not delimiter_of(bare) and names[0] not in ROLES["time"]
+        prose = text[0] in "#%" and (few or holds_values(bare))
         if prose or not known_words(names):
             continue
-        if text[0] not in "#%" or _wide(lines[first][1], _delimiter(bare), len(names)):
+        if text[0] not in "#%" or _wide(lines[first][1], delimiter_of(bare), len(names)):
             return first, k
     above = [k for k in plain_lines if k < first]
     return first, (above[-1] if above else None)
@@ -263,7 +272,7 @@ def _first_rows(lines: Sequence[tuple[int, str]]) -> tuple[int, int | None]:
 
 def _row_delimiter(row: str, delimiter: str | None, width: int) -> str | None:
     """What parts the cells of rows below a header of a width: mostly what parts the header."""
-    tried = (delimiter, _delimiter_of_rows(row), None)
+    tried = (delimiter, delimiter_of_rows(row), None)
     return next((d for d in tried if len(_joined_date(_filled(row, d), width)) == width), delimiter)
 
 
@@ -278,50 +287,6 @@ def _filled(row: str, delimiter: str | None) -> tuple[str, ...]:
     while len(cells) > 1 and not cells[-1]:
         cells.pop()
     return tuple(cells)
-
-
-def holds_values(line: str) -> bool:
-    """Whether a number, an angle or a time is among the cells of a line."""
-    return any(says_value(c) for c in split_cells(line, _delimiter_of_rows(line)))
-
-
-def text_lines(text: str) -> list[str]:
-    """The lines of a text as editors count them: ``str.splitlines`` also parts at form feeds and other separators."""
-    return re.split(r"\r\n|\r|\n", text)
-
-
-def filled_lines(text: str) -> list[tuple[int, str]]:
-    """The numbered lines of a text that are not empty, stripped."""
-    return [(k, line.strip()) for k, line in enumerate(text_lines(text), start=1) if line.strip(' \t,;"\ufeff')]
-
-
-def whole_file(path: Path, purpose: str) -> bytes:
-    """What is in a file. Raises InputError if it cannot be read."""
-    try:
-        return regular(path).read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); give the {purpose} as a CSV file") from None
-
-
-def decoded(path: Path, raw: bytes, purpose: str) -> tuple[str, list[str]]:
-    """Text of a file, UTF-8 or UTF-16 with its mark, and notes; another is read as Windows writes it in the West or in
-    Japan, whichever gives more names of columns. Raises InputError if it is none."""
-    utf16 = raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
-    notes = []
-    try:
-        text = raw.decode("utf-16" if utf16 else "utf-8-sig")
-    except UnicodeDecodeError as error:
-        line = raw.count(b"\n", 0, error.start) + 1
-        lost = raw.decode("utf-8-sig", errors="replace")
-        if utf16 or "\0" in lost or lost.count("\ufffd") > len(lost) / 4:
-            text = "\0"
-        else:
-            texts = [raw.decode(e, errors="replace") for e in ("cp1252", "cp932")]
-            text = max(texts, key=lambda t: max(known_words(tuple(map(plain_word, _named(v)))) for v in text_lines(t)))
-            notes = [f"{path.name}, line {line}: not UTF-8; names with such letters may not be found: save it as UTF-8"]
-    if "\0" in text:
-        raise InputError(f"{path}: is no text (it holds zero bytes or no letters); give the {purpose} as a CSV file")
-    return text, notes
 
 
 def _rows(
@@ -368,46 +333,6 @@ def _joined_date(cells: tuple[str, ...], columns: int) -> tuple[str, ...]:
     return cells
 
 
-def _delimiter(line: str) -> str | None:
-    best = max("\t;,", key=line.count)
-    return best if best in line else None
-
-
-def _delimiter_of_rows(line: str) -> str | None:
-    """The delimiter of a line of values, where a comma may be a point."""
-    return next((d for d in "\t;," if d in line), None)
-
-
-def split_cells(line: str, delimiter: str | None) -> list[str]:
-    """Cells of a line; a delimiter between quotes parts none."""
-    parts = line.split(delimiter)
-    if '"' in line:
-        one = line if delimiter else " ".join(line.split())
-        try:
-            parts = next(csv.reader([one], delimiter=delimiter or " ", skipinitialspace=True))
-        except csv.Error:  # a cell longer than the reader takes: no table anyway, and what reads it says so
-            pass
-    return [c.strip().strip('"').strip() for c in parts]
-
-
-def _named(header: str) -> list[str]:
-    """The columns' names. Blanks part them only where they do not stand before a unit: "Time (s) Latitude [deg]"."""
-    delimiter = _delimiter(header)
-    return split_cells(header if delimiter else re.sub(r"\s+(?=[(\[])", "", header), delimiter)
-
-
-def header_words(line: str) -> tuple[str, ...]:
-    """Names of the columns that a line may give; () if it holds values."""
-    return () if holds_values(line) else tuple(plain_word(c) for c in _named(line))
-
-
 def _unit(text: str) -> str:
     found = re.search(r"[(\[](.*?)[)\]]", text)
     return found[1].strip().lower() if found else ""
-
-
-def plain_word(text: str) -> str:
-    """A column's name in lower case, without accents, brackets and signs."""
-    text = unicodedata.normalize("NFKD", re.sub(r"[(\[].*?[)\]]", "", text).casefold())
-    text = unicodedata.normalize("NFC", "".join(c for c in text if c.isascii() or not unicodedata.combining(c)))
-    return re.sub(r"[\W_]+", "_", text).strip("_")

@@ -30,7 +30,7 @@ from tiegraph.scene.gnss.rows import (
     stuck_note,
     without_far,
 )
-from tiegraph.scene.table import whole_file
+from tiegraph.scene.textfile import whole_file
 from tiegraph.scene.tuning import GnssTuning
 
 __all__ = [

@@ -10,7 +10,8 @@ from tiegraph.scene.columnwords import SIGMAS
 from tiegraph.scene.crsline import crs_above
 from tiegraph.scene.gnss.fixes import EMPTY, SIGMA_RANGE_M, Fixes
 from tiegraph.scene.gnss.grids import geodetic_rows
-from tiegraph.scene.table import Table, decoded, filled_lines, table_of
+from tiegraph.scene.table import Table, table_of
+from tiegraph.scene.textfile import decoded, filled_lines
 from tiegraph.scene.timecolumns import times_of
 
 _HALVES = ("{}_ref", "{}ref", "{}_hemisphere", "{}_hemi", "{}_dir", "{}_direction")  # of the column of an angle

@@ -10,7 +10,7 @@ from tiegraph.scene.cells import number
 from tiegraph.scene.crsline import parse_crs_line
 from tiegraph.scene.gnss.fixes import Fixes
 from tiegraph.scene.gnss.grids import geodetic_rows
-from tiegraph.scene.table import decoded, filled_lines, split_cells
+from tiegraph.scene.textfile import decoded, filled_lines, split_cells
 
 _CRS = re.compile(r"(?i)EPSG:\d+(?:\+\d+)?$|\+(?:proj|init)=|WGS\s*84\s*UTM\s*\d+\s*[NS]$")
 _GCP = re.compile(r"[-+.\d]+(?:\s+[-+.\d]+){4}\s+\S+")
