@@ -87,6 +87,13 @@ def test_rows_and_frames_pass_midnight_at_different_rows(tmp_path: Path, first: 
     assert any("a.tum: columns read: " in n for n in scene.notes)
 
 
+def test_names_below_the_folder_in_which_exiftool_was_called(tmp_path: Path) -> None:
+    images = papers_rig(tmp_path / "in", ("up",), 1, 3)
+    rows = "".join(f"./in/up/cam0/{k:06d}.jpg,{35.69 + STEP_DEG * k:.9f},139.77,40\n" for k in range(3))
+    (tmp_path / "g.csv").write_text("SourceFile,GPSLatitude,GPSLongitude,GPSAltitude\n" + rows)
+    assert moved(scan(images, gnss=tmp_path / "g.csv")) == pytest.approx(10.0, abs=0.05)
+
+
 @pytest.mark.parametrize(
     "text", ["000000.jpg;12:00:00,5\n000001.jpg;12:00:01,5\n", "000000.jpg 43200.5\n000001.jpg 43201.5\n"]
 )

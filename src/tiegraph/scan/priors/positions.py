@@ -9,7 +9,7 @@ import numpy as np
 from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import Origin, area_note, make_origin, middle, world_from_geodetic
 from tiegraph.geometry.transforms import rigid
-from tiegraph.scan.priors.times import FrameRow, absent, frame_by_image, plain_name
+from tiegraph.scan.priors.times import FrameRow, absent, frames_of_names
 from tiegraph.scan.rigfiles.rigspec import AXES, RigSpec
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import PositionsTuning
@@ -193,8 +193,7 @@ def _clock(gnss: Gnss, time_s: np.ndarray) -> str:
 def _known(gnss: Gnss, frames: Frames, path: Path) -> Gnss:
     """The rows of a file by image whose images are here. Raises InputError if there are none."""
     gnss = _by_number(gnss, frames, path)
-    lookup = frame_by_image(frames.rows, frames.names)
-    keep = np.array([plain_name(name) in lookup for name in gnss.names], bool)
+    keep = np.array([k is not None for k in frames_of_names(gnss.names, frames.rows, frames.names)], bool)
     if keep.all():
         return gnss
     first = int(np.flatnonzero(~keep)[0])
@@ -232,10 +231,10 @@ def _by_number(gnss: Gnss, frames: Frames, path: Path) -> Gnss:
 def _by_image(
     frames: Frames, gnss: Gnss, world: np.ndarray, path: Path, notes: list[str], apart_m: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    lookup = frame_by_image(frames.rows, frames.names)
     rows: dict[int, list[int]] = {}
-    for k, name in enumerate(gnss.names):
-        rows.setdefault(lookup[plain_name(name)], []).append(k)
+    for k, frame in enumerate(frames_of_names(gnss.names, frames.rows, frames.names)):
+        if frame is not None:
+            rows.setdefault(frame, []).append(k)
     count = len(frames.rows)
     position, sigma, heading = np.full((count, 3), np.nan), np.full((count, 3), np.nan), np.full(count, np.nan)
     apart = []

@@ -1,5 +1,6 @@
 """When each frame was taken: from a table, from EXIF, or from numbers in the names that are times."""
 
+import os
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -58,7 +59,8 @@ def read_times(
     keys: list[tuple[str, ...]]
     if image is not None:
         keys = [(plain_name(table.cell(k, image)),) for k in range(len(seconds))]
-        lookup: dict[tuple[str, ...], int] = _by_image(frames, names)
+        found = frames_of_names([key[0] for key in keys], frames, names)
+        lookup = {key: of for key, of in zip(keys, found) if of is not None}
     else:
         passes = _passes(table, sequence, sequences, notes)
         keys = [(passes[k], _plain(table.cell(k, frame))) for k in range(len(seconds))]
@@ -200,23 +202,22 @@ def absent(name: str, names: Sequence[str]) -> str:
     return f"names are relative to the image folder, as {twins[0] if twins else names[0]}"
 
 
-def frame_by_image(frames: Sequence[FrameRow], names: Sequence[str]) -> dict[str, int]:
-    """Frame of an image by its name below the folder, or by its file name where that is unique."""
-    return {key[0]: frame for key, frame in _by_image(frames, names).items()}
-
-
-def _by_image(frames: Sequence[FrameRow], names: Sequence[str]) -> dict[tuple[str, ...], int]:
+def frames_of_names(given: Sequence[str], frames: Sequence[FrameRow], names: Sequence[str]) -> tuple[int | None, ...]:
+    """Frame of each given name of an image, None = not here: by its path below the image folder, or by its file name,
+    with or without suffix, where that is of one frame. First folders that all have and none needs are left away."""
     short: dict[str, set[int]] = {}
-    full: dict[tuple[str, ...], int] = {}
+    full: dict[str, int] = {}
     for k, frame in enumerate(frames):
         for image in frame.images:
-            full[(names[image],)] = k
-            short.setdefault(PurePosixPath(names[image]).name, set()).add(k)
-            short.setdefault(PurePosixPath(names[image]).stem, set()).add(k)
-    unique: dict[tuple[str, ...], int] = {
-        (name,): next(iter(found)) for name, found in short.items() if len(found) == 1
-    }
-    return {**unique, **full}
+            path = PurePosixPath(names[image])
+            full[names[image]] = k
+            for name in (path.name, path.stem):
+                short.setdefault(name, set()).add(k)
+    lookup = {name: next(iter(found)) for name, found in short.items() if len(found) == 1} | full
+    parts = [plain_name(name).split("/") for name in given]
+    levels = range(len(os.path.commonprefix([p[:-1] for p in parts])) + 1)
+    tried = (tuple(lookup.get("/".join(p[level:])) for p in parts) for level in levels)
+    return next((found for found in tried if set(found) != {None}), (None,) * len(given))
 
 
 def _by_frame(frames: Sequence[FrameRow], sequences: Sequence[str]) -> dict[tuple[str, ...], int]:
