@@ -87,6 +87,22 @@ def test_positions_of_images(tmp_path: Path, name: str) -> None:
     assert np.isnan(found.heading_deg).all() == (name != "Mission Planner")
 
 
+def test_positions_in_a_grid_of_feet_and_one_whose_x_is_north(tmp_path: Path) -> None:
+    text = "# crs: EPSG:2263\nimage,easting,northing,height{}\na.jpg,984250,194305.3,{}\n"  # 40.7, -74.0
+    for unit, height in (("", 100.0), (" (m)", 30.48006)):
+        found = gnss(tmp_path, text.format(unit, height))
+        np.testing.assert_allclose(found.lat_lon_height, [[40.7, -74.0, 30.48006]], rtol=0, atol=1e-4)
+    notes = gnss(tmp_path, "# crs: EPSG:6677\nimage,x,y,z\na.jpg,-5000,-34000,3\n").notes
+    assert any("IX counts to the north, but x is read as the easting" in n for n in notes)
+
+
+def test_control_in_degrees_of_the_southern_half(tmp_path: Path) -> None:
+    text = "name,lat,lat_ref,lon,lon_ref,height\nA,33.5,S,70.25,W,40\n"
+    assert control(tmp_path, text).points[0].xyz == (-33.5, -70.25, 40.0)
+    with pytest.raises(InputError, match="column 'half' has halves of the Earth"):
+        control(tmp_path, text.replace("lat_ref", "half"))
+
+
 @pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "cp932", "cp1252"])
 def test_localised_headers_in_the_encodings_of_windows(tmp_path: Path, encoding: str) -> None:
     text = BY_IMAGE["Japanese" if encoding == "cp932" else "German"]
@@ -178,6 +194,7 @@ IN_GRID = (288991.454, 5153277.924, 539.9)
 POINTS = {
     "Trimble, Leica PNEZD": "# crs: EPSG:32652\nP 1,5153277.924,288991.454,539.9,IP\n"
     "P 2,5153278.98,288993.03,540,IP\n",
+    "Leica, blanks": "# crs: EPSG:32652\nP1  5153277.924  288991.454  539.9\nP2  5153278.98  288993.03  540\n",
     "PENZ between tabs": "# crs: EPSG:32652\nP 1\t288991.454\t5153277.924\t539.9\nP 2\t288993.03\t5153278.98\t540\n",
     "PNEZD with a header": "# crs: EPSG:32652\nPoint,Northing,Easting,Elevation,Code\n"
     "P 1,5153277.924,288991.454,539.9,IP\n",
@@ -193,7 +210,7 @@ POINTS = {
 @pytest.mark.parametrize("name", POINTS)
 def test_lists_of_points(tmp_path: Path, name: str) -> None:
     point = control(tmp_path, POINTS[name]).points[0]
-    assert point.name == "P 1" and point.xyz == pytest.approx(IN_GRID, abs=1e-4)
+    assert point.name.replace("P1", "P 1") == "P 1" and point.xyz == pytest.approx(IN_GRID, abs=1e-4)
     assert point.sigma_m == ((0.02, 0.02, 0.03) if "Pix4D" in name else ControlTuning().sigma_m)
 
 

@@ -53,6 +53,19 @@ def parse_crs_line(text: str, where: str, more: str = "") -> pyproj.CRS:
         ) from None
 
 
-def north_first(crs: pyproj.CRS) -> bool:
-    """Whether the first axis of a grid points north, as surveyors' X does (Germany, Poland, Japan)."""
-    return crs.is_projected and crs.axis_info[0].direction.lower() == "north"
+def say_axes(crs: pyproj.CRS, name: str) -> tuple[str, ...]:
+    """What to say of x and y of a file in a grid whose X counts to the north, as surveyors' does in many countries."""
+    if not (crs.is_projected and crs.axis_info[0].direction.lower() == "north"):
+        return ()
+    return (
+        f"{name}: X of {crs.name} counts to the north, but x is read as the easting and y as the northing; if x is the "
+        "northing here, give a CSV whose header says northing and easting",
+    )
+
+
+def units_of(crs: pyproj.CRS | None) -> tuple[float, float, float]:
+    """Metres of the units of east, north and height of a grid, in that of east where it has no heights."""
+    if crs is None or not crs.is_projected:
+        return (1.0, 1.0, 1.0)
+    axes = [a.unit_conversion_factor for a in crs.axis_info]
+    return (axes[0], axes[1], axes[2] if len(axes) > 2 else axes[0])

@@ -19,15 +19,16 @@ import numpy as np
 from tiegraph.errors import InputError
 from tiegraph.scene.bycontent import is_file
 from tiegraph.scene.bycontent import points as points_by_content
+from tiegraph.scene.cells import says_value
 from tiegraph.scene.columnwords import SIGMAS, known_words
-from tiegraph.scene.crsline import crs_above, north_first, parse_crs_line
+from tiegraph.scene.crsline import crs_above, parse_crs_line, say_axes, units_of
 from tiegraph.scene.table import Table, table_of
 from tiegraph.scene.targets import BAR_FORM, FORM, FileBar, Target, count_of, names_bars, read_bars, target_of
-from tiegraph.scene.textfile import decoded, filled_lines, header_words, holds_values, split_cells, whole_file
+from tiegraph.scene.textfile import decoded, delimiter_of_rows, filled_lines, header_words, split_cells, whole_file
 from tiegraph.scene.tuning import ControlTuning
 
 if TYPE_CHECKING:
-    import pyproj
+    pass
 
 MAX_SIGMA_M = 100.0  # no survey of a point is worse: another unit, or a typing error
 _CHECK = ("check", "checkpoint", "check_point", "checkpoints", "cp", "chk")
@@ -172,9 +173,12 @@ def _read(path: Path, option: str, tuning: ControlTuning) -> GcpFile:
 
 
 def _is_odm(lines: list[tuple[int, str]]) -> bool:
-    """Whether the first line that is no comment is a CRS, or nothing: neither names of columns nor a row of a table."""
+    """Whether the first line that is no comment is a CRS, or nothing: neither names of columns nor a row of a list of
+    points. A row x y z px py image lacks the CRS above."""
     first = next((line for _, line in lines if line[0] not in "#%"), "")
-    return not (_is_header(first) or (re.search("[,;\t]", first) and "[" not in first and holds_values(first)))
+    values = [says_value(c) for c in split_cells(first, delimiter_of_rows(first))]
+    a_row = len(values) > 3 and sum(values) > 1 and "[" not in first and not (len(values) > 5 and all(values[:5]))
+    return not (_is_header(first) or a_row)
 
 
 def _once_each(found: GcpFile) -> tuple[FileMark, ...]:
@@ -243,21 +247,11 @@ def _read_odm(path: Path, lines: list[tuple[int, str]], tuning: ControlTuning) -
         geographic=crs.is_geographic,
         points=tuple(points.values()),
         marks=tuple(marks),
-        notes=_say_axes(crs, path),
+        notes=say_axes(crs, path.name),
     )
 
 
 _FIRST_LINE = f"; the first line of a gcp_list.txt is one; that of a CSV is a header: {FORMS}"
-
-
-def _say_axes(crs: pyproj.CRS, path: Path) -> tuple[str, ...]:
-    """What to say of x and y in a grid whose X counts to the north."""
-    if not north_first(crs):
-        return ()
-    return (
-        f"{path.name}: X of {crs.name} counts to the north, but x is read as the easting and y as the northing; if x "
-        "is the northing here, give a CSV whose header says northing and easting",
-    )
 
 
 def _number(text: str, path: Path, line: int) -> float:
@@ -312,11 +306,12 @@ def _with_table(file: GcpFile, table: Table, tuning: ControlTuning) -> tuple[Gcp
         raise InputError(f"{found}; {FORMS}")
     if not whole[1] and not all(m is None for m in (image, px, py)):
         raise InputError(f"{found}; marks need the three columns image, px and py")
-    units_m = _units_m(crs, path)
+    parsed = None if crs is None else parse_crs_line(crs, str(path))
+    units_m = (1.0, 1.0, 1.0) if geographic else units_of(parsed)
     stated = [table.unit_m(c) for c in columns]
-    scale = [1.0 if s is None else s / u for s, u in zip(stated, (1.0, 1.0, 1.0) if geographic else units_m)]
+    scale = [1.0 if s is None else s / u for s, u in zip(stated, units_m)]
     points, marks = {p.name: p for p in file.points}, list(file.marks)
-    angles = [table.angles(c, None, letters) for c, letters in zip(columns, ("NS", "EW"))] if geographic else []
+    angles = [table.angles(c, letters) for c, letters in zip(columns, ("NS", "EW"))] if geographic else []
     for row, (line, _) in enumerate(table.rows):
         label = table.cell(row, name)
         if not label:
@@ -331,12 +326,14 @@ def _with_table(file: GcpFile, table: Table, tuning: ControlTuning) -> tuple[Gcp
             xy = _number(table.plain(row, px), path, line), _number(table.plain(row, py), path, line)
             marks.append(FileMark(name=label, image=table.cell(row, image), xy=xy, line=line))
     used = dict(zip(("name", "image", "pixel x", "pixel y", *roles), (name, image, px, py, *columns)))
+    if geographic:
+        used |= {f"{w} of the Earth": table.half(c, w) for c, w in zip(columns, ("NS", "EW"))}
     facts = (*SIGMAS, "role") if whole[0] else ()
     notes.append(
         table.said({**used, **{r: table.find(r) for r in facts}, **({"crs": table.find("crs")} if crs else {})})
     )
-    if whole[0] and crs is not None and table.columns[columns[0] or 0] == "x":
-        notes += _say_axes(parse_crs_line(crs, str(path)), path)
+    if whole[0] and parsed is not None and table.columns[columns[0] or 0] == "x":
+        notes += say_axes(parsed, path.name)
     made = replace(file, points=tuple(points.values()), marks=tuple(marks), notes=tuple(notes), crs=crs)
     return made, {geographic} if whole[0] else set()
 
@@ -394,12 +391,3 @@ def _row_facts(table: Table, row: int, tuning: ControlTuning) -> tuple[tuple[flo
     if role not in (*_CHECK, *_CONTROL):
         raise InputError(f"{table.where(row)}: role {role!r} is neither gcp nor check")
     return (flat, flat, up), role in _CHECK
-
-
-def _units_m(crs: str | None, path: Path) -> tuple[float, float, float]:
-    """Metres of the units of east, north and height of a CRS, in that of east where it has no heights."""
-    parsed = None if crs is None else parse_crs_line(crs, str(path))
-    if parsed is None or not parsed.is_projected:
-        return (1.0, 1.0, 1.0)
-    axes = [a.unit_conversion_factor for a in parsed.axis_info]
-    return (axes[0], axes[1], axes[2] if len(axes) > 2 else axes[0])

@@ -30,6 +30,7 @@ from tiegraph.scene.textfile import (
 
 _SHOWN_LINES = 5
 _SHOWN_VALUES = 3
+_HALVES = ("{}_ref", "{}ref", "{}_hemisphere", "{}_hemi", "{}_dir", "{}_direction")  # of the column of an angle
 _TIMES = ("time", "GPS time", "seconds since 1980", "seconds of the week")
 _LEVELS = re.compile(r"(?i).*(msl|asl|hae|ell|geoid|ortho|egm|navd|wgs|level|datum).*")  # in brackets, and no units
 _LISTED = ("a fix", "a unit", "a datum")  # of which the values are said
@@ -120,9 +121,16 @@ class Table:
             raise InputError(f"{self.path}: column {name!r} has lengths in {unit!r}: give m, cm, mm or ft")
         return UNIT_M.get(unit)
 
-    def angles(self, column: int | None, half: int | None = None, letters: str = "") -> np.ndarray:
+    def half(self, column: int | None, letters: str) -> int | None:
+        """The column that says on which half of the Earth, NS or EW, an angle is, if there is one."""
+        if column is None:
+            return None
+        north, east = letters.lower()
+        return self.find((*(h.format(self.columns[column]) for h in _HALVES), f"{north}_{east}", north + east))
+
+    def angles(self, column: int | None, letters: str = "") -> np.ndarray:
         """(R,) degrees of a column, negative on the second half of the Earth that ``letters``, NS or EW, name. The
-        letter stands in the cell or in a column ``half``; NaN where there is none. Cells may have minutes and seconds.
+        letter stands in the cell or in a column beside; NaN where there is none. Cells may have minutes and seconds.
 
         Raises InputError for another letter, and for another unit.
         """
@@ -131,7 +139,7 @@ class Table:
             raise InputError(f"{self.path}: column {self.columns[column or 0]!r} is in {unit}: write degrees")
         if column is None or not letters:
             return self.numbers(column)
-        out = np.full(len(self.rows), np.nan)
+        out, half = np.full(len(self.rows), np.nan), self.half(column, letters)
         for k in range(len(out)):
             out[k], letter = degrees(self.plain(k, column))
             word = self.cell(k, half).upper() or letter

@@ -7,14 +7,13 @@ import numpy as np
 from tiegraph.errors import InputError
 from tiegraph.scene.bycontent import is_file, positions
 from tiegraph.scene.columnwords import SIGMAS
-from tiegraph.scene.crsline import crs_above
+from tiegraph.scene.crsline import crs_above, say_axes, units_of
 from tiegraph.scene.gnss.fixes import EMPTY, SIGMA_RANGE_M, Fixes
 from tiegraph.scene.gnss.grids import geodetic_rows
 from tiegraph.scene.table import Table, table_of
 from tiegraph.scene.textfile import decoded, filled_lines
 from tiegraph.scene.timecolumns import times_of
 
-_HALVES = ("{}_ref", "{}ref", "{}_hemisphere", "{}_hemi", "{}_dir", "{}_direction")  # of the column of an angle
 _TILT = ("pitch", "roll", "omega", "phi")  # any column with such a word
 _LEVEL_DEG = 20.0  # a body tilted by more has no heading that a table of yaw, pitch and roll gives by its yaw alone
 _EXAMPLE = "image,lat,lon,height"
@@ -34,12 +33,12 @@ def read_columns(path: Path, raw: bytes) -> Fixes:
     image, times = _image(table), None
     if image is None:
         times = times_of(table)
-    grid = crs is not None and crs.is_projected and table.find("easting") is not None
-    roles = ("easting", "northing", "height") if grid else ("latitude", "longitude", "height")
+    grid = crs if crs is not None and crs.is_projected and table.find("easting") is not None else None
+    roles = ("latitude", "longitude", "height") if grid is None else ("easting", "northing", "height")
     found = [table.find(role) for role in roles]
     above = table.find("ellipsoidal height")
     notes = list(table.notes)
-    if above is not None and not grid:
+    if above is not None and grid is None:
         found[2] = above
     missing = [n for n, c in zip(("lat", "lon", "height"), found) if c is None]
     if image is None and times is None:
@@ -47,23 +46,25 @@ def read_columns(path: Path, raw: bytes) -> Fixes:
     if missing:
         raise InputError(
             f"{path}: no column {', '.join(missing)}; found: {', '.join(table.columns)}. Expected: time or image, lat, "
-            "lon, height, and optionally sigma or sigma_h and sigma_v (metres), heading; a table of times may have "
-            "gps_week and gps_sow, gps_seconds, or time_ns instead of time. Write these names into its first line"
+            "lon, height (below a line '# crs: EPSG:n' also easting, northing, height), and optionally sigma or sigma_h "
+            "and sigma_v (metres), heading; a table of times may have gps_week and gps_sow, gps_seconds, or time_ns "
+            "instead of time. Write these names into its first line"
         )
-    halves: list[int | None] = [None, None]
-    if grid:
-        assert crs is not None
-        xyz = np.stack([table.metres(c) if c == found[2] else table.numbers(c) for c in found], axis=1)
-        llh = geodetic_rows(crs, xyz, path, [line for line, _ in table.rows])
+    halves: dict[str, int | None] = {}
+    if grid is not None:
+        scale = [(table.unit_m(c) or u) / u for c, u in zip(found, units_of(grid))]
+        xyz = np.stack([s * table.numbers(c) for c, s in zip(found, scale)], axis=1)
+        llh = geodetic_rows(grid, xyz, path, [line for line, _ in table.rows])
+        notes += say_axes(grid, path.name) if table.columns[found[0] or 0] == "x" else ()
     else:
-        halves = [_half(table, c, also) for c, also in zip(found, (("n_s", "ns"), ("e_w", "ew")))]
-        angles = [table.angles(c, half, letters) for c, half, letters in zip(found, halves, ("NS", "EW"))]
+        halves = {f"{w} of the Earth": table.half(c, w) for c, w in zip(found, ("NS", "EW"))}
+        angles = [table.angles(c, w) for c, w in zip(found, ("NS", "EW"))]
         llh = np.stack([*angles, table.metres(found[2])], axis=1)
     sigma = _sigma(table, notes)
     heading, turned = _heading(table, notes)
     columns = {"latitude": found[0], "longitude": found[1], "height": found[2]}
-    used = {"image": image, **(times.used if times else {}), **dict(zip(roles, found)), "north or south": halves[0],
-            "east or west": halves[1], **turned, **{s: table.find(s) for s in SIGMAS}}  # fmt: skip
+    used = {"image": image, **(times.used if times else {}), **dict(zip(roles, found)), **halves, **turned,
+             **{s: table.find(s) for s in SIGMAS}}  # fmt: skip
 
     def text_of(row: int, what: str) -> str:
         if what == "time":
@@ -90,13 +91,6 @@ def _image(table: Table) -> int | None:
     files = is_file(table.cell(0, column))
     found = table.find("image")
     return found if found is not None else column if files or times_of(table) is None else None
-
-
-def _half(table: Table, angle: int | None, also: tuple[str, ...]) -> int | None:
-    """The column that says on which half of the Earth an angle is, if there is one."""
-    if angle is None:
-        return None
-    return table.find((*(half.format(table.columns[angle]) for half in _HALVES), *also))
 
 
 def _worst(table: Table, row: int) -> int | None:
