@@ -94,7 +94,7 @@ def read_poses(path: Path) -> PoseFile:
 def checked_poses(path: Path, time_s: np.ndarray, xyz: np.ndarray, quaternion_xyzw: np.ndarray) -> PoseFile:
     """Poses of a file without text as ``read_poses`` gives them, by their columns (T, ...); lines are their numbers."""
     table = np.column_stack([time_s, xyz, quaternion_xyzw])
-    rows = _Rows(path, table, list(range(1, len(table) + 1)), Times(time_s, {}))
+    rows = _Rows(path, table, lines=list(range(1, len(table) + 1)), times=Times(time_s, {}))
     if not len(table):
         raise InputError(f"{path}: no poses")
     bad = np.flatnonzero(~np.isfinite(table).all(axis=1))
@@ -150,9 +150,14 @@ def _rows(path: Path) -> _Rows:
         words = any(np.isnan(number(c)) and c.lower() != "nan" for c in cells)
         why = "not all cells are numbers" if words else "not a finite number; leave lost poses out of the file"
         raise InputError(f"{table.where(int(bad[0]))}: {why}: {' '.join(cells)!r:.99}")
-    lines = [line for line, _ in table.rows]
     return _Rows(
-        path, numbers, lines, times, None if named is None else order, (table.delimiter or "\t") in ",;", tuple(notes)
+        path=path,
+        numbers=numbers,
+        lines=[line for line, _ in table.rows],
+        times=times,
+        header=None if named is None else order,
+        commas=(table.delimiter or "\t") in ",;",
+        notes=tuple(notes),
     )
 
 

@@ -246,7 +246,9 @@ def table_of(
     if not rows:
         raise InputError(f"{path}: no rows below its header; give the {purpose} as a CSV file with a row a moment")
     head = (0, "") if start is None else lines[start]
-    made = Table(path, columns, rows, tuple(units), tuple(notes), head, delimiter)
+    made = Table(
+        path=path, columns=columns, rows=rows, units=tuple(units), notes=tuple(notes), head=head, delimiter=delimiter
+    )
     if start is None and any(columns):
         made = replace(
             made, notes=(*notes, f"{path.name}: no header; by its cells the columns are {', '.join(columns)}")

@@ -75,7 +75,7 @@ def estimate_priors(
         paths = _paths(frames, files, time_s, settings, notes, tuning.trajectory)
     count = len(frames.rows)
     step = 0.0 if times is not None else step_of(time_s)
-    priors = Priors(time_s, np.full((count, 4, 4), np.nan), np.full((count, 3), np.nan), step)
+    priors = Priors(time_s, np.full((count, 4, 4), np.nan), np.full((count, 3), np.nan), step_s=step)
     if gnss is not None:
         rows = read_gnss(gnss, tuning.positions.gnss)
         priors = from_gnss(priors, frames, rows, source_of(Path(gnss)), settings, notes, tuning.positions)

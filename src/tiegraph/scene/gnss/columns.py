@@ -1,6 +1,9 @@
 """Positions from a CSV file: a row a moment, or a row an image."""
 
+from __future__ import annotations
+
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,6 +16,9 @@ from tiegraph.scene.gnss.grids import geodetic_rows
 from tiegraph.scene.table import Table, table_of
 from tiegraph.scene.textfile import decoded, filled_lines
 from tiegraph.scene.timecolumns import times_of
+
+if TYPE_CHECKING:
+    import pyproj
 
 _TILT = ("pitch", "roll", "omega", "phi")  # any column with such a word
 _LEVEL_DEG = 20.0  # a body tilted by more has no heading that a table of yaw, pitch and roll gives by its yaw alone
@@ -30,41 +36,13 @@ def read_columns(path: Path, raw: bytes) -> Fixes:
     lines = filled_lines(text)
     crs = crs_above(lines, path)
     table = table_of(path, "GNSS file", lines, f"time,lat,lon,height or {_EXAMPLE}", positions, doubts)
-    image, times = _image(table), None
-    if image is None:
-        times = times_of(table)
-    grid = crs if crs is not None and crs.is_projected and table.find("easting") is not None else None
-    roles = ("latitude", "longitude", "height") if grid is None else ("easting", "northing", "height")
-    found = [table.find(role) for role in roles]
-    above = table.find("ellipsoidal height")
-    notes = list(table.notes)
-    if above is not None and grid is None:
-        found[2] = above
-    missing = [n for n, c in zip(("lat", "lon", "height"), found) if c is None]
-    if image is None and times is None:
-        missing.insert(0, "time (or image)")
-    if missing:
-        raise InputError(
-            f"{path}: no column {', '.join(missing)}; found: {', '.join(table.columns)}. Expected: time or image, lat, "
-            "lon, height (below a line '# crs: EPSG:n' also easting, northing, height), and optionally sigma or sigma_h "
-            "and sigma_v (metres), heading; a table of times may have gps_week and gps_sow, gps_seconds, or time_ns "
-            "instead of time. Write these names into its first line"
-        )
-    halves: dict[str, int | None] = {}
-    if grid is not None:
-        scale = [(table.unit_m(c) or u) / u for c, u in zip(found, units_of(grid))]
-        xyz = np.stack([s * table.numbers(c) for c, s in zip(found, scale)], axis=1)
-        llh = geodetic_rows(grid, xyz, path, [line for line, _ in table.rows])
-        notes += say_axes(grid, path.name) if table.columns[found[0] or 0] == "x" else ()
-    else:
-        halves = {f"{w} of the Earth": table.half(c, w) for c, w in zip(found, ("NS", "EW"))}
-        angles = [table.angles(c, w) for c, w in zip(found, ("NS", "EW"))]
-        llh = np.stack([*angles, table.metres(found[2])], axis=1)
+    image, notes = _image(table), list(table.notes)
+    times = times_of(table) if image is None else None
+    llh, used = _places(table, crs, [] if image is not None or times is not None else ["time (or image)"], notes)
     sigma = _sigma(table, notes)
     heading, turned = _heading(table, notes)
-    columns = {"latitude": found[0], "longitude": found[1], "height": found[2]}
-    used = {"image": image, **(times.used if times else {}), **dict(zip(roles, found)), **halves, **turned,
-             **{s: table.find(s) for s in SIGMAS}}  # fmt: skip
+    columns = dict(zip(("latitude", "longitude", "height"), used.values()))
+    used |= {"image": image, **(times.used if times else {}), **turned, **{s: table.find(s) for s in SIGMAS}}
 
     def text_of(row: int, what: str) -> str:
         if what == "time":
@@ -83,6 +61,33 @@ def read_columns(path: Path, raw: bytes) -> Fixes:
         period_s=times.period_s if times else 0.0,
         text=text_of,
     )
+
+
+def _places(
+    table: Table, crs: pyproj.CRS | None, missing: list[str], notes: list[str]
+) -> tuple[np.ndarray, dict[str, int | None]]:
+    """(R, 3) latitude, longitude, height, and the columns they stand in, the first three in this order."""
+    grid = crs if crs is not None and crs.is_projected and table.find("easting") is not None else None
+    roles = ["latitude", "longitude", "height"] if grid is None else ["easting", "northing", "height"]
+    if grid is None and table.find("ellipsoidal height") is not None:
+        roles[2] = "ellipsoidal height"
+    found = [table.find(role) for role in roles]
+    missing += [n for n, c in zip(("lat", "lon", "height"), found) if c is None]
+    if missing:
+        raise InputError(
+            f"{table.path}: no column {', '.join(missing)}; found: {', '.join(table.columns)}. Expected: time or "
+            "image, lat, lon, height (below a line '# crs: EPSG:n' also easting, northing, height), and optionally "
+            "sigma or sigma_h and sigma_v (metres), heading; a table of times may have gps_week and gps_sow, "
+            "gps_seconds, or time_ns instead of time. Write these names into its first line"
+        )
+    if grid is None:
+        halves = {f"{w} of the Earth": table.half(c, w) for c, w in zip(found, ("NS", "EW"))}
+        angles = [table.angles(c, w) for c, w in zip(found, ("NS", "EW"))]
+        return np.stack([*angles, table.metres(found[2])], axis=1), {**dict(zip(roles, found)), **halves}
+    scale = [(table.unit_m(c) or u) / u for c, u in zip(found, units_of(grid))]
+    xyz = np.stack([s * table.numbers(c) for c, s in zip(found, scale)], axis=1)
+    notes += say_axes(grid, table.path.name) if table.columns[found[0] or 0] == "x" else ()
+    return geodetic_rows(grid, xyz, table.path, [line for line, _ in table.rows]), dict(zip(roles, found))
 
 
 def _image(table: Table) -> int | None:
