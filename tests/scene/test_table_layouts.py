@@ -287,3 +287,11 @@ def test_a_trajectory_by_dates_in_millimetres(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.time_s, [NOON, NOON + 1])
     assert found.poses[1, 0, 3] == pytest.approx(1.0005)
     assert any("status (a fix: 2 of 'ok')" in n for n in found.notes)
+
+
+def test_every_program_of_the_reference_is_tested() -> None:
+    text = (Path(__file__).parents[2] / "docs" / "inputs.md").read_text()
+    rows = text[text.index("| program and its file") :].split("\n\n")[0].splitlines()[2:]
+    tested = " ".join([*BY_IMAGE, *BY_TIME, *POINTS, "Emlid", "RTKLIB", "TUM"])  # the last two in tests of their own
+    programs = [row.strip("| ").split()[0].strip(",") for row in rows]
+    assert len(programs) > 12 and [p for p in programs if p not in tested] == []

@@ -48,7 +48,7 @@ _BESIDE_DATABASE = tuple(f"database.db{s}" for s in ("-wal", "-shm", "-journal",
 
 # fmt: off
 STAGES = (
-    _stage("scan", (), ("scene.json", "whole.json", "images", "odometry"), "image", version=8,
+    _stage("scan", (), ("scene.json", "whole.json", "images", "odometry"), "image", version=9,
            tuned=("scene", "odometry")),
     _stage("masks", ("scan",), ("masks", "classes", "masks.csv"), "image", version=9),
     _stage("preview", ("scan", "masks"), ("preview",), "image", version=2, tuned=("features",)),
@@ -67,7 +67,7 @@ STAGES = (
     _stage("filter", ("coarse", "network", "match"), ("filter.npz",), "pair", version=3),
     _stage("sparse", ("coarse", "network", "match", "filter"), ("sparse",), version=22, scratch=("sparse/.run",),
            tuned=("scene", "sfm")),
-    _stage("georef", ("network", "match", "filter", "sparse"), ("sparse/world", "world.json"), version=17,
+    _stage("georef", ("network", "match", "filter", "sparse"), ("sparse/world", "world.json"), version=18,
            scratch=("sparse/.world",), tuned=("scene", "sfm", "targets")),
     _stage("refine", ("masks", "georef"), ("refine/masks", "refine/classes"), "image", version=3,
            tuned=("masks", "sfm")),
