@@ -72,6 +72,11 @@ BY_IMAGE = {
     "I 1.JPG,46.5,126.25,1771.3255\nI 2.JPG,46.50001,126.25002,1772.9659\n",
     "the unit in a column": "photo,lat,long,alt,alt_unit\nI 1.JPG,46.5,126.25,1771.3255,ft\n"
     "I 2.JPG,46.50001,126.25002,1772.9659,ft\n",
+    "Excel's sep, an empty first cell, minutes": "sep=;\n;image;lat;lon;height (MSL)\n"
+    ";I 1.JPG;46°30'0,000\"N;126°15'E;539,9\n"
+    ";I 2.JPG;46°30'0,036\"N;126°15'0,072\"E;540,4\n",
+    "tabs before all, and an index": "\t\timage\tlat\tlon\taltitude_msl\n\t0\tI 1.JPG\t46.5\t126.25\t539.9\n"
+    "\t1\tI 2.JPG\t46.50001\t126.25002\t540.4\n",
     "blank lines, trailing delimiters, quotes": "\n\nimage,lat,lon,height,\n\n\"I 1.JPG\",46.5,126.25,539.9,\n"
     "# a pause\n\nI 2.JPG,46.50001,126.25002,540.4,\n,,,,\n",
 }  # fmt: skip
@@ -84,6 +89,9 @@ def test_positions_of_images(tmp_path: Path, name: str) -> None:
     assert [n.replace("_", " ") for n in found.names] == ["I 1.JPG", "I 2.JPG"]
     if "0.04" in BY_IMAGE[name]:
         np.testing.assert_allclose(found.sigma_m, [[0.02, 0.02, 0.04]] * 2)
+    assert any("heights above the sea, taken as they are" in n for n in found.notes) == (
+        "msl" in BY_IMAGE[name].lower()
+    )
     assert np.isnan(found.heading_deg).all() == (name != "Mission Planner")
 
 

@@ -42,7 +42,7 @@ def length_m(text: str, unit_m: float) -> float:
 def degrees(text: str) -> tuple[float, str]:
     """Degrees of a cell, which may have minutes and seconds, NaN if it is none, and the letter of its half or ""."""
     value = number(text)
-    if value == value or not (found := _ANGLE.fullmatch(text.upper())):
+    if value == value or not (found := _ANGLE.fullmatch(text.upper().replace(",", "."))):
         return value, ""
     whole, minutes, seconds = (float(found[n] or 0) for n in (2, 3, 4))
     size = abs(whole) + minutes / 60 + seconds / 3600

@@ -355,10 +355,9 @@ def _coordinates(table: Table, crs: str | None, notes: list[str]) -> tuple[tuple
     column = table.find("crs")
     stated = {table.cell(k, column) for k in range(len(table.rows))} - {""}
     if crs is None and len(stated) == 1:
-        text = stated.pop()
-        crs = parse_crs_line(
-            f"EPSG:{text}" if text.isdigit() else text, f"{table.path}, column {table.columns[column or 0]}"
-        ).srs
+        text, where = stated.pop(), f"{table.path}, column {table.columns[column or 0]}"
+        remedy = "; or put a line '# crs: EPSG:n' above the header"
+        crs = parse_crs_line(f"EPSG:{text}" if text.isdigit() else text, where, remedy).srs
     return ("easting", "northing", "height" if table.find("height") is not None else above), crs
 
 

@@ -20,8 +20,13 @@ def text_lines(text: str) -> list[str]:
 
 
 def filled_lines(text: str) -> list[tuple[int, str]]:
-    """The numbered lines of a text that are not empty, stripped."""
-    return [(k, line.strip()) for k, line in enumerate(text_lines(text), start=1) if line.strip(' \t,;"\ufeff')]
+    """The numbered lines of a text that hold something, without blanks at their ends; a tab before all is an indent,
+    another stands behind an empty cell. Excel's ``sep=;`` is left out."""
+    lines = [(k, line.strip(" \x0b\x0c\ufeff")) for k, line in enumerate(text_lines(text), start=1)]
+    lines = [(k, line) for k, line in lines if line.strip(' \t,;"') and not re.fullmatch(r"(?i)\"?sep=.\"?", line)]
+    indented = all(line[0] == "\t" or line.lstrip()[0] in "#%" for _, line in lines)
+    lines = [(k, line.lstrip() if line.lstrip()[0] in "#%" else line[indented:]) for k, line in lines]
+    return [(k, line.rstrip()) for k, line in lines]
 
 
 def whole_file(path: Path, purpose: str) -> bytes:

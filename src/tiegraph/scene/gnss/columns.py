@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,7 +12,7 @@ from tiegraph.errors import InputError
 from tiegraph.scene.bycontent import is_file, positions
 from tiegraph.scene.columnwords import SIGMAS
 from tiegraph.scene.crsline import crs_above, say_axes, units_of
-from tiegraph.scene.gnss.fixes import EMPTY, SIGMA_RANGE_M, Fixes
+from tiegraph.scene.gnss.fixes import EMPTY, SIGMA_RANGE_M, Fixes, above_ellipsoid
 from tiegraph.scene.gnss.grids import geodetic_rows
 from tiegraph.scene.table import Table, table_of
 from tiegraph.scene.textfile import decoded, filled_lines
@@ -20,6 +21,7 @@ from tiegraph.scene.timecolumns import times_of
 if TYPE_CHECKING:
     import pyproj
 
+_SEA = re.compile("msl|asl|geoid|ortho|egm|navd|標高")  # in the name or unit of heights above the sea
 _TILT = ("pitch", "roll", "omega", "phi")  # any column with such a word
 _LEVEL_DEG = 20.0  # a body tilted by more has no heading that a table of yaw, pitch and roll gives by its yaw alone
 _EXAMPLE = "image,lat,lon,height"
@@ -83,7 +85,10 @@ def _places(
     if grid is None:
         halves = {f"{w} of the Earth": table.half(c, w) for c, w in zip(found, ("NS", "EW"))}
         angles = [table.angles(c, w) for c, w in zip(found, ("NS", "EW"))]
-        return np.stack([*angles, table.metres(found[2])], axis=1), {**dict(zip(roles, found)), **halves}
+        height = table.metres(found[2])
+        if _SEA.search(f"{table.columns[found[2] or 0]} {table.unit(found[2])}"):
+            notes += above_ellipsoid(table.path, height, np.full(len(height), np.nan))[1]
+        return np.stack([*angles, height], axis=1), {**dict(zip(roles, found)), **halves}
     scale = [(table.unit_m(c) or u) / u for c, u in zip(found, units_of(grid))]
     xyz = np.stack([s * table.numbers(c) for c, s in zip(found, scale)], axis=1)
     notes += say_axes(grid, table.path.name) if table.columns[found[0] or 0] == "x" else ()
