@@ -152,7 +152,7 @@ def test_short_names_that_several_passes_share(two_passes: Survey, tmp_path: Pat
         (table() + table(), r"line 10: the header again, left out", 8),
         (table() + "108,35.6", r"line 10: fewer cells than the header has columns \(4\), as in 1 of 9 rows", 8),
         (table(head="time,lat,lon,altitude,ellipsoidal_height", more=",80"),
-         r"ellipsoidal_height \(height\); passed over, though it may count: altitude \(a height\)", 8),
+         r"ellipsoidal_height; passed over, though it may count: altitude \(a height\)", 8),
         (table(*((k, {"time": 100e3 * k + 100}) for k in EVERY)), r"7 of 8 frames have no position.*look like ms", 1),
         ("# H\xf6he\n".encode("latin-1") + table().encode(), r"line 1: not UTF-8", 8),
         (by_image(f"{ALL[2]},35.690020,139.77,40"), r"line 10: image 'up/cam0/000002.jpg' stands there twice", 8),

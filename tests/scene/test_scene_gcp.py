@@ -92,7 +92,7 @@ def test_wrong_files_say_where(tmp_path) -> None:
     assert any("gcp_list.txt, line 3: image 'z.jpg' is not in the survey" in n for n in control.notes)
     with pytest.raises(InputError, match=r"line 2: point 'point 1' lies .* km .* wrong CRS"):
         locate(_odm(tmp_path, good, "EPSG:32653"), _scene())
-    with pytest.raises(InputError, match=r"exchanged \(north, east\)"):
+    with pytest.raises(InputError, match=r"exchanged \(northing,easting\)"):
         locate(_odm(tmp_path, f"{NORTH} {EAST} 3 1 1 000.jpg\n"), _scene())
     x, y, _ = crs_coordinates(np.zeros(3), make_origin(35.6965, 139.7695, 40.0, "EPSG:6677"))  # X north, near 0, 0
     assert len(locate(_odm(tmp_path, f"{x} {y} 3 1 1 000.jpg\n", "EPSG:6677"), _scene())) == 1

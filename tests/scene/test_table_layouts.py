@@ -237,6 +237,23 @@ def test_a_grid_whose_x_is_north_is_said(tmp_path: Path) -> None:
     assert not any("counts to the north" in n for n in other)
 
 
+def test_coordinates_of_the_world_are_no_degrees(tmp_path: Path) -> None:
+    assert control(tmp_path, "name,x,y,z\nA,389000,3951000,3\n").points[0].xyz == (389000, 3951000, 3)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "# crs: EPSG:31467\nPunkt;x;y;z\nA;5932000,12;3567000,34;12,5\n",
+        "EPSG:32652\n5153277.924 288991.454 5 1 2 a.jpg\n",
+        "name,lat,lon,height\nA,139.7,35.6,3\n",
+    ],
+)
+def test_exchanged_coordinates_are_found_in_the_file(tmp_path: Path, text: str) -> None:
+    with pytest.raises(InputError, match=r"of point '.*' are exchanged \((northing,easting|lon,lat)\)"):
+        control(tmp_path, text)
+
+
 @pytest.mark.parametrize("rows", ["I 1.JPG,P 1,5.5,6.5\n", "P 1,I 1.JPG,5.5,6.5\n"])
 def test_marks_without_a_header(tmp_path: Path, rows: str) -> None:
     (mark,) = control(tmp_path, EMLID, rows).marks

@@ -145,7 +145,7 @@ def within_area(crs: str, east_north: np.ndarray) -> np.ndarray:
 
     parsed = pyproj.CRS.from_user_input(crs)
     flat = parsed.sub_crs_list[0] if parsed.is_compound else parsed
-    if parsed.area_of_use is None:
+    if parsed.area_of_use is None or not len(east_north):
         return np.zeros(len(east_north), bool)
     to_degrees = pyproj.Transformer.from_crs(flat, "EPSG:4326", always_xy=True)
     lon, lat = to_degrees.transform(*np.asarray(east_north, float).T)

@@ -6,8 +6,11 @@ import re
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from tiegraph.errors import InputError
-from tiegraph.geometry.geodesy import utm_by_name
+from tiegraph.geometry.geodesy import utm_by_name, within_area
+from tiegraph.scene.table import Table
 
 if TYPE_CHECKING:
     import pyproj
@@ -69,3 +72,38 @@ def units_of(crs: pyproj.CRS | None) -> tuple[float, float, float]:
         return (1.0, 1.0, 1.0)
     axes = [a.unit_conversion_factor for a in crs.axis_info]
     return (axes[0], axes[1], axes[2] if len(axes) > 2 else axes[0])
+
+
+def exchanged(crs: str, places: np.ndarray) -> int | None:
+    """Index of the first of places (N, 2), latitude and longitude or east and north of a grid, that can only be meant
+    the other way round: latitudes above 90, or outside the grid's area of use."""
+    import pyproj
+
+    if pyproj.CRS.from_user_input(crs).is_geographic:
+        bad = np.abs(places[:, 0]) > 90
+    else:
+        bad = within_area(crs, places[:, ::-1]) & ~within_area(crs, places)
+    return int(np.flatnonzero(bad)[0]) if bad.any() else None
+
+
+def coordinates_of(table: Table, crs: str | None, notes: list[str]) -> tuple[tuple[str, str, str], str | None]:
+    """Roles of the columns of places and their CRS: degrees with the height above the ellipsoid where they are there,
+    unless a line names a grid; else those of a grid, which a column may name."""
+    degrees = table.find("latitude") is not None and table.find("longitude") is not None
+    grid = table.find("easting") is not None and table.find("northing") is not None
+    named = None if crs is None else parse_crs_line(crs, str(table.path))
+    above = "ellipsoidal height" if table.find("ellipsoidal height") is not None else "height"
+    if degrees and not (grid and named is not None and named.is_projected):
+        if grid:
+            notes.append(
+                f"{table.path.name}: places by latitude, longitude and {above}; for easting, northing and height put a "
+                "line '# crs: EPSG:n' above the header"
+            )
+        return ("latitude", "longitude", above), crs
+    column = table.find("crs")
+    stated = {table.cell(k, column) for k in range(len(table.rows))} - {""}
+    if crs is None and len(stated) == 1:
+        text, where = stated.pop(), f"{table.path}, column {table.columns[column or 0]}"
+        remedy = "; or put a line '# crs: EPSG:n' above the header"
+        crs = parse_crs_line(f"EPSG:{text}" if text.isdigit() else text, where, remedy).srs
+    return ("easting", "northing", "height" if table.find("height") is not None else above), crs

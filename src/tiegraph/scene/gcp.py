@@ -19,9 +19,9 @@ import numpy as np
 from tiegraph.errors import InputError
 from tiegraph.scene.bycontent import is_file
 from tiegraph.scene.bycontent import points as points_by_content
-from tiegraph.scene.cells import says_value
+from tiegraph.scene.cells import length_m, says_value
 from tiegraph.scene.columnwords import SIGMAS, known_words
-from tiegraph.scene.crsline import crs_above, parse_crs_line, say_axes, units_of
+from tiegraph.scene.crsline import coordinates_of, crs_above, exchanged, parse_crs_line, say_axes, units_of
 from tiegraph.scene.table import Table, table_of
 from tiegraph.scene.targets import BAR_FORM, FORM, FileBar, Target, count_of, names_bars, read_bars, target_of
 from tiegraph.scene.textfile import decoded, delimiter_of_rows, filled_lines, header_words, split_cells, whole_file
@@ -169,7 +169,20 @@ def _read(path: Path, option: str, tuning: ControlTuning) -> GcpFile:
     if not lines:
         raise InputError(f"{option} {path}: the file is empty; {FORMS}")
     found = (_read_odm if _is_odm(lines) else _read_csv)(path, lines, tuning)
+    _refuse_exchanged(found)
     return replace(found, notes=(*doubts, *found.notes))
+
+
+def _refuse_exchanged(found: GcpFile) -> None:
+    """Raise InputError for the first point whose coordinates can only be meant the other way round."""
+    places = np.array([p.xyz[:2] for p in found.points], float).reshape(-1, 2)
+    bad = exchanged(found.crs, places) if found.crs is not None else None
+    if bad is not None:
+        point, named = found.points[bad], "lon,lat" if found.geographic else "northing,easting"
+        raise InputError(
+            f"{found.path}, line {point.line}: the first two coordinates of point {point.name!r} are exchanged "
+            f"({named}): give a CSV whose header names the columns, such as name,{named},height"
+        )
 
 
 def _is_odm(lines: list[tuple[int, str]]) -> bool:
@@ -294,7 +307,7 @@ def _with_table(file: GcpFile, table: Table, tuning: ControlTuning) -> tuple[Gcp
     """A file with a table's points and marks; {whether its coordinates are in degrees}, empty without any. Coordinates
     become those of their CRS, in the units of its axes."""
     path, notes = table.path, [*file.notes, *table.notes]
-    roles, crs = _coordinates(table, file.crs, notes)
+    roles, crs = coordinates_of(table, file.crs, notes)
     geographic = "latitude" in roles
     columns = [table.find(role) for role in roles]
     name, image, px, py = (table.find(r) for r in ("name", "image", "pixel x", "pixel y"))
@@ -338,29 +351,6 @@ def _with_table(file: GcpFile, table: Table, tuning: ControlTuning) -> tuple[Gcp
     return made, {geographic} if whole[0] else set()
 
 
-def _coordinates(table: Table, crs: str | None, notes: list[str]) -> tuple[tuple[str, str, str], str | None]:
-    """Roles of the columns of places and their CRS: degrees with the height above the ellipsoid where they are there,
-    unless a line names a grid; else those of a grid, which a column may name."""
-    degrees = table.find("latitude") is not None and table.find("longitude") is not None
-    grid = table.find("easting") is not None and table.find("northing") is not None
-    named = None if crs is None else parse_crs_line(crs, str(table.path))
-    above = "ellipsoidal height" if table.find("ellipsoidal height") is not None else "height"
-    if degrees and not (grid and named is not None and named.is_projected):
-        if grid:
-            notes.append(
-                f"{table.path.name}: places by latitude, longitude and {above}; for easting, northing and height put a "
-                "line '# crs: EPSG:n' above the header"
-            )
-        return ("latitude", "longitude", above), crs
-    column = table.find("crs")
-    stated = {table.cell(k, column) for k in range(len(table.rows))} - {""}
-    if crs is None and len(stated) == 1:
-        text, where = stated.pop(), f"{table.path}, column {table.columns[column or 0]}"
-        remedy = "; or put a line '# crs: EPSG:n' above the header"
-        crs = parse_crs_line(f"EPSG:{text}" if text.isdigit() else text, where, remedy).srs
-    return ("easting", "northing", "height" if table.find("height") is not None else above), crs
-
-
 def _add(points: dict[str, FilePoint], new: FilePoint, path: Path) -> None:
     known = points.setdefault(new.name, new)
     for what, before, now in (("place", known.xyz, new.xyz), ("role", known.check, new.check)):
@@ -375,7 +365,8 @@ def _row_facts(table: Table, row: int, tuning: ControlTuning) -> tuple[tuple[flo
         cell = table.cell(row, column)
         if not cell:
             return otherwise
-        value = _number(table.plain(row, column), table.path, table.line(row)) * (table.unit_m(column) or 1.0)
+        value = length_m(table.plain(row, column), table.unit_m(column) or 1.0)
+        value = value if np.isfinite(value) else _number(cell, table.path, table.line(row))
         if not 0 < value <= MAX_SIGMA_M:
             raise InputError(
                 f"{table.where(row)}: {table.columns[column or 0]} = {cell}: a sigma is above 0 and at most "

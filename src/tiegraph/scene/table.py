@@ -166,7 +166,7 @@ class Table:
         for k, name in enumerate(self.columns):
             unit = f" [{self.units[k]}]" if self.units[k] else ""
             if k in roles:
-                read.append(name + unit + ("" if roles[k].startswith(name) else f" ({roles[k]})"))
+                read.append(name + unit + ("" if roles[k].replace(" ", "_").startswith(name) else f" ({roles[k]})"))
             elif name and (what := speaks_of(name)):
                 odd.append(f"{name} ({what}{self._values(k) if what in _LISTED else ''})")
             elif name:

@@ -23,7 +23,7 @@ def filled_lines(text: str) -> list[tuple[int, str]]:
     """The numbered lines of a text that hold something, without blanks at their ends; a tab before all is an indent,
     another stands behind an empty cell. Excel's ``sep=;`` is left out."""
     lines = [(k, line.strip(" \x0b\x0c\ufeff")) for k, line in enumerate(text_lines(text), start=1)]
-    lines = [(k, line) for k, line in lines if line.strip(' \t,;"') and not re.fullmatch(r"(?i)\"?sep=.\"?", line)]
+    lines = [(k, line) for k, line in lines if line.strip(' \t,;|"') and not re.fullmatch(r"(?i)\"?sep=.\"?", line)]
     indented = all(line[0] == "\t" or line.lstrip()[0] in "#%" for _, line in lines)
     lines = [(k, line.lstrip() if line.lstrip()[0] in "#%" else line[indented:]) for k, line in lines]
     return [(k, line.rstrip()) for k, line in lines]
@@ -69,13 +69,13 @@ def holds_values(line: str) -> bool:
 
 def delimiter_of(line: str) -> str | None:
     """The delimiter of a header; None = blanks."""
-    best = max("\t;,", key=line.count)
+    best = max("\t;|,", key=line.count)
     return best if best in line else None
 
 
 def delimiter_of_rows(line: str) -> str | None:
     """The delimiter of a line of values, where a comma may be a point."""
-    return next((d for d in "\t;," if d in line), None)
+    return next((d for d in "\t;|," if d in line), None)
 
 
 def split_cells(line: str, delimiter: str | None) -> list[str]:
