@@ -33,6 +33,14 @@ def positions(rows: Cells) -> tuple[str, ...]:
     return (first, *_degrees(values), *_behind(values)) if _degrees(values) else ()
 
 
+def geotxt(rows: Cells) -> tuple[str, ...]:
+    """The columns of ODM's geo.txt. Accuracies stand behind three angles."""
+    width = max(len(cells) for cells in rows)
+    sigmas = ("sigma_h", "sigma_v") if width > 8 else ()
+    names = ("image", "x", "y", "z", "angle_1", "angle_2", "angle_3", *sigmas)
+    return (*names, *(f"more_{k}" for k in range(width)))[: max(width, 4)]
+
+
 def points(rows: Cells, crs: pyproj.CRS | None) -> tuple[str, ...]:
     """Marks (image and point in either order, two pixels); or a point, its place in degrees, or in a grid where only
     one order lies in its area of use (PNEZD, PENZD), height, perhaps two accuracies, perhaps a code."""
@@ -56,21 +64,12 @@ def points(rows: Cells, crs: pyproj.CRS | None) -> tuple[str, ...]:
 
 
 def times(rows: Cells) -> tuple[str, ...]:
-    """An image and a time, in either order; a date and a time may be two cells."""
-    if {len(cells) for cells in rows} == {1}:
-        return ("time",)
-    wide = {len(cells) for cells in rows}
-    names = [("image", "time"), ("time", "image"), ("date", "time"), ("image", "date", "time")]
-    return next((n for n in names if wide == {len(n)} and all(_fit(c, n) for c in rows)), ())
-
-
-def _fit(cells: tuple[str, ...], names: tuple[str, ...]) -> bool:
-    kinds = {
-        "image": is_file,
-        "time": lambda c: np.isfinite(parse_time(c)),
-        "date": lambda c: len(c) == 10 and "-" in c,
-    }
-    return all(kinds[n](c) for n, c in zip(names, cells))
+    """An image and a time in either order, or a time; a date and a time may be two cells."""
+    kinds = ["image" if is_file(c) else "time" if np.isfinite(parse_time(c)) else "" for c in rows[0]]
+    if kinds[-2:] == ["time", "time"]:
+        kinds[-2] = "date"
+    known = sorted(kinds) in (["time"], ["image", "time"], ["date", "time"], ["date", "image", "time"])
+    return tuple(kinds) if known else ()
 
 
 def _numbers(rows: Cells) -> np.ndarray:

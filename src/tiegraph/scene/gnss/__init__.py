@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tiegraph.scene.bags import is_bag
-from tiegraph.scene.gnss import columns, geotxt, mrk, navsat, nmea, rtklib, sbet, xmltracks
+from tiegraph.scene.gnss import columns, mrk, navsat, nmea, rtklib, sbet, xmltracks
 from tiegraph.scene.gnss.fixes import HEIGHT_RANGE_M, SIGMA_RANGE_M, Fixes, judged
 from tiegraph.scene.gnss.rows import (
     Gnss,
@@ -55,7 +55,7 @@ FORMATS: dict[str, Format] = {
     "SBET": Format(sbet.is_sbet, sbet.read_sbet),
     "RTKLIB": Format(rtklib.is_rtklib, rtklib.read_rtklib),
     "DJI MRK": Format(mrk.is_mrk, mrk.read_mrk),
-    "ODM geo.txt": Format(geotxt.is_geotxt, geotxt.read_geotxt),
+    "ODM geo.txt": Format(columns.is_geotxt, columns.read_geotxt),
     "NMEA 0183": Format(nmea.is_nmea, nmea.read_nmea),
     "CSV": Format(lambda text, raw: True, columns.read_columns),
 }  # the first that fits

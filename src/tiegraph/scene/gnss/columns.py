@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tiegraph.errors import InputError
-from tiegraph.scene.bycontent import is_file, positions
+from tiegraph.geometry.geodesy import crs_transformer
+from tiegraph.scene.bycontent import geotxt, is_file, positions
 from tiegraph.scene.columnwords import SIGMAS
-from tiegraph.scene.crsline import crs_above, say_axes, units_of
+from tiegraph.scene.crsline import crs_above, parse_crs_line, say_axes, units_of
 from tiegraph.scene.gnss.fixes import EMPTY, SIGMA_RANGE_M, Fixes, above_ellipsoid
-from tiegraph.scene.gnss.grids import geodetic_rows
 from tiegraph.scene.table import Table, table_of
 from tiegraph.scene.textfile import decoded, filled_lines
 from tiegraph.scene.timecolumns import times_of
@@ -21,6 +21,8 @@ from tiegraph.scene.timecolumns import times_of
 if TYPE_CHECKING:
     import pyproj
 
+_CRS = re.compile(r"(?i)EPSG:\d+(?:\+\d+)?$|\+(?:proj|init)=|WGS\s*84\s*UTM\s*\d+\s*[NS]$")
+_GCP = re.compile(r"[-+.\d]+(?:\s+[-+.\d]+){4}\s+\S+")
 _SEA = re.compile("msl|asl|geoid|ortho|egm|navd|標高")  # in the name or unit of heights above the sea
 _TILT = ("pitch", "roll", "omega", "phi")  # any column with such a word
 _LEVEL_DEG = 20.0  # a body tilted by more has no heading that a table of yaw, pitch and roll gives by its yaw alone
@@ -36,14 +38,40 @@ def read_columns(path: Path, raw: bytes) -> Fixes:
     """
     text, doubts = decoded(path, raw, "GNSS file")
     lines = filled_lines(text)
-    crs = crs_above(lines, path)
     table = table_of(path, "GNSS file", lines, f"time,lat,lon,height or {_EXAMPLE}", positions, doubts)
+    return _fixes(table, crs_above(lines, path))
+
+
+def is_geotxt(text: str, raw: bytes) -> bool:
+    """Whether the first line of a file that is no comment is a CRS."""
+    first = next((line for _, line in filled_lines(text) if not line.startswith("#")), "")
+    return bool(_CRS.match(first))
+
+
+def read_geotxt(path: Path, raw: bytes) -> Fixes:
+    """Rows of ODM's geo.txt: first line the CRS, then image x y [z] [yaw pitch roll] [sigma_h sigma_v] [more].
+
+    Raises InputError for an unknown CRS, a place outside it, no rows, and for a list of control points.
+    """
+    text, doubts = decoded(path, raw, "GNSS file")
+    (n, first), *lines = [(n, line) for n, line in filled_lines(text) if not line.startswith("#")]
+    crs = parse_crs_line(first, f"{path}, line {n}")
+    control = next((n for n, line in lines if _GCP.match(line)), None)
+    if control is not None:
+        raise InputError(
+            f"{path}, line {control}: x y z px py image, as in a gcp_list.txt: give control points by --gcp"
+        )
+    return _fixes(table_of(path, "GNSS file", lines, "image x y z", geotxt, doubts), crs)
+
+
+def _fixes(table: Table, crs: pyproj.CRS | None) -> Fixes:
     image, notes = _image(table), list(table.notes)
     times = times_of(table) if image is None else None
     llh, used = _places(table, crs, [] if image is not None or times is not None else ["time (or image)"], notes)
     sigma = _sigma(table, notes)
     heading, turned = _heading(table, notes)
-    columns = dict(zip(("latitude", "longitude", "height"), used.values()))
+    what = (("latitude", "northing"), ("longitude", "easting"), ("height", "ellipsoidal height"))
+    columns = {a: used.get(a, used.get(b)) for a, b in what}
     used |= {"image": image, **(times.used if times else {}), **turned, **{s: table.find(s) for s in SIGMAS}}
 
     def text_of(row: int, what: str) -> str:
@@ -69,7 +97,7 @@ def _places(
     table: Table, crs: pyproj.CRS | None, missing: list[str], notes: list[str]
 ) -> tuple[np.ndarray, dict[str, int | None]]:
     """(R, 3) latitude, longitude, height, and the columns they stand in, the first three in this order."""
-    grid = crs if crs is not None and crs.is_projected and table.find("easting") is not None else None
+    grid = crs if crs is not None and table.find("easting") is not None else None
     roles = ["latitude", "longitude", "height"] if grid is None else ["easting", "northing", "height"]
     if grid is None and table.find("ellipsoidal height") is not None:
         roles[2] = "ellipsoidal height"
@@ -92,7 +120,27 @@ def _places(
     scale = [(table.unit_m(c) or u) / u for c, u in zip(found, units_of(grid))]
     xyz = np.stack([s * table.numbers(c) for c, s in zip(found, scale)], axis=1)
     notes += say_axes(grid, table.path.name) if table.columns[found[0] or 0] == "x" else ()
-    return geodetic_rows(grid, xyz, table.path, [line for line, _ in table.rows]), dict(zip(roles, found))
+    return _geodetic(grid, xyz, table), dict(zip(roles, found))
+
+
+def _geodetic(crs: pyproj.CRS, xyz: np.ndarray, table: Table) -> np.ndarray:
+    """(R, 3) latitude, longitude, height of x (east), y (north), z (R, 3) in a CRS; NaN = no height.
+
+    Raises InputError, with the line, for a place outside the CRS.
+    """
+    x, y, z = xyz.T
+    lon, lat, height = crs_transformer(crs.srs).transform(x, y, np.nan_to_num(z), direction="INVERSE")
+    bad = np.flatnonzero(np.isfinite(x + y) & ~(np.isfinite(lat) & np.isfinite(lon)))
+    if crs.is_geographic:
+        bad = np.flatnonzero((np.abs(y) > 90) | (np.abs(x) > 360))
+    if len(bad):
+        k = int(bad[0])
+        swapped = "latitude and longitude exchanged (x is the longitude), or " if crs.is_geographic else ""
+        raise InputError(
+            f"{table.where(k)}: x {x[k]:.10g}, y {y[k]:.10g} lies outside {crs.name}: {swapped}another CRS? "
+            "Correct the line that names it"
+        )
+    return np.stack([lat, lon, np.where(np.isnan(z), np.nan, height)], axis=1)
 
 
 def _image(table: Table) -> int | None:
