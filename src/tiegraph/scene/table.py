@@ -74,7 +74,7 @@ class Table:
             return ""
         name = self.columns[column]
         beside = self.find((f"{name}_unit", f"{name}_units"))
-        in_cells = {self.cell(k, beside).lower() for k in range(len(self.rows))} - {""}
+        in_cells = {self.cell(k, beside).lower() for k in range(len(self.rows) if beside is not None else 0)} - {""}
         return self.units[column] or without_unit(name)[1] or (in_cells.pop() if len(in_cells) == 1 else "")
 
     def line(self, row: int) -> int:
@@ -223,7 +223,7 @@ def table_of(
     text = "" if start is None else lines[start][1].lstrip("#% ")
     delimiter = delimiter_of_rows(lines[first][1]) if start is None else delimiter_of(text)
     if start is not None and first < len(lines):
-        delimiter = _row_delimiter(lines[first][1], delimiter, len(column_names(text)))
+        delimiter = [*_row_delimiters(lines[first][1], delimiter, len(column_names(text))), delimiter][0]
     below = lines[first if start is None else start + 1 :]
     given = [(n, tuple(split_cells(line, delimiter))) for n, line in below if line[0] not in "#%"]
     if start is None:
@@ -274,21 +274,16 @@ def _first_rows(lines: Sequence[tuple[int, str]]) -> tuple[int, int | None]:
         prose = text[0] in "#%" and (few or holds_values(bare))
         if prose or not known_words(names):
             continue
-        if text[0] not in "#%" or _wide(lines[first][1], delimiter_of(bare), len(names)):
+        if text[0] not in "#%" or _row_delimiters(lines[first][1], delimiter_of(bare), len(names)):
             return first, k
     above = [k for k in plain_lines if k < first]
     return first, (above[-1] if above else None)
 
 
-def _row_delimiter(row: str, delimiter: str | None, width: int) -> str | None:
-    """What parts the cells of rows below a header of a width: mostly what parts the header."""
+def _row_delimiters(row: str, delimiter: str | None, width: int) -> list[str | None]:
+    """What may part the cells of rows below a header so that they are as wide; first what parts it."""
     tried = (delimiter, delimiter_of_rows(row), None)
-    return next((d for d in tried if len(_joined_date(_filled(row, d), width)) == width), delimiter)
-
-
-def _wide(row: str, delimiter: str | None, width: int) -> bool:
-    found = _row_delimiter(row, delimiter, width)
-    return len(_joined_date(_filled(row, found), width)) == width
+    return [d for d in tried if len(_joined_date(_filled(row, d), width)) == width]
 
 
 def _filled(row: str, delimiter: str | None) -> tuple[str, ...]:
@@ -306,7 +301,8 @@ def _rows(
     known, out = {c for c in columns if c}, []
     for line, cells in given:
         cells = _joined_date(cells, len(columns))
-        if len(known & {plain_word(c) for c in cells if c[:1].isalpha()}) > 1:
+        words = [c for c in cells if c[:1].isalpha()]
+        if len(words) > 1 and len(known & {plain_word(c) for c in words}) > 1:
             if tuple(plain_word(c) for c in cells) != columns:
                 raise InputError(f"{path}, line {line}: a second header with other columns; give one table a file")
             notes.append(f"{path.name}, line {line}: the header again, left out; are these several tables in one file?")

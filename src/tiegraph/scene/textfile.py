@@ -103,6 +103,8 @@ def header_words(line: str) -> tuple[str, ...]:
 
 def plain_word(text: str) -> str:
     """A column's name in lower case, without accents, brackets and signs."""
-    text = unicodedata.normalize("NFKD", re.sub(r"[(\[].*?[)\]]", "", text).casefold())
-    text = unicodedata.normalize("NFC", "".join(c for c in text if c.isascii() or not unicodedata.combining(c)))
+    text = re.sub(r"[(\[].*?[)\]]", "", text).casefold()
+    if not text.isascii():
+        parts = unicodedata.normalize("NFKD", text)
+        text = unicodedata.normalize("NFC", "".join(c for c in parts if not unicodedata.combining(c)))
     return re.sub(r"[\W_]+", "_", text).strip("_")
