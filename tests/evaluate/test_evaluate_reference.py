@@ -144,7 +144,7 @@ def test_unusable_references_say_why(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"bad.tum, line 2: 3 columns; expected"):
         reference.read_tum(bad)
     bad.write_text("# nothing\n")
-    with pytest.raises(InputError, match="no poses"):
+    with pytest.raises(InputError, match="no rows; give the trajectory"):
         reference.read_tum(bad)
     short = write_tum(tmp_path / "short.tum", np.arange(5.0), rig_poses()[:5])
     with pytest.raises(InputError, match="5 poses for 12 frames"):

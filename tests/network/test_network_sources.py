@@ -12,7 +12,7 @@ from tiegraph.network.passes import MatchCache, find_passes
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.sources import Context, axes_count, axes_pairs, exhaustive, sequence
 from tiegraph.network.tuning import Tuning
-from tiegraph.scene.pairs import REASONS, read_pair_list
+from tiegraph.scene.pairs import REASONS, pair_lines, read_pair_list
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Dropped, Scene, simple_scene
 
@@ -63,7 +63,7 @@ def test_pair_list_is_read_and_oddities_are_counted(tmp_path) -> None:
         ("img_0000.jpg img_0001.jpg 3\n", ["line 1", "3 words"]),
         ("# nothing\n", ["no pairs"]),
         ("\nimg_0001.jpg img_0001.jpg\nimg_0002.jpg img_0002.jpg\n", ["line 2", "its 2 lines", "themselves"]),
-        ("img_0000.jpg img\0_1\n", ["line 1", "two image names"]),
+        ("img_0000.jpg img\0_1\n", ["pairs.txt: is no text"]),
         ("img_0000.jpg broken.jpg\n", ["left out by scan: truncated"]),
     ],
 )  # fmt: skip
@@ -177,7 +177,10 @@ def test_pairs_that_the_axes_rule_out_are_counted_without_a_table() -> None:
 def test_pair_lists_of_another_system_and_no_text(tmp_path) -> None:
     path = write(tmp_path, "\ufeffimg_0000.jpg ./img_0001.jpg\r\nimg_0001.jpg img_0002.jpg\r\n")
     assert len(read_pair_list(path, photos(4))[0]) == 2
+    assert pair_lines(write(tmp_path, "I 1.jpg,I 2.jpg\n'a' \"b c.jpg\"\n")) == [
+        (1, ["I 1.jpg", "I 2.jpg"]), (2, ["'a'", "b c.jpg"])
+    ]  # fmt: skip
     for data in (b"\xff\xfei\x00", b"\x89PNG\r\n"):
         path.write_bytes(data)
-        with pytest.raises(InputError, match="pairs.txt: no pair list: not text in UTF-8"):
+        with pytest.raises(InputError, match="pairs.txt(: is no text|, line 1: expected two image names)"):
             read_pair_list(path, photos(4))

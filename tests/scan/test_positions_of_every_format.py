@@ -154,7 +154,7 @@ def test_georef_reads_the_rows_on_the_frames_clock(canal: Canal, tmp_path: Path,
     path = tmp_path / "positions"
     path.write_bytes(data if isinstance(data, bytes) else data.encode())
     scene = canal.scan(path, times_file(tmp_path, kind))
-    run = SimpleNamespace(inputs=SimpleNamespace(gnss=path), settings=Settings())
+    run = SimpleNamespace(inputs=SimpleNamespace(gnss=path, times=tmp_path), settings=Settings())
     rows = _rows(run, scene)  # type: ignore[arg-type]
     assert rows is not None
     np.testing.assert_allclose(rows.time_s, DAY + np.array([r[0] for r in canal.rows]), rtol=0, atol=1e-6)

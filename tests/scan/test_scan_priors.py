@@ -13,9 +13,9 @@ from tiegraph.scan.priors.trajectory import read_trajectory, write_tum
 from tiegraph.scan.rigfiles.rigspec import AXES, orient
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import TimesTuning
+from tiegraph.scene.cells import parse_time
 from tiegraph.scene.gnss import read_gnss
 from tiegraph.scene.scene import Scene
-from tiegraph.scene.table import parse_time
 from tiegraph.scene.tuning import GnssTuning
 
 TIMES = TimesTuning()
@@ -67,8 +67,8 @@ def test_gnss_tables_of_many_shapes(tmp_path: Path, text: str) -> None:
     assert gnss.time_s.tolist() == [10, 11]
     assert gnss.lat_lon_height.tolist() == [[35, 139, 40], [35.001, 139.001, 41]]
     assert gnss.sigma_m == pytest.approx(np.array([[0.1, 0.1, 0.2]] * 2))
-    assert gnss.notes == (("g.csv: the columns height, lon, lat, time, sigma_h, sigma_v are read; passed over: q",)
-                          if text[0] == "q" else ())  # fmt: skip
+    assert len(gnss.notes) == 1 and gnss.notes[0].startswith("g.csv: columns read: ")
+    assert ("; passed over, though it may count: q (a fix: 2 of '1')" in gnss.notes[0]) == (text[0] == "q")
 
 
 @pytest.mark.parametrize(
@@ -86,14 +86,16 @@ def test_the_half_of_the_earth_may_be_a_letter(tmp_path: Path, text: str) -> Non
     path = tmp_path / "g.csv"
     path.write_text(text)
     gnss = read_gnss(path, GnssTuning())
-    assert gnss.lat_lon_height == pytest.approx(np.array([[-33.5, -70.25, 40.0]])) and gnss.notes == ()
+    assert gnss.lat_lon_height == pytest.approx(np.array([[-33.5, -70.25, 40.0]]))
+    assert len(gnss.notes) == 1 and "passed over" not in gnss.notes[0]
 
 
 def test_lengths_have_the_unit_of_their_header(tmp_path: Path) -> None:
     path = tmp_path / "g.csv"
     path.write_text("image,lat,lon,height (ft),sigma_h (mm),sigma_v (cm)\na.jpg,33.5,70.25,100,12,3\n")
     gnss = read_gnss(path, GnssTuning())
-    assert gnss.lat_lon_height[0, 2] == pytest.approx(30.48) and gnss.notes == ()
+    assert gnss.lat_lon_height[0, 2] == pytest.approx(30.48)
+    assert "height [ft], sigma_h [mm] (horizontal sigma), sigma_v [cm] (vertical sigma)" in gnss.notes[0]
     assert gnss.sigma_m == pytest.approx(np.array([[0.012, 0.012, 0.03]]))
 
 
@@ -119,7 +121,7 @@ def test_the_yaw_of_a_tilted_camera_is_no_heading(tmp_path: Path, pitch: float, 
     [
         ("time,lat,height\n1,2,3\n", "no column lon; found: time, lat, height"),
         ("lat,lon,height\n1,2,3\n", r"no column time \(or image\)"),
-        ("1,2,3,4\n5,6,7,8\n", "needs a header line"),
+        ("1,2,3,4\n5,6,7,8\n", "line 1: no header says what .* such as time,lat,lon,height"),
         ("", "no rows"),
         ("time,lat,lon,height\n1,nan,2,3\n", "none of 1 rows"),
         ("time,lat,lon,height\n1,139,35,3\n", "lat and lon look exchanged"),
@@ -319,7 +321,7 @@ def test_tum_files_are_written_and_read(tmp_path: Path) -> None:
         ("0 0 0 0 0 0 0 nan\n", "line 1: not a finite number"),
         ("0 0 0 0 0 0 0 1\n1 0 0 0 0 0 0 0\n", "line 2: the quaternion.*length 0"),
         ("1 0 0 0 0 2 0 0 0 0 1 0\n", "line 1: .*not a rotation"),
-        ("# nothing\n", "no poses"),
+        ("# nothing\n", "no rows; give the trajectory"),
     ],
 )
 def test_trajectories_that_cannot_be_used(tmp_path: Path, text: str, message: str) -> None:

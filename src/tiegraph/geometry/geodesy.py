@@ -127,13 +127,30 @@ def _grid(crs: str, lat_deg: float, lon_deg: float) -> np.ndarray:
 
 def _within(crs: str, lat_lon: np.ndarray) -> np.ndarray:
     """(N,) whether positions (N, >= 2) lie in the area of use of a CRS; all do where it names none."""
-    area = parse_crs(crs).area_of_use
+    return _in_area(parse_crs(crs), lat_lon[:, 0], lat_lon[:, 1])
+
+
+def _in_area(crs: pyproj.CRS, lat: np.ndarray, lon: np.ndarray) -> np.ndarray:
+    area = crs.area_of_use
     if area is None:
-        return np.ones(len(lat_lon), bool)
-    lat, lon = lat_lon[:, 0], (lat_lon[:, 1] + 180) % 360 - 180
+        return np.ones(len(lat), bool)
+    lon = (lon + 180) % 360 - 180
     across = area.west > area.east  # over the date line
     inside = (lon >= area.west) | (lon <= area.east) if across else (lon >= area.west) & (lon <= area.east)
     return inside & (lat >= area.south) & (lat <= area.north)
+
+
+def within_area(crs: str, east_north: np.ndarray) -> np.ndarray:
+    """(N,) whether coordinates (N, 2) of a CRS lie in its area of use; none do where it names none."""
+    import pyproj
+
+    parsed = pyproj.CRS.from_user_input(crs)
+    flat = parsed.sub_crs_list[0] if parsed.is_compound else parsed
+    if parsed.area_of_use is None or not len(east_north):
+        return np.zeros(len(east_north), bool)
+    to_degrees = pyproj.Transformer.from_crs(flat, "EPSG:4326", always_xy=True)
+    lon, lat = to_degrees.transform(*np.asarray(east_north, float).T)
+    return _in_area(parsed, lat, lon)
 
 
 def area_note(crs: str, lat_lon_height: np.ndarray) -> str:

@@ -17,10 +17,12 @@ from tiegraph.geometry.transforms import from_quaternion_wxyz
 from tiegraph.lidar.formats import BIN_COLUMNS, READERS, Points, points_of
 from tiegraph.lidar.tuning import ScanTuning
 from tiegraph.scene.bags import is_bag, open_bag, split_topics, stamp_ns
+from tiegraph.scene.bycontent import times as times_by_content
+from tiegraph.scene.cells import in_seconds, parse_time
 from tiegraph.scene.posefile import read_poses
 from tiegraph.scene.regular import regular
-from tiegraph.scene.table import in_seconds, parse_time, read_table
-from tiegraph.scene.timecolumns import times_of
+from tiegraph.scene.table import Table, read_table
+from tiegraph.scene.timecolumns import times_in, times_of
 
 _CLOUD_KINDS = ("sensor_msgs/PointCloud2",)
 _FIELD_TYPES = ("i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8")  # by PointField.datatype, from 1
@@ -28,8 +30,6 @@ _FOLDERS = ("velodyne", "velodyne_points/data", "lidar")  # of KITTI odometry, K
 _ABSOLUTE_S = 1e6  # times of points above this count from an epoch and not from the scan's start
 _KINDS = f"a folder of scans ({', '.join(sorted(READERS))}), a ROS bag, or a .pcap file"
 _FILES = ("times.txt", "timestamps.txt", "times.csv", "timestamps.csv", "timestamps.json")
-_START = ("time_start", "start", "stamp")
-_NAME = ("scan", "name", "file", "frame")
 
 
 @dataclass(frozen=True)
@@ -313,23 +313,18 @@ def find_times(folder: Path) -> Path | None:
 def read_scan_times(path: Path, stems: Sequence[str]) -> np.ndarray:
     """(N,) seconds of the scans with these names without ending.
 
-    A .json is a list of numbers, a .csv a table with a column time (or time_start) and, perhaps, one with the scans'
-    names; any other file has a number or a date a line. Raises InputError for times that are none or too few.
+    A .json is a list of numbers; any other file a table with a column time (or time_start) and, perhaps, one with the
+    scans' names, or a number or a date a line. Raises InputError for times that are none or too few.
     """
+    if path.suffix.lower() != ".json":
+        return _of_table(read_table(path, "times of the scans", "scan,time", times_by_content), stems)
     try:
-        if path.suffix.lower() == ".csv":
-            return _of_table(path, stems)
-        text = path.read_text()
-        rows = json.loads(text) if path.suffix.lower() == ".json" else text.split("\n")
-        lines = [(k, str(row).strip()) for k, row in enumerate(rows, start=1)]
+        seconds = np.array([parse_time(str(row)) for row in json.loads(path.read_text())])
     except (OSError, ValueError, TypeError) as error:
         raise InputError(f"{path}: cannot be read as times of scans: {error}") from None
-    lines = [(k, line) for k, line in lines if line and not line.startswith("#")]
-    seconds = np.array([parse_time(line) for _, line in lines])
     bad = np.flatnonzero(~np.isfinite(seconds))
     if len(bad):
-        k, line = lines[bad[0]]
-        raise InputError(f"{path}, line {k}: {line[:80]!r} is no time (seconds, or a date and time)")
+        raise InputError(f"{path}, line {bad[0] + 1}: no time (seconds, or a date and time)")
     return of_scans(path, in_seconds(seconds), stems)
 
 
@@ -346,24 +341,20 @@ def of_scans(path: Path, rows: np.ndarray, stems: Sequence[str]) -> np.ndarray:
     raise InputError(f"{path}: {len(rows)} rows for {len(stems)} scans ({stems[0]} to {stems[-1]}): one each is needed")
 
 
-def _of_table(path: Path, stems: Sequence[str]) -> np.ndarray:
-    table = read_table(path, "times of the scans")
-    column = table.find(_START)
-    if column is not None:
-        seconds = table.times(column)
-    else:
-        found = times_of(table)
-        if found is None:
-            raise InputError(f"{path}: found the columns {', '.join(table.columns)}; expected one called time")
-        seconds = found.seconds
-    bad = np.flatnonzero(~np.isfinite(seconds))
+def _of_table(table: Table, stems: Sequence[str]) -> np.ndarray:
+    start = table.find("start of the scan")
+    found = times_of(table) if start is None else times_in(table, start)
+    if found is None:
+        raise InputError(f"{table.path}: found the columns {', '.join(table.columns)}; expected one called time")
+    bad = np.flatnonzero(~np.isfinite(found.seconds))
     if len(bad):
-        raise InputError(f"{path}, line {table.line(int(bad[0]))}: no time (seconds, or a date and time)")
-    names = table.find(_NAME)
+        row = int(bad[0])
+        raise InputError(f"{table.where(row)}: {table.cell(row, found.column)!r:.80} is no time (seconds, or a date)")
+    names = next((c for c in (table.find("scan"), table.find("image")) if c is not None), None)
     if names is None:
-        return of_scans(path, seconds, stems)
-    by_name = {Path(table.cell(k, names)).stem: seconds[k] for k in range(len(seconds))}
+        return of_scans(table.path, found.seconds, stems)
+    by_name = {Path(table.cell(k, names)).stem: v for k, v in enumerate(found.seconds)}
     missing = [s for s in stems if s not in by_name]
     if missing:
-        raise InputError(f"{path}: no row for the scan {missing[0]} ({len(missing)} of {len(stems)} have none)")
+        raise InputError(f"{table.path}: no row for the scan {missing[0]} ({len(missing)} of {len(stems)} have none)")
     return np.array([by_name[s] for s in stems])

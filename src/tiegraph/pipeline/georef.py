@@ -16,7 +16,7 @@ from tiegraph.project.stages import Outcome, remove
 from tiegraph.scene import evidence
 from tiegraph.scene.atomic import claim
 from tiegraph.scene.control import locate, locate_bars
-from tiegraph.scene.gnss import on_clock_of, read_gnss
+from tiegraph.scene.gnss import moved_within, on_clock_of, read_gnss, step_of
 from tiegraph.scene.hanging import carries, with_hanging
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.covariance import MOUNTING
@@ -145,7 +145,9 @@ def _rows(run: Run, scene: Scene) -> PositionRows | None:
     if gnss.names:
         return None
     gnss = on_clock_of(gnss, scene.time_s)
-    return PositionRows(gnss.time_s, world_from_geodetic(gnss.lat_lon_height, scene.origin), gnss.sigma_m)
+    world = world_from_geodetic(gnss.lat_lon_height, scene.origin)
+    cut = moved_within(gnss.time_s, world, 0.0 if run.inputs.times is not None else step_of(scene.time_s))
+    return PositionRows(gnss.time_s, world, np.hypot(gnss.sigma_m, cut))
 
 
 def covered_frames(run: Run, scene: Scene) -> np.ndarray | None:

@@ -123,6 +123,7 @@ def check_against(run: Run, scene: Scene) -> tuple[str, ...]:
         notes = locate(file, scene, run.settings.scan.crs, orientation=orientations(run, scene, file)).notes
     elif file is not None:
         locate_bars(file, scene, orientation=orientations(run, scene, file))
+        notes = file.notes
     masks = run.settings.evaluate.reference_masks
     if masks is not None and not any(find_mask(masks, name) for name in scene.names):
         names = ", ".join(candidates(scene.names[0]))

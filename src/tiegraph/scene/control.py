@@ -33,6 +33,7 @@ from tiegraph.scene.names import plain_name
 from tiegraph.scene.scene import Scene
 
 MIN_MARKS = 2  # of a point whose place in the model can be found: two rays meet
+NEAR_M = 1000.0  # beyond the positions of the survey, where control points still lie
 FAR_M = 100_000.0  # farther from the survey's positions than this, the coordinates are of another CRS or axis order
 _SHOWN = 3
 
@@ -365,25 +366,29 @@ def surveyed_world(file: GcpFile, origin: Origin) -> np.ndarray:
 
 
 def _check_place(file: GcpFile, world: np.ndarray, scene: Scene) -> None:
-    """Points must lie where the survey's positions are; says so where exchanged axes would bring them there."""
+    """Points must lie where the survey's positions are; says so where exchanged axes would bring them there, also from
+    a place that is not far: plane coordinates of a country lie about the origin of its zone."""
     prior = scene.world_from_rig[:, :3, 3]
     prior = prior[np.isfinite(prior).all(axis=1)]
     if scene.origin is None or not len(prior):
         return
     middle = np.median(prior, axis=0)
     away = np.linalg.norm(world[:, :2] - middle[:2], axis=1)
-    far = np.flatnonzero(away > FAR_M)
+    reach = NEAR_M + float(np.max(np.linalg.norm(prior[:, :2] - middle[:2], axis=1)))
+    far = np.flatnonzero(away > reach)
     if not len(far):
         return
     point = file.points[far[0]]
     swapped = (point.xyz[1], point.xyz[0], point.xyz[2])
-    hint = ": wrong CRS in the file?"
+    hint = ": wrong CRS in the file?" if away[far[0]] > FAR_M else ""
     try:
         turned = surveyed_world(replace(file, points=(replace(point, xyz=swapped),)), scene.origin)
-        if np.linalg.norm(turned[0, :2] - middle[:2]) < FAR_M:
+        if np.linalg.norm(turned[0, :2] - middle[:2]) < (reach if away[far[0]] < FAR_M else FAR_M):
             hint = f": its first two coordinates are exchanged ({'lon, lat' if file.geographic else 'north, east'})"
     except InputError:
         pass
+    if not hint:
+        return
     raise InputError(
         f"{file.path}, line {point.line}: point {point.name!r} lies {away[far[0]] / 1000:.0f} km from the survey's "
         f"positions{hint}"

@@ -10,7 +10,6 @@ the outer corner of the upright image's first pixel: its centre is (0.5, 0.5). A
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,25 +17,22 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tiegraph.errors import InputError
-from tiegraph.geometry.geodesy import utm_by_name
-from tiegraph.scene.regular import regular
-from tiegraph.scene.table import Table, table_of, text_lines
+from tiegraph.scene.bycontent import is_file
+from tiegraph.scene.bycontent import points as points_by_content
+from tiegraph.scene.cells import length_m, says_value
+from tiegraph.scene.columnwords import SIGMAS, known_words
+from tiegraph.scene.crsline import coordinates_of, crs_above, exchanged, parse_crs_line, say_axes, units_of
+from tiegraph.scene.table import Table, table_of
 from tiegraph.scene.targets import BAR_FORM, FORM, FileBar, Target, count_of, names_bars, read_bars, target_of
+from tiegraph.scene.textfile import decoded, delimiter_of_rows, filled_lines, header_words, split_cells, whole_file
 from tiegraph.scene.tuning import ControlTuning
 
 if TYPE_CHECKING:
-    import pyproj
+    pass
 
 MAX_SIGMA_M = 100.0  # no survey of a point is worse: another unit, or a typing error
 _CHECK = ("check", "checkpoint", "check_point", "checkpoints", "cp", "chk")
 _CONTROL = ("", "gcp", "control", "control_point", "controlpoint")
-_NAME = ("name", "point", "gcp", "gcp_name", "label", "id", "point_name", "point_id", "gcp_id", "marker", "target")
-_IMAGE = ("image", "file", "filename", "file_name", "image_name", "photo")
-_X, _Y, _Z = ("x", "east", "easting", "e", "geo_x"), ("y", "north", "northing", "n", "geo_y"), ("z", "geo_z")
-_LAT, _LON = ("lat", "latitude", "lat_deg"), ("lon", "long", "lng", "longitude", "lon_deg")
-_HEIGHT = ("height", "h", "alt", "altitude", "elevation", "height_m", *_Z)
-_PX = ("px", "im_x", "pixel_x", "x_px", "image_x", "u", "col", "column")
-_PY = ("py", "im_y", "pixel_y", "y_px", "image_y", "v", "row")
 _TITLE = re.compile(
     r"(?i)\[?\s*(points|marks|gcps?|control points|check points|observations|(?:scale )?bars)\s*\]?\s*:?[,;\s]*"
 )
@@ -46,7 +42,10 @@ FORMS = (
     "(--gcp POINTS --marks MARKS); '# crs: EPSG:n' in the first line says the CRS of x, y, z; or give ODM's "
     f"gcp_list.txt. Points named as coded targets need no marks: {FORM}. {BAR_FORM[0].upper()}{BAR_FORM[1:]}"
 )
-_SIGMA, _SIGMA_XY, _SIGMA_Z = ("sigma", "sigma_m"), ("sigma_xy", "sigma_h", "sigma_xy_m"), ("sigma_z", "sigma_v")
+_EXAMPLE = (
+    "name,easting,northing,height or, of a list with north before east (PNEZD), name,northing,easting,height,code, "
+    "below a line '# crs: EPSG:n' (which tells the order where only one lies in the area of the CRS)"
+)
 
 
 @dataclass(frozen=True)
@@ -165,20 +164,34 @@ def _joined(one: GcpFile, other: GcpFile) -> GcpFile:
 
 def _read(path: Path, option: str, tuning: ControlTuning) -> GcpFile:
     """The points and marks of a file of either form, as they stand there."""
-    try:
-        data = regular(path).read_bytes()
-    except OSError as error:
-        raise InputError(f"{option} {path}: cannot be read ({error.strerror})") from None
-    text = data.decode("utf-8-sig", errors="replace")  # a name of a point may be in another encoding
-    if "\0" in text:
-        raise InputError(f"{option} {path}: no text file in UTF-8; {FORMS}")
-    lines = [(k + 1, line.strip()) for k, line in enumerate(text_lines(text)) if line.strip()]
-    lines = [(number, line) for number, line in lines if not _TITLE.fullmatch(line)]
+    text, doubts = decoded(path, whole_file(path, "control point file"), "control point file")
+    lines = [(n, line) for n, line in filled_lines(text) if not _TITLE.fullmatch(line)]
     if not lines:
         raise InputError(f"{option} {path}: the file is empty; {FORMS}")
-    # The first line that is no comment names columns; the CRS in the first line of the other form does not.
-    read = _read_csv if _is_header(next((line for _, line in lines if line[0] not in "#%"), "")) else _read_odm
-    return read(path, lines, tuning)
+    found = (_read_odm if _is_odm(lines) else _read_csv)(path, lines, tuning)
+    _refuse_exchanged(found)
+    return replace(found, notes=(*doubts, *found.notes))
+
+
+def _refuse_exchanged(found: GcpFile) -> None:
+    """Raise InputError for the first point whose coordinates can only be meant the other way round."""
+    places = np.array([p.xyz[:2] for p in found.points], float).reshape(-1, 2)
+    bad = exchanged(found.crs, places) if found.crs is not None else None
+    if bad is not None:
+        point, named = found.points[bad], "lon,lat" if found.geographic else "northing,easting"
+        raise InputError(
+            f"{found.path}, line {point.line}: the first two coordinates of point {point.name!r} are exchanged "
+            f"({named}): give a CSV whose header names the columns, such as name,{named},height"
+        )
+
+
+def _is_odm(lines: list[tuple[int, str]]) -> bool:
+    """Whether the first line that is no comment is a CRS, or nothing: neither names of columns nor a row of a list of
+    points. A row x y z px py image lacks the CRS above."""
+    first = next((line for _, line in lines if line[0] not in "#%"), "")
+    values = [says_value(c) for c in split_cells(first, delimiter_of_rows(first))]
+    a_row = len(values) > 3 and sum(values) > 1 and "[" not in first and not (len(values) > 5 and all(values[:5]))
+    return not (_is_header(first) or a_row)
 
 
 def _once_each(found: GcpFile) -> tuple[FileMark, ...]:
@@ -212,29 +225,29 @@ def _doubtful(found: GcpFile) -> list[str]:
 
 
 def _is_header(line: str) -> bool:
-    return _names_columns(line) or names_bars(line)
-
-
-def _names_columns(line: str) -> bool:
-    words = {re.sub(r"[^a-z0-9_]+", "", w) for w in re.split(r"[,;\t ]+", line.lower())}
-    known = {*_NAME, *_IMAGE, *_X, *_Y, *_HEIGHT, *_LAT, *_LON, *_PX, *_PY}
-    return len(words & known) >= 3 and "+proj" not in line
+    names = header_words(line)
+    return known_words(names) > 2 or names_bars(names)
 
 
 # --- OpenDroneMap ---------------------------------------------------------------------------------------------------
 
 
 def _read_odm(path: Path, lines: list[tuple[int, str]], tuning: ControlTuning) -> GcpFile:
-    crs = parse_crs_line(lines[0][1], f"{path}, line {lines[0][0]}")
+    crs = parse_crs_line(lines[0][1], f"{path}, line {lines[0][0]}", _FIRST_LINE)
     points: dict[str, FilePoint] = {}
     by_place: dict[tuple[float, ...], str] = {}
     marks = []
     for number, line in lines[1:]:
         if line[0] in "#%":
             continue
-        words = [w.strip() for w in line.split("\t")] if line.count("\t") >= 5 else line.split()
+        words = split_cells(line, "\t" if line.count("\t") >= 5 else None)
         if len(words) < 6:
             raise InputError(f"{path}, line {number}: expected x y z px py image [name], got {line!r}")
+        if not is_file(words[5]) and any(map(is_file, words[6:])):
+            raise InputError(
+                f"{path}, line {number}: the image {words[5]!r} has no suffix, but a word behind it has: part the "
+                "columns by tabs where names have blanks, or put such names between quotes"
+            )
         x, y, z, px, py = (_number(w, path, number) for w in words[:5])
         place = (y, x, z) if crs.is_geographic else (x, y, z)  # its x is the longitude
         name = words[6] if len(words) > 6 else by_place.setdefault(place, f"point {len(by_place) + 1}")
@@ -242,30 +255,16 @@ def _read_odm(path: Path, lines: list[tuple[int, str]], tuning: ControlTuning) -
         _add(points, FilePoint(name=name, xyz=place, sigma_m=tuning.sigma_m, check=check, line=number), path)
         marks.append(FileMark(name=name, image=words[5], xy=(px, py), line=number))
     return GcpFile(
-        path=path, crs=crs.srs, geographic=crs.is_geographic, points=tuple(points.values()), marks=tuple(marks)
+        path=path,
+        crs=crs.srs,
+        geographic=crs.is_geographic,
+        points=tuple(points.values()),
+        marks=tuple(marks),
+        notes=say_axes(crs, path.name),
     )
 
 
-def parse_crs_line(text: str, where: str) -> pyproj.CRS:
-    """The CRS of an ODM header: an EPSG code, a PROJ string, WKT, or "WGS84 UTM 54N". Raises InputError."""
-    import pyproj
-
-    bare = text.strip().lstrip("#").strip()
-    zones = utm_by_name(bare)
-    try:
-        if len(zones) == 1:
-            return pyproj.CRS.from_user_input(zones[0])
-        found = pyproj.CRS.from_user_input(bare) if re.match(r"[A-Za-z+]", bare) else None
-        # PROJ takes the CRS with the most similar name for any word: only a name written out is meant
-        if found is not None and (re.search(r"[:=\[]", bare) or found.name.lower() == bare.lower()):
-            return found
-        raise pyproj.exceptions.CRSError(bare)
-    except pyproj.exceptions.CRSError:
-        raise InputError(
-            f"{where}: {text!r:.99} is no coordinate system; the first line of a gcp_list.txt is one, such as "
-            "EPSG:32654, WGS84 UTM 54N or +proj=utm +zone=54 +datum=WGS84 +units=m; that of a CSV is a header: "
-            f"{FORMS}"
-        ) from None
+_FIRST_LINE = f"; the first line of a gcp_list.txt is one; that of a CSV is a header: {FORMS}"
 
 
 def _number(text: str, path: Path, line: int) -> float:
@@ -282,49 +281,36 @@ def _number(text: str, path: Path, line: int) -> float:
 
 
 def _read_csv(path: Path, lines: list[tuple[int, str]], tuning: ControlTuning) -> GcpFile:
-    """The points and marks of one table or several, each begun by its header."""
-    heads = [k for k, (_, line) in enumerate(lines) if line[0] not in "#%" and _is_header(line)]
+    """The points and marks of one table or several, each begun by its header, or of one without."""
+    heads = [k for k, (_, line) in enumerate(lines) if line[0] not in "#%" and _is_header(line)] or [0]
     cuts = [0, *heads[1:], len(lines)]
-    tables = [
-        table_of(path, "control point file", lines[a:b])
-        for a, b in zip(cuts, cuts[1:])
-        if any(line[0] not in "#%" for _, line in lines[max(a, heads[0]) + 1 : b])  # a header without rows says nothing
-    ]
-    points: dict[str, FilePoint] = {}
-    marks: list[FileMark] = []
-    bars: list[FileBar] = []
-    geographic = set()
-    crs = _csv_crs(lines, path)
-    units_m = _units_m(crs, path)
-    for table in tables:
-        if names_bars(" ".join(table.columns)):
-            bars += read_bars(table, tuning)
+    above = crs_above(lines, path)
+    found = GcpFile(path=path, crs=None if above is None else above.srs, geographic=False, points=(), marks=())
+    kinds = set()
+    for a, b in zip(cuts, cuts[1:]):
+        if all(line[0] in "#%" or _is_header(line) for _, line in lines[a:b]):
+            continue  # a header without rows says nothing
+        table = table_of(path, "control point file", lines[a:b], _EXAMPLE, lambda rows: points_by_content(rows, above))
+        if names_bars(table.columns):
+            bars, note = read_bars(table, tuning)
+            found = replace(found, bars=(*found.bars, *bars), notes=(*found.notes, *table.notes, note))
         else:
-            geographic |= _read_table(table, points, marks, tuning, units_m)
-    if len(geographic) > 1:
+            found, kind = _with_table(found, table, tuning)
+            kinds |= kind
+    if len(kinds) > 1:
         raise InputError(f"{path}: points by x, y, z in one table and by lat, lon, height in another: give one kind")
-    degrees = True in geographic
-    notes = tuple(note for table in tables for note in table.notes)
-    return GcpFile(
-        path=path,
-        crs="EPSG:4979" if crs is None and degrees else crs,
-        geographic=degrees,
-        points=tuple(points.values()),
-        marks=tuple(marks),
-        notes=notes,
-        bars=tuple(bars),
-    )
+    degrees = True in kinds
+    return replace(found, crs="EPSG:4979" if found.crs is None and degrees else found.crs, geographic=degrees)
 
 
-def _read_table(
-    table: Table, points: dict[str, FilePoint], marks: list[FileMark], tuning: ControlTuning, units_m: Sequence[float]
-) -> set[bool]:
-    """Add a table's points and marks; {whether its coordinates are in degrees}, empty without any. Coordinates become
-    those of their CRS, whose axes have ``units_m``."""
-    path = table.path
-    geographic = table.find(_LAT) is not None and table.find(_LON) is not None
-    columns = [table.find(a) for a in ((_LAT, _LON, _HEIGHT) if geographic else (_X, _Y, _HEIGHT))]
-    name, image, px, py = (table.find(a) for a in (_NAME, _IMAGE, _PX, _PY))
+def _with_table(file: GcpFile, table: Table, tuning: ControlTuning) -> tuple[GcpFile, set[bool]]:
+    """A file with a table's points and marks; {whether its coordinates are in degrees}, empty without any. Coordinates
+    become those of their CRS, in the units of its axes."""
+    path, notes = table.path, [*file.notes, *table.notes]
+    roles, crs = coordinates_of(table, file.crs, notes)
+    geographic = "latitude" in roles
+    columns = [table.find(role) for role in roles]
+    name, image, px, py = (table.find(r) for r in ("name", "image", "pixel x", "pixel y"))
     if image is not None and px is None and py is None and None not in columns[:2] and columns[2] is None:
         px, py, columns = columns[0], columns[1], [None] * 3  # name, image, x, y: of a mark
     found = f"{path}: found the columns {', '.join(table.columns)}"
@@ -333,21 +319,36 @@ def _read_table(
         raise InputError(f"{found}; {FORMS}")
     if not whole[1] and not all(m is None for m in (image, px, py)):
         raise InputError(f"{found}; marks need the three columns image, px and py")
+    parsed = None if crs is None else parse_crs_line(crs, str(path))
+    units_m = (1.0, 1.0, 1.0) if geographic else units_of(parsed)
     stated = [table.unit_m(c) for c in columns]
-    scale = [1.0 if s is None else s / u for s, u in zip(stated, (1.0, 1.0, 1.0) if geographic else units_m)]
+    scale = [1.0 if s is None else s / u for s, u in zip(stated, units_m)]
+    points, marks = {p.name: p for p in file.points}, list(file.marks)
+    angles = [table.angles(c, letters) for c, letters in zip(columns, ("NS", "EW"))] if geographic else []
     for row, (line, _) in enumerate(table.rows):
         label = table.cell(row, name)
         if not label:
             raise InputError(f"{path}, line {line}: the point has no name")
         if whole[0] and any(table.cell(row, c) for c in columns):
-            place = tuple(s * _number(table.cell(row, c), path, line) for c, s in zip(columns, scale))
+            values = [float(a[row]) for a in angles] + [float("nan")] * (3 - len(angles))
+            values = [v if v == v else _number(table.plain(row, c), path, line) for v, c in zip(values, columns)]
+            place = tuple(s * v for s, v in zip(scale, values))
             sigma_m, check = _row_facts(table, row, tuning)
-            point = FilePoint(name=label, xyz=place, sigma_m=sigma_m, check=check, line=line)  # type: ignore[arg-type]
-            _add(points, point, path)
+            _add(points, FilePoint(name=label, xyz=place, sigma_m=sigma_m, check=check, line=line), path)  # type: ignore[arg-type]
         if table.cell(row, image):
-            xy = _number(table.cell(row, px), path, line), _number(table.cell(row, py), path, line)
+            xy = _number(table.plain(row, px), path, line), _number(table.plain(row, py), path, line)
             marks.append(FileMark(name=label, image=table.cell(row, image), xy=xy, line=line))
-    return {geographic} if whole[0] else set()
+    used = dict(zip(("name", "image", "pixel x", "pixel y", *roles), (name, image, px, py, *columns)))
+    if geographic:
+        used |= {f"{w} of the Earth": table.half(c, w) for c, w in zip(columns, ("NS", "EW"))}
+    facts = (*SIGMAS, "role") if whole[0] else ()
+    notes.append(
+        table.said({**used, **{r: table.find(r) for r in facts}, **({"crs": table.find("crs")} if crs else {})})
+    )
+    if whole[0] and parsed is not None and table.columns[columns[0] or 0] == "x":
+        notes += say_axes(parsed, path.name)
+    made = replace(file, points=tuple(points.values()), marks=tuple(marks), notes=tuple(notes), crs=crs)
+    return made, {geographic} if whole[0] else set()
 
 
 def _add(points: dict[str, FilePoint], new: FilePoint, path: Path) -> None:
@@ -359,42 +360,24 @@ def _add(points: dict[str, FilePoint], new: FilePoint, path: Path) -> None:
 
 
 def _row_facts(table: Table, row: int, tuning: ControlTuning) -> tuple[tuple[float, float, float], bool]:
-    def number(aliases: tuple[str, ...], otherwise: float) -> float:
-        column = table.find(aliases)
+    def number(what: str, otherwise: float) -> float:
+        column = table.find(what)
         cell = table.cell(row, column)
         if not cell:
             return otherwise
-        value = _number(cell, table.path, table.rows[row][0]) * (table.unit_m(column) or 1.0)
+        value = length_m(table.plain(row, column), table.unit_m(column) or 1.0)
+        value = value if np.isfinite(value) else _number(cell, table.path, table.line(row))
         if not 0 < value <= MAX_SIGMA_M:
             raise InputError(
-                f"{table.path}, line {table.rows[row][0]}: {aliases[0]} = {cell}: a sigma is above 0 and at most "
+                f"{table.where(row)}: {table.columns[column or 0]} = {cell}: a sigma is above 0 and at most "
                 f"{MAX_SIGMA_M:g} m; leave the cell empty if it is not known"
             )
         return value
 
-    flat = number(_SIGMA_XY, number(_SIGMA, tuning.sigma_m[0]))
-    up = number(_SIGMA_Z, number(_SIGMA, tuning.sigma_m[2]))
-    role = table.cell(row, table.find(("role", "type", "kind"))).lower().replace(" ", "_")
+    both = number("sigma", tuning.sigma_m[0])
+    flat = number("horizontal sigma", max(number("sigma to the east", both), number("sigma to the north", both)))
+    up = number("vertical sigma", number("sigma", tuning.sigma_m[2]))
+    role = table.cell(row, table.find("role")).lower().replace(" ", "_")
     if role not in (*_CHECK, *_CONTROL):
-        raise InputError(f"{table.path}, line {table.rows[row][0]}: role {role!r} is neither gcp nor check")
+        raise InputError(f"{table.where(row)}: role {role!r} is neither gcp nor check")
     return (flat, flat, up), role in _CHECK
-
-
-def _units_m(crs: str | None, path: Path) -> tuple[float, float, float]:
-    """Metres of the units of east, north and height of a CRS, in that of east where it has no heights."""
-    parsed = None if crs is None else parse_crs_line(crs, str(path))
-    if parsed is None or not parsed.is_projected:
-        return (1.0, 1.0, 1.0)
-    axes = [a.unit_conversion_factor for a in parsed.axis_info]
-    return (axes[0], axes[1], axes[2] if len(axes) > 2 else axes[0])
-
-
-def _csv_crs(lines: list[tuple[int, str]], path: Path) -> str | None:
-    """A comment line ``# crs: EPSG:n`` before the header."""
-    for number, line in lines:
-        if line[0] not in "#%":
-            break
-        named = re.fullmatch(r"[#%]\s*(?:crs\s*[:=]?\s*)?(EPSG:\d+(?:\+\d+)?|\+proj.*|WGS\s*84\s*UTM.*)", line, re.I)
-        if named:
-            return parse_crs_line(named[1], f"{path}, line {number}").srs
-    return None

@@ -13,6 +13,10 @@ from tiegraph.errors import InputError
 GPS_EPOCH_S = 315964800.0  # 6 January 1980, 0 h UTC, in seconds since 1970
 WEEK_S = 604800.0
 DAY_S = 86400.0
+DATED_S = 1e8  # 1973: times above this are dates
+ROLLOVER_WEEKS = 1024
+ROLLOVER_S = ROLLOVER_WEEKS * WEEK_S
+_SEAM_S = 60.0  # rows on both sides of midnight lie no farther apart
 _FIRST_FULL_WEEK = 1024  # 22 August 1999; receivers that count weeks in ten bits begin again at 0 there
 _LEAP_DAYS = (
     "1981-07-01", "1982-07-01", "1983-07-01", "1985-07-01", "1988-01-01", "1990-01-01", "1991-01-01", "1992-07-01",
@@ -43,6 +47,50 @@ def going_on(seconds: np.ndarray, period_s: float) -> np.ndarray:
     steps = np.diff(out[known], prepend=out[known][:1])
     out[known] += period_s * np.cumsum(-np.round(steps / period_s))
     return out
+
+
+def period_of(seconds: np.ndarray) -> float:
+    """The day or week within which times (R,) without dates count, if they start again at its end; else 0."""
+    known = seconds[np.isfinite(seconds)]
+    back = np.diff(known)
+    for period_s in (DAY_S, WEEK_S):
+        seam = back + period_s  # what lies between the rows on both sides of the end
+        inside = np.all((known >= 0) & (known <= period_s))
+        if inside and np.any((back < -period_s / 2) & (seam >= 0) & (seam <= _SEAM_S)):
+            return period_s
+    return 0.0
+
+
+def laid_on(time_s: np.ndarray, period_s: float, frames_s: np.ndarray) -> tuple[np.ndarray, str]:
+    """Times (R,) on the clock of frames (F,), and what to say of it.
+
+    Times that count within a day or a GPS week (``period_s``, else 0) become those of the day or week nearest to the
+    frames; where these have no dates only if both then overlap. Dates 1024 weeks back are brought forward.
+    """
+    rows, frames = time_s[np.isfinite(time_s)], frames_s[np.isfinite(frames_s)]
+    if not len(rows) or not len(frames):
+        return time_s, ""
+    middle, own = float(np.median(frames)), float(np.median(rows))
+    dated, weekly = middle >= DATED_S, period_s > DAY_S
+    turn = period_s or ROLLOVER_S
+    anchor = float(gps_from_utc(np.array(middle))) if dated and weekly else middle
+    turns = round((anchor - own) / turn)
+    moved = time_s + turns * turn
+    if dated and weekly:
+        return utc_from_gps(moved), ""
+    if dated and period_s:
+        return moved, ""
+    margin = 0.0 if period_s else DAY_S  # for another zone
+    overlap = np.nanmin(moved) <= frames.max() + margin and np.nanmax(moved) >= frames.min() - margin
+    if period_s:
+        return (moved if overlap else time_s), ""
+    if turns < 1 or own < DATED_S or not overlap:
+        return time_s, ""
+    weeks = f"{turns * ROLLOVER_WEEKS} weeks"
+    return (
+        moved,
+        f"its dates lie {weeks} before the frames', where a receiver's count of weeks began again: {weeks} added",
+    )
 
 
 def leap_seconds(time_s: np.ndarray) -> np.ndarray:

@@ -13,9 +13,8 @@ import numpy as np
 
 from tiegraph.errors import InputError
 from tiegraph.scene.names import plain_name
-from tiegraph.scene.regular import regular
 from tiegraph.scene.scene import Scene
-from tiegraph.scene.table import text_lines
+from tiegraph.scene.textfile import decoded, delimiter_of_rows, filled_lines, split_cells, whole_file
 from tiegraph.text import csv_text
 
 SOURCES = ("sequence", "exhaustive", "file", "offsets", "poses", "retrieval", "model")
@@ -238,22 +237,18 @@ def read_pair_list(path: Path, scene: Scene) -> tuple[Pairs, tuple[str, ...]]:
 
 
 def pair_lines(path: Path) -> list[tuple[int, list[str]]]:
-    """(line number, two image names) of a pair list, without comments.
+    """(line number, two image names, parted by blanks, or by tabs, commas or semicolons where names have blanks) of a
+    pair list, without comments.
 
     Raises InputError naming file and line for what is no text, holds no pairs, or has other than two names in a line.
     """
-    try:
-        text = regular(path).read_bytes().decode("utf-8-sig")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read as a pair list: {error.strerror}") from None
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: no pair list: not text in UTF-8 (byte {error.start + 1})") from None
-    out = [(k, line.split("#", 1)[0].split()) for k, line in enumerate(text_lines(text), start=1)]
-    out = [(k, words) for k, words in out if words]
+    text, _ = decoded(path, whole_file(path, "pair list"), "pair list")
+    lines = [(k, line.split("#", 1)[0].strip()) for k, line in filled_lines(text)]
+    out = [(k, split_cells(line, delimiter_of_rows(line))) for k, line in lines if line]
     if not out:
         raise InputError(f"{path}: holds no pairs; expected two image names a line")
     for k, words in out:
-        if len(words) != 2 or "\0" in words[0] + words[1]:
+        if len(words) != 2:
             found = f"{len(words)} words: {' '.join(words)!r:.99}"
             raise InputError(f"{path}, line {k}: expected two image names, found {found}")
     return out

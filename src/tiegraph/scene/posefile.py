@@ -12,7 +12,7 @@ about its normal.
 """
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -20,8 +20,10 @@ from scipy.spatial.transform import Rotation
 
 from tiegraph.errors import InputError
 from tiegraph.geometry.transforms import rigid
-from tiegraph.scene.regular import regular
-from tiegraph.scene.table import in_seconds, out_of_order, text_lines
+from tiegraph.scene.cells import number, out_of_order
+from tiegraph.scene.columnwords import without_unit
+from tiegraph.scene.table import read_table
+from tiegraph.scene.timecolumns import Times, times_in, times_of
 
 FORMS = "a TUM file: t x y z qx qy qz qw"
 _TUM, _KITTI, _EUROC = 8, 12, 17  # columns
@@ -31,7 +33,6 @@ _TIME = r"t|ts|t_n?s|.*(time|stamp).*|secs?|seconds?"
 _HEADERS = "'# time x y z qx qy qz qw' or '# time x y z qw qx qy qz'"
 # What a file of poses can mean, and how its form is told; where that is not sure it is refused.
 _NANOSECONDS = 1e17  # times since 1970 above this are in nanoseconds
-_LAST_S = 1e11  # a time later than this is none, in seconds
 _FAR_M = 1e8  # ECEF and grid coordinates are smaller
 _EXTENT_M = 1e6  # of a survey
 _MOVED = 1e-9  # poses that differ less are the same
@@ -51,18 +52,21 @@ class PoseFile:
     time_s: np.ndarray
     poses: np.ndarray
     notes: tuple[str, ...] = ()
+    period_s: float = 0.0  # times count within a day or a GPS week that nothing names; 0 = from an epoch
 
 
 @dataclass(frozen=True)
 class _Rows:
-    """(T, C) numbers and the lines they stand in; the header's columns of _FIELDS, None without one."""
+    """(T, C) numbers and the lines they stand in; with a header columns of _FIELDS, which of the table they are and the
+    times."""
 
     path: Path
     numbers: np.ndarray
     lines: list[int]
-    header: tuple[int, ...] | None
-    nanoseconds: bool
-    commas: bool
+    times: Times
+    header: tuple[int, ...] | None = None
+    commas: bool = False
+    notes: tuple[str, ...] = ()
 
     def fail(self, row: int, message: str) -> InputError:
         return InputError(f"{self.path}, line {self.lines[row]}: {message}")
@@ -80,27 +84,17 @@ def read_poses(path: Path) -> PoseFile:
         poses = _kitti(rows)
         _check_places(rows, poses[:, :3, 3])
         _check_moves(rows, poses)
-        return PoseFile(np.full(len(poses), np.nan), poses)
+        return PoseFile(np.full(len(poses), np.nan), poses, rows.notes)
     columns, said = _columns(rows)
     table = rows.numbers[:, columns]
-    time_s = table[:, 0] * 1e-9 if rows.nanoseconds else in_seconds(table[:, 0])
-    bad = np.flatnonzero(np.abs(time_s) > _LAST_S)
-    if len(bad):
-        raise rows.fail(bad[0], f"the time {table[bad[0], 0]:g} is none: seconds, or nanoseconds since 1970")
-    return _checked(rows, time_s, table, said)
+    found = _checked(rows, rows.times.seconds, table, (*rows.notes, *said))
+    return replace(found, period_s=rows.times.period_s)
 
 
 def checked_poses(path: Path, time_s: np.ndarray, xyz: np.ndarray, quaternion_xyzw: np.ndarray) -> PoseFile:
     """Poses of a file without text as ``read_poses`` gives them, by their columns (T, ...); lines are their numbers."""
     table = np.column_stack([time_s, xyz, quaternion_xyzw])
-    rows = _Rows(
-        path=path,
-        numbers=table,
-        lines=list(range(1, len(table) + 1)),
-        header=None,
-        nanoseconds=False,
-        commas=False,
-    )
+    rows = _Rows(path, table, lines=list(range(1, len(table) + 1)), times=Times(time_s, {}))
     if not len(table):
         raise InputError(f"{path}: no poses")
     bad = np.flatnonzero(~np.isfinite(table).all(axis=1))
@@ -111,6 +105,9 @@ def checked_poses(path: Path, time_s: np.ndarray, xyz: np.ndarray, quaternion_xy
 
 def _checked(rows: _Rows, time_s: np.ndarray, table: np.ndarray, said: tuple[str, ...] = ()) -> PoseFile:
     """Poses of (T, 8) columns of _FIELDS in time order. Raises InputError for what no trajectory can be."""
+    bad = np.flatnonzero(~np.isfinite(time_s))
+    if len(bad):
+        raise rows.fail(bad[0], f"the time {table[bad[0], 0]:g} is none: seconds, or nanoseconds since 1970")
     with np.errstate(over="ignore"):
         length = np.linalg.norm(table[:, 4:], axis=1)
     bad = np.flatnonzero(~(np.abs(length - 1) <= 1e-2))
@@ -127,93 +124,59 @@ def _checked(rows: _Rows, time_s: np.ndarray, table: np.ndarray, said: tuple[str
 
 
 def _rows(path: Path) -> _Rows:
-    try:
-        text = regular(path).read_bytes().decode("utf-8-sig")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); give {FORMS}") from None
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: no text file in UTF-8 (byte {error.start + 1}); give {FORMS}") from None
-    lines = [(k + 1, line.strip()) for k, line in enumerate(text_lines(text)) if line.strip()]
-    data = [k for k, (_, line) in enumerate(lines) if line[0] not in "#%"]
-    start = next((k for k in data if not re.match(r"[A-Za-z_\"']", lines[k][1])), len(lines))
-    rows = [lines[k] for k in data if k >= start]
-    if not rows:
-        raise InputError(f"{path}: no poses; give {FORMS}")
-    named = [(n, _names(line)) for n, line in lines[:start]]
-    header = next(((n, found) for n, found in reversed(named) if found is not None), None)
-    width = len(_split(rows[0][1]))
-    if header is None and start > 0 and (lines[start - 1][1][0] not in "#%" or _is_header(lines[start - 1][1], width)):
-        n, line = lines[start - 1]
-        raise InputError(f"{path}, line {n}: a header of other columns, {line[:80]!r}; name them as in {_HEADERS}")
-    numbers = _numbers(path, rows)
-    if header is not None and numbers.shape[1] != header[1][1]:
-        message = f"the header names {header[1][1]} columns, but the rows have {numbers.shape[1]}"
-        raise InputError(f"{path}, line {header[0]}: {message}")
-    where = [n for n, _ in rows]
-    above = dict(lines)[header[0]].lower() if header is not None else ""
-    nanoseconds = bool(re.search(r"\[ns\]|nanosec|nsec|_ns\b", above))
+    example = "time x y z qx qy qz qw, or give " + FORMS
+    table = read_table(path, "trajectory", example, lambda rows: ("",) * len(rows[0]))
+    named = _names(table.columns)
+    stamp = next((k for k, c in enumerate(table.columns) if re.fullmatch(_TIME, c)), 0 if named is None else None)
+    times = None if named is None else times_of(table)
+    times = times_in(table, stamp) if times is None and stamp is not None else times
+    if (named is None and table.head[0]) or times is None:
+        message = f"a header of other columns, {table.head[1][:80]!r}; name them as in {_HEADERS}"
+        raise InputError(f"{path}, line {table.head[0]}: {message}")
+    short = next((k for k, (_, cells) in enumerate(table.rows) if len(cells) < len(table.columns)), None)
+    if short is not None:
+        message = f"{len(table.rows[short][1])} columns, but the lines above have {len(table.columns)}"
+        raise InputError(f"{table.where(short)}: {message}")
+    notes = list(table.notes)
+    order = tuple(range(len(table.columns))) if named is None else (times.column, *named)
+    numbers = np.stack([table.numbers(k) for k in order], axis=1)
+    if named is not None:
+        notes += [table.said({**times.used, **dict(zip(_FIELDS[1:], named))}), *times.notes]
+        numbers[:, 0] = times.seconds
+        numbers[:, 1:4] *= table.unit_m(named[0]) or 1.0
+    bad = np.flatnonzero(~np.isfinite(numbers).all(axis=1))
+    if len(bad):
+        cells = [table.cell(int(bad[0]), k) for k in order]
+        words = any(np.isnan(number(c)) and c.lower() != "nan" for c in cells)
+        why = "not all cells are numbers" if words else "not a finite number; leave lost poses out of the file"
+        raise InputError(f"{table.where(int(bad[0]))}: {why}: {' '.join(cells)!r:.99}")
     return _Rows(
         path=path,
         numbers=numbers,
-        lines=where,
-        header=header[1][0] if header else None,
-        nanoseconds=nanoseconds,
-        commas=bool(re.search("[,;]", rows[0][1].rstrip(",; "))),
+        lines=[line for line, _ in table.rows],
+        times=times,
+        header=None if named is None else order,
+        commas=(table.delimiter or "\t") in ",;",
+        notes=tuple(notes),
     )
 
 
-def _is_header(comment: str, width: int) -> bool:
-    """Whether a comment names as many columns as there are, the first of them a time."""
-    cells = _cells(comment)
-    return len(cells) == width and bool(re.fullmatch(_TIME, cells[0]))
+def _names(columns: tuple[str, ...]) -> tuple[int, ...] | None:
+    """Columns of _FIELDS behind the time among those that a header names; None if it lacks some.
 
-
-def _split(line: str) -> list[str]:
-    return re.split(r"\s*[,;]\s*|\s+", line.rstrip(",; "))
-
-
-def _numbers(path: Path, rows: list[tuple[int, str]]) -> np.ndarray:
-    out, width = [], 0
-    for n, line in rows:
-        cells = _split(line)
-        width = width or len(cells)
-        if len(cells) != width:
-            raise InputError(f"{path}, line {n}: {len(cells)} columns, but the lines above have {width}")
-        try:
-            values = [float(c) for c in cells]
-        except ValueError:
-            raise InputError(f"{path}, line {n}: not all cells are numbers: {line[:99]!r}") from None
-        if not np.isfinite(values).all():
-            raise InputError(f"{path}, line {n}: not a finite number; leave lost poses out of the file")
-        out.append(values)
-    return np.array(out)
-
-
-def _names(header: str) -> tuple[tuple[int, ...], int] | None:
-    """Columns of _FIELDS that a header names and how many it has in all; None if it is none.
-
-    The quaternion is what has components x, y, z and w under one prefix (q, rot, orientation., r ...), the position the
+    The quaternion is what has components x, y, z and w under one prefix (q, rot, orientation_, r ...), the position the
     first other one with x, y and z.
     """
-    cells = _cells(header)
     groups: dict[str, dict[str, int]] = {}
-    time = None
-    for k, cell in enumerate(cells):
-        part = re.fullmatch(r"(|.*[a-z0-9])[._\s-]*([wxyz])", cell)
-        if re.fullmatch(_TIME, cell):
-            time = k if time is None else time
-        elif part:
+    for k, cell in enumerate(columns):
+        part = re.fullmatch(r"(|.*?[a-z0-9])_?([wxyz])", without_unit(cell)[0])
+        if part and not re.fullmatch(_TIME, cell):
             groups.setdefault(part[1], {}).setdefault(part[2], k)
     turn = next((g for g in groups.values() if set(g) == set("wxyz")), None)
     place = next((g for g in groups.values() if g is not turn and set("xyz") <= set(g)), None)
-    if time is None or turn is None or place is None:
+    if turn is None or place is None:
         return None
-    return (time, *(place[c] for c in "xyz"), *(turn[c] for c in "xyzw")), len(cells)
-
-
-def _cells(header: str) -> list[str]:
-    bare = re.sub(r"[(\[].*?[)\]]", "", header.strip("#%/ ").lower())
-    return [c.strip(" \"'") for c in (re.split(r"[,;]", bare) if re.search("[,;]", bare) else bare.split())]
+    return (*(place[c] for c in "xyz"), *(turn[c] for c in "xyzw"))
 
 
 # --- which column is which ------------------------------------------------------------------------------------------
@@ -223,12 +186,12 @@ def _columns(rows: _Rows) -> tuple[tuple[int, ...], tuple[str, ...]]:
     """Columns of _FIELDS, and what to say of them."""
     name = rows.path.name
     if rows.header is not None:
-        table = rows.numbers[:, rows.header]
+        table = rows.numbers
         seen, w_first = order_of(table[:, 1:4], table[:, 4:]), rows.header[7] < rows.header[4]
         said = [f"{name}: quaternions with w first, as its header says"] if w_first else []
         if seen.sure and seen.first:  # of components that are in our order already
             said.append(f"{name}: {seen.why}: is the header right about the order of the quaternions?")
-        return rows.header, tuple(said)
+        return tuple(range(_TUM)), tuple(said)
     width, euroc = rows.numbers.shape[1], rows.commas and rows.numbers[0, 0] > _NANOSECONDS
     if width != _TUM and not (euroc and width == _EUROC):
         raise rows.fail(

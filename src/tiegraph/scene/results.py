@@ -35,6 +35,7 @@ class Trajectory:
     notes: tuple[str, ...] = ()  # what to say of the file it came from
     names: tuple[str, ...] = ()  # the image of each pose, which then is its camera's, in no order; else ()
     metric: bool = True  # lengths are metres
+    period_s: float = 0.0  # times count within a day or a GPS week that nothing names; 0 = from an epoch
 
     def __len__(self) -> int:
         return len(self.time_s)

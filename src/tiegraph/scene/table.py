@@ -1,34 +1,42 @@
-"""Small text tables with a header: CSV, semicolons, tabs or blanks."""
+"""Small text tables, read in one way whatever they hold: CSV, semicolons, tabs or blanks.
 
-import bisect
-import codecs
-import csv
+The header may stand behind # or %, below a preamble, in another language, with units in brackets, at the ends of names
+or in a line of their own. Where there is none, what reads the table says by the cells what the columns are.
+"""
+
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
-from datetime import datetime, timezone
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
 from tiegraph.errors import InputError
-from tiegraph.scene.regular import regular
-from tiegraph.text import composed
-
-TIME_LIMIT_S = 1e11  # the year 5138: what is larger in size is no time in seconds
-_UNIT_S = {"ms": 1e-3, "msec": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}
-_UNIT_M = {
-    "m": 1.0, "metre": 1.0, "metres": 1.0, "meter": 1.0, "meters": 1.0, "km": 1e3, "cm": 1e-2, "mm": 1e-3, "ft": 0.3048,
-    "feet": 0.3048, "foot": 0.3048, "ftus": 1200 / 3937, "us-ft": 1200 / 3937, "us ft": 1200 / 3937,
-    "us survey feet": 1200 / 3937,
-}  # fmt: skip
-# A half of the Earth, degrees, minutes, seconds, a half: "N35.5", "35 deg 41' 22.2\" N", "35°41'22.2\"".
-_ANGLE = re.compile(
-    r"\s*([NSEW])?\s*([+-]?\d+(?:\.\d*)?)\s*(?:°|DEG|D)?\s*(?:(\d+(?:\.\d*)?)\s*['′M])?\s*(?:(\d+(?:\.\d*)?)\s*(?:\"|″|''|S(?=\s)))?"
-    r"\s*([NSEW])?\s*"
+from tiegraph.scene.cells import comma_marks, degrees, length_m, number, plain
+from tiegraph.scene.columnwords import ROLES, UNIT_M, UNIT_S, known_words, speaks_of, without_unit
+from tiegraph.scene.textfile import (
+    column_names,
+    decoded,
+    delimiter_of,
+    delimiter_of_rows,
+    filled_lines,
+    holds_values,
+    plain_word,
+    split_cells,
+    whole_file,
 )
-_DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+")
+
 _SHOWN_LINES = 5
+_SHOWN_VALUES = 3
+_HALVES = ("{}_ref", "{}ref", "{}_hemisphere", "{}_hemi", "{}_dir", "{}_direction")  # of the column of an angle
+_TIMES = ("time", "GPS time", "seconds since 1980", "seconds of the week")
+_LEVELS = re.compile(r"(?i).*(msl|asl|hae|ell|geoid|ortho|egm|navd|wgs|level|datum).*")  # in brackets, and no units
+_LISTED = ("a fix", "a unit", "a datum")  # of which the values are said
+Rows = Sequence[tuple[int, tuple[str, ...]]]
+Layout = Callable[[Sequence[tuple[str, ...]]], tuple[str, ...]]
+"""Names of the columns of rows without a header; () where nothing tells them."""
 
 
 @dataclass(frozen=True)
@@ -38,14 +46,20 @@ class Table:
     path: Path
     columns: tuple[str, ...]
     rows: tuple[tuple[int, tuple[str, ...]], ...]
-    units: tuple[str, ...] = ()  # what stood in brackets behind each column name, in lower case; "" = nothing
+    units: tuple[str, ...] = ()  # of each column, in lower case; "" = nothing
     notes: tuple[str, ...] = ()  # what was doubtful about the file as a whole
+    head: tuple[int, str] = (0, "")  # line and text of the header; 0 = there is none
+    delimiter: str | None = ","  # None = blanks
 
-    def find(self, aliases: tuple[str, ...]) -> int | None:
-        """Index of the first column with one of some names. Raises InputError if that name stands twice."""
-        name = next((a for a in aliases if a in self.columns), None)
+    def find(self, role: str | tuple[str, ...]) -> int | None:
+        """Index of the first column with one of the names of a role (``columnwords.ROLES``), or of some names, with a
+        unit at its end or without. Raises InputError if that name stands twice."""
+        names = ROLES[role] if isinstance(role, str) else role
+        name = next((a for a in names if a in self.columns), None)
         if name is None:
-            return None
+            units = UNIT_S if role in _TIMES else {**UNIT_M, "deg": 1, "degrees": 1}
+            split = [without_unit(c) for c in self.columns]
+            return next((split.index(s) for a in names for s in split if s[0] == a and s[1] in units), None)
         found = [k for k, c in enumerate(self.columns) if c == name]
         if len(found) > 1:
             raise InputError(
@@ -55,74 +69,130 @@ class Table:
         return found[0]
 
     def unit(self, column: int | None) -> str:
-        """Unit of a column as its header gives it in brackets, in lower case; "" if it gives none."""
-        return self.units[column] if column is not None and column < len(self.units) else ""
-
-    def unit_m(self, column: int | None) -> float | None:
-        """Metres of the unit of a column of lengths; None if its header gives none, or says something else there."""
-        return _UNIT_M.get(self.unit(column))
+        """Unit of a column as its header gives it, or a column beside it (antenna_height_units); "" if none does."""
+        if column is None:
+            return ""
+        name = self.columns[column]
+        beside = self.find((f"{name}_unit", f"{name}_units"))
+        in_cells = {self.cell(k, beside).lower() for k in range(len(self.rows) if beside is not None else 0)} - {""}
+        return self.units[column] or without_unit(name)[1] or (in_cells.pop() if len(in_cells) == 1 else "")
 
     def line(self, row: int) -> int:
         """Line number of a row in the file."""
         return self.rows[row][0]
+
+    def where(self, row: int) -> str:
+        """The file and the line of a row."""
+        return f"{self.path}, line {self.line(row)}"
 
     def cell(self, row: int, column: int | None) -> str:
         """Text of a cell, "" if the column or the cell is not there."""
         cells = self.rows[row][1]
         return cells[column] if column is not None and column < len(cells) else ""
 
+    @cached_property
+    def comma(self) -> bool | None:
+        """As ``cells.comma_marks`` says of all cells."""
+        return comma_marks([c for _, cells in self.rows for c in cells if "," in c])
+
+    def plain(self, row: int, column: int | None) -> str:
+        """Text of a cell, a number with a point and no groups. Raises InputError where it may be two numbers."""
+        cell = self.cell(row, column)
+        return cell if not self.comma and number(cell) == number(cell) else plain(cell, self.comma, self.where(row))
+
     def numbers(self, column: int | None) -> np.ndarray:
-        """(R,) numbers of a column, NaN where there is none. Raises InputError for decimal commas."""
+        """(R,) numbers of a column, NaN where there is none."""
         if column is None:
             return np.full(len(self.rows), np.nan)
-        out = np.array([number(self.cell(k, column)) for k in range(len(self.rows))], float)
-        for k in np.flatnonzero(np.isnan(out)).tolist():
-            if _DECIMAL_COMMA.fullmatch(self.cell(k, column)):
-                raise InputError(
-                    f"{self.path}, line {self.line(k)}: {self.cell(k, column)!r} has a decimal comma: write numbers "
-                    "with a point"
-                )
-        return out
+        return np.array([number(self.plain(k, column)) for k in range(len(self.rows))], float)
 
-    def angles(self, column: int | None, half: int | None, letters: str) -> np.ndarray:
+    def metres(self, column: int | None) -> np.ndarray:
+        """(R,) lengths of a column, NaN where there is none. Raises InputError for a unit that is none."""
+        if column is None:
+            return np.full(len(self.rows), np.nan)
+        size = self.unit_m(column) or 1.0
+        return np.array([length_m(self.plain(k, column), size) for k in range(len(self.rows))], float)
+
+    def unit_m(self, column: int | None) -> float | None:
+        """Metres of the unit of a column of lengths; None if its header gives none. Raises InputError for another."""
+        unit = self.unit(column)
+        if unit and unit not in UNIT_M and not _LEVELS.fullmatch(unit):
+            name = self.columns[column or 0]
+            raise InputError(f"{self.path}: column {name!r} has lengths in {unit!r}: give m, cm, mm or ft")
+        return UNIT_M.get(unit)
+
+    def half(self, column: int | None, letters: str) -> int | None:
+        """The column that says on which half of the Earth, NS or EW, an angle is, if there is one."""
+        if column is None:
+            return None
+        north, east = letters.lower()
+        return self.find((*(h.format(self.columns[column]) for h in _HALVES), f"{north}_{east}", north + east))
+
+    def angles(self, column: int | None, letters: str = "") -> np.ndarray:
         """(R,) degrees of a column, negative on the second half of the Earth that ``letters``, NS or EW, name. The
-        letter stands in the cell or in a column ``half``; NaN where there is none. Cells may have minutes and seconds.
+        letter stands in the cell or in a column beside; NaN where there is none. Cells may have minutes and seconds.
 
-        Raises InputError for another letter, and for decimal commas.
+        Raises InputError for another letter, and for another unit.
         """
-        out = self.numbers(column)
+        if self.unit(column).startswith(("rad", "gon", "grad", "mil")):
+            unit = "radians" if self.unit(column).startswith("rad") else self.unit(column)
+            raise InputError(f"{self.path}: column {self.columns[column or 0]!r} is in {unit}: write degrees")
+        if column is None or not letters:
+            return self.numbers(column)
+        out, half = np.full(len(self.rows), np.nan), self.half(column, letters)
         for k in range(len(out)):
-            cell, word = self.cell(k, column), self.cell(k, half).upper()
-            if np.isnan(out[k]) and (found := _ANGLE.fullmatch(cell.upper())):
-                whole, minutes, seconds = (float(found[n] or 0) for n in (2, 3, 4))
-                out[k] = np.copysign(abs(whole) + minutes / 60 + seconds / 3600, whole)
-                word = word or found[1] or found[5] or ""
+            out[k], letter = degrees(self.plain(k, column))
+            word = self.cell(k, half).upper() or letter
             if np.isnan(out[k]) or not word:
                 continue
             if word[0] not in letters:
-                where = self.columns[half if half is not None else column or 0]
-                raise InputError(f"{self.path}, line {self.line(k)}: {where} {word!r} is not {' or '.join(letters)}")
+                where = self.columns[half if half is not None else column]
+                raise InputError(f"{self.where(k)}: {where} {word!r} is not {' or '.join(letters)}")
             out[k] = abs(out[k]) * (-1 if word[0] == letters[1] else 1)
         return out
-
-    def times(self, column: int | None, date: int | None = None) -> np.ndarray:
-        """(R,) seconds of a time column: numbers, ISO 8601, or hh:mm:ss with a date column; NaN where there is none.
-
-        A unit in the header, time (ns) or time_ns, is heeded; without one, times since 1970 tell it by their size.
-        """
-        self.numbers(column)
-        cells = [self.cell(k, column) for k in range(len(self.rows))]
-        if date is not None:
-            cells = [f"{self.cell(k, date)} {c}" for k, c in enumerate(cells)]
-        seconds = np.array([parse_time(c) for c in cells], float)
-        named = "" if column is None else self.columns[column].rpartition("_")[2]
-        unit = _UNIT_S.get(self.unit(column) or named)
-        seconds = in_seconds(seconds) if unit is None else seconds * unit
-        return np.where(np.abs(seconds) <= TIME_LIMIT_S, seconds, np.nan)
 
     def some_lines(self, rows: Sequence[int] | np.ndarray) -> str:
         """The line numbers of some rows, in words: "line 4, 5, 9 ..."."""
         return some_lines([self.line(k) for k in rows])
+
+    def said(self, used: Mapping[str, int | None]) -> str:
+        """Which columns are used as what, and which are passed over; of these, what might change the others' meaning
+        with its commonest values.
+
+        Raises InputError for a column of letters N and S, or E and W, that is none of those used.
+        """
+        roles = {k: role for role, k in used.items() if k is not None}
+        read, over, odd = [], [], []
+        for k, name in enumerate(self.columns):
+            unit = f" [{self.units[k]}]" if self.units[k] else ""
+            if k in roles:
+                read.append(name + unit + ("" if roles[k].replace(" ", "_").startswith(name) else f" ({roles[k]})"))
+            elif name and (what := speaks_of(name)):
+                odd.append(f"{name} ({what}{self._values(k) if what in _LISTED else ''})")
+            elif name:
+                over.append(name)
+            if k not in roles:
+                self._refuse_halves(k)
+        parts = (("columns read", read), ("passed over", over), ("passed over, though it may count", odd))
+        return (
+            f"{self.path.name}: "
+            + "; ".join(f"{what}: {', '.join(names)}" for what, names in parts if names)
+            + ("; decimal commas are read as points" if self.comma else "")
+        )
+
+    def _values(self, column: int) -> str:
+        found = Counter(self.cell(k, column) for k in range(len(self.rows)))
+        if len(found) > _SHOWN_VALUES:
+            return ""
+        return ": " + ", ".join(f"{count} of {value!r}" for value, count in found.most_common())
+
+    def _refuse_halves(self, column: int) -> None:
+        found = {self.cell(k, column).upper() for k in range(len(self.rows))} - {""}
+        if found and (found <= {"N", "S"} or found <= {"E", "W"}) and found & {"S", "W"}:
+            raise InputError(
+                f"{self.path}: column {self.columns[column]!r} has halves of the Earth ({', '.join(sorted(found))}), "
+                "and nothing says of which column: call it lat_ref or lon_ref, or leave it out"
+            )
 
 
 def some_lines(lines: Sequence[int]) -> str:
@@ -131,81 +201,109 @@ def some_lines(lines: Sequence[int]) -> str:
     return f"line {shown}" + (" ..." if len(lines) > _SHOWN_LINES else "")
 
 
-def read_table(path: Path, purpose: str) -> Table:
-    """Read a table; lines that start with # or % are comments (the last one before the numbers may be the header).
+def read_table(path: Path, purpose: str, example: str, layout: Layout | None = None) -> Table:
+    """Read a table; lines that start with # or % are comments (one as wide as the rows may be the header).
 
-    Raises InputError, naming file and line, if the file cannot be read as text, is empty, has no header, has a row with
-    more cells than the header (decimal commas, a missing column name) or a second header that names other columns.
+    ``example`` is a header that would do, ``layout`` names the columns of a table without one. Raises InputError,
+    naming file and line, if the file cannot be read as text, is empty, has no header, has a row with more cells than
+    the header (decimal commas, a missing column name) or a second header that names other columns.
     """
     text, notes = decoded(Path(path), whole_file(Path(path), purpose), purpose)
-    lines = [(k + 1, line.strip()) for k, line in enumerate(text_lines(text)) if line.strip()]
-    return table_of(Path(path), purpose, lines, notes)
+    return table_of(Path(path), purpose, filled_lines(text), example, layout, notes)
 
 
-def table_of(path: Path, purpose: str, lines: Sequence[tuple[int, str]], notes: Sequence[str] = ()) -> Table:
+def table_of(
+    path: Path, purpose: str, lines: Sequence[tuple[int, str]], example: str, layout: Layout | None = None,
+    notes: Sequence[str] = (),
+) -> Table:  # fmt: skip
     """The table in some numbered lines of a file, stripped and not empty; raises what ``read_table`` raises."""
-    notes = list(notes)
     if not any(line[0] not in "#%" for _, line in lines):
-        raise InputError(f"{path}: no rows; give the {purpose} as a CSV file with a header line")
-    start = next(k for k, (_, line) in enumerate(lines) if line[0] not in "#%")
-    header = lines[start][1]
-    if not any(re.search("[A-Za-z]", c) for c in _cells(header, _delimiter(header))[:2]) and start > 0:
-        start -= 1
-        header = lines[start][1].lstrip("#% ")
-    delimiter = _delimiter(header)
-    # Blanks part columns only where they do not stand before a unit: "Time (s) Latitude [deg]" has two.
-    named = _cells(header if delimiter else re.sub(r"\s+(?=[(\[])", "", header), delimiter)
-    columns = tuple(_column(c) for c in named)
-    if not any(re.search("[a-z]", c) for c in columns):
-        raise InputError(
-            f"{path}, line {lines[start][0]}: the {purpose} needs a header line with column names, got {header!r}"
-        )
-    given = [(n, tuple(_cells(line, delimiter))) for n, line in lines[start + 1 :] if line[0] not in "#%"]
+        raise InputError(f"{path}: no rows; give the {purpose} as a CSV file with a header line, such as {example}")
+    first, start = _first_rows(lines)
+    text = "" if start is None else lines[start][1].lstrip("#% ")
+    delimiter = delimiter_of_rows(lines[first][1]) if start is None else delimiter_of(text)
+    if start is not None and first < len(lines):
+        delimiter = [*_row_delimiters(lines[first][1], delimiter, len(column_names(text))), delimiter][0]
+    below = lines[first if start is None else start + 1 :]
+    given = [(n, tuple(split_cells(line, delimiter))) for n, line in below if line[0] not in "#%"]
+    if start is None:
+        names = layout([cells for _, cells in given]) if layout else ()
+        if not names:
+            raise InputError(
+                f"{path}, line {lines[first][0]}: no header says what the columns are, and the cells do not: "
+                f"{lines[first][1]!r:.99}; write a first line with their names, such as {example}"
+            )
+        named = list(names)
+    else:
+        named = column_names(text)
+    columns, units = tuple(plain_word(c) for c in named), [_unit(c) for c in named]
+    if given and all(re.fullmatch(r"[(\[].*[)\]]", c) for c in given[0][1] if c):  # a line of units below the names
+        if len(given[0][1]) == len(columns):
+            units = [_unit(c) for c in given[0][1]]
+        given = given[1:]
+    notes = [*notes, *_commented(path, below, len(columns), delimiter)]
     rows = _rows(path, purpose, columns, given, notes)
     if not rows:
         raise InputError(f"{path}: no rows below its header; give the {purpose} as a CSV file with a row a moment")
-    return Table(path=path, columns=columns, rows=rows, units=tuple(_unit(c) for c in named), notes=tuple(notes))
+    head = (0, "") if start is None else lines[start]
+    made = Table(
+        path=path, columns=columns, rows=rows, units=tuple(units), notes=tuple(notes), head=head, delimiter=delimiter
+    )
+    if start is None and any(columns):
+        made = replace(
+            made, notes=(*notes, f"{path.name}: no header; by its cells the columns are {', '.join(columns)}")
+        )
+    return made
 
 
-def text_lines(text: str) -> list[str]:
-    """The lines of a text as editors count them (``str.splitlines`` also parts at form feeds and other separators), in
-    composed form, as names are."""
-    return re.split(r"\r\n|\r|\n", composed(text))
+def _first_rows(lines: Sequence[tuple[int, str]]) -> tuple[int, int | None]:
+    """Index of the first line that holds a value, and of its header, None if it has none.
+
+    The header is the nearest line above with a word that names a column, a comment only if it is as wide as the row;
+    else the last line above that is no comment.
+    """
+    plain_lines = [k for k, (_, line) in enumerate(lines) if line[0] not in "#%"]
+    first = next((k for k in plain_lines if holds_values(lines[k][1])), None)
+    if first is None:
+        return plain_lines[0] + 1, plain_lines[0]
+    for k in range(first - 1, -1, -1):
+        text = lines[k][1]
+        bare = text.lstrip("#% ")
+        names = tuple(plain_word(c) for c in column_names(bare))
+        few = known_words(names) < 2 and not delimiter_of(bare) and names[0] not in ROLES["time"]
+        prose = text[0] in "#%" and (few or holds_values(bare))
+        if prose or not known_words(names):
+            continue
+        if text[0] not in "#%" or _row_delimiters(lines[first][1], delimiter_of(bare), len(names)):
+            return first, k
+    above = [k for k in plain_lines if k < first]
+    return first, (above[-1] if above else None)
 
 
-def whole_file(path: Path, purpose: str) -> bytes:
-    """What is in a file. Raises InputError if it cannot be read."""
-    try:
-        return regular(path).read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); give the {purpose} as a CSV file") from None
+def _row_delimiters(row: str, delimiter: str | None, width: int) -> list[str | None]:
+    """What may part the cells of rows below a header so that they are as wide; first what parts it."""
+    tried = (delimiter, delimiter_of_rows(row), None)
+    return [d for d in tried if len(_joined_date(_filled(row, d), width)) == width]
 
 
-def decoded(path: Path, raw: bytes, purpose: str) -> tuple[str, list[str]]:
-    """Text of a file, UTF-8 or UTF-16 with its mark, and notes. Raises InputError if it is none."""
-    utf16 = raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
-    try:
-        text = raw.decode("utf-16" if utf16 else "utf-8-sig")
-    except UnicodeDecodeError as error:
-        line = raw.count(b"\n", 0, error.start) + 1
-        text = raw.decode("utf-8-sig", errors="replace")
-        notes = [f"{path.name}, line {line}: not UTF-8; names with such letters are not found: save it as UTF-8"]
-    else:
-        notes = []
-    if "\0" in text or (notes and text.count("\ufffd") > len(text) / 4):
-        raise InputError(f"{path}: is no text (it holds zero bytes or no letters); give the {purpose} as a CSV file")
-    return text, notes
+def _filled(row: str, delimiter: str | None) -> tuple[str, ...]:
+    """Cells of a row without the empty ones at its end."""
+    cells = split_cells(row, delimiter)
+    while len(cells) > 1 and not cells[-1]:
+        cells.pop()
+    return tuple(cells)
 
 
 def _rows(
-    path: Path, purpose: str, columns: tuple[str, ...], given: list[tuple[int, tuple[str, ...]]], notes: list[str]
+    path: Path, purpose: str, columns: tuple[str, ...], given: Rows, notes: list[str]
 ) -> tuple[tuple[int, tuple[str, ...]], ...]:
     """The rows without repeated headers and with empty cells at their ends cut off."""
     known, out = {c for c in columns if c}, []
     for line, cells in given:
         cells = _joined_date(cells, len(columns))
-        if len(known & {_column(c) for c in cells if c[:1].isalpha()}) > 1:
-            if tuple(_column(c) for c in cells) != columns:
+        words = [c for c in cells if c[:1].isalpha()]
+        if len(words) > 1 and len(known & {plain_word(c) for c in words}) > 1:
+            if tuple(plain_word(c) for c in cells) != columns:
                 raise InputError(f"{path}, line {line}: a second header with other columns; give one table a file")
             notes.append(f"{path.name}, line {line}: the header again, left out; are these several tables in one file?")
             continue
@@ -227,6 +325,13 @@ def _rows(
     return tuple(out)
 
 
+def _commented(path: Path, below: Sequence[tuple[int, str]], width: int, delimiter: str | None) -> list[str]:
+    """What to say of rows that begin with # or %."""
+    rows = [(n, line.lstrip("#% ")) for n, line in below if line[0] in "#%"]
+    lost = [n for n, line in rows if len(split_cells(line, delimiter)) == width > 1 and holds_values(line)]
+    return [f"{path.name}, {some_lines(lost)}: {len(lost)} rows begin with # or % and are passed over"] if lost else []
+
+
 def _joined_date(cells: tuple[str, ...], columns: int) -> tuple[str, ...]:
     """A date and a time that a blank parted (RTKLIB writes them below one column name) as one cell again."""
     if len(cells) == columns + 1 and re.fullmatch(r"\d{4}[-/]\d\d[-/]\d\d", cells[0]) and ":" in cells[1]:
@@ -234,82 +339,6 @@ def _joined_date(cells: tuple[str, ...], columns: int) -> tuple[str, ...]:
     return cells
 
 
-def parse_time(text: str) -> float:
-    """Seconds of a number, an ISO 8601 time (without zone: taken as UTC) or hh:mm:ss; NaN if it is none of them."""
-    seconds = number(text)
-    if seconds == seconds:
-        return seconds
-    clock = re.fullmatch(r"(\d{1,2}):([0-5]\d):([0-5]\d(?:\.\d+)?)Z?", text.strip())
-    if clock:
-        return int(clock[1]) * 3600 + int(clock[2]) * 60 + float(clock[3])
-    whole, _, fraction = text.strip().replace("/", "-").replace("Z", "+00:00").partition(".")
-    digits = re.match(r"\d+", fraction)
-    try:
-        stamp = datetime.fromisoformat(whole + (fraction[digits.end() :] if digits else ""))
-    except ValueError:
-        return float("nan")
-    stamp = stamp if stamp.tzinfo else stamp.replace(tzinfo=timezone.utc)
-    return stamp.timestamp() + (float(f"0.{digits[0]}") if digits else 0.0)
-
-
-def out_of_order(times: np.ndarray) -> np.ndarray:
-    """Rows of times (R,) that stand out of order: all but the longest run of rows that never go back, where that is
-    most of them; else the rows that go back. One time that is too large is blamed itself, not the row after it."""
-    starts: list[float] = []  # first time, negative, of the best run of each length, and its row
-    rows: list[int] = []
-    after = np.full(len(times), -1)  # the next row of its run
-    for k in range(len(times) - 1, -1, -1):  # from the end, so that of two rows that are exchanged the later one is odd
-        at = bisect.bisect_right(starts, -float(times[k]))
-        after[k] = rows[at - 1] if at else -1
-        starts[at : at + 1], rows[at : at + 1] = [-float(times[k])], [k]
-    keep = np.zeros(len(times), bool)
-    k = rows[-1] if rows else -1
-    while k >= 0:
-        keep[k] = True
-        k = int(after[k])
-    back = np.flatnonzero(np.diff(times) < 0) + 1
-    return np.flatnonzero(~keep) if 2 * keep.sum() > len(times) else back
-
-
-def in_seconds(times: np.ndarray) -> np.ndarray:
-    """Times since 1970 in milli-, micro- or nanoseconds as seconds; other times unchanged."""
-    known = times[np.isfinite(times)]
-    size = float(np.median(np.abs(known))) if len(known) else 0.0
-    for limit, factor in ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3)):
-        if size > limit:
-            return times * factor
-    return times
-
-
-def _delimiter(line: str) -> str | None:
-    best = max(",;\t", key=line.count)
-    return best if best in line else None
-
-
-def _cells(line: str, delimiter: str | None) -> list[str]:
-    """Cells of a line; a delimiter between quotes parts none."""
-    parts = line.split(delimiter)
-    if delimiter is not None and '"' in line:
-        try:
-            parts = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))
-        except csv.Error:  # a cell longer than the reader takes: no table anyway, and what reads it says so
-            pass
-    return [c.strip().strip('"').strip() for c in parts]
-
-
 def _unit(text: str) -> str:
     found = re.search(r"[(\[](.*?)[)\]]", text)
     return found[1].strip().lower() if found else ""
-
-
-def _column(text: str) -> str:
-    text = re.sub(r"[(\[].*?[)\]]", "", text.strip().strip("#%").lower())
-    return re.sub(r"[^a-z0-9]+", "_", text).strip("_")
-
-
-def number(text: str) -> float:
-    """The number that a cell is, NaN if it is none."""
-    try:
-        return float(text)
-    except ValueError:
-        return float("nan")

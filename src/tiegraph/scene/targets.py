@@ -18,7 +18,8 @@ import cv2
 import numpy as np
 
 from tiegraph.errors import InputError
-from tiegraph.scene.table import Table, number
+from tiegraph.scene.columnwords import ROLES, without_unit
+from tiegraph.scene.table import Table
 from tiegraph.scene.tuning import ControlTuning
 
 FORM = "a target is named by its family and number, such as tag36h11:12 or 4x4_50:7"
@@ -91,10 +92,6 @@ def refined(pixels: np.ndarray, xy: np.ndarray, free_px: float, share: float, bo
     return cv2.cornerSubPix(pixels, places, (half, half), (-1, -1), _REFINED).reshape(-1, 2)
 
 
-_FROM = ("from", "first", "target_1", "target1", "point_1", "point1")
-_TO = ("to", "second", "target_2", "target2", "point_2", "point2")
-_LENGTH = ("length", "length_m", "distance", "distance_m")
-_SIGMA = ("sigma", "sigma_m")
 _CHECK = ("check", "checkbar", "check_bar")
 BAR_FORM = (
     "scale bars need the columns from, to, length (metres; if known sigma, role: bar or check) in a table of theirs"
@@ -112,29 +109,31 @@ class FileBar:
     line: int
 
 
-def names_bars(line: str) -> bool:
-    """Whether a line is the header of a table of scale bars."""
-    words = {re.sub(r"[^a-z0-9_]+", "", w) for w in re.split(r"[,;\t ]+", line.lower())}
-    return all(words & set(names) for names in (_FROM, _TO, _LENGTH))
+def names_bars(names: tuple[str, ...]) -> bool:
+    """Whether these are the columns of a table of scale bars."""
+    bare = {without_unit(n)[0] for n in names} | set(names)
+    return all(bare & set(ROLES[role]) for role in ("from", "to", "length"))
 
 
-def read_bars(table: Table, tuning: ControlTuning) -> list[FileBar]:
-    """The bars of a table. Raises InputError, naming file and line, for lengths and sigmas that are none."""
-    first, second, length, sigma = (table.find(a) for a in (_FROM, _TO, _LENGTH, _SIGMA))
-    role = table.find(("role", "type", "kind"))
+def read_bars(table: Table, tuning: ControlTuning) -> tuple[list[FileBar], str]:
+    """The bars of a table, and which columns were read. Raises InputError, naming file and line, for lengths and sigmas
+    that are none."""
+    used = {r: table.find(r) for r in ("from", "to", "length", "sigma", "role")}
+    first, second, length, sigma, role = used.values()
+    lengths, sigmas = table.metres(length), table.metres(sigma)
     out: list[FileBar] = []
     for row in range(len(table.rows)):
-        where = f"{table.path}, line {table.line(row)}"
+        where = table.where(row)
         ends = (table.cell(row, first), table.cell(row, second))
         if not all(ends) or ends[0] == ends[1]:
             raise InputError(f"{where}: a scale bar needs two names that differ, got {ends[0]!r} and {ends[1]!r}")
-        known = _metres(table, row, length)
+        known = float(lengths[row])
         if not 0 < known <= tuning.longest_bar_m:
             raise InputError(
                 f"{where}: length = {table.cell(row, length)}: above 0 and at most {tuning.longest_bar_m:g} m; "
                 "millimetres are said in the header, length (mm)"
             )
-        spread = _metres(table, row, sigma) if table.cell(row, sigma) else tuning.bar_sigma_m
+        spread = float(sigmas[row]) if table.cell(row, sigma) else tuning.bar_sigma_m
         if not 0 < spread < known:
             raise InputError(f"{where}: sigma = {table.cell(row, sigma)}: above 0 and below the length of the bar")
         said = table.cell(row, role).lower()
@@ -143,16 +142,7 @@ def read_bars(table: Table, tuning: ControlTuning) -> list[FileBar]:
         check, line = said in _CHECK, table.line(row)
         out.append(FileBar(ends=ends, length_m=known, sigma_m=spread, check=check, line=line))
         _refuse_other_length(out, where)
-    return out
-
-
-def _metres(table: Table, row: int, column: int | None) -> float:
-    """A length of the table in metres, NaN for what is no number."""
-    unit = table.unit(column)
-    if unit and table.unit_m(column) is None:
-        raise InputError(f"{table.path}: lengths in {unit!r}: give m, cm, mm or ft")
-    value = number(table.cell(row, column)) * (table.unit_m(column) or 1.0)
-    return value if np.isfinite(value) else float("nan")
+    return out, table.said(used)
 
 
 def _refuse_other_length(bars: list[FileBar], where: str) -> None:

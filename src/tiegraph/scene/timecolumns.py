@@ -9,28 +9,37 @@ from dataclasses import dataclass
 import numpy as np
 
 from tiegraph.errors import InputError
-from tiegraph.scene.gpstime import DAY_S, GPS_EPOCH_S, WEEK_S, check_week, going_on, leap_seconds, utc_from_gps
+from tiegraph.scene.cells import in_seconds, parse_time
+from tiegraph.scene.columnwords import UNIT_S
+from tiegraph.scene.gpstime import (
+    DAY_S,
+    GPS_EPOCH_S,
+    WEEK_S,
+    check_week,
+    going_on,
+    leap_seconds,
+    period_of,
+    utc_from_gps,
+)
 from tiegraph.scene.table import Table
 
-_ANY = ("time", "time_s", "t", "timestamp", "time_stamp", "utc", "utc_time", "datetime", "seconds", "sec", "epoch",
-        "unix", "unix_time")  # fmt: skip
-_GPS = ("gps_time", "gpstime", "gpst")
-_SINCE_1980 = ("gps_seconds", "gps_s", "gps_epoch")
-_WEEK = ("gps_week", "gpsweek", "week", "wn", "week_number")
-_IN_WEEK = ("gps_sow", "sow", "gps_tow", "tow", "seconds_of_week", "gps_seconds_of_week", "time_of_week", "gps_week_s")
-_UNITS = ("ns", "us", "ms")
-_DATE = ("date", "utc_date", "day")
+TIME_LIMIT_S = 1e11  # the year 5138: what is larger in size is no time in seconds
 _OVER_S = 3600.0  # programs count on past the end of a week rather than jump
 
 
 @dataclass(frozen=True)
 class Times:
-    """Times of a table: the column that they stand in (that an error names), (R,) seconds, NaN where there is none."""
+    """Times of a table: (R,) seconds, NaN where there is none, and the columns that they stand in by their roles."""
 
-    column: int
     seconds: np.ndarray
-    period_s: float = 0.0  # seconds of a GPS week that no column names; 0 = from an epoch
+    used: dict[str, int | None]
+    period_s: float = 0.0  # of a day or a GPS week that no column names; 0 = from an epoch
     notes: tuple[str, ...] = ()
+
+    @property
+    def column(self) -> int:
+        """The column that an error names."""
+        return next(k for k in self.used.values() if k is not None)
 
 
 def times_of(table: Table) -> Times | None:
@@ -41,25 +50,50 @@ def times_of(table: Table) -> Times | None:
     seconds since 1970, UTC. Raises InputError for a column gps_time of numbers that may be either, and for a week or
     seconds of it that are none.
     """
-    week = table.find(_WEEK)
-    column = _find(table, _ANY)
+    week, column = table.find("GPS week"), table.find("time")
     if column is not None and (week is None or not _within_a_week(table, column)):
-        seconds = table.times(column, table.find(_DATE))
-        clock = ":" in table.cell(0, column) and np.nanmax(seconds, initial=0.0) < DAY_S
-        return Times(column, going_on(seconds, DAY_S) if clock else seconds)
-    column = _find(table, _IN_WEEK) if column is None else column
+        return times_in(table, column)
+    column = table.find("seconds of the week") if column is None else column
     if column is not None:
         return _of_week(table, week, column)
-    column = _find(table, _SINCE_1980)
+    column = table.find("seconds since 1980")
     if column is not None:
-        return _gps(table, column, table.times(column))
-    column = _find(table, _GPS)
-    return None if column is None else _named_gps(table, week, column)
+        return _gps(table, {"seconds since 1980": column}, _seconds(table, column))
+    column = table.find("GPS time")
+    if column is not None:
+        return _named_gps(table, week, column)
+    column = _date(table)
+    return None if column is None else Times(_seconds(table, column), {"date": column})
 
 
-def _find(table: Table, names: tuple[str, ...]) -> int | None:
-    found = table.find(names)
-    return table.find(tuple(f"{n}_{u}" for n in names for u in _UNITS)) if found is None else found
+def times_in(table: Table, column: int) -> Times:
+    """The times of a column of numbers from any epoch, of dates, or of times of day, perhaps with a column of dates."""
+    date = _date(table)
+    seconds = _seconds(table, column, date)
+    clock = ":" in table.cell(0, column) and np.nanmax(seconds, initial=0.0) < DAY_S
+    period = DAY_S if clock else period_of(seconds)
+    return Times(going_on(seconds, period) if period else seconds, {"time": column, "date": date}, period)
+
+
+def _date(table: Table) -> int | None:
+    """The column of dates, if it holds some: in English a datum is none."""
+    column = table.find("date")
+    first = next((c for k in range(len(table.rows)) if (c := table.cell(k, column))), "")
+    return column if parse_time(first) == parse_time(first) else None
+
+
+def _seconds(table: Table, column: int, date: int | None = None) -> np.ndarray:
+    """(R,) seconds of a time column: numbers, ISO 8601, or hh:mm:ss with a date column; NaN where there is none.
+
+    A unit in the header, time (ns) or time_ns, is heeded; without one, times since 1970 tell it by their size.
+    """
+    cells = [table.plain(k, column) for k in range(len(table.rows))]
+    if date is not None:
+        cells = [f"{table.cell(k, date)} {c}" for k, c in enumerate(cells)]
+    seconds = np.array([parse_time(c) for c in cells], float)
+    unit = UNIT_S.get(table.unit(column))
+    seconds = in_seconds(seconds) if unit in (None, 1.0) else seconds * unit
+    return np.where(np.abs(seconds) <= TIME_LIMIT_S, seconds, np.nan)
 
 
 def _within_a_week(table: Table, column: int) -> bool:
@@ -70,40 +104,41 @@ def _within_a_week(table: Table, column: int) -> bool:
 
 
 def _named_gps(table: Table, week: int | None, column: int) -> Times:
-    seconds = table.times(column, table.find(_DATE))
-    numbers = table.numbers(column)
-    if np.isnan(numbers).all():  # dates; times of day alone are of any clock
+    seconds = _seconds(table, column, _date(table))
+    used = {"GPS time": column, "date": _date(table)}
+    if np.isnan(table.numbers(column)).all():  # dates; times of day alone are of any clock
         dated = np.nanmax(seconds, initial=0.0) >= GPS_EPOCH_S
-        return _gps(table, column, seconds - GPS_EPOCH_S) if dated else Times(column, seconds)
-    if np.nanmax(np.abs(seconds), initial=0.0) <= WEEK_S + _OVER_S:
-        return _of_week(table, week, column)
+        return _gps(table, used, seconds - GPS_EPOCH_S) if dated else Times(seconds, used)
+    most = np.nanmax(np.abs(seconds), initial=0.0)
+    if most <= WEEK_S + _OVER_S or week is not None:
+        return _of_week(table, week, column, 1.0 if most <= WEEK_S + _OVER_S else 1e-3)  # ArduPilot: milliseconds
     row = int(np.flatnonzero(np.abs(seconds) > WEEK_S + _OVER_S)[0])
     raise InputError(
-        f"{table.path}, line {table.line(row)}: {table.columns[column]} {table.cell(row, column)} may count from 1980 "
-        "(GPS) or from 1970 (Unix, UTC): name the column gps_seconds, or unix_time"
+        f"{table.where(row)}: {table.columns[column]} {table.cell(row, column)} may count from 1980 (GPS) or from 1970 "
+        "(Unix, UTC): name the column gps_seconds, or unix_time"
     )
 
 
-def _of_week(table: Table, week: int | None, column: int) -> Times:
-    seconds = table.times(column)
+def _of_week(table: Table, week: int | None, column: int, unit_s: float = 1.0) -> Times:
+    seconds = _seconds(table, column) * unit_s
     bad = np.flatnonzero((seconds < 0) | (seconds > WEEK_S + _OVER_S))
     if len(bad):
         raise InputError(
-            f"{table.path}, line {table.line(bad[0])}: {table.columns[column]} {table.cell(bad[0], column)} is no "
-            f"second of a week of {WEEK_S:.0f} s: give its unit, as in {table.columns[column]} (ms), or call a time of "
-            "another kind time"
+            f"{table.where(bad[0])}: {table.columns[column]} {table.cell(bad[0], column)} is no second of a week of "
+            f"{WEEK_S:.0f} s: give its unit, as in {table.columns[column]} (ms), or call a time of another kind time"
         )
+    used = {"seconds of the week": column, "GPS week": week}
     if week is None:
-        return Times(column, going_on(seconds, WEEK_S), period_s=WEEK_S)
+        return Times(going_on(seconds, WEEK_S), used, WEEK_S)
     weeks = table.numbers(week)
     for k in np.flatnonzero(np.isfinite(weeks)).tolist():
-        check_week(weeks[k], f"{table.path}, line {table.line(k)}")
-    return _gps(table, column, weeks * WEEK_S + seconds)
+        check_week(weeks[k], table.where(k))
+    return _gps(table, used, weeks * WEEK_S + seconds)
 
 
-def _gps(table: Table, column: int, gps_s: np.ndarray) -> Times:
+def _gps(table: Table, used: dict[str, int | None], gps_s: np.ndarray) -> Times:
     seconds = np.where(np.isfinite(gps_s), utc_from_gps(np.nan_to_num(gps_s)), np.nan)
-    return Times(column, seconds, notes=(gps_note(table.path.name, seconds),))
+    return Times(seconds, used, notes=(gps_note(table.path.name, seconds),))
 
 
 def gps_note(name: str, time_s: np.ndarray) -> str:

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tiegraph.scene.table import number
+from tiegraph.scene.cells import number
 
 XMP_TAG = 700  # of TIFF
 _MAX_DEG = 360.0

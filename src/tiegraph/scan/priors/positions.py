@@ -9,14 +9,13 @@ import numpy as np
 from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import Origin, area_note, datum_note, make_origin, middle, world_from_geodetic
 from tiegraph.geometry.transforms import rigid
-from tiegraph.scan.priors.times import FrameRow, absent, frame_by_image
+from tiegraph.scan.priors.times import FrameRow, absent, frames_of_names
 from tiegraph.scan.rigfiles.rigspec import AXES, RigSpec
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import PositionsTuning
 from tiegraph.scene.exif import Exif
-from tiegraph.scene.gnss import Gnss, at_times, far_rows, on_clock_of, stuck_note, without_far
+from tiegraph.scene.gnss import Gnss, at_times, far_rows, moved_within, on_clock_of, stuck_note, without_far
 from tiegraph.scene.gpstime import DAY_S, GPS_EPOCH_S
-from tiegraph.scene.names import plain_name
 from tiegraph.scene.rig import Rig
 
 _NAMED = 3  # frames without a position that are named
@@ -48,6 +47,7 @@ class Priors:
     time_s: np.ndarray
     world_from_rig: np.ndarray
     position_sigma_m: np.ndarray
+    step_s: float = 0.0  # of the times, where the cameras' clocks have whole seconds
     origin: Origin | None = None
     prior: str = "none"
     started: bool = False  # as of the Scene
@@ -75,11 +75,14 @@ def from_gnss(
     if not gnss.names:
         near = _overlap(gnss, priors.time_s, path, settings)
     origin = _origin(gnss.lat_lon_height[near], settings, notes)
+    cut = np.zeros((len(frames.rows), 3))
     world = world_from_geodetic(gnss.lat_lon_height, origin)
     if gnss.names:
         position, sigma, heading = _by_image(frames, gnss, world, path, notes, tuning.apart_m)
     else:
         position, sigma, heading = at_times(gnss, world, priors.time_s, settings.max_gap_s)
+        moved = replace(gnss, sigma_m=moved_within(gnss.time_s, world, priors.step_s))
+        cut = at_times(moved, world, priors.time_s, settings.max_gap_s)[1]
     there = np.isfinite(position[:, 0])
     if not there.any():
         raise InputError(
@@ -99,6 +102,12 @@ def from_gnss(
             f"{path.name}: accuracy not given; {default[0]:g} m horizontal and {default[2]:g} m vertical assumed"
         )
     sigma = np.where(there[:, None], np.where(np.isnan(sigma), default, sigma), np.nan)
+    if np.any(cut[there] > sigma[there]):
+        notes.append(
+            f"{path.name}: the frames' times have whole seconds, in which the receiver moved {np.nanmax(cut):.1f} m "
+            "(root mean square) and more; that is in their sigmas: --times with fractions of seconds would do better"
+        )
+    sigma = np.hypot(sigma, cut)
     pose = rigid(_rotations(frames, heading), position)
     pose[~there] = np.nan
     return replace(priors, world_from_rig=pose, position_sigma_m=sigma, origin=origin, prior="gnss")
@@ -185,8 +194,7 @@ def _clock(gnss: Gnss, time_s: np.ndarray) -> str:
 def _known(gnss: Gnss, frames: Frames, path: Path) -> Gnss:
     """The rows of a file by image whose images are here. Raises InputError if there are none."""
     gnss = _by_number(gnss, frames, path)
-    lookup = frame_by_image(frames.rows, frames.names)
-    keep = np.array([plain_name(name) in lookup for name in gnss.names], bool)
+    keep = np.array([k is not None for k in frames_of_names(gnss.names, frames.rows, frames.names)], bool)
     if keep.all():
         return gnss
     first = int(np.flatnonzero(~keep)[0])
@@ -224,10 +232,10 @@ def _by_number(gnss: Gnss, frames: Frames, path: Path) -> Gnss:
 def _by_image(
     frames: Frames, gnss: Gnss, world: np.ndarray, path: Path, notes: list[str], apart_m: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    lookup = frame_by_image(frames.rows, frames.names)
     rows: dict[int, list[int]] = {}
-    for k, name in enumerate(gnss.names):
-        rows.setdefault(lookup[plain_name(name)], []).append(k)
+    for k, frame in enumerate(frames_of_names(gnss.names, frames.rows, frames.names)):
+        if frame is not None:
+            rows.setdefault(frame, []).append(k)
     count = len(frames.rows)
     position, sigma, heading = np.full((count, 3), np.nan), np.full((count, 3), np.nan), np.full(count, np.nan)
     apart = []

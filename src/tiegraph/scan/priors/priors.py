@@ -21,7 +21,8 @@ from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import TimesTuning, TrajectoryTuning, Tuning
 from tiegraph.scene.bags import source_of
 from tiegraph.scene.exif import Exif
-from tiegraph.scene.gnss import read_gnss
+from tiegraph.scene.gnss import read_gnss, step_of
+from tiegraph.scene.gpstime import laid_on
 from tiegraph.scene.results import Trajectory
 
 
@@ -74,7 +75,8 @@ def estimate_priors(
     else:
         paths = _paths(frames, files, time_s, settings, notes, tuning.trajectory)
     count = len(frames.rows)
-    priors = Priors(time_s, np.full((count, 4, 4), np.nan), np.full((count, 3), np.nan))
+    step = 0.0 if times is not None else step_of(time_s)
+    priors = Priors(time_s, np.full((count, 4, 4), np.nan), np.full((count, 3), np.nan), step_s=step)
     if gnss is not None:
         rows = read_gnss(gnss, tuning.positions.gnss)
         priors = from_gnss(priors, frames, rows, source_of(Path(gnss)), settings, notes, tuning.positions)
@@ -181,7 +183,9 @@ def _paths(
     poses, group = np.full((len(frames.rows), 4, 4), np.nan), np.full(len(frames.rows), -1)
     for sequence, (path, trajectory) in files.items():
         rows = np.arange(len(group)) if sequence < 0 else np.flatnonzero(frames.sequence() == sequence)
-        poses[rows] = _frame_poses(trajectory, path, rows, frames, time_s, settings)
+        moved, note = laid_on(trajectory.time_s, trajectory.period_s, time_s[rows])
+        notes += [f"{path.name}: {note}"] if note else []
+        poses[rows] = _frame_poses(replace(trajectory, time_s=moved), path, rows, frames, time_s, settings)
         group[rows] = max(sequence, 0) if own_worlds else 0
         missing = int(np.isnan(poses[rows, 0, 0]).sum())
         if missing:

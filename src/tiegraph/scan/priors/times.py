@@ -1,5 +1,6 @@
 """When each frame was taken: from a table, from EXIF, or from numbers in the names that are times."""
 
+import os
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,14 +13,13 @@ from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import apart
 from tiegraph.scan.folders import LONE_PASS
 from tiegraph.scan.tuning import TimesTuning
+from tiegraph.scene.bycontent import times as times_by_content
+from tiegraph.scene.cells import in_seconds
 from tiegraph.scene.exif import Exif
-from tiegraph.scene.gnss import IMAGE
 from tiegraph.scene.names import plain_name
-from tiegraph.scene.table import Table, in_seconds, read_table
+from tiegraph.scene.table import Table, read_table
 from tiegraph.scene.timecolumns import Times, times_of
 
-_FRAME = ("frame", "frame_id", "frame_name", "shot")
-_PASS = ("pass", "track", "run", "strip")
 _UNIX_NAME = re.compile(r"(?:^|\D)(\d{10}(?:[._]\d{1,9})?|\d{13}|\d{16}|\d{19})$")
 _DATE_NAME = re.compile(r"(?:^|\D)((?:19|20)\d{6})[_\-T ]?(\d{6})(\d{0,6})(?:\D|$)")
 _UNIX_RANGE_S = (631152000.0, 4102444800.0)  # 1990 ... 2100: other numbers of ten digits are serial numbers
@@ -44,9 +44,10 @@ def read_times(
     of several images of a frame the median counts. Notes say what is doubtful. Raises InputError for missing columns,
     times that are none, a frame or image with two times, one time for all frames, and when no row fits a frame.
     """
-    table = read_table(path, "times file")
+    table = read_table(path, "times file", "image,time", times_by_content)
     time = times_of(table)
-    image, frame, sequence = (table.find(c) for c in (IMAGE, _FRAME, _PASS))
+    image, frame, sequence = (table.find(c) for c in ("image", "frame", "pass"))
+    image = table.find("name") if image is None and frame is None else image
     if time is None or (image is None and frame is None):
         raise InputError(
             f"{path}: found the columns {', '.join(table.columns)}; expected time and image, or pass, frame and time"
@@ -54,11 +55,13 @@ def read_times(
     if image is None and sequence is None and len(sequences) > 1:
         raise InputError(f"{path}: a frame's name is not unique over {len(sequences)} passes: add a column pass")
     seconds = _seconds(table, time)
-    notes = [*table.notes, *time.notes]
+    said = table.said({**time.used, **({"image": image} if image is not None else {"frame": frame, "pass": sequence})})
+    notes = [*table.notes, said, *time.notes]
     keys: list[tuple[str, ...]]
     if image is not None:
         keys = [(plain_name(table.cell(k, image)),) for k in range(len(seconds))]
-        lookup: dict[tuple[str, ...], int] = _by_image(frames, names)
+        found = frames_of_names([key[0] for key in keys], frames, names)
+        lookup = {key: of for key, of in zip(keys, found) if of is not None}
     else:
         passes = _passes(table, sequence, sequences, notes)
         keys = [(passes[k], _plain(table.cell(k, frame))) for k in range(len(seconds))]
@@ -195,23 +198,22 @@ def absent(name: str, names: Sequence[str]) -> str:
     return f"names are relative to the image folder, as {twins[0] if twins else names[0]}"
 
 
-def frame_by_image(frames: Sequence[FrameRow], names: Sequence[str]) -> dict[str, int]:
-    """Frame of an image by its name below the folder, or by its file name where that is unique."""
-    return {key[0]: frame for key, frame in _by_image(frames, names).items()}
-
-
-def _by_image(frames: Sequence[FrameRow], names: Sequence[str]) -> dict[tuple[str, ...], int]:
+def frames_of_names(given: Sequence[str], frames: Sequence[FrameRow], names: Sequence[str]) -> tuple[int | None, ...]:
+    """Frame of each given name of an image, None = not here: by its path below the image folder, or by its file name,
+    with or without suffix, where that is of one frame. First folders that all have and none needs are left away."""
     short: dict[str, set[int]] = {}
-    full: dict[tuple[str, ...], int] = {}
+    full: dict[str, int] = {}
     for k, frame in enumerate(frames):
         for image in frame.images:
-            full[(names[image],)] = k
-            short.setdefault(PurePosixPath(names[image]).name, set()).add(k)
-            short.setdefault(PurePosixPath(names[image]).stem, set()).add(k)
-    unique: dict[tuple[str, ...], int] = {
-        (name,): next(iter(found)) for name, found in short.items() if len(found) == 1
-    }
-    return {**unique, **full}
+            path = PurePosixPath(names[image])
+            full[names[image]] = k
+            for name in (path.name, path.stem):
+                short.setdefault(name, set()).add(k)
+    lookup = {name: next(iter(found)) for name, found in short.items() if len(found) == 1} | full
+    parts = [plain_name(name).split("/") for name in given]
+    levels = range(len(os.path.commonprefix([p[:-1] for p in parts])) + 1)
+    tried = (tuple(lookup.get("/".join(p[level:])) for p in parts) for level in levels)
+    return next((found for found in tried if set(found) != {None}), (None,) * len(given))
 
 
 def _by_frame(frames: Sequence[FrameRow], sequences: Sequence[str]) -> dict[tuple[str, ...], int]:

@@ -37,7 +37,9 @@ def read_trajectory(path: Path) -> Trajectory:
         return Trajectory(unknown, np.array(list(named.values())), unknown, names=tuple(named))
     found = read_bag_poses(path) if is_bag(path) else read_poses(path)
     unknown = np.full(len(found.poses), np.nan)
-    return Trajectory(found.time_s, found.poses, unknown, notes=found.notes, metric=not _says_free(path))
+    return Trajectory(
+        found.time_s, found.poses, unknown, notes=found.notes, metric=not _says_free(path), period_s=found.period_s
+    )
 
 
 FREE_UNIT = "# unit: free (a single camera tells no scale)"

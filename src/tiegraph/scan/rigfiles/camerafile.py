@@ -21,7 +21,7 @@ from tiegraph.scan.rigfiles.rigfaults import MAX_SIDE_PX, lens_fault
 from tiegraph.scan.rigfiles.rigreader import nearest
 from tiegraph.scan.tuning import CameraTuning
 from tiegraph.scene.regular import regular
-from tiegraph.scene.table import text_lines
+from tiegraph.scene.textfile import text_lines
 
 PROGRAMS = (
     "COLMAP's cameras.txt or cameras.bin, OpenCV's or ROS's YAML or XML, Kalibr's camchain.yaml, OpenSfM's "

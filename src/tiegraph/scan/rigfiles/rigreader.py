@@ -14,7 +14,7 @@ from tiegraph.geometry.transforms import from_quaternion_wxyz
 from tiegraph.scan.rigfiles.rigfaults import Fault
 from tiegraph.scan.rigfiles.rigspec import UNIT, RigSpec
 from tiegraph.scan.tuning import RigTuning
-from tiegraph.scene.table import text_lines
+from tiegraph.scene.textfile import text_lines
 
 
 class Reader:

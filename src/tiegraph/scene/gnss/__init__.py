@@ -18,16 +18,24 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tiegraph.scene.bags import is_bag
-from tiegraph.scene.gnss import columns, geotxt, mrk, navsat, nmea, rtklib, sbet, xmltracks
-from tiegraph.scene.gnss.columns import IMAGE
+from tiegraph.scene.gnss import columns, mrk, navsat, nmea, rtklib, sbet, xmltracks
 from tiegraph.scene.gnss.fixes import HEIGHT_RANGE_M, SIGMA_RANGE_M, Fixes, judged
-from tiegraph.scene.gnss.rows import Gnss, at_times, far_rows, on_clock_of, stuck_note, without_far
-from tiegraph.scene.table import whole_file
+from tiegraph.scene.gnss.rows import (
+    Gnss,
+    at_times,
+    far_rows,
+    moved_within,
+    on_clock_of,
+    step_of,
+    stuck_note,
+    without_far,
+)
+from tiegraph.scene.textfile import whole_file
 from tiegraph.scene.tuning import GnssTuning
 
 __all__ = [
-    "FORMATS", "HEIGHT_RANGE_M", "IMAGE", "SIGMA_RANGE_M", "Gnss", "at_times", "far_rows", "on_clock_of", "read_gnss",
-    "stuck_note", "without_far",
+    "FORMATS", "HEIGHT_RANGE_M", "SIGMA_RANGE_M", "Gnss", "at_times", "far_rows", "moved_within", "on_clock_of",
+    "read_gnss", "step_of", "stuck_note", "without_far",
 ]  # fmt: skip
 
 _HEAD = 1 << 16  # bytes that tell a format
@@ -47,9 +55,9 @@ FORMATS: dict[str, Format] = {
     "SBET": Format(sbet.is_sbet, sbet.read_sbet),
     "RTKLIB": Format(rtklib.is_rtklib, rtklib.read_rtklib),
     "DJI MRK": Format(mrk.is_mrk, mrk.read_mrk),
-    "ODM geo.txt": Format(geotxt.is_geotxt, geotxt.read_geotxt),
+    "ODM geo.txt": Format(columns.is_geotxt, columns.read_geotxt),
     "NMEA 0183": Format(nmea.is_nmea, nmea.read_nmea),
-    "CSV": Format(lambda text, raw: True, lambda path, raw: columns.read_columns(path)),
+    "CSV": Format(lambda text, raw: True, columns.read_columns),
 }  # the first that fits
 
 

@@ -1,78 +1,84 @@
 """Positions from a CSV file: a row a moment, or a row an image."""
 
+from __future__ import annotations
+
+import re
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tiegraph.errors import InputError
-from tiegraph.scene.gnss.fixes import EMPTY, SIGMA_RANGE_M, Fixes
-from tiegraph.scene.table import Table, read_table
+from tiegraph.geometry.geodesy import crs_transformer
+from tiegraph.scene.bycontent import geotxt, is_file, positions
+from tiegraph.scene.columnwords import SIGMAS
+from tiegraph.scene.crsline import crs_above, parse_crs_line, say_axes, units_of
+from tiegraph.scene.gnss.fixes import EMPTY, SIGMA_RANGE_M, Fixes, above_ellipsoid
+from tiegraph.scene.table import Table, table_of
+from tiegraph.scene.textfile import decoded, filled_lines
 from tiegraph.scene.timecolumns import times_of
 
-IMAGE = ("image", "name", "file", "filename", "file_name", "image_name", "photo", "label", "sourcefile")
-_LAT = ("lat", "latitude", "lat_deg", "latitude_deg", "gpslatitude", "gps_latitude", "phi")
-_LON = ("lon", "long", "lng", "longitude", "lon_deg", "longitude_deg", "long_deg", "gpslongitude", "gps_longitude",
-        "lambda")  # fmt: skip
-_HEIGHT = ("ellipsoidal_height", "ellh", "height", "alt", "altitude", "elevation", "h", "height_m", "alt_m",
-           "altitude_m", "elev", "gpsaltitude", "gps_altitude", "z")  # fmt: skip
-_HALVES = ("{}_ref", "{}ref", "{}_hemisphere", "{}_hemi", "{}_dir", "{}_direction")  # of the column of an angle
-_NORTH_SOUTH, _EAST_WEST = ("n_s", "ns", "north_south"), ("e_w", "ew", "east_west")
-_SIGMA = ("sigma", "sigma_m", "std", "stdev", "accuracy", "sd", "error")
-_SIGMA_H = ("sigma_h", "sigma_h_m", "std_h", "hacc", "h_acc", "sdh", "horizontal_accuracy", "sigma_horizontal")
-_SIGMA_V = (
-    "sigma_v",
-    "sigma_v_m",
-    "std_v",
-    "vacc",
-    "v_acc",
-    "sdv",
-    "vertical_accuracy",
-    "sigma_vertical",
-    "sdu",
-    "sigma_u",
-)
-_SIGMA_E = ("sde", "sigma_e", "std_e")
-_SIGMA_N = ("sdn", "sigma_n", "std_n")
-_HEADING = ("heading", "heading_deg", "yaw", "yaw_deg", "azimuth")
-_CLOCK = ("time", "date", "week", "sow", "tow", "utc", "leap")  # a word of columns that a time may be made of
+if TYPE_CHECKING:
+    import pyproj
+
+_CRS = re.compile(r"(?i)EPSG:\d+(?:\+\d+)?$|\+(?:proj|init)=|WGS\s*84\s*UTM\s*\d+\s*[NS]$")
+_GCP = re.compile(r"[-+.\d]+(?:\s+[-+.\d]+){4}\s+\S+")
+_SEA = re.compile("msl|asl|geoid|ortho|egm|navd|標高")  # in the name or unit of heights above the sea
 _TILT = ("pitch", "roll", "omega", "phi")  # any column with such a word
 _LEVEL_DEG = 20.0  # a body tilted by more has no heading that a table of yaw, pitch and roll gives by its yaw alone
-_SIGMAS = (_SIGMA, _SIGMA_H, _SIGMA_V, _SIGMA_E, _SIGMA_N)
+_EXAMPLE = "image,lat,lon,height"
 
 
-def read_columns(path: Path) -> Fixes:
+def read_columns(path: Path, raw: bytes) -> Fixes:
     """Rows of a table with the columns time (or image), lat, lon, height, and if there: sigma or sigma_h and sigma_v,
-    heading.
+    heading. Below a line ``# crs: EPSG:n`` places may be east, north, height of that grid.
 
     Times are as ``scene.timecolumns`` reads them, lengths in the unit of their header. Raises InputError naming the
     columns found if one is missing, and for angles in radians.
     """
-    table = read_table(path, "GNSS file")
-    lat, lon, height = table.find(_LAT), table.find(_LON), table.find(_HEIGHT)
-    _refuse_radians(table, (lat, lon))
-    halves = [_half(table, column, also) for column, also in ((lat, _NORTH_SOUTH), (lon, _EAST_WEST))]
-    angles = [table.angles(c, half, letters) for c, half, letters in zip((lat, lon), halves, ("NS", "EW"))]
-    llh = np.stack([*angles, _metres(table, height)], axis=1)
-    image = table.find(IMAGE)
-    times = times_of(table) if image is None else None
-    missing = [n for n, c in (("lat", lat), ("lon", lon), ("height", height)) if c is None]
-    if image is None and times is None:
-        missing.insert(0, "time (or image)")
-    if missing:
-        raise InputError(
-            f"{path}: no column {', '.join(missing)}; found: {', '.join(table.columns)}. Expected: time or image, lat, "
-            "lon, height, and optionally sigma or sigma_h and sigma_v (metres), heading; a table of times may have "
-            "gps_week and gps_sow, gps_seconds, or time_ns instead of time"
-        )
-    notes = [*table.notes, *_say_choice(table, _HEIGHT, height)]
-    columns = {"latitude": lat, "longitude": lon, "height": height, "time": times.column if times else None}
+    text, doubts = decoded(path, raw, "GNSS file")
+    lines = filled_lines(text)
+    table = table_of(path, "GNSS file", lines, f"time,lat,lon,height or {_EXAMPLE}", positions, doubts)
+    return _fixes(table, crs_above(lines, path))
 
-    def text(row: int, what: str) -> str:
+
+def is_geotxt(text: str, raw: bytes) -> bool:
+    """Whether the first line of a file that is no comment is a CRS."""
+    first = next((line for _, line in filled_lines(text) if not line.startswith("#")), "")
+    return bool(_CRS.match(first))
+
+
+def read_geotxt(path: Path, raw: bytes) -> Fixes:
+    """Rows of ODM's geo.txt: first line the CRS, then image x y [z] [yaw pitch roll] [sigma_h sigma_v] [more].
+
+    Raises InputError for an unknown CRS, a place outside it, no rows, and for a list of control points.
+    """
+    text, doubts = decoded(path, raw, "GNSS file")
+    (n, first), *lines = [(n, line) for n, line in filled_lines(text) if not line.startswith("#")]
+    crs = parse_crs_line(first, f"{path}, line {n}")
+    control = next((n for n, line in lines if _GCP.match(line)), None)
+    if control is not None:
+        raise InputError(
+            f"{path}, line {control}: x y z px py image, as in a gcp_list.txt: give control points by --gcp"
+        )
+    return _fixes(table_of(path, "GNSS file", lines, "image x y z", geotxt, doubts), crs)
+
+
+def _fixes(table: Table, crs: pyproj.CRS | None) -> Fixes:
+    image, notes = _image(table), list(table.notes)
+    times = times_of(table) if image is None else None
+    llh, used = _places(table, crs, [] if image is not None or times is not None else ["time (or image)"], notes)
+    sigma = _sigma(table, notes)
+    heading, turned = _heading(table, notes)
+    what = (("latitude", "northing"), ("longitude", "easting"), ("height", "ellipsoidal height"))
+    columns = {a: used.get(a, used.get(b)) for a, b in what}
+    used |= {"image": image, **(times.used if times else {}), **turned, **{s: table.find(s) for s in SIGMAS}}
+
+    def text_of(row: int, what: str) -> str:
+        if what == "time":
+            return table.cell(row, times.column if times else None)
         return table.cell(row, _worst(table, row) if what == "accuracy" else columns[what])
 
-    sigma = _sigma(table, notes)
-    heading = _heading(table, notes)
-    _say_passed_over(table, {image, times.column if times else None, *columns.values(), *halves}, notes)
     return Fixes(
         path=table.path,
         line=[line for line, _ in table.rows],
@@ -81,88 +87,106 @@ def read_columns(path: Path) -> Fixes:
         names=[table.cell(k, image) for k in range(len(table.rows))] if image is not None else (),
         sigma_m=sigma,
         heading_deg=heading,
-        notes=[*notes, *(times.notes if times else ())],
+        notes=[*notes, table.said(used), *(times.notes if times else ())],
         period_s=times.period_s if times else 0.0,
-        text=text,
+        text=text_of,
     )
 
 
-def _half(table: Table, angle: int | None, also: tuple[str, ...]) -> int | None:
-    """The column that says on which half of the Earth an angle is, if there is one."""
-    if angle is None:
-        return None
-    return table.find((*(half.format(table.columns[angle]) for half in _HALVES), *also))
+def _places(
+    table: Table, crs: pyproj.CRS | None, missing: list[str], notes: list[str]
+) -> tuple[np.ndarray, dict[str, int | None]]:
+    """(R, 3) latitude, longitude, height, and the columns they stand in, the first three in this order."""
+    grid = crs if crs is not None and table.find("easting") is not None else None
+    roles = ["latitude", "longitude", "height"] if grid is None else ["easting", "northing", "height"]
+    if grid is None and table.find("ellipsoidal height") is not None:
+        roles[2] = "ellipsoidal height"
+    found = [table.find(role) for role in roles]
+    missing += [n for n, c in zip(("lat", "lon", "height"), found) if c is None]
+    if missing:
+        raise InputError(
+            f"{table.path}: no column {', '.join(missing)}; found: {', '.join(table.columns)}. Expected: time or "
+            "image, lat, lon, height (below a line '# crs: EPSG:n' also easting, northing, height), and optionally "
+            "sigma or sigma_h and sigma_v (metres), heading; a table of times may have gps_week and gps_sow, "
+            "gps_seconds, or time_ns instead of time. Write these names into its first line"
+        )
+    if grid is None:
+        halves = {f"{w} of the Earth": table.half(c, w) for c, w in zip(found, ("NS", "EW"))}
+        angles = [table.angles(c, w) for c, w in zip(found, ("NS", "EW"))]
+        height = table.metres(found[2])
+        if _SEA.search(f"{table.columns[found[2] or 0]} {table.unit(found[2])}"):
+            notes += above_ellipsoid(table.path, height, np.full(len(height), np.nan))[1]
+        return np.stack([*angles, height], axis=1), {**dict(zip(roles, found)), **halves}
+    scale = [(table.unit_m(c) or u) / u for c, u in zip(found, units_of(grid))]
+    xyz = np.stack([s * table.numbers(c) for c, s in zip(found, scale)], axis=1)
+    notes += say_axes(grid, table.path.name) if table.columns[found[0] or 0] == "x" else ()
+    return _geodetic(grid, xyz, table), dict(zip(roles, found))
 
 
-def _say_passed_over(table: Table, used: set[int | None], notes: list[str]) -> None:
-    """Which columns tell nothing here: the kind of a receiver's fix or another height may be among them."""
-    read = used | {table.find(a) for a in (*_SIGMAS, _HEADING)}
-    over = [c for k, c in enumerate(table.columns) if c and k not in read and not set(c.split("_")) & set(_CLOCK)]
-    if over:
-        named = ", ".join(table.columns[k] for k in sorted(k for k in read if k is not None))
-        notes.append(f"{table.path.name}: the columns {named} are read; passed over: {', '.join(over)}")
+def _geodetic(crs: pyproj.CRS, xyz: np.ndarray, table: Table) -> np.ndarray:
+    """(R, 3) latitude, longitude, height of x (east), y (north), z (R, 3) in a CRS; NaN = no height.
+
+    Raises InputError, with the line, for a place outside the CRS.
+    """
+    x, y, z = xyz.T
+    lon, lat, height = crs_transformer(crs.srs).transform(x, y, np.nan_to_num(z), direction="INVERSE")
+    bad = np.flatnonzero(np.isfinite(x + y) & ~(np.isfinite(lat) & np.isfinite(lon)))
+    if crs.is_geographic:
+        bad = np.flatnonzero((np.abs(y) > 90) | (np.abs(x) > 360))
+    if len(bad):
+        k = int(bad[0])
+        swapped = "latitude and longitude exchanged (x is the longitude), or " if crs.is_geographic else ""
+        raise InputError(
+            f"{table.where(k)}: x {x[k]:.10g}, y {y[k]:.10g} lies outside {crs.name}: {swapped}another CRS? "
+            "Correct the line that names it"
+        )
+    return np.stack([lat, lon, np.where(np.isnan(z), np.nan, height)], axis=1)
 
 
-def _refuse_radians(table: Table, angles: tuple[int | None, ...]) -> None:
-    for column in angles:
-        if table.unit(column).startswith("rad"):
-            raise InputError(f"{table.path}: column {_named(table, column)} is in radians: write degrees")
-
-
-def _metres(table: Table, column: int | None) -> np.ndarray:
-    """(R,) lengths of a column."""
-    return table.numbers(column) * (table.unit_m(column) or 1.0)
-
-
-def _named(table: Table, column: int | None) -> str:
-    return "" if column is None else repr(table.columns[column])
-
-
-def _say_choice(table: Table, aliases: tuple[str, ...], chosen: int | None) -> list[str]:
-    """A note if a table has several columns that could be meant."""
-    others = [a for a in aliases if a in table.columns and table.columns.index(a) != chosen]
-    if not others:
-        return []
-    return [
-        f"{table.path.name}: the column {_named(table, chosen)} is taken for the height, not {', '.join(others)}; "
-        "rename it if another is meant"
-    ]
+def _image(table: Table) -> int | None:
+    """The column of images: one that is called so; one of names or labels if these are files, or there are no times."""
+    column = table.find("name")
+    files = is_file(table.cell(0, column))
+    found = table.find("image")
+    return found if found is not None else column if files or times_of(table) is None else None
 
 
 def _worst(table: Table, row: int) -> int | None:
     """The column whose accuracy says that a row has no position."""
-    found = [c for c in (table.find(a) for a in _SIGMAS) if c is not None]
-    return next((c for c in found if _metres(table, c)[row] > SIGMA_RANGE_M[1]), None)
+    found = [c for c in (table.find(s) for s in SIGMAS) if c is not None]
+    return next((c for c in found if table.metres(c)[row] > SIGMA_RANGE_M[1]), None)
 
 
 def _sigma(table: Table, notes: list[str]) -> np.ndarray:
     """(R, 3) sigmas in metres, NaN = not given; one that is too large stays, and tells that there is no position."""
 
-    def column(aliases: tuple[str, ...]) -> np.ndarray:
-        found = table.find(aliases)
-        values = _metres(table, found)
+    def column(role: str) -> np.ndarray:
+        found = table.find(role)
+        values = table.metres(found)
         remedy = "no standard deviation in metres: taken as not given"
         return _believed(table, found, values, values >= SIGMA_RANGE_M[0], notes, remedy)
 
-    both, flat, up, east, north = (column(a) for a in _SIGMAS)
+    flat, both, east, north, up = (column(s) for s in SIGMAS)
     flat = np.where(np.isnan(flat), both, flat)
     return np.stack([np.where(np.isnan(s), flat, s) for s in (east, north)] + [up], axis=1)
 
 
-def _heading(table: Table, notes: list[str]) -> np.ndarray:
-    found = table.find(_HEADING)
-    values = table.numbers(found)
-    lat = table.find(_LAT)  # may be called phi
+def _heading(table: Table, notes: list[str]) -> tuple[np.ndarray, dict[str, int | None]]:
+    """(R,) headings, and the columns that they are told by."""
+    found = table.find("heading")
+    values = table.angles(found)
+    lat = table.find("latitude")  # may be called phi
     tilted = [k for k, c in enumerate(table.columns) if k != lat and set(c.split("_")) & set(_TILT)]
     if found is not None and tilted:
-        most = max(float(np.nanmax(np.abs((table.numbers(k) + 180) % 360 - 180), initial=0)) for k in tilted)
+        most = max(float(np.nanmax(np.abs((table.angles(k) + 180) % 360 - 180), initial=0)) for k in tilted)
         if most > _LEVEL_DEG:
             notes.append(
                 f"{table.path.name}: {', '.join(table.columns[k] for k in (found, *tilted))}: cameras tilted by up to "
                 f"{most:.0f} degrees: these angles are passed over, the images tell the attitudes"
             )
-            return np.full(len(values), np.nan)
-    return _believed(table, found, values, np.abs(values) <= 360, notes, "no angle in degrees: not used")
+            return np.full(len(values), np.nan), {}
+    good = _believed(table, found, values, np.abs(values) <= 360, notes, "no angle in degrees: not used")
+    return good, {"heading": found, **{f"tilt {n}": k for n, k in enumerate(tilted, start=1) if found is not None}}
 
 
 def _believed(
@@ -174,7 +198,7 @@ def _believed(
     odd = [k for k in np.flatnonzero(~good).tolist() if table.cell(k, column).lower() not in EMPTY]
     if odd:
         notes.append(
-            f"{table.path.name}, line {table.line(odd[0])}: {_named(table, column)} {table.cell(odd[0], column)!r} is "
-            f"{remedy}, as in {len(odd)} of {len(values)} rows"
+            f"{table.path.name}, line {table.line(odd[0])}: {table.columns[column]!r} {table.cell(odd[0], column)!r} "
+            f"is {remedy}, as in {len(odd)} of {len(values)} rows"
         )
     return np.where(good, values, np.nan)

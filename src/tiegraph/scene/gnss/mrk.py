@@ -13,7 +13,7 @@ import numpy as np
 
 from tiegraph.errors import InputError
 from tiegraph.scene.gnss.fixes import Fixes
-from tiegraph.scene.table import decoded, text_lines
+from tiegraph.scene.textfile import decoded, text_lines
 
 _START = re.compile(r"\s*(\d+)\s+\d+\.\d+\s+\[\d+\]")
 _NUMBER = r"([-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?)"

@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 
 from tiegraph.errors import InputError
+from tiegraph.scene.cells import number
 from tiegraph.scene.gnss.fixes import Fixes, above_ellipsoid
 from tiegraph.scene.gpstime import DAY_S, going_on
-from tiegraph.scene.table import number
 
 _TOLD = re.compile(rb"(?m)^[^<\r\n]{0,64}\$[A-Z]{2}(?:GGA|RMC|ZDA|GST|GNS|GLL|GSA|GSV|VTG),")
 _SENTENCE = re.compile(rb"\$([A-Z]{2}(GGA|RMC|ZDA|GST),[^$*]*)(\*[0-9A-Fa-f]{2})?\s*$")

@@ -9,10 +9,8 @@ import numpy as np
 from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import far_from_rest
 from tiegraph.geometry.transforms import interpolate, rigid
-from tiegraph.scene.gpstime import DAY_S, gps_from_utc, utc_from_gps
-from tiegraph.scene.table import out_of_order
-
-_DATED_S = 1e8  # 1973: times of frames above this are dates
+from tiegraph.scene.cells import out_of_order
+from tiegraph.scene.gpstime import DATED_S, laid_on
 
 
 @dataclass(frozen=True)
@@ -155,19 +153,26 @@ def stuck_note(lat_lon_height: np.ndarray, where: str, least: int) -> str:
 
 
 def on_clock_of(gnss: Gnss, time_s: np.ndarray) -> Gnss:
-    """Rows whose times count within a day or a week, on the clock of frames (F,): the day or week nearest to theirs.
-
-    Frames whose times are no dates count within the same day or week.
-    """
-    known = time_s[np.isfinite(time_s)]
-    if not gnss.period_s or not len(known) or np.median(known) < _DATED_S:
+    """Rows on the clock of frames (F,), as ``gpstime.laid_on`` says."""
+    if gnss.names:
         return gnss
-    weekly = gnss.period_s > DAY_S
-    middle = float(np.median(known))
-    middle = float(gps_from_utc(np.array(middle))) if weekly else middle
-    first = round((middle - float(np.median(gnss.time_s))) / gnss.period_s) * gnss.period_s
-    dated = utc_from_gps(gnss.time_s + first) if weekly else gnss.time_s + first
-    return replace(gnss, time_s=dated, period_s=0.0)
+    moved, note = laid_on(gnss.time_s, gnss.period_s, time_s)
+    dated = gnss.period_s and moved is not gnss.time_s and np.median(moved) >= DATED_S
+    notes = (*gnss.notes, note) if note else gnss.notes
+    return replace(gnss, time_s=moved, period_s=0.0 if dated else gnss.period_s, notes=notes)
+
+
+def step_of(time_s: np.ndarray) -> float:
+    """1 s for dates of frames (F,) of which none has a fraction of a second, as EXIF without SubSecTime; else 0."""
+    known = time_s[np.isfinite(time_s)]
+    return float(len(np.unique(known)) > 2 and known.min() >= DATED_S and np.all(known == np.round(known)))
+
+
+def moved_within(time_s: np.ndarray, world_m: np.ndarray, step_s: float) -> np.ndarray:
+    """(G, 3) metres, root mean square, that rows (G, 3) move within a time that was cut to ``step_s``."""
+    if not step_s or len(time_s) < 2:
+        return np.zeros_like(world_m)
+    return np.abs(np.gradient(world_m, time_s, axis=0)) * step_s / np.sqrt(3)
 
 
 def at_times(gnss: Gnss, world_m: np.ndarray, time_s: np.ndarray, max_gap_s: float) -> tuple[np.ndarray, ...]:

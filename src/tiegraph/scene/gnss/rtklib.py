@@ -13,9 +13,10 @@ import numpy as np
 
 from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import enu_axes, geodetic_from_ecef
+from tiegraph.scene.cells import number, parse_time
 from tiegraph.scene.gnss.fixes import Fixes
 from tiegraph.scene.gpstime import GPS_EPOCH_S, WEEK_S, check_week, utc_from_gps
-from tiegraph.scene.table import decoded, number, parse_time, text_lines
+from tiegraph.scene.textfile import decoded, text_lines
 from tiegraph.scene.timecolumns import gps_note
 
 _HEADER = re.compile(r"%[ \t]*(GPST|UTC|JST)\b[ \t,;]+(latitude|x-ecef|e-baseline)")

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from tiegraph.errors import InputError
+from tiegraph.scene.cells import number, parse_time
 from tiegraph.scene.gnss.fixes import Fixes, above_ellipsoid
-from tiegraph.scene.table import number, parse_time
 from tiegraph.scene.xmltree import parse_xml
 
 _NAN = float("nan")

@@ -1,0 +1,126 @@
+"""What a cell of a table says: a number, a length, an angle, a time."""
+
+import bisect
+import re
+from collections.abc import Sequence
+from datetime import datetime, timezone
+
+import numpy as np
+
+from tiegraph.errors import InputError
+from tiegraph.scene.columnwords import UNIT_M
+
+# A half of the Earth, degrees, minutes, seconds, a half: "N35.5", "35 deg 41' 22.2\" N", "35°41'22.2\"".
+_ANGLE = re.compile(
+    r"\s*([NSEW])?\s*([+-]?\d+(?:\.\d*)?)\s*(?:°|DEG|D)?\s*(?:(\d+(?:\.\d*)?)\s*['′M])?\s*(?:(\d+(?:\.\d*)?)\s*(?:\"|″|''|S(?=\s)))?"
+    r"\s*([NSEW])?\s*"
+)
+_LENGTH = re.compile(r"([+-]?\d+(?:\.\d*)?)\s*([a-z]+)\.?(?: (above|below) .*)?")  # exiftool: 40.2 m Above Sea Level
+# Of numbers as people group and mark them: 494 399,21 or 494.399,21, and 494,399.21 or 494'399.21.
+_COMMA_MARKS = re.compile(r"[+-]?(?:\d{1,3}(?:[. \u00a0\u202f'’]\d{3})+|\d*),\d+(?:[eE][+-]?\d+)?")
+_COMMA_GROUPS = re.compile(r"[+-]?\d{1,3}(?:[, \u00a0\u202f'’]\d{3})+(?:\.\d*)?")
+_EITHER = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}")
+_GROUPS = re.compile(r"[ \u00a0\u202f'’]")
+
+
+def number(text: str) -> float:
+    """The number that a cell is, NaN if it is none."""
+    try:
+        return float("nan") if "_" in text else float(text)
+    except ValueError:
+        return float("nan")
+
+
+def length_m(text: str, unit_m: float) -> float:
+    """Metres of a cell that is a number of units, or has one of its own; NaN if it is none."""
+    value = number(text)
+    if value == value or not (found := _LENGTH.fullmatch(text.lower())):
+        return value * unit_m
+    return float(found[1]) * UNIT_M.get(found[2], float("nan")) * (-1 if found[3] == "below" else 1)
+
+
+def degrees(text: str) -> tuple[float, str]:
+    """Degrees of a cell, which may have minutes and seconds, NaN if it is none, and the letter of its half or ""."""
+    value = number(text)
+    if value == value or not (found := _ANGLE.fullmatch(text.upper().replace(",", "."))):
+        return value, ""
+    whole, minutes, seconds = (float(found[n] or 0) for n in (2, 3, 4))
+    size = abs(whole) + minutes / 60 + seconds / 3600
+    return -size if found[2].startswith("-") else size, found[1] or found[5] or ""
+
+
+def says_value(text: str) -> bool:
+    """Whether a cell is a number, an angle or a time, and no name."""
+    values = (degrees(text)[0], parse_time(text))
+    return bool(_COMMA_MARKS.fullmatch(text)) or any(v == v for v in values)
+
+
+def comma_marks(cells: Sequence[str]) -> bool | None:
+    """Whether the numbers among cells have commas for points; None where nothing tells: 1,234 may be either."""
+    marks, groups, either = (sum(bool(p.fullmatch(c)) for c in cells) for p in (_COMMA_MARKS, _COMMA_GROUPS, _EITHER))
+    if either and (marks > either) == (groups > either):
+        return None
+    return marks > either
+
+
+def plain(cell: str, comma: bool | None, where: str) -> str:
+    """A number as Python writes it; what is none stays. Raises InputError, with ``where``, for one that may be two."""
+    mark = "." if comma else ","
+    if comma is not False and mark in cell and _EITHER.fullmatch(cell.replace(mark, ",")):
+        raise InputError(
+            f"{where}: {cell!r} may be {cell.replace(mark, '.')} or {cell.replace(mark, '')}: write numbers with a "
+            "point and without separators of thousands"
+        )
+    if comma and (_COMMA_MARKS.fullmatch(cell) or _COMMA_GROUPS.fullmatch(cell.replace(".", ","))):
+        return _GROUPS.sub("", cell).replace(".", "").replace(",", ".")
+    return _GROUPS.sub("", cell).replace(",", "") if _COMMA_GROUPS.fullmatch(cell) else cell
+
+
+def parse_time(text: str) -> float:
+    """Seconds of a number, an ISO 8601 time (without zone: taken as UTC) or hh:mm:ss; NaN if it is none of them."""
+    seconds = number(text)
+    if seconds == seconds:
+        return seconds
+    text = text.strip().replace(",", ".")
+    clock = re.fullmatch(r"(\d{1,2}):([0-5]\d):([0-5]\d(?:\.\d+)?)Z?", text)
+    if clock:
+        return int(clock[1]) * 3600 + int(clock[2]) * 60 + float(clock[3])
+    text = re.sub(r"^(\d{4})[:/](\d\d)[:/](\d\d)", r"\1-\2-\3", text)  # as EXIF and RTKLIB write dates
+    text = re.sub(r"^(\d\d)\.(\d\d)\.(\d{4})", r"\3-\2-\1", text)  # as they are written in German and Russian
+    whole, _, fraction = text.replace("/", "-").replace("Z", "+00:00").partition(".")
+    digits = re.match(r"\d+", fraction)
+    try:
+        stamp = datetime.fromisoformat(re.sub(r"\s+", " ", whole) + (fraction[digits.end() :] if digits else ""))
+    except ValueError:
+        return float("nan")
+    stamp = stamp if stamp.tzinfo else stamp.replace(tzinfo=timezone.utc)
+    return stamp.timestamp() + (float(f"0.{digits[0]}") if digits else 0.0)
+
+
+def out_of_order(times: np.ndarray) -> np.ndarray:
+    """Rows of times (R,) that stand out of order: all but the longest run of rows that never go back, where that is
+    most of them; else the rows that go back. One time that is too large is blamed itself, not the row after it."""
+    starts: list[float] = []  # first time, negative, of the best run of each length, and its row
+    rows: list[int] = []
+    after = np.full(len(times), -1)  # the next row of its run
+    for k in range(len(times) - 1, -1, -1):  # from the end, so that of two rows that are exchanged the later one is odd
+        at = bisect.bisect_right(starts, -float(times[k]))
+        after[k] = rows[at - 1] if at else -1
+        starts[at : at + 1], rows[at : at + 1] = [-float(times[k])], [k]
+    keep = np.zeros(len(times), bool)
+    k = rows[-1] if rows else -1
+    while k >= 0:
+        keep[k] = True
+        k = int(after[k])
+    back = np.flatnonzero(np.diff(times) < 0) + 1
+    return np.flatnonzero(~keep) if 2 * keep.sum() > len(times) else back
+
+
+def in_seconds(times: np.ndarray) -> np.ndarray:
+    """Times since 1970 in milli-, micro- or nanoseconds as seconds; other times unchanged."""
+    known = times[np.isfinite(times)]
+    size = float(np.median(np.abs(known))) if len(known) else 0.0
+    for limit, factor in ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3)):
+        if size > limit:
+            return times * factor
+    return times

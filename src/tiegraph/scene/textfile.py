@@ -1,0 +1,112 @@
+"""Lines of text files and the cells in them."""
+
+import codecs
+import csv
+import re
+import unicodedata
+from pathlib import Path
+
+from tiegraph.errors import InputError
+from tiegraph.scene.cells import says_value
+from tiegraph.scene.columnwords import known_words
+from tiegraph.scene.regular import regular
+from tiegraph.text import composed
+
+_HEAD = 1 << 14  # characters among which a header stands
+
+
+def text_lines(text: str) -> list[str]:
+    """The lines of a text as editors count them (``str.splitlines`` also parts at form feeds and other separators), in
+    composed form, as names are."""
+    return re.split(r"\r\n|\r|\n", composed(text))
+
+
+def filled_lines(text: str) -> list[tuple[int, str]]:
+    """The numbered lines of a text that hold something, without blanks at their ends; a tab before all is an indent,
+    another stands behind an empty cell. Excel's ``sep=;`` is left out."""
+    lines = [(k, line.strip(" \x0b\x0c\ufeff")) for k, line in enumerate(text_lines(text), start=1)]
+    lines = [(k, line) for k, line in lines if line.strip(' \t,;|"') and not re.fullmatch(r"(?i)\"?sep=.\"?", line)]
+    indented = all(line[0] == "\t" or line.lstrip()[0] in "#%" for _, line in lines)
+    lines = [(k, line.lstrip() if line.lstrip()[0] in "#%" else line[indented:]) for k, line in lines]
+    return [(k, line.rstrip()) for k, line in lines]
+
+
+def whole_file(path: Path, purpose: str) -> bytes:
+    """What is in a file. Raises InputError if it cannot be read."""
+    try:
+        return regular(path).read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); give the {purpose} as a CSV file") from None
+
+
+def decoded(path: Path, raw: bytes, purpose: str) -> tuple[str, list[str]]:
+    """Text of a file, UTF-8 or UTF-16 with its mark, and notes; another is read as Windows writes it in the West or in
+    Japan, whichever gives more names of columns. Raises InputError if it is none."""
+    utf16 = raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    notes = []
+    try:
+        text = raw.decode("utf-16" if utf16 else "utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = raw.count(b"\n", 0, error.start) + 1
+        lost = raw.decode("utf-8-sig", errors="replace")
+        if utf16 or "\0" in lost or lost.count("\ufffd") > len(lost) / 4:
+            text = "\0"
+        else:
+            texts = [raw.decode(e, errors="replace") for e in ("cp1252", "cp932")]
+            text = max(texts, key=lambda t: max(map(_known, text_lines(t[:_HEAD]))))
+            notes = [f"{path.name}, line {line}: not UTF-8; names with such letters may not be found: save it as UTF-8"]
+    if "\0" in text:
+        raise InputError(f"{path}: is no text (it holds zero bytes or no letters); give the {purpose} as a CSV file")
+    return text, notes
+
+
+def _known(line: str) -> int:
+    return known_words(tuple(plain_word(c) for c in column_names(line)))
+
+
+def holds_values(line: str) -> bool:
+    """Whether a number, an angle or a time is among the cells of a line."""
+    return any(says_value(c) for c in split_cells(line, delimiter_of_rows(line)))
+
+
+def delimiter_of(line: str) -> str | None:
+    """The delimiter of a header; None = blanks."""
+    best = max("\t;|,", key=line.count)
+    return best if best in line else None
+
+
+def delimiter_of_rows(line: str) -> str | None:
+    """The delimiter of a line of values, where a comma may be a point."""
+    return next((d for d in "\t;|," if d in line), None)
+
+
+def split_cells(line: str, delimiter: str | None) -> list[str]:
+    """Cells of a line; a delimiter between quotes parts none."""
+    parts = line.split(delimiter)
+    if '"' in line:
+        one = line if delimiter else " ".join(line.split())
+        try:
+            parts = next(csv.reader([one], delimiter=delimiter or " ", skipinitialspace=True))
+        except csv.Error:  # a cell longer than the reader takes: no table anyway, and what reads it says so
+            pass
+    return [c.strip().strip('"').strip() for c in parts]
+
+
+def column_names(header: str) -> list[str]:
+    """The columns' names. Blanks part them only where they do not stand before a unit: "Time (s) Latitude [deg]"."""
+    delimiter = delimiter_of(header)
+    return split_cells(header if delimiter else re.sub(r"\s+(?=[(\[])", "", header), delimiter)
+
+
+def header_words(line: str) -> tuple[str, ...]:
+    """Names of the columns that a line may give; () if it holds values."""
+    return () if holds_values(line) else tuple(plain_word(c) for c in column_names(line))
+
+
+def plain_word(text: str) -> str:
+    """A column's name in lower case, without accents, brackets and signs."""
+    text = re.sub(r"[(\[].*?[)\]]", "", text).casefold()
+    if not text.isascii():
+        parts = unicodedata.normalize("NFKD", text)
+        text = unicodedata.normalize("NFC", "".join(c for c in parts if not unicodedata.combining(c)))
+    return re.sub(r"[\W_]+", "_", text).strip("_")

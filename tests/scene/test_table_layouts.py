@@ -1,0 +1,322 @@
+"""Tables in the layouts of the programs that write them, and as people change them: the right places, or an error."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tiegraph.errors import InputError
+from tiegraph.scene.gcp import GcpFile, read_gcps, read_points
+from tiegraph.scene.gnss import Gnss, read_gnss
+from tiegraph.scene.posefile import read_poses
+from tiegraph.scene.tuning import ControlTuning, GnssTuning
+
+LLH = [[46.5, 126.25, 539.9], [46.50001, 126.25002, 540.4]]  # what all tables below say, where they are of degrees
+EAST_NORTH = [[288991.4543, 5153277.9239], [288993.0276, 5153278.9816]]  # the same in EPSG:32652
+
+
+OFF = np.array([2e-9, 2e-9, 1e-3])
+
+
+def gnss(folder: Path, text: str | bytes) -> Gnss:
+    path = folder / "g.txt"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return read_gnss(path, GnssTuning())
+
+
+def control(folder: Path, text: str | bytes, marks: str = "") -> GcpFile:
+    path = folder / "c.txt"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    if not marks:
+        return read_points(path, ControlTuning())
+    (folder / "m.txt").write_text(marks)
+    return read_gcps(path, ControlTuning(), folder / "m.txt")
+
+
+GEOGCS = (
+    'GEOGCS["WGS 84",DATUM["World Geodetic System 1984",SPHEROID["WGS 84",6378137,298.257223563]],'
+    'PRIMEM["Greenwich",0],UNIT["degree",0.0174532925199433]]'
+)
+WKT = (
+    f'PROJCS["WGS 84 / UTM zone 52N",{GEOGCS},PROJECTION["Transverse_Mercator"],PARAMETER["latitude_of_origin",0],'
+    'PARAMETER["central_meridian",129],PARAMETER["scale_factor",0.9996],PARAMETER["false_easting",500000],'
+    'PARAMETER["false_northing",0],UNIT["metre",1]]'
+)
+BY_IMAGE = {
+    "Pix4D, no header": "I 1.JPG,46.5,126.25,539.9,0.02,0.04\nI 2.JPG,46.50001,126.25002,540.4,0.02,0.04\n",
+    "Pix4Dmatic with angles": "I 1.JPG,46.5,126.25,539.9,38.6,-89,8.3,0.02,0.04\n"
+    "I 2.JPG,46.50001,126.25002,540.4,38.6,-89,8.3,0.02,0.04\n",
+    "lon before lat, tabs": "I 1.JPG\t126.25\t46.5\t539.9\nI 2.JPG\t126.25002\t46.50001\t540.4\n",
+    "Metashape": "#CoordinateSystem: " + GEOGCS + "\n#Label,X/Longitude,Y/Latitude,Z/Altitude,Accuracy_X/Y_(m),"
+    "Accuracy_Z_(m),Yaw,Pitch,Roll,Error_(m),X_error,Y_error,Z_error,Error_(deg)\n"
+    "I 1.JPG,126.25,46.5,539.9,0.02,0.04,38,-89,0,1,1,1,1,2\n"
+    "I 2.JPG,126.25002,46.50001,540.4,0.02,0.04,38,-89,0,1,1,1,1,2\n",
+    "Metashape in a grid": f"#CoordinateSystem: {WKT}\n#Label,X/Easting,Y/Northing,Z/Altitude\n"
+    + "".join(f"I {k + 1}.JPG,{e},{n},{LLH[k][2]}\n" for k, (e, n) in enumerate(EAST_NORTH)),
+    "exiftool -csv": "SourceFile,GPSLatitude,GPSLongitude,GPSAltitude,GPSLatitudeRef\n"
+    "I 1.JPG,\"46 deg 30' 0.00\"\" N\",\"126 deg 15' 0.00\"\" E\",539.9 m Above Sea Level,North\n"
+    "I 2.JPG,\"46 deg 30' 0.036\"\" N\",\"126 deg 15' 0.072\"\" E\",540.4 m Above Sea Level,North\n",
+    "Mission Planner": "#name longitude/X latitude/Y height/Z yaw pitch roll SAlt\n"
+    "I_1.JPG 126.25 46.5 539.9 38 -1 2 100\nI_2.JPG 126.25002 46.50001 540.4 38 -1 2 100\n",
+    "ODM geo.txt, tabs": "EPSG:4326\nI 1.JPG\t126.25\t46.5\t539.9\nI 2.JPG\t126.25002\t46.50001\t540.4\n",
+    "German": "Bild;Breite;Länge;Höhe\nI 1.JPG;46,5;126,25;539,9\nI 2.JPG;46,50001;126,25002;540,4\n",
+    "French": "image;Latitude;Longitude;Altitude (m)\n"
+    "I 1.JPG;46,5;126,25;539,9\nI 2.JPG;46,50001;126,25002;540,4\n",
+    "Spanish": "imagen;latitud;longitud;altura\nI 1.JPG;46,5;126,25;539,9\nI 2.JPG;46,50001;126,25002;540,4\n",
+    "Italian": "foto\tlatitudine\tlongitudine\tquota\n"
+    "I 1.JPG\t46,5\t126,25\t539,9\nI 2.JPG\t46,50001\t126,25002\t540,4\n",
+    "Japanese": "画像,緯度,経度,楕円体高\nI 1.JPG,46.5,126.25,539.9\nI 2.JPG,46.50001,126.25002,540.4\n",
+    "feet at the end of the name": "photo,lat,long,alt_ft\n"
+    "I 1.JPG,46.5,126.25,1771.3255\nI 2.JPG,46.50001,126.25002,1772.9659\n",
+    "the unit in a column": "photo,lat,long,alt,alt_unit\nI 1.JPG,46.5,126.25,1771.3255,ft\n"
+    "I 2.JPG,46.50001,126.25002,1772.9659,ft\n",
+    "Excel's sep, an empty first cell, minutes": "sep=;\n;image;lat;lon;height (MSL)\n"
+    ";I 1.JPG;46°30'0,000\"N;126°15'E;539,9\n"
+    ";I 2.JPG;46°30'0,036\"N;126°15'0,072\"E;540,4\n",
+    "tabs before all, and an index": "\t\timage\tlat\tlon\taltitude_msl\n\t0\tI 1.JPG\t46.5\t126.25\t539.9\n"
+    "\t1\tI 2.JPG\t46.50001\t126.25002\t540.4\n",
+    "blank lines, trailing delimiters, quotes": "\n\nimage,lat,lon,height,\n\n\"I 1.JPG\",46.5,126.25,539.9,\n"
+    "# a pause\n\nI 2.JPG,46.50001,126.25002,540.4,\n,,,,\n",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BY_IMAGE)
+def test_positions_of_images(tmp_path: Path, name: str) -> None:
+    found = gnss(tmp_path, BY_IMAGE[name])
+    assert np.all(np.abs(found.lat_lon_height - LLH) <= OFF), found.lat_lon_height
+    assert [n.replace("_", " ") for n in found.names] == ["I 1.JPG", "I 2.JPG"]
+    if "0.04" in BY_IMAGE[name]:
+        np.testing.assert_allclose(found.sigma_m, [[0.02, 0.02, 0.04]] * 2)
+    assert any("heights above the sea, taken as they are" in n for n in found.notes) == (
+        "msl" in BY_IMAGE[name].lower()
+    )
+    assert np.isnan(found.heading_deg).all() == (name != "Mission Planner")
+
+
+def test_positions_in_a_grid_of_feet_and_one_whose_x_is_north(tmp_path: Path) -> None:
+    text = "# crs: EPSG:2263\nimage,easting,northing,height{}\na.jpg,984250,194305.3,{}\n"  # 40.7, -74.0
+    for unit, height in (("", 100.0), (" (m)", 30.48006)):
+        found = gnss(tmp_path, text.format(unit, height))
+        np.testing.assert_allclose(found.lat_lon_height, [[40.7, -74.0, 30.48006]], rtol=0, atol=1e-4)
+    notes = gnss(tmp_path, "# crs: EPSG:6677\nimage,x,y,z\na.jpg,-5000,-34000,3\n").notes
+    assert any("IX counts to the north, but x is read as the easting" in n for n in notes)
+
+
+def test_control_in_degrees_of_the_southern_half(tmp_path: Path) -> None:
+    text = "name,lat,lat_ref,lon,lon_ref,height\nA,33.5,S,70.25,W,40\n"
+    assert control(tmp_path, text).points[0].xyz == (-33.5, -70.25, 40.0)
+    with pytest.raises(InputError, match="column 'half' has halves of the Earth"):
+        control(tmp_path, text.replace("lat_ref", "half"))
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "cp932", "cp1252"])
+def test_localised_headers_in_the_encodings_of_windows(tmp_path: Path, encoding: str) -> None:
+    text = BY_IMAGE["Japanese" if encoding == "cp932" else "German"]
+    found = gnss(tmp_path, text.encode(encoding))
+    np.testing.assert_allclose(found.lat_lon_height, LLH, rtol=0, atol=1e-8)
+    assert any("not UTF-8" in n for n in found.notes) == encoding.startswith("cp")
+
+
+NOON = 1714564800.0  # 2024-05-01 12:00:00 UTC, second 302418 of GPS week 2312
+BY_TIME = {
+    "gpsbabel unicsv": "No,Latitude,Longitude,Name,Altitude,Description,Date,Time\n"
+    "1,46.5,126.25,\"TP1\",539.9,\"a, b\",2024/05/01,12:00:00\n"
+    "2,46.50001,126.25002,\"TP2\",540.4,\"\",2024/05/01,12:00:01\n",
+    "Inertial Explorer": "Project:     a\nProgram:     Inertial Explorer\n\n"
+    "  Week  GPSTime  Latitude  Longitude  H-Ell  SDEast  SDNorth  SDHeight  Q\n"
+    "(weeks)  (sec)  (deg)  (deg)  (m)  (m)  (m)  (m)\n"
+    "2312 302418.0 46.5 126.25 539.9 0.01 0.02 0.03 1\n2312 302419.0 46.50001 126.25002 540.4 0.01 0.02 0.03 1\n",
+    "ArduPilot CAM": "TimeUS,I,Img,GPSTime,GPSWeek,Lat,Lng,Alt,RelAlt,GPSAlt\n"
+    "5000000,0,1,302418000,2312,46.5,126.25,539.9,100,539\n"
+    "6000000,0,2,302419000,2312,46.50001,126.25002,540.4,100,540\n",
+    "Bad Elf": "LINE,DATE_TIME_UTC,LATITUDE,LONGITUDE,ELLIPSOIDAL_HEIGHT,ELEVATION_MSL,H_RMS,V_RMS\n"
+    "1,2024-05-01T12:00:00Z,46.5,126.25,539.9,500,0.01,0.03\n"
+    "2,2024-05-01T12:00:01Z,46.50001,126.25002,540.4,501,0.01,0.03\n",
+    "German dates": "Datum;Uhrzeit;Breite;Länge;Höhe\n01.05.2024;12:00:00,0;46,5;126,25;539,9\n"
+    "01.05.2024;12:00:01,0;46,50001;126,25002;540,4\n",
+    "thousands": "unix_time;lat;lon;height\n"
+    "1.714.564.800,0;46,5;126,25;539,9\n1.714.564.801,0;46,50001;126,25002;540,4\n",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BY_TIME)
+def test_positions_at_times(tmp_path: Path, name: str) -> None:
+    found = gnss(tmp_path, BY_TIME[name])
+    assert np.all(np.abs(found.lat_lon_height - LLH) <= OFF), found.lat_lon_height
+    np.testing.assert_allclose(found.time_s, [NOON, NOON + 1], rtol=0, atol=1e-6)
+    if name == "Inertial Explorer":
+        np.testing.assert_allclose(found.sigma_m, [[0.01, 0.02, 0.03]] * 2)
+        assert any("q (a fix: 2 of '1')" in n for n in found.notes)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("a.jpg,46.5,6.5,539.9\nb.jpg,46.6,6.5,540\n", "line 1: no header says .* such as .*image,lat,lon,height"),
+        ("image,lat,lon,height\na.jpg;46,5;6,5;539,9\n", "none of 1 rows|fewer cells"),
+        ("image;lat;lon;height\na.jpg;46.5;6.5;1,234\n", "line 2: '1,234' may be 1.234 or 1234: write numbers"),
+        ("image,lat,lon,height (fathoms)\na.jpg,46.5,6.5,5\n", "column 'height' has lengths in 'fathoms': give m, cm"),
+        ("image,lat,lon,height,half\na.jpg,46.5,6.5,5,S\n", r"column 'half' has halves of the Earth \(S\), .* lat_ref"),
+        ("image,lat [gon],lon [gon],height\na.jpg,46.5,6.5,5\n", "column 'lat' is in gon: write degrees"),
+    ],
+)
+def test_tables_that_may_be_two_things_are_refused(tmp_path: Path, text: str, words: str) -> None:
+    with pytest.raises(InputError, match=words) as error:
+        gnss(tmp_path, text)
+    assert "g.txt" in str(error.value)
+
+
+# --- control points -------------------------------------------------------------------------------------------------
+
+EMLID = (
+    "Name,Code,Code description,Easting,Northing,Elevation,Description,Longitude,Latitude,Ellipsoidal height,Origin,"
+    "Tilt angle,Easting RMS,Northing RMS,Elevation RMS,Lateral RMS,Antenna height,Antenna height units,Solution status,"
+    "Correction type,Averaging start,Averaging end,Samples,PDOP,Baseline,CS name\n"
+    "P 1,GCP,,288991.454,5153277.924,501.2,,126.25,46.5,539.9,Global,,0.011,0.010,0.018,0.015,1.8,m,FIX,RTK,"
+    "2024-05-01 12:00:00.0 UTC+00:00,2024-05-01 12:00:05.0 UTC+00:00,26,1.3,3400,WGS 84 / UTM zone 52N\n"
+)
+
+
+def test_emlid_degrees_with_the_height_above_the_ellipsoid(tmp_path: Path) -> None:
+    found = control(tmp_path, EMLID, "name,image,px,py\nP 1,DJI 0001 (2).JPG,5,6\n")
+    (point,) = found.points
+    assert (point.name, point.xyz, point.sigma_m) == ("P 1", (46.5, 126.25, 539.9), (0.015, 0.015, 0.018))
+    assert found.geographic and found.marks[0].image == "DJI 0001 (2).JPG"
+    said = "\n".join(found.notes)
+    assert "places by latitude, longitude and ellipsoidal height; for easting, northing and height put a line" in said
+    assert "solution_status (a fix: 1 of 'FIX')" in said and "tilt_angle (an angle)" in said
+
+
+@pytest.mark.parametrize("degrees", [True, False])
+def test_emlid_in_its_grid(tmp_path: Path, degrees: bool) -> None:
+    """By a line above the header, or where there are no degrees: then the file's own name of the grid counts."""
+    text = "# crs: EPSG:32652\n" + EMLID if degrees else EMLID.replace("Longitude,Latitude", "a,b")
+    found = control(tmp_path, text)
+    assert found.points[0].xyz == (288991.454, 5153277.924, 501.2) and not found.geographic
+    assert found.crs == "EPSG:32652"
+
+
+IN_GRID = (288991.454, 5153277.924, 539.9)
+POINTS = {
+    "Trimble, Leica PNEZD": "# crs: EPSG:32652\nP 1,5153277.924,288991.454,539.9,IP\n"
+    "P 2,5153278.98,288993.03,540,IP\n",
+    "Leica, blanks": "# crs: EPSG:32652\nP1  5153277.924  288991.454  539.9\nP2  5153278.98  288993.03  540\n",
+    "PENZ between tabs": "# crs: EPSG:32652\nP 1\t288991.454\t5153277.924\t539.9\nP 2\t288993.03\t5153278.98\t540\n",
+    "PNEZD with a header": "# crs: EPSG:32652\nPoint,Northing,Easting,Elevation,Code\n"
+    "P 1,5153277.924,288991.454,539.9,IP\n",
+    "Pix4D with accuracies": "# crs: EPSG:32652\nP 1,288991.454,5153277.924,539.9,0.02,0.03\n",
+    "Metashape": "# CoordinateSystem: EPSG:32652\n#Label,X/Easting,Y/Northing,Z/Altitude\n"
+    "P 1,288991.454,5153277.924,539.9\n",
+    "German": "# crs: EPSG:32652\nPunktnummer;Rechtswert;Hochwert;Höhe\nP 1;288.991,454;5.153.277,924;539,9\n",
+    "Swiss groups": "# crs: EPSG:32652\nname;east;north;height\nP 1;288'991.454;5'153'277.924;539.9\n",
+    "feet": "# crs: EPSG:32652\nname,east,north,height_ft\nP 1,288991.454,5153277.924,1771.3255\n",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", POINTS)
+def test_lists_of_points(tmp_path: Path, name: str) -> None:
+    point = control(tmp_path, POINTS[name]).points[0]
+    assert point.name.replace("P1", "P 1") == "P 1" and point.xyz == pytest.approx(IN_GRID, abs=1e-4)
+    assert point.sigma_m == ((0.02, 0.02, 0.03) if "Pix4D" in name else ControlTuning().sigma_m)
+
+
+@pytest.mark.parametrize(
+    "text", ["1,5000.0,4000.0,100.0,IP\n", "# crs: EPSG:6677\n1,-34000,-5000,3,IP\n", "G1,46.2,6.5,300,0.02,0.03\n"]
+)
+def test_a_list_whose_order_nothing_tells_is_asked_for(tmp_path: Path, text: str) -> None:
+    with pytest.raises(InputError, match=r"line \d: no header says .*name,northing,easting,height,code"):
+        control(tmp_path, text)
+
+
+def test_a_grid_whose_x_is_north_is_said(tmp_path: Path) -> None:
+    notes = control(tmp_path, "# crs: EPSG:6677\nname,x,y,z\nA,-5000,-34000,3\n").notes
+    assert any("X of JGD2011 / Japan Plane Rectangular CS IX counts to the north, but x is read as" in n for n in notes)
+    other = control(tmp_path, "# crs: EPSG:6677\nname,easting,northing,z\nA,-5000,-34000,3\n").notes
+    assert not any("counts to the north" in n for n in other)
+
+
+def test_coordinates_of_the_world_are_no_degrees(tmp_path: Path) -> None:
+    assert control(tmp_path, "name,x,y,z\nA,389000,3951000,3\n").points[0].xyz == (389000, 3951000, 3)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "# crs: EPSG:31467\nPunkt;x;y;z\nA;5932000,12;3567000,34;12,5\n",
+        "EPSG:32652\n5153277.924 288991.454 5 1 2 a.jpg\n",
+        "name,lat,lon,height\nA,139.7,35.6,3\n",
+    ],
+)
+def test_exchanged_coordinates_are_found_in_the_file(tmp_path: Path, text: str) -> None:
+    with pytest.raises(InputError, match=r"of point '.*' are exchanged \((northing,easting|lon,lat)\)"):
+        control(tmp_path, text)
+
+
+@pytest.mark.parametrize("rows", ["I 1.JPG,P 1,5.5,6.5\n", "P 1,I 1.JPG,5.5,6.5\n"])
+def test_marks_without_a_header(tmp_path: Path, rows: str) -> None:
+    (mark,) = control(tmp_path, EMLID, rows).marks
+    assert (mark.name, mark.image, mark.xy) == ("P 1", "I 1.JPG", (5.5, 6.5))
+
+
+def test_rows_behind_a_comment_sign_and_ends_of_names_are_said(tmp_path: Path) -> None:
+    found = control(tmp_path, "# crs: EPSG:32652\nname,east,north,height\nP,1,2,3\n#Q,1,3,4\n# a word\n")
+    assert any("c.txt, line 4: 1 rows begin with # or % and are passed over" in n for n in found.notes)
+    with pytest.raises(InputError, match="line 2: the image 'I' has no suffix, but a word behind it has"):
+        control(tmp_path, "EPSG:32652\n1 2 3 4 5 I 1.JPG P\n")
+    quoted = control(tmp_path, 'EPSG:32652\n288991 5153277 3 4 5 "I 1.JPG" "P 1"\n')
+    assert [(m.image, m.name) for m in quoted.marks] == [("I 1.JPG", "P 1")]
+
+
+def test_bars_say_their_columns(tmp_path: Path) -> None:
+    text = "from,to,length_mm,datum\nA,B,1200.5,x\n\nname,image,px,py\nA,1.jpg,5,6\nB,1.jpg,7,6\n"
+    path = tmp_path / "c.txt"
+    path.write_text(text)
+    found = read_gcps(path, ControlTuning())
+    assert found.bars[0].length_m == pytest.approx(1.2005)
+    (said,) = (n for n in found.notes if "length" in n)
+    assert said.endswith(
+        "read: from, to, length_mm (length); passed over, though it may count: datum (a datum: 1 of 'x')"
+    )
+
+
+# --- trajectories ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("head", "times", "period"),
+    [
+        ("", ["604798", "604799", "0", "1"], 604800),
+        ("# time x y z qx qy qz qw\n", ["86398", "86399", "0.0", "1.0"], 86400),
+        ("utc x y z qx qy qz qw\n", ["23:59:58", "23:59:59", "00:00:00", "00:00:01"], 86400),
+        ("gps_sow x y z qx qy qz qw\n", ["604798", "604799", "0", "1"], 604800),
+    ],
+)
+def test_poses_go_on_after_midnight_and_saturday(tmp_path: Path, head: str, times: list[str], period: float) -> None:
+    path = tmp_path / "a.tum"
+    path.write_text(head + "".join(f"{t} {k} 0 0 0 0 0 1\n" for k, t in enumerate(times)))
+    found = read_poses(path)
+    assert found.period_s == period
+    np.testing.assert_allclose(found.time_s, period - 2 + np.arange(4))
+    np.testing.assert_allclose(found.poses[:, 0, 3], np.arange(4))
+
+
+def test_a_trajectory_by_dates_in_millimetres(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(
+        "time;x [mm];y [mm];z [mm];qx;qy;qz;qw;status\n2024-05-01T12:00:00;0;0;0;0;0;0;1;ok\n"
+        "2024-05-01T12:00:01;1000,5;0;0;0;0;0;1;ok\n"
+    )
+    found = read_poses(path)
+    np.testing.assert_allclose(found.time_s, [NOON, NOON + 1])
+    assert found.poses[1, 0, 3] == pytest.approx(1.0005)
+    assert any("status (a fix: 2 of 'ok')" in n for n in found.notes)
+
+
+def test_every_program_of_the_reference_is_tested() -> None:
+    text = (Path(__file__).parents[2] / "docs" / "inputs.md").read_text()
+    rows = text[text.index("| program and its file") :].split("\n\n")[0].splitlines()[2:]
+    tested = " ".join([*BY_IMAGE, *BY_TIME, *POINTS, "Emlid", "RTKLIB", "TUM"])  # the last two in tests of their own
+    programs = [row.strip("| ").split()[0].strip(",") for row in rows]
+    assert len(programs) > 12 and [p for p in programs if p not in tested] == []
