@@ -7,9 +7,10 @@ import pytest
 
 from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import crs_coordinates, make_origin, vertical_note, world_from_geodetic
-from tiegraph.scene.control import image_lookup, image_of, locate
+from tiegraph.scene.control import image_lookup, locate
 from tiegraph.scene.gcp import read_gcps
 from tiegraph.scene.markpixels import prepared_pixel
+from tiegraph.scene.names import found_by
 from tiegraph.scene.rig import Rig, Sensor, Source
 from tiegraph.scene.scene import Scene, simple_scene
 from tiegraph.scene.tuning import ControlTuning
@@ -56,7 +57,7 @@ def test_images_are_named_in_any_case_where_that_is_unique() -> None:
     scene = simple_scene(Rig("lone", (Sensor("cam"),)), names, np.arange(3), np.zeros(3))
     lookup = image_lookup(scene)
     asked = ("img_1.jpg", "A\\Img_1.jpg", "a/img_1.JPG", "IMG_2.JPG", "img_2.jpg", "Img_2.jpg", "IMG_3.JPG")
-    assert [image_of(lookup, name) for name in asked] == [0, 0, 0, 1, 2, None, None]
+    assert [found_by(lookup, name) for name in asked] == [0, 0, 0, 1, 2, None, None]
 
 
 def test_csv_of_points_and_marks_with_roles(tmp_path) -> None:

@@ -27,12 +27,12 @@ from tiegraph.scan.priors.trajectory import read_trajectory
 from tiegraph.scan.rigfiles.rigfile import read_rig_file
 from tiegraph.scan.rigfiles.rigspec import preset_sizes
 from tiegraph.scene.bags import is_bag, source_of
-from tiegraph.scene.control import image_lookup, image_of, locate, locate_bars
+from tiegraph.scene.control import image_lookup, locate, locate_bars
 from tiegraph.scene.exif import orientation_of
 from tiegraph.scene.gcp import GcpFile, read_gcps
 from tiegraph.scene.gnss import read_gnss
 from tiegraph.scene.namedposes import has_named_poses
-from tiegraph.scene.names import on_disk
+from tiegraph.scene.names import found_by, on_disk
 from tiegraph.scene.pairs import pair_lines, read_pair_list
 from tiegraph.scene.scene import Scene
 
@@ -137,7 +137,7 @@ def check_against(run: Run, scene: Scene) -> tuple[str, ...]:
 def orientations(run: Run, scene: Scene, file: GcpFile) -> dict[int, int]:
     """By EXIF, of the images that a file marks, by scene index; those that are no files of the user's are left out."""
     root, lookup = source_of(run.inputs.images), image_lookup(scene)
-    images = {k for mark in file.marks if (k := image_of(lookup, mark.image)) is not None}
+    images = {k for mark in file.marks if (k := found_by(lookup, mark.image)) is not None}
     found = {k: on_disk(root, scene.source_name(k)) for k in sorted(images)}
     return {k: orientation_of(path) for k, path in found.items() if path is not None}
 

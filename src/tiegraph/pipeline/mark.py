@@ -18,9 +18,10 @@ from tiegraph.pipeline.files import checked, load_json, load_model, read_image, 
 from tiegraph.project.run import Run
 from tiegraph.project.stages import write_atomic
 from tiegraph.scene.colmapmodel import matrix
-from tiegraph.scene.control import Marks, image_lookup, image_of, surveyed_world
+from tiegraph.scene.control import Marks, image_lookup, surveyed_world
 from tiegraph.scene.gcp import FileMark, GcpFile, parse_crs_line, read_gcps, read_points
 from tiegraph.scene.markpixels import prepared_pixel, source_pixel
+from tiegraph.scene.names import found_by
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.world.marks import Target, targets
 from tiegraph.targets.marks import seen_in
@@ -216,7 +217,7 @@ def _go_on(session: Marking, given: GcpFile) -> None:
     names = {p.name: k for k, p in enumerate(session.file.points)}
     lookup = image_lookup(session.scene)
     for mark in given.marks:
-        image = image_of(lookup, mark.image)
+        image = found_by(lookup, mark.image)
         if mark.name not in names or image is None:
             what = f"point {mark.name!r}" if mark.name not in names else f"image {mark.image!r}"
             raise InputError(

@@ -1,9 +1,7 @@
 """Control points in the survey: places in its world, marks as pixels of its prepared images."""
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from pathlib import PurePosixPath
 from typing import Any
 
 import numpy as np
@@ -29,7 +27,7 @@ from tiegraph.scene.markpixels import (
     prepared_pixel,
     within,
 )
-from tiegraph.scene.names import plain_name
+from tiegraph.scene.names import found_by, lookup_of
 from tiegraph.scene.scene import Scene
 
 MIN_MARKS = 2  # of a point whose place in the model can be found: two rays meet
@@ -193,7 +191,7 @@ def _images(file: GcpFile, scene: Scene, notes: list[str]) -> tuple[np.ndarray, 
     lookup = image_lookup(scene)
     found, keep, unknown = [], [], []
     for k, mark in enumerate(file.marks):
-        index = image_of(lookup, mark.image)
+        index = found_by(lookup, mark.image)
         if index is None:
             unknown.append(mark)
         else:
@@ -291,29 +289,9 @@ def _few_marks(file: GcpFile, count: np.ndarray, notes: list[str]) -> None:
 
 
 def image_lookup(scene: Scene) -> dict[str, int]:
-    """Scene index by image name, the user's own file name, and by bare file name or stem where that is unique. For
-    ``image_of``."""
-    short: Counter[str] = Counter()
-    out: dict[str, int] = {}
-    for k in range(len(scene)):
-        path = PurePosixPath(scene.source_name(k))
-        for key in {path.name, path.stem}:
-            short[key] += 1
-            out[key] = k
-    out = {key: k for key, k in out.items() if short[key] == 1}
-    for k, name in enumerate(scene.names):
-        out[scene.source_name(k)] = out[name] = k
-    lower = Counter(key.lower() for key in out)
-    return {f"{_ANY_CASE}{key.lower()}": k for key, k in out.items() if lower[key.lower()] == 1} | out
-
-
-def image_of(lookup: Mapping[str, int], name: str) -> int | None:
-    """The image of a name in a file: as it is written there, else in any case, as Windows takes names."""
-    plain = plain_name(name)
-    return lookup.get(plain, lookup.get(f"{_ANY_CASE}{plain.lower()}"))
-
-
-_ANY_CASE = "\0"  # before names in lower case: in no file's name
+    """Scene index by image name and the user's own file name, for ``scene.names.found_by``."""
+    sources = [(scene.source_name(k), k) for k in range(len(scene))]
+    return lookup_of(sources) | {name: k for k, name in enumerate(scene.names)}
 
 
 def _origin_of_points(file: GcpFile, crs: str) -> Origin:

@@ -11,7 +11,7 @@ import itertools
 import os
 import re
 import unicodedata
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path, PurePosixPath
 
 from tiegraph.errors import InputError
@@ -20,6 +20,7 @@ from tiegraph.text import acts, composed, one_line
 # File systems take 255 bytes; masks/<name>.png, depth maps <name>.geometric.bin and temporary files add to a name.
 LONGEST_BYTES = 200
 _KEPT_SUFFIX = 20
+_ANY_CASE = "\0"  # before names in lower case: in no file's name
 _SHOWN = 80  # characters of a name in an error
 _ESCAPE = re.compile("%(?:[0189A-F][0-9A-F]|7F)")  # of control characters and of what may not be UTF-8
 
@@ -35,6 +36,27 @@ def clean(name: str) -> str:
 def plain_name(text: str) -> str:
     """An image's name as ours are written: slashes, no ./ before it, in composed form."""
     return composed(text.replace("\\", "/").removeprefix("./"))
+
+
+def lookup_of(named: Iterable[tuple[str, int]]) -> dict[str, int]:
+    """What a name in a file of the user's is of, for ``found_by``: names of images, their file names and stems where
+    these are of one, and all of them in any case, as Windows takes names, where that is of one."""
+    full = dict(named)
+    short: dict[str, set[int]] = {}
+    for name, what in full.items():
+        for key in (PurePosixPath(name).name, PurePosixPath(name).stem):
+            short.setdefault(key, set()).add(what)
+    out = {key: next(iter(found)) for key, found in short.items() if len(found) == 1} | full
+    lower: dict[str, set[int]] = {}
+    for key, what in out.items():
+        lower.setdefault(f"{_ANY_CASE}{key.lower()}", set()).add(what)
+    return {key: next(iter(found)) for key, found in lower.items() if len(found) == 1} | out
+
+
+def found_by(lookup: Mapping[str, int], name: str) -> int | None:
+    """What a name is of, by a table that ``lookup_of`` made; None if it is of nothing here."""
+    plain = plain_name(name)
+    return lookup.get(plain, lookup.get(f"{_ANY_CASE}{plain.lower()}"))
 
 
 def on_disk(folder: Path, name: str) -> Path | None:

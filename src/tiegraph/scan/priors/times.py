@@ -16,7 +16,7 @@ from tiegraph.scan.tuning import TimesTuning
 from tiegraph.scene.bycontent import times as times_by_content
 from tiegraph.scene.cells import in_seconds
 from tiegraph.scene.exif import Exif
-from tiegraph.scene.names import plain_name
+from tiegraph.scene.names import found_by, lookup_of, plain_name
 from tiegraph.scene.table import Table, read_table
 from tiegraph.scene.timecolumns import Times, times_of
 
@@ -192,27 +192,16 @@ def absent(name: str, names: Sequence[str]) -> str:
     twins = [n for n in names if file in (PurePosixPath(n).name, PurePosixPath(n).stem)]
     if len(twins) > 1 and "/" not in plain_name(name):
         return f"several images are called so: write {twins[0]} or {twins[1]}"
-    near = [n for n in names if PurePosixPath(n).name.lower() == file.lower()]
-    if near and not twins:
-        return f"upper and lower case count: {near[0]} is here"
     return f"names are relative to the image folder, as {twins[0] if twins else names[0]}"
 
 
 def frames_of_names(given: Sequence[str], frames: Sequence[FrameRow], names: Sequence[str]) -> tuple[int | None, ...]:
     """Frame of each given name of an image, None = not here: by its path below the image folder, or by its file name,
     with or without suffix, where that is of one frame. First folders that all have and none needs are left away."""
-    short: dict[str, set[int]] = {}
-    full: dict[str, int] = {}
-    for k, frame in enumerate(frames):
-        for image in frame.images:
-            path = PurePosixPath(names[image])
-            full[names[image]] = k
-            for name in (path.name, path.stem):
-                short.setdefault(name, set()).add(k)
-    lookup = {name: next(iter(found)) for name, found in short.items() if len(found) == 1} | full
+    lookup = lookup_of((names[image], k) for k, frame in enumerate(frames) for image in frame.images)
     parts = [plain_name(name).split("/") for name in given]
     levels = range(len(os.path.commonprefix([p[:-1] for p in parts])) + 1)
-    tried = (tuple(lookup.get("/".join(p[level:])) for p in parts) for level in levels)
+    tried = (tuple(found_by(lookup, "/".join(p[level:])) for p in parts) for level in levels)
     return next((found for found in tried if set(found) != {None}), (None,) * len(given))
 
 
