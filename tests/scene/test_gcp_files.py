@@ -90,6 +90,8 @@ def test_the_list_of_odm_is_read_as_ever(tmp_path: Path) -> None:
     found = read_gcps(_written(tmp_path, "gcp_list.txt", "WGS84 UTM 54N\n" + rows), ControlTuning())
     assert found.crs == "EPSG:32654" and len(found.points) == 1 and len(found.marks) == 2
     assert found.points[0].xyz == (494399.2, 4232697.1, 5.0)
+    degrees = _written(tmp_path, "gcp_list.txt", "WGS84\n139.76 35.69 40 10.5 20 a.jpg\n")
+    assert read_gcps(degrees, ControlTuning()).points[0].xyz == (35.69, 139.76, 40.0)
 
 
 @pytest.mark.slow

@@ -107,7 +107,7 @@ def test_broken_images_and_doubles_are_named_and_stop_nothing(site):
     shutil.copy(site / "card" / "left" / "000001.png", site / "card" / "left" / "000003.png")
     state = settle(watch, 0.0)
     assert [name for name, _ in state["broken"]] == ["left/000002.png", "left/000003.png"]
-    assert "the same file as left/000001.png" in state["broken"][1][1]
+    assert "the same photograph as left/000001.png" in state["broken"][1][1]
     assert state["counts"]["images"] == 4 and state["trouble"] == ""
     copy(site, [2], ["left"])  # the rest of it has come
     os.utime(site / "card" / "left" / "000002.png", (1, 1))

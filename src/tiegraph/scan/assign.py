@@ -301,7 +301,7 @@ def usable_images(names: Sequence[str], probes: Sequence[Probe], report: Report)
         elif probe.reason:
             report.drop([name], probe.reason)
         elif probe.digest in first:
-            report.drop([name], f"the same file as {first[probe.digest]}")
+            report.drop([name], f"the same photograph as {first[probe.digest]}")
             repeated.append((name, first[probe.digest]))
         else:
             first[probe.digest] = name

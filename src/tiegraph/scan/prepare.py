@@ -121,7 +121,7 @@ def _panorama(path: Path, levels: Levels) -> np.ndarray:
         pixels = eight_bit(file.pixels(), levels)
     except OSError as error:
         raise _gone(path, error) from None
-    sphere = sphere_of(file.image, pixels)
+    sphere = sphere_of(file.image, pixels.shape[1::-1], lambda: pixels)
     return pixels if sphere is None else sphere.unfolded(pixels)
 
 

@@ -33,7 +33,8 @@ def crs_above(lines: Iterable[tuple[int, str]], path: object) -> pyproj.CRS | No
 
 
 def parse_crs_line(text: str, where: str, more: str = "") -> pyproj.CRS:
-    """The CRS that a text names: an EPSG code, a PROJ string, WKT, the name in EPSG's registry, or "WGS84 UTM 54N".
+    """The CRS that a text names: an EPSG code, a PROJ string, WKT, the name in EPSG's registry (WGS84 alone is that of
+    degrees) or "WGS84 UTM 54N".
 
     Raises InputError, which ends with ``more``.
     """
@@ -46,7 +47,9 @@ def parse_crs_line(text: str, where: str, more: str = "") -> pyproj.CRS:
             return pyproj.CRS.from_user_input(zones[0])
         found = pyproj.CRS.from_user_input(bare) if re.match(r"[A-Za-z+]", bare) else None
         # PROJ takes the CRS with the most similar name for any word: only a name written out is meant
-        if found is not None and (re.search(r"[:=\[]", bare) or found.name.lower() == bare.lower()):
+        if found is not None and (
+            re.search(r"[:=\[]", bare) or found.name.replace(" ", "").lower() == bare.replace(" ", "").lower()
+        ):
             return found
         raise pyproj.exceptions.CRSError(bare)
     except pyproj.exceptions.CRSError:

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
 from PIL import Image
 
 from tiegraph.errors import InputError
@@ -188,7 +189,7 @@ def probe_image(path: Path, tuning: ImageTuning) -> Probe:
         return Probe(reason=f"cannot be read: {error.strerror or error}")
     if not data:
         return Probe(reason="zero bytes")
-    digest = hashlib.blake2b(data, digest_size=16).hexdigest()
+    digest = hashlib.blake2b(data[_picture_at(data) :], digest_size=16).hexdigest()
     if path.suffix.lower() in UNREADABLE:
         return Probe(digest=digest, reason=f"{path.suffix} files are not read: convert to JPEG, PNG or TIFF")
     try:
@@ -199,21 +200,33 @@ def probe_image(path: Path, tuning: ImageTuning) -> Probe:
         return Probe(digest=digest, reason=str(_broken(error)))
 
 
+def _picture_at(data: bytes) -> int:
+    """Where the picture of a JPEG begins, behind its tags: files with one picture are one photograph. 0 of others."""
+    at = 2 if data.startswith(b"\xff\xd8\xff") else len(data)
+    while data[at : at + 1] == b"\xff" and data[at + 1 : at + 2] != _SCAN:
+        at += 2 + int.from_bytes(data[at + 2 : at + 4], "big")
+    return at if data[at : at + 2] == b"\xff" + _SCAN else 0
+
+
+_SCAN = b"\xda"  # JPEG's marker of it
+
+
 def _describe(data: bytes, suffix: str, digest: str, tuning: ImageTuning) -> Probe:
     file = opened(data, suffix)
     image = file.image
     if image is not None and not file.raw:
         _refuse_bomb(image, len(data))
         image.load()
-    pixels = file.pixels()
-    height, width = pixels.shape[:2]
+    levels, picture = EIGHT_BIT, image
+    if picture is None or file.raw or file.deep:
+        pixels = file.pixels()
+        levels = levels_of(pixels)
+        picture = Image.fromarray(eight_bit(pixels, levels))
+    width, height = picture.size
     if min(width, height) < tuning.min_side_px:
         raise Unreadable(f"only {width} x {height} pixels")
-    levels = levels_of(pixels)
-    shown = eight_bit(pixels, levels)
-    picture = Image.fromarray(shown)
     circles = image_circles(picture, tuning.fisheye)
-    sphere = sphere_of(image, shown)
+    sphere = sphere_of(image, picture.size, lambda: np.asarray(picture.convert("RGB")))
     said = _said(file, sphere)
     if sphere is not None:
         sure = sphere.sure and sphere.width >= tuning.panorama.min_width_px

@@ -3,6 +3,7 @@
 The tags are those of Google's photo sphere XMP metadata (namespace GPano).
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -67,15 +68,15 @@ class Sphere:
         return np.dstack([filled[..., :3], np.minimum(alpha, filled[..., 3]) if filled.shape[2] == 4 else alpha])
 
 
-def sphere_of(image: Image.Image | None, pixels: np.ndarray) -> Sphere | None:
-    """Where a file, its header and its pixels (H, W[, C]) u1, lies on the sphere: by its tags, else all around if it is
-    twice as wide as high; None if neither. Black from a pole or the seam on is no picture."""
-    height, width = pixels.shape[:2]
+def sphere_of(image: Image.Image | None, size: tuple[int, int], pixels: Callable[[], np.ndarray]) -> Sphere | None:
+    """Where a file, its header, its width and height and its pixels (H, W[, C]) u1, lies on the sphere: by its tags,
+    else all around if it is twice as wide as high; None if neither. Black from a pole or the seam on is no picture."""
+    width, height = size
     text = "" if image is None else xmp_text(image)
     found = _by_tags(text, width, height)
     if found is None and width == 2 * height:
         found = Sphere(width=width, left=0, top=0, sure=_EQUIRECTANGULAR in text and not has_crop(text))
-    return found and replace(found, lit=_lit(pixels))
+    return found and replace(found, lit=_lit(pixels()))
 
 
 def has_crop(xmp: str) -> bool:
