@@ -117,6 +117,9 @@ def test_localised_headers_in_the_encodings_of_windows(tmp_path: Path, encoding:
     found = gnss(tmp_path, text.encode(encoding))
     np.testing.assert_allclose(found.lat_lon_height, LLH, rtol=0, atol=1e-8)
     assert any("not UTF-8" in n for n in found.notes) == encoding.startswith("cp")
+    widened = text.replace("\n", ";Genauigkeit\n", 1).replace("\n", ";0,02\n").replace("keit;0,02", "keit")
+    if encoding != "cp932":
+        assert gnss(tmp_path, widened.encode(encoding)).sigma_m[:, :2] == pytest.approx(np.full((2, 2), 0.02))
 
 
 NOON = 1714564800.0  # 2024-05-01 12:00:00 UTC, second 302418 of GPS week 2312
