@@ -10,9 +10,9 @@ from tiegraph.odometry.cameras import Cameras
 from tiegraph.odometry.tuning import MapTuning
 from tiegraph.odometry.worldmap import Observations, WorldMap
 from tiegraph.scene.colmapmodel import matrix, rigid3d
+from tiegraph.scene.solver import all_images, options_of
 
 _RIG = 1
-_THREADS = 1  # Ceres adds up the parts of its threads in the order they come
 _TOLERANCE = 1e-4  # relative change of the cost at which Ceres stops: the next keyframe adjusts the same again
 _BLACK = np.zeros(3, np.uint8)
 
@@ -88,24 +88,16 @@ def _add_rig(model: pycolmap.Reconstruction, cameras: Cameras) -> None:
 
 
 def _solve(model: pycolmap.Reconstruction, held: Collection[int], loss_px: float, iterations: int) -> None:
-    options = pycolmap.BundleAdjustmentOptions(
-        print_summary=False,
+    options = options_of(
+        iterations,
+        _TOLERANCE,
+        loss_px,
         refine_focal_length=False,
         refine_extra_params=False,
         refine_principal_point=False,
         refine_sensor_from_rig=False,
     )
-    ceres = options.ceres
-    ceres.use_gpu = False
-    ceres.loss_function_type = pycolmap.LossFunctionType.CAUCHY
-    ceres.loss_function_scale = loss_px
-    solver = ceres.solver_options
-    solver.max_num_iterations, solver.num_threads, solver.function_tolerance = iterations, _THREADS, _TOLERANCE
-    ceres.solver_options = solver
-    options.ceres = ceres
-    config = pycolmap.BundleAdjustmentConfig()
-    for image in model.reg_image_ids():
-        config.add_image(image)
+    config = all_images(model)
     for frame in held:
         config.set_constant_rig_from_world_pose(frame)
     pycolmap.create_default_ceres_bundle_adjuster(options, config, model).solve()

@@ -11,8 +11,8 @@ import pycolmap
 from scipy import sparse
 
 from tiegraph.geometry.transforms import skew
+from tiegraph.scene.colmapmodel import matrix
 from tiegraph.sfm.adjustment import lens, leverarmprior
-from tiegraph.sfm.model import matrix
 from tiegraph.sfm.tuning import AdjustTuning, LensTuning
 
 

@@ -19,10 +19,10 @@ from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import transforms
 from tiegraph.geometry.transforms import skew
+from tiegraph.scene.colmapmodel import image_poses, registered_images
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjustment.jacobians import Layout, jacobians
 from tiegraph.sfm.adjustment.normal import at_their_minimum, by_blocks, point_inverse, reduced
-from tiegraph.sfm.model import image_poses
 from tiegraph.sfm.rig.cameraframes import per_camera_frames
 from tiegraph.sfm.rig.timeoffset import rig_motion
 from tiegraph.sfm.tuning import Tuning
@@ -304,9 +304,8 @@ def _sample(model: pycolmap.Reconstruction, most: int) -> tuple[list[int], float
 def _stretch(model: pycolmap.Reconstruction, scene: Scene, index: int, most: int) -> pycolmap.Reconstruction:
     """The released model with the images of this rig only, of at most so many frames that follow each other."""
     seen, home = np.zeros(scene.frames), {}
-    for image in (model.image(i) for i in model.reg_image_ids()):
-        k = scene.image_index.get(image.name, -1)
-        if k >= 0 and scene.rig[scene.frame[k]] == index:
+    for k, image in registered_images(model, scene):
+        if scene.rig[scene.frame[k]] == index:
             home[image.frame_id] = int(scene.frame[k])
             seen[scene.frame[k]] += image.num_points3D
     order = np.lexsort((scene.sequence_index, scene.sequence))

@@ -1,0 +1,73 @@
+"""How Ceres solves the linear systems of an adjustment, and on how many threads."""
+
+import pycolmap
+
+# COLMAP leaves the sparse factorisation for an iterative solver at 1000 images, rig or not. What is factorised are the
+# frames, and in surveys each sees few others: a corridor of 2000 images in 500 frames took five times the time of one
+# of 1000 (benchmarks/sfm/README.md). Above so many frames the fill-in of loose collections might not fit into memory.
+MOST_FRAMES = 10_000
+# Ceres adds up the parts of its threads in the order they come (github.com/ceres-solver/ceres-solver/issues/664): with
+# two, no run is like another. One thread gives every run and every machine's number of cores the same sums. (Costs
+# written in Python would wait for each other anyway: the thread that solves holds the interpreter's lock.)
+THREADS = 1
+# Of the first step for a model that is nearly right. Ceres' own 1e4 damps what single observations hardly tell and all
+# together do: where positions want a long model to lie, and how it bends.
+NEAR_RADIUS = 1e7
+
+
+def options_of(
+    iterations: int, tolerance: float | None = None, robust_px: float | None = None, **refine: bool
+) -> pycolmap.BundleAdjustmentOptions:
+    """Options of an adjustment that gives the same bits each time: at most so many ``iterations``, until the cost
+    changes by less than ``tolerance`` of itself, with Cauchy's loss of scale ``robust_px``, where these are given;
+    ``refine_...``: what is adjusted that COLMAP would hold, or the other way round."""
+    options = pycolmap.BundleAdjustmentOptions(print_summary=False, **refine)
+    ceres = options.ceres
+    if robust_px is not None:
+        ceres.loss_function_type = pycolmap.LossFunctionType.CAUCHY
+        ceres.loss_function_scale = robust_px
+    solver = ceres.solver_options
+    solver.max_num_iterations = iterations
+    if tolerance is not None:
+        solver.function_tolerance = tolerance
+    ceres.solver_options = solver
+    options.ceres = ceres
+    repeatable(options)
+    return options
+
+
+def all_images(model: pycolmap.Reconstruction) -> pycolmap.BundleAdjustmentConfig:
+    """An adjustment of all images that have a pose."""
+    config = pycolmap.BundleAdjustmentConfig()
+    for image_id in model.reg_image_ids():
+        config.add_image(image_id)
+    return config
+
+
+def factorised(options: pycolmap.BundleAdjustmentOptions, frames: int, images: int) -> None:
+    """Let an adjustment of so many frames and images be solved by sparse factorisation, unless it is too large, and
+    always with the same sums."""
+    if frames <= MOST_FRAMES:
+        ceres = options.ceres
+        ceres.max_num_images_direct_sparse_cpu_solver = max(ceres.max_num_images_direct_sparse_cpu_solver, images)
+        options.ceres = ceres
+    repeatable(options)
+
+
+def repeatable(options: pycolmap.BundleAdjustmentOptions) -> None:
+    """Let an adjustment give the same bits each time, and on a machine with a GPU those of one without."""
+    ceres = options.ceres
+    ceres.use_gpu = False
+    solver = ceres.solver_options
+    solver.num_threads = THREADS
+    ceres.solver_options = solver
+    options.ceres = ceres
+
+
+def undamped(options: pycolmap.BundleAdjustmentOptions) -> None:
+    """Let an adjustment of a model that was adjusted before begin with whole steps: few do, however long it is."""
+    ceres = options.ceres
+    solver = ceres.solver_options
+    solver.initial_trust_region_radius = NEAR_RADIUS
+    ceres.solver_options = solver
+    options.ceres = ceres
