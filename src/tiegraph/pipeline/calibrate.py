@@ -11,7 +11,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import pycolmap
 
 from tiegraph.calibrate.adjust import Adjusted, adjust_robustly
 from tiegraph.calibrate.board import Board, read_board
@@ -328,11 +327,7 @@ def _rig(done: Adjusted, verdict: Verdict, wide: Sequence[str]) -> Rig:
                 folder=images.folder,
                 sigma_deg=turn,
                 sigma_m=place,
-                camera_sigma_px=_focal_sigma_px(camera, done, verdict, k),
+                camera_sigma_px=relative_focal_sigma(done, verdict.precision, k) * camera.mean_focal_length(),
             )
         )
     return Rig("rig" if len(sensors) > 1 else "camera", tuple(sensors), synchronised=len(sensors) > 1)
-
-
-def _focal_sigma_px(camera: pycolmap.Camera, done: Adjusted, verdict: Verdict, number: int) -> float:
-    return relative_focal_sigma(done, verdict.precision, number) * camera.mean_focal_length()

@@ -67,7 +67,9 @@ def join(
     pairs = _uncontradicted(_first_pairs(stations, tuning, told), stations, tuning)
     found = _adjusted_parts(pairs, len(stations), tuning)
     pairs, found = _grown(pairs, found, stations, tuning)
-    pairs = _without_repeats(pairs, found, stations, tuning)
+    # The pairs, of which those have a reason not to be believed that lay a shape that repeats on itself
+    left = {ends: float(row[1]) for ends, row in _loops_m(found).items()}
+    pairs = taken_apart(pairs, left, _points_shown(stations), _close_m(stations, tuning), tuning.loops)
     found = _adjusted_parts(pairs, len(stations), tuning)
     poses, left_out = _in_world(stations, found)
     loops = _loops_m(found)
@@ -99,12 +101,6 @@ def _grown(
         pairs = _uncontradicted(others + more, stations, tuning)
         found = _adjusted_parts(pairs, len(stations), tuning)
     return pairs, found
-
-
-def _without_repeats(pairs: list[Pair], found: list[Part], stations: Sequence[Station], tuning: Tuning) -> list[Pair]:
-    """The pairs, of which those have a reason not to be believed that lay a shape that repeats on itself."""
-    left = {ends: float(row[1]) for ends, row in _loops_m(found).items()}
-    return taken_apart(pairs, left, _points_shown(stations), _close_m(stations, tuning), tuning.loops)
 
 
 def _loops_m(found: Sequence[Part]) -> dict[tuple[int, int], np.ndarray]:

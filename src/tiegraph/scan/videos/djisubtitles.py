@@ -67,7 +67,8 @@ def read_subtitles(file: Path, receiver_sigma_m: float) -> Subtitles | None:
     stamps, dates, places, digits = [], [], [], 15
     for mark, end in zip(marks, ends):
         row = text[mark.end() : end]
-        stamps.append(_stamp(mark))
+        hours, minutes, seconds, fraction = mark.groups()
+        stamps.append(3600.0 * int(hours) + 60 * int(minutes) + int(seconds) + float(f"0.{fraction}"))
         dates.append(_date(row))
         place, exact = _place(row)
         places.append(place)
@@ -84,11 +85,6 @@ def read_subtitles(file: Path, receiver_sigma_m: float) -> Subtitles | None:
         start_s=float(np.median(when[dated] - at[dated])) if dated.any() else float("nan"),
         sigma_m=float(np.hypot(receiver_sigma_m, rounded_m)) if rounded_m > receiver_sigma_m else float("nan"),
     )
-
-
-def _stamp(mark: re.Match[str]) -> float:
-    hours, minutes, seconds, fraction = mark.groups()
-    return 3600.0 * int(hours) + 60 * int(minutes) + int(seconds) + float(f"0.{fraction}")
 
 
 def _date(row: str) -> float:
