@@ -16,7 +16,7 @@ from tiegraph.calibrate.tuning import AdjustTuning
 from tiegraph.errors import ReconstructionError
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import CAUCHY_SIGMAS, robust_sigma
-from tiegraph.scene.colmapmodel import matrix, rigid3d
+from tiegraph.scene.colmapmodel import add_rig, matrix, rigid3d
 from tiegraph.scene.solver import all_images, options_of
 
 _RIG = 1
@@ -211,16 +211,7 @@ def sensor(camera: int) -> pycolmap.sensor_t:
 def build(seen: Observations, state: State) -> pycolmap.Reconstruction:
     """COLMAP's model: the board is the world, an instant a frame of the rig."""
     model = pycolmap.Reconstruction()
-    rig = pycolmap.Rig(rig_id=_RIG)
-    for number, camera in enumerate(state.cameras):
-        copy = deepcopy(camera)
-        copy.camera_id = number + 1
-        model.add_camera(copy)
-        if number == 0:
-            rig.add_ref_sensor(sensor(number))
-        else:
-            rig.add_sensor(sensor(number), rigid3d(state.sensor_from_rig[number]))
-    model.add_rig(rig)
+    add_rig(model, state.cameras, [rigid3d(pose) for pose in state.sensor_from_rig])
     black = np.zeros(3, np.uint8)
     # One that no image sees would end the process: it is no block of Ceres' problem, and cannot be held.
     points = {int(k): model.add_point3D(seen.board.points[k], pycolmap.Track(), black) for k in seen.corners()}

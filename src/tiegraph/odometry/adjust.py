@@ -1,15 +1,13 @@
 """Keyframes and points adjusted together by pycolmap's bundle adjustment; cameras and rig are held."""
 
 from collections.abc import Collection, Sequence
-from copy import deepcopy
 
 import numpy as np
 import pycolmap
 
-from tiegraph.odometry.cameras import Cameras
 from tiegraph.odometry.tuning import MapTuning
 from tiegraph.odometry.worldmap import Observations, WorldMap
-from tiegraph.scene.colmapmodel import matrix, rigid3d
+from tiegraph.scene.colmapmodel import add_rig, matrix, rigid3d
 from tiegraph.scene.solver import all_images, options_of
 
 _RIG = 1
@@ -42,7 +40,7 @@ def _build(
 ) -> tuple[pycolmap.Reconstruction, dict[int, int]]:
     """COLMAP's model, in which a keyframe's number + 1 is its frame's; number of a point in the map -> in the model."""
     model = pycolmap.Reconstruction()
-    _add_rig(model, world.cameras)
+    add_rig(model, world.cameras.models, world.cameras.rigid)
     image_of: dict[tuple[int, int], int] = {}
     row = np.zeros(len(seen.point), int)
     for number in numbers:
@@ -71,20 +69,6 @@ def _build(
         for point, a, b in zip(points.tolist(), first.tolist(), ends)
     }
     return model, ids
-
-
-def _add_rig(model: pycolmap.Reconstruction, cameras: Cameras) -> None:
-    rig = pycolmap.Rig(rig_id=_RIG)
-    for number, camera in enumerate(cameras.models):
-        copy = deepcopy(camera)
-        copy.camera_id = number + 1
-        model.add_camera(copy)
-        sensor = pycolmap.sensor_t(pycolmap.SensorType.CAMERA, number + 1)
-        if number == 0:
-            rig.add_ref_sensor(sensor)
-        else:
-            rig.add_sensor(sensor, cameras.rigid[number])
-    model.add_rig(rig)
 
 
 def _solve(model: pycolmap.Reconstruction, held: Collection[int], loss_px: float, iterations: int) -> None:

@@ -7,7 +7,8 @@ from __future__ import annotations
 import shutil
 import struct
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -207,6 +208,24 @@ def rigids3d(target_from_source: np.ndarray) -> list[pycolmap.Rigid3d]:
     quaternions = transforms.quaternion_xyzw(target_from_source[:, :3, :3])
     places = np.asarray(target_from_source[:, :3, 3], float)
     return [pycolmap.Rigid3d(pycolmap.Rotation3d(q), t) for q, t in zip(quaternions, places)]
+
+
+def add_rig(
+    model: pycolmap.Reconstruction, cameras: Sequence[pycolmap.Camera], sensor_from_rig: Sequence[pycolmap.Rigid3d]
+) -> None:
+    """Give a model its rig 1: camera k has the id k + 1, the first is the reference."""
+    import pycolmap
+
+    rig = pycolmap.Rig(rig_id=1)
+    for number, camera in enumerate(cameras):
+        own = deepcopy(camera)
+        own.camera_id = number + 1
+        model.add_camera(own)
+        if number == 0:
+            rig.add_ref_sensor(own.sensor_id)
+        else:
+            rig.add_sensor(own.sensor_id, sensor_from_rig[number])
+    model.add_rig(rig)
 
 
 def sim3d(similarity: Similarity) -> pycolmap.Sim3d:

@@ -24,7 +24,7 @@ import pycolmap
 from scipy import sparse
 
 from tiegraph.scene.sorting import evenly
-from tiegraph.sfm.adjustment.jacobians import Layout, RigConstraints, jacobians
+from tiegraph.sfm.adjustment.jacobians import Layout, RigConstraints, jacobians, sampled
 from tiegraph.sfm.adjustment.leverarmprior import NominalGeometry
 from tiegraph.sfm.adjustment.normal import by_blocks, point_inverse
 from tiegraph.sfm.systematic.effects import Effect, EffectWeights
@@ -225,7 +225,7 @@ class Linearised:
         if len(layout.frame_ids) < 3:
             raise ValueError("needs at least 3 frames")
         self.layout = layout
-        self.points, self.share = _sample(model, most_points)
+        self.points, self.share = sampled(model.point3D_ids(), most_points)
         seen = jacobians(model, layout, self.points)
         redundancy = len(seen.residual) - (layout.size - 7) - 3 * len(self.points)
         if redundancy <= 0:
@@ -239,14 +239,6 @@ class Linearised:
         self.weights = np.repeat(weight, 2), np.repeat(weight**2, 2)
         prior = (self.variance * (known + held)).tocsr()
         self.weighed, self.pull = EffectWeights(seen, self.weights, self.share, prior, layout), known + pull
-
-
-def _sample(model: pycolmap.Reconstruction, most: int) -> tuple[list[int], float]:
-    ids = np.array(sorted(model.point3D_ids()))
-    share = min(1.0, most / max(len(ids), 1))
-    if share < 1:
-        ids = np.sort(np.random.default_rng(_SEED).choice(ids, most, replace=False))
-    return ids.tolist(), share
 
 
 class _Asked:
