@@ -15,12 +15,19 @@ import numpy as np
 from tiegraph.calibrate.adjust import Adjusted, adjust_robustly
 from tiegraph.calibrate.board import Board, read_board
 from tiegraph.calibrate.detect import Corners, detect
-from tiegraph.calibrate.exchange import kalibr_yaml, opencv_yaml
 from tiegraph.calibrate.judge import Verdict, judge, relative_focal_sigma
 from tiegraph.calibrate.observations import CameraImages, Observations, View, check_count, check_one_camera, check_views
 from tiegraph.calibrate.settings import CalibrateSettings
 from tiegraph.calibrate.start import start
-from tiegraph.calibrate.summary import correlation_csv, lengths, residual_picture, rig_sigmas, summary
+from tiegraph.calibrate.summary import (
+    correlation_csv,
+    kalibr_yaml,
+    lengths,
+    opencv_yaml,
+    residual_picture,
+    rig_sigmas,
+    summary,
+)
 from tiegraph.calibrate.tuning import BoardTuning, JudgeTuning
 from tiegraph.errors import InputError
 from tiegraph.project.pool import map_items, open_pool

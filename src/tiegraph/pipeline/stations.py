@@ -23,9 +23,8 @@ from tiegraph.project.verbtunings import VerbTunings
 from tiegraph.scan.priors.trajectory import write_tum
 from tiegraph.scene.cloudfile import read_cloud, shift_of, write_cloud
 from tiegraph.scene.posefile import read_poses
-from tiegraph.stations.joined import Joined, join, prepared
+from tiegraph.stations.joined import Band, Joined, by_distance, join, prepared
 from tiegraph.stations.pairs import Pair
-from tiegraph.stations.precision import Band, by_distance
 from tiegraph.stations.station import Shot, Station, spacing_of
 from tiegraph.stations.tuning import SpacingTuning, Tuning
 
