@@ -32,10 +32,10 @@ from tiegraph.calibrate.adjust import State, adjust_robustly
 from tiegraph.calibrate.board import read_board
 from tiegraph.calibrate.covariance import Precision, parameters, precision
 from tiegraph.calibrate.detect import detect
-from tiegraph.calibrate.exchange import lens_of
 from tiegraph.calibrate.judge import judge
 from tiegraph.calibrate.observations import CameraImages, Observations, View
 from tiegraph.calibrate.start import start
+from tiegraph.calibrate.summary import lens_of
 from tiegraph.calibrate.tuning import Tuning
 from tiegraph.geometry import transforms
 from tiegraph.scene.targets import CENTRE

@@ -126,7 +126,6 @@ def measure(name: str, dataset: datasets.Dataset, folder: Path, second: Path | N
         angle = transforms.angle_deg(turned, np.broadcast_to(np.eye(3), turned.shape))
         out["attitude_deg"] = _pair(float(np.degrees(_rms(sigma.turn[rows]))), float(np.sqrt(np.mean(angle**2))))
         out["lens_px"] = {str(f.camera): [round(f.rms_px, 3), round(f.reach_px)] for f in sigma.shared.lenses}
-        out["strays"] = [[f.always, f.place * fit.scale, float(np.degrees(f.turn))] for f in sigma.shared.strays]
     out |= _points(name, model, sigma, dataset, fit)
     return {**out, **_with_truth(name, folder, dataset, second, out["position_m"])}
 

@@ -5,9 +5,9 @@ import pycolmap
 
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import umeyama
+from tiegraph.scene.colmapmodel import image_poses
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.model import image_poses
 
 _COPIED_M, _COPIED_DEG = 1e-7, 1e-5  # nearer than that nothing is measured: it is the truth itself
 

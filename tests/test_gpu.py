@@ -12,8 +12,8 @@ import pytest
 from tiegraph import gpu
 from tiegraph.features import matchblocks
 from tiegraph.features.settings import MatchSettings
+from tiegraph.scene.solver import repeatable
 from tiegraph.sfm import run
-from tiegraph.sfm.solver import repeatable
 from tiegraph.sfm.tuning import Tuning
 
 

@@ -16,9 +16,9 @@ import pycolmap  # isort: skip
 from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import transforms
+from tiegraph.scene.colmapmodel import rigid3d
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
-from tiegraph.sfm.model import rigid3d
 
 WIDTH, HEIGHT, FOCAL = 640, 480, 400.0
 NOISE_PX = 0.5

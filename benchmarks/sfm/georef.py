@@ -32,6 +32,7 @@ from tiegraph.errors import TiegraphError
 from tiegraph.geometry.align import umeyama
 from tiegraph.geometry.geodesy import geodetic_from_world, world_from_geodetic
 from tiegraph.project.settings import Settings
+from tiegraph.scene.colmapmodel import image_poses
 from tiegraph.scene.control import Control, locate
 from tiegraph.scene.gcp import read_gcps
 from tiegraph.scene.gnss import read_gnss
@@ -39,7 +40,7 @@ from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import ControlTuning, GnssTuning
 from tiegraph.sfm.adjustment.adjust import final_adjustment
 from tiegraph.sfm.mapping import believed_cameras
-from tiegraph.sfm.model import frame_poses, image_poses
+from tiegraph.sfm.model import frame_poses
 from tiegraph.sfm.rig.rig import rig_modes
 from tiegraph.sfm.settings import GeorefSettings
 from tiegraph.sfm.tuning import Tuning

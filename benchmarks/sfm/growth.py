@@ -27,10 +27,10 @@ import pycolmap  # isort: skip
 from benchmarks.sfm.corridor import camera_of, drifted, path_of, pinhole, sights
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import umeyama
+from tiegraph.scene.colmapmodel import image_poses
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
 from tiegraph.sfm.finish import finish_model
-from tiegraph.sfm.model import image_poses
 from tiegraph.sfm.placement.doubtful import MatchSource
 from tiegraph.sfm.rigcheck import FinishRequest, Held
 from tiegraph.sfm.run import Fixed, Matches, Method, Request, run_mapper

@@ -21,12 +21,13 @@ from benchmarks import datasets
 from benchmarks.accuracy import evaluate
 from benchmarks.sfm.finished import each_run
 from tiegraph.geometry import transforms
+from tiegraph.scene.colmapmodel import image_poses
 from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.database import ViewGraph
 from tiegraph.sfm.finish import finish_model
 from tiegraph.sfm.mapping import believed_cameras
-from tiegraph.sfm.model import frame_poses, image_poses
+from tiegraph.sfm.model import frame_poses
 from tiegraph.sfm.placement.doubtful import MatchSource
 from tiegraph.sfm.rig.rig import rig_modes
 from tiegraph.sfm.rig.support import ties_of, unsupported_sensors

@@ -23,11 +23,11 @@ from benchmarks import datasets
 from benchmarks.accuracy import evaluate
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import umeyama
+from tiegraph.scene.colmapmodel import image_poses
 from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import Tuning as SceneTuning
 from tiegraph.sfm.mapper import Source, reconstruct
-from tiegraph.sfm.model import image_poses
 from tiegraph.sfm.settings import SparseSettings
 from tiegraph.sfm.tuning import Tuning
 

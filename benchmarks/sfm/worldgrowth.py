@@ -15,9 +15,10 @@ import time
 import numpy as np
 
 from benchmarks.sfm.corridor import Corridor, corridor
+from tiegraph.scene.colmapmodel import image_poses
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjustment.adjust import final_adjustment
-from tiegraph.sfm.model import frame_poses, image_poses
+from tiegraph.sfm.model import frame_poses
 from tiegraph.sfm.settings import GeorefSettings
 from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.world.georeferencing import georeference_model

@@ -152,12 +152,8 @@ def _full(folder: Path) -> bool:
 def _tight(folder: Path) -> bool:
     """Whether room may have been short: what filled the disk can be gone again."""
     try:
-        size, limit = _size(folder), size_limit()
+        size, limit = sum(p.stat().st_size for p in folder.glob("*") if p.is_file()), size_limit()
         low = limit is not None and limit < max(_SMALL_LIMIT_BYTES, 4 * size)
         return low or _full(folder) or _free(folder) < 2 * size
     except OSError:
         return True
-
-
-def _size(folder: Path) -> int:
-    return sum(p.stat().st_size for p in folder.glob("*") if p.is_file())

@@ -9,11 +9,10 @@ from calibrate.board_world import board_before, boards_of_rig, camera, observed,
 from tiegraph.calibrate.adjust import State, adjust_robustly, place_boards
 from tiegraph.calibrate.board import read_board
 from tiegraph.calibrate.covariance import parameters, precision
-from tiegraph.calibrate.exchange import kalibr_yaml, opencv_yaml
 from tiegraph.calibrate.judge import judge
 from tiegraph.calibrate.observations import check_views
 from tiegraph.calibrate.start import start
-from tiegraph.calibrate.summary import parameter_rows
+from tiegraph.calibrate.summary import kalibr_yaml, opencv_yaml, parameter_rows
 from tiegraph.calibrate.tuning import Tuning
 from tiegraph.errors import InputError, ReconstructionError
 from tiegraph.geometry import transforms

@@ -7,7 +7,7 @@ from boat_world import Result
 from tiegraph.network.offsets.background import corridor, noise_floor_within
 from tiegraph.network.offsets.offsets import estimate_offsets
 from tiegraph.network.passes import MatchCache, find_passes
-from tiegraph.network.retrieval.significance import seen_by_the_rig, unrelated
+from tiegraph.network.retrieval.retrieval import seen_by_the_rig, unrelated
 from tiegraph.network.retrieval.timeline import Timeline
 from tiegraph.network.scorematrix import NoiseFloor, score_matrix
 from tiegraph.network.settings import CandidatesSettings

@@ -22,8 +22,7 @@ from tiegraph.network.passes import MatchCache, find_passes
 from tiegraph.network.rig import check
 from tiegraph.network.rig import synchronisation as rigsync
 from tiegraph.network.rig.axes import predicted_shift
-from tiegraph.network.rig.cameraorder import orders
-from tiegraph.network.rig.check import check_rig, check_rigs
+from tiegraph.network.rig.check import check_rig, check_rigs, orders
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.scene.rig import Rig, Sensor

@@ -19,12 +19,12 @@ from tiegraph.scan.prepare import crop_camera
 from tiegraph.scan.rigfiles.rigfile import parse_rig_file, read_rig_file
 from tiegraph.scan.rigfiles.rigspec import RigSpec, orient
 from tiegraph.scan.tuning import RigTuning
+from tiegraph.scene.colmapmodel import rigid3d
 from tiegraph.scene.hanging import WIDE
 from tiegraph.scene.rig import Rig, Sensor, Source
 from tiegraph.scene.scene import Scene, simple_scene
 from tiegraph.sfm.covariance import INTERIOR, INTERIOR_TABLE, MOUNTING
 from tiegraph.sfm.mapping import believed_cameras
-from tiegraph.sfm.model import rigid3d
 from tiegraph.sfm.settings import SparseSettings
 
 RIG = RigTuning()

@@ -36,7 +36,7 @@ def test_a_camera_that_is_off_as_a_whole_keeps_its_path():
     second = np.repeat([model.image(f).camera_id == 2 for f in ids], 3)
     covariance = 1e-4 * np.eye(36) + np.outer(second, second) * np.kron(np.ones((12, 12)), np.eye(3))
     none = PointSigma((), np.zeros((0, 3)))
-    sigma = PositionSigma(ids, np.ones((12, 3)), 1.0, none, SharedErrors(1.0, (), ()), covariance=covariance)
+    sigma = PositionSigma(ids, np.ones((12, 3)), 1.0, none, SharedErrors(1.0, ()), covariance=covariance)
     rows = own_paths(model, sigma, {2: "b"})[PATHS]["rows"]
     assert [row[0] for row in rows] == [1, "b"]
     expected = 0.01 * np.sqrt(3 * (18 - 7) / 18)

@@ -8,9 +8,8 @@ from scan_worlds import scan
 
 from tiegraph.geometry.geodesy import geodetic_from_world, make_origin, world_from_geodetic
 from tiegraph.scan.tuning import Tuning as ScanTuning
-from tiegraph.scene.colmapmodel import read_model
+from tiegraph.scene.colmapmodel import image_poses, read_model
 from tiegraph.scene.gnss import read_gnss
-from tiegraph.sfm.model import image_poses
 from tiegraph.sfm.settings import GeorefSettings
 from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.world.fixes import Measurements, PositionRows

@@ -14,9 +14,8 @@ from PIL import Image
 from tiegraph.scan.recording import Recording
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import PicturesTuning
-from tiegraph.scan.videos.djisubtitles import read_subtitles
 from tiegraph.scan.videos.video import sharpest, take_pictures
-from tiegraph.scan.videos.videotime import VideoClock, video_clock
+from tiegraph.scan.videos.videotime import VideoClock, read_subtitles, video_clock
 from tiegraph.scene.exif import Exif, Taken, exif_of, read_exif
 
 PICTURES = PicturesTuning()

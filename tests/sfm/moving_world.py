@@ -14,9 +14,9 @@ import pycolmap  # isort: skip
 
 from tiegraph.geometry import transforms
 from tiegraph.scan.rigfiles.rigspec import orient
+from tiegraph.scene.colmapmodel import rigid3d
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
-from tiegraph.sfm.model import rigid3d
 
 INTERVAL_S = 0.5
 

@@ -12,9 +12,9 @@ import tiegraph  # noqa: F401  (zlib before pycolmap)
 import pycolmap  # isort: skip
 
 from tiegraph.geometry import transforms
+from tiegraph.scene.colmapmodel import image_poses, matrix
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
-from tiegraph.sfm.model import image_poses, matrix
 
 
 def make_world(

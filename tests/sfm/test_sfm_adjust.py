@@ -12,9 +12,9 @@ import tiegraph  # noqa: F401  (zlib before pycolmap)
 
 import pycolmap  # isort: skip
 
-from tiegraph.sfm import solver
+from tiegraph.scene import solver
+from tiegraph.scene.colmapmodel import image_poses
 from tiegraph.sfm.adjustment.adjust import drop_momentary, final_adjustment
-from tiegraph.sfm.model import image_poses
 from tiegraph.sfm.tuning import AdjustTuning
 
 TUNING = AdjustTuning()

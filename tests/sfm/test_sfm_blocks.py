@@ -11,13 +11,12 @@ import pytest
 from moving_world import moving_world, write_database
 
 from near import assert_reconstruction_near
-from tiegraph.scene.colmapmodel import MAX_IMAGES
+from tiegraph.scene.colmapmodel import MAX_IMAGES, image_poses
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import BlocksTuning
 from tiegraph.scene.tuning import Tuning as SceneTuning
 from tiegraph.sfm.database import write_working_copy
 from tiegraph.sfm.mapper import Source, reconstruct
-from tiegraph.sfm.model import image_poses
 from tiegraph.sfm.settings import SparseSettings
 from tiegraph.sfm.tuning import Tuning
 

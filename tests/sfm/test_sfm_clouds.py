@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity
-from tiegraph.sfm.model import image_poses
+from tiegraph.scene.colmapmodel import image_poses
 from tiegraph.sfm.settings import GeorefSettings
 from tiegraph.sfm.ties import moved
 from tiegraph.sfm.tuning import Tuning

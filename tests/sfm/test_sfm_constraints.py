@@ -11,12 +11,12 @@ from scipy.spatial.transform import Rotation
 
 from near import baselines_m
 from tiegraph.geometry import transforms
+from tiegraph.scene.colmapmodel import model_rigs, rigid3d
 from tiegraph.scene.rig import SensorPair
 from tiegraph.sfm.adjustment import constraints
 from tiegraph.sfm.adjustment.adjust import final_adjustment
 from tiegraph.sfm.adjustment.rigpriors import rig_priors
 from tiegraph.sfm.adjustment.timecost import TiesOfOne, TimeOffsetPrior, expected
-from tiegraph.sfm.model import model_rigs, rigid3d
 from tiegraph.sfm.rig.rig import held_by_mapper, rig_modes
 from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.tuning.rig import RigPriorTuning, RigTuning

@@ -10,10 +10,11 @@ from moving_world import moving_world
 from sfm_worlds import make_world, true_frames
 
 from tiegraph.geometry.align import umeyama
+from tiegraph.scene.colmapmodel import image_poses
 from tiegraph.sfm.adjustment.adjust import _solve, final_adjustment
 from tiegraph.sfm.adjustment.jacobians import Layout, RigConstraint, RigConstraints, skew
 from tiegraph.sfm.covariance import MOUNTING, position_sigma
-from tiegraph.sfm.model import frame_poses, image_poses
+from tiegraph.sfm.model import frame_poses
 from tiegraph.sfm.relativesigma import between_frames
 from tiegraph.sfm.tuning import Tuning
 

@@ -10,9 +10,9 @@ from scipy.spatial.transform import Rotation
 from sfm_worlds import make_world
 
 from near import assert_reconstruction_near
+from tiegraph.scene.colmapmodel import image_poses
 from tiegraph.sfm.adjustment.adjust import final_adjustment
 from tiegraph.sfm.adjustment.fewpoints import points_that_can_wait, take_poses, thinned
-from tiegraph.sfm.model import image_poses
 from tiegraph.sfm.tuning import AdjustTuning, FewPointsTuning
 
 import pycolmap  # isort: skip

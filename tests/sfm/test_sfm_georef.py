@@ -13,7 +13,8 @@ from sfm_worlds import make_world, true_frames, with_positions
 from tiegraph.geometry.align import Similarity
 from tiegraph.geometry.geodesy import make_origin
 from tiegraph.geometry.gravity import Up
-from tiegraph.sfm.model import frame_poses, image_poses
+from tiegraph.scene.colmapmodel import image_poses
+from tiegraph.sfm.model import frame_poses
 from tiegraph.sfm.settings import GeorefSettings
 from tiegraph.sfm.tuning.world import WorldTuning
 from tiegraph.sfm.world.fit import Evidence, fit_similarity

@@ -12,12 +12,12 @@ from sfm_worlds import make_world, true_frames, with_positions
 from tiegraph.geometry import transforms
 from tiegraph.geometry.geodesy import Origin
 from tiegraph.geometry.gravity import Up
-from tiegraph.scene.colmapmodel import matrix
+from tiegraph.scene import solver
+from tiegraph.scene.colmapmodel import image_poses, matrix
 from tiegraph.scene.control import Control, Marks
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
-from tiegraph.sfm import solver
-from tiegraph.sfm.model import frame_poses, image_poses
+from tiegraph.sfm.model import frame_poses
 from tiegraph.sfm.rig.cameraframes import per_camera_frames
 from tiegraph.sfm.settings import GeorefSettings
 from tiegraph.sfm.tuning import Tuning

@@ -10,10 +10,9 @@ import pytest
 from sfm_worlds import make_world
 
 from tiegraph.geometry import transforms
-from tiegraph.scene.colmapmodel import read_model
+from tiegraph.scene.colmapmodel import matrix, read_model
 from tiegraph.sfm.adjustment import lens
 from tiegraph.sfm.adjustment.adjust import final_adjustment
-from tiegraph.sfm.model import matrix
 from tiegraph.sfm.tuning import Tuning
 
 import pycolmap  # isort: skip

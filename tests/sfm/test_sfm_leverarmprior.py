@@ -9,9 +9,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 from sfm_worlds import make_world
 
+from tiegraph.scene.colmapmodel import rigid3d
 from tiegraph.sfm.adjustment import leverarmprior
 from tiegraph.sfm.adjustment.adjust import final_adjustment
-from tiegraph.sfm.model import rigid3d
 from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.tuning.rig import LeverArmTuning
 

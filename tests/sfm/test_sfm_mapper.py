@@ -17,13 +17,13 @@ from tiegraph.errors import ChildDied, ReconstructionError, SettingsError
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import umeyama
 from tiegraph.scene.colmapdatabase import image_ids
-from tiegraph.scene.colmapmodel import MAX_IMAGES
+from tiegraph.scene.colmapmodel import MAX_IMAGES, image_poses
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import Tuning as SceneTuning
 from tiegraph.sfm import mapper, mapping
 from tiegraph.sfm.mapper import Source, SparseResult, reconstruct
 from tiegraph.sfm.mapping import choose_mapper
-from tiegraph.sfm.model import frame_poses, held_out_frames, image_poses
+from tiegraph.sfm.model import frame_poses, held_out_frames
 from tiegraph.sfm.rig.rig import model_extrinsics, rig_modes
 from tiegraph.sfm.settings import SparseSettings
 from tiegraph.sfm.tuning import MappingTuning, Tuning

@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 from sfm_worlds import make_world, true_frames, with_positions
 
 from tiegraph.geometry import transforms
+from tiegraph.scene.colmapmodel import image_poses
 from tiegraph.scene.mergedmodel import merged
-from tiegraph.sfm.model import image_poses
 from tiegraph.sfm.settings import GeorefSettings
 from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.verified import VerifiedMatches, read_verified

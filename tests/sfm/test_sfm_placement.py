@@ -10,8 +10,8 @@ import pytest
 from moving_world import moving_world, write_database
 
 from tiegraph.geometry import transforms
+from tiegraph.scene.colmapmodel import image_poses, rigid3d
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.model import image_poses, rigid3d
 from tiegraph.sfm.placement.consistency import ConsistencyVotes, check_consistency
 from tiegraph.sfm.placement.continuity import motion_continuity
 from tiegraph.sfm.placement.doubtful import MatchSource, PlacementCheck, leave_out_doubtful

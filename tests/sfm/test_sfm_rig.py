@@ -8,7 +8,7 @@ from sfm_worlds import make_world, without_extrinsics
 
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import l1_mean_rotation
-from tiegraph.sfm.model import rigid3d
+from tiegraph.scene.colmapmodel import rigid3d
 from tiegraph.sfm.rig.rig import derive_rig
 from tiegraph.sfm.tuning.rig import DeriveTuning
 

@@ -13,11 +13,11 @@ from driving_world import LATE_S, Drive, driving_world, true_scale, with_sync
 from sfm_worlds import make_world
 
 from tiegraph.geometry import transforms
+from tiegraph.scene.colmapmodel import image_poses
 from tiegraph.scene.rig import rig_from_dict, rig_to_dict
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjustment.adjust import final_adjustment
 from tiegraph.sfm.finish import FinishResult, finish_model
-from tiegraph.sfm.model import image_poses
 from tiegraph.sfm.rig.confront import lever_sigmas, open_times, prior_test
 from tiegraph.sfm.rig.rigevidence import statements
 from tiegraph.sfm.rigcheck import FinishRequest, Held

@@ -11,10 +11,10 @@ import pytest
 from moving_world import moving_world
 
 from tiegraph.geometry import transforms
+from tiegraph.scene.colmapmodel import image_poses
 from tiegraph.scene.rig import Source
 from tiegraph.sfm import rigcheck
 from tiegraph.sfm.adjustment.adjust import final_adjustment
-from tiegraph.sfm.model import image_poses
 from tiegraph.sfm.rig.diagnostics import RigDiagnostics, rig_diagnostics
 from tiegraph.sfm.rig.resections import (
     COLUMNS,

@@ -17,10 +17,10 @@ from moving_world import sighted
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import umeyama
 from tiegraph.scan.rigfiles.rigspec import orient
+from tiegraph.scene.colmapmodel import rigid3d
 from tiegraph.scene.rig import Rig, Sensor, Source
 from tiegraph.scene.scene import Scene, simple_scene
 from tiegraph.sfm.finish import FinishResult, finish_model
-from tiegraph.sfm.model import rigid3d
 from tiegraph.sfm.rigcheck import FinishRequest, Held
 from tiegraph.sfm.shutter import Readout, find_readout, image_motion, unrolled
 from tiegraph.sfm.tuning import ShutterTuning, Tuning

@@ -17,6 +17,7 @@ import pycolmap  # isort: skip
 
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import umeyama
+from tiegraph.scene.colmapmodel import image_poses, rigid3d
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjustment import adjust
 from tiegraph.sfm.adjustment.adjust import final_adjustment
@@ -24,7 +25,6 @@ from tiegraph.sfm.adjustment.constraints import PoseConstraints
 from tiegraph.sfm.adjustment.jacobians import Layout, RigConstraint, RigConstraints
 from tiegraph.sfm.adjustment.timecost import TimeOffsetPriors
 from tiegraph.sfm.covariance import position_sigma
-from tiegraph.sfm.model import image_poses, rigid3d
 from tiegraph.sfm.rig.confront import mounting_errors, prior_test
 from tiegraph.sfm.rig.timecalibration import TrustedCalibration, calibrate_times, with_errors
 from tiegraph.sfm.tuning import Tuning

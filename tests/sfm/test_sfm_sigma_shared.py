@@ -13,11 +13,12 @@ from sfm_worlds import make_world, true_frames
 
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import umeyama
+from tiegraph.scene.colmapmodel import image_poses, matrix
 from tiegraph.sfm.adjustment.adjust import _solve
 from tiegraph.sfm.adjustment.jacobians import Layout, RigConstraint, RigConstraints, jacobians
 from tiegraph.sfm.adjustment.normal import Normal, by_blocks, gauge, point_inverse, reduced
 from tiegraph.sfm.covariance import LENS, position_sigma
-from tiegraph.sfm.model import frame_poses, image_poses, matrix
+from tiegraph.sfm.model import frame_poses
 from tiegraph.sfm.settings import SparseSettings
 from tiegraph.sfm.systematic.mountings import two_sizes
 from tiegraph.sfm.tuning import Tuning

@@ -13,11 +13,12 @@ from scipy.spatial.transform import Rotation
 
 from near import assert_reconstruction_near
 from tiegraph.geometry import transforms
+from tiegraph.scene.colmapmodel import image_poses
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import Tuning as SceneTuning
 from tiegraph.sfm import mapping
 from tiegraph.sfm.mapper import Source, reconstruct
-from tiegraph.sfm.model import frame_poses, image_poses
+from tiegraph.sfm.model import frame_poses
 from tiegraph.sfm.run import Fixed, MappingResult, Matches, Method, Request, run_mapper
 from tiegraph.sfm.settings import SparseSettings
 from tiegraph.sfm.start.pathscale import path_scale

@@ -9,11 +9,11 @@ import pytest
 from sfm_worlds import make_world, true_frames, with_positions
 
 from tiegraph.geometry import transforms
+from tiegraph.scene.colmapmodel import model_rigs
 from tiegraph.scene.registered import Registration
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import simple_scene
 from tiegraph.scene.weakties import WeaklyTied
-from tiegraph.sfm.model import model_rigs
 from tiegraph.sfm.registrationreport import few_points, weakly_constrained
 from tiegraph.sfm.rig.support import place_as_given, ties_of, units_per_metre, unsupported_sensors
 from tiegraph.sfm.tuning import RegistrationTuning, Tuning

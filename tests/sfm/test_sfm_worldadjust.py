@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from sfm_worlds import make_world, true_frames, with_positions
 
-from tiegraph.sfm.model import frame_poses, image_poses
+from tiegraph.scene.colmapmodel import image_poses
+from tiegraph.sfm.model import frame_poses
 from tiegraph.sfm.settings import GeorefSettings
 from tiegraph.sfm.ties import moved
 from tiegraph.sfm.tuning import Tuning

@@ -5,8 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import transforms
-from tiegraph.stations.adjust import adjusted
-from tiegraph.stations.loops import contradicted, parts, taken_apart
+from tiegraph.stations.loops import adjusted, contradicted, parts, taken_apart
 from tiegraph.stations.pairs import Pair
 from tiegraph.stations.tuning import LoopTuning
 

@@ -16,10 +16,10 @@ from tiegraph.calibrate.tuning import AdjustTuning
 from tiegraph.errors import ReconstructionError
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import CAUCHY_SIGMAS, robust_sigma
-from tiegraph.scene.colmapmodel import matrix, rigid3d
+from tiegraph.scene.colmapmodel import add_rig, matrix, rigid3d
+from tiegraph.scene.solver import all_images, options_of
 
 _RIG = 1
-_THREADS = 1  # Ceres adds up the parts of its threads in the order they come
 
 
 @dataclass(frozen=True)
@@ -188,25 +188,16 @@ def problem(
 ) -> Any:
     """pycolmap's adjuster over all images, with the points held unless ``points``; ``free`` = False: cameras and rig
     held too."""
-    options = pycolmap.BundleAdjustmentOptions(
-        print_summary=False,
+    options = options_of(
+        tuning.iterations,
+        1e-12,
+        scale_px,
         refine_focal_length=free,
         refine_extra_params=free,
         refine_principal_point=free and principal_point,
         refine_sensor_from_rig=free,
     )
-    ceres = options.ceres
-    ceres.use_gpu = False
-    ceres.loss_function_type = pycolmap.LossFunctionType.CAUCHY
-    ceres.loss_function_scale = scale_px
-    solver = ceres.solver_options
-    solver.max_num_iterations, solver.num_threads = tuning.iterations, _THREADS
-    solver.function_tolerance = 1e-12
-    ceres.solver_options = solver
-    options.ceres = ceres
-    config = pycolmap.BundleAdjustmentConfig()
-    for image in model.reg_image_ids():
-        config.add_image(image)
+    config = all_images(model)
     for point in () if points else model.point3D_ids():
         config.add_constant_point(point)
     return pycolmap.create_default_ceres_bundle_adjuster(options, config, model)
@@ -220,16 +211,7 @@ def sensor(camera: int) -> pycolmap.sensor_t:
 def build(seen: Observations, state: State) -> pycolmap.Reconstruction:
     """COLMAP's model: the board is the world, an instant a frame of the rig."""
     model = pycolmap.Reconstruction()
-    rig = pycolmap.Rig(rig_id=_RIG)
-    for number, camera in enumerate(state.cameras):
-        copy = deepcopy(camera)
-        copy.camera_id = number + 1
-        model.add_camera(copy)
-        if number == 0:
-            rig.add_ref_sensor(sensor(number))
-        else:
-            rig.add_sensor(sensor(number), rigid3d(state.sensor_from_rig[number]))
-    model.add_rig(rig)
+    add_rig(model, state.cameras, [rigid3d(pose) for pose in state.sensor_from_rig])
     black = np.zeros(3, np.uint8)
     # One that no image sees would end the process: it is no block of Ceres' problem, and cannot be held.
     points = {int(k): model.add_point3D(seen.board.points[k], pycolmap.Track(), black) for k in seen.corners()}

@@ -6,8 +6,8 @@ import numpy as np
 
 from tiegraph.calibrate.adjust import Adjusted, State, adjust, place_boards, view_residuals
 from tiegraph.calibrate.covariance import Precision, precision
-from tiegraph.calibrate.observations import CameraImages, Observations
-from tiegraph.calibrate.tuning import AdjustTuning, JudgeTuning, Tuning
+from tiegraph.calibrate.observations import Observations
+from tiegraph.calibrate.tuning import JudgeTuning, Tuning
 from tiegraph.errors import ReconstructionError
 from tiegraph.geometry.align import CAUCHY_SIGMAS
 
@@ -49,13 +49,15 @@ def judge(done: Adjusted, tuning: Tuning) -> Verdict:
     cameras = []
     for number, images in enumerate(done.seen.cameras):
         own = [k for k, view in enumerate(done.seen.views) if view.camera == number]
+        longer = max(images.size)
+        across, down = (max(1, round(tuning.judge.cells * side / longer)) for side in images.size)
         cameras.append(
             CameraVerdict(
                 views=len(own),
                 corners=sum(len(inside[k]) for k in own),
                 rms_px=_rms([inside[k] for k in own]),
                 held_out_px=_rms([held_out[k] for k in own]),
-                coverage=float((seen_cells(done.seen, number, _cells(images, tuning.judge)) > 0).mean()),
+                coverage=float((seen_cells(done.seen, number, (across, down)) > 0).mean()),
                 tilt_deg=tilts[number],
             )
         )
@@ -70,7 +72,7 @@ def held_out_residuals(done: Adjusted, tuning: Tuning) -> list[np.ndarray]:
     """(K, 2) residuals of every view from cameras and rig that were adjusted without its instant, to which only the
     board's place was fitted, pixels."""
     out: dict[str, np.ndarray] = {}
-    scale = _scale(done, tuning.adjust)
+    scale = max(CAUCHY_SIGMAS * done.sigma_px, tuning.adjust.least_scale_px)
     instants = done.seen.instants()
     for fold in range(min(tuning.judge.folds, len(instants))):
         held = set(instants[fold :: tuning.judge.folds])
@@ -80,10 +82,6 @@ def held_out_residuals(done: Adjusted, tuning: Tuning) -> list[np.ndarray]:
         placed = place_boards(asked, State(found.cameras, found.sensor_from_rig, boards), tuning.adjust, scale)
         out |= {v.name: r for v, r in zip(asked.views, view_residuals(asked, placed))}
     return [out[view.name] for view in done.seen.views]
-
-
-def _scale(done: Adjusted, tuning: AdjustTuning) -> float:
-    return max(CAUCHY_SIGMAS * done.sigma_px, tuning.least_scale_px)
 
 
 def _largest_tilt(done: Adjusted, camera: int) -> float:
@@ -119,12 +117,6 @@ def _check_focal_lengths(done: Adjusted, exact: Precision, tilts: list[float], t
 
 
 # --- coverage and advice --------------------------------------------------------------------------------------------
-
-
-def _cells(images: CameraImages, tuning: JudgeTuning) -> tuple[int, int]:
-    longer = max(images.size)
-    across, down = (max(1, round(tuning.cells * side / longer)) for side in images.size)
-    return across, down
 
 
 def seen_cells(seen: Observations, camera: int, cells: tuple[int, int]) -> np.ndarray:

@@ -26,7 +26,11 @@ def main(arguments: list[str]) -> int:
     """The stage for a run folder, or the comparison of two cloud files."""
     files = [a for a in arguments if not a.startswith("-")]
     if files and Path(files[0]).suffix.lower() in CLOUD_ENDINGS and not Path(files[0]).is_dir():
-        return _clouds(arguments)  # that says so if the other is missing, or no cloud
+        asked = options_of(_Clouds, "tiegraph evaluate", arguments)  # says so if the other is missing, or no cloud
+        question = Question(distances_m=asked.distances_m, register=asked.register, coarse=asked.coarse)
+        tuning = read_tunings(asked.tuning).evaluate
+        _show(evaluate_clouds((asked.cloud, asked.reference), asked.out, question, tuning))
+        return 0
     if len(arguments) >= 2 and Path(arguments[0]).is_dir() and not arguments[1].startswith("-"):
         return _poses(arguments)
     return main_stage("evaluate", arguments, about=_OTHERS)
@@ -74,14 +78,6 @@ class _Clouds:
     """Folder for metrics.json, the map of differences and both clouds with their distances."""
     tuning: Path | None = None
     """A file with other constants: the table [tuning.evaluate]."""
-
-
-def _clouds(arguments: list[str]) -> int:
-    asked = options_of(_Clouds, "tiegraph evaluate", arguments)
-    question = Question(distances_m=asked.distances_m, register=asked.register, coarse=asked.coarse)
-    tuning = read_tunings(asked.tuning).evaluate
-    _show(evaluate_clouds((asked.cloud, asked.reference), asked.out, question, tuning))
-    return 0
 
 
 def _show(result: dict[str, Any]) -> None:

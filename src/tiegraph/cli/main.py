@@ -88,7 +88,10 @@ def _os_text(error: OSError) -> str:
 
 def _dispatch(arguments: list[str]) -> int:
     if not arguments or arguments[0] in ("-h", "--help", "help"):
-        return _help()
+        lines = ["usage: tiegraph <verb> ...   (`tiegraph <verb> --help` for its options)", ""]
+        lines += [f"  {name:<15} {verb.about}" for name, verb in VERBS.items()]
+        say("\n".join(lines))
+        return DONE
     if arguments[0] in ("-V", "--version", "version"):
         say(f"tiegraph {__version__}")
         return DONE
@@ -112,13 +115,6 @@ def _dispatch(arguments: list[str]) -> int:
 def _fail(error: object, code: int) -> int:
     complain(f"tiegraph: {error}")
     return code
-
-
-def _help() -> int:
-    lines = ["usage: tiegraph <verb> ...   (`tiegraph <verb> --help` for its options)", ""]
-    lines += [f"  {name:<15} {verb.about}" for name, verb in VERBS.items()]
-    say("\n".join(lines))
-    return DONE
 
 
 @contextlib.contextmanager

@@ -10,7 +10,6 @@ from tiegraph.api import Project, open_project
 from tiegraph.cli import run
 from tiegraph.cli.output import say, show_table
 from tiegraph.design.coverage import Coverage
-from tiegraph.design.surface import CoveredSurface
 
 _ROWS = 20  # weak links shown; the report has all
 
@@ -49,16 +48,12 @@ def _show(project: Project, as_json: bool) -> int:
     _show_one("candidate pairs", found)
     _show_one("pairs that the design chose", chosen)
     if surface is not None:
-        _show_surface(surface)
+        for line in surface.lines():
+            say(line)
+        table = surface.table()
+        if table["rows"]:
+            show_table(table["columns"], table["rows"][:_ROWS], "where to go again")
     return 0 if sound else 1
-
-
-def _show_surface(surface: CoveredSurface) -> None:
-    for line in surface.lines():
-        say(line)
-    table = surface.table()
-    if table["rows"]:
-        show_table(table["columns"], table["rows"][:_ROWS], "where to go again")
 
 
 def _told(found: Coverage) -> dict[str, Any]:

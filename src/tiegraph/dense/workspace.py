@@ -3,7 +3,7 @@
 COLMAP's ``stereo_fusion`` (which needs no CUDA), Poisson and Delaunay meshing then work on our depth maps.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -53,7 +53,10 @@ def write_workspace(
         _write_map(target / "stereo" / "normal_maps" / f"{image.name}.{_KIND}.bin", normal)
     (target / "sparse").mkdir(parents=True, exist_ok=True)
     undistorted(model, set(names), settings, tuning).write(str(target / "sparse"))
-    _write_lists(target / "stereo", names)
+    folder = target / "stereo"
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "fusion.cfg").write_text("".join(f"{n}\n" for n in names), encoding="utf-8")
+    (folder / "patch-match.cfg").write_text("".join(f"{n}\n__auto__, {_SOURCES}\n" for n in names), encoding="utf-8")
     return len(names)
 
 
@@ -101,9 +104,3 @@ def _write_map(path: Path, values: np.ndarray) -> None:
     with path.open("wb") as file:
         file.write(f"{width}&{height}&{channels}&".encode())
         file.write(np.ascontiguousarray(planes).tobytes())
-
-
-def _write_lists(folder: Path, names: Iterable[str]) -> None:
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / "fusion.cfg").write_text("".join(f"{n}\n" for n in names), encoding="utf-8")
-    (folder / "patch-match.cfg").write_text("".join(f"{n}\n__auto__, {_SOURCES}\n" for n in names), encoding="utf-8")

@@ -117,17 +117,27 @@ def design(
     Where they may lose accuracy and all pairs are matched at little ``cost``, nothing is chosen.
     """
     if takes_all(settings, cost, tuning.cost) or not (pairs.dropped == 0).any():
-        return _all_of(pairs, settings, cost, tuning)
+        little = settings.method != "all" and cost is not None and (pairs.dropped == 0).any()
+        return _made(pairs, pairs, (cost.said(tuning.cost),) if little else (), {})
     expected = expected_matches(pairs, ties, tuning.match_prediction)
     if settings.method not in _OWN:
-        return _by_method(pairs, scene, expected, settings)
+        # The pairs that a method beside those of this module leaves
+        method = cast(Method, choose_entry("design method", settings.method, METHODS))
+        thin = method(pairs, scene, expected)
+        return _made(pairs, thin.pairs, thin.notes, dict(thin.counts))
     kept = _kept(pairs, expected, ties, visibility, tuning)
     start = _start(kept, scene, _room(settings, len(scene), tuning), tuning)
     choice = _chosen(kept, start, scene, settings, tuning)
     second = _second_links(kept, choice.places, scene)
-    chosen = pairs.drop(~_mask(len(pairs), kept.row[np.concatenate([choice.places, second])]), "cut")
+    cut = np.ones(len(pairs), bool)
+    cut[kept.row[np.concatenate([choice.places, second])]] = False
+    chosen = pairs.drop(cut, "cut")
     notes = _budget_notes(choice, settings, len(start), len(kept.row), len(scene))
-    return _made(pairs, chosen, notes, _steps(choice, start, second))
+    # What the steps chose, by name
+    counts = {"start": float(len(start)), "second_links": float(len(second)), "rounds": float(choice.rounds)}
+    if np.isfinite(choice.loss):
+        counts["preview_loss_percent"] = round(100 * choice.loss, 2)
+    return _made(pairs, chosen, notes, counts)
 
 
 @dataclass(frozen=True)
@@ -140,20 +150,6 @@ class _Kept:
     j: np.ndarray
     strength: np.ndarray
     known: PreviewMatches | None
-
-
-def _all_of(pairs: Pairs, settings: DesignSettings, cost: Cost | None, tuning: Tuning) -> DesignResult:
-    """All kept pairs, and why."""
-    if settings.method == "all" or cost is None or not (pairs.dropped == 0).any():
-        return _made(pairs, pairs, (), {})
-    return _made(pairs, pairs, (cost.said(tuning.cost),), {})
-
-
-def _by_method(pairs: Pairs, scene: Scene, expected: np.ndarray, settings: DesignSettings) -> DesignResult:
-    """The pairs that a method beside those of this module leaves."""
-    method = cast(Method, choose_entry("design method", settings.method, METHODS))
-    thin = method(pairs, scene, expected)
-    return _made(pairs, thin.pairs, thin.notes, dict(thin.counts))
 
 
 def _kept(
@@ -177,20 +173,6 @@ def _chosen(kept: _Kept, start: np.ndarray, scene: Scene, settings: DesignSettin
     candidates = Candidates.make(kept.i, kept.j, kept.strength, kept.known, len(scene))
     judge = Predictor(candidates, tuning.net, _units(scene)) if settings.budget == "loss" else None
     return choose(candidates, start, _budget(settings, scene), tuning, judge)
-
-
-def _mask(count: int, rows: np.ndarray) -> np.ndarray:
-    out = np.zeros(count, bool)
-    out[rows] = True
-    return out
-
-
-def _steps(choice: Choice, start: np.ndarray, second: np.ndarray) -> dict[str, float]:
-    """What the steps chose, by name."""
-    counts = {"start": float(len(start)), "second_links": float(len(second)), "rounds": float(choice.rounds)}
-    if np.isfinite(choice.loss):
-        counts["preview_loss_percent"] = round(100 * choice.loss, 2)
-    return counts
 
 
 def _units(scene: Scene) -> np.ndarray:

@@ -87,9 +87,12 @@ def compare_sides(ours: Side, theirs: Side, reference: Reference, sections: Sequ
     """
     both = [_judge(side, reference) for side in (ours, theirs)]
     lost = theirs_lost, ours_lost = ours.registered & ~theirs.registered, theirs.registered & ~ours.registered
+    rows = [[n, *ours.stages.get(n, (None, None)), *theirs.stages.get(n, (None, None))]
+            for n in {**ours.stages, **theirs.stages}]  # fmt: skip
+    columns = ["stage", *(f"{s.name} {what}" for s in (ours, theirs) for what in ("CPU s", "wall s"))]
     return {
         "figures": {"columns": ["", ours.name, theirs.name, "ratio"], "rows": _figures(both, reference)},
-        "stages": _stages(ours, theirs),
+        "stages": {"columns": columns, "rows": rows},
         "sections": _sections(both, np.array(sections)),
         "lost": {theirs.name: int(theirs_lost.sum()), ours.name: int(ours_lost.sum())},
         "speed_up": _speed_up(both, lost, reference.measured),
@@ -135,13 +138,6 @@ def _figures(both: list[_Judged], reference: Reference) -> list[list[Any]]:
 
 def _cost(name: str, ours: float | None, theirs: float | None) -> list[Any]:
     return [name, *(None if v is None else _number(v) for v in (ours, theirs)), _ratio(theirs, ours)]
-
-
-def _stages(ours: Side, theirs: Side) -> dict[str, Any]:
-    rows = [[n, *ours.stages.get(n, (None, None)), *theirs.stages.get(n, (None, None))]
-            for n in {**ours.stages, **theirs.stages}]  # fmt: skip
-    columns = ["stage", *(f"{s.name} {what}" for s in (ours, theirs) for what in ("CPU s", "wall s"))]
-    return {"columns": columns, "rows": rows}
 
 
 def _sections(both: list[_Judged], section: np.ndarray) -> dict[str, Any]:
@@ -201,7 +197,9 @@ def stretch(scene: Scene, centres: np.ndarray, images: int) -> np.ndarray:
     """
     placed = _filled(scene, centres)
     size = np.bincount(scene.frame, minlength=scene.frames)
-    away = np.linalg.norm(placed - placed[_middle(scene)], axis=1)
+    passes, frames = np.unique(scene.sequence, return_counts=True)
+    mine = _in_order(scene, int(passes[np.argmax(frames)]))
+    away = np.linalg.norm(placed - placed[int(mine[len(mine) // 2])], axis=1)
     nearest = np.argsort(away, kind="stable")
     taken = nearest[: int(np.searchsorted(np.cumsum(size[nearest]), images)) + 1]
     return np.flatnonzero(np.isin(scene.frame, taken))
@@ -220,12 +218,6 @@ def _filled(scene: Scene, centres: np.ndarray) -> np.ndarray:
         at = np.zeros(len(mine), int) if not len(there) else np.abs(order[:, None] - there).argmin(axis=1)
         out[mine] = centres[source[at]]
     return out
-
-
-def _middle(scene: Scene) -> int:
-    passes, frames = np.unique(scene.sequence, return_counts=True)
-    mine = _in_order(scene, int(passes[np.argmax(frames)]))
-    return int(mine[len(mine) // 2])
 
 
 def _in_order(scene: Scene, sequence: int) -> np.ndarray:

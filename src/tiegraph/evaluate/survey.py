@@ -198,7 +198,9 @@ def _cloud(
         how = f"{how}; {truth.note}"
     if source is not None and origin is not None:
         truth = truth.moved(lambda xyz: reference.to_world(xyz, source, origin))
-    own, cameras = cloud, _cameras(work)
+    placed, scene = work.model.placed, work.scene
+    section = scene.section[scene.frame][placed]
+    own, cameras = cloud, Cameras(work.model.centres(), tuple(f"{s}" if s >= 0 else "(none)" for s in section))
     if alignment is not None:
         own, cameras = own.moved(alignment), Cameras(alignment(cameras.centres), cameras.section)
     question = Question(distances_m=settings.distances_m, gsd_m=made.gsd_m, cameras=cameras, range_m=settings.range_m)
@@ -215,12 +217,6 @@ def _cloud(
     found.contradictions += against_cloud(figure, tuning.judge)
     found.notes.append(f"Reference cloud {path.name}, {how}. {result.notes()}")
     return result, alignment
-
-
-def _cameras(work: _Work) -> Cameras:
-    placed, scene = work.model.placed, work.scene
-    section = scene.section[scene.frame][placed]
-    return Cameras(work.model.centres(), tuple(f"{s}" if s >= 0 else "(none)" for s in section))
 
 
 def _reach(result: CloudJudgement) -> float:

@@ -73,7 +73,11 @@ def extract_colmap(
     to_full = np.array([gray.shape[1] / small.shape[1], gray.shape[0] / small.shape[0]])
     level, pycolmap.logging.minloglevel = pycolmap.logging.minloglevel, 1  # it announces each extractor
     try:
-        extractor = pycolmap.FeatureExtractor.create(_options(gray, settings, tuning), device())
+        options = pycolmap.FeatureExtractionOptions(num_threads=1, use_gpu=on_gpu())
+        options.sift.max_num_features = int(most_features(gray.size / 1e6, settings.max_features, tuning))
+        options.sift.octave_resolution = tuning.octave_layers
+        options.sift.peak_threshold = settings.contrast / tuning.octave_layers
+        extractor = pycolmap.FeatureExtractor.create(options, device())
         points, descriptors = extractor.extract_from_uint8_array(np.ascontiguousarray(small))
     finally:
         pycolmap.logging.minloglevel = level
@@ -82,14 +86,6 @@ def extract_colmap(
     keypoints[:, 2] *= np.sqrt(to_full.prod())
     inside = on_mask(keypoints, mask, tuning)
     return keypoints[inside].astype(np.float32), np.asarray(descriptors.data, np.uint8).reshape(-1, 128)[inside]
-
-
-def _options(gray: np.ndarray, settings: FeaturesSettings, tuning: SiftTuning) -> pycolmap.FeatureExtractionOptions:
-    options = pycolmap.FeatureExtractionOptions(num_threads=1, use_gpu=on_gpu())
-    options.sift.max_num_features = int(most_features(gray.size / 1e6, settings.max_features, tuning))
-    options.sift.octave_resolution = tuning.octave_layers
-    options.sift.peak_threshold = settings.contrast / tuning.octave_layers
-    return options
 
 
 EXTRACTORS: dict[str, Extractor] = {"opencv": extract_sift, "colmap": extract_colmap}

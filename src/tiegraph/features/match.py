@@ -62,14 +62,19 @@ def match_pairs(
     both are dropped for "match") and the report. ``on_progress`` is told how many pairs of how many are done. Raises
     InputError for a database of another scene, ReconstructionError if no pair at all is verified.
     """
-    _check_images(database, scene)
+    with Rows(database) as rows:
+        names = rows.image_names()
+    if names != dict(enumerate(scene.names, 1)):
+        raise InputError(f"{database} holds other images than the scene: delete it and run the features stage again")
     kept = pairs.kept()
     features = feature_counts(database)
-    comparable = _both_have_features(kept, features, len(scene))
+    some = np.array([features.get(k, 0) > 0 for k in range(len(scene))], bool)
+    comparable = some[kept.i] & some[kept.j]
     finished = keep_finished(database, kept) & comparable
     todo = kept.where(comparable & ~finished)
     told = _counted(on_progress, int(finished.sum()), int(comparable.sum()))
-    run_blocks(database, _blocks(todo, side), rules, side, log, told)
+    # Blocks of pairs, at least one for each process that matches
+    run_blocks(database, cut(todo, max(1, min(BLOCK_PAIRS, -(-len(todo) // side.processes)))), rules, side, log, told)
     strike(database, _WATERMARK)
     write_anew(database)
     table = read_matches(database, kept)
@@ -83,28 +88,10 @@ def read_matches(database: Path, pairs: Pairs) -> MatchTable:
     return MatchTable(*match_counts(database, pairs))
 
 
-def _check_images(database: Path, scene: Scene) -> None:
-    with Rows(database) as rows:
-        names = rows.image_names()
-    if names != dict(enumerate(scene.names, 1)):
-        raise InputError(f"{database} holds other images than the scene: delete it and run the features stage again")
-
-
-def _both_have_features(pairs: Pairs, features: dict[int, int], images: int) -> np.ndarray:
-    """(P,) bool, by the number of features of each image."""
-    some = np.array([features.get(k, 0) > 0 for k in range(images)], bool)
-    return some[pairs.i] & some[pairs.j]
-
-
 def _counted(on_progress: Progress, finished: int, total: int) -> Callable[[int], None]:
     """Tells the progress of ``total`` pairs, of which some were finished before; told of those at once."""
     on_progress(finished, total)
     return lambda more: on_progress(finished + more, total)
-
-
-def _blocks(pairs: Pairs, side: Side) -> list[np.ndarray]:
-    """Blocks of pairs, at least one for each process that matches."""
-    return cut(pairs, max(1, min(BLOCK_PAIRS, -(-len(pairs) // side.processes))))
 
 
 def _with_inliers(pairs: Pairs, table: MatchTable) -> Pairs:

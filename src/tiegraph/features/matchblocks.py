@@ -123,15 +123,11 @@ def match_blocks(
 ) -> None:
     """Match blocks, each into the database named beside it, and send its name and number of pairs. Runs in a child."""
     pycolmap.logging.minloglevel = 1
-    matched = _by_colmap if by_colmap(rules) else _by_nearest
+    # Whether COLMAP looks for the matches too: on a GPU, and along epipolar lines; else it verifies them
+    matched = _by_colmap if rules.settings.guided or on_gpu() else _by_nearest
     for name, block in blocks:
         matched(Path(database), Path(name), block, rules)
         send((name, len(block)))
-
-
-def by_colmap(rules: Rules) -> bool:
-    """Whether COLMAP looks for the matches too: on a GPU, and along epipolar lines; else it verifies them."""
-    return rules.settings.guided or on_gpu()
 
 
 def _by_colmap(database: Path, target: Path, block: np.ndarray, rules: Rules) -> None:

@@ -343,7 +343,9 @@ def world_from_geodetic(lat_lon_height: np.ndarray, origin: Origin) -> np.ndarra
     """World metres (N, 3) of geodetic positions (N, 3): degrees, degrees, ellipsoidal metres."""
     lat, lon, height = np.asarray(lat_lon_height, float).reshape(-1, 3).T
     if origin.crs == ENU:
-        return _to_enu(lat, lon, height, origin)
+        ecef = np.stack(_ecef().transform(lat, lon, height), axis=-1)
+        zero = np.array(_ecef().transform(origin.lat_deg, origin.lon_deg, origin.height_m))
+        return (ecef - zero) @ enu_axes(origin.lat_deg, origin.lon_deg).T
     xyz = np.stack(crs_transformer(origin.crs).transform(lon, lat, height), axis=-1)
     return xyz - np.asarray(origin.shift_m)
 
@@ -352,7 +354,9 @@ def geodetic_from_world(world_m: np.ndarray, origin: Origin) -> np.ndarray:
     """Geodetic positions (N, 3): degrees, degrees, ellipsoidal metres, of world metres (N, 3)."""
     world_m = np.asarray(world_m, float).reshape(-1, 3)
     if origin.crs == ENU:
-        return _from_enu(world_m, origin)
+        zero = np.array(_ecef().transform(origin.lat_deg, origin.lon_deg, origin.height_m))
+        ecef = world_m @ enu_axes(origin.lat_deg, origin.lon_deg) + zero
+        return geodetic_from_ecef(ecef)
     east, north, up = (world_m + np.asarray(origin.shift_m)).T
     lon, lat, height = crs_transformer(origin.crs).transform(east, north, up, direction="INVERSE")
     return np.stack([lat, lon, height], axis=-1)
@@ -383,15 +387,3 @@ def geodetic_from_ecef(xyz_m: np.ndarray) -> np.ndarray:
     """Geodetic positions (N, 3): degrees, degrees, ellipsoidal metres, of ECEF coordinates (N, 3) on WGS84."""
     x, y, z = np.asarray(xyz_m, float).reshape(-1, 3).T
     return np.stack(_ecef().transform(x, y, z, direction="INVERSE"), axis=-1)
-
-
-def _to_enu(lat: np.ndarray, lon: np.ndarray, height: np.ndarray, origin: Origin) -> np.ndarray:
-    ecef = np.stack(_ecef().transform(lat, lon, height), axis=-1)
-    zero = np.array(_ecef().transform(origin.lat_deg, origin.lon_deg, origin.height_m))
-    return (ecef - zero) @ enu_axes(origin.lat_deg, origin.lon_deg).T
-
-
-def _from_enu(enu_m: np.ndarray, origin: Origin) -> np.ndarray:
-    zero = np.array(_ecef().transform(origin.lat_deg, origin.lon_deg, origin.height_m))
-    ecef = enu_m @ enu_axes(origin.lat_deg, origin.lon_deg) + zero
-    return geodetic_from_ecef(ecef)

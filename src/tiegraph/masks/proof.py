@@ -48,7 +48,8 @@ def matches_in(
     """Where the matches of an image lie in its classes (h, w) u1 and its sky (h, w) bool."""
     if matchability is None:
         return NONE
-    row, column = _pixels(matchability, labels.shape)
+    column, row = (matchability.xy[matchability.matched] * (labels.shape[1], labels.shape[0])).astype(int).T
+    row, column = row.clip(0, labels.shape[0] - 1), column.clip(0, labels.shape[1] - 1)
     inside = np.bincount(labels[row, column], minlength=len(NAMES))
     if matchability.near is None:
         return MatchCounts(inside)
@@ -59,11 +60,6 @@ def matches_in(
     counts = int((near > tuning.near).sum()), int((near <= tuning.near).sum()), int(told.sum())
     white = float((labels == OVEREXPOSED).mean())
     return MatchCounts(inside, *counts, area=1, room=float(inner.mean()), white=white)
-
-
-def _pixels(matchability: Matchability, shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
-    column, row = (matchability.xy[matchability.matched] * (shape[1], shape[0])).astype(int).T
-    return row.clip(0, shape[0] - 1), column.clip(0, shape[1] - 1)
 
 
 def moves(found: Sequence[Sequence[Matchability]], tuning: ProofTuning) -> bool:

@@ -127,7 +127,9 @@ def _plan(
     points: np.ndarray, up: np.ndarray, band: tuple[float, float], centres: np.ndarray, tuning: WaterlineTuning
 ) -> Plan:
     """The banks: where points (P, 3) stand whose height is within ``band``, within reach of the cameras."""
-    axes = _level_axes(up)
+    first = np.cross(up, [1.0, 0, 0] if abs(up[0]) < 0.9 else [0, 1.0, 0])
+    first /= np.linalg.norm(first)
+    axes = np.stack([first, np.cross(up, first)])
     height = points @ up
     flat = points[(height > band[0]) & (height < band[1])] @ axes.T
     path = centres @ axes.T
@@ -144,12 +146,6 @@ def _plan(
     np.add.at(count, (place[:, 0], place[:, 1]), 1)
     around = cv2.blur(count, (3, 3), borderType=cv2.BORDER_CONSTANT) * 9
     return Plan(axes=axes, corner=corner, cell=cell, full=around > tuning.full - 0.5)
-
-
-def _level_axes(up: np.ndarray) -> np.ndarray:
-    first = np.cross(up, [1.0, 0, 0] if abs(up[0]) < 0.9 else [0, 1.0, 0])
-    first /= np.linalg.norm(first)
-    return np.stack([first, np.cross(up, first)])
 
 
 def _heights(view: View, line: np.ndarray, plan: Plan, up: np.ndarray, tuning: WaterlineTuning) -> np.ndarray:

@@ -177,7 +177,9 @@ def automatic(context: Context) -> Proposal:
     said: list[str] = []
     if len(loose) == len(scene) and len(loose) <= context.tuning.sources.few_photos:
         said.append("exhaustive")
-        parts.append(_counted(exhaustive(context), context))
+        every = exhaustive(context)  # previewed, none dropped: the design needs to know what they share
+        score = context.cache.measure(every.pairs.i, every.pairs.j)
+        parts.append(replace(every, pairs=every.pairs.with_(score=score)))
     else:
         if context.passes:
             said += ["sequence", "offsets"]
@@ -198,12 +200,6 @@ def automatic(context: Context) -> Proposal:
     for part in parts:
         merged = merged | part
     return merged
-
-
-def _counted(proposal: Proposal, context: Context) -> Proposal:
-    """A proposal with its pairs previewed and none dropped: the design needs to know what they share."""
-    pairs = proposal.pairs
-    return replace(proposal, pairs=pairs.with_(score=context.cache.measure(pairs.i, pairs.j)))
 
 
 def confirmed(proposal: Proposal, context: Context) -> Proposal:

@@ -1,18 +1,16 @@
 """Keyframes and points adjusted together by pycolmap's bundle adjustment; cameras and rig are held."""
 
 from collections.abc import Collection, Sequence
-from copy import deepcopy
 
 import numpy as np
 import pycolmap
 
-from tiegraph.odometry.cameras import Cameras
 from tiegraph.odometry.tuning import MapTuning
 from tiegraph.odometry.worldmap import Observations, WorldMap
-from tiegraph.scene.colmapmodel import matrix, rigid3d
+from tiegraph.scene.colmapmodel import add_rig, matrix, rigid3d
+from tiegraph.scene.solver import all_images, options_of
 
 _RIG = 1
-_THREADS = 1  # Ceres adds up the parts of its threads in the order they come
 _TOLERANCE = 1e-4  # relative change of the cost at which Ceres stops: the next keyframe adjusts the same again
 _BLACK = np.zeros(3, np.uint8)
 
@@ -42,7 +40,7 @@ def _build(
 ) -> tuple[pycolmap.Reconstruction, dict[int, int]]:
     """COLMAP's model, in which a keyframe's number + 1 is its frame's; number of a point in the map -> in the model."""
     model = pycolmap.Reconstruction()
-    _add_rig(model, world.cameras)
+    add_rig(model, world.cameras.models, world.cameras.rigid)
     image_of: dict[tuple[int, int], int] = {}
     row = np.zeros(len(seen.point), int)
     for number in numbers:
@@ -73,39 +71,17 @@ def _build(
     return model, ids
 
 
-def _add_rig(model: pycolmap.Reconstruction, cameras: Cameras) -> None:
-    rig = pycolmap.Rig(rig_id=_RIG)
-    for number, camera in enumerate(cameras.models):
-        copy = deepcopy(camera)
-        copy.camera_id = number + 1
-        model.add_camera(copy)
-        sensor = pycolmap.sensor_t(pycolmap.SensorType.CAMERA, number + 1)
-        if number == 0:
-            rig.add_ref_sensor(sensor)
-        else:
-            rig.add_sensor(sensor, cameras.rigid[number])
-    model.add_rig(rig)
-
-
 def _solve(model: pycolmap.Reconstruction, held: Collection[int], loss_px: float, iterations: int) -> None:
-    options = pycolmap.BundleAdjustmentOptions(
-        print_summary=False,
+    options = options_of(
+        iterations,
+        _TOLERANCE,
+        loss_px,
         refine_focal_length=False,
         refine_extra_params=False,
         refine_principal_point=False,
         refine_sensor_from_rig=False,
     )
-    ceres = options.ceres
-    ceres.use_gpu = False
-    ceres.loss_function_type = pycolmap.LossFunctionType.CAUCHY
-    ceres.loss_function_scale = loss_px
-    solver = ceres.solver_options
-    solver.max_num_iterations, solver.num_threads, solver.function_tolerance = iterations, _THREADS, _TOLERANCE
-    ceres.solver_options = solver
-    options.ceres = ceres
-    config = pycolmap.BundleAdjustmentConfig()
-    for image in model.reg_image_ids():
-        config.add_image(image)
+    config = all_images(model)
     for frame in held:
         config.set_constant_rig_from_world_pose(frame)
     pycolmap.create_default_ceres_bundle_adjuster(options, config, model).solve()

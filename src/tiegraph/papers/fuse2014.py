@@ -20,7 +20,7 @@ from tiegraph.scene.graph import forest, parts
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.rays import on_plane
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.solver import repeatable
+from tiegraph.scene.solver import options_of
 from tiegraph.sfm.tuning import TwoViewTuning
 
 # The paper's own numbers: they define its method.
@@ -50,7 +50,8 @@ def thinned(pairs: Pairs, scene: Scene, expected: np.ndarray, safe: bool) -> Thi
     before = pairs.kept()
     weak = pairs.drop(expected < WEAK, "weak")
     order = image_order(scene)
-    similar = weak.drop(_touches(weak, _similar_images(weak, order)), "similar")
+    gone = _similar_images(weak, order)
+    similar = weak.drop(gone[weak.i] | gone[weak.j], "similar")
     thin = similar.drop(_cut_rows(similar, capacities(similar, expected), order), "cut")
     taken_back = 0
     if safe:
@@ -106,10 +107,6 @@ def _similar_images(pairs: Pairs, order: np.ndarray) -> np.ndarray:
         if not gone[i] and not gone[j]:
             gone[i if place[i] > place[j] else j] = True
     return gone
-
-
-def _touches(pairs: Pairs, gone: np.ndarray) -> np.ndarray:
-    return gone[pairs.i] | gone[pairs.j]
 
 
 def _cut_rows(pairs: Pairs, capacity: np.ndarray, order: np.ndarray) -> np.ndarray:
@@ -238,11 +235,7 @@ def _adjusted(
     for n, point in enumerate(xyz):
         track = pycolmap.Track([pycolmap.TrackElement(1, n), pycolmap.TrackElement(2, n)])
         model.add_point3D(point, track)
-    options = pycolmap.BundleAdjustmentOptions(print_summary=False)
-    solver = options.ceres.solver_options
-    solver.max_num_iterations = iterations
-    options.ceres.solver_options = solver
-    repeatable(options)
+    options = options_of(iterations)
     config = pycolmap.BundleAdjustmentConfig()
     for k in (1, 2):
         config.add_image(k)

@@ -18,6 +18,7 @@ from tiegraph.project.folder import check_format
 from tiegraph.project.run import Run, save_json
 from tiegraph.project.stages import Stage, needed, remove
 from tiegraph.scene.bags import source_of
+from tiegraph.scene.colmapmodel import registered_images
 from tiegraph.scene.names import on_disk
 from tiegraph.scene.registered import registration
 from tiegraph.scene.scene import Scene
@@ -175,10 +176,8 @@ def _sigma(model: pycolmap.Reconstruction, block: Block) -> np.ndarray:
     except (ValueError, RuntimeError, np.linalg.LinAlgError):
         return out
     of_frame = dict(zip(found.frame_ids, np.linalg.norm(found.sigma, axis=1)))
-    for image in model.images.values():
-        k = block.scene.image_index.get(image.name)
-        if k is not None and image.has_pose:
-            out[k] = of_frame.get(image.frame_id, np.nan)
+    for k, image in registered_images(model, block.scene):
+        out[k] = of_frame.get(image.frame_id, np.nan)
     return out
 
 

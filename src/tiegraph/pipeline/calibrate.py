@@ -11,17 +11,23 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import pycolmap
 
 from tiegraph.calibrate.adjust import Adjusted, adjust_robustly
 from tiegraph.calibrate.board import Board, read_board
 from tiegraph.calibrate.detect import Corners, detect
-from tiegraph.calibrate.exchange import kalibr_yaml, opencv_yaml
 from tiegraph.calibrate.judge import Verdict, judge, relative_focal_sigma
 from tiegraph.calibrate.observations import CameraImages, Observations, View, check_count, check_one_camera, check_views
 from tiegraph.calibrate.settings import CalibrateSettings
 from tiegraph.calibrate.start import start
-from tiegraph.calibrate.summary import correlation_csv, lengths, residual_picture, rig_sigmas, summary
+from tiegraph.calibrate.summary import (
+    correlation_csv,
+    kalibr_yaml,
+    lengths,
+    opencv_yaml,
+    residual_picture,
+    rig_sigmas,
+    summary,
+)
 from tiegraph.calibrate.tuning import BoardTuning, JudgeTuning
 from tiegraph.errors import InputError
 from tiegraph.project.pool import map_items, open_pool
@@ -328,11 +334,7 @@ def _rig(done: Adjusted, verdict: Verdict, wide: Sequence[str]) -> Rig:
                 folder=images.folder,
                 sigma_deg=turn,
                 sigma_m=place,
-                camera_sigma_px=_focal_sigma_px(camera, done, verdict, k),
+                camera_sigma_px=relative_focal_sigma(done, verdict.precision, k) * camera.mean_focal_length(),
             )
         )
     return Rig("rig" if len(sensors) > 1 else "camera", tuple(sensors), synchronised=len(sensors) > 1)
-
-
-def _focal_sigma_px(camera: pycolmap.Camera, done: Adjusted, verdict: Verdict, number: int) -> float:
-    return relative_focal_sigma(done, verdict.precision, number) * camera.mean_focal_length()

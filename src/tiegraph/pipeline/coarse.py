@@ -27,11 +27,11 @@ from tiegraph.pipeline.previews import Matcher
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, remove, write_atomic
 from tiegraph.scene.blocks import Block, blocks_of, in_one_piece
+from tiegraph.scene.colmapmodel import image_poses, model_rigs, tracks
 from tiegraph.scene.matches import PreviewMatches, Visibility
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.mapper import Source, reconstruct
-from tiegraph.sfm.model import image_poses, model_rigs, tracks
 from tiegraph.sfm.settings import SparseSettings
 
 BLOCKS, MAPPING, MATCHED = "coarse/blocks", "coarse/mapping", "coarse/matched"  # only while the stage runs

@@ -32,24 +32,24 @@ LOOKED = "design/matches.npz"
 def design(run: Run) -> Outcome:
     """Which of the candidate pairs are matched at full resolution; COLMAP pair lists, one a section and one for all."""
     scene, candidates, known = checked(run), pairs_of(run, "network.npz"), ties_of(run)
-    spent = _cost_of_all(run, scene, candidates)
+    # Of matching all candidates, if these are loose photographs: in passes false pairs of walls that repeat cost more
+    # than time (canal_demo with all 2734 pairs 9.1 mm, with the 1604 chosen ones 4.8 mm)
+    loose = bool(np.all(scene.sequence[scene.frame] < 0))
+    spent = _cost(run, scene, candidates) if loose else None
     candidates, ties, previews = _previewed(run, candidates, known, spent)
     made = _selected(run, scene, candidates, ties, spent)
     made, ties = _covered(run, made, scene, ties)
     _save(run, scene, made.pairs, ties.where(known.find(ties.i, ties.j) < 0))
-    _draw_map(run, scene, made)
+    # The pairs on a map, the weak ones marked
+    positions = scene.world_from_rig[:, :3, 3]
+    weak = weak_pairs(made.tables.get("weak links", {}), scene)
+    picture = map_png(made.pairs, positions if np.isfinite(positions).any() else None, scene, weak=weak)
+    write_atomic(run.path("design", "map.png"), picture)
     again, said = _surface_drawn(run)
     without = int(np.sum(made.pairs.degree(len(scene)) == 0))
     counts = {"images_without": without, "previews": previews, **made.counts}
     looked = (f"{previews} pairs of which nothing was known were previewed first",) if previews else ()
     return Outcome(counts, notes=(*looked, *made.notes, *said), tables={**made.tables, **again})
-
-
-def _cost_of_all(run: Run, scene: Scene, candidates: Pairs) -> Cost | None:
-    """Of matching all candidates, if these are loose photographs: in passes false pairs of walls that repeat cost more
-    than time (canal_demo with all 2734 pairs 9.1 mm, with the 1604 chosen ones 4.8 mm)."""
-    loose = bool(np.all(scene.sequence[scene.frame] < 0))
-    return _cost(run, scene, candidates) if loose else None
 
 
 def _previewed(
@@ -82,14 +82,6 @@ def _save(run: Run, scene: Scene, pairs: Pairs, looked: PreviewMatches) -> None:
         write_atomic(run.path("pairs", f"section_{max(number, 0)}.txt"), own.to_text(scene.names))
     run.path("design").mkdir(exist_ok=True)
     save_npz(run.path(*LOOKED.split("/")), **looked.to_npz())
-
-
-def _draw_map(run: Run, scene: Scene, made: DesignResult) -> None:
-    """The pairs on a map, the weak ones marked."""
-    positions = scene.world_from_rig[:, :3, 3]
-    weak = weak_pairs(made.tables.get("weak links", {}), scene)
-    picture = map_png(made.pairs, positions if np.isfinite(positions).any() else None, scene, weak=weak)
-    write_atomic(run.path("design", "map.png"), picture)
 
 
 def coverage_of(run: Run, chosen: bool) -> Coverage:

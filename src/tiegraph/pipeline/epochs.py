@@ -100,7 +100,11 @@ def differences_of(pair: Pair, out: Path, tuning: Tuning, depth_m: float | None)
         found = m3c2_of(pair, Path(scratch), tuning, depth_m)
         changed = changes(found, tuning.changes)
         result = _result(found, changed, pair)
-        _write(folder, found, changed, result, pair.origin)
+        save_json(folder / "changes.json", result)
+        table = changed.table(_shift(pair.origin), len(changed.listed))
+        write_atomic(folder / "changes.csv", csv_text(table["columns"], table["rows"]))
+        write_atomic(folder / "changes.png", difference_map(found, "second minus first", only_significant=True))
+        write_measured([measured(found)], folder / "changes.laz", pair.origin, found.cylinders.cores_m)
     return result
 
 
@@ -197,11 +201,3 @@ def _result(found: Differences, changed: Changes, pair: Pair) -> dict[str, Any]:
             "enough significant points of one sign stand together. Differences beyond the cylinders are not found."
         ],
     }
-
-
-def _write(folder: Path, found: Differences, changed: Changes, result: dict[str, Any], origin: Origin | None) -> None:
-    save_json(folder / "changes.json", result)
-    table = changed.table(_shift(origin), len(changed.listed))
-    write_atomic(folder / "changes.csv", csv_text(table["columns"], table["rows"]))
-    write_atomic(folder / "changes.png", difference_map(found, "second minus first", only_significant=True))
-    write_measured([measured(found)], folder / "changes.laz", origin, found.cylinders.cores_m)

@@ -26,13 +26,10 @@ class Forecast:
     there_bytes: int
     free_bytes: int
 
-    def needed_bytes(self) -> float:
-        """What is still to be written, with what is only there for a while."""
-        return max(self.cost.run_bytes + self.cost.scratch_bytes - self.there_bytes, 0.0)
-
     def enough(self) -> bool:
         """Whether the disk has room for it."""
-        return self.needed_bytes() < self.free_bytes
+        # What is still to be written, with what is only there for a while
+        return max(self.cost.run_bytes + self.cost.scratch_bytes - self.there_bytes, 0.0) < self.free_bytes
 
     def lines(self, folder: Path) -> list[str]:
         """For people."""

@@ -41,7 +41,11 @@ def masks(run: Run) -> Outcome:
     left_out = {n: why for n, why in flagged.items() if why.split(":")[0] in _LEFT_OUT[settings.leave_out]}
     for name in left_out:
         save_png(mask_path(run.folder, name), np.zeros_like(read_mask(run.folder, name)))
-    write_atomic(run.path("masks.csv"), _table(scene, shares, flagged))
+    rows = (
+        [name, *("" if np.isnan(s) else f"{100 * s:.1f}" for s in own), flagged.get(name, "")]
+        for name, own in zip(scene.names, shares)
+    )
+    write_atomic(run.path("masks.csv"), csv_text(["image", *(f"{n}_percent" for n in NAMES), "flag"], rows))
     empty = {n: "the mask leaves nothing of it" for n, s in zip(scene.names, shares[:, USE]) if s == 0}
     learnt = [f"{s.name}: {n}" for k, s in enumerate(scene.all_sensors) if (n := getattr(prepared.get(k), "note", ""))]
     counts = {"images": len(scene), "used_percent": round(float(100 * shares[:, USE].mean()), 1)}
@@ -157,14 +161,6 @@ def _flag_note(flagged: dict[str, str], left_out: dict[str, str]) -> list[str]:
     text = " and ".join(f"{n} {kind}" for kind, n in kinds.items() if n)
     done = f"{len(left_out)} of them left out" if left_out else "kept; masks.leave_out leaves them out"
     return [f"hardly worth keeping: {text} images ({done}); masks.csv names them"]
-
-
-def _table(scene: Scene, shares: np.ndarray, flagged: dict[str, str]) -> str:
-    rows = (
-        [name, *("" if np.isnan(s) else f"{100 * s:.1f}" for s in own), flagged.get(name, "")]
-        for name, own in zip(scene.names, shares)
-    )
-    return csv_text(["image", *(f"{n}_percent" for n in NAMES), "flag"], rows)
 
 
 def _known_ties(prepared: dict[int, Any]) -> dict[int, tuple[int, int, int]]:

@@ -25,12 +25,12 @@ from tiegraph.project.stages import Outcome, remove
 from tiegraph.scan.priors.trajectory import write_tum
 from tiegraph.scene.atomic import replacing
 from tiegraph.scene.cloudfile import read_cloud, write_cloud
-from tiegraph.scene.colmapmodel import tracks
+from tiegraph.scene.colmapmodel import image_poses, tracks
 from tiegraph.scene.hanging import carries
 from tiegraph.scene.names import shortened
 from tiegraph.scene.results import save_depth
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.model import frame_poses, image_poses, rig_from_sensor
+from tiegraph.sfm.model import frame_poses, rig_from_sensor
 
 _FOLDER = "shots"
 POSES = "poses.tum"

@@ -23,9 +23,8 @@ from tiegraph.project.verbtunings import VerbTunings
 from tiegraph.scan.priors.trajectory import write_tum
 from tiegraph.scene.cloudfile import read_cloud, shift_of, write_cloud
 from tiegraph.scene.posefile import read_poses
-from tiegraph.stations.joined import Joined, join, prepared
+from tiegraph.stations.joined import Band, Joined, by_distance, join, prepared
 from tiegraph.stations.pairs import Pair
-from tiegraph.stations.precision import Band, by_distance
 from tiegraph.stations.station import Shot, Station, spacing_of
 from tiegraph.stations.tuning import SpacingTuning, Tuning
 
@@ -139,7 +138,8 @@ def _read(files: Sequence[Path], tuning: Tuning) -> tuple[list[Shot], Origin | N
         if cloud.origin is not None:
             if origin is None:
                 origin, first = cloud.origin, file
-            if not _one_world(origin, cloud.origin):
+            places = [(o.lat_deg, o.lon_deg, o.height_m) if o.crs == ENU else () for o in (origin, cloud.origin)]
+            if not (origin.crs == cloud.origin.crs and places[0] == places[1]):
                 raise InputError(
                     f"{file} is in {_called(cloud.origin)} and {first} in {_called(origin)}: bring all into one CRS"
                 )
@@ -158,11 +158,6 @@ def _read(files: Sequence[Path], tuning: Tuning) -> tuple[list[Shot], Origin | N
             )
         )
     return shots, origin, float(f"{max(np.median(spacings), 1e-9):.2g}")
-
-
-def _one_world(a: Origin, b: Origin) -> bool:
-    places = [(o.lat_deg, o.lon_deg, o.height_m) if o.crs == ENU else () for o in (a, b)]
-    return a.crs == b.crs and places[0] == places[1]
 
 
 def _called(origin: Origin) -> str:

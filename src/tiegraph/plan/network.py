@@ -10,6 +10,7 @@ from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
 from tiegraph.plan.path import Facet, Path
 from tiegraph.plan.tuning import NetworkTuning
+from tiegraph.scene.colmapmodel import add_rig
 
 _SEED = 0
 
@@ -223,17 +224,10 @@ def _useful(sights: _Sights, centres: np.ndarray, tuning: NetworkTuning) -> _Sig
 
 def _model(path: Path, cameras: list[MountedCamera], sights: _Sights, xy: np.ndarray) -> pycolmap.Reconstruction:
     """COLMAP's model. The first camera is the reference of the rig."""
-    model, rig = pycolmap.Reconstruction(), pycolmap.Rig(rig_id=1)
+    model = pycolmap.Reconstruction()
     body_from_first = transforms.invert(cameras[0].sensor_from_body)
-    for k, mounted in enumerate(cameras):
-        camera = pycolmap.Camera(mounted.camera.todict())
-        camera.camera_id = k + 1
-        model.add_camera(camera)
-        if k == 0:
-            rig.add_ref_sensor(camera.sensor_id)
-        else:
-            rig.add_sensor(camera.sensor_id, pycolmap.Rigid3d((mounted.sensor_from_body @ body_from_first)[:3]))
-    model.add_rig(rig)
+    places = [pycolmap.Rigid3d((c.sensor_from_body @ body_from_first)[:3]) for c in cameras]
+    add_rig(model, [c.camera for c in cameras], places)
     first_from_world = transforms.invert(path.world_from_body @ body_from_first)
     number = np.empty(len(xy), int)  # of each observation in its image
     for f in range(len(path)):

@@ -28,7 +28,7 @@ from tiegraph.project.pool import LocalPool, Place, check_pool, map_items, open_
 from tiegraph.project.progress import Elsewhere, Meter, Reporter
 from tiegraph.project.receipts import Receipts
 from tiegraph.project.software import software
-from tiegraph.project.stages import Stage, changed_parts, engines, key_parts, needed, stage_keys, write_atomic
+from tiegraph.project.stages import Stage, engines, key_parts, needed, stage_keys, write_atomic
 from tiegraph.project.stamps import Stamps
 from tiegraph.scene.bags import source_of
 
@@ -374,8 +374,8 @@ def status(stages: Sequence[Stage], run: Run) -> list[tuple[str, str, dict]]:
 
 def _what_changed(stage: Stage, run: Run, before: dict[str, str]) -> str:
     """Which inputs and settings of its own a stage was made with otherwise; "" for none, or if that was not noted."""
-    given = run.inputs.given()
-    changed = changed_parts(before, run.parts(stage))
+    given, now = run.inputs.given(), run.parts(stage)
+    changed = [name for name in {**now, **before} if before.get(name) != now.get(name)]  # otherwise, gone or new
     named = ", ".join(f"{n} {given[n]}" if n in given else n for n in changed)
     return f"changed: {named}" if before and changed else ""
 

@@ -95,11 +95,6 @@ def key_parts(stage: Stage, settings: Any, sources: Mapping[str, Any], stamp: Ca
     return {"version of tiegraph": digest(stage.version), **{name: digest(part) for name, part in parts.items()}}
 
 
-def changed_parts(before: Mapping[str, str], now: Mapping[str, str]) -> list[str]:
-    """Names of the parts that differ, are gone or are new."""
-    return [name for name in {**now, **before} if before.get(name) != now.get(name)]
-
-
 def write_atomic(path: Path, data: bytes | str) -> None:
     """Write a whole file or none of it. Raises InputError for a full disk or a folder that cannot be made."""
     try:

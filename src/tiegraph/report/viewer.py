@@ -60,6 +60,9 @@ def viewer_data(
     colour = brightened(rgb[keep]) if np.ptp(rgb[keep]) > 8 else by_height(points[:, 2])
     height = {t("height"): Scale(points[:, 2] + extras.offset[2])}
     scales = height | {n: replace(s, values=s.values[keep]) for n, s in extras.scales.items()}
+    # What the view shows first: the middle of the points, and how far most of them reach from it
+    middle = np.median(points, axis=0)
+    reach = float(np.quantile(np.linalg.norm(points - middle, axis=1), 0.85))
     return {
         "count": len(points),
         "low": low.tolist(),
@@ -74,7 +77,8 @@ def viewer_data(
         "north": extras.north,
         "unit": unit,
         "text": _texts(),
-        **_focus(points),
+        "middle": middle.tolist(),
+        "reach": max(reach, 1e-6),
     }
 
 
@@ -112,13 +116,6 @@ def _scale(name: str, scale: Scale, unit: str) -> dict[str, Any]:
     packed = np.where(np.isfinite(share), np.round(254 * np.nan_to_num(share)), 255).astype(np.uint8)
     ends = {"low": low, "high": high, "unit": unit, "signed": scale.signed}
     return {"name": name, **ends, "unknown": unknown, "values": _text(packed)}
-
-
-def _focus(points: np.ndarray) -> dict[str, Any]:
-    """What the view shows first: the middle of the points, and how far most of them reach from it."""
-    middle = np.median(points, axis=0)
-    reach = float(np.quantile(np.linalg.norm(points - middle, axis=1), 0.85))
-    return {"middle": middle.tolist(), "reach": max(reach, 1e-6)}
 
 
 def _track(track: Track, colour: str) -> dict[str, Any]:

@@ -15,7 +15,7 @@ A position far from the rest is one behind a gap in the sorted distances (``geom
 whose lengths are off by more than 1 % at the positions is refused.
 
 Videos become pictures before anything else (``video``), with the time and place of each frame as EXIF (``videotime``,
-``djisubtitles``, ``recording``), so that what holds for photographs holds for them. Videos of one rig are told apart by
+``recording``), so that what holds for photographs holds for them. Videos of one rig are told apart by
 the same reading of folders as their pictures and aligned by their motion (``videooffset``). PyAV would decode sound,
 but its wheels bundle x264 and x265 (GPL); OpenCV's FFmpeg is LGPL, and gives stamps.
 

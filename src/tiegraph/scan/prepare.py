@@ -82,22 +82,19 @@ def _changed_pixels(
         raise _gone(path, error) from None
     if how.upright:
         pixels = turned(pixels, file.orientation)
-    pixels = _cropped(_part(pixels, how), how)
+    # Of two images side by side the one of the lens
+    width = pixels.shape[1] // 2
+    pixels = _cropped(pixels if how.part is None else pixels[:, how.part * width : (how.part + 1) * width], how)
     if how.view is not None and sensor.camera is not None:
         return render_lens_view(pixels, how.view, sensor.camera)
     if bend and how.camera is not None and sensor.camera is not None:
-        pixels = _undistort(pixels, crop_camera(how.camera, *how.crop_px), sensor.camera)
+        x, y = _undistortion_map(frozen(crop_camera(how.camera, *how.crop_px)), frozen(sensor.camera))
+        pixels = cv2.remap(pixels, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
     return pixels
 
 
 def _for_suffix(pixels: np.ndarray, suffix: str) -> np.ndarray:
     return pixels[..., :3] if pixels.shape[2:] == (4,) and suffix not in _WITH_ALPHA else pixels
-
-
-def _part(pixels: np.ndarray, how: Source) -> np.ndarray:
-    """Of two images side by side the one of the lens."""
-    width = pixels.shape[1] // 2
-    return pixels if how.part is None else pixels[:, how.part * width : (how.part + 1) * width]
 
 
 def _gone(path: Path, error: OSError) -> InputError:
@@ -131,11 +128,6 @@ def _plain(file: Opened, suffix: str) -> bool:
         return False
     kept = suffix in LINKED_FORMATS.get(image.format or "", ())
     return kept and image.mode in ("L", "RGB") and not image.has_transparency_data
-
-
-def _undistort(pixels: np.ndarray, camera: pycolmap.Camera, pinhole: pycolmap.Camera) -> np.ndarray:
-    x, y = _undistortion_map(frozen(camera), frozen(pinhole))
-    return cv2.remap(pixels, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
 
 
 @lru_cache(maxsize=1)  # images come sensor by sensor; one map of 6 Mpx takes 48 MiB

@@ -146,7 +146,10 @@ def las_header(
     if said:
         header.vlrs.append(laspy.VLR("LASF_Spec", 3, "text area", said.encode("ascii") + b"\0"))
     header.add_extra_dims([laspy.ExtraBytesParams(name, kind) for name, kind in extra])
-    _without_extremes(header)
+    # State no minimum and no maximum of the extra dimensions: laspy marks them as stated, but has NaN there if one
+    # point has it, and the largest and smallest numbers there are if no point went through its writer
+    for record in header.vlrs.get("ExtraBytesVlr")[0].extra_bytes_structs:
+        record.options &= ~(record.MIN_BIT_MASK | record.MAX_BIT_MASK)
     offset = shift_of(first.origin)
     middle = first.xyz_m.mean(axis=0) if len(first) else np.zeros(3)
     header.offsets = offset + np.where(np.abs(middle) > _FAR, np.round(middle), 0)
@@ -160,13 +163,6 @@ def las_header(
         return header, (_enu_note(first.origin),)
     header.add_crs(parse_crs(first.origin.crs), keep_compatibility=True)
     return header, (f"{first.origin.crs}; heights are above the WGS84 ellipsoid",)
-
-
-def _without_extremes(header: laspy.LasHeader) -> None:
-    """State no minimum and no maximum of the extra dimensions: laspy marks them as stated, but has NaN there if one
-    point has it, and the largest and smallest numbers there are if no point went through its writer."""
-    for record in header.vlrs.get("ExtraBytesVlr")[0].extra_bytes_structs:
-        record.options &= ~(record.MIN_BIT_MASK | record.MAX_BIT_MASK)
 
 
 def las_points(cloud: Cloud, header: laspy.LasHeader) -> laspy.ScaleAwarePointRecord:
@@ -271,7 +267,7 @@ def _ply_rows(cloud: Cloud, shift: np.ndarray) -> np.ndarray:
 def _read_ply(path: Path, origin: Origin | None) -> Cloud:
     with open(path, "rb") as file:
         header = _read_ply_header(file, path)
-        rows = _read_ply_body(file, path, header)
+        rows = np.concatenate(list(_ply_rows_of(file, path, header, max(header.count, 1))))
     if not {"x", "y", "z"} <= set(rows.dtype.names or ()):
         raise InputError(f"{path}: its vertices have no x, y, z")
     xyz = np.stack([rows[c].astype(float) for c in "xyz"], axis=1)
@@ -330,10 +326,6 @@ def _ply_origin(comments: dict[str, list[str]]) -> Origin | None:
         return Origin(lat_deg=lat, lon_deg=lon, height_m=height, crs=comments["crs"][0], shift_m=(east, north, up))
     except (KeyError, ValueError, IndexError):
         return None
-
-
-def _read_ply_body(file: BinaryIO, path: Path, header: _PlyHeader) -> np.ndarray:
-    return np.concatenate(list(_ply_rows_of(file, path, header, max(header.count, 1))))
 
 
 def ply_parts(path: Path, most: int) -> Iterator[np.ndarray]:

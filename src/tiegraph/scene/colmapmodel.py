@@ -7,7 +7,8 @@ from __future__ import annotations
 import shutil
 import struct
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
+from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -209,6 +210,24 @@ def rigids3d(target_from_source: np.ndarray) -> list[pycolmap.Rigid3d]:
     return [pycolmap.Rigid3d(pycolmap.Rotation3d(q), t) for q, t in zip(quaternions, places)]
 
 
+def add_rig(
+    model: pycolmap.Reconstruction, cameras: Sequence[pycolmap.Camera], sensor_from_rig: Sequence[pycolmap.Rigid3d]
+) -> None:
+    """Give a model its rig 1: camera k has the id k + 1, the first is the reference."""
+    import pycolmap
+
+    rig = pycolmap.Rig(rig_id=1)
+    for number, camera in enumerate(cameras):
+        own = deepcopy(camera)
+        own.camera_id = number + 1
+        model.add_camera(own)
+        if number == 0:
+            rig.add_ref_sensor(own.sensor_id)
+        else:
+            rig.add_sensor(own.sensor_id, sensor_from_rig[number])
+    model.add_rig(rig)
+
+
 def sim3d(similarity: Similarity) -> pycolmap.Sim3d:
     """COLMAP's form of a similarity."""
     import pycolmap
@@ -217,14 +236,19 @@ def sim3d(similarity: Similarity) -> pycolmap.Sim3d:
     return pycolmap.Sim3d(similarity.scale, rotation, np.asarray(similarity.translation, float))
 
 
+def registered_images(reconstruction: pycolmap.Reconstruction, scene: Scene) -> Iterator[tuple[int, pycolmap.Image]]:
+    """Each image with a pose that the scene knows by its name, and its index there."""
+    for image_id in reconstruction.reg_image_ids():
+        image = reconstruction.image(image_id)
+        if image.name in scene.image_index:
+            yield scene.image_index[image.name], image
+
+
 def image_poses(reconstruction: pycolmap.Reconstruction, scene: Scene) -> np.ndarray:
     """cam_from_world (N, 4, 4) of the scene's images, model units; NaN = not registered. Images go by name."""
     poses = np.full((len(scene), 4, 4), np.nan)
-    for image_id in reconstruction.reg_image_ids():
-        image = reconstruction.image(image_id)
-        index = scene.image_index.get(image.name)
-        if index is not None:
-            poses[index] = matrix(image.cam_from_world())
+    for index, image in registered_images(reconstruction, scene):
+        poses[index] = matrix(image.cam_from_world())
     return poses
 
 
@@ -237,11 +261,8 @@ def model_centres(reconstruction: pycolmap.Reconstruction) -> np.ndarray:
 def observations(reconstruction: pycolmap.Reconstruction, scene: Scene) -> np.ndarray:
     """(N,) i8: model points that each image of the scene sees. Of a finished model ask ``scene.registered``."""
     counts = np.zeros(len(scene), int)
-    for image_id in reconstruction.reg_image_ids():
-        image = reconstruction.image(image_id)
-        index = scene.image_index.get(image.name)
-        if index is not None:
-            counts[index] = image.num_points3D
+    for index, image in registered_images(reconstruction, scene):
+        counts[index] = image.num_points3D
     return counts
 
 
@@ -251,11 +272,8 @@ def tracks(reconstruction: pycolmap.Reconstruction, scene: Scene) -> tuple[np.nd
     xyz = np.array([reconstruction.points3D[k].xyz for k in ids]).reshape(-1, 3)
     row = {k: n for n, k in enumerate(ids)}
     seen: list[tuple[int, int]] = []
-    for image_id in reconstruction.reg_image_ids():
-        image = reconstruction.image(image_id)
-        index = scene.image_index.get(image.name)
-        if index is not None:
-            seen += [(index, row[p.point3D_id]) for p in image.get_observation_points2D()]
+    for index, image in registered_images(reconstruction, scene):
+        seen += [(index, row[p.point3D_id]) for p in image.get_observation_points2D()]
     both = np.array(seen, int).reshape(-1, 2)
     return xyz, both[:, 0], both[:, 1]
 

@@ -163,17 +163,13 @@ def write_working_copy(
     names = None if only is None else {scene.names[k] for k in only.tolist()}
     copy_verified(source, target, names, [(scene.names[i], scene.names[j]) for i, j in refused])
     with writing(target) as database:
-        images = _scene_images(database, scene)
+        # Images of the database by scene index; one whose name the scene does not have is left out of every frame
+        found = {scene.image_index.get(image.name): image for image in database.read_all_images()}
+        images = {index: image for index, image in sorted((k, i) for k, i in found.items() if k is not None)}
         _update_cameras(database, scene, images)
         _write_frames(database, scene, images, with_rig)
         if positions is not None:
             _write_positions(database, scene, images, *positions)
-
-
-def _scene_images(database: pycolmap.Database, scene: Scene) -> dict[int, pycolmap.Image]:
-    """Images of the database by scene index; one whose name the scene does not have is left out of every frame."""
-    found = {scene.image_index.get(image.name): image for image in database.read_all_images()}
-    return {index: image for index, image in sorted((k, i) for k, i in found.items() if k is not None)}
 
 
 def _update_cameras(database: pycolmap.Database, scene: Scene, images: dict[int, pycolmap.Image]) -> None:

@@ -62,15 +62,11 @@ class _Spill:
         """(key, records) of each node, coarse ones first."""
         order = np.lexsort(self.keys.T[::-1])
         keys = self.keys[order]
-        begin = _beginnings(keys)
+        # Where a run of equal rows begins
+        begin = np.flatnonzero(np.r_[True, (np.diff(keys, axis=0) != 0).any(axis=1)][: len(keys)])
         for first, last in zip(begin, np.r_[begin[1:], len(keys)]):
             runs = [self.rows[self.start[r] : self.start[r] + self.count[r]].tobytes() for r in order[first:last]]
             yield keys[first], b"".join(runs)
-
-
-def _beginnings(keys: np.ndarray) -> np.ndarray:
-    """Where a run of equal rows begins."""
-    return np.flatnonzero(np.r_[True, (np.diff(keys, axis=0) != 0).any(axis=1)][: len(keys)])
 
 
 def write_copc(

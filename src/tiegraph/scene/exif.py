@@ -88,6 +88,8 @@ def read_exif(image: Any, size: tuple[int, int], focal_range: tuple[float, float
     base, detail = _with_xmp(dict(base), xmp, _BASE_IN_XMP), _with_xmp(detail, xmp, _DETAIL_IN_XMP)
     place, doubt = _place(gps, *read_place(xmp))
     time_s, utc = _time(base, detail)
+    iso = detail.get(_ISO, 1)
+    sensitivity = _positive(iso[0] if isinstance(iso, tuple) and iso else iso)
     return Exif(
         orientation=_orientation(base),
         focal_px=_focal(detail, size, focal_range),
@@ -104,7 +106,7 @@ def read_exif(image: Any, size: tuple[int, int], focal_range: tuple[float, float
         lens=_text(detail.get(_LENS)),
         focal_mm=_positive(detail.get(_FOCAL_MM)),
         zoom=_zoom(detail),
-        exposure=_exposure(detail),
+        exposure=_positive(detail.get(_EXPOSURE_S)) * sensitivity / _positive(detail.get(_F_NUMBER, 1)) ** 2,
         rig=read_rig_tags(xmp),
         doubt=doubt,
     )
@@ -193,7 +195,7 @@ def _focal(detail: dict, size: tuple[int, int], range_: tuple[float, float]) -> 
     by_pixels, zoom = mm * density / unit_mm * smaller, _zoom(detail)
     if focal < by_pixels * zoom**0.5:  # some cameras leave a digital zoom out of the equivalent
         focal *= zoom
-    return next((f for f in (focal, by_pixels * zoom) if _believable(f, longer, range_)), NAN)
+    return next((f for f in (focal, by_pixels * zoom) if range_[0] * longer <= f <= range_[1] * longer), NAN)
 
 
 def _zoom(detail: dict) -> float:
@@ -201,19 +203,9 @@ def _zoom(detail: dict) -> float:
     return zoom if zoom > 1 else 1.0
 
 
-def _exposure(detail: dict) -> float:
-    iso = detail.get(_ISO, 1)
-    sensitivity = _positive(iso[0] if isinstance(iso, tuple) and iso else iso)
-    return _positive(detail.get(_EXPOSURE_S)) * sensitivity / _positive(detail.get(_F_NUMBER, 1)) ** 2
-
-
 def _orientation(base: Any) -> int:
     number = _number(base.get(_ORIENTATION, 1))
     return int(number) if number in range(1, 9) else 1
-
-
-def _believable(focal_px: float, longer_px: int, range_: tuple[float, float]) -> bool:
-    return range_[0] * longer_px <= focal_px <= range_[1] * longer_px
 
 
 def _angle(gps: dict, key: int, reference_key: int, negative: str) -> float:
@@ -321,13 +313,9 @@ def exif_of(taken: Taken) -> Image.Exif:
 def _write_place(gps: dict[int, Any], taken: Taken) -> None:
     for key, value, words in ((1, taken.lat_deg, "NS"), (3, taken.lon_deg, "EW")):
         gps[key] = words[value < 0]
-        gps[key + 1] = _sexagesimal(abs(value))
+        minutes, seconds = divmod(round(abs(value) * 3600, 6), 60)
+        gps[key + 1] = float(minutes // 60), float(minutes % 60), round(seconds, 6)
     if np.isfinite(taken.height_m):
         gps[5], gps[6] = b"\x01" if taken.height_m < 0 else b"\x00", abs(taken.height_m)
     if np.isfinite(taken.sigma_m):
         gps[31] = taken.sigma_m
-
-
-def _sexagesimal(degrees: float) -> tuple[float, float, float]:
-    minutes, seconds = divmod(round(degrees * 3600, 6), 60)
-    return float(minutes // 60), float(minutes % 60), round(seconds, 6)

@@ -122,7 +122,8 @@ def files_below(folder: Path, notes: list[str] | None = None) -> Iterator[Path]:
     todo, links = [folder], deque[Path]()
     while todo or links:
         inside = todo.pop() if todo else links.popleft()
-        first = visited.setdefault(_identity(inside), inside)
+        info = inside.stat()
+        first = visited.setdefault((info.st_dev, info.st_ino), inside)
         if first is not inside:
             said.append(f"{inside} leads to {first}, which is searched already: passed over")
             continue
@@ -142,11 +143,6 @@ def files_below(folder: Path, notes: list[str] | None = None) -> Iterator[Path]:
     if service:
         count = sum(len(files) for folder in service for _, _, files in os.walk(folder))
         said.append(f"{count} files in {len(service)} folders of the storage passed over, such as {service[0]}")
-
-
-def _identity(folder: Path) -> tuple[int, int]:
-    info = folder.stat()
-    return info.st_dev, info.st_ino
 
 
 def _entries(folder: Path) -> list[os.DirEntry[str]]:
@@ -197,7 +193,8 @@ def probe_image(path: Path, tuning: ImageTuning) -> Probe:
     except Unreadable as error:
         return Probe(digest=digest, reason=str(error))
     except Exception as error:  # decoders raise OSError, SyntaxError, ValueError, struct.error and more
-        return Probe(digest=digest, reason=str(_broken(error)))
+        word = "truncated" if "truncated" in str(error).lower() else "broken"
+        return Probe(digest=digest, reason=str(Unreadable(f"{word}: {error}")))
 
 
 def _picture_at(data: bytes) -> int:
@@ -271,8 +268,3 @@ def _refuse_bomb(image: Image.Image, size: int) -> None:
         raise Unreadable(f"{said}: more than {LARGEST_PX // 10**6} Mpx are not read")
     if count > _BOMB_PX and count > _BOMB_PX_PER_BYTE * size:
         raise Unreadable(f"{said}, in a file of {size} bytes: that is no photograph")
-
-
-def _broken(error: Exception) -> Unreadable:
-    word = "truncated" if "truncated" in str(error).lower() else "broken"
-    return Unreadable(f"{word}: {error}")

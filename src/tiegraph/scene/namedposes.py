@@ -23,11 +23,7 @@ _ROTATION = 1e-2  # by so much may R R^T miss 1
 
 def has_named_poses(path: Path) -> bool:
     """Whether a path is a COLMAP model, a transforms.json, or a folder with one."""
-    return is_model(path) or (path / TRANSFORMS).is_file() or _is_json(path)
-
-
-def _is_json(path: Path) -> bool:
-    return path.suffix.lower() == ".json" and path.is_file()
+    return is_model(path) or (path / TRANSFORMS).is_file() or (path.suffix.lower() == ".json" and path.is_file())
 
 
 def read_named_poses(path: Path) -> dict[str, np.ndarray]:

@@ -58,7 +58,9 @@ def weakly_tied(
         larger = 2 * int(size[group].sum()) + (there[0] in group) > int(present.sum())
         inside = np.setdiff1d(there, group) if larger else np.intersect1d(there, group)
         if 0 < len(inside) < len(there):
-            across = _across(seen, inside)
+            # Points that nodes on both sides see
+            mine = np.asarray(seen[inside].sum(axis=0)).ravel()
+            across = int(np.sum((mine > 0) & (mine < np.asarray(seen.sum(axis=0)).ravel())))
             frames = np.flatnonzero(present & np.isin(home, inside)).tolist()
             enough = least if alone is None or len(frames) > 1 else alone
             found += [WeaklyTied(tuple(frames), across)] if across < enough else []
@@ -93,12 +95,6 @@ def _incidence(point: np.ndarray, node: np.ndarray, nodes: int) -> csr_array:
     table.data[:] = 1
     several = np.flatnonzero(np.asarray(table.sum(axis=0)).ravel() > 1)
     return table[:, several]
-
-
-def _across(seen: csr_array, inside: np.ndarray) -> int:
-    """Points that nodes on both sides see."""
-    mine = np.asarray(seen[inside].sum(axis=0)).ravel()
-    return int(np.sum((mine > 0) & (mine < np.asarray(seen.sum(axis=0)).ravel())))
 
 
 def _disjoint(found: list[WeaklyTied]) -> tuple[WeaklyTied, ...]:

@@ -19,12 +19,11 @@ from tiegraph.child import run_in_child
 from tiegraph.errors import ReconstructionError
 from tiegraph.geometry import transforms
 from tiegraph.scene.blocks import Block, blocks_of
-from tiegraph.scene.colmapmodel import read_model
+from tiegraph.scene.colmapmodel import image_poses, read_model, tracks
 from tiegraph.scene.joining import JoinResult, Poses, join_models, moved
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import Tuning as SceneTuning
 from tiegraph.sfm.database import ViewGraph
-from tiegraph.sfm.model import image_poses, tracks
 from tiegraph.sfm.run import MappingResult, Request, run_mapper
 
 log = logging.getLogger(__name__)

@@ -24,12 +24,12 @@ import pycolmap
 from scipy import sparse
 
 from tiegraph.scene.sorting import evenly
-from tiegraph.sfm.adjustment.jacobians import Layout, RigConstraints, jacobians
+from tiegraph.sfm.adjustment.jacobians import Layout, RigConstraints, jacobians, sampled
 from tiegraph.sfm.adjustment.leverarmprior import NominalGeometry
 from tiegraph.sfm.adjustment.normal import by_blocks, point_inverse
 from tiegraph.sfm.systematic.effects import Effect, EffectWeights
 from tiegraph.sfm.systematic.lenses import AssumedErrors, LensError, lens_errors
-from tiegraph.sfm.systematic.mountings import Unrest, misplaced, unrest
+from tiegraph.sfm.systematic.mountings import misplaced, unrest
 from tiegraph.sfm.tuning import SigmaTuning, Tuning
 
 _SEED = 0
@@ -61,7 +61,6 @@ class SharedErrors:
 
     widened: float
     lenses: tuple[LensError, ...]
-    strays: tuple[Unrest, ...]
 
 
 @dataclass(frozen=True)
@@ -147,8 +146,8 @@ def position_sigma(
     lenses, explained = lens_errors(model, weighed, shared)
     strays = [*mounted, *unrest(model, weighed.without(explained), shared)]
     told = _Told(seen, tuning.sigma)
-    told.add([effect for _, effect in (*lenses, *strays)])
-    return told.of(model, tuple(f for f, _ in lenses), tuple(f for f, _ in strays))
+    told.add([*(effect for _, effect in lenses), *strays])
+    return told.of(model, tuple(f for f, _ in lenses))
 
 
 def planned_sigma(
@@ -167,7 +166,7 @@ def planned_sigma(
     told = _Told(seen, tuning.sigma)
     told.full *= assumed.tracks**2
     told.add(assumed.effects(model, seen.weighed, tuning.sigma.shared))
-    return told.of(model, (), ())
+    return told.of(model, ())
 
 
 class _Told:
@@ -187,20 +186,21 @@ class _Told:
         for effect in effects:
             self.full += effect.covariance(self.solved)
 
-    def of(
-        self, model: pycolmap.Reconstruction, lenses: tuple[LensError, ...], strays: tuple[Unrest, ...]
-    ) -> PositionSigma:
+    def of(self, model: pycolmap.Reconstruction, lenses: tuple[LensError, ...]) -> PositionSigma:
         """All that is told."""
         seen, asked, full, (first, second) = self.seen, self.asked, self.full, self.seen.weights
         mean = float(np.mean(second))
         # What independent normal errors of this sigma would give: the curvature had no robust weights then.
         formal = seen.variance * mean * np.einsum("ij,ij->j", self.sides, self.solved)
         noise = float(np.mean((first * seen.weighed.seen.residual) ** 2)) * seen.inflated / mean
-        rest = _Rest(seen.layout, asked.of_rest(full), self.tuning.strong_correlation)
+        # (C, C) covariance with only what follows the frames in it: rig and lenses
+        start = 6 * len(asked.frame_ids)
+        own = slice(start, start + len(asked.rest))
+        rest = _Rest(seen.layout, full[own, own], self.tuning.strong_correlation)
         return PositionSigma(
             **asked.of_frames(full), pixel_sigma=float(np.sqrt(seen.variance)),
             points=PointSigma(tuple(seen.points[k] for k in asked.points), asked.of_points(full, noise)),
-            shared=SharedErrors(asked.widened(full, formal), lenses, strays),
+            shared=SharedErrors(asked.widened(full, formal), lenses),
             interior=rest.interior(model), mounting=rest.mounting(),
             scale=float(np.sqrt(full[-1, -1])) if seen.weighed.normal.scale_known else None,
         )  # fmt: skip
@@ -225,7 +225,7 @@ class Linearised:
         if len(layout.frame_ids) < 3:
             raise ValueError("needs at least 3 frames")
         self.layout = layout
-        self.points, self.share = _sample(model, most_points)
+        self.points, self.share = sampled(model.point3D_ids(), most_points)
         seen = jacobians(model, layout, self.points)
         redundancy = len(seen.residual) - (layout.size - 7) - 3 * len(self.points)
         if redundancy <= 0:
@@ -234,23 +234,11 @@ class Linearised:
         self.variance = max((1.4826 * float(np.median(np.abs(seen.residual)))) ** 2 * self.inflated, 1e-12)
         held, pull = layout.held()
         known = layout.prior(model, tuning.adjust, nominal) + layout.tied()
-        self.weights = _robust_weights(seen.residual, tuning.adjust.robust_px)
+        # (2O,) weights of the Cauchy cost's gradient, and of its curvature along the residual (never negative)
+        weight = 1 / (1 + np.sum(seen.residual.reshape(-1, 2) ** 2, axis=1) / tuning.adjust.robust_px**2)
+        self.weights = np.repeat(weight, 2), np.repeat(weight**2, 2)
         prior = (self.variance * (known + held)).tocsr()
         self.weighed, self.pull = EffectWeights(seen, self.weights, self.share, prior, layout), known + pull
-
-
-def _sample(model: pycolmap.Reconstruction, most: int) -> tuple[list[int], float]:
-    ids = np.array(sorted(model.point3D_ids()))
-    share = min(1.0, most / max(len(ids), 1))
-    if share < 1:
-        ids = np.sort(np.random.default_rng(_SEED).choice(ids, most, replace=False))
-    return ids.tolist(), share
-
-
-def _robust_weights(residual: np.ndarray, scale_px: float) -> tuple[np.ndarray, np.ndarray]:
-    """(2O,) weights of the Cauchy cost's gradient, and of its curvature along the residual (never negative)."""
-    weight = 1 / (1 + np.sum(residual.reshape(-1, 2) ** 2, axis=1) / scale_px**2)
-    return np.repeat(weight, 2), np.repeat(weight**2, 2)
 
 
 class _Asked:
@@ -292,12 +280,6 @@ class _Asked:
         start = 6 * len(self.frame_ids) + len(self.rest)
         shared = _root(np.diag(full))[start:-1].reshape(-1, 3) ** 2
         return np.asarray(np.sqrt(shared + noise * np.einsum("kii->ki", self.own)))
-
-    def of_rest(self, full: np.ndarray) -> np.ndarray:
-        """(C, C) covariance with only what follows the frames in it: rig and lenses."""
-        start = 6 * len(self.frame_ids)
-        own = slice(start, start + len(self.rest))
-        return full[own, own]
 
 
 def _root(variance: np.ndarray) -> np.ndarray:

@@ -22,14 +22,14 @@ import pycolmap
 from tiegraph.child import run_in_child
 from tiegraph.errors import ChildDied, ReconstructionError
 from tiegraph.scene.blocks import in_one_piece
-from tiegraph.scene.colmapmodel import read_model
+from tiegraph.scene.colmapmodel import image_poses, observations, read_model
 from tiegraph.scene.rig import Rig, calibrated
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import Tuning as SceneTuning
 from tiegraph.sfm.adjustment.adjust import final_adjustment, robust_cost
 from tiegraph.sfm.blockwise import RunMap, poses_by_blocks, serially
 from tiegraph.sfm.database import ViewGraph
-from tiegraph.sfm.model import frame_poses, image_poses, observations
+from tiegraph.sfm.model import frame_poses
 from tiegraph.sfm.registrationreport import no_model_text
 from tiegraph.sfm.rig.rig import held_by_mapper
 from tiegraph.sfm.run import Fixed, MappingResult, Matches, Method, Request, run_mapper

@@ -3,25 +3,9 @@
 import numpy as np
 
 from tiegraph.geometry import transforms
-from tiegraph.scene.colmapmodel import image_poses, matrix, model_rigs, observations, rigid3d, rigids3d, sim3d, tracks
 from tiegraph.scene.registered import BY_RIG, Registration
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.tuning.world import FixTuning
-
-__all__ = [
-    "frame_poses",
-    "held_out_frames",
-    "image_poses",
-    "matrix",
-    "model_rigs",
-    "observations",
-    "registration_tables",
-    "rig_from_sensor",
-    "rigid3d",
-    "rigids3d",
-    "sim3d",
-    "tracks",
-]
 
 
 def rig_from_sensor(scene: Scene, scale: float = 1.0) -> np.ndarray:

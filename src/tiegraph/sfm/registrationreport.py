@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 import pycolmap
 
+from tiegraph.scene.colmapmodel import tracks
 from tiegraph.scene.graph import some
 from tiegraph.scene.registered import BY_RIG, LEFT_OUT, Registration
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.weakties import WeaklyTied, named, weakly_tied
 from tiegraph.sfm.database import ViewGraph
-from tiegraph.sfm.model import tracks
 from tiegraph.sfm.tuning import RegistrationTuning, Tuning
 
 _NAMED = 5  # frames or groups that a remark names

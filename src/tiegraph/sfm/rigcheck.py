@@ -241,7 +241,9 @@ def _confront_rigid(out: Checked, rig: _Rig, test: PriorTest) -> None:
     """Say where the file of a rigid rig contradicts the images; a turned or shifted camera of a held one is adjusted,
     unless images would lose their place by it."""
     refined = _refined(out.model, rig, test)
-    last = _tested_again(refined, rig, test)
+    # The test in a refined model, where the rest is no longer bent and the sigmas are better; else as it was
+    again = None if refined is None else rig.prior_test(refined, test.system.metres_per_unit)
+    last = again if again is not None and _mounts_freed(again) else test
     said = statements(last, rig.scene, rig.index, refined)
     followed = _followed(out.model, rig, refined) if said.contradictions else None
     if rig.ordered:
@@ -262,12 +264,6 @@ def _refined(model: pycolmap.Reconstruction, rig: _Rig, test: PriorTest) -> pyco
         return None
     fixed = [k + 1 for k in held.fixed]
     return refine(model, rig.scene, rig.index, test, fixed, held.cameras, rig.request.tuning.adjust)
-
-
-def _tested_again(refined: pycolmap.Reconstruction | None, rig: _Rig, test: PriorTest) -> PriorTest:
-    """The test in a refined model, where the rest is no longer bent and the sigmas are better; else as it was."""
-    again = None if refined is None else rig.prior_test(refined, test.system.metres_per_unit)
-    return again if again is not None and _mounts_freed(again) else test
 
 
 def _mounts_freed(test: PriorTest) -> bool:

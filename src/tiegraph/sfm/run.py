@@ -12,10 +12,10 @@ import pycolmap
 from tiegraph.scene.colmaprows import sizes
 from tiegraph.scene.rig import Rig, rig_from_dict, rig_to_dict
 from tiegraph.scene.scene import Scene
+from tiegraph.scene.solver import THREADS, factorised
 from tiegraph.sfm.database import write_working_copy
 from tiegraph.sfm.model import frame_poses
 from tiegraph.sfm.placement.doubtful import doubted_frames
-from tiegraph.sfm.solver import THREADS, factorised
 from tiegraph.sfm.start.poses import largest_component, start_from
 from tiegraph.sfm.start.stagedadjustment import Doubted, model_from, place_doubted, refusal
 from tiegraph.sfm.tuning import Tuning

@@ -8,10 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from tiegraph.scene.colmapmodel import read_model
+from tiegraph.scene.colmapmodel import image_poses, read_model
 from tiegraph.sfm.database import ViewGraph
 from tiegraph.sfm.mapping import Account, Job, map_images
-from tiegraph.sfm.model import image_poses
 from tiegraph.sfm.ties import TEST_COLUMNS, Joining, TieTest, moved
 from tiegraph.sfm.verified import read_verified
 

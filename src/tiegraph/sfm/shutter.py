@@ -22,12 +22,12 @@ from scipy.spatial.transform import Rotation, RotationSpline
 
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import umeyama
+from tiegraph.scene.colmapmodel import image_poses
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjustment import lens
 from tiegraph.sfm.adjustment.adjust import free_cameras
 from tiegraph.sfm.adjustment.jacobians import Layout, System
 from tiegraph.sfm.covariance import Linearised
-from tiegraph.sfm.model import image_poses
 from tiegraph.sfm.tuning import ShutterTuning, Tuning
 
 

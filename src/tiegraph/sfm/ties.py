@@ -19,8 +19,8 @@ from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity
+from tiegraph.scene.colmapmodel import sim3d
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.model import sim3d
 from tiegraph.sfm.tuning import PlacementTuning
 from tiegraph.sfm.verified import ImageObservations, VerifiedMatches, image_observations
 

@@ -12,7 +12,7 @@ import pycolmap
 from tiegraph.geometry import transforms
 from tiegraph.geometry.rays import cross
 from tiegraph.scene.colmapdatabase import Rows, image_ids
-from tiegraph.scene.colmapmodel import matrix
+from tiegraph.scene.colmapmodel import matrix, registered_images
 from tiegraph.scene.rays import rays_or_axis
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.tuning.placement import AgreementTuning
@@ -67,11 +67,7 @@ def image_observations(model: pycolmap.Reconstruction, scene: Scene, tuning: Agr
     """The registered images of a model that the scene knows."""
     xyz = {int(k): p.xyz for k, p in model.points3D.items()}
     cameras, poses, point, reach = {}, {}, {}, {}
-    for image_id in model.reg_image_ids():
-        image = model.image(image_id)
-        k = scene.image_index.get(image.name)
-        if k is None:
-            continue
+    for k, image in registered_images(model, scene):
         cameras[k] = model.camera(image.camera_id)
         poses[k] = matrix(image.cam_from_world())
         point[k] = np.full(image.num_points2D(), -1)

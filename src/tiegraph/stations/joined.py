@@ -8,11 +8,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import transforms
-from tiegraph.stations.adjust import Part, adjusted
-from tiegraph.stations.loops import contradicted, motion, parts, taken_apart
+from tiegraph.geometry.align import robust_sigma
+from tiegraph.stations.loops import Part, adjusted, contradicted, motion, parts, taken_apart
 from tiegraph.stations.pairs import Pair, from_shapes, from_start, met
-from tiegraph.stations.station import Shot, Station, common_side, station_of
-from tiegraph.stations.tuning import Tuning
+from tiegraph.stations.station import Level, Sample, Shot, Station, common_side, station_of
+from tiegraph.stations.tuning import PrecisionTuning, Tuning
 
 _SHOWN = 200  # points of a station that say how far an error moves it
 
@@ -67,7 +67,9 @@ def join(
     pairs = _uncontradicted(_first_pairs(stations, tuning, told), stations, tuning)
     found = _adjusted_parts(pairs, len(stations), tuning)
     pairs, found = _grown(pairs, found, stations, tuning)
-    pairs = _without_repeats(pairs, found, stations, tuning)
+    # The pairs, of which those have a reason not to be believed that lay a shape that repeats on itself
+    left = {ends: float(row[1]) for ends, row in _loops_m(found).items()}
+    pairs = taken_apart(pairs, left, _points_shown(stations), _close_m(stations, tuning), tuning.loops)
     found = _adjusted_parts(pairs, len(stations), tuning)
     poses, left_out = _in_world(stations, found)
     loops = _loops_m(found)
@@ -99,12 +101,6 @@ def _grown(
         pairs = _uncontradicted(others + more, stations, tuning)
         found = _adjusted_parts(pairs, len(stations), tuning)
     return pairs, found
-
-
-def _without_repeats(pairs: list[Pair], found: list[Part], stations: Sequence[Station], tuning: Tuning) -> list[Pair]:
-    """The pairs, of which those have a reason not to be believed that lay a shape that repeats on itself."""
-    left = {ends: float(row[1]) for ends, row in _loops_m(found).items()}
-    return taken_apart(pairs, left, _points_shown(stations), _close_m(stations, tuning), tuning.loops)
 
 
 def _loops_m(found: Sequence[Part]) -> dict[tuple[int, int], np.ndarray]:
@@ -235,3 +231,74 @@ def _laid_on_known(stations: Sequence[Station], part: Part) -> np.ndarray:
     turn = Rotation.from_matrix([m[:3, :3] for m in single]).mean().as_matrix()
     places = [(pose[:3, 3], part.poses[k, :3, 3]) for k, pose in known.items() if pose is not None]
     return transforms.rigid(turn, np.mean([there - turn @ here for there, here in places], axis=0))
+
+
+# --- precision by distance, of surfaces that several clouds saw -------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Band:
+    """Points at some distance from what took them: robust sigma of their distance along the line of sight from the
+    others' surfaces, and the median of the sigma that the shots state (NaN = none), metres."""
+
+    from_m: float
+    to_m: float
+    points: int
+    sigma_m: float
+    stated_m: float
+
+
+def by_distance(stations: Sequence[Station], poses: np.ndarray, pairs: Sequence[Pair], tuning: Tuning) -> list[Band]:
+    """Precision by distance, of the points as measured against the means of many points of another cloud.
+
+    ``poses`` (K, 4, 4) of the shots, NaN = left out; [] where no distance is known.
+    """
+    found = [np.zeros((0, 3))]
+    for pair in pairs:
+        if not np.isfinite(poses[[pair.first, pair.second]]).all():
+            continue
+        for own, other in ((pair.first, pair.second), (pair.second, pair.first)):
+            a, b = stations[own], stations[other]
+            fit = b.shift @ transforms.invert(poses[other]) @ poses[own] @ a.shift_back
+            found.append(_off(a.sample, b.levels[-1], fit, tuning))
+    rows = np.concatenate(found)
+    return _bands(rows[np.isfinite(rows[:, 0])], tuning.precision)
+
+
+def _off(sample: Sample, level: Level, fit: np.ndarray, tuning: Tuning) -> np.ndarray:
+    """(M, 3) distance from the station, along the line of sight from the other's surface, and sigma stated, of the
+    points that lie on it and see it not too obliquely."""
+    moved = transforms.apply(fit, sample.xyz)
+    away, at = level.tree.query(moved, distance_upper_bound=tuning.pair.meet * level.side)
+    near = np.flatnonzero(np.isfinite(away))
+    normal = level.normal[at[near]]
+    sight = sample.ray[near] @ fit[:3, :3].T
+    straight = np.abs(np.einsum("ij,ij->i", normal, sight))
+    off = np.einsum("ij,ij->i", normal, moved[near] - level.xyz[at[near]])
+    seen = straight > np.cos(np.radians(tuning.precision.oblique_deg))
+    return np.column_stack([sample.distance_m[near], off / np.maximum(straight, 1e-3), sample.sigma_m[near]])[seen]
+
+
+def _bands(rows: np.ndarray, tuning: PrecisionTuning) -> list[Band]:
+    """Bands of equal width over what 98 % of the points are in, those with enough of them."""
+    if len(rows) < tuning.least_points:
+        return []
+    low, high = np.percentile(rows[:, 0], [1, 99])
+    edges = np.linspace(low, high, tuning.bands + 1)
+    out = []
+    for low, high in zip(edges, edges[1:]):
+        inside = rows[(rows[:, 0] >= low) & (rows[:, 0] < high)]
+        if len(inside) < tuning.least_points:
+            continue
+        stated = inside[np.isfinite(inside[:, 2]), 2]
+        sigma = robust_sigma(inside[:, 1] - np.median(inside[:, 1]))
+        out.append(
+            Band(
+                from_m=float(low),
+                to_m=float(high),
+                points=len(inside),
+                sigma_m=sigma,
+                stated_m=float(np.median(stated)) if len(stated) else np.nan,
+            )
+        )
+    return out

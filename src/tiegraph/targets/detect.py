@@ -34,7 +34,9 @@ class Seen:
 
 def find_targets(pixels: np.ndarray, families: Sequence[str], tuning: Tuning) -> list[Seen]:
     """All targets of some families in an image (H, W) u1, in the order of families and numbers."""
-    noise = _noise(pixels)
+    # Sigma of an image's noise, grey levels, from its quieter half
+    high = cv2.filter2D(pixels, cv2.CV_32F, _NOISE) / _NOISE_NORM
+    noise = max(robust_sigma(high), _LEAST_NOISE)
     rate = 4 * tuning.least_side_px / max(pixels.shape)
     out = []
     for family in families:
@@ -71,12 +73,6 @@ def _detector(family: str, least_rate: float, correction: float) -> cv2.aruco.Ar
     parameters.minMarkerPerimeterRate = least_rate
     parameters.errorCorrectionRate = correction
     return cv2.aruco.ArucoDetector(dictionary(family), parameters)
-
-
-def _noise(pixels: np.ndarray) -> float:
-    """Sigma of an image's noise, grey levels, from its quieter half."""
-    high = cv2.filter2D(pixels, cv2.CV_32F, _NOISE) / _NOISE_NORM
-    return max(robust_sigma(high), _LEAST_NOISE)
 
 
 def _sigma(pixels: np.ndarray, xy: np.ndarray, half: int, noise: float) -> float:

@@ -94,7 +94,7 @@ class Search:
         Kept pairs that share less than ``candidates.min_overlap`` are dropped for ``overlap``; all others that share as
         much are added with the source ``model``.
         """
-        best = self._best()
+        best = max(self._tries, key=lambda t: (t.right(), not self._loose(t).any(), t.trust.explained))
         if not best.models:
             nowhere = np.zeros(len(self._scene), bool)
             return Coarse(self._pairs, self._scene, model=None, trusted=nowhere, notes=(NO_MODEL, *best.notes))
@@ -105,9 +105,6 @@ class Search:
         scene, moved = calibrated_scene(self._scene, model, loose, self._tuning)
         notes = (*self._notes(best, loose), *moved)
         return Coarse(pairs=pairs, scene=scene, model=model, trusted=trusted, notes=notes)
-
-    def _best(self) -> _Try:
-        return max(self._tries, key=lambda t: (t.right(), not self._loose(t).any(), t.trust.explained))
 
     def _loose(self, tried: _Try) -> np.ndarray:
         """(S,) bool: sensors turned further than a mounting is guessed wrong, and not so in another try: few points

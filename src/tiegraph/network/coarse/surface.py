@@ -32,22 +32,22 @@ def with_surface(
     for k in np.unique(image):
         own = image == k
         towards[own] = pixel_rays(model.cameras[k], features(int(k))[feature[own]]) @ model.cam_from_world[k, :3, :3]
-    use = np.isfinite(towards).all(axis=1) & _alone(track, image)
+    # (K,) bool: observations of tracks that have no image twice, which a wrong match has joined of two
+    order = np.lexsort((image, track))
+    twice = (np.diff(track[order]) == 0) & (np.diff(image[order]) == 0)
+    use = np.isfinite(towards).all(axis=1) & ~np.isin(track, track[order[1:][twice]])
     points, off = np.zeros((0, 3)), np.zeros(len(track))
     for _ in range(tuning.most_left_out + 1):
         use &= ~_worst(track, np.where(use, off, 0.0), tuning.off_deg)
         use &= _held(track, towards, use, tuning)[track]
         points = _nearest(track, centre, np.where(use[:, None], towards, np.nan))
-        off = _off_deg(points[track] - centre, towards)
+        # (K,) angle between the way to a point and a ray
+        way = points[track] - centre
+        along = np.einsum("kc,kc->k", way, towards) / np.maximum(np.linalg.norm(way, axis=1), 1e-12)
+        off = np.degrees(np.arccos(np.clip(along, -1, 1)))
     use &= ~np.isin(track, track[use & (off > tuning.off_deg)])
     kept, point = np.unique(track[use], return_inverse=True)
     return replace(model, points=points[kept], image=image[use], point=point)
-
-
-def _off_deg(way: np.ndarray, towards: np.ndarray) -> np.ndarray:
-    """(K,) angle between the way to a point and a ray."""
-    along = np.einsum("kc,kc->k", way, towards) / np.maximum(np.linalg.norm(way, axis=1), 1e-12)
-    return np.degrees(np.arccos(np.clip(along, -1, 1)))
 
 
 def _worst(track: np.ndarray, off: np.ndarray, limit: float) -> np.ndarray:
@@ -55,13 +55,6 @@ def _worst(track: np.ndarray, off: np.ndarray, limit: float) -> np.ndarray:
     most = np.zeros(int(track.max(initial=-1)) + 1)
     np.maximum.at(most, track, off)
     return (off > limit) & (off == most[track])
-
-
-def _alone(track: np.ndarray, image: np.ndarray) -> np.ndarray:
-    """(K,) bool: observations of tracks that have no image twice, which a wrong match has joined of two."""
-    order = np.lexsort((image, track))
-    twice = (np.diff(track[order]) == 0) & (np.diff(image[order]) == 0)
-    return ~np.isin(track, track[order[1:][twice]])
 
 
 def _nearest(track: np.ndarray, centre: np.ndarray, towards: np.ndarray) -> np.ndarray:

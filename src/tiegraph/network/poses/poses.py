@@ -62,11 +62,6 @@ class Views:
         """(N, 3) optical axes, NaN = unknown."""
         return self.pose[:, :3, 2]
 
-    def uncertainty_m(self, i: np.ndarray, j: np.ndarray, drift: float) -> np.ndarray:
-        """(K,) standard deviation of the distance of image pairs; ``drift``: of the path between them."""
-        drifted = drift * np.abs(self.path_m[i] - self.path_m[j])
-        return np.sqrt(self.sigma_m[i] ** 2 + self.sigma_m[j] ** 2 + np.nan_to_num(drifted) ** 2)
-
 
 def pose_pairs(scene: Scene, passes: Sequence[Pass], settings: CandidatesSettings, tuning: Tuning) -> PoseResult:
     """Pairs of images by their prior poses; those that a test refused carry its reason.
@@ -265,7 +260,9 @@ def _tests(
     """Index into REASONS of each pair (K,), the first test that refuses it, 0 = none does; predicted overlap (K,)."""
     i, j = pairs
     base = np.linalg.norm(views.centre()[i] - views.centre()[j], axis=1)
-    sigma = views.uncertainty_m(i, j, tuning.drift)
+    # (K,) standard deviation of the distance of image pairs, with the drift of the path between them
+    drifted = tuning.drift * np.abs(views.path_m[i] - views.path_m[j])
+    sigma = np.sqrt(views.sigma_m[i] ** 2 + views.sigma_m[j] ** 2 + np.nan_to_num(drifted) ** 2)
     noise = tuning.sigmas * sigma
     code = np.zeros(len(i), int)
     axis = views.axis()

@@ -81,7 +81,11 @@ def bags_of_words(descriptors: Sequence[np.ndarray], tuning: VocabularyTuning) -
     words = int(np.clip(total / tuning.features_a_word, tuning.min_words, tuning.max_words))
     parts = []
     for seed in range(tuning.vocabularies):
-        taken = _sample(descriptors, min(1.0, tuning.training / total), seed)
+        # (K, 128) f4 descriptors, the same share of every image
+        share = min(1.0, tuning.training / total)
+        rng = np.random.default_rng(seed)
+        taken = [d[rng.random(len(d)) < share] for d in descriptors]
+        taken = np.concatenate(taken).astype(np.float32).reshape(-1, 128)
         vocabulary = _learn(taken, words, seed, tuning.rounds)
         parts.append(_weighted(_counted(descriptors, vocabulary), tuning))
     both = csr_array(hstack(parts).tocsr(), dtype=np.float32)
@@ -106,13 +110,6 @@ class _Vocabulary:
             rows = order[bounds[c] : bounds[c + 1]]
             out[rows] = self.first[c] + _closest(x[rows], self.words[c])
         return out
-
-
-def _sample(descriptors: Sequence[np.ndarray], share: float, seed: int) -> np.ndarray:
-    """(K, 128) f4 descriptors, the same share of every image."""
-    rng = np.random.default_rng(seed)
-    taken = [d[rng.random(len(d)) < share] for d in descriptors]
-    return np.concatenate(taken).astype(np.float32).reshape(-1, 128)
 
 
 def _learn(x: np.ndarray, words: int, seed: int, rounds: int) -> _Vocabulary:

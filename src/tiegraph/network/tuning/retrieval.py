@@ -85,14 +85,14 @@ class LoopSearchTuning(Section):
     patch: int = Field(10, ge=0)
     """Pairs borne out side by side, or none of them is believed. Simulated, four seeds of 300 frames: false patches
     reach 9 where one unrelated preview in five hits, 12 where three in ten do. On ``canal`` it costs two patches of 6
-    and 9. In long surveys the whole rig must bear them out too (`significance.py`): there walls that repeat make
+    and 9. In long surveys the whole rig must bear them out too (`retrieval.py`): there walls that repeat make
     patches of any size."""
     previews_an_image: int = Field(16, ge=0)
     """Of those sampled: the most that looking for loops may take."""
 
 
 class SignificanceTuning(Section):
-    """Loops of long surveys against the whole rig (`significance.py`)."""
+    """Loops of long surveys against the whole rig (`retrieval.py`)."""
 
     frame_pairs: int = Field(12, gt=0)
     """Frame pairs of a loop that all cameras are previewed at."""

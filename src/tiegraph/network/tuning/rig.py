@@ -42,7 +42,7 @@ class CheckTuning(Section):
 
 
 class OrderTuning(Section):
-    """Cameras in another order (`cameraorder.py`)."""
+    """Cameras in another order (`check.py`)."""
 
     all_orders: int = Field(7, ge=0)
     """Side cameras up to which every order is tried (5040); beyond, swaps one after the other."""

@@ -141,7 +141,7 @@ def lens_fault(camera: pycolmap.Camera, tuning: CameraTuning) -> str:
         return f"the focal length is {min(focal):g} px: it must be above 0"
     if max(focal) > tuning.max_aspect * min(focal):
         return f"the focal lengths {focal[0]:g} and {focal[1]:g} px differ too much: fx and fy of nearly square pixels"
-    fisheye = not _perspective(camera)
+    fisheye = "FISHEYE" in camera.model.name or camera.model.name in ("EUCM", "EQUIRECTANGULAR")
     if wrong := focal_fault(min(focal), width, fisheye, tuning):
         return wrong
     middle = np.array([camera.principal_point_x, camera.principal_point_y])
@@ -160,21 +160,13 @@ def lens_fault(camera: pycolmap.Camera, tuning: CameraTuning) -> str:
 
 def focal_fault(focal_px: float, width: int, fisheye: bool, tuning: CameraTuning) -> str:
     """What is wrong with a focal length of images ``width`` px wide, "" if nothing."""
-    across = _across_deg(focal_px, width, fisheye)
+    ratio = width / 2 / focal_px
+    across = float(np.degrees(2 * (ratio if fisheye else np.arctan(ratio))))
     least, most = tuning.min_fov_deg, 360.0 if fisheye else tuning.max_fov_deg
     if least <= across <= most:
         return ""
     said = f"a focal length of {focal_px:g} px sees {across:.3g} degrees across {width} px"
     return f"{said}, not {least:g} to {most:g}: is it in millimetres, or of another image size?"
-
-
-def _across_deg(focal_px: float, width: int, fisheye: bool) -> float:
-    ratio = width / 2 / focal_px
-    return float(np.degrees(2 * (ratio if fisheye else np.arctan(ratio))))
-
-
-def _perspective(camera: pycolmap.Camera) -> bool:
-    return not ("FISHEYE" in camera.model.name or camera.model.name in ("EUCM", "EQUIRECTANGULAR"))
 
 
 def _fold(camera: pycolmap.Camera, middle: np.ndarray, fisheye: bool, tuning: CameraTuning) -> str:

@@ -167,7 +167,8 @@ def take_pictures(
     InputError for a bag that is damaged.
     """
     if folder.exists():
-        return _taken(folder)
+        data = json.loads((folder / _TAKEN).read_text())
+        return Pictures(tuple(data["numbers"]), tuple(data["stamps_s"]), data["said"])
     name = recording.name
     try:
         check_film(recording)
@@ -193,11 +194,6 @@ def take_pictures(
     finally:
         shutil.rmtree(partial, ignore_errors=True)
     return found
-
-
-def _taken(folder: Path) -> Pictures:
-    data = json.loads((folder / _TAKEN).read_text())
-    return Pictures(tuple(data["numbers"]), tuple(data["stamps_s"]), data["said"])
 
 
 def _said(name: str, words: str, count: int, opened: OpenVideo | BagFilm, tuning: PicturesTuning) -> str:

@@ -259,7 +259,9 @@ def motion_curve(frames: Iterable[tuple[float, np.ndarray]], tuning: MotionTunin
     for stamp, picture in frames:
         if stamps and stamp - stamps[0] > tuning.most_s:
             break
-        grey = _reduced(picture, tuning.width_px)
+        scale = min(1.0, tuning.width_px / picture.shape[1])
+        small = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+        grey = small if small.ndim == 2 else cv2.cvtColor(small, cv2.COLOR_BGR2GRAY)
         step = np.zeros(CHANNELS)
         if before is not None:
             step = _global_motion(flow.calc(before, grey, np.zeros(0, np.float32))[2::4, 2::4], tuning)
@@ -267,12 +269,6 @@ def motion_curve(frames: Iterable[tuple[float, np.ndarray]], tuning: MotionTunin
         moved.append(step)
         before = grey
     return MotionCurve(np.array(stamps, float), np.cumsum(np.reshape(moved, (-1, CHANNELS)), axis=0))
-
-
-def _reduced(picture: np.ndarray, width_px: int) -> np.ndarray:
-    scale = min(1.0, width_px / picture.shape[1])
-    small = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    return small if small.ndim == 2 else cv2.cvtColor(small, cv2.COLOR_BGR2GRAY)
 
 
 def _global_motion(flow_px: np.ndarray, tuning: MotionTuning) -> np.ndarray:

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 import pycolmap
 
+from tiegraph.scene.solver import all_images, factorised, options_of
 from tiegraph.sfm.adjustment import lens
 from tiegraph.sfm.adjustment.constraints import PoseConstraints
 from tiegraph.sfm.adjustment.fewpoints import take_poses, thinned
 from tiegraph.sfm.adjustment.priors import add_priors
-from tiegraph.sfm.solver import factorised, repeatable
 from tiegraph.sfm.tuning import AdjustTuning
 
 Cameras = dict[int, pycolmap.Camera] | pycolmap.CameraMap
@@ -163,18 +163,12 @@ def _solve(
     tuning: AdjustTuning,
     given: Mapping[int, pycolmap.Camera] | None = None,
 ) -> None:
-    options = pycolmap.BundleAdjustmentOptions(print_summary=False, refine_principal_point=True)
-    if robust:
-        options.ceres.loss_function_type = pycolmap.LossFunctionType.CAUCHY
-        options.ceres.loss_function_scale = tuning.robust_px
-    solver = options.ceres.solver_options
-    solver.max_num_iterations = tuning.robust_iterations if robust else tuning.first_iterations
-    solver.function_tolerance = tuning.tolerance
-    options.ceres.solver_options = solver
+    iterations = tuning.robust_iterations if robust else tuning.first_iterations
+    options = options_of(
+        iterations, tuning.tolerance, tuning.robust_px if robust else None, refine_principal_point=True
+    )
     factorised(options, model.num_reg_frames(), model.num_reg_images())
-    config = pycolmap.BundleAdjustmentConfig()
-    for image_id in model.reg_image_ids():
-        config.add_image(image_id)
+    config = all_images(model)
     for camera_id in model.cameras:
         if camera_id not in free:
             config.set_constant_cam_intrinsics(camera_id)
@@ -195,25 +189,17 @@ def _solve(
 
 def solve_points(model: pycolmap.Reconstruction, tuning: AdjustTuning) -> None:
     """Each point to where its rays meet; all else stays."""
-    options = pycolmap.BundleAdjustmentOptions(
-        print_summary=False,
+    options = options_of(
+        tuning.points_iterations,
+        tuning.tolerance,
+        tuning.robust_px,
         refine_focal_length=False,
         refine_principal_point=False,
         refine_extra_params=False,
         refine_sensor_from_rig=False,
         refine_rig_from_world=False,
     )
-    options.ceres.loss_function_type = pycolmap.LossFunctionType.CAUCHY
-    options.ceres.loss_function_scale = tuning.robust_px
-    solver = options.ceres.solver_options
-    solver.max_num_iterations = tuning.points_iterations
-    solver.function_tolerance = tuning.tolerance
-    options.ceres.solver_options = solver
-    repeatable(options)
-    config = pycolmap.BundleAdjustmentConfig()
-    for image_id in model.reg_image_ids():
-        config.add_image(image_id)
-    pycolmap.create_default_ceres_bundle_adjuster(options, config, model).solve()
+    pycolmap.create_default_ceres_bundle_adjuster(options, all_images(model), model).solve()
 
 
 def _anchor(model: pycolmap.Reconstruction) -> int:

@@ -12,9 +12,9 @@ import pycolmap
 import pycolmap.cost_functions
 from scipy.spatial.transform import Rotation
 
+from tiegraph.scene.colmapmodel import rigid3d
 from tiegraph.sfm.adjustment.leverarmprior import NominalGeometry
 from tiegraph.sfm.adjustment.timecost import TimeOffsetPriors, add_time_offsets, pose_block
-from tiegraph.sfm.model import rigid3d
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -11,9 +11,11 @@ import pycolmap
 from scipy import sparse
 
 from tiegraph.geometry.transforms import skew
+from tiegraph.scene.colmapmodel import matrix
 from tiegraph.sfm.adjustment import lens, leverarmprior
-from tiegraph.sfm.model import matrix
 from tiegraph.sfm.tuning import AdjustTuning, LensTuning
+
+_SEED = 0
 
 
 @dataclass(frozen=True)
@@ -167,6 +169,15 @@ class System:
     xy: np.ndarray  # (O, 2) measured, pixels
     by_point: np.ndarray  # (O, 2, 3) the values of ``points``
     lever: np.ndarray  # (O, 3) point minus the centre of the image, model axes
+
+
+def sampled(points: Iterable[int], most: int) -> tuple[list[int], float]:
+    """At most so many ids of points, drawn at random, the same each time, in order; which share of all these are."""
+    ids = np.array(sorted(points))
+    share = min(1.0, most / max(len(ids), 1))
+    if share < 1:
+        ids = np.sort(np.random.default_rng(_SEED).choice(ids, most, replace=False))
+    return ids.tolist(), share
 
 
 def jacobians(model: pycolmap.Reconstruction, layout: Layout, point_ids: list[int]) -> System:

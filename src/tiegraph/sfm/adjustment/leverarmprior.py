@@ -17,7 +17,7 @@ import pycolmap
 import pycolmap.cost_functions
 
 from tiegraph.geometry.transforms import skew
-from tiegraph.sfm.model import rigid3d
+from tiegraph.scene.colmapmodel import rigid3d
 from tiegraph.sfm.tuning import AdjustTuning
 from tiegraph.sfm.tuning.rig import LeverArmTuning
 

@@ -63,16 +63,12 @@ def reduced(
     for k in range(0, shared.shape[0], _ROWS):
         rows = slice(k, k + _ROWS)
         dense = shared[rows].toarray()
-        taken = _of_blocks(inverse, rows) @ dense
+        # The part of these rows, whole blocks, of a matrix of ``by_blocks``
+        taken = by_blocks(inverse.data[rows.start // 3 : rows.stop // 3]) @ dense
         beside += frames[rows].T @ taken
         among += dense.T @ taken
     eliminated = sparse.bmat([[between, sparse.csr_matrix(beside)], [beside.T, among]])
     return (jc.T @ jc - eliminated).tocsr()
-
-
-def _of_blocks(blocks: sparse.bsr_matrix, rows: slice) -> sparse.bsr_matrix:
-    """The part of these rows, whole blocks, of a matrix of ``by_blocks``."""
-    return by_blocks(blocks.data[rows.start // 3 : rows.stop // 3])
 
 
 class Normal:

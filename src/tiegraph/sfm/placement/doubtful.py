@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 
+from tiegraph.scene.colmapmodel import image_poses, model_rigs
 from tiegraph.scene.graph import some
 from tiegraph.scene.registered import LEFT_OUT
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.model import frame_poses, image_poses, model_rigs
+from tiegraph.sfm.model import frame_poses
 from tiegraph.sfm.placement.consistency import ConsistencyCheck, check_consistency, consistency_votes
 from tiegraph.sfm.placement.continuity import motion_continuity
 from tiegraph.sfm.tuning.placement import PlacementTuning

@@ -8,11 +8,11 @@ import pycolmap
 
 from tiegraph.geometry import transforms
 from tiegraph.geometry.transforms import skew
+from tiegraph.scene.colmapmodel import model_rigs
 from tiegraph.scene.evidence import LIMIT
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjustment.adjust import final_adjustment
 from tiegraph.sfm.adjustment.constraints import PoseConstraints, SensorPrior
-from tiegraph.sfm.model import model_rigs
 from tiegraph.sfm.rig.linear import RigSystem, rig_system
 from tiegraph.sfm.rig.priortest import Expected, Group, PriorTest, contradicted_priors, expected
 from tiegraph.sfm.tuning import AdjustTuning, Tuning

@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 import pycolmap
 
+from tiegraph.scene.colmapmodel import image_poses, model_rigs, observations
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.model import frame_poses, image_poses, model_rigs, observations
+from tiegraph.sfm.model import frame_poses
 from tiegraph.sfm.rig.confront import prior_test
 from tiegraph.sfm.rig.priortest import PriorTest
 from tiegraph.sfm.rig.resections import Resections, SensorDiagnostics, resect_all, sensor_diagnostics, table_rows

@@ -19,15 +19,14 @@ from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import transforms
 from tiegraph.geometry.transforms import skew
+from tiegraph.scene.colmapmodel import image_poses, registered_images
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.adjustment.jacobians import Layout, jacobians
+from tiegraph.sfm.adjustment.jacobians import Layout, jacobians, sampled
 from tiegraph.sfm.adjustment.normal import at_their_minimum, by_blocks, point_inverse, reduced
-from tiegraph.sfm.model import image_poses
 from tiegraph.sfm.rig.cameraframes import per_camera_frames
 from tiegraph.sfm.rig.timeoffset import rig_motion
 from tiegraph.sfm.tuning import Tuning
 
-_SEED = 0
 _ANY = 1e-9  # of the stiffness: what nothing tells gets a huge sigma instead of a singular matrix
 
 Key = tuple[str, int, int]  # what ("place", "turn", "time", "size", "lens"), sensor of the rig or -1, axis or parameter
@@ -117,7 +116,8 @@ def rig_system(
     if images is None or images.frames < bounds.least_frames:
         return None
     layout = Layout(free, set(lenses) & {int(k) for k in images.camera}, False)
-    points, share = _sample(free, bounds.most_points)
+    several = (k for k, p in free.points3D.items() if p.track.length() > 1)
+    points, share = sampled(several, bounds.most_points)
     seen = jacobians(free, layout, points)
     jc, jp, residual = seen.cameras, seen.points, seen.residual
     redundancy = len(residual) - 6 * images.frames - 3 * len(points)
@@ -293,20 +293,11 @@ class _Images:
         return out
 
 
-def _sample(model: pycolmap.Reconstruction, most: int) -> tuple[list[int], float]:
-    ids = np.array(sorted(k for k, p in model.points3D.items() if p.track.length() > 1))
-    share = min(1.0, most / max(len(ids), 1))
-    if share < 1:
-        ids = np.sort(np.random.default_rng(_SEED).choice(ids, most, replace=False))
-    return ids.tolist(), share
-
-
 def _stretch(model: pycolmap.Reconstruction, scene: Scene, index: int, most: int) -> pycolmap.Reconstruction:
     """The released model with the images of this rig only, of at most so many frames that follow each other."""
     seen, home = np.zeros(scene.frames), {}
-    for image in (model.image(i) for i in model.reg_image_ids()):
-        k = scene.image_index.get(image.name, -1)
-        if k >= 0 and scene.rig[scene.frame[k]] == index:
+    for k, image in registered_images(model, scene):
+        if scene.rig[scene.frame[k]] == index:
             home[image.frame_id] = int(scene.frame[k])
             seen[scene.frame[k]] += image.num_points3D
     order = np.lexsort((scene.sequence_index, scene.sequence))

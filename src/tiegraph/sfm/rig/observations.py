@@ -8,9 +8,9 @@ import numpy as np
 import pycolmap
 
 from tiegraph.geometry import transforms
+from tiegraph.scene.colmapmodel import image_poses, registered_images
 from tiegraph.scene.rays import rays_or_axis
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.model import image_poses
 from tiegraph.sfm.tuning.rig import DiagnosticsTuning
 
 
@@ -26,10 +26,6 @@ class Observations:
     ray: np.ndarray  # (M, 3) unit, camera frame
     focal_px: np.ndarray  # (M,)
 
-    def world_rays(self) -> np.ndarray:
-        """(M, 3) unit rays in the world."""
-        return np.einsum("mji,mj->mi", self.cam_from_world[self.image, :3, :3], self.ray)
-
     def where(self, rows: np.ndarray) -> Observations:
         """Some of the observations."""
         parts = (getattr(self, name)[rows] for name in ("image", "point", "xy", "ray", "focal_px"))
@@ -41,11 +37,7 @@ def model_observations(reconstruction: pycolmap.Reconstruction, scene: Scene) ->
     ids = np.array(sorted(reconstruction.point3D_ids()), np.int64)
     xyz = np.array([reconstruction.point3D(int(k)).xyz for k in ids]).reshape(-1, 3)
     image, point, xy, ray, focal = [], [], [], [], []
-    for image_id in reconstruction.reg_image_ids():
-        found = reconstruction.image(image_id)
-        index = scene.image_index.get(found.name)
-        if index is None:
-            continue
+    for index, found in registered_images(reconstruction, scene):
         seen = found.get_observation_points2D()
         if not seen:
             continue
@@ -89,7 +81,8 @@ def retriangulate(seen: Observations, tuning: DiagnosticsTuning) -> Retriangulat
     Needs two sightings or more whose rays meet at an angle. Robust by Cauchy weights from the second round on.
     """
     count = len(seen.xyz)
-    rays = seen.world_rays()
+    # (M, 3) unit rays in the world
+    rays = np.einsum("mji,mj->mi", seen.cam_from_world[seen.image, :3, :3], seen.ray)
     centres = transforms.centre(seen.cam_from_world)[seen.image]
     across = np.eye(3) - rays[:, :, None] * rays[:, None, :]
     xyz = seen.xyz.copy()
@@ -105,16 +98,12 @@ def retriangulate(seen: Observations, tuning: DiagnosticsTuning) -> Retriangulat
         right = np.zeros((count, 3))
         np.add.at(information, seen.point, weight[:, None, None] * across)
         np.add.at(right, seen.point, weight[:, None] * np.einsum("mij,mj->mi", across, centres))
-        usable = _wide_enough(information, np.radians(tuning.min_angle_deg))
+        # (P,) bool: the rays of a point span an angle; two rays at angle a have eigenvalues 1 - cos a and 1 + cos a
+        values = np.linalg.eigvalsh(information)
+        usable = values[:, 0] > np.maximum(values[:, 2], 1e-12) * (1 - np.cos(np.radians(tuning.min_angle_deg))) / 2
         xyz = np.full((count, 3), np.nan)
         xyz[usable] = np.linalg.solve(information[usable], right[usable][..., None])[..., 0]
         information[~usable] = np.nan
         if k + 1 < tuning.point_rounds:
             xyz[~usable] = seen.xyz[~usable]
     return Retriangulation(xyz, information)
-
-
-def _wide_enough(information: np.ndarray, angle_rad: float) -> np.ndarray:
-    """(P,) bool: the rays of a point span an angle; two rays at angle a have eigenvalues 1 - cos a and 1 + cos a."""
-    values = np.linalg.eigvalsh(information)
-    return values[:, 0] > np.maximum(values[:, 2], 1e-12) * (1 - np.cos(angle_rad)) / 2

@@ -118,17 +118,13 @@ def _within_reach(found: PriorTest) -> PriorTest:
 
 def _criterion(system: RigSystem, more: RigSolution, less: RigSolution, group: Group) -> float:
     """By how much a group free explains the images better than chance (BIC)."""
-    gain = (more.gain - less.gain) / _widening(more)
+    # Variance of the unknowns over what independent errors would give (median); 1 at least
+    formal = np.diag(more.formal)
+    free = formal > 0
+    gain = (more.gain - less.gain) / max(float(np.median(np.diag(more.covariance)[free] / formal[free])), 1.0)
     return float(gain - len(_members(system, group)) * np.log(system.observations))
 
 
 def _members(system: RigSystem, group: Group) -> np.ndarray:
     kinds = {"times": ("time",), "mount": ("place", "turn"), "lens": ("lens",)}[group[0]]
     return np.array([k for k, key in enumerate(system.keys) if key[0] in kinds and group[1] in (-1, key[1])], int)
-
-
-def _widening(solution: RigSolution) -> float:
-    """Variance of the unknowns over what independent errors would give (median); 1 at least."""
-    formal = np.diag(solution.formal)
-    free = formal > 0
-    return max(float(np.median(np.diag(solution.covariance)[free] / formal[free])), 1.0)

@@ -16,8 +16,8 @@ from scipy.special import bdtr
 
 from tiegraph.geometry import transforms
 from tiegraph.geometry.transforms import skew
+from tiegraph.scene.colmapmodel import matrix, model_rigs
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.model import matrix, model_rigs
 from tiegraph.sfm.rig.observations import Observations, model_observations, retriangulate
 from tiegraph.sfm.tuning.rig import DiagnosticsTuning
 

@@ -9,9 +9,9 @@ import pycolmap
 from tiegraph.errors import SettingsError
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import l1_mean_rotation
+from tiegraph.scene.colmapmodel import image_poses, matrix
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.model import image_poses, matrix
 from tiegraph.sfm.tuning.rig import DeriveTuning, RigTuning
 
 

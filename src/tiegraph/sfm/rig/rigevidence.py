@@ -8,10 +8,10 @@ import pycolmap
 from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import transforms
+from tiegraph.scene.colmapmodel import model_rigs
 from tiegraph.scene.evidence import LIMIT, Contradiction, Statement
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.model import model_rigs
 from tiegraph.sfm.rig.priortest import PriorTest
 
 GIVEN, IMAGES = "rig as given", "images"

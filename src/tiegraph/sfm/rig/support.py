@@ -10,10 +10,10 @@ import numpy as np
 import pycolmap
 
 from tiegraph.geometry import transforms
+from tiegraph.scene.colmapmodel import image_poses, matrix, rigid3d
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.database import ViewGraph
-from tiegraph.sfm.model import image_poses, matrix, rigid3d
 from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.tuning.rig import SupportTuning
 

@@ -13,14 +13,14 @@ import pycolmap
 from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import transforms
-from tiegraph.scene.colmapmodel import matrix
+from tiegraph.scene.colmapmodel import image_poses, matrix, model_rigs, observations
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjustment.adjust import final_adjustment
 from tiegraph.sfm.adjustment.constraints import PoseConstraints, RelativePosePrior
 from tiegraph.sfm.adjustment.jacobians import RigConstraint, RigConstraints
 from tiegraph.sfm.adjustment.lens import take_cameras
 from tiegraph.sfm.adjustment.timecost import TimeOffsetPrior, TimeOffsetPriors, expected
-from tiegraph.sfm.model import frame_poses, image_poses, model_rigs, observations
+from tiegraph.sfm.model import frame_poses
 from tiegraph.sfm.rig.cameraframes import per_camera_frames
 from tiegraph.sfm.rig.timeoffset import Motion, TimeOffset, rig_motion, time_offset
 from tiegraph.sfm.tuning import Tuning

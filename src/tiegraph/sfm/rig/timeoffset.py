@@ -19,8 +19,8 @@ from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import l1_mean_rotation
+from tiegraph.scene.colmapmodel import image_poses
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.model import image_poses
 from tiegraph.sfm.tuning.rig import RigTuning, TimeOffsetTuning
 
 _NORMAL = 1.4826  # sigma over the median of absolute values

@@ -8,10 +8,11 @@ import pycolmap
 
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import l1_mean_rotation
+from tiegraph.scene.colmapmodel import rigid3d
 from tiegraph.scene.graph import parts
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.model import frame_poses, rigid3d
+from tiegraph.sfm.model import frame_poses
 from tiegraph.sfm.start.pathscale import PathScale, path_scale
 from tiegraph.sfm.tuning.start import ScaleTuning, StartTuning
 from tiegraph.sfm.verified import VerifiedMatches

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 
+from tiegraph.scene.colmapmodel import observations
 from tiegraph.scene.colmaprows import read_cache
 from tiegraph.scene.scene import Scene
+from tiegraph.scene.solver import factorised
 from tiegraph.sfm.adjustment.adjust import free_cameras, impossible_camera
 from tiegraph.sfm.adjustment.fewpoints import points_that_can_wait
-from tiegraph.sfm.model import observations
-from tiegraph.sfm.solver import factorised
 from tiegraph.sfm.start.poses import Start, place_frames
 from tiegraph.sfm.tuning import FewPointsTuning, Tuning
 from tiegraph.sfm.verified import VerifiedMatches, agreement, image_observations

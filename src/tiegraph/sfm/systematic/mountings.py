@@ -1,7 +1,6 @@
 """Cameras that do not stand where the rig has them: in all shots, or from shot to shot."""
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
 
 import numpy as np
 import pycolmap
@@ -14,21 +13,13 @@ from tiegraph.sfm.systematic.effects import RIDGE, Effect, EffectWeights, Score,
 from tiegraph.sfm.tuning import SharedErrorTuning
 
 
-@dataclass(frozen=True)
-class Unrest:
-    """How far cameras are off their places in the rig: sigma of an axis, from shot to shot, or for all shots."""
-
-    place: float  # model units
-    turn: float  # rad
-
-
 def misplaced(
     model: pycolmap.Reconstruction,
     weighed: EffectWeights,
     held: Collection[int],
     off: Mapping[int, np.ndarray],
     tuning: SharedErrorTuning,
-) -> tuple[list[tuple[Unrest, Effect]], np.ndarray]:
+) -> tuple[list[Effect], np.ndarray]:
     """How far the cameras of rigs (ids) that the adjustment held are off their places, as far as the images show it;
     (2O,) what of the residuals it explains.
 
@@ -44,21 +35,14 @@ def misplaced(
         told = weighed.score(columns)
         if rig_id in off:
             at = (6 * np.searchsorted(every, cameras)[:, None] + np.arange(6)).ravel()
-            out.append(_known_off(told, off[rig_id][np.ix_(at, at)]))
+            out.append(Effect(told.gradient, off[rig_id][np.ix_(at, at)]))
         elif (shown := _shown_off(cameras, told, tuning)) is not None:
-            out.append(shown[:2])
-            explained += columns @ shown[2]
+            out.append(shown[0])
+            explained += columns @ shown[1]
     return out, explained
 
 
-def _known_off(told: Score, moment: np.ndarray) -> tuple[Unrest, Effect]:
-    """By what is known otherwise: ``moment`` (6S, 6S) of S cameras."""
-    place, turn = np.diag(moment).reshape(-1, 2, 3).mean(axis=(0, 2))
-    found = Unrest(place=float(np.sqrt(place)), turn=float(np.sqrt(turn)))
-    return found, Effect(told.gradient, moment)
-
-
-def _shown_off(cameras: list[int], told: Score, tuning: SharedErrorTuning) -> tuple[Unrest, Effect, np.ndarray] | None:
+def _shown_off(cameras: list[int], told: Score, tuning: SharedErrorTuning) -> tuple[Effect, np.ndarray] | None:
     """By the images, with the mean (6S,) of the shifts and turns of S cameras; None where they show nothing."""
     score, information = told.score, told.information
     noise = told.noise + RIDGE * np.diag(np.maximum(np.diag(information), 1e-300))
@@ -67,13 +51,10 @@ def _shown_off(cameras: list[int], told: Score, tuning: SharedErrorTuning) -> tu
         return None
     field = np.diag(np.tile(np.repeat([place, turn], 3), len(cameras)))
     mean, moment = posterior(score, noise, information, field)
-    found = Unrest(place=float(np.sqrt(place)), turn=float(np.sqrt(turn)))
-    return found, Effect(told.gradient, moment), mean
+    return Effect(told.gradient, moment), mean
 
 
-def unrest(
-    model: pycolmap.Reconstruction, weighed: EffectWeights, tuning: SharedErrorTuning
-) -> list[tuple[Unrest, Effect]]:
+def unrest(model: pycolmap.Reconstruction, weighed: EffectWeights, tuning: SharedErrorTuning) -> list[Effect]:
     """How far cameras stray from their places in the rig from shot to shot, where the observations show any.
 
     All cameras alike, the reference too; what the pose of a frame takes up of its images' shifts is counted in.
@@ -101,8 +82,7 @@ def unrest(
         return []
     moved = np.hstack(gradient)
     moment = np.tile(np.repeat([place, turn], 3), moved.shape[1] // 6) * len(shared) / len(chosen)
-    found = Unrest(float(np.sqrt(place)), float(np.sqrt(turn)))
-    return [(found, Effect(moved * np.sqrt(moment), np.eye(len(moment))))]
+    return [Effect(moved * np.sqrt(moment), np.eye(len(moment)))]
 
 
 def _of_images(seen: System, images: list[int]) -> sparse.csr_matrix:

@@ -20,9 +20,8 @@ from scipy.spatial.transform import Rotation
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity, umeyama
 from tiegraph.geometry.gravity import up_vector
-from tiegraph.scene.colmapmodel import tracks
+from tiegraph.scene.colmapmodel import image_poses, tracks
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.model import image_poses
 from tiegraph.sfm.tuning.world import CloudTuning, WorldTuning
 
 _MOST_CELLS = 3e7  # of the grid that is correlated: 0.5 GB

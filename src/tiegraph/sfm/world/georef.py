@@ -10,10 +10,10 @@ from tiegraph.geometry.align import Similarity, rms_length
 from tiegraph.geometry.geodesy import Origin, datum_sigma_m, vertical_note
 from tiegraph.geometry.gravity import up_vector
 from tiegraph.geometry.placement import PlacementError
+from tiegraph.scene.colmapmodel import image_poses
 from tiegraph.scene.control import Control
 from tiegraph.scene.evidence import Statement, contradictions, table
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.model import image_poses
 from tiegraph.sfm.settings import GeorefSettings
 from tiegraph.sfm.ties import moved
 from tiegraph.sfm.tuning.world import WorldTuning

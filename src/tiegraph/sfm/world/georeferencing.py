@@ -9,10 +9,9 @@ import numpy as np
 import pycolmap
 
 from tiegraph.geometry.align import Similarity
-from tiegraph.scene.colmapmodel import read_model
+from tiegraph.scene.colmapmodel import image_poses, read_model, sim3d
 from tiegraph.scene.evidence import CHANCE
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.model import image_poses, sim3d
 from tiegraph.sfm.settings import GeorefSettings
 from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.tuning.world import WorldTuning

@@ -13,12 +13,12 @@ from scipy.special import chdtrc, comb
 
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity, umeyama
+from tiegraph.scene.colmapmodel import matrix
 from tiegraph.scene.control import Control, Marks
 from tiegraph.scene.evidence import CHANCE, LIMIT, fits_better
 from tiegraph.scene.markpixels import AS_IS, Copy, file_camera, lies_in, prepared_pixel
 from tiegraph.scene.rays import on_plane
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.model import matrix
 from tiegraph.sfm.tuning.world import MarkTuning
 
 _SMALLEST, _STEP = 0.1, 0.01  # copies of images that are tried: size, and from one to the next

@@ -36,7 +36,9 @@ def factors(
     it), so that both are freed of this bias.
     """
     out = np.ones(len(level))
-    taken = _taken(len(level), unknowns)
+    # By how much residuals of so many positions are smaller than the noise, for the unknowns fitted to them
+    count = len(level)
+    taken = float(np.sqrt(3 * count / (3 * count - unknowns))) if 3 * count > 2 * unknowns else 1.0
     for rows in _levels(level):
         if len(rows) < tuning.min_rows:
             rows_of = np.ones(len(level), bool) if len(level) >= tuning.min_rows else np.zeros(len(level), bool)
@@ -46,11 +48,6 @@ def factors(
         r = unbiased(correlation(residual[rows], time_s[rows], tuning), len(rows), tuning, unknowns)
         out[rows] = min(_scatter(residual[rows] * taken) * float(np.sqrt((1 + r) / (1 - r))), tuning.max_factor)
     return out
-
-
-def _taken(count: int, unknowns: int) -> float:
-    """By how much residuals of so many positions are smaller than the noise, for the unknowns fitted to them."""
-    return float(np.sqrt(3 * count / (3 * count - unknowns))) if 3 * count > 2 * unknowns else 1.0
 
 
 def unbiased(r: float, count: int, tuning: NoiseTuning, unknowns: int = SIMILARITY) -> float:

@@ -6,6 +6,7 @@ import numpy as np
 import pycolmap
 
 from tiegraph.geometry import transforms
+from tiegraph.scene.colmapmodel import registered_images
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.tuning.world import ScaleTuning
 
@@ -80,10 +81,8 @@ def rig_scale(
 def relaxed(model: pycolmap.Reconstruction, scene: Scene) -> bool:
     """Whether images of one frame of the scene stand in several frames of the model."""
     home: dict[int, int] = {}
-    for image_id in model.reg_image_ids():
-        image = model.image(image_id)
-        index = scene.image_index.get(image.name)
-        if index is not None and home.setdefault(int(scene.frame[index]), image.frame_id) != image.frame_id:
+    for index, image in registered_images(model, scene):
+        if home.setdefault(int(scene.frame[index]), image.frame_id) != image.frame_id:
             return True
     return False
 

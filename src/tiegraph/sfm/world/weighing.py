@@ -136,7 +136,9 @@ def _scale(asked: Question, found: dict[str, Source]) -> _Scale:
         return _without_contradiction(asked, told, (*told, lengths.source))
     agreeing = tuple(n for n in told if n not in against)
     if agreeing and asked.name in against:
-        return _positions_alone(asked, (lengths.source, *agreeing), against[asked.name])
+        # The positions contradict the lengths, and somebody agrees with these
+        why = f"{asked.name} stand alone against the others and are not used for it"
+        return _Scale((lengths.source, *agreeing), 0.0, _at_the_ends(asked, against[asked.name]), why=why)
     if agreeing or len(against) > 1:
         return _lengths_alone(lengths, tuple(told))
     ((name, apart),) = against.items()
@@ -158,12 +160,6 @@ def _without_contradiction(asked: Question, told: dict[str, Source], names: tupl
             names = tuple(n for n in names if n != asked.name)
             return _Scale(names, 0.0, _at_the_ends(asked, apart), why=f"that of the {CONTROL} is used")
     return _Scale(names, 0.0, np.zeros(3), why="")
-
-
-def _positions_alone(asked: Question, others: tuple[str, ...], apart: float) -> _Scale:
-    """The positions contradict the lengths, and somebody agrees with these."""
-    why = f"{asked.name} stand alone against the others and are not used for it"
-    return _Scale(others, 0.0, _at_the_ends(asked, apart), why=why)
 
 
 def _lengths_alone(lengths: RigScale, told: tuple[str, ...]) -> _Scale:

@@ -11,15 +11,16 @@ import pycolmap
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity, umeyama
 from tiegraph.geometry.gravity import Up
+from tiegraph.scene.colmapmodel import image_poses, matrix
 from tiegraph.scene.control import Control, Marks, ScaleBars
 from tiegraph.scene.scene import Scene
+from tiegraph.scene.solver import all_images, factorised, options_of, undamped
 from tiegraph.sfm.adjustment.adjust import free_cameras, solve_points
 from tiegraph.sfm.adjustment.constraints import RelativePosePrior
 from tiegraph.sfm.adjustment.costs import PriorCost
 from tiegraph.sfm.adjustment.priors import add_priors
 from tiegraph.sfm.adjustment.rigpriors import relaxed_frames, rig_priors
-from tiegraph.sfm.model import frame_poses, image_poses, matrix
-from tiegraph.sfm.solver import factorised, undamped
+from tiegraph.sfm.model import frame_poses
 from tiegraph.sfm.tuning import AdjustTuning, Tuning
 from tiegraph.sfm.tuning.world import AdjustmentTuning
 from tiegraph.sfm.world import costs, noise
@@ -171,18 +172,11 @@ def _solve(
     receiver: tuple[np.ndarray, np.ndarray],
 ) -> None:
     """One adjustment; changes the model and the ``receiver``: lever arm (3,) and clock (1,)."""
-    options = pycolmap.BundleAdjustmentOptions(print_summary=False, refine_principal_point=True)
-    options.ceres.loss_function_type = pycolmap.LossFunctionType.CAUCHY
-    options.ceres.loss_function_scale = given.tuning.adjust.robust_px
-    solver = options.ceres.solver_options
-    solver.max_num_iterations = given.tuning.world.adjustment.iterations
-    solver.function_tolerance = given.tuning.world.adjustment.tolerance
-    options.ceres.solver_options = solver
+    own = given.tuning.world.adjustment
+    options = options_of(own.iterations, own.tolerance, given.tuning.adjust.robust_px, refine_principal_point=True)
     factorised(options, model.num_reg_frames(), model.num_reg_images())
     undamped(options)
-    config = pycolmap.BundleAdjustmentConfig()
-    for image_id in model.reg_image_ids():
-        config.add_image(image_id)
+    config = all_images(model)
     free = free_cameras(model, given.tuning.adjust) - set(given.held.cameras)
     for camera_id in model.cameras:
         if camera_id not in free:

@@ -15,6 +15,35 @@ THREADS = 1
 NEAR_RADIUS = 1e7
 
 
+def options_of(
+    iterations: int, tolerance: float | None = None, robust_px: float | None = None, **refine: bool
+) -> pycolmap.BundleAdjustmentOptions:
+    """Options of an adjustment that gives the same bits each time: at most so many ``iterations``, until the cost
+    changes by less than ``tolerance`` of itself, with Cauchy's loss of scale ``robust_px``, where these are given;
+    ``refine_...``: what is adjusted that COLMAP would hold, or the other way round."""
+    options = pycolmap.BundleAdjustmentOptions(print_summary=False, **refine)
+    ceres = options.ceres
+    if robust_px is not None:
+        ceres.loss_function_type = pycolmap.LossFunctionType.CAUCHY
+        ceres.loss_function_scale = robust_px
+    solver = ceres.solver_options
+    solver.max_num_iterations = iterations
+    if tolerance is not None:
+        solver.function_tolerance = tolerance
+    ceres.solver_options = solver
+    options.ceres = ceres
+    repeatable(options)
+    return options
+
+
+def all_images(model: pycolmap.Reconstruction) -> pycolmap.BundleAdjustmentConfig:
+    """An adjustment of all images that have a pose."""
+    config = pycolmap.BundleAdjustmentConfig()
+    for image_id in model.reg_image_ids():
+        config.add_image(image_id)
+    return config
+
+
 def factorised(options: pycolmap.BundleAdjustmentOptions, frames: int, images: int) -> None:
     """Let an adjustment of so many frames and images be solved by sparse factorisation, unless it is too large, and
     always with the same sums."""
