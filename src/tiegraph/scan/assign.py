@@ -1,6 +1,7 @@
 """Which images can be used, and which sensor and pass each belongs to: by the rig file, a preset, or a guess."""
 
 import difflib
+import os
 import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -341,9 +342,7 @@ def _twins(names: Sequence[str], probes: Sequence[Probe]) -> dict[int, int]:
     for k, name in enumerate(names):
         found.setdefault(PurePosixPath(name).stem.lower(), []).append(k)
     out: dict[int, int] = {}
-    for same in found.values():
-        if len({_suffix(names[k]) for k in same}) == 1:
-            continue
+    for same in (same for same in found.values() if len({_suffix(names[k]) for k in same}) > 1):
         same.sort(key=lambda k: (bool(probes[k].reason), SUFFIXES.index(_suffix(names[k]))))
         for n, k in enumerate(same):
             kept = next((j for j in same[:n] if j not in out and _one_photograph(names, probes, j, k)), None)
@@ -361,8 +360,7 @@ def _one_photograph(names: Sequence[str], probes: Sequence[Probe], one: int, oth
     if len(formats) == 1 or probes[one].reason:
         return False
     if PurePosixPath(names[one]).parent == PurePosixPath(names[other]).parent:
-        sizes = {probes[k].upright_size() for k in (one, other)}
-        return bool(formats & set(OF_CAMERAS)) or len(sizes) == 1
+        return bool(formats & set(OF_CAMERAS)) or probes[one].upright_size() == probes[other].upright_size()
     return len({(e.time_s, e.make, e.model) for e in exif}) == 1 and bool(exif[0].make)
 
 
@@ -384,22 +382,17 @@ def _say_repeated(repeated: Sequence[tuple[str, str]], names: Sequence[str]) -> 
 
 def _heads(name: str, other: str) -> tuple[str, str]:
     """The folders of two files without what they end on alike: (B, A) for B/cam0/1.jpg and A/cam0/1.jpg."""
-    mine, its = list(PurePosixPath(name).parent.parts), list(PurePosixPath(other).parent.parts)
-    if mine == its:
-        return "/".join(mine), "/".join(its)
-    while mine and its and mine[-1] == its[-1]:
-        mine.pop()
-        its.pop()
-    return "/".join(mine), "/".join(its)
+    mine, its = (PurePosixPath(n).parent.parts for n in (name, other))
+    alike = 0 if mine == its else len(os.path.commonprefix([mine[::-1], its[::-1]]))
+    return "/".join(mine[: len(mine) - alike]), "/".join(its[: len(its) - alike])
 
 
 def need_two(count: int, report: Report) -> None:
     """Raise InputError, with what was left out, for fewer than two images."""
     if count < 2:
-        names_of: dict[str, list[str]] = {}
-        for d in report.dropped:
-            names_of.setdefault(d.reason, []).append(d.name)
-        why = "; ".join(f"{some(names)}: {reason}" for reason, names in list(names_of.items())[:3])
+        reasons = dict.fromkeys(d.reason for d in report.dropped)
+        named = [f"{some(d.name for d in report.dropped if d.reason == why)}: {why}" for why in reasons]
+        why = "; ".join(named[:3])
         raise InputError(
             f"{count} usable image(s): at least 2 are needed, and about 10 for a model. "
             + (f"Left out {len(report.dropped)}: {why}" if why else "Give a folder with more images")
