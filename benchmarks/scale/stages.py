@@ -109,8 +109,7 @@ def write_images(folder: Path, scene: Scene) -> None:
     for k, name in enumerate(scene.names):
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
-        comment = f"image {k:08d}".encode()
-        path.write_bytes(blank[:2] + b"\xff\xfe" + (len(comment) + 2).to_bytes(2, "big") + comment + blank[2:])
+        path.write_bytes(blank + f"image {k:08d}".encode())
 
 
 def judged(folder: Path, world: CanalWorld) -> dict[str, float]:

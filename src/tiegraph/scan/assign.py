@@ -301,11 +301,11 @@ def usable_images(names: Sequence[str], probes: Sequence[Probe], report: Report)
             report.drop([name], f"the same photograph as {names[twins[k]]} in another format")
         elif probe.reason:
             report.drop([name], probe.reason)
-        elif probe.digest in first:
-            report.drop([name], f"the same photograph as {first[probe.digest]}")
-            repeated.append((name, first[probe.digest]))
+        elif (same := f"{probe.digest} {probe.exif.time_s}") in first:  # black frames of two instants are two
+            report.drop([name], f"the same photograph as {first[same]}")
+            repeated.append((name, first[same]))
         else:
-            first[probe.digest] = name
+            first[same] = name
             usable.append(k)
     for copy, kept in list(twins.items())[:1]:
         both = f"of {names[kept]} and {names[copy]} the first is used"
