@@ -4,6 +4,9 @@ A format is told by what stands in the file, never by its suffix: a ``.txt`` may
 has a reader that returns its rows (``fixes.Fixes``); which of them can be used is asked of all formats alike
 (``fixes.judged``).
 
+Sentences of NMEA and tracks of GPX are read here and not by pynmeagps and gpxpy: what is wrong in a file is told with
+its line, which these do not know, and one damaged sentence ends no log. The tests write files with both.
+
 Times become seconds since 1970, UTC, where the format says what they are: GPS time loses its leap seconds, seconds of a
 GPS week need the week. Where a file names no day or week (NMEA without RMC and ZDA, SBET), its rows are laid on the day
 or week of the frames (``rows.on_clock_of``). A CSV's column ``time`` is of the clock of the frames, whatever that is.
