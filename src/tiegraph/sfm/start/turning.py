@@ -44,7 +44,7 @@ def no_base(database: Path, pairs: np.ndarray, scene: Scene, tuning: MappingTuni
     if fits.mean() < tuning.turned_share:
         return ""
     which = f"{int(fits.sum())} of {len(fits)} pairs"
-    if np.median(turn_deg[best]) < tuning.turned_least_deg:
+    if tried[best] * np.median(np.radians(turn_deg[best])) < tuning.turned_off:  # a turn that moves nothing
         return (
             f"nothing moves between the images in {which}: most matches lie on what stands still to the camera, as a "
             "background does behind a turntable, or the window before the lens: mask it (masks.folder), or take the "

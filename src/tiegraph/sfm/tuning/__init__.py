@@ -32,8 +32,6 @@ class MappingTuning(Section):
     turned_off: float = Field(0.002, gt=0)
     """What a turn may leave of such a pair, in parts of the longer side: 0.0003 in those views, 0.003 to 0.06 in the
     surveys."""
-    turned_least_deg: float = Field(0.3, gt=0)
-    """Below it nothing turned: what matches stands still before the camera."""
     min_model_images: int = Field(3, ge=2)
     """Of a mapper's model."""
     rough_tracks: int = Field(100, gt=0)
