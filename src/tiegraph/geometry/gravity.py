@@ -125,3 +125,37 @@ def levelled(cam_from_world: np.ndarray, frame: np.ndarray) -> np.ndarray:
     out[:3, :3] = np.stack([along, np.cross(up, along), up])
     out[:3, 3] = -out[:3, :3] @ centre.mean(axis=0)
     return out
+
+
+def roll_to_upright(upward: np.ndarray, axis: np.ndarray) -> float:
+    """Angle (rad) by which to turn about ``axis`` so that ``upward`` comes closest to the vertical."""
+    a, b = upward - axis * (upward @ axis), np.array([0.0, 0.0, 1.0]) - axis * axis[2]
+    return float(np.arctan2(axis @ np.cross(a, b), a @ b))
+
+
+def roll_by_upward(upward: np.ndarray, axis: np.ndarray) -> np.ndarray:
+    """(3,) derivative of ``roll_to_upright`` by ``upward``."""
+    b = np.array([0.0, 0.0, 1.0]) - axis * axis[2]
+    across = np.cross(b, axis)
+    sine, cosine = across @ upward, b @ upward
+    return np.asarray((cosine * across - sine * b) / max(sine**2 + cosine**2, 1e-300))
+
+
+def to_upright(upward: np.ndarray) -> np.ndarray:
+    """Rotation vector (east, north parts) that brings ``upward`` to the vertical."""
+    cross = np.cross(upward, [0.0, 0.0, 1.0])[:2]
+    sine = float(np.linalg.norm(cross))
+    return cross * (np.arctan2(sine, upward[2]) / sine if sine > 1e-12 else 1.0)
+
+
+def upright_by_upward(upward: np.ndarray) -> np.ndarray:
+    """(2, 3) derivative of ``to_upright`` by ``upward``."""
+    turned = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])  # from ``upward`` to its cross product with the vertical
+    cross = turned @ upward
+    sine = float(np.linalg.norm(cross))
+    if sine <= 1e-12:
+        return turned
+    angle = np.arctan2(sine, upward[2])
+    by_sine = cross @ turned / sine
+    by_angle = (upward[2] * by_sine - sine * np.array([0.0, 0.0, 1.0])) / (sine**2 + upward[2] ** 2)
+    return np.asarray(angle / sine * turned + np.outer(cross, by_angle / sine - angle / sine**2 * by_sine))

@@ -4,6 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+SIGMAS = ("position_m", "height_m", "yaw_deg", "tilt_deg", "scale")
+_OF = ("tilt_deg", "tilt_deg", "yaw_deg", "position_m", "position_m", "height_m", "scale")
+
 
 @dataclass(frozen=True)
 class PlacementError:
@@ -38,9 +41,17 @@ class PlacementError:
         jacobian[:, :, 6] = from_middle
         return jacobian
 
+    def sigmas(self) -> dict[str, float]:
+        """position_m, height_m, yaw_deg, tilt_deg, scale."""
+        sd = np.sqrt(np.clip(np.diag(self.covariance), 0, None))
+        named = (np.hypot(sd[3], sd[4]), sd[5], np.degrees(sd[2]), np.degrees(np.hypot(sd[0], sd[1])), sd[6])
+        return {n: round(float(v), 6) for n, v in zip(SIGMAS, named)}
+
     def widened_to(self, sigma: dict[str, float]) -> "PlacementError":
-        """The same with sigmas at least those of ``sigma`` (position_m, height_m, yaw_deg, tilt_deg, scale)."""
-        return PlacementError(self.middle, widened(self.covariance, sigma))
+        """The same with sigmas at least those of ``sigma`` (position_m, ...), correlations kept."""
+        factor = {n: max(1.0, sigma[n] / max(own, 1e-9)) for n, own in self.sigmas().items()}
+        each = np.array([factor[n] for n in _OF])
+        return PlacementError(self.middle, self.covariance * each[:, None] * each)
 
     def to_dict(self) -> dict:
         """JSON-ready."""
@@ -50,19 +61,3 @@ class PlacementError:
     def from_dict(data: dict) -> "PlacementError":
         """Inverse of ``to_dict``."""
         return PlacementError(np.array(data["middle"], float), np.array(data["covariance"], float))
-
-
-def widened(covariance: np.ndarray, wanted: dict[str, float]) -> np.ndarray:
-    """A covariance (7, 7) scaled so that its sigmas are those of the placement, correlations kept.
-
-    ``wanted``: position_m, height_m, yaw_deg, tilt_deg, scale, as the jackknife gives them.
-    """
-    sd = np.sqrt(np.clip(np.diag(covariance), 1e-18, None))
-    formal = {
-        "tilt_deg": np.degrees(np.hypot(sd[0], sd[1])), "yaw_deg": np.degrees(sd[2]),
-        "position_m": np.hypot(sd[3], sd[4]), "height_m": sd[5], "scale": sd[6],
-    }  # fmt: skip
-    ratio = {n: max(1.0, wanted[n] / formal[n]) for n in formal}
-    names = ("tilt_deg", "tilt_deg", "yaw_deg", "position_m", "position_m", "height_m", "scale")
-    factor = np.array([ratio[n] for n in names])
-    return covariance * factor[:, None] * factor[None, :]

@@ -26,6 +26,9 @@ class FixTuning(Section):
     """Of the second difference: the same at the ends of a pass, where it is 0.06 of the third."""
     unknown_sigma_m: float = Field(10.0, gt=0)
     """Of a position whose source gives none (hand-held GPS)."""
+    lasting: float = Field(0.7, ge=0)
+    """Of a receiver's stated sigma: what outlasts a survey, which no residual tells (half of the variance: base
+    station, atmosphere)."""
     levels_per_octave: float = Field(2.0, gt=0)
     """Of the stated sigma: fixes of one level share one factor of it."""
     outage_intervals: float = Field(3.0, gt=1)
@@ -51,6 +54,10 @@ class NoiseTuning(Section):
     """Median steps in time, within which two positions are neighbours."""
     outlier: float = Field(4.0, ge=1)
     """Times the median product of neighbours, at which one is capped: an outlier must not decide."""
+    slow_s: float = Field(60.0, gt=0)
+    """How long slow errors of a receiver last (multipath), before the residuals speak (`positionerrors.py`)."""
+    belief: float = Field(1.0, gt=0)
+    """Sigma of the logarithms of the sizes of errors and of that time, before the residuals speak."""
 
 
 class MarkTuning(Section):
@@ -121,12 +128,6 @@ class FitTuning(Section):
     """Of reweighting, at most, for each scale of the loss and for the choice of the inliers."""
     converged: float = Field(1e-5, ge=0)
     """Radians, metres, log scale: a step that ends the rounds."""
-    jackknife_blocks: int = Field(6, gt=0)
-    """Runs of neighbours that are left out in turn, at most."""
-    jackknife_rows: int = Field(3, gt=0)
-    """Positions of such a run, at least."""
-    jackknife_least: int = Field(3, gt=1)
-    """Runs, below which the formal sigmas stay."""
 
 
 class SourceTuning(Section):

@@ -9,9 +9,10 @@ import numpy as np
 
 from tiegraph.geometry.align import Similarity
 from tiegraph.geometry.gravity import Up
+from tiegraph.scene.evidence import LIMIT
 from tiegraph.sfm.tuning.world import WorldTuning
 from tiegraph.sfm.world import noise
-from tiegraph.sfm.world.fit import Evidence, Fit, fit_similarity
+from tiegraph.sfm.world.fit import Evidence, Fit, fit_similarity, leaning_deg
 from tiegraph.sfm.world.fixes import Fixes
 from tiegraph.sfm.world.unknowns import Clock
 from tiegraph.text import known_to
@@ -143,25 +144,33 @@ def try_clock(now: Fitted, notes: list[str], tuning: WorldTuning) -> tuple[Fitte
 
 
 def up_to_use(
-    evidence: Evidence, up: Up | None, notes: list[str], tuning: WorldTuning, near: Similarity | None = None
+    evidence: Evidence, up: Up | None, notes: list[str], tuning: WorldTuning, alone: Fit | Similarity | None = None
 ) -> Up | None:
-    """The cameras' upward direction if the positions need it: a straight track leaves the roll about it open.
+    """The cameras' upward direction if the positions need it (a straight track leaves the roll about it open) and do
+    not refute it: photographs straight down have tops that point anywhere.
 
-    ``near``: a similarity that is known to be about right saves looking for a start.
+    ``alone``: the fit without it, or a similarity that is known to be about right.
     """
     if up is None or np.isfinite(evidence.orientation).all(axis=(1, 2)).any():
         return None
-    alone = fit_similarity(evidence, None, tuning.fit, near)
-    tilt = alone.sigma["tilt_deg"]
+    if not isinstance(alone, Fit):
+        alone = fit_similarity(evidence, None, tuning.fit, alone)
+    tilt = alone.sigma["tilt_deg"] if up.tilt else alone.roll_sigma_deg
+    known = known_to(tilt, RIGHT_ANGLE_DEG, f"{tilt:.1f} deg")
+    off = leaning_deg(evidence, alone.similarity, up)
+    if off > LIMIT * np.hypot(tilt, up.sigma_deg):
+        notes.append(
+            f"the positions tell what is level ({known}): the upward direction of {up.cameras} is {off:.0f} deg off "
+            "and not used"
+        )
+        return None
     if up.tilt and tilt > tuning.similarity_fit.tilt_share * up.sigma_deg:
-        known = known_to(tilt, RIGHT_ANGLE_DEG, f"{tilt:.1f} deg")
         notes.append(
             f"the positions leave the tilt open ({known}): the upward direction of {up.cameras} holds it, to about "
             f"{up.sigma_deg:.0f} deg; whether east and north, or one of them and the height, are exchanged cannot be "
             "told along so straight a track"
         )
-    elif not up.tilt and alone.roll_sigma_deg > tuning.similarity_fit.roll_limit_deg:
-        known = known_to(alone.roll_sigma_deg, RIGHT_ANGLE_DEG, f"{alone.roll_sigma_deg:.0f} deg")
+    elif not up.tilt and tilt > tuning.similarity_fit.roll_limit_deg:
         notes.append(
             f"the positions lie nearly on a straight line (roll about it {known}): the upward direction of "
             f"{up.cameras} holds it, to about {up.sigma_deg:.0f} deg"

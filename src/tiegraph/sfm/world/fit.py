@@ -9,13 +9,15 @@ import scipy
 from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry.align import Similarity, robust_umeyama, umeyama
-from tiegraph.geometry.gravity import Up
+from tiegraph.geometry.gravity import Up, roll_by_upward, roll_to_upright, to_upright, upright_by_upward
 from tiegraph.geometry.placement import PlacementError
 from tiegraph.geometry.transforms import skew, turn_by_vector, vector_by_turn
-from tiegraph.sfm.tuning.world import FitTuning
+from tiegraph.sfm.tuning.world import FitTuning, NoiseTuning
+from tiegraph.sfm.world.positionerrors import Linear, PositionErrors
 from tiegraph.sfm.world.unknowns import Clock, FittedArm, LeverArm, LogScale
 
 _OPEN = 1e-6  # squared sine between an unknown and what residuals tell, beyond which it is open
+_STEPS = 2  # of linearising about the errors of the positions
 _MAX_LOG_SCALE = 5.0  # from the start: keeps a step of the solver finite
 
 
@@ -66,11 +68,15 @@ class Fit:
     arm: FittedArm
     clock: Clock  # of offset 0 where it is not estimated
     inlier: np.ndarray
-    sigma: dict[str, float]  # position_m, height_m, yaw_deg, tilt_deg, scale
     cost: float  # robust, in squared sigmas
     roll_sigma_deg: float  # about the direction in which the positions spread most
     sigma_positions_scale: float  # of the logarithm of the scale, from the positions alone
     error: PlacementError  # about the middle of the positions
+
+    @property
+    def sigma(self) -> dict[str, float]:
+        """position_m, height_m, yaw_deg, tilt_deg, scale."""
+        return self.error.sigmas()
 
 
 def fit_similarity(evidence: Evidence, up: Up | None, tuning: FitTuning, near: Similarity | None = None) -> Fit:
@@ -105,38 +111,12 @@ def _turned(start: Similarity, evidence: Evidence, up: Up, extra: float) -> Simi
     return Similarity(start.scale, turn @ start.rotation, turn @ (start.translation - middle) + middle)
 
 
-def roll_to_upright(upward: np.ndarray, axis: np.ndarray) -> float:
-    """Angle (rad) by which to turn about ``axis`` so that ``upward`` comes closest to the vertical."""
-    a, b = upward - axis * (upward @ axis), np.array([0.0, 0.0, 1.0]) - axis * axis[2]
-    return float(np.arctan2(axis @ np.cross(a, b), a @ b))
-
-
-def _roll_by_upward(upward: np.ndarray, axis: np.ndarray) -> np.ndarray:
-    """(3,) derivative of ``roll_to_upright`` by ``upward``."""
-    b = np.array([0.0, 0.0, 1.0]) - axis * axis[2]
-    across = np.cross(b, axis)
-    sine, cosine = across @ upward, b @ upward
-    return np.asarray((cosine * across - sine * b) / max(sine**2 + cosine**2, 1e-300))
-
-
-def _to_upright(upward: np.ndarray) -> np.ndarray:
-    """Rotation vector (east, north parts) that brings ``upward`` to the vertical."""
-    cross = np.cross(upward, [0.0, 0.0, 1.0])[:2]
-    sine = float(np.linalg.norm(cross))
-    return cross * (np.arctan2(sine, upward[2]) / sine if sine > 1e-12 else 1.0)
-
-
-def _upright_by_upward(upward: np.ndarray) -> np.ndarray:
-    """(2, 3) derivative of ``_to_upright`` by ``upward``."""
-    turned = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])  # from ``upward`` to its cross product with the vertical
-    cross = turned @ upward
-    sine = float(np.linalg.norm(cross))
-    if sine <= 1e-12:
-        return turned
-    angle = np.arctan2(sine, upward[2])
-    by_sine = cross @ turned / sine
-    by_angle = (upward[2] * by_sine - sine * np.array([0.0, 0.0, 1.0])) / (sine**2 + upward[2] ** 2)
-    return np.asarray(angle / sine * turned + np.outer(cross, by_angle / sine - angle / sine**2 * by_sine))
+def leaning_deg(evidence: Evidence, similarity: Similarity, up: Up) -> float:
+    """By how much an upward direction leans, or, where it holds the roll alone, is rolled about the track."""
+    upward = similarity.rotation @ up.direction
+    if up.tilt:
+        return float(np.degrees(np.arccos(np.clip(upward[2], -1, 1))))
+    return abs(float(np.degrees(roll_to_upright(upward, _track(evidence, similarity)[0]))))
 
 
 def _by_orientation(evidence: Evidence, scale: float) -> Similarity:
@@ -154,37 +134,55 @@ def _track(evidence: Evidence, similarity: Similarity) -> tuple[np.ndarray, np.n
     return np.linalg.svd(world - middle, full_matrices=False)[2][0], middle
 
 
-def jackknife_sigma(
-    evidence: Evidence, up: Up | None, fit: Fit, order: np.ndarray, tuning: FitTuning
-) -> dict[str, float]:
-    """The larger of the formal sigmas and a block jackknife's: positions err together, not one by one.
+@dataclass(frozen=True)
+class PositionRows:
+    """Of the first K rows of an evidence: ``sigma`` as stated (K, 3), its ``level`` (K,), ``time_s`` (K,), and sigmas
+    (3,) of what all of them share, metres; NaN = nothing."""
 
-    ``order`` sorts the positions along the passes; each of some runs of neighbours is left out in turn. Rows that
-    are not in it (control points) stay.
-    """
-    parts = min(tuning.jackknife_blocks, len(order) // tuning.jackknife_rows)
-    if parts < tuning.jackknife_least:
-        return fit.sigma
-    blocks = np.array_split(order, parts)
-    middle = evidence.pose[:, :3, 3].mean(axis=0)
-    full = fit.similarity
-    rows = []
-    for block in blocks:
-        keep = np.ones(len(evidence.frame), bool)
-        keep[block] = False
-        other = fit_similarity(evidence.where(keep), up, tuning, near=full).similarity
-        turn = Rotation.from_matrix(other.rotation @ full.rotation.T).as_rotvec()
-        rows.append([*(other(middle) - full(middle)), *turn, np.log(other.scale / full.scale)])
-    count = len(blocks)
-    sd = np.sqrt((count - 1) / count * np.sum((np.array(rows) - np.mean(rows, axis=0)) ** 2, axis=0))
-    blockwise = {
-        "position_m": np.hypot(sd[0], sd[1]),
-        "height_m": sd[2],
-        "yaw_deg": np.degrees(sd[5]),
-        "tilt_deg": np.degrees(np.hypot(sd[3], sd[4])),
-        "scale": sd[6],
-    }
-    return {n: round(max(float(blockwise[n]), v), 6) for n, v in fit.sigma.items()}
+    sigma: np.ndarray
+    level: np.ndarray
+    time_s: np.ndarray
+    common: np.ndarray
+
+
+def by_errors(
+    evidence: Evidence, up: Up | None, fit: Fit, rows: PositionRows, tuning: FitTuning, noise: NoiseTuning
+) -> Fit:
+    """The fit moved to where its believed positions put it by their errors as these are estimated (white, slow and
+    common: ``positionerrors``), with the covariance that these leave."""
+    evidence = replace(evidence, arm=replace(evidence.arm, level=None))  # what cannot be told widens what it moves
+    for _ in range(_STEPS if len(rows.level) else 0):
+        problem = _Problem(evidence, up, fit.similarity, tuning)
+        x, seen = problem.at(fit), fit.inlier[: len(rows.level)]
+        moved, covariance = PositionErrors(_linearised(problem, x, fit.inlier, rows, seen), noise).step()
+        size, held = problem.size, 0.0 if evidence.log_scale is None else evidence.log_scale.sigma**-2
+        alone = 1 / max(1 / covariance[6, 6] - held, _OPEN)
+        fit = _fit(problem, x + moved[:size], covariance[:size, :size], alone, fit.inlier, fit.cost)
+    return fit
+
+
+def _linearised(problem: _Problem, x: np.ndarray, inlier: np.ndarray, rows: PositionRows, seen: np.ndarray) -> Linear:
+    """The positions ``seen`` (K,), and all else in the normal equations; what the positions share comes last."""
+    sigma, count, size = problem.evidence.sigma, len(seen), problem.size
+    jacobian, others = problem.derivatives(x, inlier.astype(float)), problem.others(x)
+    places = np.hstack([problem.positions(x).ravel(), others])
+    known = jacobian[3 * count :]
+    shared = np.flatnonzero(np.isfinite(rows.common))
+    information = np.zeros((size + len(shared),) * 2)
+    information[:size, :size] = known.T @ known
+    information[size:, size:] = np.diag(rows.common[shared] ** -2)
+    by_unknowns = np.zeros((count, 3, len(information)))
+    by_unknowns[:, :, :size] = jacobian[: 3 * count].reshape(count, 3, size) * sigma[:count, :, None]
+    by_unknowns[:, shared, size + np.arange(len(shared))] = 1.0
+    return Linear(
+        by_unknowns=by_unknowns[seen],
+        residual=(places[: 3 * count].reshape(count, 3) * sigma[:count])[seen],
+        sigma=rows.sigma[seen],
+        level=rows.level[seen],
+        time_s=rows.time_s[seen],
+        information=information,
+        pull=np.append(known.T @ places[3 * count :], np.zeros(len(shared))),
+    )
 
 
 class _Problem:
@@ -214,6 +212,15 @@ class _Problem:
         antenna = self.evidence.arm.place + (x[7:10] if self.evidence.arm.estimate else 0.0)
         return Similarity(float(scale), rotation, middle_world - scale * rotation @ self.middle), antenna
 
+    def at(self, fit: Fit) -> np.ndarray:
+        """(D,) the unknowns of a fit that this started from."""
+        x = np.zeros(self.size)
+        if self.evidence.arm.estimate:
+            x[7:10] = fit.arm.place - self.evidence.arm.place
+        if self.evidence.estimate_offset:
+            x[-1] = fit.clock.offset_s
+        return x
+
     @property
     def size(self) -> int:
         """Number of unknowns."""
@@ -235,7 +242,7 @@ class _Problem:
         if self.up is not None:
             upward = similarity.rotation @ self.up.direction
             if self.up.tilt:
-                parts.append(_to_upright(upward) / np.radians(self.up.sigma_deg))
+                parts.append(to_upright(upward) / np.radians(self.up.sigma_deg))
             else:
                 parts.append(np.array([roll_to_upright(upward, self.axis) / np.radians(self.up.sigma_deg)]))
         if self.evidence.log_scale is not None and with_scale:
@@ -298,7 +305,7 @@ class _Problem:
             turned(vector_by_turn(self._off(similarity)).reshape(-1, 3) / self.orientation_sigma)
         if self.up is not None:
             upward = similarity.rotation @ self.up.direction
-            by_upward = _upright_by_upward(upward) if self.up.tilt else _roll_by_upward(upward, self.axis)[None]
+            by_upward = upright_by_upward(upward) if self.up.tilt else roll_by_upward(upward, self.axis)[None]
             turned(by_upward @ -skew(upward) / np.radians(self.up.sigma_deg))
         if evidence.log_scale is not None and with_scale:
             parts.append(free * unit[6:7] / evidence.log_scale.sigma)
@@ -356,35 +363,32 @@ def _sigma(jacobian: np.ndarray, unknown: int) -> float:
 
 
 def _report(problem: _Problem, solution: scipy.optimize.OptimizeResult, inlier: np.ndarray, cost: float) -> Fit:
-    similarity, antenna = problem.unpack(solution.x)
     freedom = max(1, 3 * int(inlier.sum()) - len(solution.x))
-    chi2 = float(np.sum(problem.positions(solution.x)[inlier] ** 2)) / freedom
-    covariance = np.linalg.pinv(solution.jac.T @ solution.jac) * max(1.0, chi2)
-    sd = np.sqrt(np.clip(np.diag(covariance), 0, None))
-    roll = float(np.degrees(np.sqrt(max(0.0, problem.axis @ covariance[:3, :3] @ problem.axis))))
+    chi2 = max(1.0, float(np.sum(problem.positions(solution.x)[inlier] ** 2)) / freedom)
+    covariance = np.linalg.pinv(solution.jac.T @ solution.jac) * chi2
     alone = solution.jac
     if problem.evidence.log_scale is not None:
-        weight = inlier.astype(float)
-        alone = _solve(problem, solution.x, weight, with_scale=False).jac
-    sigma = {
-        "position_m": float(np.hypot(sd[3], sd[4])),
-        "height_m": float(
-            sd[5] if problem.evidence.arm.level is None else np.hypot(sd[5], problem.tuning.antenna_sigma_m)
-        ),
-        "yaw_deg": float(np.degrees(sd[2])),
-        "tilt_deg": float(np.degrees(np.hypot(sd[0], sd[1]))),
-        "scale": float(sd[6]),
-    }
-    sigma = {n: round(v, 6) for n, v in sigma.items()}
+        alone = _solve(problem, solution.x, inlier.astype(float), with_scale=False).jac
+    return _fit(problem, solution.x, covariance, chi2 * _sigma(alone, 6) ** 2, inlier, cost)
+
+
+def _fit(
+    problem: _Problem, x: np.ndarray, covariance: np.ndarray, alone: float, inlier: np.ndarray, cost: float
+) -> Fit:
+    """What is told at unknowns (D,) with this covariance; ``alone``: variance of the log scale by the positions."""
+    similarity, antenna = problem.unpack(x)
+    if problem.evidence.arm.level is not None:  # its height is that of the world
+        covariance = covariance.copy()
+        covariance[5, 5] += problem.tuning.antenna_sigma_m**2
+    sd = np.sqrt(np.clip(np.diag(covariance), 0, None))
     arm, clock = problem.evidence.arm.estimate, problem.evidence.estimate_offset
     return Fit(
         similarity=similarity,
         arm=FittedArm(antenna, covariance[7:10, 7:10] if arm else np.full((3, 3), np.nan)),
-        clock=Clock(problem.offset(solution.x), float(sd[-1]) if clock else float("nan")),
+        clock=Clock(problem.offset(x), float(sd[-1]) if clock else float("nan")),
         inlier=inlier,
-        sigma=sigma,
         cost=cost,
-        roll_sigma_deg=roll,
-        sigma_positions_scale=_sigma(alone, 6) * float(np.sqrt(max(1.0, chi2))),
+        roll_sigma_deg=float(np.degrees(np.sqrt(max(0.0, problem.axis @ covariance[:3, :3] @ problem.axis)))),
+        sigma_positions_scale=float(np.sqrt(alone)),
         error=PlacementError(similarity(problem.middle), covariance[:7, :7]),
     )

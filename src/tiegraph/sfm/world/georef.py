@@ -7,7 +7,7 @@ import pycolmap
 from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry.align import Similarity, rms_length
-from tiegraph.geometry.geodesy import Origin, datum_sigma_m, vertical_note
+from tiegraph.geometry.geodesy import Origin, vertical_note
 from tiegraph.geometry.gravity import up_vector
 from tiegraph.geometry.placement import PlacementError
 from tiegraph.scene.colmapmodel import image_poses
@@ -19,7 +19,7 @@ from tiegraph.sfm.ties import moved
 from tiegraph.sfm.tuning.world import WorldTuning
 from tiegraph.sfm.world.antenna import RIGHT_ANGLE_DEG
 from tiegraph.sfm.world.bars import BarsFound, bars_in
-from tiegraph.sfm.world.fit import Fit, jackknife_sigma
+from tiegraph.sfm.world.fit import Fit
 from tiegraph.sfm.world.fixes import Fixes, Measurements
 from tiegraph.sfm.world.marks import point_table, targets, without_blunders
 from tiegraph.sfm.world.scale import RIG, rig_scale
@@ -237,18 +237,14 @@ def _placed(placing: SimilarityFit, view: Model, scene: Scene, given: Measuremen
         held_out[held] = off[at[held]]
         good = fixes.held & fit.inlier[:count]
         held_fixes = HeldOut(off[:count][good], fixes.stated[good])
-    order = np.lexsort(
-        (scene.sequence_index[fixes.home], scene.sequence[fixes.home])
-    )  # control points stay in every part
     points, sums, lines = _points(view, given, fit)
-    sigma = _with_common(jackknife_sigma(evidence, placing.up, fit, order, placing.tuning.fit), placing, scene)
     return Georeference(
         world_from_model=fit.similarity,
         scale_source=_scale_source(placing, scene, view, count),
         origin=scene.origin or (given.control.origin if given.control is not None else None),
         residuals=Residuals(residual, inlier, held_out_m=held_out, fixes_m=here[:count], held=held_fixes),
         findings=Findings((*placing.notes, *_remarks(placing, scene), *lines)),
-        uncertainty=Uncertainty(sigma, fit.error.widened_to(sigma)),
+        uncertainty=Uncertainty(fit.sigma, fit.error),
         receiver=applied_receiver(fit.arm.place, fit.clock.offset_s),
         control=PointsFound(
             given=given.control, rows=tuple(points), accuracy=sums, bars=bar_rows(view.bars, fit.similarity.scale)
@@ -261,25 +257,6 @@ def applied_receiver(antenna: np.ndarray, offset_s: float) -> AppliedReceiver:
     """Lever arm (3,) and clock of a placement; a lever arm of nothing is none."""
     x, y, z = antenna.tolist()
     return AppliedReceiver((x, y, z) if antenna.any() else None, offset_s)
-
-
-def _with_common(sigma: dict[str, float], placing: SimilarityFit, scene: Scene) -> dict[str, float]:
-    """The sigmas of a placement with what all positions of a receiver share, which no residual shows.
-
-    The errors of a receiver (base station, ambiguities, multipath, atmosphere) last minutes: their mean is known no
-    better than its stated sigma says of one. Nor do positions show how well the datum of the CRS is tied to theirs.
-    Control points, where there are some, hold the place against both.
-    """
-    if scene.prior not in ("gnss", "exif") or not len(placing.fixes) or len(placing.points):
-        return sigma
-    stated = scene.position_sigma_m[placing.fixes.home]
-    if not np.isfinite(stated).any():
-        return sigma
-    east, north, up = np.nanmedian(stated, axis=0)
-    datum = 0.0 if scene.origin is None else datum_sigma_m(scene.origin.crs)
-    plan, height = np.hypot(np.hypot(east, north), datum), up
-    wider = {"position_m": np.hypot(sigma["position_m"], plan), "height_m": np.hypot(sigma["height_m"], height)}
-    return sigma | {n: round(float(v), 6) for n, v in wider.items()}
 
 
 def row_of_frames(fixes: Fixes, frames: int) -> np.ndarray:

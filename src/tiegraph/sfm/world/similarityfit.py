@@ -6,12 +6,13 @@ from functools import cached_property
 import numpy as np
 
 from tiegraph.geometry.align import Similarity, rms_length, umeyama
+from tiegraph.geometry.geodesy import datum_sigma_m
 from tiegraph.geometry.gravity import Up
 from tiegraph.scene.evidence import LIMIT, RARELY, fits_better
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import frame_poses
 from tiegraph.sfm.settings import GeorefSettings
-from tiegraph.sfm.tuning.world import WorldTuning
+from tiegraph.sfm.tuning.world import FixTuning, WorldTuning
 from tiegraph.sfm.world import noise
 from tiegraph.sfm.world.antenna import (
     UNKNOWN,
@@ -24,7 +25,7 @@ from tiegraph.sfm.world.antenna import (
     with_lever_arm,
 )
 from tiegraph.sfm.world.bars import BarsFound
-from tiegraph.sfm.world.fit import Evidence, Fit, fit_similarity
+from tiegraph.sfm.world.fit import Evidence, Fit, PositionRows, by_errors, fit_similarity
 from tiegraph.sfm.world.fixes import Fixes, Measurements, make_fixes
 from tiegraph.sfm.world.marks import Target
 from tiegraph.sfm.world.scale import RigScale
@@ -144,13 +145,20 @@ def fit_to_world(
         now = with_lever_arm(now, tuning)
         notes.append(arm_text(now, tuning))
     clock = UNKNOWN
-    if given.rows is not None and settings.antenna != "ignored":
+    moving = given.rows is not None and settings.antenna != "ignored"
+    if moving:
         now, clock = try_clock(now, notes, tuning)
-    up = up_to_use(now.evidence, model.up, notes, tuning, now.fit.similarity)
+    rows = _position_rows(now.fixes, scene, tuning.fixes)
+    armed = arm.estimate is not False and moving  # positions of images by name are those of the cameras
+    free = replace(now.evidence.with_arm(armed or now.evidence.arm.estimate), estimate_offset=moving)
+    fit = by_errors(free, None, now.fit, rows, tuning.fit, tuning.noise)
+    up = up_to_use(free, model.up, notes, tuning, fit)
+    if up is not None:
+        fit = by_errors(free, up, now.fit, rows, tuning.fit, tuning.noise)
     return SimilarityFit(
         evidence=now.evidence,
         fixes=now.fixes,
-        fit=now.fit,
+        fit=fit,
         up=up,
         points=points,
         notes=tuple(notes),
@@ -159,6 +167,16 @@ def fit_to_world(
         tuning=tuning,
         clock=clock,
     )
+
+
+def _position_rows(fixes: Fixes, scene: Scene, tuning: FixTuning) -> PositionRows:
+    """The fixes with what all of them share: of a receiver the errors that last (base station, atmosphere) are a share
+    of what it states, and those of the datum's tie to its own come on top; both hold for all positions alike."""
+    common = np.full(3, np.nan)
+    if scene.prior in ("gnss", "exif") and len(fixes):
+        datum = 0.0 if scene.origin is None else datum_sigma_m(scene.origin.crs)
+        common = np.hypot(tuning.lasting * np.median(fixes.stated, axis=0), datum * np.array([0.5, 0.5, 0.0]) ** 0.5)
+    return PositionRows(fixes.sigma, fixes.level, fixes.time_s, common)
 
 
 def _weighed(about: _Given, stated: Fixes, arm: _Arm) -> tuple[EvidenceWeights, Fitted]:

@@ -1,0 +1,111 @@
+"""The errors of positions: a white part, a slow part and one that all share, their sizes told by the residuals.
+
+A position of stated sigma s is off by s (w n + g z) + c. n is white; z is a first-order Gauss-Markov process of unit
+variance whose correlation falls as exp(-dt / tau); c is the same for all positions. A receiver states its sigma, and
+not how it is made up. So w (one a level of the stated sigma), g and tau are the likeliest after the residuals are seen
+(restricted likelihood: Patterson and Thompson 1971; of variance components: Foerstner 1979, Koch 1999), with a weak
+belief in the stated sigma beforehand. No residual tells c, nor what of z lasts longer than the survey: these stay as
+wide as they are stated.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg import cho_solve_banded, cholesky_banded
+from scipy.optimize import minimize
+
+from tiegraph.sfm.tuning.world import NoiseTuning
+
+_REACH = np.log(100.0)  # of the logarithms of sizes: beyond, positions are made and not measured, or of another survey
+_MOST = 1 - 1e-9  # correlation of two positions of one instant
+
+
+@dataclass(frozen=True)
+class Linear:
+    """K positions and what else is known of D unknowns, linearised where they are.
+
+    ``by_unknowns`` (K, 3, D) and ``residual`` (K, 3), metres, of positions of stated ``sigma`` (K, 3), of ``level``
+    (K,) and ``time_s`` (K,), NaN = not known; ``information`` (D, D) and ``pull`` (D,) of all else: J'J and J'r.
+    """
+
+    by_unknowns: np.ndarray
+    residual: np.ndarray
+    sigma: np.ndarray
+    level: np.ndarray
+    time_s: np.ndarray
+    information: np.ndarray
+    pull: np.ndarray
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Of errors, over the stated sigma: ``white`` by level number (L,), ``slow``, and how long that lasts (s)."""
+
+    white: np.ndarray
+    slow: float
+    lasts_s: float
+
+
+class PositionErrors:
+    """The likeliest sizes of the errors of some positions, and what they leave of the unknowns."""
+
+    def __init__(self, linear: Linear, tuning: NoiseTuning) -> None:
+        self._linear, self._tuning = linear, tuning
+        names, number, counts = np.unique(linear.level, return_inverse=True, return_counts=True)
+        few = counts < tuning.min_rows  # levels of a few positions share one size
+        joined = np.where(few, few.argmax(), np.arange(len(names)))
+        self._level = np.unique(joined[number], return_inverse=True)[1]
+        order = np.argsort(linear.time_s, kind="stable")  # NaN last
+        self._order = order
+        self._steps = np.diff(linear.time_s[order])
+        scaled = np.concatenate([linear.by_unknowns, linear.residual[:, :, None]], axis=2) / linear.sigma[:, :, None]
+        self._sides = scaled[order].reshape(len(order), -1)  # (K, 3 (D + 1))
+
+    @cached_property
+    def sizes(self) -> Sizes:
+        """The likeliest after the residuals are seen."""
+        levels = self._level.max(initial=-1) + 1
+        start = np.log([*[np.sqrt(0.5)] * (levels + 1), self._tuning.slow_s])
+        bounds = np.stack([start - _REACH, start + _REACH], axis=1)
+        return self._of(minimize(self._unlikely, start, (start,), method="L-BFGS-B", bounds=bounds).x)
+
+    @staticmethod
+    def _of(x: np.ndarray) -> Sizes:
+        *white, slow, lasts = np.exp(x).tolist()
+        return Sizes(white=np.array(white), slow=slow, lasts_s=lasts)
+
+    def _unlikely(self, x: np.ndarray, believed: np.ndarray) -> float:
+        """Twice the negative logarithm of the likelihood of sizes (their logarithms), but for a constant."""
+        lost, normal, pull, square = self._normal(self._of(x))
+        square -= float(pull @ np.linalg.solve(normal, pull))
+        off = np.append(x[:-2], [x[-2] - x[:-2].mean() + believed[-2], x[-1]]) - believed  # as much slow as white
+        belief = float(np.sum((off / self._tuning.belief) ** 2))
+        return lost + float(np.linalg.slogdet(normal)[1]) + square + belief
+
+    def _normal(self, sizes: Sizes) -> tuple[float, np.ndarray, np.ndarray, float]:
+        """Logarithm of the determinant of the errors' covariance, normal matrix (D, D), right side (D,), squares."""
+        precise = (sizes.slow / sizes.white[self._level[self._order]]) ** 2  # all is read in units of the slow part
+        steps = np.where(np.isfinite(self._steps), self._steps, np.inf)
+        rho = np.minimum(np.exp(-steps / sizes.lasts_s), _MOST)
+        free = 1 / (1 - rho**2)
+        band = np.zeros((2, len(precise)))  # of the inverse covariance of the slow part, upper form, and of the white
+        band[0, 1:] = -rho * free
+        band[1] = 1 + np.append(0.0, free - 1) + np.append(free - 1, 0.0) + precise
+        factor = cholesky_banded(band)
+        lost = 2 * np.sum(np.log(factor[1] * sizes.slow)) - np.sum(np.log(precise)) - np.sum(np.log(free))
+        sides = self._sides / sizes.slow
+        weighed = precise[:, None] * sides
+        weighed -= precise[:, None] * cho_solve_banded((factor, False), weighed)
+        sides, weighed = (v.reshape(len(precise) * 3, -1) for v in (sides, weighed))
+        both = sides.T @ weighed
+        linear = self._linear
+        return 3 * float(lost), linear.information + both[:-1, :-1], linear.pull + both[:-1, -1], float(both[-1, -1])
+
+    def step(self) -> tuple[np.ndarray, np.ndarray]:
+        """What the unknowns are to be moved by (D,) for the best fit, and their covariance (D, D)."""
+        _, normal, pull, _ = self._normal(self.sizes)
+        covariance = np.linalg.pinv(normal, hermitian=True)
+        return -covariance @ pull, covariance
