@@ -49,6 +49,13 @@ def japanese(full: Path) -> str:
     return write_report(full, JAPANESE).read_text(encoding="utf-8")
 
 
+def test_a_measured_figure_stands_beside_the_prediction_of_the_same_thing(page: str) -> None:
+    table = page[page.index('<div class="cards layers">') :].split("</table>")[0]
+    keys = [re.findall(r'data-accuracy="([\w.]+)\.(?:predicted|measured)"', row) for row in table.split("<tr>")[2:]]
+    assert len(keys) >= 4 and all(len(set(row)) == 1 for row in keys if row)
+    assert max(len(row) for row in keys) == 2  # one has both
+
+
 def test_page_one_says_what_a_client_asks(page: str) -> None:
     one = page[page.index('<div class="client">') : page.index('<div class="engineer">')]
     order = ["Quay 7", "usable with care", 'class="answer no"', "in the world", "in shape", "of a point"]

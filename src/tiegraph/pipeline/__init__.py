@@ -67,7 +67,7 @@ STAGES = (
     _stage("filter", ("coarse", "network", "match"), ("filter.npz",), "pair", version=3),
     _stage("sparse", ("coarse", "network", "match", "filter"), ("sparse",), version=23, scratch=("sparse/.run",),
            tuned=("scene", "sfm")),
-    _stage("georef", ("network", "match", "filter", "sparse"), ("sparse/world", "world.json"), version=18,
+    _stage("georef", ("network", "match", "filter", "sparse"), ("sparse/world", "world.json"), version=19,
            scratch=("sparse/.world",), tuned=("scene", "sfm", "targets")),
     _stage("refine", ("masks", "georef"), ("refine/masks", "refine/classes"), "image", version=3,
            tuned=("masks", "sfm")),
@@ -76,7 +76,7 @@ STAGES = (
            scratch=(".tiles",), tuned=("evaluate",)),
     _stage("evaluate", ("filter", "georef", "refine", "dense", "cloud"), ("metrics.json", "accuracy.csv", "evaluate"),
            version=9, scratch=("evaluate/.tiles",), tuned=("scene",), spares=("dense", "cloud")),
-    _stage("report", ("evaluate",), ("report.html", "report.json"), version=9, alone=True),
+    _stage("report", ("evaluate",), ("report.html", "report.json"), version=10, alone=True),
 )
 # fmt: on
 

@@ -52,7 +52,8 @@ def terminal_lines(metrics_file: Path) -> list[str]:
 
 @dataclass(frozen=True)
 class Layer:
-    """A layer for one who has not read of layers: what it is, predicted and measured, by what."""
+    """A row for one who has not read of layers: what it is of, predicted and measured of the same thing, by what;
+    ``name`` of a layer in its first row."""
 
     name: str
     means: str
@@ -62,24 +63,21 @@ class Layer:
 
 
 def layers(accuracy: Accuracy) -> list[Layer]:
-    """The three layers in short. Measured stands with what was predicted of the same thing, which is not always what
-    stands for the layer."""
+    """The three layers in short. What was measured of another thing than stands for the layer has a row of its own."""
     out = []
     for key, means in _MEANS.items():
         best, head = _best(accuracy.of(key)), accuracy.head(key)
-        shown, by = Markup(formatting.NONE), t("nothing independent")
-        if best is not None:
-            shown = _value(accuracy, best, MEASURED)
-            by = t("{} ({}); predicted {}", said(best.by), said(best.of), _value(accuracy, best, PREDICTED))
-        out.append(
-            Layer(
-                name=t(LAYERS[key]),
-                means=t(means),
-                predicted=_value(accuracy, head, PREDICTED),
-                measured=shown,
-                by=by,
+        rows = [head] if best is None or best.key == head.key else [head, best]
+        for k, row in enumerate(rows):
+            out.append(
+                Layer(
+                    name="" if k else t(LAYERS[key]),
+                    means=said(row.of) if k else t(means),
+                    predicted=_value(accuracy, row, PREDICTED),
+                    measured=_value(accuracy, row, MEASURED),
+                    by=said(row.by) if row is best or row.by else t("nothing independent"),
+                )
             )
-        )
     return out
 
 

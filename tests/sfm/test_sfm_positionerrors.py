@@ -1,0 +1,88 @@
+"""The errors of positions by their residuals: normalised errors of what is fitted to them, and an upward direction."""
+
+import numpy as np
+import pytest
+
+from tiegraph.geometry.gravity import Up
+from tiegraph.geometry.transforms import skew
+from tiegraph.sfm.tuning.world import NoiseTuning, WorldTuning
+from tiegraph.sfm.world.antenna import up_to_use
+from tiegraph.sfm.world.fit import Evidence
+from tiegraph.sfm.world.positionerrors import Linear, PositionErrors
+from tiegraph.sfm.world.unknowns import LeverArm
+
+_THERE = np.stack([np.arange(60.0), np.sin(np.arange(60) / 7), 0.2 * np.cos(np.arange(60) / 5)], axis=1)
+PATH = np.concatenate([_THERE, _THERE[::-1] + [0, 6, 0]])  # there and back, metres; a position a second
+COUNT = len(PATH)
+
+
+def _errors(white: float, slow: float, lasts_s: float, rng: np.random.Generator) -> np.ndarray:
+    """(K, 3) in stated sigmas."""
+    z, keeps = rng.standard_normal((COUNT, 3)), np.exp(-1 / lasts_s)
+    for k in range(1, COUNT):
+        z[k] = keeps * z[k - 1] + np.sqrt(1 - keeps**2) * z[k]
+    return white * rng.standard_normal((COUNT, 3)) + slow * z
+
+
+def _linear(residual: np.ndarray, sigma: float, level: np.ndarray) -> Linear:
+    places = np.zeros((COUNT, 3, 7))
+    here = PATH - PATH.mean(axis=0)
+    places[:, :, :3], places[:, :, 3:6], places[:, :, 6] = -skew(here), np.eye(3), here
+    return Linear(
+        by_unknowns=places,
+        residual=sigma * residual,
+        sigma=np.full((COUNT, 3), sigma),
+        level=level,
+        time_s=np.arange(float(COUNT)),
+        information=np.diag([1e-6] * 3 + [0.0] * 4),
+        pull=np.zeros(7),
+    )
+
+
+@pytest.mark.parametrize(
+    ("white", "slow", "lasts_s", "bounds"),
+    [(0.7, 0.7, 60.0, (0.8, 1.3)), (0.05, 0.05, 60.0, (0.8, 1.3)), (0.3, 2, 20, (0.7, 1.3)), (1, 0.02, 60, (0.4, 1))],
+)  # fmt: skip
+@pytest.mark.slow
+def test_errors_over_their_sigmas(white, slow, lasts_s, bounds) -> None:
+    """Of turn, shift and scale, over surveys of one kind; errors that are all white may be thought to last a little."""
+    rng, level, ratios, sizes = np.random.default_rng(1), np.zeros(COUNT, int), [], []
+    for _ in range(25):
+        errors = PositionErrors(_linear(_errors(white, slow, lasts_s, rng), 2.0, level), NoiseTuning())
+        moved, covariance = errors.step()
+        ratios.append(moved / np.sqrt(np.diag(covariance)))
+        sizes.append([errors.sizes.white[0], errors.sizes.slow])
+    assert bounds[0] < np.sqrt(np.mean(np.square(ratios))) < bounds[1]
+    assert np.median(sizes, axis=0) == pytest.approx([white, slow], rel=0.15, abs=0.35 * white)
+
+
+def test_each_level_of_the_stated_sigma_has_its_own_size() -> None:
+    level = (np.arange(COUNT) < 60).astype(int)
+    off = _errors(1.0, 1e-3, 60.0, np.random.default_rng(2)) * np.where(level, 4.0, 0.5)[:, None]
+    level[:3] = 7  # too few to tell by themselves
+    sizes = PositionErrors(_linear(off, 1.0, level), NoiseTuning()).sizes
+    assert sizes.white[0] == pytest.approx(0.5, rel=0.2) and sizes.white[1] == pytest.approx(4.0, rel=0.2)
+    assert len(sizes.white) == 3
+
+
+@pytest.mark.parametrize(("turned_deg", "wide", "used"), [(80.0, 3.0, False), (8.0, 0.0, True), (80.0, 0.0, True)])
+def test_an_upward_direction_that_the_positions_refute_is_not_used(turned_deg, wide, used) -> None:
+    """Photographs straight down have tops that point anywhere; a straight track cannot refute them."""
+    place = np.stack([np.arange(20.0), wide * (np.arange(20) % 4 > 1), np.zeros(20)], axis=1)
+    pose = np.tile(np.eye(4), (20, 1, 1))
+    pose[:, :3, 3] = place
+    evidence = Evidence(
+        frame=np.arange(20),
+        pose=pose,
+        position=place + 0.01 * np.random.default_rng(3).standard_normal(place.shape),
+        sigma=np.full((20, 3), 0.1),
+        orientation=np.full((20, 3, 3), np.nan),
+        arm=LeverArm(np.zeros(3)),
+        log_scale=None,
+    )
+    turn = np.radians(turned_deg)
+    up = Up(np.array([0.0, np.sin(turn), np.cos(turn)]), 10.0, ring=False, tilt=False, cameras="the images")
+    notes: list[str] = []
+    found = up_to_use(evidence, up, notes, WorldTuning())
+    assert (found is up) == used
+    assert ("not used" in notes[0]) == (not used)
