@@ -151,10 +151,13 @@ def by_errors(
     """The fit moved to where its believed positions put it by their errors as these are estimated (white, slow and
     common: ``positionerrors``), with the covariance that these leave."""
     evidence = replace(evidence, arm=replace(evidence.arm, level=None))  # what cannot be told widens what it moves
+    stated = rows.common
     for _ in range(_STEPS if len(rows.level) else 0):
         problem = _Problem(evidence, up, fit.similarity, tuning)
         x, seen = problem.at(fit), fit.inlier[: len(rows.level)]
-        moved, covariance = PositionErrors(_linearised(problem, x, fit.inlier, rows, seen), noise).step()
+        errors = PositionErrors(_linearised(problem, x, fit.inlier, rows, seen), noise)
+        moved, covariance = errors.step()
+        rows = replace(rows, common=stated * max(1.0, errors.times_stated))  # an optimistic receiver is so in all
         size, held = problem.size, 0.0 if evidence.log_scale is None else evidence.log_scale.sigma**-2
         alone = 1 / max(1 / covariance[6, 6] - held, _OPEN)
         fit = _fit(problem, x + moved[:size], covariance[:size, :size], alone, fit.inlier, fit.cost)

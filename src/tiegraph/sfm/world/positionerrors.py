@@ -72,6 +72,11 @@ class PositionErrors:
         bounds = np.stack([start - _REACH, start + _REACH], axis=1)
         return self._of(minimize(self._unlikely, start, (start,), method="L-BFGS-B", bounds=bounds).x)
 
+    @property
+    def times_stated(self) -> float:
+        """The errors over what is stated of them, median of the positions."""
+        return float(np.hypot(np.median(self.sizes.white[self._level]), self.sizes.slow))
+
     @staticmethod
     def _of(x: np.ndarray) -> Sizes:
         *white, slow, lasts = np.exp(x).tolist()
