@@ -220,7 +220,7 @@ def test_only_the_series_of_python_must_be_the_same():
 def hide_tiegraph(hidden):
     import sys
 
-    for module in ("tiegraph.project.daskworker", "tiegraph.project.software"):
+    for module in ("tiegraph.project.daskworker", "tiegraph.project.receipts"):
         if hidden:
             sys.modules[module] = None
         else:

@@ -17,8 +17,7 @@ from tiegraph.evaluate.tuning import Tuning as EvaluateTuning
 from tiegraph.geometry import transforms
 from tiegraph.lidar.adjust import adjusted
 from tiegraph.lidar.handeye import Given, Poses, rig_in_lidar_world
-from tiegraph.lidar.mapcloud import MapCloud
-from tiegraph.lidar.odometry import before_pose, odometry
+from tiegraph.lidar.odometry import MapCloud, before_pose, odometry
 from tiegraph.lidar.scans import Reading, Recording, deskew, open_scans, velocities
 from tiegraph.lidar.settings import LidarSettings
 from tiegraph.lidar.tables import finite
