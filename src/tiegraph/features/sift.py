@@ -1,5 +1,5 @@
-"""From an image file and its mask file to SIFT features: by OpenCV in the form COLMAP's own extractor writes (Lowe 2004;
-RootSIFT: Arandjelovic & Zisserman 2012), or by that (VLFeat, or on a GPU), one image at a time.
+"""From an image file and its mask file to SIFT features: by OpenCV in the form COLMAP's own extractor writes (Lowe
+2004; RootSIFT: Arandjelovic & Zisserman 2012), or by that (VLFeat, or on a GPU), one image at a time.
 
 Not ``pycolmap.extract_features``: that leaves out images with a missing mask, reads a mask of another size as if it
 fitted, and numbers images by the order its threads finish. One extractor call runs no worker threads, so its errors are

@@ -72,15 +72,6 @@ class _Eye:
 
 
 @dataclass(frozen=True)
-class _Sight:
-    """What an image sees: points (K,), their cells (K,) and distances (K,)."""
-
-    point: np.ndarray
-    cell: np.ndarray
-    distance: np.ndarray
-
-
-@dataclass(frozen=True)
 class Rays:
     """From images of one view to points ``point`` (K,) of a proxy: in the world (K, 3), in the image's frame (K, 3)."""
 
@@ -105,7 +96,10 @@ def in_view(rays: Rays, proxy: Proxy, tuning: VisibleTuning) -> tuple[np.ndarray
     return seen, (np.where(seen[:, None], shares, 0.0) * tuning.cells).astype(int) @ (1, tuning.cells[0]), distance
 
 
-def _sight(eye: _Eye, proxy: Proxy, boxes: Boxes, own: np.ndarray, tuning: VisibleTuning) -> _Sight:
+def _sight(
+    eye: _Eye, proxy: Proxy, boxes: Boxes, own: np.ndarray, tuning: VisibleTuning
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What an image sees: points (K,), their cells (K,) and distances (K,)."""
     half = tuning.cone_widens * eye.view.half + eye.slack
     near = boxes.near(transforms.centre(eye.pose), eye.pose[2, :3], half)
     ray = proxy.points[near] - transforms.centre(eye.pose)
@@ -117,7 +111,7 @@ def _sight(eye: _Eye, proxy: Proxy, boxes: Boxes, own: np.ndarray, tuning: Visib
         np.minimum.at(nearest, cell, distance)
         shown = (distance <= tuning.behind * nearest[cell]) | np.isin(point, own)
         point, cell, distance = point[shown], cell[shown], distance[shown]
-    return _Sight(point, cell, distance)
+    return point, cell, distance
 
 
 def shared_surface(
@@ -202,12 +196,11 @@ class _Table:
 def _all_sights(eyes: list[_Eye], images: np.ndarray, proxy: Proxy, tuning: VisibleTuning) -> _Table:
     proxy, boxes = _thinned(eyes, proxy, tuning)
     own = _owned(proxy, images)
-    sights = [_sight(eye, proxy, boxes, seen, tuning) for eye, seen in zip(eyes, own)]
-    counts = [len(s.point) for s in sights]
-    image = np.repeat(np.arange(len(eyes), dtype=np.int32), counts)
-    point = np.concatenate([s.point for s in sights]).astype(np.int32)
-    cell = np.concatenate([s.cell for s in sights]).astype(np.int32)
-    distance = np.concatenate([s.distance for s in sights]).astype(np.float32)
+    points, cells, distances = zip(*(_sight(eye, proxy, boxes, seen, tuning) for eye, seen in zip(eyes, own)))
+    image = np.repeat(np.arange(len(eyes), dtype=np.int32), [len(p) for p in points])
+    point = np.concatenate(points).astype(np.int32)
+    cell = np.concatenate(cells).astype(np.int32)
+    distance = np.concatenate(distances).astype(np.float32)
     voter = np.ones(len(point), bool)
     if proxy.assumed:
         owner = np.full(len(proxy), -1)
@@ -236,7 +229,7 @@ def _thinned(eyes: list[_Eye], proxy: Proxy, tuning: VisibleTuning) -> tuple[Pro
     rng = np.random.default_rng(0)
     sample = rng.choice(len(eyes), min(len(eyes), tuning.thinning_images), replace=False)
     none = np.zeros(0, int)
-    count = np.mean([len(_sight(eyes[k], proxy, boxes, none, tuning).point) for k in sample])
+    count = np.mean([len(_sight(eyes[k], proxy, boxes, none, tuning)[0]) for k in sample])
     if count <= tuning.thinning_from * enough:
         return proxy, boxes
     # At random: spread evenly over the surface they predicted worse on ``canal`` (textured near surfaces tie).
