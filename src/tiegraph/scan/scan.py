@@ -163,16 +163,16 @@ def _rigs(
             sensor = spec.sensors[k]
             renumber[r, k] = len(rigs), len(sensors)
             facts = _facts(groups[r, k], probes, survey.loose, tuning)
-            calibrated = calibrate(sensor, facts, spec.file, settings, tuning.rig.camera)
-            hows.setdefault(calibrated.how, []).append(sensor.name)
+            camera, source, how = calibrate(sensor, facts, spec.file, settings, tuning.rig.camera)
+            hows.setdefault(how, []).append(sensor.name)
             pose = _sensor_from_rig(spec, k, present[0])
             made = Sensor(
                 name=sensor.name,
-                camera=calibrated.camera,
+                camera=camera,
                 sensor_from_rig=pose,
                 role=sensor.role,
                 folder=sensor.folder or "",
-                source=calibrated.source,
+                source=source,
             )
             made = with_lit_circle(made, [probes[s.image] for s in groups[r, k]], tuning.lens_views)
             made = replace(made, sigma_deg=sensor.sigma_deg, sigma_m=sensor.sigma_m)

@@ -40,7 +40,6 @@ _MOST_ROW = 255  # one byte says the length of a row
 _FORMAT = b"gpmd"
 _EPOCH_S = datetime(2000, 1, 1, tzinfo=timezone.utc).timestamp()
 _UTC = re.compile(r"(\d\d)(\d\d)(\d\d)(\d\d)(\d\d)(\d\d)\.(\d{3})")
-_HUNDRED = 100.0  # GPSP is DOP times 100
 _GPS5, _GPS9 = 5, 9  # numbers a row
 
 
@@ -193,7 +192,7 @@ def _gps5(stream: _Stream) -> Readings:
     time = np.full(count, np.nan)
     time[:1] = _utc(stream["GPSU"].text()) if "GPSU" in stream else np.nan
     fix, dop = (np.full(count, _first(stream, key)) for key in ("GPSF", "GPSP"))
-    return Readings(np.full(count, np.nan), time, rows[:, :3], fix=fix, dop=dop / _HUNDRED)
+    return Readings(np.full(count, np.nan), time, rows[:, :3], fix=fix, dop=dop / 100.0)
 
 
 def _gps9(stream: _Stream) -> Readings:

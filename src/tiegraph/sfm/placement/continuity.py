@@ -7,13 +7,8 @@ import numpy as np
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.tuning.placement import ConsistencyTuning
 
-
-@dataclass(frozen=True)
-class Segment:
-    """Frames of one pass that follow one another without a jump."""
-
-    sequence: int
-    frames: tuple[int, ...]
+Segment = tuple[int, tuple[int, ...]]
+"""A pass, and frames of it that follow one another without a jump."""
 
 
 @dataclass(frozen=True)
@@ -86,5 +81,5 @@ def segments(positions: np.ndarray, scene: Scene, continuity: MotionContinuity) 
                 max(fits, key=lambda g: (continuity.clock[g[-1]], len(g))).append(frame)
             else:
                 groups.append([frame])
-        out += [Segment(sequence, tuple(g)) for g in groups]
+        out += [(sequence, tuple(g)) for g in groups]
     return out

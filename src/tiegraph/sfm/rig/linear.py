@@ -18,6 +18,7 @@ from scipy import sparse
 from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import transforms
+from tiegraph.geometry.align import robust_sigma
 from tiegraph.geometry.transforms import skew
 from tiegraph.scene.colmapmodel import image_poses, registered_images
 from tiegraph.scene.scene import Scene
@@ -136,7 +137,7 @@ def rig_system(
     gather = sparse.csr_matrix((weighted, (number, np.arange(len(weighted)))), shape=(len(points), len(weighted)))
     of_point = (gather @ jc @ columns).tocsr()
     scatter = (of_point.T @ of_point).toarray() / share
-    variance = max((1.4826 * float(np.median(np.abs(residual)))) ** 2 * len(residual) / redundancy, 1e-12)
+    variance = max(robust_sigma(residual) ** 2 * len(residual) / redundancy, 1e-12)
     kept = np.arange(6 * images.frames, size)
     curvature, gradient, scatter = _eliminated(whole[:size, :size], gradient, scatter, images)
     return RigSystem(

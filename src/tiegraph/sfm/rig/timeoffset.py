@@ -18,12 +18,10 @@ import pycolmap
 from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import l1_mean_rotation
+from tiegraph.geometry.align import l1_mean_rotation, robust_sigma
 from tiegraph.scene.colmapmodel import image_poses
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.tuning.rig import RigTuning, TimeOffsetTuning
-
-_NORMAL = 1.4826  # sigma over the median of absolute values
 
 
 @dataclass(frozen=True)
@@ -143,8 +141,8 @@ def relaxed_mountings(
         turned = Rotation.from_matrix(found[:, :3, :3] @ turn.T).as_rotvec()
         out[sensor.name] = RelaxedMounting(
             sensor_from_rig=transforms.rigid(turn, -turn @ centre),
-            sigma_deg=max(float(np.degrees(_NORMAL * np.median(np.abs(turned)))), known.loose_deg),
-            sigma=max(float(_NORMAL * np.median(np.abs(centres - centre))), known.nominal_m),
+            sigma_deg=max(float(np.degrees(robust_sigma(turned))), known.loose_deg),
+            sigma=max(robust_sigma(centres - centre), known.nominal_m),
         )
     return out
 
