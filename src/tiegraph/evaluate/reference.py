@@ -176,8 +176,7 @@ def _frame_poses(reference: ReferencePoses, scene: Scene, max_gap_s: float) -> t
         found = _track_reference(reference, name)
         if found is None:
             continue
-        frames = np.flatnonzero(scene.sequence == sequence)
-        frames = frames[np.argsort(scene.sequence_index[frames], kind="stable")]
+        frames = scene.in_order(scene.sequence == sequence)
         named = name or "the frames"
         if timed and not _covers(found, scene.time_s[frames], max_gap_s):
             how.append(f"{name or 'frames'} at none of its times")

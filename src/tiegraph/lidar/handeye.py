@@ -22,22 +22,19 @@ from tiegraph.geometry import transforms
 from tiegraph.geometry.align import CAUCHY_SIGMAS, MAD, Similarity, l1_mean_rotation, rms_length
 from tiegraph.lidar.pointtie import PointTie
 from tiegraph.lidar.tuning import HandEyeTuning
+from tiegraph.scene.sorting import Columns
 
 _TURN, _PLACE, _SCALE, _CLOCK = slice(0, 3), slice(3, 6), 6, 7  # of the parameters
 _CLOCK_OPEN = "the clock offset"
 
 
 @dataclass(frozen=True)
-class Poses:
+class Poses(Columns):
     """T poses world_from_body (T, 4, 4) at growing times (T,), s; ``group`` (T,): the pass of each."""
 
     time_s: np.ndarray
     poses: np.ndarray
     group: np.ndarray
-
-    def where(self, mask: np.ndarray) -> "Poses":
-        """Those of a mask or index array."""
-        return Poses(self.time_s[mask], self.poses[mask], self.group[mask])
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from tiegraph.geometry import transforms
 from tiegraph.geometry.geodesy import Origin
 from tiegraph.scene.accuracy import Accuracy
 from tiegraph.scene.atomic import replacing
+from tiegraph.scene.sorting import Columns
 
 _KEPT_BITS = 15  # of the mantissa: 3e-5 of the depth, far below any sigma; the rest is noise that does not compress
 
@@ -63,7 +64,7 @@ class DepthMap:
 
 
 @dataclass(frozen=True)
-class Cloud:
+class Cloud(Columns):
     """M points: xyz_m (M, 3) f8 world, rgb (M, 3) u1, normal (M, 3) f4, sigma_m (M,) f4, views (M,) u1."""
 
     xyz_m: np.ndarray
@@ -72,14 +73,6 @@ class Cloud:
     sigma_m: np.ndarray
     views: np.ndarray
     origin: Origin | None = None
-
-    def __len__(self) -> int:
-        return len(self.xyz_m)
-
-    def where(self, mask: np.ndarray) -> Cloud:
-        """The points of a boolean mask or index array."""
-        columns = {f.name: getattr(self, f.name)[mask] for f in fields(self) if f.name != "origin"}
-        return replace(self, **columns)
 
     def moved(self, pose: np.ndarray) -> Cloud:
         """The points and their normals by a rigid motion (4, 4)."""

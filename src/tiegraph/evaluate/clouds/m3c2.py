@@ -9,7 +9,7 @@ what the cloud states as sigma of its points is therefore not divided by their n
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import coo_matrix
@@ -20,6 +20,7 @@ from tiegraph.evaluate.clouds.nearest import Cameras, thinned
 from tiegraph.evaluate.clouds.tiles import TiledClouds
 from tiegraph.evaluate.tuning import ChangesTuning, M3c2Tuning
 from tiegraph.scene.cloudchunks import Points
+from tiegraph.scene.sorting import Columns
 
 _CORES = 10_000  # core points looked at together: some 10 million pairs of points at most
 _OBLIQUE = np.array([0.36, 0.48, 0.8])  # where normals point without cameras: up, else to the north-east
@@ -53,7 +54,7 @@ def cylinders_of(clouds: TiledClouds, tuning: M3c2Tuning, depth_m: float | None 
 
 
 @dataclass(frozen=True)
-class Differences:
+class Differences(Columns):
     """Of core points (N, 3) on the first cloud: ``normal`` (N, 3), ``distance_m`` (N,) of the second cloud along it
     (NaN: too few points of one in the cylinder), ``lod_m`` (N,) level of detection at 95 %."""
 
@@ -62,9 +63,6 @@ class Differences:
     distance_m: np.ndarray
     lod_m: np.ndarray
     cylinders: Cylinders
-
-    def __len__(self) -> int:
-        return len(self.xyz)
 
     @property
     def known(self) -> np.ndarray:
@@ -76,16 +74,6 @@ class Differences:
         """(N,) bool: the difference is larger than its level of detection."""
         with np.errstate(invalid="ignore"):
             return np.asarray(np.abs(self.distance_m) > self.lod_m)
-
-    def where(self, cores: np.ndarray) -> "Differences":
-        """Those at some core points: (N,) bool or indices."""
-        return replace(
-            self,
-            xyz=self.xyz[cores],
-            normal=self.normal[cores],
-            distance_m=self.distance_m[cores],
-            lod_m=self.lod_m[cores],
-        )
 
     def summary(self) -> dict[str, float]:
         """Median, spread (half of 16 % to 84 %), 95 % of the absolute values, level of detection, shares in %."""

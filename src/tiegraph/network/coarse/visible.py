@@ -20,6 +20,7 @@ from tiegraph.network.coarse.proxy import Proxy, View, assumed_proxy, observed_p
 from tiegraph.network.tuning.coarse import VisibleTuning
 from tiegraph.scene.matches import Visibility
 from tiegraph.scene.pairs import pair_key
+from tiegraph.scene.sorting import Columns
 
 __all__ = ["Overlap", "Proxy", "assumed_proxy", "observed_proxy", "shared_surface"]
 
@@ -28,7 +29,7 @@ _OWNERS = 256  # images whose assumed points are worked out at once
 
 
 @dataclass(frozen=True)
-class Overlap:
+class Overlap(Columns):
     """K pairs of images i < j that share surface, sorted; columns (K,)."""
 
     i: np.ndarray
@@ -36,9 +37,6 @@ class Overlap:
     share: np.ndarray  # of the surface one sees, the part the other sees too: the larger of the two directions
     angle_deg: np.ndarray  # between the two rays to the shared surface, on average; NaN = too little is shared to say
     scale: np.ndarray  # distance of i over distance of j to the shared surface, geometric mean; NaN likewise
-
-    def __len__(self) -> int:
-        return len(self.i)
 
     def between(self, i: np.ndarray, j: np.ndarray) -> np.ndarray:
         """(K,) share of image pairs in any order of their ends; 0 where they are not listed."""
@@ -56,10 +54,6 @@ class Overlap:
         columns = [np.concatenate([getattr(p, n) for p in parts]) for n in Overlap.__dataclass_fields__]
         order = np.lexsort((columns[1], columns[0]))
         return Overlap(*(c[order] for c in columns))
-
-    def where(self, mask: np.ndarray) -> "Overlap":
-        """The rows of a mask (K,)."""
-        return Overlap(*(getattr(self, n)[mask] for n in self.__dataclass_fields__))
 
 
 @dataclass(frozen=True)

@@ -123,7 +123,7 @@ def _by_trailer(
     if readings is None:
         return clock
     kept, words = believed(readings, tuning)
-    kept = kept.take(np.argsort(kept.time_s, kind="stable")[: int(np.isfinite(kept.time_s).sum())])
+    kept = kept.where(np.argsort(kept.time_s, kind="stable")[: int(np.isfinite(kept.time_s).sum())])
     said = f"positions from its Insta360 trailer: {words}"
     zone_s = _zone(kept, clock, container.length_s, tuning)
     if not len(kept) or zone_s is None:

@@ -66,8 +66,7 @@ def motion_continuity(
 
 def in_order(scene: Scene, positions: np.ndarray, sequence: int) -> np.ndarray:
     """Registered frames of a pass in the order of its steps."""
-    members = np.flatnonzero((scene.sequence == sequence) & np.isfinite(positions).all(axis=1))
-    return members[np.argsort(scene.sequence_index[members], kind="stable")]
+    return scene.in_order((scene.sequence == sequence) & np.isfinite(positions).all(axis=1))
 
 
 def segments(positions: np.ndarray, scene: Scene, continuity: MotionContinuity) -> list[Segment]:

@@ -19,6 +19,7 @@ from tiegraph.geometry.align import MAD
 from tiegraph.geometry.transforms import skew
 from tiegraph.scene.colmapmodel import matrix, model_rigs
 from tiegraph.scene.scene import Scene
+from tiegraph.scene.sorting import Columns
 from tiegraph.sfm.rig.observations import Observations, model_observations, retriangulate
 from tiegraph.sfm.tuning.rig import DiagnosticsTuning
 
@@ -29,7 +30,7 @@ COLUMNS = (
 
 
 @dataclass(frozen=True)
-class Resections:
+class Resections(Columns):
     """K images resected in the points of their frame's other cameras, against the rig; lengths in metres.
 
     ``shift_m`` and ``turn_deg`` are in the rig frame: own place minus the rig's, own rotation after the rig's.
@@ -48,10 +49,6 @@ class Resections:
     def residual(self) -> np.ndarray:
         """(K, 6) shift (m) and turn (rad)."""
         return np.concatenate([self.shift_m, np.radians(self.turn_deg)], axis=1)
-
-    def where(self, rows: np.ndarray) -> Resections:
-        """Some of them."""
-        return Resections(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
 
 
 @dataclass(frozen=True)

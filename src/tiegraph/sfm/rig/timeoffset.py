@@ -47,8 +47,7 @@ def rig_motion(world_from_rig: np.ndarray, scene: Scene) -> Motion:
     velocity, rate = np.full((scene.frames, 3), np.nan), np.full((scene.frames, 3), np.nan)
     known = np.isfinite(world_from_rig).all(axis=(1, 2))
     for track in np.unique(scene.sequence[scene.sequence >= 0]):
-        members = np.flatnonzero((scene.sequence == track) & known)
-        members = members[np.argsort(scene.sequence_index[members], kind="stable")]
+        members = scene.in_order((scene.sequence == track) & known)
         for k, frame in enumerate(members):
             a, b = members[max(k - 1, 0)], members[min(k + 1, len(members) - 1)]
             gap = time[b] - time[a]
