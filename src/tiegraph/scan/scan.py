@@ -8,7 +8,7 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 
-from tiegraph.scan.assign import Report, Shot, Survey, Usable, assign, need_two, some, usable_images, zoomed
+from tiegraph.scan.assign import Report, Shot, Survey, Usable, assign, need_two, usable_images, zoomed
 from tiegraph.scan.calibration import with_camera, with_start_cameras
 from tiegraph.scan.cameras import FileFacts, calibrate
 from tiegraph.scan.fisheye import ImageFiles, into_views, with_lit_circle
@@ -31,6 +31,7 @@ from tiegraph.scene.images import IMAGES_FOLDER, Probe, find_images, probe_image
 from tiegraph.scene.names import clean, shortened
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene
+from tiegraph.text import some
 
 __all__ = ["Probe", "ScanInputs", "build_scene", "find_images", "prepare_image", "probe_image"]
 

@@ -29,6 +29,7 @@ from tiegraph.scene.markpixels import (
 from tiegraph.scene.names import found_by, lookup_of
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.sorting import Columns
+from tiegraph.text import some
 
 MIN_MARKS = 2  # of a point whose place in the model can be found: two rays meet
 NEAR_M = 1000.0  # beyond the positions of the survey, where control points still lie
@@ -272,11 +273,10 @@ def _few_marks(file: GcpFile, count: np.ndarray, notes: list[str]) -> None:
     if not len(few):
         return
     first = file.points[few[0]]
-    names = ", ".join(f"{file.points[k].name!r} ({count[k]})" for k in few[:_SHOWN])
-    more = f" and {len(few) - _SHOWN} more" if len(few) > _SHOWN else ""
+    names = some((f"{file.points[k].name!r} ({count[k]})" for k in few), _SHOWN)
     notes.append(
         f"{file.path.name}, line {first.line}: {len(few)} of {len(file.points)} points have less than {MIN_MARKS} "
-        f"marks in the survey's images and cannot be used: {names}{more}"
+        f"marks in the survey's images and cannot be used: {names}"
     )
 
 

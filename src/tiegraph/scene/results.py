@@ -5,7 +5,6 @@ Depth maps are compressed .npz: depth (f4), sigma as a share of the depth (f2), 
 
 from __future__ import annotations
 
-import math
 import zipfile
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, fields, replace
@@ -20,6 +19,7 @@ from tiegraph.geometry.geodesy import Origin
 from tiegraph.scene.accuracy import Accuracy
 from tiegraph.scene.atomic import replacing
 from tiegraph.scene.sorting import Columns
+from tiegraph.text import finite
 
 _KEPT_BITS = 15  # of the mantissa: 3e-5 of the depth, far below any sigma; the rest is noise that does not compress
 
@@ -127,16 +127,10 @@ def metrics_to_dict(
 
     NaN and infinity as null.
     """
-    rows = [{k: _finite(v) for k, v in asdict(m).items()} for m in metrics]
-    clean = {n: {**t, "rows": [[_finite(v) for v in row] for row in t["rows"]]} for n, t in (tables or {}).items()}
+    rows = finite([asdict(m) for m in metrics])
+    clean = {n: {**t, "rows": finite(t["rows"])} for n, t in (tables or {}).items()}
     said = {} if accuracy is None else {"accuracy": accuracy.to_dict()}
     return {**said, "metrics": rows, "tables": clean, "notes": list(notes), "contradictions": list(contradictions)}
-
-
-def _finite(value: Any) -> Any:
-    if hasattr(value, "item"):
-        value = value.item()
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def save_depth(depth: DepthMap, path: Path) -> None:
