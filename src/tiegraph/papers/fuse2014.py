@@ -5,6 +5,8 @@ Pairs are thinned by weak matches (section 2.2), similar images (2.3) and minimu
 base (2.4, ``two_view``; the glue asks for it and hands it in as a column of the pair table).
 """
 
+from functools import partial
+
 import cv2
 import numpy as np
 import pycolmap
@@ -26,16 +28,6 @@ WEAK = 25  # matches, paper 002 section 4.2.1
 SIMILAR = 500.0  # distance to the object over base length, paper 002 section 4.2.2
 PARTS = 5  # consecutive partial graphs cut beside the whole one, paper 002 section 4.2.3
 _LARGEST = 2.0e9  # scipy's maximum flow counts in 32 bit integers
-
-
-def fuse2014(pairs: Pairs, scene: Scene, expected: np.ndarray) -> DesignResult:
-    """Thin the pairs as the paper does, which may disconnect the images."""
-    return thinned(pairs, scene, expected, safe=False)
-
-
-def fuse2014_safe(pairs: Pairs, scene: Scene, expected: np.ndarray) -> DesignResult:
-    """Thin the pairs as the paper does, and take back what holds together images that were connected."""
-    return thinned(pairs, scene, expected, safe=True)
 
 
 def thinned(pairs: Pairs, scene: Scene, expected: np.ndarray, safe: bool) -> DesignResult:
@@ -72,6 +64,10 @@ def thinned(pairs: Pairs, scene: Scene, expected: np.ndarray, safe: bool) -> Des
         "(B/H)^2 in its place"
     )
     return DesignResult(thin, tuple(n for n in (note + more, surrogate) if n), counts)
+
+
+fuse2014 = partial(thinned, safe=False)
+fuse2014_safe = partial(thinned, safe=True)
 
 
 def image_order(scene: Scene) -> np.ndarray:
