@@ -1,4 +1,4 @@
-"""Trajectory of a scanner by kiss-icp, one scan after another."""
+"""Trajectory of a scanner by kiss-icp, one scan after another, and the map of its scans in bounded memory."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass

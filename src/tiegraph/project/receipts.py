@@ -1,4 +1,5 @@
-"""What each stage says of itself when it is done (or that it began), and the list of the files it made."""
+"""What each stage says of itself when it is done (or that it began), the list of the files it made, and the versions
+that its result depends on."""
 
 import json
 import platform

@@ -338,7 +338,11 @@ COLUMNS = ["section", "images", *TEST_COLUMNS, "joined"]
 
 
 def start_from_sections(job: Job) -> Job:
-    """The job, starting from the poses of its sections where these are to be mapped apart and joined."""
+    """The job, starting from the poses of its sections where these are to be mapped apart and joined (paper 001).
+
+    The pairs of images that run between sections are held back while these are mapped. Then they join the models
+    (``ties``), which tells how well the borders hold, and the whole starts from the joined poses with all pairs.
+    """
     scene, source = job.scene, job.source
     if not source.apart:
         return job

@@ -1,4 +1,5 @@
-"""What the page draws, seen from above: levelled by the cameras, turned by positions if there are some."""
+"""What the page draws, seen from above: levelled by the cameras, turned by positions if there are some; and the page
+itself, for browsers of this machine alone."""
 
 import json
 import threading

@@ -5,7 +5,8 @@ difference is that of the mean places of their points along the axis. The level 
 the sum of the variances of both means and of the registration (there: standard error plus registration error, which
 calls too few changes significant where that error is random). Points of one survey that stand together err together:
 what the cloud states as sigma of its points is therefore not divided by their number (as James, Robson, Smith 2017,
-"M3C2-PM"), while the spread in the cylinder is.
+"M3C2-PM"), while the spread in the cylinder is. Significant differences that stand together are a change, with area and
+volume.
 """
 
 from collections.abc import Callable, Iterator
