@@ -195,9 +195,9 @@ def test_a_scheduler_without_workers_is_said(commands, monkeypatch):
 
 
 def set_version(number):
-    from tiegraph.project import software
+    from tiegraph.project import receipts
 
-    software.__version__ = number
+    receipts.__version__ = number
 
 
 def test_a_worker_with_another_version_is_named(cluster):
