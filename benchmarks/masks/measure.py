@@ -33,7 +33,7 @@ from tiegraph.masks.compare import compare, compare_classes, table_text
 from tiegraph.masks.frames import full_size, image_size
 from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.sources import SOURCES, Camera
-from tiegraph.masks.skypoints import places, without_points
+from tiegraph.masks.skyline import places, without_points
 from tiegraph.masks.tuning import Tuning
 from tiegraph.masks.waterline import View, camera_rays, final_classes, find_water, first_line, lines_of
 

@@ -22,9 +22,8 @@ import tiegraph  # noqa: F401  (zlib before pycolmap)
 import pycolmap  # isort: skip
 
 from tiegraph.features import nearest
-from tiegraph.features.extract import read_gray
 from tiegraph.features.matchblocks import Rules, colmap_options
-from tiegraph.features.sift import root_sift, shrunk
+from tiegraph.features.sift import read_gray, root_sift, shrunk
 from tiegraph.scene.images import find_images
 
 _RULES = (

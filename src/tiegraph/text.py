@@ -2,8 +2,10 @@
 
 import csv
 import io
+import math
 import unicodedata
 from collections.abc import Iterable
+from typing import Any
 
 # Control characters (ESC, CR, BEL, NUL), format characters (that turn the direction of writing, or cannot be seen),
 # halves of characters (bytes of a file name that are not UTF-8), separators of lines and paragraphs.
@@ -43,6 +45,23 @@ def known_to(sigma: float, most: float, shown: str) -> str:
     ``most`` is the size of what it is a sigma of: the length of a lever arm, a right angle, 1 for a scale.
     """
     return f"known to {shown}" if sigma < most else "not known"
+
+
+def some(texts: Iterable[str], most: int = 4, total: int = 0, joint: str = ", ") -> str:
+    """The first of some texts, and how many more there are, of ``total`` where that is more than is at hand."""
+    told = list(texts)
+    rest = max(total, len(told)) - most
+    return joint.join(told[:most]) + (f" and {rest} more" if rest > 0 else "")
+
+
+def finite(value: Any) -> Any:
+    """A value for JSON: NaN and infinity become null, arrays and tuples lists."""
+    value = value.tolist() if hasattr(value, "tolist") else value
+    if isinstance(value, dict):
+        return {k: finite(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [finite(v) for v in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def csv_text(columns: Iterable[object], rows: Iterable[Iterable[object]]) -> str:

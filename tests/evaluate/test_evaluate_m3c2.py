@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from clouds_world import ground, quay, stated, tiled
-from tiegraph.evaluate.clouds.changes import changes
-from tiegraph.evaluate.clouds.m3c2 import Cylinders, Differences, cylinders_of, m3c2, m3c2_tiled, normals
+from tiegraph.evaluate.clouds.m3c2 import Cylinders, Differences, changes, cylinders_of, m3c2, m3c2_tiled, normals
 from tiegraph.evaluate.clouds.nearest import Cameras
 from tiegraph.evaluate.tuning import ChangesTuning, M3c2Tuning
 from tiegraph.scene.cloudchunks import Points

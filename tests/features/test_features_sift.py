@@ -6,9 +6,8 @@ import pytest
 
 from tiegraph.errors import InputError
 from tiegraph.features import sift
-from tiegraph.features.extract import EXTRACTORS, extract_colmap, extract_image, read_mask
 from tiegraph.features.settings import FeaturesSettings
-from tiegraph.features.sift import extract_sift, root_sift
+from tiegraph.features.sift import EXTRACTORS, extract_colmap, extract_image, extract_sift, read_mask, root_sift
 from tiegraph.features.tuning import SiftTuning
 
 SETTINGS, TUNING = FeaturesSettings(), SiftTuning()

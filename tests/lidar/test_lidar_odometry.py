@@ -11,8 +11,7 @@ from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import umeyama
 from tiegraph.lidar.adjust import adjust, adjusted
-from tiegraph.lidar.mapcloud import MapCloud
-from tiegraph.lidar.odometry import ThinScan, odometry
+from tiegraph.lidar.odometry import MapCloud, ThinScan, odometry
 from tiegraph.lidar.scans import Scan
 from tiegraph.lidar.tuning import AdjustTuning, MapTuning, Tuning
 

@@ -3,7 +3,7 @@ import pycolmap
 import pytest
 
 from tiegraph.masks import SKY, USE, WATER
-from tiegraph.masks.skypoints import places, without_points
+from tiegraph.masks.skyline import places, without_points
 from tiegraph.masks.tuning import SkyPointsTuning
 
 SHAPE = (360, 640)

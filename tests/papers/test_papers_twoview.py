@@ -22,13 +22,13 @@ def matches(base: float, noise_px: float, seed: int = 0) -> tuple[np.ndarray, np
 def test_good_matches_hardly_move_and_the_range_is_in_bases() -> None:
     found = two_view(*matches(2.0, 0.0), CAMERA, CAMERA, TwoViewTuning())
     assert found is not None
-    assert found.moved < 1e-3 and 4.5 < found.range < 6.0  # about 10.5 / 2
+    assert found[0] < 1e-3 and 4.5 < found[1] < 6.0  # about 10.5 / 2
 
 
 def test_noise_and_short_bases_move_more() -> None:
     def moved(base: float, noise: float) -> float:
         found = [two_view(*matches(base, noise, s), CAMERA, CAMERA, TwoViewTuning()) for s in range(7)]
-        return float(np.median([f.moved for f in found if f is not None]))
+        return float(np.median([f[0] for f in found if f is not None]))
 
     good, noisy, short = moved(2.0, 0.3), moved(2.0, 1.5), moved(0.3, 0.3)
     assert 1e-5 < good < noisy < 1.5 and good < short

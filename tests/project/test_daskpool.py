@@ -195,9 +195,9 @@ def test_a_scheduler_without_workers_is_said(commands, monkeypatch):
 
 
 def set_version(number):
-    from tiegraph.project import software
+    from tiegraph.project import receipts
 
-    software.__version__ = number
+    receipts.__version__ = number
 
 
 def test_a_worker_with_another_version_is_named(cluster):
@@ -220,7 +220,7 @@ def test_only_the_series_of_python_must_be_the_same():
 def hide_tiegraph(hidden):
     import sys
 
-    for module in ("tiegraph.project.daskworker", "tiegraph.project.software"):
+    for module in ("tiegraph.project.daskworker", "tiegraph.project.receipts"):
         if hidden:
             sys.modules[module] = None
         else:

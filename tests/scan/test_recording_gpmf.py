@@ -12,7 +12,8 @@ import pytest
 
 import recording_world as world
 from recording_world import ONE_EACH, Fix, Layout, klv, nest
-from tiegraph.scan.recording.gpmf import BrokenEntry, entries
+from tiegraph.scan.recording.gpmf import entries
+from tiegraph.scan.recording.tracks import BrokenTrack
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scan.videos.videotime import VideoClock, video_clock
@@ -219,5 +220,5 @@ def test_entries_say_what_they_are() -> None:
     assert [(e.key, e.rows().tolist()) for e in entries(data)] == [("SCAL", [[-418.0]]), ("QQQQ", [[1.5]])]
     mixed = next(entries(klv("MyDD", "?", 14, struct.pack(">fffH", 1, 2, 3, 4))))
     assert mixed.rows("f[3]S").tolist() == [[1, 2, 3, 4]]
-    with pytest.raises(BrokenEntry, match="14 bytes|not 14"):
+    with pytest.raises(BrokenTrack, match="14 bytes|not 14"):
         mixed.rows("f[2]S")

@@ -633,7 +633,7 @@ GOOD = {
 @pytest.mark.parametrize("name", FORMATS)
 def test_a_format_is_told_by_its_content(name: str) -> None:
     raw = GOOD[name] if isinstance(GOOD[name], bytes) else GOOD[name].encode()  # type: ignore[union-attr]
-    told = [n for n, f in FORMATS.items() if f.told(raw.decode("utf-8", errors="replace"), raw)]
+    told = [n for n, (is_one, _) in FORMATS.items() if is_one(raw.decode("utf-8", errors="replace"), raw)]
     assert told == ([name, "CSV"] if name != "CSV" else ["CSV"])
 
 

@@ -12,7 +12,7 @@ from tiegraph.geometry import transforms
 from tiegraph.scan.rigfiles.rigspec import orient
 from tiegraph.scene.colmapmodel import rigid3d
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.rig.cameraframes import per_camera_frames
+from tiegraph.sfm.rig.linear import per_camera_frames
 from tiegraph.sfm.rig.timeoffset import relaxed_mountings
 from tiegraph.sfm.tuning.rig import RigTuning
 

@@ -18,7 +18,7 @@ from tiegraph.scene.control import Control, Marks
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
 from tiegraph.sfm.model import frame_poses
-from tiegraph.sfm.rig.cameraframes import per_camera_frames
+from tiegraph.sfm.rig.linear import per_camera_frames
 from tiegraph.sfm.settings import GeorefSettings
 from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.world import worldadjust

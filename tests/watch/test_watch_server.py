@@ -8,7 +8,7 @@ import urllib.request
 import pytest
 
 from tiegraph.errors import InputError
-from tiegraph.watch.server import PageServer, page
+from tiegraph.watch.view import PageServer, page
 
 
 @pytest.fixture

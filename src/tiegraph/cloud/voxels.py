@@ -12,7 +12,7 @@ import numpy as np
 
 from tiegraph.geometry.geodesy import Origin
 from tiegraph.scene.results import Cloud
-from tiegraph.scene.sorting import order_of, run_starts
+from tiegraph.scene.sorting import Columns, order_of, run_starts
 
 TILE_VOXELS = 512  # edge of a tile in finest voxels: a wall through it has a quarter of a million points
 _LEVELS = 6  # sizes of voxels, each twice the one before; with ten the largest is a whole tile
@@ -30,7 +30,7 @@ COLUMNS = ("<u4", "<f4", "(3,)<f4", "(3,)<f4", "(3,)<f4", "<f4", "u1")
 
 
 @dataclass(frozen=True, eq=False)
-class Voxels:
+class Voxels(Columns):
     """V voxels of one tile, in the order of their numbers: cell (V,) u4; weight (V,) f4; sums, weighted: place (V, 3)
     f4 from the voxel's corner in its sizes, rgb, normal (V, 3) f4 and sigma (V,) f4; views (V,) u1 the most."""
 
@@ -41,13 +41,6 @@ class Voxels:
     normal: np.ndarray
     sigma: np.ndarray
     views: np.ndarray
-
-    def __len__(self) -> int:
-        return len(self.cell)
-
-    def where(self, mask: np.ndarray) -> "Voxels":
-        """The voxels of a boolean mask."""
-        return Voxels(*(values[mask] for values in self.__dict__.values()))
 
     def cloud(self, tile: tuple[int, int, int], voxel: float, origin: Origin | None = None) -> Cloud:
         """The mean point of each voxel. Sigma is the mean of the points' sigmas: neighbouring pixels err together."""

@@ -38,7 +38,6 @@ _MAX_BLOCKS = 255
 _PATHS = 8
 _CELL_BYTES = 1 + _PATHS  # a matching cost, and what each path adds to it
 _PIXEL_BYTES = 64  # everything else that a match holds
-_FARTHEST = 0xFFFFFFFF
 _LARGEST_COST = 127  # with 127 of a path it fits a byte
 
 Strips = list[tuple[slice, slice]]  # rows matched together, and which of them count
@@ -290,7 +289,7 @@ class _Job:
         """Disparities (h, w) f4 of all rows."""
         xp, options, right_width, group = self.xp, self.options, self.right.shape[1], _group(mean / _BLOCK)
         best, around = xp.empty(self.left.shape, np.int16), xp.empty((3, *self.left.shape), np.uint16)
-        right_best = xp.full(self.right.shape, _FARTHEST, np.uint32)
+        right_best = xp.full(self.right.shape, 0xFFFFFFFF, np.uint32)
         tail = np.uint64(self.cells), *_ints(right_width, options.uniqueness), best, around, right_best
         self.device._run(f"winners_{group}", group * self.left.size, self.volume, self.parts, *ranges, *tail)
         disparity = xp.empty(self.left.shape, np.float32)

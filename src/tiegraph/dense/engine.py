@@ -108,18 +108,11 @@ def solve(
     )
 
 
-def _sgbm_engine(
-    reference: DenseView,
-    partners: Sequence[DenseView],
-    depth_range: DepthRange,
-    settings: DenseSettings,
-    tuning: Tuning,
-) -> DepthMap:
-    """OpenCV's matcher does not bound its cost volume; tsgm does (``tsgm.volume_bytes``)."""
-    return rectified_engine(reference, partners, depth_range, settings, tuning, match_sgbm, MAX_CELLS)
-
-
-ENGINES: dict[str, DenseEngine] = {"tsgm": partial(rectified_engine, matcher=match_tsgm), "sgbm": _sgbm_engine}
+# OpenCV's matcher does not bound its cost volume; tsgm does (``tsgm.volume_bytes``).
+ENGINES: dict[str, DenseEngine] = {
+    "tsgm": partial(rectified_engine, matcher=match_tsgm),
+    "sgbm": partial(rectified_engine, matcher=match_sgbm, max_cells=MAX_CELLS),
+}
 
 
 def installed(name: str) -> tuple[str, str]:

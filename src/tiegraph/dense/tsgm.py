@@ -30,7 +30,6 @@ else:
 _memory = threading.local()
 _log = logging.getLogger(__name__)
 
-_QUARTER = 2  # halvings to a quarter of the size
 _VOLUME_BYTES = 256_000_000  # of the cost volumes held at once; a level that needs more is matched in strips
 _CELL_BYTES = 2  # a cost and half a sum for each pixel and disparity; over the full range costs are made anew
 _BLOCK = 16  # disparities that the kernels take at once
@@ -243,7 +242,7 @@ def _levels(disparities: int, tuning: TsgmTuning) -> int:
     """Halvings until the full range is cheap; at least one unless there are few disparities anyway. A match over the
     full range at full size has one of a quarter of it, which tells what grey values belong together."""
     if tuning.everywhere:
-        return _QUARTER
+        return 2
     levels = 0 if disparities <= tuning.dense_below else 1
     while disparities >> levels > tuning.full_disparities:
         levels += 1

@@ -14,11 +14,12 @@ import numpy as np
 
 from tiegraph.design.matchprediction import verified_chance
 from tiegraph.design.tuning import Tuning
-from tiegraph.scene.graph import component_notes, components, cuts, frame_links, groups, parts, some, two_links
+from tiegraph.scene.graph import component_notes, components, cuts, frame_links, groups, parts, two_links
 from tiegraph.scene.matches import PreviewMatches
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.weakties import WeaklyTied, named, weakly_tied
+from tiegraph.text import some
 
 _COLUMNS = ["kind", "where", "frames at stake", "independent links", "matched points"]
 _LISTED = 200  # weak links in the table, worst first
@@ -123,23 +124,19 @@ def _lines(rows: list[list[Any]], bridges: int, joints: int) -> tuple[str, ...]:
         for count, words in ((0, "no pair ties"), (1, "only one independent link ties")):
             names = [str(r[1]) for r in rows if r[0] == kind and r[3] == count]
             if names:
-                out.append(f"{words} {kind} {some(names)} to the others")
+                out.append(f"{words} {kind} {some(names, 10)} to the others")
     few = [f"{r[1]}: {r[4]}" for r in rows if r[0] == "few points"]
     if few:
-        out.append(f"hardly tied to the others, matched points that they share with them: {_first(few, len(few))}")
+        out.append(f"hardly tied to the others, matched points that they share with them: {some(few, 5)}")
     single = [f"{r[1]} ({_frames(r[2])})" for r in rows if r[0] == "single link"]
     if bridges:
         words = f"{bridges} single {_plural('link', bridges)}, frames that hang on it in brackets"
-        out.append(f"{words}: {_first(single, bridges)}")
+        out.append(f"{words}: {some(single, 5, bridges)}")
     joint = [f"{r[1]} ({_frames(r[2])})" for r in rows if r[0] == "joint"]
     if joints:
         words = f"{joints} {_plural('joint', joints)} (in brackets what falls off without this frame)"
-        out.append(f"{words}: {_first(joint, joints)}")
+        out.append(f"{words}: {some(joint, 5, joints)}")
     return tuple(out)
-
-
-def _first(named: list[str], total: int, limit: int = 5) -> str:
-    return ", ".join(named[:limit]) + (f" and {total - limit} more" if total > limit else "")
 
 
 def _plural(word: str, count: int) -> str:

@@ -76,17 +76,8 @@ class DesignResult:
     tables: dict[str, dict[str, Any]] = field(default_factory=dict)
 
 
-@dataclass(frozen=True)
-class Thinned:
-    """The table without the pairs that a method dropped, what people should know, and counts by step."""
-
-    pairs: Pairs
-    notes: tuple[str, ...]
-    counts: dict[str, int]
-
-
 _OWN = ("hybrid", "top", "all")
-Method = Callable[[Pairs, Scene, np.ndarray], Thinned]
+Method = Callable[[Pairs, Scene, np.ndarray], DesignResult]
 METHODS: dict[str, Method] = {}
 """Methods by name that thin pairs by the matches (P,) expected of them, beside those of this module."""
 
@@ -124,7 +115,7 @@ def design(
         # The pairs that a method beside those of this module leaves
         method = cast(Method, choose_entry("design method", settings.method, METHODS))
         thin = method(pairs, scene, expected)
-        return _made(pairs, thin.pairs, thin.notes, dict(thin.counts))
+        return _made(pairs, thin.pairs, thin.notes, thin.counts)
     kept = _kept(pairs, expected, ties, visibility, tuning)
     start = _start(kept, scene, _room(settings, len(scene), tuning), tuning)
     choice = _chosen(kept, start, scene, settings, tuning)

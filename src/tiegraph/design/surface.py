@@ -20,6 +20,7 @@ from tiegraph.geometry.rays import normal_matrices
 from tiegraph.scene.figures import plain_text, png
 from tiegraph.scene.graph import blocks, parts
 from tiegraph.scene.matches import Visibility
+from tiegraph.scene.sorting import Columns
 
 COLOURS = ("#4c9a6a", "#b3261e", "#d9822b", "#c4a000", "#8e5ea2")  # of VERDICTS
 _INK, _DPI = "#444444", 110
@@ -30,7 +31,7 @@ _NEAR = 1.8  # sides of a cell between neighbours: those across an edge too
 
 
 @dataclass(frozen=True)
-class SurfaceMap:
+class SurfaceMap(Columns):
     """C cells of the surface, in the frame and unit of the model.
 
     xyz (C, 3): centre of the cell's points; images (C,): how many see it; angle_deg (C,): largest between two of their
@@ -45,9 +46,6 @@ class SurfaceMap:
     verdict: np.ndarray
     best: np.ndarray
     side: float
-
-    def __len__(self) -> int:
-        return len(self.xyz)
 
     def shares(self) -> dict[str, float]:
         """Share of the cells of each verdict, in percent."""

@@ -198,7 +198,7 @@ def stretch(scene: Scene, centres: np.ndarray, images: int) -> np.ndarray:
     placed = _filled(scene, centres)
     size = np.bincount(scene.frame, minlength=scene.frames)
     passes, frames = np.unique(scene.sequence, return_counts=True)
-    mine = _in_order(scene, int(passes[np.argmax(frames)]))
+    mine = scene.in_order(scene.sequence == passes[np.argmax(frames)])
     away = np.linalg.norm(placed - placed[int(mine[len(mine) // 2])], axis=1)
     nearest = np.argsort(away, kind="stable")
     taken = nearest[: int(np.searchsorted(np.cumsum(size[nearest]), images)) + 1]
@@ -211,15 +211,10 @@ def _filled(scene: Scene, centres: np.ndarray) -> np.ndarray:
         raise ValueError("no frame has a place")
     out = np.array(centres, float)
     for sequence in np.unique(scene.sequence):
-        mine = _in_order(scene, int(sequence))
+        mine = scene.in_order(scene.sequence == sequence)
         there = np.flatnonzero(known[mine])
         source = np.flatnonzero(known) if not len(there) else mine[there]
         order = np.arange(len(mine))
         at = np.zeros(len(mine), int) if not len(there) else np.abs(order[:, None] - there).argmin(axis=1)
         out[mine] = centres[source[at]]
     return out
-
-
-def _in_order(scene: Scene, sequence: int) -> np.ndarray:
-    mine = np.flatnonzero(scene.sequence == sequence)
-    return mine[np.argsort(scene.sequence_index[mine], kind="stable")]

@@ -15,6 +15,7 @@ from tiegraph.scene.colmapmodel import is_model, matrix
 from tiegraph.scene.namedposes import read_named_poses
 from tiegraph.scene.posefile import read_poses
 from tiegraph.scene.scene import Scene
+from tiegraph.text import some
 
 _NAMED = 3  # frames without a reference that are named
 
@@ -176,8 +177,7 @@ def _frame_poses(reference: ReferencePoses, scene: Scene, max_gap_s: float) -> t
         found = _track_reference(reference, name)
         if found is None:
             continue
-        frames = np.flatnonzero(scene.sequence == sequence)
-        frames = frames[np.argsort(scene.sequence_index[frames], kind="stable")]
+        frames = scene.in_order(scene.sequence == sequence)
         named = name or "the frames"
         if timed and not _covers(found, scene.time_s[frames], max_gap_s):
             how.append(f"{name or 'frames'} at none of its times")
@@ -207,8 +207,7 @@ def reference_places(reference: ReferencePoses, scene: Scene, max_gap_s: float) 
 def _without(scene: Scene, frames: np.ndarray) -> str:
     """Which frames (F,) bool have no reference, by their first images; "" = none."""
     names = [scene.names[int(np.argmax(scene.frame == f))] for f in np.flatnonzero(frames)[:_NAMED]]
-    more = int(frames.sum()) - len(names)
-    return f"; none for {', '.join(names)}" + (f" and {more} more" if more else "") if names else ""
+    return f"; none for {some(names, _NAMED, int(frames.sum()))}" if names else ""
 
 
 def _track_reference(reference: ReferencePoses, sequence: str) -> tuple[np.ndarray, np.ndarray] | None:

@@ -13,7 +13,6 @@ from tiegraph.scene.registered import BY_RIG, Registration
 from tiegraph.scene.results import Metric
 
 _NAN = float("nan")
-_AS_IT_IS = Similarity(1.0, np.eye(3), np.zeros(3))
 
 
 @dataclass(frozen=True)
@@ -175,7 +174,7 @@ def evaluate_trajectory(
         metric=metric,
         sim3=sim3,
         se3=se3,
-        absolute=position_error(est, ref, _AS_IT_IS) if same_frame else None,
+        absolute=position_error(est, ref, Similarity()) if same_frame else None,
         within=within(est, ref, tuning.within_m),
         within_m=tuning.within_m,
         relative=tuple(relative_error(match, d, tuning.max_stretch) for d in distances_m),

@@ -83,7 +83,7 @@ class RegistrationTuning(Section):
 
 
 class ChangesTuning(Section):
-    """What has changed between two epochs (`clouds/changes.py`)."""
+    """What has changed between two epochs (`clouds/m3c2.py`)."""
 
     link_spacings: float = Field(2.0, gt=1)
     """Significant core points this near, in spacings of core points, are one change."""

@@ -26,15 +26,6 @@ Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
-class MatchTable:
-    """What the database holds of P pairs: feature matches, verified matches, COLMAP's configuration; -1 = nothing."""
-
-    matches: np.ndarray
-    inliers: np.ndarray
-    config: np.ndarray
-
-
-@dataclass(frozen=True)
 class MatchReport:
     """What was asked of the matcher and what came back."""
 
@@ -77,15 +68,10 @@ def match_pairs(
     run_blocks(database, cut(todo, max(1, min(BLOCK_PAIRS, -(-len(todo) // side.processes)))), rules, side, log, told)
     strike(database, _WATERMARK)
     write_anew(database)
-    table = read_matches(database, kept)
-    report = _report(scene, kept, table, features)
+    matches, inliers, config = match_counts(database, kept)
+    report = _report(scene, kept, matches, inliers, config, features)
     _check_verified(report, rules.settings)
-    return _with_inliers(pairs, table), report
-
-
-def read_matches(database: Path, pairs: Pairs) -> MatchTable:
-    """What the database holds of the pairs."""
-    return MatchTable(*match_counts(database, pairs))
+    return _with_inliers(pairs, inliers), report
 
 
 def _counted(on_progress: Progress, finished: int, total: int) -> Callable[[int], None]:
@@ -94,15 +80,18 @@ def _counted(on_progress: Progress, finished: int, total: int) -> Callable[[int]
     return lambda more: on_progress(finished + more, total)
 
 
-def _with_inliers(pairs: Pairs, table: MatchTable) -> Pairs:
+def _with_inliers(pairs: Pairs, of_kept: np.ndarray) -> Pairs:
     inliers = pairs.inliers.copy()
     kept = pairs.dropped == 0
-    inliers[kept] = table.inliers
+    inliers[kept] = of_kept
     return pairs.with_(inliers=inliers).drop(kept & (inliers <= 0), "match")
 
 
-def _report(scene: Scene, kept: Pairs, table: MatchTable, features: dict[int, int]) -> MatchReport:
-    matched = table.inliers >= 0
+def _report(
+    scene: Scene, kept: Pairs, matches: np.ndarray, inliers: np.ndarray, config: np.ndarray, features: dict[int, int]
+) -> MatchReport:
+    """``matches``, ``inliers``, ``config`` (K,) of the kept pairs as of ``match_counts``."""
+    matched = inliers >= 0
     lost = []
     for k in np.flatnonzero(~matched):
         empty = [scene.names[m] for m in (kept.i[k], kept.j[k]) if features.get(int(m), 0) == 0]
@@ -110,15 +99,15 @@ def _report(scene: Scene, kept: Pairs, table: MatchTable, features: dict[int, in
         lost.append((f"{scene.names[kept.i[k]]} {scene.names[kept.j[k]]}", reason))
     kinds = pycolmap.TwoViewGeometryConfiguration.__members__
     codes = {int(value): name.lower() for name, value in kinds.items()}
-    found, number = np.unique(table.config[matched], return_counts=True)
+    found, number = np.unique(config[matched], return_counts=True)
     return MatchReport(
         asked=len(kept),
         matched=int(matched.sum()),
-        verified=int((table.inliers > 0).sum()),
+        verified=int((inliers > 0).sum()),
         lost=tuple(lost),
         configurations={codes.get(int(c), str(c)): int(n) for c, n in zip(found, number)},
-        matches=int(table.matches[matched].clip(0).sum()),
-        inliers=int(table.inliers[matched].sum()),
+        matches=int(matches[matched].clip(0).sum()),
+        inliers=int(inliers[matched].sum()),
     )
 
 

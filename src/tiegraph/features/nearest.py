@@ -20,7 +20,6 @@ else:
     except ImportError:  # installed without a C++ compiler
         _nearest = None
 
-_SQUARED_NORM = 512.0 * 512.0  # of COLMAP's descriptors: unit vectors times 512
 _BLOCK = 1 << 22  # dot products that NumPy holds at once
 
 
@@ -50,7 +49,7 @@ def _distinct(found: np.ndarray, options: pycolmap.SiftMatchingOptions) -> np.nd
     Angles are rounded from double precision: the last bit of a single one is another on another processor.
     """
     index, *dots = found
-    best, second = (np.arccos(np.minimum(d / _SQUARED_NORM, 1.0)).astype(np.float32) for d in dots)
+    best, second = (np.arccos(np.minimum(d / 512.0**2, 1.0)).astype(np.float32) for d in dots)
     return (index >= 0) & (best <= np.float32(options.max_distance)) & (best < np.float32(options.max_ratio) * second)
 
 

@@ -30,7 +30,7 @@ class PreviewTuning(Section):
 
 
 class SiftTuning(Section):
-    """Features at full resolution (`sift.py`, `extract.py`)."""
+    """Features at full resolution (`sift.py`)."""
 
     octave_layers: int = Field(3, gt=0)
     """Of the scale space: Lowe 2004, section 3.3; both extractors divide the contrast threshold by it."""

@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from tiegraph.filter.tuning import MotionTuning
 from tiegraph.geometry import transforms
 from tiegraph.geometry.rays import cross, sampson
+from tiegraph.scene.sorting import Columns
 
 _SEED = 0
 _SMALL = 1e-6  # step of differences
@@ -23,7 +24,7 @@ _SMALL_TURNS = Rotation.from_rotvec(_SMALL * np.eye(3)).as_matrix()
 
 
 @dataclass(frozen=True)
-class Rays:
+class Rays(Columns):
     """K matches of two rigs: unit rays (K, 3) and their centres (K, 3) in the frames of rig m and rig n."""
 
     ray_m: np.ndarray
@@ -31,10 +32,6 @@ class Rays:
     centre_m: np.ndarray
     centre_n: np.ndarray
     pair: np.ndarray  # (K,) which camera pair
-
-    def where(self, rows: np.ndarray) -> Rays:
-        """Some rows."""
-        return Rays(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
 
 
 def residuals(rays: Rays, motion: np.ndarray) -> np.ndarray:

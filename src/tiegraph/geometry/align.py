@@ -1,12 +1,13 @@
 """Least-squares alignment of point sets (Umeyama 1991), plain and robust; the robust mean of rotations."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry.transforms import angle_deg, rigid
 
+MAD = 1.4826  # sigma of normal errors over the median of their absolute values
 CAUCHY_SIGMAS = 2.385  # scale of a Cauchy loss: 95 % efficient for normal errors (Holland and Welsch 1977)
 
 
@@ -14,9 +15,9 @@ CAUCHY_SIGMAS = 2.385  # scale of a Cauchy loss: 95 % efficient for normal error
 class Similarity:
     """target = scale * rotation @ source + translation."""
 
-    scale: float
-    rotation: np.ndarray  # (3, 3)
-    translation: np.ndarray  # (3,)
+    scale: float = 1.0
+    rotation: np.ndarray = field(default_factory=lambda: np.eye(3))
+    translation: np.ndarray = field(default_factory=lambda: np.zeros(3))
 
     @property
     def matrix(self) -> np.ndarray:
@@ -35,7 +36,7 @@ class Similarity:
 
 def robust_sigma(residual: np.ndarray) -> float:
     """Sigma of normal errors around zero by the median of their absolute values: up to half may be wrong."""
-    return 1.4826 * float(np.median(np.abs(residual)))
+    return MAD * float(np.median(np.abs(residual)))
 
 
 def rms_length(vectors: np.ndarray) -> float:

@@ -4,6 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tiegraph.geometry.transforms import motions
+
 SIGMAS = ("position_m", "height_m", "yaw_deg", "tilt_deg", "scale")
 _OF = ("tilt_deg", "tilt_deg", "yaw_deg", "position_m", "position_m", "height_m", "scale")
 
@@ -31,15 +33,7 @@ class PlacementError:
 
     def _jacobian(self, points: np.ndarray) -> np.ndarray:
         """(N, 3, 7): how places (N, 3) move with turn, shift and log scale."""
-        from_middle = np.asarray(points, float).reshape(-1, 3) - self.middle
-        jacobian = np.zeros((len(from_middle), 3, 7))
-        x, y, z = from_middle.T
-        jacobian[:, 0, 1], jacobian[:, 0, 2] = z, -y
-        jacobian[:, 1, 0], jacobian[:, 1, 2] = -z, x
-        jacobian[:, 2, 0], jacobian[:, 2, 1] = y, -x
-        jacobian[:, :, 3:6] = np.eye(3)
-        jacobian[:, :, 6] = from_middle
-        return jacobian
+        return motions(np.asarray(points, float).reshape(-1, 3) - self.middle)
 
     def sigmas(self) -> dict[str, float]:
         """position_m, height_m, yaw_deg, tilt_deg, scale."""

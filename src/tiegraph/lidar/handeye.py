@@ -19,26 +19,22 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import CAUCHY_SIGMAS, Similarity, l1_mean_rotation, rms_length
+from tiegraph.geometry.align import CAUCHY_SIGMAS, MAD, Similarity, l1_mean_rotation, rms_length
 from tiegraph.lidar.pointtie import PointTie
 from tiegraph.lidar.tuning import HandEyeTuning
+from tiegraph.scene.sorting import Columns
 
 _TURN, _PLACE, _SCALE, _CLOCK = slice(0, 3), slice(3, 6), 6, 7  # of the parameters
 _CLOCK_OPEN = "the clock offset"
-_MAD = 1.4826  # sigma over median absolute deviation of normal errors
 
 
 @dataclass(frozen=True)
-class Poses:
+class Poses(Columns):
     """T poses world_from_body (T, 4, 4) at growing times (T,), s; ``group`` (T,): the pass of each."""
 
     time_s: np.ndarray
     poses: np.ndarray
     group: np.ndarray
-
-    def where(self, mask: np.ndarray) -> "Poses":
-        """Those of a mask or index array."""
-        return Poses(self.time_s[mask], self.poses[mask], self.group[mask])
 
 
 @dataclass(frozen=True)
@@ -116,7 +112,7 @@ def settled(rig: Poses, lidar: Poses, found: HandEye, tie: PointTie, tuning: Han
     ahead = path(frames.time_s + found.clock_s + path.interval)
     speed = np.linalg.norm(np.nanmean(ahead[:, :3, 3] - there[:, :3, 3], axis=0)) / path.interval
     alike = np.sqrt(len(each))
-    scatter = _MAD * np.median(np.abs(each[:, :3, 3] - place), axis=0) / alike
+    scatter = MAD * np.median(np.abs(each[:, :3, 3] - place), axis=0) / alike
     late = 0.0 if np.isnan(found.clock_sigma_s) else float(speed * found.clock_sigma_s)
     place_sigma = np.sqrt(tie.place_sigma_m**2 + scatter**2 + late**2)
     off = np.degrees(Rotation.from_matrix(each[:, :3, :3] @ turn.T).magnitude())
@@ -310,8 +306,8 @@ class _Problem:
         share = np.sqrt(turns.size / max(turns.size - self.free.sum() / 2, 1))
         tuning = self.tuning
         self.sigma = (
-            max(_MAD * share * float(np.median(np.abs(turns))), np.radians(tuning.least_sigma_deg)),
-            max(_MAD * share * float(np.median(np.abs(steps))), tuning.least_sigma_m),
+            max(MAD * share * float(np.median(np.abs(turns))), np.radians(tuning.least_sigma_deg)),
+            max(MAD * share * float(np.median(np.abs(steps))), tuning.least_sigma_m),
         )
 
     def sigmas(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -58,14 +58,3 @@ def hand_eye_table(found: HandEye) -> dict[str, Any]:
     rows += [[f"turn about {a} [deg]", _NAN, s] for a, s in zip("xyz", found.turn_sigma_deg)]
     rows.append(["scale", found.scale, found.scale_sigma])
     return {"columns": ["LiDAR on the rig", "value", "sigma"], "rows": rows}
-
-
-def finite(value: Any) -> Any:
-    """A value for JSON: NaN and infinity become null, arrays lists."""
-    if isinstance(value, dict):
-        return {k: finite(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple, np.ndarray)):
-        return [finite(v) for v in value]
-    if isinstance(value, np.generic):
-        value = value.item()
-    return None if isinstance(value, float) and not np.isfinite(value) else value

@@ -50,7 +50,7 @@ class AdjustTuning(Section):
 
 
 class MapTuning(Section):
-    """The map cloud (`mapcloud.py`)."""
+    """The map cloud (`odometry.py`)."""
 
     most_points: int = Field(20_000_000, gt=0)
     """Voxels held: 1 GiB. The voxel grows until there are fewer."""

@@ -19,7 +19,7 @@ labels or weights:
 
 **Refinement.** Stage ``refine`` finds the water level where these lines meet the banks of the sparse model
 (``waterline``), and draws the lines again from geometry. It takes back sky in which points of the model lie, seen in
-that image or not, for sky occludes nothing (``skypoints``). The platform is not learnt again. Later stages read only
+that image or not, for sky occludes nothing (``skyline``). The platform is not learnt again. Later stages read only
 the COLMAP masks; the classes are for the report and ``refine``.
 
 **Tests before a class is masked** (``proof``). A platform needs frames that verify motion (a rig at rest has none). A

@@ -11,8 +11,8 @@ from tiegraph.scene.decoding import decode_deep, open_image
 from tiegraph.scene.images import IMAGES_FOLDER
 from tiegraph.scene.names import on_disk
 from tiegraph.scene.regular import regular
+from tiegraph.text import some
 
-_LISTED = 5  # missing masks named in an error
 _TWO_LEVELS = ({0, 255}, {0, 1})
 
 
@@ -129,8 +129,7 @@ def _missing(folder: Path, missing: Sequence[str], total: int) -> InputError:
     plain = PurePosixPath(missing[0]).with_suffix("")
     jpeg = [n for end in ("_mask.JPG", "_mask.jpg", ".jpg", ".JPG") if (folder / (n := f"{plain}{end}")).is_file()]
     lossy = f" {jpeg[0]} is there, but JPEG blurs the edges of masks: save PNG." if jpeg else ""
-    more = f" and {len(missing) - _LISTED} more" if len(missing) > _LISTED else ""
     return InputError(
-        f"{folder}: no mask for {len(missing)} of {total} images: {', '.join(missing[:_LISTED])}{more}."
+        f"{folder}: no mask for {len(missing)} of {total} images: {some(missing, 5)}."
         f"{lossy} For {missing[0]} these were looked for: {', '.join(candidates(missing[0]))}"
     )

@@ -235,7 +235,7 @@ class WaterlineTuning(Section):
 
 
 class SkyPointsTuning(Section):
-    """Sky that cannot be sky, as the model has points there (`skypoints.py`)."""
+    """Sky that cannot be sky, as the model has points there (`skyline.py`)."""
 
     dense: float = Field(0.2, ge=0)
     """Density of points within a piece of sky, with the holes in it, as a share of that outside of all sky: 0 .. 0.04

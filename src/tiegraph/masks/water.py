@@ -37,7 +37,7 @@ def never_matching(evidence: Sequence[Matchability], ego: np.ndarray | None, tun
     exact = matched * np.log(in_water / rate) + missed * np.log((1 - in_water) / (1 - rate))
     cells = 2 * np.pi * tuning.reach_cells**2
     says = cv2.GaussianBlur(exact, (0, 0), tuning.reach_cells) * cells * tuning.around_weight
-    zone = _below(says, platform, tuning, (1, 1))
+    zone = below_waterline(says, platform, tuning, (1, 1))
     top = np.where(zone.any(axis=0), zone.argmax(axis=0), rows)
     zone = _large(zone & (top >= tuning.highest * rows)[None], tuning)
     prior = np.clip(says, -tuning.prior_clip, tuning.prior_clip)
@@ -82,18 +82,17 @@ def water_priors(zones: Mapping[int, Zone], asked: bool, tuning: WaterTuning) ->
     return {k: z.prior if z.says >= tuning.zone_says else borrowed for k, z in zones.items()}
 
 
-def below_waterline(ratio: np.ndarray, ego: np.ndarray | None, tuning: WaterTuning) -> np.ndarray:
+def below_waterline(
+    ratio: np.ndarray, ego: np.ndarray | None, tuning: WaterTuning, block_px: tuple[int, int] | None = None
+) -> np.ndarray:
     """Water (h, w) bool: everything below the line that best parts water from the rest, but not the platform.
 
     ``ratio`` (h, w) f4: log of P(appearance | water) / P(appearance | not water). The line runs through every column,
     at the bottom where a column has no water; mirrored banks lie below it and are water. Found exactly, by dynamic
-    programming over the columns.
+    programming over the columns of blocks.
     """
-    return _below(ratio, ego, tuning, tuning.block_px)
-
-
-def _below(ratio: np.ndarray, ego: np.ndarray | None, tuning: WaterTuning, block: tuple[int, int]) -> np.ndarray:
     height, width = ratio.shape
+    block = block_px or tuning.block_px
     credit = np.clip(ratio, -tuning.max_credit, tuning.max_credit)
     if ego is not None:
         credit = np.where(ego, 0, credit)

@@ -35,8 +35,7 @@ def find_passes(scene: Scene) -> tuple[Pass, ...]:
     image_of = np.full((scene.frames, max((len(r.sensors) for r in scene.rigs), default=1)), -1, np.int32)
     image_of[scene.frame, scene.sensor] = np.arange(len(scene))
     for sequence, rig in ids:
-        frames = np.flatnonzero((scene.sequence == sequence) & (scene.rig == rig))
-        frames = frames[np.argsort(scene.sequence_index[frames], kind="stable")]
+        frames = scene.in_order((scene.sequence == sequence) & (scene.rig == rig))
         images = image_of[frames, : len(scene.rigs[rig].sensors)].T
         name = scene.sequences[sequence] if sequence < len(scene.sequences) else f"pass {sequence}"
         several = sum(t == sequence for t, _ in ids) > 1

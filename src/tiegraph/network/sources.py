@@ -9,9 +9,8 @@ from operator import or_
 import numpy as np
 
 from tiegraph.errors import SettingsError
-from tiegraph.network.offsets.curves import OffsetCurve
+from tiegraph.network.offsets.curves import Proposal
 from tiegraph.network.offsets.offsets import estimate_offsets
-from tiegraph.network.offsets.surface import OffsetSurface
 from tiegraph.network.passes import MatchCache, Pass, loose_images
 from tiegraph.network.poses.check import checked_pose_pairs
 from tiegraph.network.poses.poses import PoseResult
@@ -38,26 +37,6 @@ class Context:
     settings: CandidatesSettings
     tuning: Tuning
     descriptors: Descriptors | None = None  # of all previews; None = there is no looking for look-alikes
-
-
-@dataclass(frozen=True)
-class Proposal:
-    """What a source proposes."""
-
-    pairs: Pairs
-    notes: tuple[str, ...] = ()
-    curves: tuple[OffsetCurve, ...] = ()
-    surfaces: tuple[OffsetSurface, ...] = ()
-    apart: bool = False  # the images say that the poses of different passes do not stand in one world
-
-    def __or__(self, other: "Proposal") -> "Proposal":
-        return Proposal(
-            pairs=self.pairs | other.pairs,
-            notes=self.notes + other.notes,
-            curves=self.curves + other.curves,
-            surfaces=self.surfaces + other.surfaces,
-            apart=self.apart or other.apart,
-        )
 
 
 def sequence(context: Context) -> Proposal:
@@ -106,8 +85,7 @@ def from_file(context: Context) -> Proposal:
 
 def offsets(context: Context) -> Proposal:
     """Frame-offset voting within and between passes (papers 000, 001)."""
-    found = estimate_offsets(context.passes, context.cache, len(context.scene), context.settings, context.tuning)
-    return Proposal(pairs=found.pairs, notes=found.notes, curves=found.curves, surfaces=found.surfaces)
+    return estimate_offsets(context.passes, context.cache, len(context.scene), context.settings, context.tuning)
 
 
 def poses(context: Context) -> Proposal:
@@ -155,8 +133,7 @@ def retrieval(context: Context, known: Pairs | None = None) -> Proposal:
     if context.descriptors is None:
         raise SettingsError("candidates.sources has 'retrieval', but the previews' descriptors are not at hand")
     looked = context.scene, context.passes, context.cache, context.settings, context.tuning
-    found = retrieve(*looked, context.descriptors, known)
-    return Proposal(found.pairs, found.notes)
+    return retrieve(*looked, context.descriptors, known)
 
 
 SOURCES: dict[str, Callable[[Context], Proposal]] = {

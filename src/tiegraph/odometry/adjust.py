@@ -12,7 +12,6 @@ from tiegraph.scene.solver import all_images, options_of
 
 _RIG = 1
 _TOLERANCE = 1e-4  # relative change of the cost at which Ceres stops: the next keyframe adjusts the same again
-_BLACK = np.zeros(3, np.uint8)
 
 
 def adjust(
@@ -65,7 +64,7 @@ def _build(
     points, first = np.unique(seen.point[order], return_index=True)
     ends = [*first[1:].tolist(), len(elements)]
     ids = {
-        point: model.add_point3D(world.xyz[point], pycolmap.Track(elements[a:b]), _BLACK)
+        point: model.add_point3D(world.xyz[point], pycolmap.Track(elements[a:b]), np.zeros(3, np.uint8))
         for point, a, b in zip(points.tolist(), first.tolist(), ends)
     }
     return model, ids

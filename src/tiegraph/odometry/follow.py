@@ -8,6 +8,7 @@ import numpy as np
 
 from tiegraph.odometry.cameras import Cameras
 from tiegraph.odometry.tuning import FollowTuning
+from tiegraph.scene.sorting import Columns
 
 CORNER_PX = 0.5
 """The middle of the first pixel, from the corner of the image, where COLMAP begins to count; OpenCV begins there."""
@@ -16,7 +17,7 @@ Images = Mapping[int, np.ndarray]
 
 
 @dataclass(frozen=True)
-class Tracks:
+class Tracks(Columns):
     """K corners in one frame: point (K,) its number in the map, camera (K,), xy (K, 2) pixels."""
 
     point: np.ndarray
@@ -27,13 +28,6 @@ class Tracks:
     def none() -> "Tracks":
         """No corner."""
         return Tracks(np.zeros(0, int), np.zeros(0, int), np.zeros((0, 2)))
-
-    def __len__(self) -> int:
-        return len(self.point)
-
-    def where(self, keep: np.ndarray) -> "Tracks":
-        """Some of them."""
-        return Tracks(self.point[keep], self.camera[keep], self.xy[keep])
 
     def plus(self, other: "Tracks") -> "Tracks":
         """These and others."""

@@ -10,6 +10,7 @@ from tiegraph.odometry.cameras import Cameras
 from tiegraph.odometry.follow import Tracks
 from tiegraph.odometry.resect import errors_px
 from tiegraph.odometry.tuning import MapTuning
+from tiegraph.scene.sorting import Columns
 
 
 @dataclass(frozen=True)
@@ -25,19 +26,13 @@ class Keyframe:
 
 
 @dataclass(frozen=True)
-class Observations:
+class Observations(Columns):
     """M observations: keyframe (M,) its number in the map, point (M,), camera (M,), xy (M, 2) pixels."""
 
     keyframe: np.ndarray
     point: np.ndarray
     camera: np.ndarray
     xy: np.ndarray
-
-    def where(self, keep: np.ndarray) -> "Observations":
-        """Some of them."""
-        return Observations(
-            keyframe=self.keyframe[keep], point=self.point[keep], camera=self.camera[keep], xy=self.xy[keep]
-        )
 
 
 class WorldMap:

@@ -5,7 +5,7 @@ Pairs are thinned by weak matches (section 2.2), similar images (2.3) and minimu
 base (2.4, ``two_view``; the glue asks for it and hands it in as a column of the pair table).
 """
 
-from dataclasses import dataclass
+from functools import partial
 
 import cv2
 import numpy as np
@@ -13,7 +13,7 @@ import pycolmap
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import breadth_first_order, maximum_flow
 
-from tiegraph.design.design import Thinned
+from tiegraph.design.design import DesignResult
 from tiegraph.geometry import transforms
 from tiegraph.scene.colmapmodel import rigid3d
 from tiegraph.scene.graph import forest, parts
@@ -30,17 +30,7 @@ PARTS = 5  # consecutive partial graphs cut beside the whole one, paper 002 sect
 _LARGEST = 2.0e9  # scipy's maximum flow counts in 32 bit integers
 
 
-def fuse2014(pairs: Pairs, scene: Scene, expected: np.ndarray) -> Thinned:
-    """Thin the pairs as the paper does, which may disconnect the images."""
-    return thinned(pairs, scene, expected, safe=False)
-
-
-def fuse2014_safe(pairs: Pairs, scene: Scene, expected: np.ndarray) -> Thinned:
-    """Thin the pairs as the paper does, and take back what holds together images that were connected."""
-    return thinned(pairs, scene, expected, safe=True)
-
-
-def thinned(pairs: Pairs, scene: Scene, expected: np.ndarray, safe: bool) -> Thinned:
+def thinned(pairs: Pairs, scene: Scene, expected: np.ndarray, safe: bool) -> DesignResult:
     """Thin the pairs as paper 002 does; ``safe`` takes back what holds together images that were connected.
 
     expected (P,) preview matches. Taken literally each cut severs its graph between the first and the last image; the
@@ -57,7 +47,7 @@ def thinned(pairs: Pairs, scene: Scene, expected: np.ndarray, safe: bool) -> Thi
     if safe:
         thin, taken_back = _reconnected(pairs, thin, expected, len(scene))
     kept, n = thin.kept(), len(scene)
-    counts = {
+    counts: dict[str, float] = {
         "weak": _count(pairs, weak),
         "similar": _count(weak, similar),
         "cut": _count(similar, thin) if not safe else _count(similar, thin) + taken_back,
@@ -73,7 +63,11 @@ def thinned(pairs: Pairs, scene: Scene, expected: np.ndarray, safe: bool) -> Thi
         else f"fuse2014: capacities by two-view bundle adjustment of {known} of {all_} pairs, of the others matches "
         "(B/H)^2 in its place"
     )
-    return Thinned(thin, tuple(n for n in (note + more, surrogate) if n), counts)
+    return DesignResult(thin, tuple(n for n in (note + more, surrogate) if n), counts)
+
+
+fuse2014 = partial(thinned, safe=False)
+fuse2014_safe = partial(thinned, safe=True)
 
 
 def image_order(scene: Scene) -> np.ndarray:
@@ -166,16 +160,6 @@ def _pieces(kept: Pairs, before: Pairs, images: int) -> int:
     return len(np.unique(label[np.concatenate([before.i, before.j])]))
 
 
-@dataclass(frozen=True)
-class TwoView:
-    """``moved``: |T - T'| of unit bases, T of the reconstruction from the essential matrix, T' after the adjustment
-    (paper 002, section 2.4); ``range``: distance of the points from the first image, in bases (its equation 1, but the
-    median: at a short base a few points come out so far away that they alone make the mean)."""
-
-    moved: float
-    range: float
-
-
 def two_view(
     xy_a: np.ndarray,
     xy_b: np.ndarray,
@@ -183,8 +167,12 @@ def two_view(
     camera_b: pycolmap.Camera,
     tuning: TwoViewTuning,
     pixel: float = 1.0,
-) -> TwoView | None:
+) -> tuple[float, float] | None:
     """Reconstruct two images from matches xy_a, xy_b (K, 2) pixels and adjust them; None where no geometry is found.
+
+    Gives |T - T'| of unit bases, T of the reconstruction from the essential matrix, T' after the adjustment (paper 002,
+    section 2.4), and the distance of the points from the first image, in bases (its equation 1, but the median: at a
+    short base a few points come out so far away that they alone make the mean).
 
     ``pixel``: size of a pixel of the matches in those of the cameras (previews are reduced images).
     """
@@ -214,7 +202,7 @@ def two_view(
     before = b_from_a[:3, 3] / np.linalg.norm(b_from_a[:3, 3])
     after = moved / max(float(np.linalg.norm(moved)), 1e-12)
     distance = float(np.median(np.linalg.norm(xyz, axis=1)))
-    return TwoView(float(np.linalg.norm(before - after)), distance)
+    return float(np.linalg.norm(before - after)), distance
 
 
 def _adjusted(

@@ -23,7 +23,7 @@ from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.sources import MaskSource, check_shape, each
 from tiegraph.masks.tuning import Meguro2024Tuning
 from tiegraph.masks.tuning import Tuning as MasksTuning
-from tiegraph.network.offsets.curves import OffsetResult, curves_of, facing, votes_of
+from tiegraph.network.offsets.curves import Proposal, curves_of, facing, votes_of
 from tiegraph.network.passes import MatchCache, Pass
 from tiegraph.network.rig import commonview
 from tiegraph.network.rig.axes import allowed_within
@@ -69,10 +69,10 @@ def mask_of_camera(
 MASKS = MaskSource(each(prepare_difference), mask_of_camera)
 
 
-def constant_offsets(p: Pass, q: Pass, cache: MatchCache, settings: CandidatesSettings, tuning: Tuning) -> OffsetResult:
+def constant_offsets(p: Pass, q: Pass, cache: MatchCache, settings: CandidatesSettings, tuning: Tuning) -> Proposal:
     """One offset a camera pair: votes on sampled frames, then every frame within the range around the winner."""
     if p is q and len(p.images) == 1:
-        return OffsetResult(Pairs.empty(), (), ())
+        return Proposal(Pairs.empty())
     scores, notes = _vote_constant(p, q, cache, settings, tuning)
     backwards = p is not q and _backwards_by_votes(scores, settings.min_matches, tuning)
     voted = np.zeros(scores.allowed.shape, bool)
@@ -95,7 +95,7 @@ def constant_offsets(p: Pass, q: Pass, cache: MatchCache, settings: CandidatesSe
         # Where both know a pair, the range decides: "offset" holds only outside of it.
         looked_at = looked_at.where(~looked_at.isin(block)) | block
     curves = curves_of(scores, backwards, voted, settings.min_matches, tuning.counts, best)
-    return OffsetResult(looked_at, curves, notes)
+    return Proposal(looked_at, notes, curves)
 
 
 def _vote_constant(

@@ -15,7 +15,7 @@ from tiegraph.design.design import design as select_pairs
 from tiegraph.design.surface import CoveredSurface, surface_map, surface_png, weak_places
 from tiegraph.features.sift import most_features
 from tiegraph.network.plots import map_png, weak_pairs
-from tiegraph.papers.fuse2014 import TwoView, two_view
+from tiegraph.papers.fuse2014 import two_view
 from tiegraph.pipeline.files import checked, load_npz, load_scene, pairs_of, reading, save_npz, ties_of, visibility_of
 from tiegraph.pipeline.previews import preview_of, previews_of, with_previews
 from tiegraph.project.run import Run
@@ -161,7 +161,7 @@ def with_accuracy(
     matches = np.where(row >= 0, ties.counts()[row], 0)
     usable = np.flatnonzero((pairs.dropped == 0) & (matches >= tuning.min_points))
     items = [_TwoViews(int(pairs.i[k]), int(pairs.j[k]), ties.of(int(row[k]))) for k in usable]
-    found: list[TwoView | None] = run_map(_two_view_item, items, folder, tuning)
+    found: list[tuple[float, float] | None] = run_map(_two_view_item, items, folder, tuning)
     sigma, ratio = np.array(pairs.sigma_m), np.array(pairs.h_over_b)
     frame_i, frame_j = scene.frame[pairs.i], scene.frame[pairs.j]
     apart = np.where(
@@ -172,9 +172,9 @@ def with_accuracy(
     base = np.maximum(apart, 1)
     for k, one in zip(usable, found):
         if one is not None:
-            sigma[k] = one.moved * base[k]
+            sigma[k] = one[0] * base[k]
             if frame_i[k] != frame_j[k]:  # images of one frame are no copies of each other
-                ratio[k] = one.range
+                ratio[k] = one[1]
     return pairs.with_(sigma_m=sigma, h_over_b=ratio)
 
 
@@ -187,7 +187,7 @@ class _TwoViews:
     match: np.ndarray
 
 
-def _two_view_item(item: _TwoViews, folder: Path, tuning: TwoViewTuning) -> TwoView | None:
+def _two_view_item(item: _TwoViews, folder: Path, tuning: TwoViewTuning) -> tuple[float, float] | None:
     i, j, match = item.i, item.j, item.match
     scene = _checked(folder)
     a, b = preview_of(folder, scene.names[i]), preview_of(folder, scene.names[j])

@@ -8,8 +8,7 @@ from typing import Any, Literal
 import numpy as np
 
 from tiegraph.errors import InputError
-from tiegraph.evaluate.clouds.changes import Changes, changes
-from tiegraph.evaluate.clouds.m3c2 import Differences, Sigma, cylinders_of, m3c2_tiled
+from tiegraph.evaluate.clouds.m3c2 import Changes, Differences, Sigma, changes, cylinders_of, m3c2_tiled
 from tiegraph.evaluate.clouds.nearest import Cameras, meeting
 from tiegraph.evaluate.clouds.picture import difference_map
 from tiegraph.evaluate.clouds.register import Registration, registered

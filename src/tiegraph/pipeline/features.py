@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
-from tiegraph.features.extract import extract_image
 from tiegraph.features.settings import FeaturesSettings
+from tiegraph.features.sift import extract_image
 from tiegraph.features.tuning import SiftTuning
 from tiegraph.gpu import on_gpu
 from tiegraph.pipeline.files import mask_path, scanned

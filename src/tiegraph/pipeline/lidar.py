@@ -17,11 +17,9 @@ from tiegraph.evaluate.tuning import Tuning as EvaluateTuning
 from tiegraph.geometry import transforms
 from tiegraph.lidar.adjust import adjusted
 from tiegraph.lidar.handeye import Given, Poses, rig_in_lidar_world
-from tiegraph.lidar.mapcloud import MapCloud
-from tiegraph.lidar.odometry import before_pose, odometry
+from tiegraph.lidar.odometry import MapCloud, before_pose, odometry
 from tiegraph.lidar.scans import Reading, Recording, deskew, open_scans, velocities
 from tiegraph.lidar.settings import LidarSettings
-from tiegraph.lidar.tables import finite
 from tiegraph.lidar.tuning import Tuning
 from tiegraph.pipeline.files import load_json
 from tiegraph.pipeline.lidarrun import SurveyRun, calibrated, compared
@@ -31,6 +29,7 @@ from tiegraph.project.verbtunings import VerbTunings
 from tiegraph.scan.priors.trajectory import write_tum
 from tiegraph.scene.cloudfile import write_cloud
 from tiegraph.scene.results import Cloud
+from tiegraph.text import finite
 
 TRAJECTORY, MAP, RIG, SUMMARY = "trajectory.tum", "map.laz", "rig", "lidar.json"
 _RPE_M = (1.0, 10.0, 100.0)

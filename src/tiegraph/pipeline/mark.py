@@ -142,7 +142,7 @@ class Marking:
         known = [k for k, t in enumerate(found) if not t.why_not]
         if len(known) >= _THREE and _wide(self.surveyed[known]):
             return umeyama(self.surveyed[known], np.array([found[k].place for k in known]))
-        return Similarity(1.0, np.eye(3), np.zeros(3)) if self.placed else None
+        return Similarity() if self.placed else None
 
     def _point(
         self, row: int, target: Target, views: dict[int, tuple[np.ndarray, pycolmap.Camera]], fit: Similarity | None

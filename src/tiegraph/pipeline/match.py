@@ -12,6 +12,7 @@ from tiegraph.pipeline.files import checked, pairs_of, save_npz
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome
 from tiegraph.scene import colmapdatabase as database
+from tiegraph.text import some
 
 
 def forget_matches(folder: Path) -> None:
@@ -33,13 +34,12 @@ def match(run: Run) -> Outcome:
     pairs, report = match_pairs(run.path("database.db"), scene, asked, rules, run.log, progress, side)
     save_npz(run.path("match.npz"), **pairs.to_npz())
     alone = np.flatnonzero(pairs.degree(len(scene)) == 0)
-    lonely = (f"{len(alone)} images have no verified pair: {_some(scene.names, alone)}",) if len(alone) else ()
+    lonely = (
+        (f"{len(alone)} images have no verified pair: {some((scene.names[k] for k in alone), 5)}",)
+        if len(alone)
+        else ()
+    )
     notes = (*lonely, *(("matched by COLMAP on a GPU",) if on_gpu() else ()))
     kinds = {"columns": ["two-view geometry", "pairs"], "rows": [[k, n] for k, n in report.configurations.items()]}
     counts = {n: getattr(report, n) for n in ("asked", "matched", "verified", "matches", "inliers")}
     return Outcome(counts, dropped=report.lost, notes=notes, tables={"two-view geometries": kinds})
-
-
-def _some(names: tuple[str, ...], indices: np.ndarray, most: int = 5) -> str:
-    shown = ", ".join(names[k] for k in indices[:most])
-    return shown + (f" and {len(indices) - most} more" if len(indices) > most else "")

@@ -116,8 +116,8 @@ def _passes(scene: Scene) -> dict[str, np.ndarray]:
     """Frames of each pass in order; loose photographs in the order of their names."""
     if not scene.sequences:
         return {"": np.arange(scene.frames)}
-    frames = {name: np.flatnonzero(scene.sequence == k) for k, name in enumerate(scene.sequences)}
-    return {name: own[np.argsort(scene.sequence_index[own], kind="stable")] for name, own in frames.items() if len(own)}
+    frames = {name: scene.in_order(scene.sequence == k) for k, name in enumerate(scene.sequences)}
+    return {name: own for name, own in frames.items() if len(own)}
 
 
 def _rig_from_body(run: Run) -> np.ndarray:

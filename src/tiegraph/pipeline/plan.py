@@ -198,7 +198,7 @@ def _camera(
     if not known and focal_px is None:
         raise InputError(f"the focal length of {sensor.name} is not known: give --focal and --pixel, or --focal-px")
     facts = FileFacts(size, focal_px or float("nan"), upright=True, levels=EIGHT_BIT, loose=False)
-    return calibrate(sensor, facts, spec.file, ScanSettings(), tuning.rig.camera).camera
+    return calibrate(sensor, facts, spec.file, ScanSettings(), tuning.rig.camera)[0]
 
 
 # --- the page -------------------------------------------------------------------------------------------------------

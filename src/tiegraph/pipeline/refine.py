@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 from tiegraph.geometry.gravity import up_vector
 from tiegraph.masks import NAMES, USE, WATER
 from tiegraph.masks.frames import full_size
-from tiegraph.masks.skypoints import places, without_points
+from tiegraph.masks.skyline import places, without_points
 from tiegraph.masks.tuning import Tuning
 from tiegraph.masks.waterline import (
     Lines,

@@ -15,7 +15,6 @@ from tiegraph.cloud.settings import CloudSettings
 from tiegraph.errors import InputError, ReconstructionError
 from tiegraph.geometry import transforms
 from tiegraph.geometry.geodesy import ENU, Origin
-from tiegraph.lidar.tables import finite
 from tiegraph.pipeline.clouds import new_folder
 from tiegraph.project.progress import Reporter
 from tiegraph.project.run import save_json
@@ -27,6 +26,7 @@ from tiegraph.stations.joined import Band, Joined, by_distance, join, prepared
 from tiegraph.stations.pairs import Pair
 from tiegraph.stations.station import Shot, Station, spacing_of
 from tiegraph.stations.tuning import SpacingTuning, Tuning
+from tiegraph.text import finite
 
 ENDINGS = (".ply", ".las", ".laz")
 CLOUD, POSES, SUMMARY = "cloud.laz", "stations.tum", "stations.json"

@@ -57,15 +57,6 @@ class Network:
 
 
 @dataclass(frozen=True)
-class _Draw:
-    """Points that start from an image, unevenness of the surface (sigma, m), and the generator."""
-
-    start: int
-    relief_m: float
-    rng: np.random.Generator
-
-
-@dataclass(frozen=True)
 class _Sights:
     """Observations: image, point and pixel of each; the points; how much of each image shows surface."""
 
@@ -96,9 +87,7 @@ def make_network(
     path = replace(path, world_from_body=path.world_from_body @ transforms.rigid(wobble, np.zeros(3)))
     sensor_from_world = _poses(path, cameras)
     images = len(sensor_from_world)
-    start = int(max(tuning.least_points, tuning.most_points // images))
-    drawn = _Draw(start, relief_m, rng)
-    sights = _sights(path, cameras, sensor_from_world, drawn, tuning)
+    sights = _sights(path, cameras, sensor_from_world, relief_m, rng, tuning)
     if len(sights.xyz) < 3 * len(path):
         raise InputError(
             f"only {len(sights.xyz)} points of the surface are seen by two of the {images} images: they see past it or "
@@ -145,11 +134,12 @@ def _sights(
     path: Path,
     cameras: list[MountedCamera],
     poses: np.ndarray,
-    drawn: _Draw,
+    relief_m: float,
+    rng: np.random.Generator,
     tuning: NetworkTuning,
 ) -> _Sights:
-    """Points that start from images, and which images see them."""
-    start, relief_m, rng = drawn.start, drawn.relief_m, drawn.rng
+    """Points that start from images, and which images see them; ``relief_m``: sigma of the surface's unevenness."""
+    start = int(max(tuning.least_points, tuning.most_points // len(poses)))
     xyz, normal, base = [], [], []
     for k, pose in enumerate(poses):
         camera = cameras[k % len(cameras)].camera

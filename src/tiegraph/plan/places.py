@@ -9,6 +9,7 @@ from tiegraph.plan.network import MountedCamera, Network, Ties, make_network
 from tiegraph.plan.path import Path
 from tiegraph.plan.tuning import Tuning
 from tiegraph.plan.world import ControlPoints, Receiver, control_point, known_of
+from tiegraph.text import finite
 
 _WORST = 3  # places of the largest sigmas that are named
 
@@ -29,7 +30,7 @@ class Place:
 
     def row(self) -> dict[str, str | float | None]:
         """JSON-ready."""
-        return {k: None if isinstance(v, float) and not np.isfinite(v) else v for k, v in self.__dict__.items()}
+        return finite(self.__dict__)
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,6 @@ _POINT, _INK = "#b8c0c8", "#2a3138"
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")  # Okabe and Ito 2008
 FORMAT = 1
 _WAYS = ("canal", "road", "corridor", "tunnel")
-_STREETS = ("canal", "road")
 
 
 @dataclass(frozen=True)
@@ -139,7 +138,7 @@ def _with_path(
         passes=(2 if asked.shape == "canal" else 1) if asked.passes is None else asked.passes,
         turned_deg=(asked.yaw, asked.pitch),
     )
-    uneven = tuning.network.street_relief if asked.shape in _STREETS else tuning.network.relief
+    uneven = tuning.network.street_relief if asked.shape in ("canal", "road") else tuning.network.relief
     relief = uneven * made.distance_m if asked.relief is None else asked.relief
     if not relief >= 0:
         raise InputError(f"--relief {relief:g}: give metres, zero or more")

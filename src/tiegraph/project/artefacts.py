@@ -25,6 +25,7 @@ from tiegraph.project.ledger import (
 from tiegraph.project.receipts import Receipts
 from tiegraph.project.stages import Outcome, Stage
 from tiegraph.scene.atomic import JOURNAL
+from tiegraph.text import some
 
 _LET_GO = "files let go"
 OTHER_KEY = "its inputs or settings changed"
@@ -112,10 +113,9 @@ class Artefacts:
         """Raise InputError if there are strangers."""
         found = self.strangers(stage)
         if found:
-            shown = ", ".join(found[:_SHOWN]) + (f" and {len(found) - _SHOWN} more" if len(found) > _SHOWN else "")
             raise InputError(
-                f"{self.folder}: {shown} lie where stage {stage.name} writes its results, and no receipt says that "
-                "tiegraph made them: move them elsewhere, or give another -o folder"
+                f"{self.folder}: {some(found, _SHOWN)} lie where stage {stage.name} writes its results, and no receipt "
+                "says that tiegraph made them: move them elsewhere, or give another -o folder"
             )
 
     # --- a stage's life -----------------------------------------------------------------------------------------------
@@ -146,12 +146,11 @@ class Artefacts:
             said += [f"the list of what {stage.name} made was damaged: its files are in {place} now"] if place else []
             names, ledger = [], {}
         self.refuse(stage)
-        told = "; ".join(f"{n} {what}" for n, what in list(troubles.items())[:_SHOWN])
+        told = some((f"{n} {what}" for n, what in troubles.items()), _SHOWN, joint="; ")
         changed = [n for n, what in troubles.items() if what != "is missing" and covered(n, _tops(stage))]
         place = put_aside(self.folder, [n for n in changed if (self.folder / n).exists()])
         if troubles:
-            more = f" and {len(troubles) - _SHOWN} more" if len(troubles) > _SHOWN else ""
-            said.append(f"{told}{more}: made again" + (f"; what was there is in {place} now" if place else ""))
+            said.append(f"{told}: made again" + (f"; what was there is in {place} now" if place else ""))
         names = [n for n in names if n not in set(changed)]
         if self._other(stage, key) or (troubles and not stage.item):
             if stage.clear is not None:

@@ -13,7 +13,7 @@ from typing import Any
 from tiegraph.errors import InputError
 from tiegraph.project.daskworker import Seen
 from tiegraph.project.pool import Place
-from tiegraph.project.software import software
+from tiegraph.project.receipts import software
 
 FREE_S = 60.0  # for a worker to become free of what it does and to load tiegraph
 

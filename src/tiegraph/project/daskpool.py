@@ -29,7 +29,7 @@ from tiegraph.project.daskcluster import FREE_S, Quiet, connect, other_versions,
 from tiegraph.project.daskworker import GOES_ON
 from tiegraph.project.pool import Place
 from tiegraph.project.progress import Elsewhere
-from tiegraph.project.software import software
+from tiegraph.project.receipts import software
 
 log = logging.getLogger(__name__)
 

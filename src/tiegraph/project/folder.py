@@ -19,6 +19,7 @@ from tiegraph.project.progress import LogFormatter
 from tiegraph.project.stages import digest, write_atomic
 from tiegraph.scene.atomic import MARK
 from tiegraph.scene.regular import real_path
+from tiegraph.text import some
 
 log = logging.getLogger("tiegraph")
 
@@ -54,12 +55,11 @@ def check_folder(folder: Path) -> None:
     if not there or is_marked(folder):
         check_format(folder)
         return
-    shown = ", ".join(there[:3]) + (f" and {len(there) - 3} more" if len(there) > 3 else "")
     if (folder / "receipts" / "scan.json").is_file():
         raise _other_version(folder, "an earlier")
     raise InputError(
-        f"-o {folder} holds files that tiegraph did not make ({shown}): give a new or empty folder for the results, "
-        f"such as {folder / 'tiegraph_out'}"
+        f"-o {folder} holds files that tiegraph did not make ({some(there, 3)}): give a new or empty folder for the "
+        f"results, such as {folder / 'tiegraph_out'}"
     )
 
 

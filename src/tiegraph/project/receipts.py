@@ -1,9 +1,14 @@
-"""What each stage says of itself when it is done (or that it began), and the list of the files it made."""
+"""What each stage says of itself when it is done (or that it began), the list of the files it made, and the versions
+that its result depends on."""
 
 import json
+import platform
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+from tiegraph.__version__ import __version__
 from tiegraph.project.ledger import Ledger
 from tiegraph.project.stages import write_atomic
 
@@ -60,3 +65,20 @@ def _plain(value: Any) -> Any:
     if isinstance(value, Path):
         return str(value)
     raise TypeError(f"not JSON: {type(value)}")
+
+
+_PACKAGES = ("pycolmap", "pycolmap-cuda12", "numpy", "opencv-python-headless", "scipy", "laspy", "pyproj")
+
+
+def software() -> dict[str, str]:
+    """Versions of tiegraph, Python and the packages that are installed of those a result depends on."""
+    found = {package: known for package in _PACKAGES if (known := _version(package))}
+    return {"tiegraph": __version__, "python": platform.python_version(), **found}
+
+
+@cache  # every receipt tells it, and to read a package's description takes milliseconds
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return ""

@@ -26,8 +26,7 @@ from tiegraph.project.folder import LOG, check_folder, check_inputs, working_in
 from tiegraph.project.inputs import Inputs
 from tiegraph.project.pool import LocalPool, Place, check_pool, map_items, open_pool
 from tiegraph.project.progress import Elsewhere, Meter, Reporter
-from tiegraph.project.receipts import Receipts
-from tiegraph.project.software import software
+from tiegraph.project.receipts import Receipts, software
 from tiegraph.project.stages import Stage, engines, key_parts, needed, stage_keys, write_atomic
 from tiegraph.project.stamps import Stamps
 from tiegraph.scene.bags import source_of

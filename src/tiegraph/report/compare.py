@@ -18,8 +18,6 @@ from tiegraph.report.summary import metric_values
 from tiegraph.scene.atomic import replacing
 from tiegraph.scene.pairs import AFTER_MATCHING, REASONS
 
-_CLOUD_POINTS = 1000  # only the count is wanted
-
 # row -> the stages it adds up; names as in paper 000 table 1 and paper 001 table 5
 _TIMES: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("Mask image creation", ("masks", "refine")),
@@ -99,7 +97,7 @@ def compared(folders: Sequence[Path]) -> Comparison:
     """The tables of the runs."""
     if len(folders) < 2:
         raise InputError("tiegraph compare needs at least two run folders")
-    runs = [read_run(Path(f), _CLOUD_POINTS) for f in folders]
+    runs = [read_run(Path(f), cloud_points=1000) for f in folders]
     blocks = (
         _block("Wall time", _times(runs, "seconds"), formatting.seconds),
         _block("CPU time", _times(runs, "cpu_s"), formatting.seconds),

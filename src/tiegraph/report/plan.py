@@ -33,10 +33,9 @@ def tracks(scene: Scene, positions: np.ndarray) -> list[Track]:
     guess = np.where(np.isfinite(between), between, scene.world_from_rig[:, :3, 3])
     out = []
     for t in [*range(len(scene.sequences)), -1]:
-        frames = np.flatnonzero(scene.sequence == t)
+        frames = scene.in_order(scene.sequence == t)
         if not len(frames):
             continue
-        frames = frames[np.argsort(scene.sequence_index[frames], kind="stable")]
         at = positions[frames]
         missing = guess[frames][~np.isfinite(at[:, 0]) & np.isfinite(guess[frames, 0])]
         out.append(Track(scene.sequences[t] if t >= 0 else "images", at, missing))

@@ -32,7 +32,6 @@ STAGES = (
     "scan", "masks", "preview", "candidates", "coarse", "network", "design", "features", "match", "filter", "sparse",
     "georef", "refine", "dense", "cloud", "evaluate", "report",
 )  # fmt: skip
-_WORLD_NAMES = {"scale_from": "scale_source"}
 
 
 @dataclass(frozen=True)
@@ -190,8 +189,7 @@ def _json(path: Path) -> dict:
 def _world(data: dict) -> dict:
     """world.json under the names the report uses; what it does not know stays as it is."""
     out = dict(data)
-    for ours, theirs in _WORLD_NAMES.items():
-        out.setdefault(ours, data.get(theirs))
+    out.setdefault("scale_from", data.get("scale_source"))
     if out.get("shift_m") is None:
         out["shift_m"] = (data.get("origin") or {}).get("shift_m")
     return out if data else {}

@@ -33,8 +33,7 @@ from tiegraph.scan.tuning import FoldersTuning, Tuning
 from tiegraph.scene.exif import Exif
 from tiegraph.scene.images import OF_CAMERAS, SUFFIXES, Probe
 from tiegraph.scene.scene import Dropped
-
-_NAMED = 4  # how many names a note shows
+from tiegraph.text import some
 
 
 @dataclass(frozen=True)
@@ -276,12 +275,6 @@ def _millimetres(exif: Exif) -> str:
 def _lenses(usable: Usable) -> set[tuple[str, str]]:
     """What the files call their lenses, and the focal lengths; several are several cameras, whatever took them."""
     return {(p.exif.lens, _millimetres(p.exif)) for p in usable.probes} - {("", "")}
-
-
-def some(texts: Iterable[str]) -> str:
-    """The first few texts and how many more there are."""
-    listed = list(texts)
-    return ", ".join(listed[:_NAMED]) + (f" and {len(listed) - _NAMED} more" if len(listed) > _NAMED else "")
 
 
 def usable_images(names: Sequence[str], probes: Sequence[Probe], report: Report) -> Usable:

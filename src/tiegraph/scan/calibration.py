@@ -14,7 +14,7 @@ import numpy as np
 import pycolmap
 
 from tiegraph.errors import InputError
-from tiegraph.scan.assign import Survey, some
+from tiegraph.scan.assign import Survey
 from tiegraph.scan.priors.poses import images_by_name
 from tiegraph.scan.priors.startmodel import StartModel
 from tiegraph.scan.rigfiles.camerafile import PROGRAMS, check_lens, in_words, read_camera_file
@@ -24,6 +24,7 @@ from tiegraph.scan.rigfiles.rigspec import SensorSpec
 from tiegraph.scan.tuning import CameraTuning, RigTuning
 from tiegraph.scene.rays import on_plane
 from tiegraph.scene.regular import names_file, regular
+from tiegraph.text import some
 
 WORDS = (
     "give MODEL,parameters as COLMAP names and orders them (such as OPENCV,4000x3000,fx,fy,cx,cy,k1,k2,p1,p2; the size "

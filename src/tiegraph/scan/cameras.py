@@ -29,19 +29,11 @@ class FileFacts:
     radius_px: float = float("nan")  # of the circle that a fisheye lens lights of most of them, NaN = none shows
 
 
-@dataclass(frozen=True)
-class Calibrated:
-    """Camera of the prepared images, how to prepare them, and where the focal length comes from (for people)."""
-
-    camera: pycolmap.Camera
-    source: Source | None
-    how: str
-
-
 def calibrate(
     spec: SensorSpec, facts: FileFacts, file: str, settings: ScanSettings, tuning: CameraTuning
-) -> Calibrated:
-    """Camera of a sensor; ``file`` is the rig file, "" for presets and guesses.
+) -> tuple[pycolmap.Camera, Source | None, str]:
+    """Camera of a sensor's prepared images, how to prepare them, and where the focal length comes from (for people);
+    ``file`` is the rig file, "" for presets and guesses.
 
     Raises InputError if the rig file's camera does not fit the images, if cropping leaves nothing, or if undistortion
     is asked for a camera that is not calibrated.
@@ -72,7 +64,7 @@ def calibrate(
     changed = spec.view_of_panorama or any(crop) or prepared.model != camera.model or not facts.upright or deep
     source = Source(camera=camera, crop_px=crop, upright=facts.upright, levels=facts.levels, part=spec.part)
     source = replace(source, panorama=spec.view_of_panorama)
-    return Calibrated(prepared, source if changed or spec.part is not None else None, how)
+    return prepared, source if changed or spec.part is not None else None, how
 
 
 def _file_camera(

@@ -18,13 +18,14 @@ from scipy.spatial.transform import Rotation
 
 from tiegraph.errors import InputError
 from tiegraph.geometry.transforms import rigid
-from tiegraph.scan.assign import Report, Shot, Survey, some
+from tiegraph.scan.assign import Report, Shot, Survey
 from tiegraph.scan.rigfiles.rigspec import orient
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import LensViewsTuning, PanoramaTuning
 from tiegraph.scene.fisheye import is_fisheye, seen_half_deg
 from tiegraph.scene.images import Probe
 from tiegraph.scene.rig import LensView, Rig, Sensor, SensorPair, Source
+from tiegraph.text import some
 
 
 @dataclass(frozen=True)

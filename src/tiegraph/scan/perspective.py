@@ -9,13 +9,14 @@ import pycolmap
 
 from tiegraph.errors import InputError
 from tiegraph.geometry.transforms import rigid
-from tiegraph.scan.assign import Report, Shot, Survey, Usable, some
+from tiegraph.scan.assign import Report, Shot, Survey, Usable
 from tiegraph.scan.folders import guess_layout
 from tiegraph.scan.rigfiles.rigspec import RigSpec, SensorSpec, orient
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import PanoramaTuning, Tuning
 from tiegraph.scene.images import Probe
 from tiegraph.scene.panorama import seen
+from tiegraph.text import some
 
 PRESET = "panorama"
 

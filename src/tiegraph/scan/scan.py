@@ -8,7 +8,7 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 
-from tiegraph.scan.assign import Report, Shot, Survey, Usable, assign, need_two, some, usable_images, zoomed
+from tiegraph.scan.assign import Report, Shot, Survey, Usable, assign, need_two, usable_images, zoomed
 from tiegraph.scan.calibration import with_camera, with_start_cameras
 from tiegraph.scan.cameras import FileFacts, calibrate
 from tiegraph.scan.fisheye import ImageFiles, into_views, with_lit_circle
@@ -31,6 +31,7 @@ from tiegraph.scene.images import IMAGES_FOLDER, Probe, find_images, probe_image
 from tiegraph.scene.names import clean, shortened
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene
+from tiegraph.text import some
 
 __all__ = ["Probe", "ScanInputs", "build_scene", "find_images", "prepare_image", "probe_image"]
 
@@ -163,16 +164,16 @@ def _rigs(
             sensor = spec.sensors[k]
             renumber[r, k] = len(rigs), len(sensors)
             facts = _facts(groups[r, k], probes, survey.loose, tuning)
-            calibrated = calibrate(sensor, facts, spec.file, settings, tuning.rig.camera)
-            hows.setdefault(calibrated.how, []).append(sensor.name)
+            camera, source, how = calibrate(sensor, facts, spec.file, settings, tuning.rig.camera)
+            hows.setdefault(how, []).append(sensor.name)
             pose = _sensor_from_rig(spec, k, present[0])
             made = Sensor(
                 name=sensor.name,
-                camera=calibrated.camera,
+                camera=camera,
                 sensor_from_rig=pose,
                 role=sensor.role,
                 folder=sensor.folder or "",
-                source=calibrated.source,
+                source=source,
             )
             made = with_lit_circle(made, [probes[s.image] for s in groups[r, k]], tuning.lens_views)
             made = replace(made, sigma_deg=sensor.sigma_deg, sigma_m=sensor.sigma_m)

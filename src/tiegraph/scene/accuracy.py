@@ -11,6 +11,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from tiegraph.text import finite
+
 NAN = float("nan")
 LAYERS = {"world": "in the world", "shape": "in shape", "point": "of a point"}
 """Key of a layer -> its name, in the order they are stated."""
@@ -87,7 +89,7 @@ class Accuracy:
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready; NaN as null. The ratio stands beside the values."""
-        figures = [{k: _finite(v) for k, v in {**asdict(f), RATIO: f.ratio}.items()} for f in self.figures]
+        figures = [finite({**asdict(f), RATIO: f.ratio}) for f in self.figures]
         out = {"unit": self.unit, "held_by": self.held_by, "figures": figures, "placement": dict(self.placement)}
         return {**out, "tolerance": None if self.answer is None else asdict(self.answer)}
 
@@ -104,7 +106,3 @@ class Accuracy:
             placement=data.get("placement") or {},
             answer=None if answer is None else Answer(**answer),
         )
-
-
-def _finite(value: Any) -> Any:
-    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -19,8 +19,8 @@ from typing import Any
 from tiegraph.errors import EngineMissing, InputError
 from tiegraph.scene.names import clean
 from tiegraph.scene.regular import regular
+from tiegraph.text import some
 
-_LISTED = 12  # topics in an error
 ROS1 = (".bag", ".active")  # the second while it is recorded
 SUFFIXES = (*ROS1, ".mcap", ".db3")
 METADATA, _MARK, _HEAD = "metadata.yaml", b"rosbag2_bagfile_information", 4096
@@ -137,8 +137,7 @@ class Bag:
     def _listed(self, topics: Sequence[Topic]) -> str:
         """Topics in words; of none, all that there are."""
         listed, what = topics or self.topics, "topics of that kind" if topics else "topics in it"
-        more = f" and {len(listed) - _LISTED} more" if len(listed) > _LISTED else ""
-        return f"{len(listed)} {what}: {', '.join(map(str, listed[:_LISTED]))}{more}" if listed else "it is empty"
+        return f"{len(listed)} {what}: {some(map(str, listed), 12)}" if listed else "it is empty"
 
 
 @contextmanager

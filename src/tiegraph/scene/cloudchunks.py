@@ -20,6 +20,7 @@ from tiegraph.scene.atomic import replacing
 from tiegraph.scene.cloudfile import las_header, ply_parts, refuse_cut_las, shift_of, undate
 from tiegraph.scene.regular import regular
 from tiegraph.scene.results import Cloud
+from tiegraph.scene.sorting import Columns
 
 CLOUD_ENDINGS = (".las", ".laz", ".ply", ".e57")
 _PART = 1_000_000
@@ -27,14 +28,11 @@ _FIRST_BYTES = {".las": b"LASF", ".laz": b"LASF", ".ply": b"ply", ".e57": b"ASTM
 
 
 @dataclass(frozen=True)
-class Points:
+class Points(Columns):
     """Some points of a cloud: ``xyz`` (N, 3) f8 and ``sigma`` (N,) one standard deviation of a point, NaN = unknown."""
 
     xyz: np.ndarray
     sigma: np.ndarray
-
-    def __len__(self) -> int:
-        return len(self.xyz)
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,7 @@
 """Control points in the survey: places in its world, marks as pixels of its prepared images."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
-from typing import Any
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -29,6 +28,8 @@ from tiegraph.scene.markpixels import (
 )
 from tiegraph.scene.names import found_by, lookup_of
 from tiegraph.scene.scene import Scene
+from tiegraph.scene.sorting import Columns
+from tiegraph.text import some
 
 MIN_MARKS = 2  # of a point whose place in the model can be found: two rays meet
 NEAR_M = 1000.0  # beyond the positions of the survey, where control points still lie
@@ -47,7 +48,7 @@ class TargetMark:
 
 
 @dataclass(frozen=True)
-class Marks:
+class Marks(Columns):
     """M marks: rows of their points and scene indices of their images (M,), xy_px (M, 2) in COLMAP's pixels of the
     prepared image, line (M,) in the file, 0 = found by itself, sigma_px (M,), NaN = as of one set by hand; file_px
     (M, 2) as the file has it, NaN = as it is, orientation (M,) of the image by EXIF, for what was marked in a copy."""
@@ -59,14 +60,6 @@ class Marks:
     sigma_px: np.ndarray
     file_px: np.ndarray | None = None
     orientation: np.ndarray | None = None
-
-    def __len__(self) -> int:
-        return len(self.point)
-
-    def where(self, keep: np.ndarray) -> "Marks":
-        """Those that ``keep`` (M,) names."""
-        own: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self) if getattr(self, f.name) is not None}
-        return Marks(**{name: value[keep] for name, value in own.items()})
 
 
 @dataclass(frozen=True)
@@ -280,11 +273,10 @@ def _few_marks(file: GcpFile, count: np.ndarray, notes: list[str]) -> None:
     if not len(few):
         return
     first = file.points[few[0]]
-    names = ", ".join(f"{file.points[k].name!r} ({count[k]})" for k in few[:_SHOWN])
-    more = f" and {len(few) - _SHOWN} more" if len(few) > _SHOWN else ""
+    names = some((f"{file.points[k].name!r} ({count[k]})" for k in few), _SHOWN)
     notes.append(
         f"{file.path.name}, line {first.line}: {len(few)} of {len(file.points)} points have less than {MIN_MARKS} "
-        f"marks in the survey's images and cannot be used: {names}{more}"
+        f"marks in the survey's images and cannot be used: {names}"
     )
 
 

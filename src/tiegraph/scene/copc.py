@@ -79,10 +79,9 @@ def write_copc(
     records once more while it is written; ``said`` (ASCII) stands in its header. Returns remarks as ``write_cloud``.
     Raises TiegraphError for a full disk.
     """
-    whole = _extent(parts())
-    first, low, high = whole.first, whole.low, whole.high
+    first, low, high = _extent(parts())
     header, notes = las_header(first, spacing, said)
-    if not whole.count:
+    if not np.isfinite(low).all():
         low, high = np.zeros(3), np.ones(3)
     low, high = (v + shift_of(first.origin) for v in (low, high))
     side = float(max((high - low).max(), _CELLS * spacing)) * (1 + 1e-6)
@@ -100,25 +99,15 @@ def write_copc(
     return notes
 
 
-@dataclass(frozen=True)
-class _Extent:
-    """The first part of a cloud, the corners (3,) of all, and how many points there are."""
-
-    first: Cloud
-    low: np.ndarray
-    high: np.ndarray
-    count: int
-
-
-def _extent(parts: Iterator[Cloud]) -> _Extent:
-    low, high, count = np.full(3, np.inf), np.full(3, -np.inf), 0
+def _extent(parts: Iterator[Cloud]) -> tuple[Cloud, np.ndarray, np.ndarray]:
+    """The first part of a cloud, and the corners (3,) of all, infinite where there are no points."""
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
     first: Cloud | None = None
     for part in parts:
         first = part if first is None else first
         if len(part):
             low, high = np.minimum(low, part.xyz_m.min(axis=0)), np.maximum(high, part.xyz_m.max(axis=0))
-            count += len(part)
-    return _Extent(first=Cloud.empty() if first is None else first, low=low, high=high, count=count)
+    return Cloud.empty() if first is None else first, low, high
 
 
 def _spilled(parts: Iterator[Cloud], tree: _Octree, header: laspy.LasHeader, path: Path) -> _Spill:

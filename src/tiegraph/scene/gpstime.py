@@ -14,10 +14,9 @@ GPS_EPOCH_S = 315964800.0  # 6 January 1980, 0 h UTC, in seconds since 1970
 WEEK_S = 604800.0
 DAY_S = 86400.0
 DATED_S = 1e8  # 1973: times above this are dates
-ROLLOVER_WEEKS = 1024
+ROLLOVER_WEEKS = 1024  # receivers that count weeks in ten bits begin again at 0, first on 22 August 1999
 ROLLOVER_S = ROLLOVER_WEEKS * WEEK_S
 _SEAM_S = 60.0  # rows on both sides of midnight lie no farther apart
-_FIRST_FULL_WEEK = 1024  # 22 August 1999; receivers that count weeks in ten bits begin again at 0 there
 _LEAP_DAYS = (
     "1981-07-01", "1982-07-01", "1983-07-01", "1985-07-01", "1988-01-01", "1990-01-01", "1991-01-01", "1992-07-01",
     "1993-07-01", "1994-07-01", "1996-01-01", "1997-07-01", "1999-01-01", "2006-01-01", "2009-01-01", "2012-07-01",
@@ -100,7 +99,7 @@ def leap_seconds(time_s: np.ndarray) -> np.ndarray:
 
 def check_week(week: float, where: str) -> None:
     """Raise InputError, naming where it stands, for a week that is no whole GPS week counted since 1980."""
-    if not (week == int(week) and _FIRST_FULL_WEEK <= week < 5 * _FIRST_FULL_WEEK):
+    if not (week == int(week) and ROLLOVER_WEEKS <= week < 5 * ROLLOVER_WEEKS):
         raise InputError(
             f"{where}: GPS week {week:g} is none since 1999: write the full count of weeks since 6 January 1980, not "
             "the one modulo 1024"

@@ -11,6 +11,7 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components, maxi
 
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
+from tiegraph.text import some
 
 BLOCK = 1 << 22  # links looked at together
 
@@ -218,12 +219,12 @@ def component_notes(pairs: Pairs, scene: Scene) -> tuple[str, ...]:
     notes = []
     lonely = [scene.names[k] for k in np.flatnonzero(size[labels] == 1)] if len(scene) > 1 else []
     if lonely:
-        notes.append(f"{len(lonely)} images have no pair: {some(lonely)}")
+        notes.append(f"{len(lonely)} images have no pair: {some(lonely, 10)}")
     several = np.flatnonzero(size > 1)
     if len(several) > 1:
         named = [f"{size[k]} images with {scene.names[int(np.argmax(labels == k))]}" for k in several]
         held = "; the frames of the rig hold them together" if _frames_connected(pairs, scene) else ""
-        notes.append(f"the pairs fall into {len(several)} components: {some(named)}{held}")
+        notes.append(f"the pairs fall into {len(several)} components: {some(named, 10)}{held}")
     return tuple(notes)
 
 
@@ -231,12 +232,6 @@ def _frames_connected(pairs: Pairs, scene: Scene) -> bool:
     """Whether all frames are one component, every image standing for its frame."""
     kept = pairs.kept()
     return int(parts(scene.frame[kept.i], scene.frame[kept.j], scene.frames).max(initial=0)) == 0
-
-
-def some(names: list[str], limit: int = 10) -> str:
-    """The first names of a list, and how many more there are."""
-    more = f" and {len(names) - limit} more" if len(names) > limit else ""
-    return ", ".join(names[:limit]) + more
 
 
 def unite(first: np.ndarray, links: Iterable[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:

@@ -184,7 +184,7 @@ def _along_tree(tree: list[Join], models: int) -> list[Similarity]:
     for root in range(models):
         if at[root] is not None:
             continue
-        at[root] = Similarity(1.0, np.eye(3), np.zeros(3))
+        at[root] = Similarity()
         todo = [root]
         while todo:
             here = todo.pop()

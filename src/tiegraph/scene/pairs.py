@@ -14,6 +14,7 @@ import numpy as np
 from tiegraph.errors import InputError
 from tiegraph.scene.names import plain_name
 from tiegraph.scene.scene import Scene
+from tiegraph.scene.sorting import Columns
 from tiegraph.scene.textfile import decoded, delimiter_of_rows, filled_lines, split_cells, whole_file
 from tiegraph.text import csv_text
 
@@ -47,7 +48,7 @@ def pair_key(i: np.ndarray, j: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Pairs:
+class Pairs(Columns):
     """P pairs of images i < j, sorted and unique; columns (P,), read-only.
 
     ``source`` is a bit set over SOURCES, ``dropped`` an index into REASONS (0 = kept), ``score`` the preview matches
@@ -115,9 +116,6 @@ class Pairs:
         """No pairs."""
         return Pairs.make(np.zeros(0, int), np.zeros(0, int), "sequence")
 
-    def __len__(self) -> int:
-        return len(self.i)
-
     def __or__(self, other: Pairs) -> Pairs:
         """Both tables: sources are united, a pair kept in either is kept, known numbers win over NaN (self first)."""
         both = {n: np.concatenate([getattr(self, n), getattr(other, n)]) for n in self.columns()}
@@ -139,10 +137,6 @@ class Pairs:
     def kept(self) -> Pairs:
         """Only the pairs that were not dropped."""
         return self.where(self.dropped == 0)
-
-    def where(self, mask: np.ndarray) -> Pairs:
-        """The rows of a boolean mask (P,)."""
-        return Pairs(**{n: getattr(self, n)[mask] for n in self.columns()})
 
     def drop(self, mask: np.ndarray, reason: str) -> Pairs:
         """Mark kept rows of a mask (P,) as dropped for a reason; rows already dropped keep their first reason."""

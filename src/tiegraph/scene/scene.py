@@ -68,6 +68,11 @@ class Scene:
         """Number of frames."""
         return len(self.rig)
 
+    def in_order(self, chosen: np.ndarray) -> np.ndarray:
+        """(K,) frames of a mask (F,) in the order of their steps."""
+        own = np.flatnonzero(chosen)
+        return own[np.argsort(self.sequence_index[own], kind="stable")]
+
     @cached_property
     def image_index(self) -> dict[str, int]:
         """Index of an image by name."""
@@ -278,8 +283,7 @@ def between_neighbours(positions: np.ndarray, scene: Scene) -> np.ndarray:
     number. Beyond the known ends of a pass they stay unknown."""
     out = positions.copy()
     for number in np.unique(scene.sequence[scene.sequence >= 0]):
-        own = np.flatnonzero(scene.sequence == number)
-        own = own[np.argsort(scene.sequence_index[own], kind="stable")]
+        own = scene.in_order(scene.sequence == number)
         known = np.flatnonzero(np.isfinite(positions[own]).all(axis=1))
         if len(known) > 1:
             inside = np.arange(known[0], known[-1] + 1)

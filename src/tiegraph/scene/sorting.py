@@ -1,6 +1,23 @@
-"""Sorting of many whole numbers: points by voxel, tile or node."""
+"""Many numbers: tables of columns, sorting of points by voxel, tile or node, even samples."""
+
+from dataclasses import fields, replace
+from typing import TypeVar
 
 import numpy as np
+
+T = TypeVar("T", bound="Columns")
+
+
+class Columns:
+    """Base of dataclasses whose arrays, the first field among them, are columns of one length; others are of all."""
+
+    def __len__(self) -> int:
+        return len(getattr(self, fields(self)[0].name))  # type: ignore[arg-type]
+
+    def where(self: T, rows: np.ndarray) -> T:
+        """The rows of a mask or index array."""
+        named = {f.name: getattr(self, f.name) for f in fields(self)}  # type: ignore[arg-type]
+        return replace(self, **{n: v[rows] for n, v in named.items() if isinstance(v, np.ndarray)})  # type: ignore
 
 
 def run_starts(numbers: np.ndarray) -> np.ndarray:

@@ -18,7 +18,6 @@ import numpy as np
 from tiegraph.scene.cells import number
 
 XMP_TAG = 700  # of TIFF
-_MAX_DEG = 360.0
 _DJI = "drone-dji"
 NAN = float("nan")
 
@@ -48,7 +47,7 @@ def read_rig_tags(text: str) -> RigTags:
     if "RigCameraIndex" not in text and "BandName" not in text:
         return RigTags()
     angles = [number(v) for v in re.split(r"[,\s]+", xmp_value(text, "RigRelatives")) if v]
-    good = len(angles) == 3 and bool(np.all(np.abs(angles) <= _MAX_DEG))
+    good = len(angles) == 3 and bool(np.all(np.abs(angles) <= 360.0))
     return RigTags(
         index=_whole(xmp_value(text, "RigCameraIndex")),
         band=xmp_value(text, "BandName")[:40],

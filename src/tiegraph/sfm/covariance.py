@@ -23,6 +23,7 @@ import numpy as np
 import pycolmap
 from scipy import sparse
 
+from tiegraph.geometry.align import robust_sigma
 from tiegraph.scene.sorting import evenly
 from tiegraph.sfm.adjustment.jacobians import Layout, RigConstraints, jacobians, sampled
 from tiegraph.sfm.adjustment.leverarmprior import NominalGeometry
@@ -231,7 +232,7 @@ class Linearised:
         if redundancy <= 0:
             raise ValueError("no redundancy")
         self.inflated = len(seen.residual) / redundancy
-        self.variance = max((1.4826 * float(np.median(np.abs(seen.residual)))) ** 2 * self.inflated, 1e-12)
+        self.variance = max(robust_sigma(seen.residual) ** 2 * self.inflated, 1e-12)
         held, pull = layout.held()
         known = layout.prior(model, tuning.adjust, nominal) + layout.tied()
         # (2O,) weights of the Cauchy cost's gradient, and of its curvature along the residual (never negative)

@@ -9,7 +9,7 @@ import pycolmap
 
 from tiegraph.child import run_in_child
 from tiegraph.errors import ChildDied, ReconstructionError
-from tiegraph.scene.colmapmodel import read_model
+from tiegraph.scene.colmapmodel import image_poses, read_model
 from tiegraph.scene.registered import Registration, registration
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
@@ -46,11 +46,12 @@ from tiegraph.sfm.registrationreport import (
 from tiegraph.sfm.rig.rig import DerivedRig, derive_rig, rig_modes, rig_table
 from tiegraph.sfm.rig.support import ties_of, unsupported_sensors
 from tiegraph.sfm.rigcheck import FinishRequest, Held
-from tiegraph.sfm.sectionwise import start_from_sections
 from tiegraph.sfm.settings import SparseSettings
 from tiegraph.sfm.start.turning import no_base
+from tiegraph.sfm.ties import TEST_COLUMNS, Joining, TieTest, moved
 from tiegraph.sfm.tuning import MappingTuning, Tuning
 from tiegraph.sfm.tuning.rig import DeriveTuning
+from tiegraph.sfm.verified import read_verified
 
 __all__ = ["Model", "Source", "SparseResult", "reconstruct"]
 
@@ -331,3 +332,44 @@ def _model(reconstruction: pycolmap.Reconstruction, folder: Path, scene: Scene, 
         reprojection_px=float(reconstruction.compute_mean_reprojection_error()),
         track_length=float(reconstruction.compute_mean_track_length()),
     )
+
+
+COLUMNS = ["section", "images", *TEST_COLUMNS, "joined"]
+
+
+def start_from_sections(job: Job) -> Job:
+    """The job, starting from the poses of its sections where these are to be mapped apart and joined (paper 001).
+
+    The pairs of images that run between sections are held back while these are mapped. Then they join the models
+    (``ties``), which tells how well the borders hold, and the whole starts from the joined poses with all pairs.
+    """
+    scene, source = job.scene, job.source
+    if not source.apart:
+        return job
+    refused = tuple(sorted({*source.refused, *source.apart}))
+    graph = ViewGraph(source.database, scene, job.settings.min_matches, refused)
+    account = Account(runs=job.account.runs)  # that a section has no pair with another need not be said
+    alone = replace(job, source=replace(source, refused=refused, apart=()), graph=graph, account=account)
+    models = [read_model(folder) for folder in map_images(alone).folders]
+    verified = read_verified(source.database, scene, source.refused)
+    joining = Joining(scene, verified, job.tuning.placement, models, {0: models[0]})
+    while (found := joining.strongest([k for k in range(len(models)) if k not in joining.world])) is not None:
+        number, fit, _ = found
+        joining.add(number, moved(models[number], fit.first_from_second))
+    poses = np.full((len(scene), 4, 4), np.nan)
+    for number in sorted(joining.world, reverse=True):  # where two have an image, the larger model tells
+        own = image_poses(joining.world[number], scene)
+        there = np.isfinite(own).all(axis=(1, 2))
+        poses[there] = own[there]
+    rows = [_row(k, len(m.reg_image_ids()), joining.tests.get(k), k in joining.world) for k, m in enumerate(models)]
+    job.account.tables["sections mapped apart"] = {"columns": COLUMNS, "rows": rows}
+    job.account.notes.append(
+        f"{len(models)} sections were mapped apart, {len(joining.world)} of them joined by the matches between them; "
+        "the whole starts from there"
+    )
+    return replace(job, source=replace(source, apart=(), preview=poses))
+
+
+def _row(number: int, images: int, test: TieTest | None, joined: bool) -> list:
+    told = [None] * len(TEST_COLUMNS) if test is None else test.cells()
+    return [number, images, *told, "yes" if joined else "no"]

@@ -58,7 +58,7 @@ class Source:
     images: Path | None
     refused: tuple[tuple[int, int], ...] = ()
     rough: bool = False
-    apart: tuple[tuple[int, int], ...] = ()  # pairs between sections that are mapped apart first (``sectionwise``)
+    apart: tuple[tuple[int, int], ...] = ()  # pairs between sections that are mapped apart first (``mapper``)
     preview: np.ndarray | None = None  # (N, 4, 4) cam_from_world of the images in a rough model that is believed
     run_map: RunMap = serially  # for the blocks of a large survey
     on_progress: Progress = lambda registered, total: None  # counts images

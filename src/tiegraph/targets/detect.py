@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     import pycolmap
 
 _NOISE = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)  # blind to edges and slopes (Immerkaer 1996)
-_NOISE_NORM = 6.0  # root of the sum of its squares
 _LEAST_NOISE = 0.5  # grey levels: rounding alone has 0.29
 
 
@@ -35,7 +34,7 @@ class Seen:
 def find_targets(pixels: np.ndarray, families: Sequence[str], tuning: Tuning) -> list[Seen]:
     """All targets of some families in an image (H, W) u1, in the order of families and numbers."""
     # Sigma of an image's noise, grey levels, from its quieter half
-    high = cv2.filter2D(pixels, cv2.CV_32F, _NOISE) / _NOISE_NORM
+    high = cv2.filter2D(pixels, cv2.CV_32F, _NOISE) / 6.0  # root of the sum of its squares
     noise = max(robust_sigma(high), _LEAST_NOISE)
     rate = 4 * tuning.least_side_px / max(pixels.shape)
     out = []

@@ -13,9 +13,9 @@ from tiegraph.scene.rays import on_plane
 from tiegraph.scene.targets import Target, count_of, families
 from tiegraph.targets.detect import Seen, centre_of
 from tiegraph.targets.tuning import Tuning
+from tiegraph.text import some
 
 _SAME = 1e-3  # on the plane z = 1, between a ray and the way there and back: lenses fold beyond their images
-_SHOWN = 4
 OTHERS = (
     "apriltag_16h5", "apriltag_25h9", "apriltag_36h10", "apriltag_36h11",
     "4x4_1000", "5x5_1000", "6x6_1000", "7x7_1000", "aruco_original", "aruco_mip_36h12",
@@ -87,9 +87,8 @@ def _not_named(by_target: Mapping[Target, Mapping[int, Sequence[Seen]]]) -> list
     others = {t: len(places) for t, places in by_target.items() if len(places) > 1}
     if not others:
         return []
-    shown = ", ".join(f"{t.name} ({count} images)" for t, count in sorted(others.items())[:_SHOWN])
-    more = f" and {len(others) - _SHOWN} more" if len(others) > _SHOWN else ""
-    return [f"targets that are seen and not named in the file: {shown}{more}"]
+    shown = some((f"{t.name} ({count} images)" for t, count in sorted(others.items())))
+    return [f"targets that are seen and not named in the file: {shown}"]
 
 
 def likely_family(seen: Sequence[Seen]) -> str:

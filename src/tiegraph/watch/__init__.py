@@ -2,7 +2,7 @@
 
 ``arrivals`` hands out files once they are whole. ``frames`` places them in the survey's coarse model by their ties to
 images that have a pose. ``view`` makes of poses, ties and the map of the surface what ``page.html`` draws, and
-``server`` hands both to browsers of this machine.
+hands both to browsers of this machine.
 
 Of the engines that exist, measured on ``canal`` (640 x 480, six cameras, CPU of one core): an image with its preview
 and ten ties costs 0.12 s. Odometry follows frames one by one but needs a calibrated rig and small steps (``canal`` is

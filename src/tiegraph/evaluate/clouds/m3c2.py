@@ -5,19 +5,23 @@ difference is that of the mean places of their points along the axis. The level 
 the sum of the variances of both means and of the registration (there: standard error plus registration error, which
 calls too few changes significant where that error is random). Points of one survey that stand together err together:
 what the cloud states as sigma of its points is therefore not divided by their number (as James, Robson, Smith 2017,
-"M3C2-PM"), while the spread in the cylinder is.
+"M3C2-PM"), while the spread in the cylinder is. Significant differences that stand together are a change, with area and
+volume.
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from tiegraph.evaluate.clouds.nearest import Cameras, thinned
 from tiegraph.evaluate.clouds.tiles import TiledClouds
-from tiegraph.evaluate.tuning import M3c2Tuning
+from tiegraph.evaluate.tuning import ChangesTuning, M3c2Tuning
 from tiegraph.scene.cloudchunks import Points
+from tiegraph.scene.sorting import Columns
 
 _CORES = 10_000  # core points looked at together: some 10 million pairs of points at most
 _OBLIQUE = np.array([0.36, 0.48, 0.8])  # where normals point without cameras: up, else to the north-east
@@ -51,7 +55,7 @@ def cylinders_of(clouds: TiledClouds, tuning: M3c2Tuning, depth_m: float | None 
 
 
 @dataclass(frozen=True)
-class Differences:
+class Differences(Columns):
     """Of core points (N, 3) on the first cloud: ``normal`` (N, 3), ``distance_m`` (N,) of the second cloud along it
     (NaN: too few points of one in the cylinder), ``lod_m`` (N,) level of detection at 95 %."""
 
@@ -60,9 +64,6 @@ class Differences:
     distance_m: np.ndarray
     lod_m: np.ndarray
     cylinders: Cylinders
-
-    def __len__(self) -> int:
-        return len(self.xyz)
 
     @property
     def known(self) -> np.ndarray:
@@ -74,16 +75,6 @@ class Differences:
         """(N,) bool: the difference is larger than its level of detection."""
         with np.errstate(invalid="ignore"):
             return np.asarray(np.abs(self.distance_m) > self.lod_m)
-
-    def where(self, cores: np.ndarray) -> "Differences":
-        """Those at some core points: (N,) bool or indices."""
-        return replace(
-            self,
-            xyz=self.xyz[cores],
-            normal=self.normal[cores],
-            distance_m=self.distance_m[cores],
-            lod_m=self.lod_m[cores],
-        )
 
     def summary(self) -> dict[str, float]:
         """Median, spread (half of 16 % to 84 %), 95 % of the absolute values, level of detection, shares in %."""
@@ -234,3 +225,97 @@ def _facing(normal: np.ndarray, cores: np.ndarray, cameras: Cameras | None) -> n
         towards = cameras.centres[cKDTree(cameras.centres).query(cores)[1]] - cores
     away = np.einsum("ij,ij->i", normal, towards) < 0
     return np.where(away[:, None], -normal, normal)
+
+
+COLUMNS = ("change", "x", "y", "z", "core points", "area m2", "mean m", "largest m", "volume m3")
+
+
+@dataclass(frozen=True)
+class Change:
+    """A connected piece of surface that moved one way: its middle (3,), number of core points, area, mean and largest
+    difference (+: towards the cameras, or up), and volume (area times difference)."""
+
+    middle: np.ndarray
+    cores: int
+    area_m2: float
+    mean_m: float
+    largest_m: float
+    volume_m3: float
+
+
+@dataclass(frozen=True)
+class Changes:
+    """The changes, largest volume first, and areas of what was compared, called significant, and listed."""
+
+    listed: tuple[Change, ...]
+    compared_m2: float
+    significant_m2: float
+
+    def totals(self) -> dict[str, float]:
+        """Areas in m2 and volumes in m3."""
+        gain = sum(c.volume_m3 for c in self.listed if c.volume_m3 > 0)
+        loss = sum(c.volume_m3 for c in self.listed if c.volume_m3 < 0)
+        return {
+            "compared_m2": self.compared_m2,
+            "significant_m2": self.significant_m2,
+            "changed_m2": sum(c.area_m2 for c in self.listed),
+            "gain_m3": gain,
+            "loss_m3": -loss,
+        }
+
+    def table(self, shift: np.ndarray, most: int) -> dict:
+        """The largest changes at most; ``shift`` (3,) is added to their places."""
+        rows = [
+            [k, *(c.middle + shift).tolist(), c.cores, c.area_m2, c.mean_m, c.largest_m, c.volume_m3]
+            for k, c in enumerate(self.listed[:most], 1)
+        ]
+        return {"columns": list(COLUMNS), "rows": rows}
+
+
+def changes(found: Differences, tuning: ChangesTuning) -> Changes:
+    """Changes by significant core points near each other with differences of one sign.
+
+    Fewer than ``least_cores`` together are chance: 5 % of unchanged ones are significant.
+    """
+    known = found.known
+    xyz, distance, loud = found.xyz[known], found.distance_m[known].astype(float), found.significant[known]
+    area = _areas(xyz, tuning.area_spacings * found.cylinders.cores_m)
+    where = np.flatnonzero(loud)
+    out = []
+    for sign in (1, -1):
+        rows = where[np.sign(distance[where]) == sign]
+        for piece in _pieces(xyz[rows], tuning.link_spacings * found.cylinders.cores_m):
+            if len(piece) < tuning.least_cores:
+                continue
+            own, a = distance[rows[piece]], area[rows[piece]]
+            out.append(
+                Change(
+                    middle=np.median(xyz[rows[piece]], axis=0),
+                    cores=len(piece),
+                    area_m2=float(a.sum()),
+                    mean_m=float(np.average(own, weights=a)),
+                    largest_m=float(own[np.argmax(np.abs(own))]),
+                    volume_m3=float(a @ own),
+                )
+            )
+    out.sort(key=lambda c: -abs(c.volume_m3))
+    return Changes(listed=tuple(out), compared_m2=float(area.sum()), significant_m2=float(area[loud].sum()))
+
+
+def _areas(xyz: np.ndarray, radius: float) -> np.ndarray:
+    """(N,) the surface that each point stands for: a disc shared by the points in it; at a border too large by half."""
+    if not len(xyz):
+        return np.zeros(0)
+    tree = cKDTree(xyz)
+    return np.pi * radius**2 / tree.query_ball_point(xyz, radius, return_length=True, workers=-1)
+
+
+def _pieces(xyz: np.ndarray, link: float) -> list[np.ndarray]:
+    """Rows of the points that hang together."""
+    if not len(xyz):
+        return []
+    i, j = cKDTree(xyz).query_pairs(link, output_type="ndarray").T
+    joined = coo_matrix((np.ones(len(i), np.int8), (i, j)), shape=(len(xyz),) * 2)
+    label = connected_components(joined, directed=False)[1]
+    order = np.argsort(label, kind="stable")
+    return np.split(order, np.flatnonzero(np.diff(label[order])) + 1)

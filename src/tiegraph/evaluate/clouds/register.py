@@ -80,7 +80,7 @@ def register(
 
     Raises ValueError if too few points meet, or their surfaces leave a direction open (a plane slides in itself).
     """
-    fit = Similarity(1.0, np.eye(3), np.zeros(3))
+    fit = Similarity()
     if start is not None:
         fit = Similarity(1.0, start.target_from_source[:3, :3], start.target_from_source[:3, 3])
     tree = cKDTree(reference)

@@ -196,15 +196,6 @@ def _span(scene: Scene, block: Block) -> str:
 # --- which ties are false where two blocks of the coarse model do not agree ------------------------------------------
 
 
-@dataclass(frozen=True)
-class Cut:
-    """Pairs of images i, j (K,) that hold two groups of images together in a model, by so many shared ``points``."""
-
-    i: np.ndarray
-    j: np.ndarray
-    points: int
-
-
 def false_ties(
     scene: Scene,
     made: Sequence[tuple[Block, CoarseModel]],
@@ -226,9 +217,9 @@ def false_ties(
         cuts = [cut_between(scene, *made[k], (one.images, other.images), near_steps) for k in (one.a, one.b)]
         found = [c for c in cuts if c is not None]
         if found:
-            least = min(found, key=lambda c: c.points)
-            i.append(least.i)
-            j.append(least.j)
+            left, right, _ = min(found, key=lambda c: c[2])
+            i.append(left)
+            j.append(right)
     return np.concatenate(i), np.concatenate(j)
 
 
@@ -239,9 +230,9 @@ def _without(poses: Poses, images: np.ndarray) -> Poses:
 
 def cut_between(
     scene: Scene, block: Block, model: CoarseModel, groups: tuple[np.ndarray, np.ndarray], near_steps: int
-) -> Cut | None:
-    """The fewest points that hold two groups of images (K,) together in the model of a block; None where frames that
-    follow each other do so, or nothing does."""
+) -> tuple[np.ndarray, np.ndarray, int] | None:
+    """The pairs of images i, j (K,) whose shared points, and how many these are, are the fewest that hold two groups of
+    images together in the model of a block; None where frames that follow each other do so, or nothing does."""
     i, j, points = _shared_points(model)
     frames, frame = np.unique(scene.frame[block.images], return_inverse=True)
     a, b = frame[i], frame[j]
@@ -255,7 +246,7 @@ def cut_between(
     cut = side[a] != side[b]
     if not cut.any():
         return None
-    return Cut(i=block.images[i[cut]], j=block.images[j[cut]], points=int(points[cut].sum()))
+    return block.images[i[cut]], block.images[j[cut]], int(points[cut].sum())
 
 
 def _pieces(scene: Scene, frames: np.ndarray, placed: np.ndarray, near_steps: int) -> np.ndarray:

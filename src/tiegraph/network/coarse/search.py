@@ -27,6 +27,7 @@ from tiegraph.scene.matches import PreviewMatches
 from tiegraph.scene.pairs import REASONS, Pairs, pair_key
 from tiegraph.scene.rig import Rig, calibrated, camera_from_dict, camera_to_dict
 from tiegraph.scene.scene import Scene
+from tiegraph.text import some
 
 NO_MODEL = "coarse model: none could be made; pairs are chosen by preview counts alone"
 
@@ -237,11 +238,10 @@ def _notes(scene: Scene, made: _Try) -> tuple[str, ...]:
     notes = [f"coarse model: {size}{agrees}"]
     doubtful = np.unique(scene.frame[placed & ~trusted])
     if len(doubtful):
-        names = [scene.names[int(np.argmax(scene.frame == f))] for f in doubtful[:5]]
-        more = f" and {len(doubtful) - 5} more" if len(doubtful) > 5 else ""
+        names = some((scene.frame_names[f] for f in doubtful), 5)
         notes.append(
             f"coarse model: not believed at {len(doubtful)} frames, where it contradicts their neighbours or is torn "
-            f"from the rest (with {', '.join(names)}{more}); there the preview counts decide"
+            f"from the rest (with {names}); there the preview counts decide"
         )
     return tuple(notes)
 

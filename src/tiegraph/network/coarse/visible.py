@@ -20,6 +20,7 @@ from tiegraph.network.coarse.proxy import Proxy, View, assumed_proxy, observed_p
 from tiegraph.network.tuning.coarse import VisibleTuning
 from tiegraph.scene.matches import Visibility
 from tiegraph.scene.pairs import pair_key
+from tiegraph.scene.sorting import Columns
 
 __all__ = ["Overlap", "Proxy", "assumed_proxy", "observed_proxy", "shared_surface"]
 
@@ -28,7 +29,7 @@ _OWNERS = 256  # images whose assumed points are worked out at once
 
 
 @dataclass(frozen=True)
-class Overlap:
+class Overlap(Columns):
     """K pairs of images i < j that share surface, sorted; columns (K,)."""
 
     i: np.ndarray
@@ -36,9 +37,6 @@ class Overlap:
     share: np.ndarray  # of the surface one sees, the part the other sees too: the larger of the two directions
     angle_deg: np.ndarray  # between the two rays to the shared surface, on average; NaN = too little is shared to say
     scale: np.ndarray  # distance of i over distance of j to the shared surface, geometric mean; NaN likewise
-
-    def __len__(self) -> int:
-        return len(self.i)
 
     def between(self, i: np.ndarray, j: np.ndarray) -> np.ndarray:
         """(K,) share of image pairs in any order of their ends; 0 where they are not listed."""
@@ -57,10 +55,6 @@ class Overlap:
         order = np.lexsort((columns[1], columns[0]))
         return Overlap(*(c[order] for c in columns))
 
-    def where(self, mask: np.ndarray) -> "Overlap":
-        """The rows of a mask (K,)."""
-        return Overlap(*(getattr(self, n)[mask] for n in self.__dataclass_fields__))
-
 
 @dataclass(frozen=True)
 class _Eye:
@@ -69,15 +63,6 @@ class _Eye:
     pose: np.ndarray
     view: View
     slack: float
-
-
-@dataclass(frozen=True)
-class _Sight:
-    """What an image sees: points (K,), their cells (K,) and distances (K,)."""
-
-    point: np.ndarray
-    cell: np.ndarray
-    distance: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -105,7 +90,10 @@ def in_view(rays: Rays, proxy: Proxy, tuning: VisibleTuning) -> tuple[np.ndarray
     return seen, (np.where(seen[:, None], shares, 0.0) * tuning.cells).astype(int) @ (1, tuning.cells[0]), distance
 
 
-def _sight(eye: _Eye, proxy: Proxy, boxes: Boxes, own: np.ndarray, tuning: VisibleTuning) -> _Sight:
+def _sight(
+    eye: _Eye, proxy: Proxy, boxes: Boxes, own: np.ndarray, tuning: VisibleTuning
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What an image sees: points (K,), their cells (K,) and distances (K,)."""
     half = tuning.cone_widens * eye.view.half + eye.slack
     near = boxes.near(transforms.centre(eye.pose), eye.pose[2, :3], half)
     ray = proxy.points[near] - transforms.centre(eye.pose)
@@ -117,7 +105,7 @@ def _sight(eye: _Eye, proxy: Proxy, boxes: Boxes, own: np.ndarray, tuning: Visib
         np.minimum.at(nearest, cell, distance)
         shown = (distance <= tuning.behind * nearest[cell]) | np.isin(point, own)
         point, cell, distance = point[shown], cell[shown], distance[shown]
-    return _Sight(point, cell, distance)
+    return point, cell, distance
 
 
 def shared_surface(
@@ -202,12 +190,11 @@ class _Table:
 def _all_sights(eyes: list[_Eye], images: np.ndarray, proxy: Proxy, tuning: VisibleTuning) -> _Table:
     proxy, boxes = _thinned(eyes, proxy, tuning)
     own = _owned(proxy, images)
-    sights = [_sight(eye, proxy, boxes, seen, tuning) for eye, seen in zip(eyes, own)]
-    counts = [len(s.point) for s in sights]
-    image = np.repeat(np.arange(len(eyes), dtype=np.int32), counts)
-    point = np.concatenate([s.point for s in sights]).astype(np.int32)
-    cell = np.concatenate([s.cell for s in sights]).astype(np.int32)
-    distance = np.concatenate([s.distance for s in sights]).astype(np.float32)
+    points, cells, distances = zip(*(_sight(eye, proxy, boxes, seen, tuning) for eye, seen in zip(eyes, own)))
+    image = np.repeat(np.arange(len(eyes), dtype=np.int32), [len(p) for p in points])
+    point = np.concatenate(points).astype(np.int32)
+    cell = np.concatenate(cells).astype(np.int32)
+    distance = np.concatenate(distances).astype(np.float32)
     voter = np.ones(len(point), bool)
     if proxy.assumed:
         owner = np.full(len(proxy), -1)
@@ -236,7 +223,7 @@ def _thinned(eyes: list[_Eye], proxy: Proxy, tuning: VisibleTuning) -> tuple[Pro
     rng = np.random.default_rng(0)
     sample = rng.choice(len(eyes), min(len(eyes), tuning.thinning_images), replace=False)
     none = np.zeros(0, int)
-    count = np.mean([len(_sight(eyes[k], proxy, boxes, none, tuning).point) for k in sample])
+    count = np.mean([len(_sight(eyes[k], proxy, boxes, none, tuning)[0]) for k in sample])
     if count <= tuning.thinning_from * enough:
         return proxy, boxes
     # At random: spread evenly over the surface they predicted worse on ``canal`` (textured near surfaces tie).

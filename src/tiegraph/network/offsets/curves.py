@@ -36,14 +36,24 @@ class OffsetCurve:
 
 
 @dataclass(frozen=True)
-class OffsetResult:
-    """Pairs of the source, its curves, and what people should know."""
+class Proposal:
+    """What a source of pairs proposes, and what people should know."""
 
     pairs: Pairs
-    curves: tuple[OffsetCurve, ...]
-    notes: tuple[str, ...]
+    notes: tuple[str, ...] = ()
+    curves: tuple[OffsetCurve, ...] = ()
     surfaces: tuple[OffsetSurface, ...] = ()
+    apart: bool = False  # the images say that the poses of different passes do not stand in one world
     stranger: str = ""  # the couple of passes, where it has no common view
+
+    def __or__(self, other: "Proposal") -> "Proposal":
+        return Proposal(
+            pairs=self.pairs | other.pairs,
+            notes=self.notes + other.notes,
+            curves=self.curves + other.curves,
+            surfaces=self.surfaces + other.surfaces,
+            apart=self.apart or other.apart,
+        )
 
 
 def facing(scores: ScoreMatrix, excess: np.ndarray, settings: CandidatesSettings, tuning: RigTuning) -> np.ndarray:

@@ -13,13 +13,15 @@ feature is found again.
 import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
+from operator import or_
 from typing import Any, cast
 
 import numpy as np
 
 from tiegraph.errors import choose
 from tiegraph.network.offsets.background import corridor, noise_floor_away, noise_floor_within
-from tiegraph.network.offsets.curves import OffsetResult, curves_of, facing
+from tiegraph.network.offsets.curves import Proposal, curves_of, facing
 from tiegraph.network.offsets.surface import minimum_cost_path, surfaces_of
 from tiegraph.network.passes import MatchCache, Pass
 from tiegraph.network.rig import commonview
@@ -48,14 +50,14 @@ class _Survey:
     complete: bool = True  # False: the budget of previews was spent before every hit was followed
 
 
-Estimate = Callable[[Pass, Pass, MatchCache, CandidatesSettings, Tuning], OffsetResult]
+Estimate = Callable[[Pass, Pass, MatchCache, CandidatesSettings, Tuning], Proposal]
 OFFSETS: dict[str, Estimate] = {}
 """Ways by name to estimate the offsets of each two passes by themselves, beside ``local`` of this module."""
 
 
 def estimate_offsets(
     passes: Sequence[Pass], cache: MatchCache, images: int, settings: CandidatesSettings, tuning: Tuning
-) -> OffsetResult:
+) -> Proposal:
     """Candidate pairs within and between passes by the mode of ``settings.offsets``."""
     pass_pairs = [(a, b) for k, a in enumerate(passes) for b in passes[k:]]
     if settings.offsets == "local":
@@ -63,12 +65,9 @@ def estimate_offsets(
     else:
         estimate = cast(Estimate, choose("mode of offsets", settings.offsets, OFFSETS))
         parts = [estimate(p, q, cache, settings, tuning) for p, q in pass_pairs]
-    pairs = Pairs.empty()
-    for part in parts:
-        pairs = pairs | part.pairs
-    curves, notes, surfaces = (sum((getattr(r, n) for r in parts), ()) for n in ("curves", "notes", "surfaces"))
     lost = commonview.strangers([r.stranger for r in parts if r.stranger])
-    return OffsetResult(pairs=pairs, curves=curves, notes=(*notes, *lost), surfaces=surfaces)
+    merged = reduce(or_, parts, Proposal(Pairs.empty()))
+    return replace(merged, notes=(*merged.notes, *lost))
 
 
 def _local_offsets(
@@ -78,7 +77,7 @@ def _local_offsets(
     images: int,
     settings: CandidatesSettings,
     tuning: Tuning,
-) -> list[OffsetResult]:
+) -> list[Proposal]:
     """Of each couple of passes, within a budget of previews."""
     offsets, parts = tuning.offsets, []
     budget = len(cache) + max(offsets.min_budget, tuning.previews_an_image * images)
@@ -253,7 +252,7 @@ def _path(weight: np.ndarray) -> np.ndarray | None:
     return np.interp(np.arange(weight.shape[0]), rows, centre)
 
 
-def _local(survey: _Survey, settings: CandidatesSettings, tuning: Tuning) -> OffsetResult:
+def _local(survey: _Survey, settings: CandidatesSettings, tuning: Tuning) -> Proposal:
     """Pairs kept by the interpolated surface; measured pairs that were not kept, with the reason."""
     scores, least, counts = survey.scores, settings.min_matches, tuning.counts
     smooth = scores.confirmed(survey.smooth, least, tuning)
@@ -282,7 +281,7 @@ def _local(survey: _Survey, settings: CandidatesSettings, tuning: Tuning) -> Off
     curves = curves_of(scores, survey.reversed, voted, least, counts)
     surfaces = surfaces_of(scores, smooth, least, tuning)
     note, stranger = _said(scores, smooth, least, tuning.rig)
-    return OffsetResult(
+    return Proposal(
         pairs=measured | kept, curves=curves, notes=(*survey.notes, *note), surfaces=surfaces, stranger=stranger
     )
 
@@ -299,24 +298,16 @@ def _said(scores: ScoreMatrix, smooth: np.ndarray, min_matches: int, tuning: Rig
 
 
 def _without_copies(
-    result: OffsetResult, scores: ScoreMatrix, cache: MatchCache, settings: CandidatesSettings, tuning: CopiesTuning
-) -> OffsetResult:
+    result: Proposal, scores: ScoreMatrix, cache: MatchCache, settings: CandidatesSettings, tuning: CopiesTuning
+) -> Proposal:
     """Pairs of one picture twice are dropped: they match best of all and have no base."""
     copies = find_copies(scores, cache, settings.min_matches, tuning)
     if copies is None:
         return result
-    twins = Pairs.make(copies.i, copies.j, "offsets", score=cache.known(copies.i, copies.j))
+    i, j, note = copies
+    twins = Pairs.make(i, j, "offsets", score=cache.known(i, j))
     pairs = result.pairs | twins
-    return replace(result, pairs=pairs.drop(pairs.isin(twins), "similar"), notes=(*result.notes, copies.note))
-
-
-@dataclass(frozen=True)
-class Copies:
-    """Image pairs i, j (K,) that show the same picture, and what to say."""
-
-    i: np.ndarray
-    j: np.ndarray
-    note: str
+    return replace(result, pairs=pairs.drop(pairs.isin(twins), "similar"), notes=(*result.notes, note))
 
 
 def is_copy(result: Any, min_matches: int, tuning: CopiesTuning) -> bool:
@@ -329,8 +320,11 @@ def is_copy(result: Any, min_matches: int, tuning: CopiesTuning) -> bool:
     return bool(still and result.inliers >= tuning.found_again * features)
 
 
-def find_copies(scores: ScoreMatrix, cache: MatchCache, min_matches: int, tuning: CopiesTuning) -> Copies | None:
-    """Same pictures in two passes of one rig; None within a pass and where the first look finds none."""
+def find_copies(
+    scores: ScoreMatrix, cache: MatchCache, min_matches: int, tuning: CopiesTuning
+) -> tuple[np.ndarray, np.ndarray, str] | None:
+    """Image pairs i, j (K,) of the same picture in two passes of one rig, and what to say; None within a pass and where
+    the first look finds none."""
     p, q = scores.p, scores.q
     if scores.same or len(p.images) != len(q.images):
         return None
@@ -369,10 +363,10 @@ def _copies(i: np.ndarray, j: np.ndarray, cache: MatchCache, min_matches: int, t
 
 def _all(
     scores: ScoreMatrix, m: np.ndarray, step: int, cache: MatchCache, min_matches: int, tuning: CopiesTuning
-) -> Copies:
+) -> tuple[np.ndarray, np.ndarray, str]:
     p, q = scores.p, scores.q
     i, j = p.images[:, m].ravel(), q.images[:, m + step].ravel()
     same = _copies(i, j, cache, min_matches, tuning)
     count, total = int(same.sum()), int((q.images >= 0).sum())
     note = f"pass {q.name} repeats pass {p.name}: {count} of {total} images show the same picture; "
-    return Copies(i[same], j[same], note + "pairs of them carry no base and are dropped: leave one of the passes out")
+    return i[same], j[same], note + "pairs of them carry no base and are dropped: leave one of the passes out"

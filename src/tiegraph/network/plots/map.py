@@ -124,8 +124,8 @@ def _layout(kept: Pairs, positions: np.ndarray | None, scene: Scene) -> tuple[np
         lane = np.where(scene.sequence >= 0, scene.sequence, scene.sequence.max() + 1)
         rank = np.zeros(scene.frames)
         for t in np.unique(lane):
-            own = np.flatnonzero(lane == t)
-            rank[own[np.argsort(scene.sequence_index[own], kind="stable")]] = np.arange(len(own))
+            own = scene.in_order(lane == t)
+            rank[own] = np.arange(len(own))
         gap = 0.25 * max(1.0, float(rank.max()))
         text = "no positions: frames stand in the order of their passes, one row a pass; lengths mean nothing"
         return np.stack([rank, -gap * lane], axis=1), text
@@ -163,8 +163,7 @@ def _joined(place: np.ndarray, scene: Scene) -> _Nodes:
     places: list[np.ndarray] = []
     tracks: list[int] = []
     for t in np.unique(scene.sequence):
-        own = np.flatnonzero((scene.sequence == t) & known)
-        own = own[np.argsort(scene.sequence_index[own], kind="stable")]
+        own = scene.in_order((scene.sequence == t) & known)
         width = step if t >= 0 else 1
         for first in range(0, len(own), width):
             run = own[first : first + width]

@@ -13,6 +13,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from tiegraph.network.offsets.background import Far
+from tiegraph.network.offsets.curves import Proposal
 from tiegraph.network.passes import MatchCache, Pass, loose_images
 from tiegraph.network.retrieval.loose import scored_pairs
 from tiegraph.network.retrieval.timeline import Timeline, timeline
@@ -26,14 +27,6 @@ from tiegraph.scene.scene import Scene
 
 NAMED = 5  # places named one by one in the notes
 _STEPS = np.array([(a, b) for a in (-1, 0, 1) for b in (-1, 0, 1)])  # strides to the neighbouring frame pairs
-
-
-@dataclass(frozen=True)
-class RetrievalResult:
-    """Pairs of the source, and what people should know."""
-
-    pairs: Pairs
-    notes: tuple[str, ...]
 
 
 def nearest_images(
@@ -52,7 +45,7 @@ def retrieve(
     tuning: Tuning,
     descriptors: Callable[[], Sequence[np.ndarray]],
     known: Pairs | None = None,
-) -> RetrievalResult:
+) -> Proposal:
     """Pairs of loose photographs and loops of passes; ``known`` pairs (kept ones) and what lies near them are no loops.
 
     ``descriptors()`` gives root-SIFT (K, 128) u1 of the preview of every image.
@@ -64,7 +57,7 @@ def retrieve(
     if len(loose):
         notes = (f"retrieval: {len(pairs.kept())} pairs of {len(loose)} loose photographs",)
     loops = loop_candidates(passes, words, cache, settings, tuning, known)
-    return RetrievalResult(pairs | loops.pairs, notes + loops.notes)
+    return Proposal(pairs, notes) | loops
 
 
 def loop_candidates(
@@ -74,14 +67,14 @@ def loop_candidates(
     settings: CandidatesSettings,
     tuning: Tuning,
     known: Pairs | None = None,
-) -> RetrievalResult:
+) -> Proposal:
     """Pairs far from the known ones whose images look alike, confirmed by the previews of the frames around them.
 
     Dropped pairs carry ``weak``: previewed and not confirmed.
     """
     passes = [p for p in passes if len(p) > 1]
     if not passes:
-        return RetrievalResult(Pairs.empty(), ())
+        return Proposal(Pairs.empty())
     looks = tuning.retrieval
     line = timeline(passes, words, looks.timeline)
     blocked = _blocked(line, known, looks.loops.near_reaches)
@@ -103,7 +96,7 @@ def loop_candidates(
         notes = (f"retrieval: no loops: none of {len(i)} look-alikes is confirmed by its neighbouring frames",)
     if spent:
         notes += ("retrieval: the budget of previews was spent before every loop was followed to its end",)
-    return RetrievalResult(pairs, notes)
+    return Proposal(pairs, notes)
 
 
 # ---------------------------------------------------------------- finding, growing, confirming

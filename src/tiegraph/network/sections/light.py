@@ -71,26 +71,6 @@ class _Kind:
     absolute: bool
 
 
-def _sky(measure: str, tuning: SectionsTuning) -> _Kind:
-    return _Kind(name=measure, unit="", contrast=tuning.sky_contrast, log=False, absolute=True)
-
-
-def _luminance(tuning: SectionsTuning) -> _Kind:
-    return _Kind(
-        name="luminance by EXIF exposure",
-        unit="",
-        contrast=float(np.log2(tuning.luminance_contrast)),
-        log=True,
-        absolute=True,
-    )
-
-
-def _brightness(tuning: SectionsTuning) -> _Kind:
-    return _Kind(
-        name="brightness", unit=" of 255", contrast=float(np.log2(tuning.brightness_contrast)), log=True, absolute=False
-    )
-
-
 @dataclass(frozen=True)
 class _Split:
     threshold: float
@@ -108,7 +88,8 @@ def read_cues(scene: Scene, passes: Sequence[Pass], light: UpLight, tuning: Sect
     grey = by_up_frame(scene, light.brightness)
     cues = []
     if light.sky_share is not None:
-        cues.append(_cue(_sky(light.measure, tuning), by_up_frame(scene, light.sky_share), passes, tuning))
+        kind = _Kind(name=light.measure, unit="", contrast=tuning.sky_contrast, log=False, absolute=True)
+        cues.append(_cue(kind, by_up_frame(scene, light.sky_share), passes, tuning))
     stop = None if light.exposure is None else by_up_frame(scene, light.exposure)
     known = np.isfinite(grey)
     if (
@@ -118,9 +99,13 @@ def read_cues(scene: Scene, passes: Sequence[Pass], light: UpLight, tuning: Sect
     ):
         with np.errstate(invalid="ignore", divide="ignore"):
             luminance = np.where(stop > 0, (grey / 255) ** _GAMMA / stop, np.nan)
-        cues.append(_cue(_luminance(tuning), luminance, passes, tuning))
+        contrast = float(np.log2(tuning.luminance_contrast))
+        kind = _Kind(name="luminance by EXIF exposure", unit="", contrast=contrast, log=True, absolute=True)
+        cues.append(_cue(kind, luminance, passes, tuning))
     else:
-        cues.append(_cue(_brightness(tuning), grey, passes, tuning))
+        contrast = float(np.log2(tuning.brightness_contrast))
+        kind = _Kind(name="brightness", unit=" of 255", contrast=contrast, log=True, absolute=False)
+        cues.append(_cue(kind, grey, passes, tuning))
     return tuple(c for c in cues if np.isfinite(c.values).any())
 
 

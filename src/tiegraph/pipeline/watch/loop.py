@@ -35,8 +35,8 @@ from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 from tiegraph.watch.arrivals import Arrivals
 from tiegraph.watch.frames import Known, place_frames
-from tiegraph.watch.server import PageServer, page
 from tiegraph.watch.tuning import Tuning
+from tiegraph.watch.view import PageServer, page
 
 KEPT, PAGE = "watch.npz", "watch.html"
 _BATCH = 8  # images of a step: a folder that is full already shows its first poses soon

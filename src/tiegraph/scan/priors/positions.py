@@ -17,6 +17,7 @@ from tiegraph.scene.exif import Exif
 from tiegraph.scene.gnss import Gnss, at_times, far_rows, moved_within, on_clock_of, stuck_note, without_far
 from tiegraph.scene.gpstime import DAY_S, GPS_EPOCH_S
 from tiegraph.scene.rig import Rig
+from tiegraph.text import some
 
 _NAMED = 3  # frames without a position that are named
 _ZONE_H = 14  # the farthest time zone from UTC
@@ -120,7 +121,7 @@ def _without(frames: Frames, rows: np.ndarray, gnss: Gnss | None, time_s: np.nda
     for k in lacking[:_NAMED]:
         why = "" if gnss is None else " (no row names it)" if gnss.names else f" ({_away(gnss, float(time_s[k]))})"
         said.append(f"{frames.names[frames.rows[k].images[0]]}{why}")
-    return ", ".join(said) + (f" and {len(lacking) - _NAMED} more" if len(lacking) > _NAMED else "")
+    return some(said, _NAMED, len(lacking))
 
 
 def _away(gnss: Gnss, time_s: float) -> str:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from tiegraph.errors import InputError
-from tiegraph.geometry.align import rms_length, robust_umeyama
+from tiegraph.geometry.align import Similarity, rms_length, robust_umeyama
 from tiegraph.geometry.geodesy import ENU, parse_crs
 from tiegraph.geometry.transforms import interpolate, rigid, skew
 from tiegraph.scan.priors.poses import poses_by_image
@@ -350,13 +350,13 @@ def _lay_on_gnss(
         return None
     scale = 1.0
     for _ in range(tuning.scale_rounds):  # the lever arm is in metres, the odometry need not be
-        fit = _fit_level((centre + arm / scale)[good], target[good], sigma[good], tuning.fit_rounds)
+        fit, rms_m = _fit_level((centre + arm / scale)[good], target[good], sigma[good], tuning.fit_rounds)
         scale = fit.scale
     return _Laid(
-        rotation=fit.turn @ level @ poses[:, :3, :3],
-        antenna=(scale * centre + arm) @ fit.turn.T + fit.shift,
+        rotation=fit.rotation @ level @ poses[:, :3, :3],
+        antenna=(scale * centre + arm) @ fit.rotation.T + fit.translation,
         scale=scale,
-        rms_m=fit.rms_m,
+        rms_m=rms_m,
     )
 
 
@@ -368,18 +368,8 @@ def _turn_to_z(up: np.ndarray) -> np.ndarray:
     return np.eye(3) + x + x @ x / (1 + up[2])
 
 
-@dataclass(frozen=True)
-class _LevelFit:
-    """Rotation about z (3, 3), scale, shift (3,) and rms."""
-
-    turn: np.ndarray
-    scale: float
-    shift: np.ndarray
-    rms_m: float
-
-
-def _fit_level(path: np.ndarray, target: np.ndarray, sigma: np.ndarray, rounds: int) -> _LevelFit:
-    """By reweighted least squares (Cauchy weights, residuals over sigma)."""
+def _fit_level(path: np.ndarray, target: np.ndarray, sigma: np.ndarray, rounds: int) -> tuple[Similarity, float]:
+    """Turn about z, scale and shift by reweighted least squares (Cauchy weights, residuals over sigma), and the rms."""
     source, goal = path[:, 0] + 1j * path[:, 1], target[:, 0] + 1j * target[:, 1]
     weight = 1 / sigma[:, 0] ** 2
     for _ in range(rounds):
@@ -392,4 +382,4 @@ def _fit_level(path: np.ndarray, target: np.ndarray, sigma: np.ndarray, rounds: 
     flat = g0 - a * s0
     height = np.average(target[:, 2] - scale * path[:, 2], weights=1 / sigma[:, 2] ** 2)
     rms = float(np.sqrt(np.average(residual**2, weights=weight)))
-    return _LevelFit(turn=turn, scale=scale, shift=np.array([flat.real, flat.imag, height]), rms_m=rms)
+    return Similarity(scale, turn, np.array([flat.real, flat.imag, height])), rms

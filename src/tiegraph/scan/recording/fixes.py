@@ -6,6 +6,7 @@ import numpy as np
 
 from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scene.exif import Taken
+from tiegraph.scene.sorting import Columns
 
 # 2000 ... 2100: times outside are those of clocks that were never set (0 = 1904, 1970).
 RECORDED_RANGE_S = (946684800.0, 4102444800.0)
@@ -13,7 +14,7 @@ _MOST_HEIGHT_M = 100_000.0  # above or below the sea: other numbers are no heigh
 
 
 @dataclass(frozen=True)
-class Readings:
+class Readings(Columns):
     """What a receiver wrote, row by row; NaN = not said. All (N,) but ``lat_lon_height`` (N, 3), degrees and metres."""
 
     stamp_s: np.ndarray  # on the video's clock
@@ -21,19 +22,6 @@ class Readings:
     lat_lon_height: np.ndarray
     fix: np.ndarray  # 0 = none, 2 = without height, 3
     dop: np.ndarray  # dilution of precision
-
-    def __len__(self) -> int:
-        return len(self.stamp_s)
-
-    def take(self, rows: np.ndarray) -> "Readings":
-        """Some of them: a mask or numbers."""
-        return Readings(
-            stamp_s=self.stamp_s[rows],
-            time_s=self.time_s[rows],
-            lat_lon_height=self.lat_lon_height[rows],
-            fix=self.fix[rows],
-            dop=self.dop[rows],
-        )
 
 
 @dataclass(frozen=True)
@@ -75,8 +63,8 @@ def believed(readings: Readings, tuning: PicturesTuning) -> tuple[Readings, str]
         "not on the Earth": nowhere,
     }
     words = ", ".join(f"{rows.sum()} {why}" for why, rows in reasons.items() if rows.any())
-    good = readings.take(~(no_fix | nowhere | poor))
-    good = good.take(np.argsort(good.stamp_s, kind="stable"))
+    good = readings.where(~(no_fix | nowhere | poor))
+    good = good.where(np.argsort(good.stamp_s, kind="stable"))
     level = good.lat_lon_height.copy()
     level[good.fix == 2, 2] = np.nan
     first, last = RECORDED_RANGE_S

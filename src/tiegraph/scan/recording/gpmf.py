@@ -40,12 +40,7 @@ _MOST_ROW = 255  # one byte says the length of a row
 _FORMAT = b"gpmd"
 _EPOCH_S = datetime(2000, 1, 1, tzinfo=timezone.utc).timestamp()
 _UTC = re.compile(r"(\d\d)(\d\d)(\d\d)(\d\d)(\d\d)(\d\d)\.(\d{3})")
-_HUNDRED = 100.0  # GPSP is DOP times 100
 _GPS5, _GPS9 = 5, 9  # numbers a row
-
-
-class BrokenEntry(ValueError):
-    """An entry whose length or type cannot be; the text names it."""
 
 
 @dataclass(frozen=True)
@@ -62,14 +57,14 @@ class Entry:
         return self.data.decode("latin-1").rstrip("\0 ")
 
     def rows(self, types: str = "") -> np.ndarray:
-        """(rows, numbers a row) f8; ``types``: the letters of an entry of type "?" (TYPE). Raises BrokenEntry."""
+        """(rows, numbers a row) f8; ``types``: the letters of an entry of type "?" (TYPE). Raises BrokenTrack."""
         letters = _letters(types) if self.kind == "?" else self.kind * self._numbers()
         if not letters or any(c not in _NUMBERS for c in letters):
             kind = types[:_MOST_SHOWN] if self.kind == "?" else self.kind
-            raise BrokenEntry(f"{self.key}: numbers of type {kind!r} are not known")
+            raise BrokenTrack(f"{self.key}: numbers of type {kind!r} are not known")
         row = np.dtype([(f"n{k}", _NUMBERS[c]) for k, c in enumerate(letters)])
         if row.itemsize != self.size:
-            raise BrokenEntry(f"{self.key}: rows of type {letters} have {row.itemsize} bytes, not {self.size}")
+            raise BrokenTrack(f"{self.key}: rows of type {letters} have {row.itemsize} bytes, not {self.size}")
         table = np.frombuffer(self.data, row)
         columns = [table[f"n{k}"].astype(float) / _FIXED_POINT.get(c, 1.0) for k, c in enumerate(letters)]
         return np.stack(columns, axis=1)
@@ -79,14 +74,14 @@ class Entry:
 
 
 def entries(data: bytes) -> Iterator[Entry]:
-    """The entries that stand one behind the other. Raises BrokenEntry where one is longer than what is left."""
+    """The entries that stand one behind the other. Raises BrokenTrack where one is longer than what is left."""
     at = 0
     while len(data) - at >= _HEAD and any(data[at : at + 4]):  # a key of zeros fills up the rest
         key = data[at : at + 4].decode("latin-1")
         size, count = data[at + 5], int.from_bytes(data[at + 6 : at + 8], "big")
         begin, length = at + _HEAD, size * count
         if begin + length > len(data):
-            raise BrokenEntry(f"{key!r} says {count} rows of {size} bytes, and {len(data) - begin} bytes are left")
+            raise BrokenTrack(f"{key!r} says {count} rows of {size} bytes, and {len(data) - begin} bytes are left")
         yield Entry(key, chr(data[at + 4]), size=size, data=data[begin : begin + length])
         at = begin + length + -length % 4
 
@@ -152,7 +147,7 @@ def _read(file: BinaryIO, table: Samples) -> _Found:
         file.seek(int(offset))
         try:
             _add(found, file.read(int(size)), float(begin), float(length))
-        except BrokenEntry as error:
+        except BrokenTrack as error:
             found.blame(str(error))
     return found
 
@@ -184,10 +179,10 @@ def _scaled(stream: _Stream, key: str, columns: int) -> np.ndarray:
     types = stream["TYPE"].text() if "TYPE" in stream else ""
     rows = stream[key].rows(types)
     if "SCAL" not in stream:
-        raise BrokenEntry(f"{key} without a scale (SCAL)")
+        raise BrokenTrack(f"{key} without a scale (SCAL)")
     scale = stream["SCAL"].rows().ravel()
     if rows.shape[1] != columns or len(scale) not in (1, columns) or not np.all(scale):
-        raise BrokenEntry(f"{key} with {rows.shape[1]} numbers a row and {len(scale)} scales: {columns} are meant")
+        raise BrokenTrack(f"{key} with {rows.shape[1]} numbers a row and {len(scale)} scales: {columns} are meant")
     return rows / scale
 
 
@@ -197,7 +192,7 @@ def _gps5(stream: _Stream) -> Readings:
     time = np.full(count, np.nan)
     time[:1] = _utc(stream["GPSU"].text()) if "GPSU" in stream else np.nan
     fix, dop = (np.full(count, _first(stream, key)) for key in ("GPSF", "GPSP"))
-    return Readings(np.full(count, np.nan), time, rows[:, :3], fix=fix, dop=dop / _HUNDRED)
+    return Readings(np.full(count, np.nan), time, rows[:, :3], fix=fix, dop=dop / 100.0)
 
 
 def _gps9(stream: _Stream) -> Readings:

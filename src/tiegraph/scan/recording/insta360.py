@@ -24,6 +24,7 @@ from typing import BinaryIO
 import numpy as np
 
 from tiegraph.scan.recording.fixes import Readings
+from tiegraph.scan.recording.tracks import BrokenTrack
 from tiegraph.scene.regular import regular
 
 _FORM_BITS = 16
@@ -45,14 +46,10 @@ _ENTRY = np.dtype([("kind", "u1"), ("format", "u1"), ("size", "<u4"), ("offset",
 _Places = dict[int, tuple[int, int]]  # first byte and length of a record by its kind
 
 
-class BrokenTrailer(ValueError):
-    """A trailer whose records do not lie in it; the text says which."""
-
-
 def read_trailer(video: Path) -> Readings | None:
     """The receiver's readings, their stamps NaN; None of a file without such a trailer or record.
 
-    Raises BrokenTrailer, and OSError of a file that cannot be read.
+    Raises BrokenTrack, and OSError of a file that cannot be read.
     """
     with regular(video, None).open("rb") as file:
         end = file.seek(0, 2)
@@ -64,7 +61,7 @@ def read_trailer(video: Path) -> Readings | None:
             return None
         length = int.from_bytes(foot[32:36], "little")
         if not _FOOT <= length <= end:
-            raise BrokenTrailer(f"it says that it has {length} bytes, and the file has {end}")
+            raise BrokenTrack(f"it says that it has {length} bytes, and the file has {end}")
         begin, size = _records(file, end - length, end).get(_GPS, (0, 0))
         if not size:
             return None
@@ -86,7 +83,7 @@ def _records(file: BinaryIO, begin: int, end: int) -> _Places:
         if form != _BINARY or not size:
             continue
         if begin + offset + size > end - _FOOT:
-            raise BrokenTrailer(f"its index says record {kind} has {size} bytes at {offset}, which is outside of it")
+            raise BrokenTrack(f"its index says record {kind} has {size} bytes at {offset}, which is outside of it")
         found[kind] = begin + offset, size
     return found
 
@@ -103,7 +100,7 @@ def _walk(file: BinaryIO, begin: int, end: int) -> _Places:
         at -= _HEAD + length
         if at < begin:
             if not found:
-                raise BrokenTrailer(f"its last record, {kind}, says {length} bytes, more than there are")
+                raise BrokenTrack(f"its last record, {kind}, says {length} bytes, more than there are")
             break
         if form == _BINARY:
             found.setdefault(kind, (at, length))

@@ -20,7 +20,7 @@ _MOST_SAMPLES = 1_000_000  # bound of memory: of telemetry, one a second, 11 day
 
 
 class BrokenTrack(ValueError):
-    """Tables of a track that contradict each other or the file; the text says which."""
+    """Tables of a track, entries or records in it that contradict each other or the file; the text says which."""
 
 
 @dataclass(frozen=True)

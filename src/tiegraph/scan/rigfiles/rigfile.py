@@ -139,7 +139,6 @@ def camera_table(path: Path, text: str, tuning: RigTuning) -> SensorSpec:
 
 _SENSORS_TABLE = r"\s*\[\[\s*sensors\s*\]\]"
 _PAIRS_TABLE = r"\s*\[\[\s*pairs\s*\]\]"
-_MAX_TURN_DEG = 360.0  # a full turn
 
 
 class _TomlReader(Reader):
@@ -242,7 +241,7 @@ class _TomlReader(Reader):
             return self.matrix(data, position, table, number)
         values = self.numbers(data, turns[0], (3,) if turns[0].startswith("yaw") else (4,), table, number)
         assert values is not None
-        if len(values) == 3 and max(map(abs, values)) > _MAX_TURN_DEG:
+        if len(values) == 3 and max(map(abs, values)) > 360.0:
             raise self.fail(turns[0], f"{turns[0]} = {list(values)}: expected degrees, 360 at most", table, number)
         rotation = orient(*values, axes) if len(values) == 3 else self.quaternion(values, turns[0], table, number)
         return rigid(rotation, np.array(position or (0.0, 0.0, 0.0)))

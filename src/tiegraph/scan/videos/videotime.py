@@ -12,8 +12,8 @@ import numpy as np
 
 from tiegraph.scan.recording.fixes import RECORDED_RANGE_S, Fixes, Readings, believed
 from tiegraph.scan.recording.gpmf import Telemetry, read_gpmf
-from tiegraph.scan.recording.insta360 import BrokenTrailer, read_trailer
-from tiegraph.scan.recording.tracks import boxes
+from tiegraph.scan.recording.insta360 import read_trailer
+from tiegraph.scan.recording.tracks import BrokenTrack, boxes
 from tiegraph.scan.settings import ScanSettings, VideoOffsets, video_offsets
 from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scene.exif import Taken
@@ -117,13 +117,13 @@ def _by_trailer(
     clock = _by_container(container, told)
     try:
         readings = read_trailer(video)
-    except (BrokenTrailer, OSError) as error:
+    except (BrokenTrack, OSError) as error:
         note = f"{clock.note}; its Insta360 trailer cannot be read ({error}): no positions from it"
         return VideoClock(clock.start_s, clock.known, clock.utc, note=note)
     if readings is None:
         return clock
     kept, words = believed(readings, tuning)
-    kept = kept.take(np.argsort(kept.time_s, kind="stable")[: int(np.isfinite(kept.time_s).sum())])
+    kept = kept.where(np.argsort(kept.time_s, kind="stable")[: int(np.isfinite(kept.time_s).sum())])
     said = f"positions from its Insta360 trailer: {words}"
     zone_s = _zone(kept, clock, container.length_s, tuning)
     if not len(kept) or zone_s is None:

@@ -17,7 +17,6 @@ heights above the sea and no undulation (GPX, KML, RTKLIB's geodetic heights) ar
 
 import codecs
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 from tiegraph.scene.bags import is_bag
@@ -44,24 +43,18 @@ __all__ = [
 _HEAD = 1 << 16  # bytes that tell a format
 
 
-@dataclass(frozen=True)
-class Format:
-    """``told`` says of the first bytes of a file, as text and as bytes, whether it is one; ``read`` reads it."""
-
-    told: Callable[[str, bytes], bool]
-    read: Callable[[Path, bytes], Fixes]
-
-
-FORMATS: dict[str, Format] = {
-    "GPX": Format(xmltracks.is_gpx, xmltracks.read_gpx),
-    "KML": Format(xmltracks.is_kml, xmltracks.read_kml),
-    "SBET": Format(sbet.is_sbet, sbet.read_sbet),
-    "RTKLIB": Format(rtklib.is_rtklib, rtklib.read_rtklib),
-    "DJI MRK": Format(mrk.is_mrk, mrk.read_mrk),
-    "ODM geo.txt": Format(columns.is_geotxt, columns.read_geotxt),
-    "NMEA 0183": Format(nmea.is_nmea, nmea.read_nmea),
-    "CSV": Format(lambda text, raw: True, columns.read_columns),
-}  # the first that fits
+FORMATS: dict[str, tuple[Callable[[str, bytes], bool], Callable[[Path, bytes], Fixes]]] = {
+    "GPX": (xmltracks.is_gpx, xmltracks.read_gpx),
+    "KML": (xmltracks.is_kml, xmltracks.read_kml),
+    "SBET": (sbet.is_sbet, sbet.read_sbet),
+    "RTKLIB": (rtklib.is_rtklib, rtklib.read_rtklib),
+    "DJI MRK": (mrk.is_mrk, mrk.read_mrk),
+    "ODM geo.txt": (columns.is_geotxt, columns.read_geotxt),
+    "NMEA 0183": (nmea.is_nmea, nmea.read_nmea),
+    "CSV": (lambda text, raw: True, columns.read_columns),
+}
+"""Of each format what says of the first bytes of a file, as text and as bytes, whether it is one, and what reads it.
+The first that fits is taken."""
 
 
 def read_gnss(path: Path, tuning: GnssTuning) -> Gnss:
@@ -75,5 +68,5 @@ def read_gnss(path: Path, tuning: GnssTuning) -> Gnss:
     raw = whole_file(Path(path), "GNSS file")
     utf16 = raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     head = raw[:_HEAD].decode("utf-16" if utf16 else "utf-8-sig", errors="replace")
-    found = next(f for f in FORMATS.values() if f.told(head, raw[:_HEAD]))
-    return judged(found.read(Path(path), raw), tuning)
+    read = next(read for told, read in FORMATS.values() if told(head, raw[:_HEAD]))
+    return judged(read(Path(path), raw), tuning)

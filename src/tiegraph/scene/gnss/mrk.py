@@ -19,7 +19,6 @@ _START = re.compile(r"\s*(\d+)\s+\d+\.\d+\s+\[\d+\]")
 _NUMBER = r"([-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?)"
 _THREE = r"\s*,\s*".join([_NUMBER] * 3)
 _PLACE = re.compile(rf"{_NUMBER}\s*,\s*Lat\s+{_NUMBER}\s*,\s*Lon\s+{_NUMBER}\s*,\s*Ellh\s+{_THREE}\s+(\d+)\s*,\s*Q")
-_NONE = 0  # Q: 0 none, 16 single, 34 float, 50 fixed
 
 
 def is_mrk(text: str, raw: bytes) -> bool:
@@ -28,7 +27,8 @@ def is_mrk(text: str, raw: bytes) -> bool:
 
 
 def read_mrk(path: Path, raw: bytes) -> Fixes:
-    """Rows of a Timestamp.MRK, named "#<number>"; those without a position (Q 0) are empty.
+    """Rows of a Timestamp.MRK, named "#<number>"; those without a position (Q 0; 16 is single, 34 float, 50 fixed) are
+    empty.
 
     Raises InputError, with the line, for a row that is none.
     """
@@ -44,7 +44,7 @@ def read_mrk(path: Path, raw: bytes) -> Fixes:
             )
         values = [float(v) for v in place.groups()[:6]]
         flags.append(int(place[7]))
-        rows.append((n, start[1], values if flags[-1] != _NONE else [np.nan] * 6))
+        rows.append((n, start[1], values if flags[-1] else [np.nan] * 6))
     table = np.array([values for _, _, values in rows])
     fixed = ", ".join(f"{count} of Q {flag}" for flag, count in sorted(Counter(flags).items(), reverse=True))
     return Fixes(

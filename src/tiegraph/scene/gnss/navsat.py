@@ -11,7 +11,6 @@ from tiegraph.scene.gnss.fixes import Fixes
 
 KINDS = ("sensor_msgs/NavSatFix",)
 _NO_FIX = -1  # NavSatStatus.STATUS_NO_FIX
-_UNKNOWN = 0  # NavSatFix.COVARIANCE_TYPE_UNKNOWN
 
 
 def read_navsat(path: Path) -> Fixes:
@@ -27,7 +26,7 @@ def read_navsat(path: Path) -> Fixes:
             if fix.status.status == _NO_FIX:
                 lost += 1
                 continue
-            unknown = fix.position_covariance_type == _UNKNOWN
+            unknown = fix.position_covariance_type == 0  # COVARIANCE_TYPE_UNKNOWN
             variance = np.full(3, np.nan) if unknown else np.asarray(fix.position_covariance, float)[[0, 4, 8]]
             place = fix.latitude, fix.longitude, fix.altitude
             rows.append((1e-9 * stamp_ns(fix.header, received_ns), *place, *variance))

@@ -22,7 +22,6 @@ from tiegraph.scene.timecolumns import gps_note
 _HEADER = re.compile(r"%[ \t]*(GPST|UTC|JST)\b[ \t,;]+(latitude|x-ecef|e-baseline)")
 _ANY_HEADER = re.compile(rf"(?m)^[ \t]*{_HEADER.pattern}")
 _SPLIT = re.compile(r"[\s,;]+")
-_JST_S = 9 * 3600.0
 _QUALITY = {1: "fixed", 2: "float", 3: "SBAS", 4: "DGPS", 5: "single", 6: "PPP"}
 
 
@@ -172,4 +171,4 @@ def _time(path: Path, n: int, cells: list[str]) -> float:
 def _utc(time_s: np.ndarray, scale: str) -> np.ndarray:
     if scale == "GPST":
         return np.where(np.isfinite(time_s), utc_from_gps(np.nan_to_num(time_s) - GPS_EPOCH_S), np.nan)
-    return time_s - _JST_S if scale == "JST" else time_s
+    return time_s - 9 * 3600.0 if scale == "JST" else time_s

@@ -154,7 +154,8 @@ def check_consistency(
     """Blocks that a jump parts from the rest and that their ties do not hold there, and frames whose ties contradict
     their place, by themselves or together with those they are tied to most."""
     blocks = [
-        sorted(f for p in block for f in p.frames) for block in _blocks(segments(positions, scene, continuity), scores)
+        sorted(f for _, frames in block for f in frames)
+        for block in _blocks(segments(positions, scene, continuity), scores)
     ]
     blocks.sort(key=lambda block: -len(block))
     near = neighbours(scene, scores.tuning.near_steps)
@@ -229,7 +230,7 @@ def neighbours(scene: Scene, near_steps: int) -> list[set[int]]:
 
 def _blocks(cut: list[Segment], scores: ConsistencyVotes) -> list[list[Segment]]:
     """Pieces joined by agreeing ties, strongest first; two pieces of one pass that a jump parts never join."""
-    owner = {f: k for k, p in enumerate(cut) for f in p.frames}
+    owner = {f: k for k, (_, frames) in enumerate(cut) for f in frames}
     weight: dict[tuple[int, int], float] = {}
     for (a, b), value in scores.agree.items():
         if a in owner and b in owner and owner[a] != owner[b]:
@@ -239,8 +240,8 @@ def _blocks(cut: list[Segment], scores: ConsistencyVotes) -> list[list[Segment]]
     home = {k: k for k in range(len(cut))}
     for (a, b), value in sorted(weight.items(), key=lambda item: -item[1]):
         one, two = home[a], home[b]
-        tracks = {cut[k].sequence for k in block[one]}
-        if one == two or value < scores.tuning.min_votes or tracks & {cut[k].sequence for k in block[two]}:
+        tracks = {cut[k][0] for k in block[one]}
+        if one == two or value < scores.tuning.min_votes or tracks & {cut[k][0] for k in block[two]}:
             continue
         for k in block[two]:
             home[k] = one

@@ -7,13 +7,8 @@ import numpy as np
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.tuning.placement import ConsistencyTuning
 
-
-@dataclass(frozen=True)
-class Segment:
-    """Frames of one pass that follow one another without a jump."""
-
-    sequence: int
-    frames: tuple[int, ...]
+Segment = tuple[int, tuple[int, ...]]
+"""A pass, and frames of it that follow one another without a jump."""
 
 
 @dataclass(frozen=True)
@@ -71,8 +66,7 @@ def motion_continuity(
 
 def in_order(scene: Scene, positions: np.ndarray, sequence: int) -> np.ndarray:
     """Registered frames of a pass in the order of its steps."""
-    members = np.flatnonzero((scene.sequence == sequence) & np.isfinite(positions).all(axis=1))
-    return members[np.argsort(scene.sequence_index[members], kind="stable")]
+    return scene.in_order((scene.sequence == sequence) & np.isfinite(positions).all(axis=1))
 
 
 def segments(positions: np.ndarray, scene: Scene, continuity: MotionContinuity) -> list[Segment]:
@@ -86,5 +80,5 @@ def segments(positions: np.ndarray, scene: Scene, continuity: MotionContinuity) 
                 max(fits, key=lambda g: (continuity.clock[g[-1]], len(g))).append(frame)
             else:
                 groups.append([frame])
-        out += [Segment(sequence, tuple(g)) for g in groups]
+        out += [(sequence, tuple(g)) for g in groups]
     return out

@@ -8,7 +8,6 @@ import numpy as np
 import pycolmap
 
 from tiegraph.scene.colmapmodel import image_poses, model_rigs
-from tiegraph.scene.graph import some
 from tiegraph.scene.registered import LEFT_OUT
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import frame_poses
@@ -16,6 +15,7 @@ from tiegraph.sfm.placement.consistency import ConsistencyCheck, check_consisten
 from tiegraph.sfm.placement.continuity import motion_continuity
 from tiegraph.sfm.tuning.placement import PlacementTuning
 from tiegraph.sfm.verified import VerifiedMatches, agreement, image_observations, read_verified
+from tiegraph.text import some
 
 _NAMED = 4  # frames that a remark names; the table has all
 

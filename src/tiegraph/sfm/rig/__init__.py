@@ -17,7 +17,7 @@ cameras that fire at different times fit to a tenth of a pixel, while half of th
 the user orders is kept (``--sparse.rig fixed``, ``synchronised = true``); what contradicts it is reported.
 
 **Relaxing** (``calibrate_times``). A rig that moves is relaxed, unless fewer images would then be registered by points.
-Every image becomes a frame of its own (``cameraframes``), tied to its reference by extrinsics, time offset and a
+Every image becomes a frame of its own (``linear``), tied to its reference by extrinsics, time offset and a
 constant, which are unknowns of the adjustment (``sfm.adjustment.timecost``). A calibrated rig keeps its rotations, and
 lenses whose calibration has no distortion get some where that explains the images clearly better: otherwise offsets and
 mounting take it up.

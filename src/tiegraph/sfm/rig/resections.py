@@ -15,13 +15,14 @@ from scipy.spatial.transform import Rotation
 from scipy.special import bdtr
 
 from tiegraph.geometry import transforms
+from tiegraph.geometry.align import MAD
 from tiegraph.geometry.transforms import skew
 from tiegraph.scene.colmapmodel import matrix, model_rigs
 from tiegraph.scene.scene import Scene
+from tiegraph.scene.sorting import Columns
 from tiegraph.sfm.rig.observations import Observations, model_observations, retriangulate
 from tiegraph.sfm.tuning.rig import DiagnosticsTuning
 
-_MAD = 1.4826
 COLUMNS = (
     "frame", "pass", "camera", "points", "rms_px", "right_m", "down_m", "forward_m", "turn_x_deg", "turn_y_deg",
     "turn_z_deg", "sigma_m", "sigma_deg", "baseline_m", "axis_deg",
@@ -29,7 +30,7 @@ COLUMNS = (
 
 
 @dataclass(frozen=True)
-class Resections:
+class Resections(Columns):
     """K images resected in the points of their frame's other cameras, against the rig; lengths in metres.
 
     ``shift_m`` and ``turn_deg`` are in the rig frame: own place minus the rig's, own rotation after the rig's.
@@ -48,10 +49,6 @@ class Resections:
     def residual(self) -> np.ndarray:
         """(K, 6) shift (m) and turn (rad)."""
         return np.concatenate([self.shift_m, np.radians(self.turn_deg)], axis=1)
-
-    def where(self, rows: np.ndarray) -> Resections:
-        """Some of them."""
-        return Resections(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
 
 
 @dataclass(frozen=True)
@@ -241,7 +238,7 @@ def median_at_least(values: np.ndarray, chance: float) -> float:
 def _deviation(values: np.ndarray, sigma: np.ndarray) -> Deviation:
     """Of (K, 3) shifts or turns and what is expected of each."""
     median = np.median(values, axis=0)
-    spread = _MAD * np.median(np.abs(values - median), axis=0)
+    spread = MAD * np.median(np.abs(values - median), axis=0)
     return Deviation(
         median=(float(median[0]), float(median[1]), float(median[2])),
         scatter=float(np.max(spread)),

@@ -21,7 +21,7 @@ from tiegraph.sfm.adjustment.jacobians import RigConstraint, RigConstraints
 from tiegraph.sfm.adjustment.lens import take_cameras
 from tiegraph.sfm.adjustment.timecost import TimeOffsetPrior, TimeOffsetPriors, expected
 from tiegraph.sfm.model import frame_poses
-from tiegraph.sfm.rig.cameraframes import per_camera_frames
+from tiegraph.sfm.rig.linear import per_camera_frames
 from tiegraph.sfm.rig.timeoffset import Motion, TimeOffset, rig_motion, time_offset
 from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.tuning.rig import TimeOffsetTuning

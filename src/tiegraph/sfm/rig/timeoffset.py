@@ -18,12 +18,10 @@ import pycolmap
 from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import l1_mean_rotation
+from tiegraph.geometry.align import l1_mean_rotation, robust_sigma
 from tiegraph.scene.colmapmodel import image_poses
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.tuning.rig import RigTuning, TimeOffsetTuning
-
-_NORMAL = 1.4826  # sigma over the median of absolute values
 
 
 @dataclass(frozen=True)
@@ -49,8 +47,7 @@ def rig_motion(world_from_rig: np.ndarray, scene: Scene) -> Motion:
     velocity, rate = np.full((scene.frames, 3), np.nan), np.full((scene.frames, 3), np.nan)
     known = np.isfinite(world_from_rig).all(axis=(1, 2))
     for track in np.unique(scene.sequence[scene.sequence >= 0]):
-        members = np.flatnonzero((scene.sequence == track) & known)
-        members = members[np.argsort(scene.sequence_index[members], kind="stable")]
+        members = scene.in_order((scene.sequence == track) & known)
         for k, frame in enumerate(members):
             a, b = members[max(k - 1, 0)], members[min(k + 1, len(members) - 1)]
             gap = time[b] - time[a]
@@ -143,8 +140,8 @@ def relaxed_mountings(
         turned = Rotation.from_matrix(found[:, :3, :3] @ turn.T).as_rotvec()
         out[sensor.name] = RelaxedMounting(
             sensor_from_rig=transforms.rigid(turn, -turn @ centre),
-            sigma_deg=max(float(np.degrees(_NORMAL * np.median(np.abs(turned)))), known.loose_deg),
-            sigma=max(float(_NORMAL * np.median(np.abs(centres - centre))), known.nominal_m),
+            sigma_deg=max(float(np.degrees(robust_sigma(turned))), known.loose_deg),
+            sigma=max(robust_sigma(centres - centre), known.nominal_m),
         )
     return out
 
