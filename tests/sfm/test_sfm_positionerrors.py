@@ -25,18 +25,10 @@ def _errors(white: float, slow: float, lasts_s: float, rng: np.random.Generator)
 
 
 def _linear(residual: np.ndarray, sigma: float, level: np.ndarray) -> Linear:
-    places = np.zeros((COUNT, 3, 7))
-    here = PATH - PATH.mean(axis=0)
-    places[:, :, :3], places[:, :, 3:6], places[:, :, 6] = -skew(here), np.eye(3), here
-    return Linear(
-        by_unknowns=places,
-        residual=sigma * residual,
-        sigma=np.full((COUNT, 3), sigma),
-        level=level,
-        time_s=np.arange(float(COUNT)),
-        information=np.diag([1e-6] * 3 + [0.0] * 4),
-        pull=np.zeros(7),
-    )
+    rows, here = np.zeros((COUNT, 3, 8)), PATH - PATH.mean(axis=0)
+    rows[:, :, :3], rows[:, :, 3:6], rows[:, :, 6], rows[:, :, 7] = -skew(here), np.eye(3), here, sigma * residual
+    known = np.diag([1e-6] * 3 + [0.0] * 5)
+    return Linear(rows=rows, sigma=np.full((COUNT, 3), sigma), level=level, time_s=np.arange(float(COUNT)), known=known)
 
 
 @pytest.mark.parametrize(

@@ -167,24 +167,18 @@ def by_errors(
 def _linearised(problem: _Problem, x: np.ndarray, inlier: np.ndarray, rows: PositionRows, seen: np.ndarray) -> Linear:
     """The positions ``seen`` (K,), and all else in the normal equations; what the positions share comes last."""
     sigma, count, size = problem.evidence.sigma, len(seen), problem.size
-    jacobian, others = problem.derivatives(x, inlier.astype(float)), problem.others(x)
-    places = np.hstack([problem.positions(x).ravel(), others])
-    known = jacobian[3 * count :]
+    off = np.append(problem.positions(x).ravel(), problem.others(x))
+    every = np.column_stack([problem.derivatives(x, inlier.astype(float)), off])
     shared = np.flatnonzero(np.isfinite(rows.common))
-    information = np.zeros((size + len(shared),) * 2)
-    information[:size, :size] = known.T @ known
-    information[size:, size:] = np.diag(rows.common[shared] ** -2)
-    by_unknowns = np.zeros((count, 3, len(information)))
-    by_unknowns[:, :, :size] = jacobian[: 3 * count].reshape(count, 3, size) * sigma[:count, :, None]
-    by_unknowns[:, shared, size + np.arange(len(shared))] = 1.0
+    at = np.append(np.arange(size), size + len(shared))  # columns of the unknowns of the problem, and of residuals
+    places = np.zeros((count, 3, at[-1] + 1))
+    places[:, :, at] = every[: 3 * count].reshape(count, 3, -1) * sigma[:count, :, None]
+    places[:, shared, size + np.arange(len(shared))] = 1.0
+    known = np.zeros((at[-1] + 1,) * 2)
+    known[np.ix_(at, at)] = every[3 * count :].T @ every[3 * count :]
+    known[size:-1, size:-1] = np.diag(rows.common[shared] ** -2)
     return Linear(
-        by_unknowns=by_unknowns[seen],
-        residual=(places[: 3 * count].reshape(count, 3) * sigma[:count])[seen],
-        sigma=rows.sigma[seen],
-        level=rows.level[seen],
-        time_s=rows.time_s[seen],
-        information=information,
-        pull=np.append(known.T @ places[3 * count :], np.zeros(len(shared))),
+        rows=places[seen], sigma=rows.sigma[seen], level=rows.level[seen], time_s=rows.time_s[seen], known=known
     )
 
 

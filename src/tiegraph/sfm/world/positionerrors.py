@@ -27,17 +27,16 @@ _MOST = 1 - 1e-9  # correlation of two positions of one instant
 class Linear:
     """K positions and what else is known of D unknowns, linearised where they are.
 
-    ``by_unknowns`` (K, 3, D) and ``residual`` (K, 3), metres, of positions of stated ``sigma`` (K, 3), of ``level``
-    (K,) and ``time_s`` (K,), NaN = not known; ``information`` (D, D) and ``pull`` (D,) of all else: J'J and J'r.
+    ``rows`` (K, 3, D + 1), metres: derivatives of places by the unknowns and, last, residuals, of positions of stated
+    ``sigma`` (K, 3), of ``level`` (K,) and ``time_s`` (K,), NaN = not known. ``known`` (D + 1, D + 1): the products of
+    such rows, over their sigmas, of all else.
     """
 
-    by_unknowns: np.ndarray
-    residual: np.ndarray
+    rows: np.ndarray
     sigma: np.ndarray
     level: np.ndarray
     time_s: np.ndarray
-    information: np.ndarray
-    pull: np.ndarray
+    known: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -61,8 +60,7 @@ class PositionErrors:
         order = np.argsort(linear.time_s, kind="stable")  # NaN last
         self._order = order
         self._steps = np.diff(linear.time_s[order])
-        scaled = np.concatenate([linear.by_unknowns, linear.residual[:, :, None]], axis=2) / linear.sigma[:, :, None]
-        self._sides = scaled[order].reshape(len(order), -1)  # (K, 3 (D + 1))
+        self._sides = (linear.rows / linear.sigma[:, :, None])[order].reshape(len(order), -1)  # (K, 3 (D + 1))
 
     @cached_property
     def sizes(self) -> Sizes:
@@ -84,14 +82,15 @@ class PositionErrors:
 
     def _unlikely(self, x: np.ndarray, believed: np.ndarray) -> float:
         """Twice the negative logarithm of the likelihood of sizes (their logarithms), but for a constant."""
-        lost, normal, pull, square = self._normal(self._of(x))
-        square -= float(pull @ np.linalg.solve(normal, pull))
+        lost, normal = self._normal(self._of(x))
+        left = normal[-1, -1] - normal[-1, :-1] @ np.linalg.solve(normal[:-1, :-1], normal[:-1, -1])
         off = np.append(x[:-2], [x[-2] - x[:-2].mean() + believed[-2], x[-1]]) - believed  # as much slow as white
         belief = float(np.sum((off / self._tuning.belief) ** 2))
-        return lost + float(np.linalg.slogdet(normal)[1]) + square + belief
+        return lost + float(np.linalg.slogdet(normal[:-1, :-1])[1] + left) + belief
 
-    def _normal(self, sizes: Sizes) -> tuple[float, np.ndarray, np.ndarray, float]:
-        """Logarithm of the determinant of the errors' covariance, normal matrix (D, D), right side (D,), squares."""
+    def _normal(self, sizes: Sizes) -> tuple[float, np.ndarray]:
+        """Logarithm of the determinant of the errors' covariance, and (D + 1, D + 1): the normal matrix, with the right
+        side as its last column and the squares of the residuals in the corner."""
         precise = (sizes.slow / sizes.white[self._level[self._order]]) ** 2  # all is read in units of the slow part
         steps = np.where(np.isfinite(self._steps), self._steps, np.inf)
         rho = np.minimum(np.exp(-steps / sizes.lasts_s), _MOST)
@@ -105,12 +104,10 @@ class PositionErrors:
         weighed = precise[:, None] * sides
         weighed -= precise[:, None] * cho_solve_banded((factor, False), weighed)
         sides, weighed = (v.reshape(len(precise) * 3, -1) for v in (sides, weighed))
-        both = sides.T @ weighed
-        linear = self._linear
-        return 3 * float(lost), linear.information + both[:-1, :-1], linear.pull + both[:-1, -1], float(both[-1, -1])
+        return 3 * float(lost), self._linear.known + sides.T @ weighed
 
     def step(self) -> tuple[np.ndarray, np.ndarray]:
         """What the unknowns are to be moved by (D,) for the best fit, and their covariance (D, D)."""
-        _, normal, pull, _ = self._normal(self.sizes)
-        covariance = np.linalg.pinv(normal, hermitian=True)
-        return -covariance @ pull, covariance
+        normal = self._normal(self.sizes)[1]
+        covariance = np.linalg.pinv(normal[:-1, :-1], hermitian=True)
+        return -covariance @ normal[:-1, -1], covariance

@@ -176,7 +176,7 @@ def _position_rows(fixes: Fixes, scene: Scene, tuning: FixTuning) -> PositionRow
     if scene.prior in ("gnss", "exif") and len(fixes):
         datum = 0.0 if scene.origin is None else datum_sigma_m(scene.origin.crs)
         common = np.hypot(tuning.lasting * np.median(fixes.stated, axis=0), datum * np.array([0.5, 0.5, 0.0]) ** 0.5)
-    return PositionRows(fixes.sigma, fixes.level, fixes.time_s, common)
+    return PositionRows(sigma=fixes.sigma, level=fixes.level, time_s=fixes.time_s, common=common)
 
 
 def _weighed(about: _Given, stated: Fixes, arm: _Arm) -> tuple[EvidenceWeights, Fitted]:
