@@ -13,6 +13,7 @@ import logging
 import sys
 import tempfile
 import time
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,7 @@ import numpy as np
 import tiegraph  # noqa: F401  before pycolmap
 
 import pycolmap  # isort: skip
+from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from benchmarks import datasets
@@ -222,6 +224,85 @@ def _with_rows(survey: Survey, rows: PositionRows) -> Survey:
     return survey
 
 
+# --- receivers of known errors ------------------------------------------------------------------------------------
+
+
+ANTENNA = np.array([[0, -1, 0], [0, 0, -1], [1, 0, 0.0]]) @ ([0.93 - 0.06, 0.58, 0.32])  # of the canal's boat, by cam0
+# name: stated sigma (m), white and slow errors over it, and how long the latter last (s)
+RECEIVERS = {
+    "RTK": (0.02, 0.7, 0.7, 60.0),
+    "RTK, white": (0.02, 1.0, 0.0, 60.0),
+    "float, wanders": (0.35, 0.2, 1.0, 30.0),
+    "code, slow": (2.0, 0.2, 1.0, 300.0),
+    "three times as bad": (0.02, 2.1, 2.1, 60.0),
+    "ten times as good": (5.0, 0.07, 0.07, 60.0),
+}
+
+
+def receivers(survey: Survey, seeds: int) -> dict[str, Any]:
+    """Positions with errors of known kind on the true path of the antenna of a canal, with all of what a receiver's
+    errors have in common as well (0.7 of the stated sigma): actual errors over the predicted sigmas, root mean square
+    over the draws, and the share within one sigma."""
+    path = _antenna_path(survey)
+    out: dict[str, Any] = {}
+    for given in (True, False):
+        for name, (sigma_m, white, slow, lasts_s) in RECEIVERS.items():
+            ratios = []
+            for seed in range(seeds):
+                made = _received(path, sigma_m * np.array([1, 1, 1.6]), (white, slow, lasts_s), seed)
+                scene = survey.scene
+                rigs = tuple(replace(r, antenna_m=tuple(ANTENNA) if given else None) for r in scene.rigs)
+                bad = _with_rows(survey, made)
+                bad.scene = bad.scene.with_(rigs=rigs)
+                found, world, _ = georeferenced(bad, "rows", Measurements(made, None, survey.covered))
+                survey.scene = scene
+                actual = errors(bad, found, world)["actual"] if found.uncertainty.sigma else {}
+                ratios.append([v / max(found.uncertainty.sigma[k], 1e-9) for k, v in actual.items()])
+            z = np.array([r for r in ratios if r])
+            names = ("position_m", "height_m", "yaw_deg", "tilt_deg", "scale")
+            out[f"{name}, antenna {'given' if given else 'not given'}"] = {
+                "rms": dict(zip(names, np.sqrt(np.mean(z**2, axis=0)).round(2).tolist())), "draws": len(z),
+                "within": float(np.mean(z < 1).round(2)),
+            }  # fmt: skip
+    return out
+
+
+def _antenna_path(survey: Survey) -> dict[str, np.ndarray]:
+    """``time_s`` (G,) of the receiver's rows within passes and the true ``place`` (G, 3) of the antenna, in the scene's
+    world."""
+    scene, data, rows = survey.scene, survey.dataset, survey.rows()
+    at = np.full((scene.frames, 3), np.nan)
+    for name, pose in data.cam_from_world.items():
+        if name in scene.image_index and "cam0" in name:
+            at[scene.frame[scene.image_index[name]]] = (np.linalg.inv(pose) @ [*ANTENNA, 1.0])[:3]
+    assert data.truth_origin is not None and scene.origin is not None and rows is not None
+    known = np.isfinite(at).all(axis=1)
+    at[known] = world_from_geodetic(geodetic_from_world(at[known], data.truth_origin), scene.origin)
+    times, places = [], []
+    for track in range(len(scene.sequences)):
+        own = np.flatnonzero(known & (scene.sequence == track))
+        own = own[np.argsort(scene.time_s[own])]
+        span = scene.time_s[own]
+        inside = rows.time_s[(rows.time_s >= span[0]) & (rows.time_s <= span[-1])]
+        times.append(inside)
+        places.append(CubicSpline(span, at[own])(inside))
+    order = np.argsort(np.concatenate(times))
+    return {"time_s": np.concatenate(times)[order], "place": np.concatenate(places)[order]}
+
+
+def _received(
+    path: Mapping[str, np.ndarray], sigma: np.ndarray, kind: tuple[float, float, float], seed: int
+) -> PositionRows:
+    """Rows of a receiver on a path (``time_s`` (G,), ``place`` (G, 3)) with errors of a kind."""
+    time_s, place, rng, (white, slow, lasts_s) = path["time_s"], path["place"], np.random.default_rng(seed), kind
+    z = rng.standard_normal(place.shape)
+    for k in range(1, len(z)):
+        keeps = np.exp(-(time_s[k] - time_s[k - 1]) / lasts_s)
+        z[k] = keeps * z[k - 1] + np.sqrt(1 - keeps**2) * z[k]
+    off = white * rng.standard_normal(place.shape) + slow * z + max(white, slow, 0.7) * 0.7 * rng.standard_normal(3)
+    return PositionRows(time_s, place + sigma * off, np.tile(sigma, (len(place), 1)))
+
+
 # --- simulated corridor ---------------------------------------------------------------------------------------------
 
 
@@ -276,8 +357,8 @@ def main() -> None:
     parser.add_argument("--runs", type=Path, required=True, help="folder with <set>-tiegraph-0/out or <set>/out")
     parser.add_argument("--sets", nargs="*", default=list(SETS))
     parser.add_argument("--ways", nargs="*", default=list(WAYS))
-    parser.add_argument("--cases", nargs="*", default=[], help="bad, outage")
-    parser.add_argument("--seeds", type=int, default=2, help="of the corridor")
+    parser.add_argument("--cases", nargs="*", default=[], help="bad, outage, receivers")
+    parser.add_argument("--seeds", type=int, default=2, help="of the corridor, of receivers")
     parser.add_argument("--bad-way", default="adjusted", help="way of the bad cases: rows or adjusted")
     parser.add_argument("-o", "--out", type=Path)
     options = parser.parse_args()
@@ -290,6 +371,8 @@ def main() -> None:
             ]
             survey = Survey(name, found[0], Path(work))
             results.setdefault("sets", {}).setdefault(name, {}).update(measure_set(survey, tuple(options.ways)))
+            if "receivers" in options.cases and name.startswith("canal"):
+                results.setdefault("receivers", {})[name] = receivers(survey, options.seeds)
             if "bad" in options.cases and survey.rows() is not None:
                 results.setdefault("bad", {})[name] = bad_cases(survey, options.bad_way)
     if "outage" in options.cases:
@@ -317,6 +400,8 @@ def table(results: dict[str, Any]) -> str:
         for case, r in cases.items():
             done = f"SE3 {r['ate_se3_m']:.4f}, plan {r.get('absolute_plan_m', 0):.3f}" if "error" not in r else ""
             lines.append(f"{name}: {case}: " + (r.get("error") or f"{done}, adjusted {r['adjusted']}"))
+    for name, kinds in results.get("receivers", {}).items():
+        lines += [f"{name}: {kind}: {r['rms']}, {r['within']:.0%} within a sigma" for kind, r in kinds.items()]
     for r in results.get("outage", []):
         head = f"outage {r['gap_m']} m of {r['length_m']} m, radial {r['radial']}, seed {r['seed']}: "
         worst = {w: r[w] for w in ("similarity", "adjusted")}

@@ -43,7 +43,7 @@ def test_errors_over_their_sigmas(white, slow, lasts_s, bounds) -> None:
         errors = PositionErrors(_linear(_errors(white, slow, lasts_s, rng), 2.0, level), NoiseTuning())
         moved, covariance = errors.step()
         ratios.append(moved / np.sqrt(np.diag(covariance)))
-        sizes.append([errors.sizes.white[0], errors.sizes.slow])
+        sizes.append([errors.sizes.white[0], errors.sizes.slow[0]])
     assert bounds[0] < np.sqrt(np.mean(np.square(ratios))) < bounds[1]
     assert np.median(sizes, axis=0) == pytest.approx([white, slow], rel=0.15, abs=0.35 * white)
 

@@ -2,10 +2,11 @@
 
 A position of stated sigma s is off by s (w n + g z) + c. n is white; z is a first-order Gauss-Markov process of unit
 variance whose correlation falls as exp(-dt / tau); c is the same for all positions. A receiver states its sigma, and
-not how it is made up. So w (one a level of the stated sigma), g and tau are the likeliest after the residuals are seen
-(restricted likelihood: Patterson and Thompson 1971; of variance components: Foerstner 1979, Koch 1999), with a weak
-belief in the stated sigma beforehand. No residual tells c, nor what of z lasts longer than the survey: these stay as
-wide as they are stated.
+not how it is made up. So w and g (of each level of the stated sigma) and tau are the likeliest after the residuals are
+seen (restricted likelihood: Patterson and Thompson 1971; of variance components: Foerstner 1979, Koch 1999), with a
+weak belief in the stated sigma beforehand. No residual tells c, nor what of z lasts longer than the survey: these stay
+as wide as they are stated. What the model itself bends is taken for a slow
+error of the positions.
 """
 
 from __future__ import annotations
@@ -41,10 +42,10 @@ class Linear:
 
 @dataclass(frozen=True)
 class Sizes:
-    """Of errors, over the stated sigma: ``white`` by level number (L,), ``slow``, and how long that lasts (s)."""
+    """Of errors, over the stated sigma: ``white`` and ``slow`` by level (L,), and how long the latter last (s)."""
 
     white: np.ndarray
-    slow: float
+    slow: np.ndarray
     lasts_s: float
 
 
@@ -66,32 +67,35 @@ class PositionErrors:
     def sizes(self) -> Sizes:
         """The likeliest after the residuals are seen."""
         levels = self._level.max(initial=-1) + 1
-        start = np.log([*[np.sqrt(0.5)] * (levels + 1), self._tuning.slow_s])
+        start = np.log([*[np.sqrt(0.5)] * (2 * levels), self._tuning.slow_s])
         bounds = np.stack([start - _REACH, start + _REACH], axis=1)
         return self._of(minimize(self._unlikely, start, (start,), method="L-BFGS-B", bounds=bounds).x)
 
     @property
     def times_stated(self) -> float:
         """The errors over what is stated of them, median of the positions."""
-        return float(np.hypot(np.median(self.sizes.white[self._level]), self.sizes.slow))
+        return float(np.median(np.hypot(self.sizes.white, self.sizes.slow)[self._level]))
 
     @staticmethod
     def _of(x: np.ndarray) -> Sizes:
-        *white, slow, lasts = np.exp(x).tolist()
-        return Sizes(white=np.array(white), slow=slow, lasts_s=lasts)
+        white, slow = np.exp(x[:-1]).reshape(2, -1)
+        return Sizes(white=white, slow=slow, lasts_s=float(np.exp(x[-1])))
 
     def _unlikely(self, x: np.ndarray, believed: np.ndarray) -> float:
         """Twice the negative logarithm of the likelihood of sizes (their logarithms), but for a constant."""
         lost, normal = self._normal(self._of(x))
         left = normal[-1, -1] - normal[-1, :-1] @ np.linalg.solve(normal[:-1, :-1], normal[:-1, -1])
-        off = np.append(x[:-2], [x[-2] - x[:-2].mean() + believed[-2], x[-1]]) - believed  # as much slow as white
+        off, levels = x - believed, len(x) // 2
+        off[levels:-1] -= off[:levels]  # as much slow as white
         belief = float(np.sum((off / self._tuning.belief) ** 2))
         return lost + float(np.linalg.slogdet(normal[:-1, :-1])[1] + left) + belief
 
     def _normal(self, sizes: Sizes) -> tuple[float, np.ndarray]:
         """Logarithm of the determinant of the errors' covariance, and (D + 1, D + 1): the normal matrix, with the right
         side as its last column and the squares of the residuals in the corner."""
-        precise = (sizes.slow / sizes.white[self._level[self._order]]) ** 2  # all is read in units of the slow part
+        level = self._level[self._order]
+        slow = sizes.slow[level]
+        precise = (slow / sizes.white[level]) ** 2  # all is read in units of the slow part
         steps = np.where(np.isfinite(self._steps), self._steps, np.inf)
         rho = np.minimum(np.exp(-steps / sizes.lasts_s), _MOST)
         free = 1 / (1 - rho**2)
@@ -99,8 +103,8 @@ class PositionErrors:
         band[0, 1:] = -rho * free
         band[1] = 1 + np.append(0.0, free - 1) + np.append(free - 1, 0.0) + precise
         factor = cholesky_banded(band)
-        lost = 2 * np.sum(np.log(factor[1] * sizes.slow)) - np.sum(np.log(precise)) - np.sum(np.log(free))
-        sides = self._sides / sizes.slow
+        lost = 2 * np.sum(np.log(factor[1] * slow)) - np.sum(np.log(precise)) - np.sum(np.log(free))
+        sides = self._sides / slow[:, None]
         weighed = precise[:, None] * sides
         weighed -= precise[:, None] * cho_solve_banded((factor, False), weighed)
         sides, weighed = (v.reshape(len(precise) * 3, -1) for v in (sides, weighed))

@@ -148,7 +148,7 @@ def fit_to_world(
     moving = given.rows is not None and settings.antenna != "ignored"
     if moving:
         now, clock = try_clock(now, notes, tuning)
-    rows = _position_rows(now.fixes, scene, tuning.fixes)
+    rows = _position_rows(now.fixes, scene, weighed.extra_m, tuning.fixes)
     armed = arm.estimate is not False and moving  # positions of images by name are those of the cameras
     free = replace(now.evidence.with_arm(armed or now.evidence.arm.estimate), estimate_offset=moving)
     fit = by_errors(free, None, now.fit, rows, tuning.fit, tuning.noise)
@@ -169,14 +169,15 @@ def fit_to_world(
     )
 
 
-def _position_rows(fixes: Fixes, scene: Scene, tuning: FixTuning) -> PositionRows:
-    """The fixes with what all of them share: of a receiver the errors that last (base station, atmosphere) are a share
-    of what it states, and those of the datum's tie to its own come on top; both hold for all positions alike."""
+def _position_rows(fixes: Fixes, scene: Scene, extra_m: np.ndarray, tuning: FixTuning) -> PositionRows:
+    """The fixes as stated, wider by (3,) ``extra_m`` where another source contradicts them, and what all of them share:
+    of what a receiver states a part lasts (base station, atmosphere), and so does how well the datum is tied to its."""
     common = np.full(3, np.nan)
     if scene.prior in ("gnss", "exif") and len(fixes):
         datum = 0.0 if scene.origin is None else datum_sigma_m(scene.origin.crs)
         common = np.hypot(tuning.lasting * np.median(fixes.stated, axis=0), datum * np.array([0.5, 0.5, 0.0]) ** 0.5)
-    return PositionRows(sigma=fixes.sigma, level=fixes.level, time_s=fixes.time_s, common=common)
+    sigma = np.hypot(np.maximum(fixes.stated, 1e-3), extra_m)
+    return PositionRows(sigma=sigma, level=fixes.level, time_s=fixes.time_s, common=common)
 
 
 def _weighed(about: _Given, stated: Fixes, arm: _Arm) -> tuple[EvidenceWeights, Fitted]:
