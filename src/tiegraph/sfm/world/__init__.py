@@ -28,9 +28,11 @@ in one place only (``clouds``), and into one model (``scene.mergedmodel``); what
 a model's rig in the others' points would add no pair of images: of the matches between two passes mapped apart an
 eighth has a point on one side only, and every pair that has such has others too (`canal`, `canal_demo`, KITTI).
 
-**What residuals cannot show** is added: what all positions of a receiver share is taken to be one stated sigma
-(without control points), and a fit to few rows is freed of what it took of a slow error. A note says what holds the
-scale where the rig does, and what checks it. ``world.json`` keeps the covariance of the placement (``accuracy``),
+**Sigma** (``positionerrors``). The last fit weighs the believed positions by the errors that their residuals show
+(white, slow, common to all), and its covariance is that of the placement. Antenna and clock that nobody gives count
+with their priors, what all positions of a receiver share with a part of the stated sigma. An upward direction that the
+positions refute is not used. A note says what holds the scale where the rig does, and what checks it. ``world.json``
+keeps the covariance of the placement (``accuracy``),
 which ``cloud`` carries to its points. Heights are ellipsoidal unless the CRS is a compound one. A compound CRS whose
 geoid grid PROJ does not have is refused, because PROJ would silently leave the heights as they are. Grid coordinates
 have the scale of the grid: the report says so.

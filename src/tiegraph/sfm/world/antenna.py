@@ -39,8 +39,7 @@ def believed(evidence: Evidence, fixes: Fixes, up: Up | None, near: Similarity, 
     count = len(fixes)
     for _ in range(tuning.similarity_fit.noise_rounds if count else 0):
         residual = evidence.position_residuals(fit.similarity, fit.arm.place, fit.clock.offset_s)[:count] / fixes.sigma
-        unknowns = noise.SIMILARITY + 3 * evidence.arm.estimate + evidence.estimate_offset
-        stretched = fixes.stretched(noise.factors(residual, fixes.level, fixes.time_s, tuning.noise, unknowns))
+        stretched = fixes.stretched(noise.factors(residual, fixes.level, fixes.time_s, tuning.noise))
         evidence = replace(evidence, sigma=np.concatenate([stretched.sigma, evidence.sigma[count:]]))
         fit = fit_similarity(evidence, used, tuning.fit, near=fit.similarity)
     return Fitted(evidence=evidence, fit=fit, fixes=fixes, up=up)

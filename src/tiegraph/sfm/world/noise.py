@@ -12,7 +12,6 @@ import numpy as np
 from tiegraph.sfm.tuning.world import NoiseTuning
 
 MEDIAN_CHI2_3 = 2.366  # median of chi-square with three degrees of freedom
-SIMILARITY = 7  # unknowns
 
 
 @dataclass(frozen=True)
@@ -25,38 +24,22 @@ class Level:
     correlation: float
 
 
-def factors(
-    residual: np.ndarray, level: np.ndarray, time_s: np.ndarray, tuning: NoiseTuning, unknowns: int = SIMILARITY
-) -> np.ndarray:
+def factors(residual: np.ndarray, level: np.ndarray, time_s: np.ndarray, tuning: NoiseTuning) -> np.ndarray:
     """(K,) by which sigmas are to be multiplied, from residuals over sigma (K, 3); at least 1.
 
     The median of squares per level, so that single outliers are left to the robust loss; times sqrt((1 + r) / (1 - r))
-    for the correlation r of neighbours in time (the effective number of a first-order process). ``unknowns`` of the fit
-    that left the residuals: it took as much of the noise away, and of a slow error most (a fit to a few rows follows
-    it), so that both are freed of this bias.
+    for the correlation r of neighbours in time (the effective number of a first-order process).
     """
     out = np.ones(len(level))
-    # By how much residuals of so many positions are smaller than the noise, for the unknowns fitted to them
-    count = len(level)
-    taken = float(np.sqrt(3 * count / (3 * count - unknowns))) if 3 * count > 2 * unknowns else 1.0
     for rows in _levels(level):
         if len(rows) < tuning.min_rows:
             rows_of = np.ones(len(level), bool) if len(level) >= tuning.min_rows else np.zeros(len(level), bool)
             if rows_of.any():
-                out[rows] = _scatter(residual * taken)
+                out[rows] = _scatter(residual)
             continue
-        r = unbiased(correlation(residual[rows], time_s[rows], tuning), len(rows), tuning, unknowns)
-        out[rows] = min(_scatter(residual[rows] * taken) * float(np.sqrt((1 + r) / (1 - r))), tuning.max_factor)
+        r = correlation(residual[rows], time_s[rows], tuning)
+        out[rows] = min(_scatter(residual[rows]) * float(np.sqrt((1 + r) / (1 - r))), tuning.max_factor)
     return out
-
-
-def unbiased(r: float, count: int, tuning: NoiseTuning, unknowns: int = SIMILARITY) -> float:
-    """A correlation of residuals freed of what the fit took from it; 0 to the largest that is believed.
-
-    Of ``count`` rows and p unknowns a series its expectation is r - (p + (p + 2) r) / count, to first order.
-    """
-    own = unknowns / 3
-    return float(np.clip(r + (own + (own + 2) * r) / count, 0.0, tuning.max_correlation)) if r > 0 else 0.0
 
 
 def levels(
