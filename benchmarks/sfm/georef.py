@@ -65,7 +65,6 @@ class Survey:
         sparse = Settings().sparse
         rigs = tuple(k + 1 for k, mode in rig_modes(self.scene, sparse.rig).items() if mode == "fixed")
         self.held = ConstantParameters(rigs, believed_cameras(self.scene, sparse))
-        self.covered = _covered(out, self.scene)
         counts = json.loads((out / "receipts" / "sparse.json").read_text())["counts"]
         self.inner_sigma = counts.get("position_sigma_median")
 
@@ -81,13 +80,6 @@ class Survey:
         """Surveyed points of the set."""
         path = self.dataset.images.parent / "gcp_list.txt"
         return locate(read_gcps(path, ControlTuning()), self.scene) if path.exists() else None
-
-
-def _covered(out: Path, scene: Scene) -> np.ndarray | None:
-    path = out / "network" / "sections.json"
-    if not path.exists():
-        return None
-    return np.isin(scene.section, [r["number"] for r in json.loads(path.read_text()) if r["kind"] == "bridge"])
 
 
 def georeferenced(survey: Survey, way: str, given: Measurements) -> tuple[Georeference, Any, float]:
@@ -155,7 +147,7 @@ def measure_set(survey: Survey, ways: tuple[str, ...] = WAYS) -> dict[str, Any]:
     """All ways on one set."""
     out = {}
     for way in ways:
-        given = Measurements(survey.rows(), survey.control(), survey.covered)
+        given = Measurements(survey.rows(), survey.control())
         found, world, cpu = georeferenced(survey, way, given)
         row = errors(survey, found, world) | held_out(found)
         row |= {"cpu_s": round(cpu, 1), "adjusted": found.adjusted, "antenna_m": found.receiver.antenna_m}
@@ -180,7 +172,7 @@ def bad_cases(survey: Survey, way: str = "adjusted") -> dict[str, Any]:
         scene = survey.scene
         try:
             bad = _with_rows(survey, spoilt)
-            found, world, _ = georeferenced(bad, way, Measurements(spoilt, None, survey.covered))
+            found, world, _ = georeferenced(bad, way, Measurements(spoilt))
             out[name] = errors(bad, found, world) | {"notes": list(found.findings.notes), "adjusted": found.adjusted}
         except TiegraphError as error:
             out[name] = {"error": str(error)}
@@ -254,7 +246,7 @@ def receivers(survey: Survey, seeds: int) -> dict[str, Any]:
                 rigs = tuple(replace(r, antenna_m=tuple(ANTENNA) if given else None) for r in scene.rigs)
                 bad = _with_rows(survey, made)
                 bad.scene = bad.scene.with_(rigs=rigs)
-                found, world, _ = georeferenced(bad, "rows", Measurements(made, None, survey.covered))
+                found, world, _ = georeferenced(bad, "rows", Measurements(made))
                 survey.scene = scene
                 actual = errors(bad, found, world)["actual"] if found.uncertainty.sigma else {}
                 ratios.append([v / max(found.uncertainty.sigma[k], 1e-9) for k, v in actual.items()])

@@ -39,7 +39,6 @@ def georef(run: Run) -> Outcome:
     given = replace(
         measured,
         rows=_rows(run, scene),
-        covered=covered_frames(run, scene),
         model_sigma=sigma.get("position_sigma_median", float("nan")),
         model_scale_sigma=sigma.get("scale_sigma", float("nan")),
         firm_frames=sigma.get("frames", float("inf")) - sigma.get("on_few_points", 0),

@@ -31,14 +31,6 @@ class FixTuning(Section):
     station, atmosphere)."""
     levels_per_octave: float = Field(2.0, gt=0)
     """Of the stated sigma: fixes of one level share one factor of it."""
-    outage_intervals: float = Field(3.0, gt=1)
-    """Of the receiver: a longer pause is an outage."""
-    recovery_s: float = Field(10.0, ge=0)
-    """After an outage a receiver's sigma is not to be believed (ambiguities are fixed anew)."""
-    outage_factor: float = Field(3.0, ge=1)
-    """On the sigma just before and after an outage."""
-    covered_factor: float = Field(10.0, ge=1)
-    """On the sigma under a bridge (ALGORITHMS section 4)."""
 
 
 class NoiseTuning(Section):

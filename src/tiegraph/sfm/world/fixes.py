@@ -25,12 +25,10 @@ class PositionRows:
 
 @dataclass(frozen=True)
 class Measurements:
-    """Known beyond the scene: the receiver's rows, control points, scale bars, frames (F,) under bridges; a model's
-    sigmas."""
+    """Known beyond the scene: the receiver's rows, control points, scale bars; a model's sigmas."""
 
     rows: PositionRows | None = None
     control: Control | None = None
-    covered: np.ndarray | None = None
     model_sigma: float = float("nan")  # of a camera inside the model, model units
     model_scale_sigma: float = float("nan")  # of all its lengths together, relative; NaN = its adjustment holds none
     firm_frames: float = float("inf")  # of a model that rest on enough points
@@ -99,8 +97,7 @@ class Fixes:
 def make_fixes(scene: Scene, registered: np.ndarray, given: Measurements, floor_m: float, tuning: FixTuning) -> Fixes:
     """Fixes of the receiver's rows, or of the scene's prior positions where there are none with times.
 
-    ``registered`` (F,) frames with a pose. Sigmas are at least ``floor_m``, and larger next to outages and under
-    bridges.
+    ``registered`` (F,) frames with a pose. Sigmas are at least ``floor_m``.
     """
     rows, parts, left = given.rows, [], registered.copy()
     if rows is not None and np.isfinite(scene.time_s).any():
@@ -112,7 +109,7 @@ def make_fixes(scene: Scene, registered: np.ndarray, given: Measurements, floor_
     fixes = _joined([*parts, _of_frames(scene, left)])  # loose photographs have nothing between them
     stated = np.where(np.isfinite(fixes.sigma), fixes.sigma, tuning.unknown_sigma_m)
     level = np.round(tuning.levels_per_octave * np.log2(np.maximum(stated[:, 0], 1e-3))).astype(int)
-    sigma = np.maximum(stated, floor_m) * _doubt(fixes, rows, given.covered, tuning)[:, None]
+    sigma = np.maximum(stated, floor_m)
     held = held_out_frames(scene, tuning)[fixes.home]
     return replace(fixes, sigma=sigma, stated=stated, level=level, held=held)
 
@@ -206,18 +203,3 @@ def _fixes(frames: np.ndarray, weights: np.ndarray, rates: np.ndarray, *columns:
 
 def _joined(parts: list[Fixes]) -> Fixes:
     return Fixes(**{n: np.concatenate([getattr(p, n) for p in parts]) for n in Fixes.__dataclass_fields__})
-
-
-def _doubt(fixes: Fixes, rows: PositionRows | None, covered: np.ndarray | None, tuning: FixTuning) -> np.ndarray:
-    """(K,) factor on the sigma: next to an outage of the receiver, and under bridges."""
-    factor = np.ones(len(fixes))
-    if rows is not None and len(rows.time_s) > 2:
-        interval = float(np.median(np.diff(rows.time_s)))
-        gap = tuning.outage_intervals * interval
-        long = np.flatnonzero(np.diff(rows.time_s) > gap)
-        for k in long:
-            before, after = rows.time_s[k], rows.time_s[k + 1]
-            inside = (fixes.time_s >= after - 1e-6) & (fixes.time_s <= after + tuning.recovery_s)
-            inside |= np.abs(fixes.time_s - before) <= gap
-            factor[inside] = tuning.outage_factor
-    return factor if covered is None else np.where(covered[fixes.home], tuning.covered_factor, factor)
