@@ -20,6 +20,7 @@ from tiegraph.report.images import ABSENT, HANGING, LEFT_OUT, REGISTERED, image_
 from tiegraph.report.reportjson import schema
 from tiegraph.report.runfolder import read_run
 from tiegraph.report.settings import ReportSettings
+from tiegraph.report.tables import about
 from tiegraph.scene.hanging import WIDE, carrying
 from tiegraph.scene.scene import Scene
 
@@ -54,6 +55,12 @@ def test_a_measured_figure_stands_beside_the_prediction_of_the_same_thing(page: 
     keys = [re.findall(r'data-accuracy="([\w.]+)\.(?:predicted|measured)"', row) for row in table.split("<tr>")[2:]]
     assert len(keys) >= 4 and all(len(set(row)) == 1 for row in keys if row)
     assert max(len(row) for row in keys) == 2  # one has both
+
+
+def test_a_headline_does_not_end_in_the_name_of_a_camera() -> None:
+    known = "the images make the focal length of 1: SONY DSC-H300 4118 px, 2366 px are given: one of the two is wrong"
+    assert about((known,)).startswith("the images make the focal length of 1: SONY DSC-H300 4118 px")
+    assert about(("height: GNSS and control points differ by 3 m",)) == "height"
 
 
 def test_page_one_says_what_a_client_asks(page: str) -> None:

@@ -76,7 +76,7 @@ STAGES = (
            scratch=(".tiles",), tuned=("evaluate",)),
     _stage("evaluate", ("filter", "georef", "refine", "dense", "cloud"), ("metrics.json", "accuracy.csv", "evaluate"),
            version=9, scratch=("evaluate/.tiles",), tuned=("scene",), spares=("dense", "cloud")),
-    _stage("report", ("evaluate",), ("report.html", "report.json"), version=10, alone=True),
+    _stage("report", ("evaluate",), ("report.html", "report.json"), version=11, alone=True),
 )
 # fmt: on
 

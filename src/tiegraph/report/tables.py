@@ -62,9 +62,10 @@ def contradictions(run: RunFolder) -> tuple[str, ...]:
 
 
 def about(found: tuple[str, ...]) -> str:
-    """What contradictions are about, for a headline: the words before their first colon or figure; "" if none."""
+    """What contradictions are about, for a headline: the words before their first colon that is none of a camera's name
+    ("1: SONY DSC-H300") or figure; "" if none."""
     heads = dict.fromkeys(
-        said(shorten(text.split(":")[0].split(" differ by")[0], _HEAD, placeholder=" ...")) for text in found
+        said(shorten(re.split(r"(?<!\d):| differ by", text)[0], _HEAD, placeholder=" ...")) for text in found
     )
     short = list(heads)[:_HEADS]
     return "; ".join(short) + (t(" and {} more", len(heads) - len(short)) if len(heads) > len(short) else "")
