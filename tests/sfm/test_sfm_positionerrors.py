@@ -1,5 +1,7 @@
 """The errors of positions by their residuals: normalised errors of what is fitted to them, and an upward direction."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,7 +9,7 @@ from tiegraph.geometry.gravity import Up
 from tiegraph.geometry.transforms import skew
 from tiegraph.sfm.tuning.world import NoiseTuning, WorldTuning
 from tiegraph.sfm.world.antenna import up_to_use
-from tiegraph.sfm.world.fit import Evidence
+from tiegraph.sfm.world.fit import Evidence, PositionRows, by_errors, fit_similarity
 from tiegraph.sfm.world.positionerrors import Linear, PositionErrors
 from tiegraph.sfm.world.unknowns import LeverArm
 
@@ -78,3 +80,23 @@ def test_an_upward_direction_that_the_positions_refute_is_not_used(turned_deg, w
     found = up_to_use(evidence, up, notes, WorldTuning())
     assert (found is up) == used
     assert ("not used" in notes[0]) == (not used)
+
+
+def test_where_no_position_is_believed_the_fit_to_the_control_points_stays() -> None:
+    place = np.random.default_rng(4).uniform(-20, 20, (12, 3))
+    pose = np.tile(np.eye(4), (12, 1, 1))
+    pose[:, :3, 3] = place
+    evidence = Evidence(
+        frame=np.where(np.arange(12) < 6, np.arange(12), -1),
+        pose=pose,
+        position=place,
+        sigma=np.full((12, 3), 0.1),
+        orientation=np.full((12, 3, 3), np.nan),
+        arm=LeverArm(np.zeros(3)),
+        log_scale=None,
+    )
+    fit = replace(fit_similarity(evidence, None, WorldTuning().fit), inlier=np.arange(12) >= 6)
+    rows = PositionRows(
+        sigma=np.full((6, 3), 0.1), level=np.zeros(6, int), time_s=np.arange(6.0), common=np.full(3, 0.1)
+    )
+    assert by_errors(evidence, None, fit, rows, WorldTuning().fit, NoiseTuning()) is fit

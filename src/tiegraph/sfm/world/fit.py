@@ -151,10 +151,10 @@ def by_errors(
     """The fit moved to where its believed positions put it by their errors as these are estimated (white, slow and
     common: ``positionerrors``), with the covariance that these leave."""
     evidence = replace(evidence, arm=replace(evidence.arm, level=None))  # what cannot be told widens what it moves
-    stated = rows.common
-    for _ in range(_STEPS if len(rows.level) else 0):
+    stated, seen = rows.common, fit.inlier[: len(rows.level)]
+    for _ in range(_STEPS if seen.any() else 0):  # control points alone may be all that is believed
         problem = _Problem(evidence, up, fit.similarity, tuning)
-        x, seen = problem.at(fit), fit.inlier[: len(rows.level)]
+        x = problem.at(fit)
         errors = PositionErrors(_linearised(problem, x, fit.inlier, rows, seen), noise)
         moved, covariance = errors.step()
         rows = replace(rows, common=stated * max(1.0, errors.times_stated))  # an optimistic receiver is so in all

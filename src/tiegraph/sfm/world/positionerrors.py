@@ -5,8 +5,7 @@ variance whose correlation falls as exp(-dt / tau); c is the same for all positi
 not how it is made up. So w and g (of each level of the stated sigma) and tau are the likeliest after the residuals are
 seen (restricted likelihood: Patterson and Thompson 1971; of variance components: Foerstner 1979, Koch 1999), with a
 weak belief in the stated sigma beforehand. No residual tells c, nor what of z lasts longer than the survey: these stay
-as wide as they are stated. What the model itself bends is taken for a slow
-error of the positions.
+as wide as they are stated. What the model itself bends is taken for a slow error of the positions.
 """
 
 from __future__ import annotations
