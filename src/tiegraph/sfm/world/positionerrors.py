@@ -5,7 +5,7 @@ variance whose correlation falls as exp(-dt / tau); c is the same for all positi
 not how it is made up. So w and g (of each level of the stated sigma) and tau are the likeliest after the residuals are
 seen (restricted likelihood: Patterson and Thompson 1971; of variance components: Foerstner 1979, Koch 1999), with a
 weak belief in the stated sigma beforehand. No residual tells c, nor what of z lasts longer than the survey: these stay
-as wide as they are stated. What the model itself bends is taken for a slow error of the positions.
+as wide as they are stated. What the images may bend of the model is among the unknowns (``sfm.shape``).
 """
 
 from __future__ import annotations
@@ -24,18 +24,30 @@ _MOST = 1 - 1e-9  # correlation of two positions of one instant
 
 
 @dataclass(frozen=True)
-class Linear:
-    """K positions and what else is known of D unknowns, linearised where they are.
+class Stated:
+    """Of K positions: ``sigma`` (K, 3) as stated, its ``level`` (K,), ``time_s`` (K,), NaN = not known, and sigmas (3,)
+    of what all of them have in common, metres, NaN = nothing."""
 
-    ``rows`` (K, 3, D + 1), metres: derivatives of places by the unknowns and, last, residuals, of positions of stated
-    ``sigma`` (K, 3), of ``level`` (K,) and ``time_s`` (K,), NaN = not known. ``known`` (D + 1, D + 1): the products of
-    such rows, over their sigmas, of all else.
-    """
-
-    rows: np.ndarray
     sigma: np.ndarray
     level: np.ndarray
     time_s: np.ndarray
+    common: np.ndarray
+
+    def where(self, mask: np.ndarray) -> Stated:
+        """Some of the positions."""
+        return Stated(sigma=self.sigma[mask], level=self.level[mask], time_s=self.time_s[mask], common=self.common)
+
+
+@dataclass(frozen=True)
+class Linear:
+    """K positions and what else is known of D unknowns, linearised where they are.
+
+    ``rows`` (K, 3, D + 1), metres: derivatives of places by the unknowns and, last, residuals. ``known``
+    (D + 1, D + 1): the products of such rows, over their sigmas, of all else.
+    """
+
+    rows: np.ndarray
+    stated: Stated
     known: np.ndarray
 
 
@@ -53,14 +65,14 @@ class PositionErrors:
 
     def __init__(self, linear: Linear, tuning: NoiseTuning) -> None:
         self._linear, self._tuning = linear, tuning
-        names, number, counts = np.unique(linear.level, return_inverse=True, return_counts=True)
+        names, number, counts = np.unique(linear.stated.level, return_inverse=True, return_counts=True)
         few = counts < tuning.min_rows  # levels of a few positions share one size
         joined = np.where(few, few.argmax(), np.arange(len(names)))
         self._level = np.unique(joined[number], return_inverse=True)[1]
-        order = np.argsort(linear.time_s, kind="stable")  # NaN last
+        order = np.argsort(linear.stated.time_s, kind="stable")  # NaN last
         self._order = order
-        self._steps = np.diff(linear.time_s[order])
-        self._sides = (linear.rows / linear.sigma[:, :, None])[order].reshape(len(order), -1)  # (K, 3 (D + 1))
+        self._steps = np.diff(linear.stated.time_s[order])
+        self._sides = (linear.rows / linear.stated.sigma[:, :, None])[order].reshape(len(order), -1)  # (K, 3 (D + 1))
 
     @cached_property
     def sizes(self) -> Sizes:
