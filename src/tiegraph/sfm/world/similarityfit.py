@@ -30,7 +30,7 @@ from tiegraph.sfm.world.fixes import Fixes, Measurements, make_fixes
 from tiegraph.sfm.world.marks import Target
 from tiegraph.sfm.world.positionerrors import Stated
 from tiegraph.sfm.world.scale import RigScale
-from tiegraph.sfm.world.sources import POSITIONS, common_of
+from tiegraph.sfm.world.sources import POSITIONS
 from tiegraph.sfm.world.unknowns import Clock, LeverArm, LogScale
 from tiegraph.sfm.world.weighing import EvidenceWeights, Question, weigh
 
@@ -214,13 +214,12 @@ def _weighed(about: _Given, stated: Fixes, arm: _Arm) -> tuple[EvidenceWeights, 
 
 def _question(evidence: Evidence, stated: Fixes, about: _Given, arm: _Arm) -> Question:
     free = arm.estimate is not False
-    reach = about.tuning.fit.antenna_sigma_m * free
     return Question(
         evidence=evidence,
         count=len(stated),
         times=time_order(about.scene, stated),
         name=POSITIONS.get(about.scene.prior, "positions"),
-        common=common_of(stated.sigma, about.settings.sigma_floor_m, reach) if len(stated) else np.zeros(4),
+        stated=_position_rows(stated, about.scene, np.zeros(3), about.tuning.fixes),
         scale=about.model.scale,
         tuning=about.tuning,
         free_antenna=free,
