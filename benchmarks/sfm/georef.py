@@ -286,7 +286,11 @@ def _antenna_path(survey: Survey) -> dict[str, np.ndarray]:
 
 
 def _received(
-    path: Mapping[str, np.ndarray], sigma: np.ndarray, kind: tuple[float, float, float], seed: int
+    path: Mapping[str, np.ndarray],
+    sigma: np.ndarray,
+    kind: tuple[float, float, float],
+    seed: int,
+    common: float = 0.7,
 ) -> PositionRows:
     """Rows of a receiver on a path (``time_s`` (G,), ``place`` (G, 3)) with errors of a kind."""
     time_s, place, rng, (white, slow, lasts_s) = path["time_s"], path["place"], np.random.default_rng(seed), kind
@@ -294,7 +298,7 @@ def _received(
     for k in range(1, len(z)):
         keeps = np.exp(-(time_s[k] - time_s[k - 1]) / lasts_s)
         z[k] = keeps * z[k - 1] + np.sqrt(1 - keeps**2) * z[k]
-    off = white * rng.standard_normal(place.shape) + slow * z + max(white, slow, 0.7) * 0.7 * rng.standard_normal(3)
+    off = white * rng.standard_normal(place.shape) + slow * z + max(white, slow, 0.7) * common * rng.standard_normal(3)
     return PositionRows(time_s, place + sigma * off, np.tile(sigma, (len(place), 1)))
 
 
@@ -333,15 +337,25 @@ def outage(length_m: float, gap_m: float, radial: float, seed: int) -> dict[str,
     return out
 
 
-def _receiver(made: Corridor, gap_m: float, seed: int, sigma_m: float = 0.02) -> PositionRows:
-    rng = np.random.default_rng(seed + 100)
+def _receiver(
+    made: Corridor,
+    gap_m: float,
+    seed: int,
+    sigma_m: float = 0.02,
+    *,
+    white: float = 1.0,
+    slow: float = 0.0,
+    lasting: np.ndarray | float = 0.0,
+) -> PositionRows:
+    """Rows at 5 Hz beside a gap; errors over the stated sigma, of which the slow ones last a minute, and metres (3,)
+    that all share."""
     time_s, place = made.scene.time_s, made.truth[:, :3, 3]
     fine = np.arange(time_s[0], time_s[-1], 0.2)
     at = np.stack([np.interp(fine, time_s, place[:, k]) for k in range(3)], axis=1)
-    s = 1.5 * fine
-    open_sky = np.abs(s - s[-1] / 2) > gap_m / 2
-    noise = sigma_m * rng.standard_normal(at.shape) * [1, 1, 2]
-    sigma = np.tile([sigma_m, sigma_m, 2 * sigma_m], (len(at), 1))
+    s, sigma = 1.5 * fine, np.tile([sigma_m, sigma_m, 2 * sigma_m], (len(fine), 1))
+    open_sky = np.abs(s - s[-1] / 2) >= gap_m / 2
+    path = {"time_s": fine, "place": at}
+    noise = _received(path, sigma[0], (white, slow, 60.0), seed + 100, common=0.0).position_m - at + lasting
     return PositionRows(fine[open_sky], (at + noise)[open_sky], sigma[open_sky])
 
 
