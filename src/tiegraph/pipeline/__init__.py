@@ -43,8 +43,8 @@ def _stage(name: str, *what: Any, **more: Any) -> Stage:
     return Stage(name, partial(_glue, name), *what, **more)
 
 
-# What SQLite and the matching keep beside the database while they work.
-_BESIDE_DATABASE = tuple(f"database.db{s}" for s in ("-wal", "-shm", "-journal", ".tmp", ".tmp-journal", ".match"))
+# What SQLite keeps beside the database while it works.
+_BESIDE_DATABASE = tuple(f"database.db{s}" for s in ("-wal", "-shm", "-journal"))
 
 # fmt: off
 STAGES = (
@@ -63,7 +63,7 @@ STAGES = (
            uses=("features",), tuned=("features", "sfm")),
     _stage("features", ("scan", "masks"), ("database.db",), "image", version=3, scratch=_BESIDE_DATABASE),
     _stage("match", ("network", "design", "features"), ("match.npz",), "block of pairs", version=2,
-           changes=("database.db",), clear=_forget_matches, tuned=("features",)),
+           changes=("database.db",), clear=_forget_matches, scratch=("database.db.match",), tuned=("features",)),
     _stage("filter", ("coarse", "network", "match"), ("filter.npz",), "pair", version=3),
     _stage("sparse", ("coarse", "network", "match", "filter"), ("sparse",), version=23, scratch=("sparse/.run",),
            tuned=("scene", "sfm")),

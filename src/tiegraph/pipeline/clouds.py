@@ -1,6 +1,5 @@
 """Glue of comparisons of clouds outside the table of stages: two files, and two epochs (``epochs``)."""
 
-import os
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -16,7 +15,7 @@ from tiegraph.evaluate.tuning import Tuning
 from tiegraph.geometry.geodesy import ENU, Origin
 from tiegraph.pipeline.evaluate import write_judgement
 from tiegraph.project.run import save_json
-from tiegraph.scene.atomic import must_be_new
+from tiegraph.scene.atomic import must_be_new, replacing
 from tiegraph.scene.cloudchunks import PointSource, open_cloud
 from tiegraph.scene.results import metrics_to_dict
 
@@ -73,13 +72,6 @@ def new_folder(out: Path | None) -> Iterator[Path | None]:
         yield None
         return
     must_be_new(out)
-    with tempfile.TemporaryDirectory(dir=_made(out.absolute().parent), prefix=f".{out.name}-") as temporary:
-        folder = Path(temporary) / "made"
+    with replacing(out) as folder:
         folder.mkdir()
         yield folder
-        os.replace(folder, out)
-
-
-def _made(folder: Path) -> Path:
-    folder.mkdir(parents=True, exist_ok=True)
-    return folder

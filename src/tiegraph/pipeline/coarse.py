@@ -25,7 +25,8 @@ from tiegraph.pipeline.files import load_npz, load_scene, pairs_of, reading, sav
 from tiegraph.pipeline.preview import read_preview
 from tiegraph.pipeline.previews import Matcher
 from tiegraph.project.run import Run
-from tiegraph.project.stages import Outcome, remove, write_atomic
+from tiegraph.project.stages import Outcome, write_atomic
+from tiegraph.scene.atomic import remove
 from tiegraph.scene.blocks import Block, blocks_of, in_one_piece
 from tiegraph.scene.colmapmodel import image_poses, model_rigs, tracks
 from tiegraph.scene.matches import PreviewMatches, Visibility
@@ -43,8 +44,7 @@ def coarse(run: Run) -> Outcome:
     """The candidate pairs judged by a coarse model of the survey, where one is worth making and is believed."""
     pairs, ties = pairs_of(run, "candidates.npz"), ties_of(run, "candidates")
     scene = load_scene(run.path("candidates", "scene.json"))
-    matcher = Matcher(run, MATCHED)
-    cache = MatchCache(matcher, len(scene), ties)
+    cache = MatchCache(Matcher(run, MATCHED), len(scene), ties)
     found = judged_by_model(run, (pairs, scene), cache)
     save_npz(run.path("coarse.npz"), **found.pairs.to_npz())
     save_npz(run.path("coarse", "matches.npz"), **cache.matches().to_npz())
@@ -56,8 +56,6 @@ def coarse(run: Run) -> Outcome:
         save_npz(run.path("coarse", "model.npz"), cam_from_world=poses, reach=reach, trusted=found.trusted)
         save_npz(run.path("coarse", "visibility.npz"), **surface_seen(run, found, cache.matches()).to_npz())
         counts |= {"images": int(found.model.placed().sum()), "trusted": int(found.trusted.sum())}
-    remove(run.path(*BLOCKS.split("/")))
-    matcher.forget()
     return Outcome(counts, notes=found.notes)
 
 

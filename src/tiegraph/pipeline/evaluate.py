@@ -20,7 +20,8 @@ from tiegraph.masks.compare import compare
 from tiegraph.pipeline.files import FINAL, checked, load_json, load_model, reading, world_origin
 from tiegraph.pipeline.predicted import stated
 from tiegraph.project.run import Run, save_json
-from tiegraph.project.stages import Outcome, remove, write_atomic
+from tiegraph.project.stages import Outcome, write_atomic
+from tiegraph.scene.atomic import remove
 from tiegraph.scene.cloudchunks import Measured, open_cloud, write_measured
 from tiegraph.scene.cloudfile import shift_of
 from tiegraph.scene.registered import registration
@@ -59,7 +60,6 @@ def evaluate(run: Run) -> Outcome:
         found = evaluate_survey(scene, made, without, *of_run)
     if found.cloud is not None:
         write_judgement(found.cloud, run.path("evaluate"), origin, found.alignment)
-    remove(scratch)
     result = found.metrics
     if settings.reference_masks is not None:
         unfit += _masks(run, scene, settings, result["tables"])

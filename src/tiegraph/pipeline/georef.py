@@ -12,9 +12,9 @@ from tiegraph.pipeline.files import checked, load_json, load_model, refused_pair
 from tiegraph.pipeline.inputs import control_file, orientations
 from tiegraph.pipeline.targets import target_marks
 from tiegraph.project.run import Run, save_json
-from tiegraph.project.stages import Outcome, remove
+from tiegraph.project.stages import Outcome
 from tiegraph.scene import evidence
-from tiegraph.scene.atomic import claim
+from tiegraph.scene.atomic import claim, remove
 from tiegraph.scene.control import locate, locate_bars
 from tiegraph.scene.gnss import moved_within, on_clock_of, read_gnss, step_of
 from tiegraph.scene.hanging import carries, with_hanging

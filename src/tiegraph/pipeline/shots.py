@@ -21,7 +21,7 @@ from tiegraph.pipeline.dense import coloured
 from tiegraph.pipeline.files import load_map, load_model, whole, world_origin, world_unit
 from tiegraph.project.run import Run
 from tiegraph.project.settings import Settings
-from tiegraph.project.stages import Outcome, remove
+from tiegraph.project.stages import Outcome
 from tiegraph.scan.priors.trajectory import write_tum
 from tiegraph.scene.atomic import replacing
 from tiegraph.scene.cloudfile import read_cloud, write_cloud
@@ -50,7 +50,6 @@ def shots(run: Run) -> Outcome:
     todo = [item for item in items if not item.cloud.exists()]
     run.reporter.total(len(items), len(items) - len(todo))
     run.map(partial(_shot, folder=run.folder, settings=run.settings), todo)
-    remove(run.path(_FOLDER, ".tiles"))
     return Outcome({"shots": len(items)})
 
 

@@ -17,7 +17,7 @@ from tiegraph.errors import InputError
 from tiegraph.project.ledger import covered
 from tiegraph.project.progress import LogFormatter
 from tiegraph.project.stages import digest, write_atomic
-from tiegraph.scene.atomic import MARK
+from tiegraph.scene.atomic import MARK, TEMPORARIES, sweep
 from tiegraph.scene.regular import real_path
 from tiegraph.text import some
 
@@ -130,13 +130,14 @@ def _mark(folder: Path) -> dict:
 
 @contextmanager
 def working_in(folder: Path) -> Iterator[None]:
-    """The folder is there, marked as ours, locked against other runs, and log records of tiegraph go to its log.txt, as
-    does what native libraries print.
+    """The folder is there, marked as ours, locked against other runs, without what killed processes were writing, and
+    log records of tiegraph go to its log.txt, as does what native libraries print.
 
     Raises InputError where that cannot be.
     """
     handle = _locked(folder)
     try:
+        sweep(folder.rglob(TEMPORARIES))
         if not (folder / MARK).exists():
             write_atomic(folder / MARK, json.dumps(_mark(folder)))
         with _logged(folder / LOG):

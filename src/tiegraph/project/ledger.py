@@ -93,13 +93,13 @@ def trouble(path: Path, entry: list, thorough: bool = False) -> str:
     except (FileNotFoundError, NotADirectoryError):
         return "is missing"
     if not entry:
-        return ""
-    if entry[0] == "link":
+        same = not stat.S_ISDIR(info.st_mode)
+    elif entry[0] == "link":
         same = stat.S_ISLNK(info.st_mode) and os.readlink(path) == entry[1]
     elif not stat.S_ISREG(info.st_mode) or info.st_size != entry[0]:
         same = False
     else:
-        same = (info.st_mtime_ns == entry[1] and not thorough) or _digest(path) == entry[2]
+        same = (info.st_mtime_ns == entry[1] and not thorough) or _digest_if_readable(path) == entry[2]
     return "" if same else "was changed since it was made"
 
 
@@ -154,4 +154,4 @@ def _parsed(line: str) -> Any:
 
 def left_behind(names: Iterable[str]) -> list[str]:
     """Those of the names that are temporary files of a writer that was killed."""
-    return [n for n in names if is_temporary(PurePosixPath(n).name)]
+    return [n for n in names if is_temporary(n)]

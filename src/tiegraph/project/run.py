@@ -188,6 +188,7 @@ def run_stages(
                     artefacts.refuse(stage)
             while (lost := _run_through(wanted, keys, run, artefacts, ran, until)) is None:
                 pass
+            artefacts.end_journal()
         except (InputError, SettingsError, EngineMissing):
             if not ran:
                 take_back()

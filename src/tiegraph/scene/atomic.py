@@ -1,7 +1,9 @@
-"""Files that appear whole or not at all, and the note that a run folder takes of each before it appears.
+"""Files and folders that appear whole or not at all, and the note that a run folder takes of each before it appears.
 
 A run folder is a folder with the mark ``receipts/folder.json``. Before anything is written into one, its name goes to
-``receipts/made.txt``: so it is known, after a kill at any moment, which files are ours and may be removed.
+``receipts/made.txt``: so it is known, after a kill at any moment, which files are ours and may be removed. What a
+killed process was writing has a name with its process id, by which it is found and removed: in a run folder when that
+is opened, elsewhere when the same file is written again.
 """
 
 import json
@@ -9,8 +11,8 @@ import os
 import re
 import shutil
 import zlib
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from tiegraph.errors import InputError
@@ -18,20 +20,25 @@ from tiegraph.limits import explained
 
 MARK = "receipts/folder.json"
 JOURNAL = "receipts/made.txt"
-_TEMPORARY = re.compile(r"^\.[0-9a-f]{8}\.\d+\.part")
+TEMPORARIES = ".*.part*"
+_TEMPORARY = re.compile(r"\.[0-9a-f]{8}\.(\d+)\.part")
+_OF_SQLITE = ("-wal", "-shm", "-journal")
 
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """A temporary path beside ``path`` that takes its place when the block ends well, and is removed otherwise.
+    """A temporary path beside ``path``, of a file or a folder, that takes its place when the block ends well, and is
+    removed otherwise.
 
     The content is on the disk before it has its name. Raises InputError when the disk is full (the libraries below
     report that in many ways).
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{zlib.crc32(os.fsencode(path.name)):08x}.{os.getpid()}.part{path.suffix}")
+    own = f".{zlib.crc32(os.fsencode(path.name)):08x}"
+    temporary = path.with_name(f"{own}.{os.getpid()}.part{path.suffix}")
     try:
-        claim(path)
+        if not claim(path):
+            sweep(path.parent.glob(f"{own}.*.part*"))
         yield temporary
         if not temporary.is_symlink():
             sync(temporary)
@@ -42,7 +49,38 @@ def replacing(path: Path) -> Iterator[Path]:
             raise InputError(f"cannot write {path}: {told}") from error
         raise
     finally:
-        temporary.unlink(missing_ok=True)
+        remove(temporary)
+
+
+def remove(path: Path) -> None:
+    """Remove a file, link or folder, and what SQLite keeps beside a database, whether they are there or not."""
+    # A log left beside a replaced database would be played into the new one.
+    for each in (path, *(path.with_name(path.name + suffix) for suffix in _OF_SQLITE)):
+        if each.is_dir() and not each.is_symlink():
+            shutil.rmtree(each)
+        else:
+            each.unlink(missing_ok=True)
+
+
+def sweep(paths: Iterable[Path]) -> None:
+    """Remove those that are temporary files or folders of ``replacing`` and whose process has gone."""
+    for path in list(paths):
+        found = _TEMPORARY.match(path.name)
+        if found and not _is_alive(int(found[1])):
+            with suppress(OSError):
+                remove(path)
+
+
+def _is_alive(process: int) -> bool:
+    """Whether another process has this number. What has our own is of one before: of a container each begins at 1."""
+    import psutil
+
+    try:
+        return process != os.getpid() and psutil.Process(process).status() != psutil.STATUS_ZOMBIE
+    except psutil.AccessDenied:
+        return True
+    except psutil.Error:
+        return False
 
 
 def must_be_new(out: Path, path: Path | None = None) -> None:
@@ -54,8 +92,8 @@ def must_be_new(out: Path, path: Path | None = None) -> None:
 
 
 def is_temporary(name: str) -> bool:
-    """Whether a file's name is one of ``replacing``'s, left behind by a kill."""
-    return _TEMPORARY.match(name) is not None
+    """Whether a path is, or lies in, one of ``replacing``'s, left behind by a kill."""
+    return any(_TEMPORARY.match(part) for part in name.split("/"))
 
 
 def sync(path: Path) -> None:
@@ -67,15 +105,16 @@ def sync(path: Path) -> None:
         os.close(descriptor)
 
 
-def claim(path: Path) -> None:
-    """Note in the journal of the run folder around ``path``, if there is one, that the file, or all that is going to be
-    below the folder ``path``, is ours. ``replacing`` does so by itself; what libraries write needs it said."""
+def claim(path: Path) -> bool:
+    """Note in the journal of the run folder around ``path`` that the file, or all that is going to be below the folder
+    ``path``, is ours; whether there is one. ``replacing`` does so by itself; what libraries write needs it said."""
     path = path.absolute()
     for folder in path.parents:
         if (folder / MARK).exists():
             with open(folder / JOURNAL, "a", encoding="ascii") as journal:
                 journal.write(json.dumps(path.relative_to(folder).as_posix()) + "\n")
-            return
+            return True
+    return False
 
 
 def same_file(path: Path, other: Path) -> None:

@@ -17,7 +17,7 @@ import pycolmap
 
 from tiegraph import limits
 from tiegraph.errors import InputError, TiegraphError, UnreadableArtefact
-from tiegraph.scene.atomic import replacing
+from tiegraph.scene.atomic import remove, replacing
 from tiegraph.scene.colmapmodel import MAX_IMAGES
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
@@ -370,10 +370,3 @@ def explained(path: Path, error: Exception) -> TiegraphError:
     if "malformed" in text or "not a database" in text:
         return UnreadableArtefact(path, text)
     return TiegraphError(f"{path}: {text}")
-
-
-def remove(path: Path) -> None:
-    """Remove a database and what SQLite keeps beside it."""
-    # A log left beside a replaced database would be played into the new one.
-    for suffix in ("", "-wal", "-shm", "-journal"):
-        Path(f"{path}{suffix}").unlink(missing_ok=True)

@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
-from matplotlib.ticker import FuncFormatter, MaxNLocator
+from matplotlib.ticker import FuncFormatter, LogFormatter, MaxNLocator
 
 from tiegraph.network.offsets.curves import OffsetCurve
 from tiegraph.network.offsets.surface import OffsetSurface
@@ -332,6 +332,8 @@ def _values(axes: Axes, scene: Scene, cue: Cue, frames: np.ndarray) -> None:
         axes.set_ylim(0, 1.05)
     else:
         axes.set_yscale("log")
+        axes.yaxis.set_major_formatter(LogFormatter())  # matplotlib's own writes formulas
+        axes.yaxis.set_minor_formatter(LogFormatter())
     for sequence in np.unique(scene.sequence[frames]):
         own = np.flatnonzero(scene.sequence[frames] == sequence)
         size = 3.0 if len(frames) < 400 else 1.2

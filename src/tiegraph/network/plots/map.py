@@ -12,7 +12,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import laplacian
 from scipy.sparse.linalg import eigsh
 
-from tiegraph.scene.figures import plain_text, png
+from tiegraph.scene.figures import png
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene, between_neighbours
 
@@ -66,7 +66,6 @@ class _Ties:
     pairs: int
 
 
-@plain_text()
 def map_png(
     pairs: Pairs,
     positions: np.ndarray | None,
