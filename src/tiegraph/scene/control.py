@@ -10,12 +10,14 @@ from tiegraph.geometry.geodesy import (
     ENU,
     Origin,
     crs_transformer,
+    geodetic_from_world,
     make_origin,
     middle,
     vertical_note,
     world_from_geodetic,
 )
 from tiegraph.scene.gcp import FileMark, GcpFile
+from tiegraph.scene.gnss import HEIGHTS_M, beyond
 from tiegraph.scene.markpixels import (
     AS_IS,
     EDGE_PX,
@@ -100,6 +102,7 @@ def locate(
     crs: str = "auto",
     found: Sequence[TargetMark] = (),
     orientation: Mapping[int, int] | None = None,
+    heights_m: tuple[float, float] = HEIGHTS_M,
 ) -> Control:
     """The points of a file in the scene's world and their marks in its images.
 
@@ -108,14 +111,15 @@ def locate(
     by EXIF, of images by scene index, 1 where it is not named. Marks in images that are not here, or where the images
     were cropped, are left out and said with file and line, and so are points that keep less than two. Raises InputError
     if no mark is in an image of the survey, if one lies outside its image and they lie inside in no copy of the images
-    (``markpixels.py``), if one image has two marks of a point, if coordinates lie outside their CRS, or far from the
-    survey.
+    (``markpixels.py``), if one image has two marks of a point, if coordinates lie outside their CRS, far from the
+    survey, or at heights beyond ``heights_m``.
     """
     notes = list(file.notes)
     marks = _marks_of(file, scene, [p.name for p in file.points], found, notes, orientation)
     origin = scene.origin or _origin_of_points(file, crs)
     world = surveyed_world(file, origin)
     _check_place(file, world, scene)
+    _check_heights(file, geodetic_from_world(world, origin)[:, 2], heights_m)
     vertical = vertical_note(file.crs or origin.crs)
     notes.append(f"{file.path.name}: {len(file.points)} points in {file.crs or origin.crs}; {vertical}")
     _few_marks(file, np.bincount(marks.point, minlength=len(file.points)), notes)
@@ -333,6 +337,15 @@ def surveyed_world(file: GcpFile, origin: Origin) -> np.ndarray:
     if crs == origin.crs:
         return xyz - np.asarray(origin.shift_m)
     return world_from_geodetic(_geodetic(xyz, crs, file), origin)
+
+
+def _check_heights(file: GcpFile, height_m: np.ndarray, heights_m: tuple[float, float]) -> None:
+    """Raise InputError for a height (P,) that is none of a survey's."""
+    bad = np.flatnonzero((height_m < heights_m[0]) | (height_m > heights_m[1]))
+    if len(bad):
+        point = file.points[bad[0]]
+        where = f"{file.path}, line {point.line}: point {point.name!r}"
+        raise InputError(f"{where}: height {height_m[bad[0]]:.10g} m, {beyond(heights_m)}")
 
 
 def _check_place(file: GcpFile, world: np.ndarray, scene: Scene) -> None:
