@@ -3,6 +3,7 @@
 import csv
 import io
 import math
+import shlex
 import unicodedata
 from collections.abc import Iterable
 from typing import Any
@@ -37,6 +38,11 @@ def printable(text: str) -> str:
 def one_line(text: str) -> str:
     """As ``printable``, line breaks and tabs escaped too: for names."""
     return "".join(_escaped(c) if acts(c) else c for c in text)
+
+
+def command(*words: object) -> str:
+    """A command line of tiegraph to copy: names are words to the shell, whatever they hold."""
+    return shlex.join(["tiegraph", *map(str, words)])
 
 
 def known_to(sigma: float, most: float, shown: str) -> str:

@@ -26,7 +26,7 @@ from tiegraph.project.settings import read_settings
 from tiegraph.project.stages import write_atomic
 from tiegraph.scene.cloudchunks import PointSource, open_cloud, write_measured
 from tiegraph.scene.colmapmodel import model_centres
-from tiegraph.text import csv_text
+from tiegraph.text import command, csv_text
 
 _LISTED = 50  # changes in the table, the largest first
 
@@ -127,7 +127,7 @@ def _read(folder: Path) -> _Epoch:
     check_format(folder)
     path = folder / "cloud.laz"
     if not path.exists():
-        raise InputError(f"{folder}: it has no cloud.laz: run it to the stage cloud (tiegraph cloud {folder})")
+        raise InputError(f"{folder}: it has no cloud.laz: run it to the stage cloud ({command('cloud', folder)})")
     world = load_json(folder / "world.json")
     if world["scale_source"] == "none":
         raise InputError(f"{folder}: nothing told its scale, so differences have no unit: give positions or a rig")

@@ -26,6 +26,7 @@ from tiegraph.scene.cloudchunks import Measured, open_cloud, write_measured
 from tiegraph.scene.cloudfile import shift_of
 from tiegraph.scene.registered import registration
 from tiegraph.scene.scene import Scene
+from tiegraph.text import command
 
 PASSES = "passes"
 """Folder of what the stage ``cloud`` found between two passes."""
@@ -79,7 +80,7 @@ def evaluate_poses(run: Run, reference: Path, origin: tuple[float, float, float]
     """
     world = run.path("sparse", "world")
     if not (world / "cameras.bin").exists():
-        raise InputError(f"{run.folder}: there is no model in {world}: run `tiegraph georef {run.folder}` first")
+        raise InputError(f"{run.folder}: there is no model in {world}: run `{command('georef', run.folder)}` first")
     scene, model, tuning = checked(run), load_model(world), run.settings.tuning
     settings = EvaluateSettings(reference=reference, reference_origin=origin)
     images = registration(model, scene, tuning.scene.registered)

@@ -30,6 +30,7 @@ from tiegraph.scene.registered import registration
 from tiegraph.scene.results import Cloud
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import RegisteredTuning
+from tiegraph.text import command
 
 _SURE = 3  # images that a point is seen in: of two, a wrong match is not noticed
 _NAN = float("nan")
@@ -60,7 +61,7 @@ class SurveyRun:
         check_format(folder)
         world = folder / "sparse" / "world"
         if not (world / "cameras.bin").exists():
-            raise InputError(f"--run {folder}: there is no model in {world}: run `tiegraph georef {folder}` first")
+            raise InputError(f"--run {folder}: there is no model in {world}: run `{command('georef', folder)}` first")
         scene = load_scene(folder / "network" / "scene.json")
         model = load_model(world)
         rigs = model_poses(model, scene).world_from_rig

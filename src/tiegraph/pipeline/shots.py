@@ -31,6 +31,7 @@ from tiegraph.scene.names import shortened
 from tiegraph.scene.results import save_depth
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import frame_poses, rig_from_sensor
+from tiegraph.text import command
 
 _FOLDER = "shots"
 POSES = "poses.tum"
@@ -125,8 +126,8 @@ def posed_shots(run: Run, folder: Path) -> tuple[list[Path], str]:
         raise InputError(f"{run.folder} has no shots: run `tiegraph shots` first")
     if not run.path("world.json").exists() or not run.path("sparse", "world").exists():
         raise InputError(
-            f"--posed {folder}: {run.folder} has no poses in the world yet: `tiegraph run IMAGES -o {run.folder} "
-            "--rig RIG --until georef` makes them"
+            f"--posed {folder}: {run.folder} has no poses in the world yet: "
+            f"`{command('run', 'IMAGES', '-o', run.folder, '--rig', 'RIG', '--until', 'georef')}` makes them"
         )
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InputError(f"--posed {folder} is there already: give a new folder")

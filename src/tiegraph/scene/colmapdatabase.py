@@ -282,11 +282,15 @@ def copy_features(source: Path, path: Path, images: np.ndarray, alias: str) -> N
 
 
 def take_matches(path: Path, block: Path) -> None:
-    """Write all matches and geometries of another database into this one."""
-    with transaction(path, beside=block) as cursor:
+    """Write all matches and geometries of another database into this one. Raises as ``explained`` does, of the database
+    at fault."""
+    with reading(block) as cursor:
+        rows = {table: cursor.execute(f"SELECT * FROM {table}").fetchall() for table in _MADE}
+        names = {table: _columns(cursor, table) for table in _MADE}
+    with transaction(path) as cursor:
         for table in _MADE:
-            names = _columns(cursor, table)
-            cursor.execute(f"INSERT INTO {table} ({names}) SELECT {names} FROM beside.{table}")
+            values = ", ".join("?" * (names[table].count(",") + 1))
+            cursor.executemany(f"INSERT INTO {table} ({names[table]}) VALUES ({values})", rows[table])
 
 
 def _columns(cursor: sqlite3.Cursor | sqlite3.Connection, table: str) -> str:
@@ -314,15 +318,10 @@ def copy_verified(source: Path, path: Path, names: set[str] | None, refused: Seq
 
 
 @contextmanager
-def transaction(path: Path, beside: Path | None = None) -> Iterator[sqlite3.Cursor]:
-    """A cursor in one write transaction: committed at the end, undone by any error. SQLite's errors are explained.
-
-    ``beside``: another database, whose tables are ``beside.<table>``.
-    """
+def transaction(path: Path) -> Iterator[sqlite3.Cursor]:
+    """A cursor in one write transaction: committed at the end, undone by any error. SQLite's errors are explained."""
     with _opened(path) as connection:
         cursor = connection.cursor()
-        if beside is not None:
-            cursor.execute("ATTACH ? AS beside", (str(beside),))
         cursor.execute("BEGIN IMMEDIATE")
         try:
             yield cursor

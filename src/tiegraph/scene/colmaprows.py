@@ -44,13 +44,15 @@ def create_database(path: Path, scene: Scene, with_rig: bool = True) -> None:
             raise InputError(f"sensor {sensor.name!r} has no camera: no image of it was found, take it off the rig")
     try:
         with replacing(path) as temporary:
-            limits.need_room(temporary, DATABASE_BYTES + _IMAGE_BYTES * len(scene))  # COLMAP would end the process
+            limits.need_room(path, DATABASE_BYTES + _IMAGE_BYTES * len(scene))  # COLMAP would end the process
             with writing(temporary) as database:
                 _write_rigs(database, scene, with_rig)
                 _write_images(database, scene, with_rig)
                 for prior in position_priors(scene):
                     database.write_pose_prior(prior, use_pose_prior_id=True)
             remove(path)
+    except InputError:
+        raise
     except (RuntimeError, ValueError, OSError) as error:
         raise explained(path, error) from error
 
