@@ -21,7 +21,7 @@ from tiegraph.project.inputs import Inputs
 from tiegraph.project.run import Run, run_stages
 from tiegraph.project.stages import Outcome, Stage, write_atomic
 from tiegraph.scene import colmapdatabase
-from tiegraph.scene.atomic import JOURNAL, MARK, replacing, sweep
+from tiegraph.scene.atomic import JOURNAL, MARK, replacing, scratch_folder, sweep
 from tiegraph.scene.cloudfile import write_ply
 from tiegraph.scene.colmaprows import create_database
 from tiegraph.scene.copc import write_copc
@@ -154,5 +154,11 @@ def test_what_a_living_process_writes_stays(tmp_path: Path) -> None:
     names = [other.name, f".0123abcd.{2**22 + 1}.part.txt", f".0123abcd.{os.getpid()}.part", ".0123abcd.part", "a.part"]
     for name in names:
         (tmp_path / name).write_text("")
+    old = temporary.with_name(f".0123abcd.{os.getpid()}.part.old")
+    old.touch()
+    os.utime(old, (0, 0))  # of a process that had our number
     sweep(tmp_path.iterdir())
-    assert {p.name for p in tmp_path.iterdir()} == {"a.txt", names[0], names[3], names[4]}
+    assert {p.name for p in tmp_path.iterdir()} == {"a.txt", *names} - {names[1]}
+    with scratch_folder(tmp_path) as outer, scratch_folder(tmp_path) as inner:
+        assert outer.is_dir() and inner.is_dir() and outer != inner
+    assert not outer.exists()

@@ -1,6 +1,5 @@
 """Glue of `compare --epochs`: what has changed between two surveys of one place, beyond what both are known to."""
 
-import tempfile
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -24,6 +23,7 @@ from tiegraph.project.folder import SETTINGS, check_format
 from tiegraph.project.run import save_json
 from tiegraph.project.settings import read_settings
 from tiegraph.project.stages import write_atomic
+from tiegraph.scene.atomic import scratch_folder
 from tiegraph.scene.cloudchunks import PointSource, open_cloud, write_measured
 from tiegraph.scene.colmapmodel import model_centres
 from tiegraph.text import command, csv_text
@@ -94,9 +94,9 @@ def differences_of(pair: Pair, out: Path, tuning: Tuning, depth_m: float | None)
 
     Raises InputError if they do not meet, or the folder is there.
     """
-    with new_folder(out) as folder, tempfile.TemporaryDirectory(dir=folder) as scratch:
+    with new_folder(out) as folder, scratch_folder(folder) as scratch:
         assert folder is not None
-        found = m3c2_of(pair, Path(scratch), tuning, depth_m)
+        found = m3c2_of(pair, scratch, tuning, depth_m)
         changed = changes(found, tuning.changes)
         result = _result(found, changed, pair)
         save_json(folder / "changes.json", result)

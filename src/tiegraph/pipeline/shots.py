@@ -2,7 +2,6 @@
 cloud of each posed shot from its rig's frame into the world of the georeferenced model.
 """
 
-import tempfile
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -23,7 +22,7 @@ from tiegraph.project.run import Run
 from tiegraph.project.settings import Settings
 from tiegraph.project.stages import Outcome
 from tiegraph.scan.priors.trajectory import write_tum
-from tiegraph.scene.atomic import replacing
+from tiegraph.scene.atomic import replacing, scratch_folder
 from tiegraph.scene.cloudfile import read_cloud, write_cloud
 from tiegraph.scene.colmapmodel import image_poses, tracks
 from tiegraph.scene.hanging import carries
@@ -99,9 +98,9 @@ def _shot(item: _Shot, folder: Path, settings: Settings) -> None:
     maps = Maps(lambda name: load_map(depth_path(folder, name)), colours)
     tiles = folder / _FOLDER / ".tiles"
     tiles.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=tiles) as scratch:
+    with scratch_folder(tiles) as scratch:
         try:
-            fused = fuse(sorted(plan.images), maps, Path(scratch), settings.cloud, settings.tuning.cloud)
+            fused = fuse(sorted(plan.images), maps, scratch, settings.cloud, settings.tuning.cloud)
         except ReconstructionError as error:
             raise ReconstructionError(f"{path.stem}: {error}") from None
         with replacing(path) as temporary:

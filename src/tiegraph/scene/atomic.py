@@ -10,6 +10,7 @@ import json
 import os
 import re
 import shutil
+import tempfile
 import zlib
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
@@ -22,6 +23,8 @@ MARK = "receipts/folder.json"
 JOURNAL = "receipts/made.txt"
 TEMPORARIES = ".*.part*"
 _TEMPORARY = re.compile(r"\.[0-9a-f]{8}\.(\d+)\.part")
+_SCRATCH = f".{zlib.crc32(b'tiegraph'):08x}"
+_CLOCKS_S = 2.0  # the system tells when it was started in whole seconds
 _OF_SQLITE = ("-wal", "-shm", "-journal")
 
 
@@ -52,6 +55,16 @@ def replacing(path: Path) -> Iterator[Path]:
         remove(temporary)
 
 
+@contextmanager
+def scratch_folder(inside: Path | None = None) -> Iterator[Path]:
+    """A folder that is there for the block, among the system's temporary ones or ``inside`` another; what is left of
+    those of killed processes goes before."""
+    place = Path(tempfile.gettempdir() if inside is None else inside)
+    sweep(place.glob(f"{_SCRATCH}.*"))
+    with tempfile.TemporaryDirectory(prefix=f"{_SCRATCH}.{os.getpid()}.part-", dir=place) as made:
+        yield Path(made)
+
+
 def remove(path: Path) -> None:
     """Remove a file, link or folder, and what SQLite keeps beside a database, whether they are there or not."""
     # A log left beside a replaced database would be played into the new one.
@@ -66,17 +79,19 @@ def sweep(paths: Iterable[Path]) -> None:
     """Remove those that are temporary files or folders of ``replacing`` and whose process has gone."""
     for path in list(paths):
         found = _TEMPORARY.match(path.name)
-        if found and not _is_alive(int(found[1])):
-            with suppress(OSError):
+        with suppress(OSError):
+            if found and not _is_alive(int(found[1]), path.lstat().st_mtime):
                 remove(path)
 
 
-def _is_alive(process: int) -> bool:
-    """Whether another process has this number. What has our own is of one before: of a container each begins at 1."""
+def _is_alive(number: int, written_s: float) -> bool:
+    """Whether the process of a number may have written something: one that began later has only the same number, as in
+    containers, where each begins at 1."""
     import psutil
 
     try:
-        return process != os.getpid() and psutil.Process(process).status() != psutil.STATUS_ZOMBIE
+        process = psutil.Process(number)
+        return process.status() != psutil.STATUS_ZOMBIE and process.create_time() < written_s + _CLOCKS_S
     except psutil.AccessDenied:
         return True
     except psutil.Error:

@@ -8,7 +8,6 @@ and ..._10_..., or two video tracks of one file, have a lens each: their picture
 import json
 import os
 import re
-import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass
@@ -23,7 +22,7 @@ from tiegraph.scan.recording.tracks import VIDEO, BrokenTrack, OneVideoTrack, ed
 from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scan.videos.bagfilms import BagFilm, open_topic
 from tiegraph.scan.videos.videotime import VideoClock
-from tiegraph.scene.atomic import replacing
+from tiegraph.scene.atomic import replacing, scratch_folder
 from tiegraph.scene.images import files_below
 from tiegraph.scene.names import clean_names, shortened
 from tiegraph.scene.regular import real_path, regular
@@ -148,8 +147,8 @@ def _delay_s(recording: Recording) -> float:
 
 def _capture(video: Path) -> cv2.VideoCapture:
     """It gets a link for a name: one that is not UTF-8 would end the process, and %d would mean numbered files."""
-    with tempfile.TemporaryDirectory() as folder:
-        link = Path(folder) / f"video{video.suffix.lower()}"
+    with scratch_folder() as folder:
+        link = folder / f"video{video.suffix.lower()}"
         try:
             link.symlink_to(real_path(video))
         except (OSError, NotImplementedError):
