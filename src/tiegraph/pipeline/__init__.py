@@ -48,7 +48,7 @@ _BESIDE_DATABASE = tuple(f"database.db{s}" for s in ("-wal", "-shm", "-journal")
 
 # fmt: off
 STAGES = (
-    _stage("scan", (), ("scene.json", "whole.json", "images", "odometry"), "image", version=9,
+    _stage("scan", (), ("scene.json", "whole.json", "images", "odometry"), "image", version=10,
            tuned=("scene", "odometry")),
     _stage("masks", ("scan",), ("masks", "classes", "masks.csv"), "image", version=10),
     _stage("preview", ("scan", "masks"), ("preview",), "image", version=2, tuned=("features",)),
@@ -57,7 +57,7 @@ STAGES = (
     _stage("coarse", ("scan", "preview", "candidates"), ("coarse.npz", "coarse"), "block", version=8,
            uses=("candidates",), scratch=("coarse/blocks", "coarse/mapping", "coarse/matched"),
            tuned=("scene", "network", "features", "sfm")),
-    _stage("network", ("scan", "masks", "preview", "coarse"), ("network.npz", "network.csv", "network"), version=8,
+    _stage("network", ("scan", "masks", "preview", "coarse"), ("network.npz", "network.csv", "network"), version=9,
            uses=("candidates",), tuned=("scene",)),
     _stage("design", ("masks", "coarse", "network"), ("pairs.npz", "pairs.txt", "pairs", "design"), version=10,
            uses=("features",), tuned=("features", "sfm")),

@@ -25,7 +25,6 @@ TEMPORARIES = ".*.part*"
 _TEMPORARY = re.compile(r"\.[0-9a-f]{8}\.(\d+)\.part")
 _SCRATCH = f".{zlib.crc32(b'tiegraph'):08x}"
 _CLOCKS_S = 2.0  # the system tells when it was started in whole seconds
-_OF_SQLITE = ("-wal", "-shm", "-journal")
 
 
 @contextmanager
@@ -57,22 +56,22 @@ def replacing(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def scratch_folder(inside: Path | None = None) -> Iterator[Path]:
-    """A folder that is there for the block, among the system's temporary ones or ``inside`` another; what is left of
-    those of killed processes goes before."""
-    place = Path(tempfile.gettempdir() if inside is None else inside)
-    sweep(place.glob(f"{_SCRATCH}.*"))
-    with tempfile.TemporaryDirectory(prefix=f"{_SCRATCH}.{os.getpid()}.part-", dir=place) as made:
+    """A folder that is there for the block, ``inside`` another one, with which it goes after a kill, or among the
+    system's temporary ones, where those of killed processes go when the next is made."""
+    if inside is None:
+        sweep(Path(tempfile.gettempdir()).glob(f"{_SCRATCH}.*"))
+    with tempfile.TemporaryDirectory(prefix=f"{_SCRATCH}.{os.getpid()}.part-", dir=inside) as made:
         yield Path(made)
 
 
 def remove(path: Path) -> None:
-    """Remove a file, link or folder, and what SQLite keeps beside a database, whether they are there or not."""
+    """Remove a folder, or a file or link and what SQLite keeps beside a database, whether they are there or not."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+        return
     # A log left beside a replaced database would be played into the new one.
-    for each in (path, *(path.with_name(path.name + suffix) for suffix in _OF_SQLITE)):
-        if each.is_dir() and not each.is_symlink():
-            shutil.rmtree(each)
-        else:
-            each.unlink(missing_ok=True)
+    for suffix in ("", "-wal", "-shm", "-journal"):
+        path.with_name(path.name + suffix).unlink(missing_ok=True)
 
 
 def sweep(paths: Iterable[Path]) -> None:
