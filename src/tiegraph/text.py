@@ -53,6 +53,12 @@ def known_to(sigma: float, most: float, shown: str) -> str:
     return f"known to {shown}" if sigma < most else "not known"
 
 
+def round_below(value: float) -> float:
+    """The largest of 1, 2 and 5 times a power of ten that is not above a value: lengths of scale bars."""
+    power = 10.0 ** math.floor(math.log10(value))
+    return max(k * power for k in (1, 2, 5) if k * power <= value * 1.0001)
+
+
 def some(texts: Iterable[str], most: int = 4, total: int = 0, joint: str = ", ") -> str:
     """The first of some texts, and how many more there are, of ``total`` where that is more than is at hand."""
     told = list(texts)

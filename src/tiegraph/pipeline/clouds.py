@@ -13,7 +13,7 @@ from tiegraph.evaluate.reference import to_world
 from tiegraph.evaluate.tuning import Tuning
 from tiegraph.geometry.geodesy import ENU, Origin
 from tiegraph.pipeline.evaluate import write_judgement
-from tiegraph.project.run import save_json
+from tiegraph.project.stages import save_json
 from tiegraph.scene.atomic import must_be_new, replacing, scratch_folder
 from tiegraph.scene.cloudchunks import PointSource, open_cloud
 from tiegraph.scene.results import metrics_to_dict

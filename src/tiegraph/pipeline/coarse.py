@@ -117,7 +117,7 @@ class _Mapper:
         """The model of a block: that of an earlier try, or of a run that was interrupted, if its ties are the same."""
         whole = is_whole(self._blocks, self._scene)
         part, inside = (self._scene, ties) if whole else block.part_of(self._scene, ties)
-        kept = self._run.path(*BLOCKS.split("/"), f"{_key(block, inside)}.npz")
+        kept = self._run.path(BLOCKS, f"{_key(block, inside)}.npz")
         if kept.exists():
             with reading(kept):
                 data = load_npz(kept)
@@ -142,7 +142,7 @@ def coarse_model(run: Run, scene: Scene, ties: PreviewMatches) -> CoarseModel | 
     It is made as the stage sparse makes one by default, whatever its settings are: pairs and matches stay when the
     final model is made otherwise. Its files go: what is needed of them is in the arrays.
     """
-    folder = run.path(*MAPPING.split("/"))
+    folder = run.path(MAPPING)
     remove(folder)
     folder.mkdir(parents=True)
     database = folder / "database.db"

@@ -20,9 +20,8 @@ from tiegraph.pipeline.clouds import new_folder, refuse_coarse_alone
 from tiegraph.pipeline.evaluate import measured
 from tiegraph.pipeline.files import load_json, load_model
 from tiegraph.project.folder import SETTINGS, check_format
-from tiegraph.project.run import save_json
 from tiegraph.project.settings import read_settings
-from tiegraph.project.stages import write_atomic
+from tiegraph.project.stages import save_json, write_atomic
 from tiegraph.scene.atomic import scratch_folder
 from tiegraph.scene.cloudchunks import PointSource, open_cloud, write_measured
 from tiegraph.scene.colmapmodel import model_centres

@@ -19,8 +19,8 @@ from tiegraph.geometry.geodesy import Origin
 from tiegraph.masks.compare import compare
 from tiegraph.pipeline.files import FINAL, checked, load_json, load_model, reading, world_origin
 from tiegraph.pipeline.predicted import stated
-from tiegraph.project.run import Run, save_json
-from tiegraph.project.stages import Outcome, write_atomic
+from tiegraph.project.run import Run
+from tiegraph.project.stages import Outcome, save_json, write_atomic
 from tiegraph.scene.atomic import remove
 from tiegraph.scene.cloudchunks import Measured, open_cloud, write_measured
 from tiegraph.scene.cloudfile import shift_of

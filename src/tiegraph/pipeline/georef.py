@@ -11,8 +11,8 @@ from tiegraph.geometry.geodesy import world_from_geodetic
 from tiegraph.pipeline.files import checked, load_json, load_model, refused_pairs, whole
 from tiegraph.pipeline.inputs import control_file, orientations
 from tiegraph.pipeline.targets import target_marks
-from tiegraph.project.run import Run, save_json
-from tiegraph.project.stages import Outcome
+from tiegraph.project.run import Run
+from tiegraph.project.stages import Outcome, save_json
 from tiegraph.scene import evidence
 from tiegraph.scene.atomic import claim, remove
 from tiegraph.scene.control import locate, locate_bars

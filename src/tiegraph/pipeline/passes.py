@@ -29,8 +29,8 @@ from tiegraph.pipeline.dense import depth_path, read_depth
 from tiegraph.pipeline.epochs import Pair, differences_of, m3c2_of
 from tiegraph.pipeline.evaluate import PASSES, measured
 from tiegraph.pipeline.files import checked, load_model, world_origin
-from tiegraph.project.run import Run, save_json
-from tiegraph.project.stages import write_atomic
+from tiegraph.project.run import Run
+from tiegraph.project.stages import save_json, write_atomic
 from tiegraph.scene.atomic import scratch_folder
 from tiegraph.scene.cloudchunks import Points, PointSource, write_measured
 from tiegraph.scene.colmapmodel import matrix

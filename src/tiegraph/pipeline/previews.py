@@ -64,7 +64,7 @@ class Matcher:
     stage that was killed goes on where it stood."""
 
     def __init__(self, run: Run, folder: str) -> None:
-        self._run, self._folder = run, run.path(*folder.split("/"))
+        self._run, self._folder = run, run.path(folder)
         self._chunks, self._asked = 0, 0
         self._before: dict[tuple[int, int], PreviewMatch] = {}
         for path in sorted(self._folder.glob("*.npz")):

@@ -16,7 +16,7 @@ from tiegraph.geometry import transforms
 from tiegraph.geometry.geodesy import ENU, Origin
 from tiegraph.pipeline.clouds import new_folder
 from tiegraph.project.progress import Reporter
-from tiegraph.project.run import save_json
+from tiegraph.project.stages import save_json
 from tiegraph.project.verbtunings import VerbTunings
 from tiegraph.scan.priors.trajectory import write_tum
 from tiegraph.scene.atomic import scratch_folder

@@ -17,7 +17,6 @@ from tiegraph.project.ledger import (
     covered,
     digest_of,
     files_below,
-    left_behind,
     put_aside,
     read_journal,
     recorded,
@@ -26,7 +25,7 @@ from tiegraph.project.ledger import (
 )
 from tiegraph.project.receipts import Receipts
 from tiegraph.project.stages import Outcome, Stage
-from tiegraph.scene.atomic import JOURNAL, remove
+from tiegraph.scene.atomic import JOURNAL, is_temporary, remove
 from tiegraph.text import some
 
 _LET_GO = "files let go"
@@ -163,7 +162,7 @@ class Artefacts:
             ledger = {}
         else:
             whole = self._of_items(stage, ledger, troubles)
-            take_away(self.folder, [*left_behind(names), *whole])
+            take_away(self.folder, [*filter(is_temporary, names), *whole])
             ledger = {n: e for n, e in ledger.items() if n not in whole}
         # In this order: a finished receipt never stands beside a list that lacks its files.
         self.receipts.write(stage.name, {"stage": stage.name, "began": key, "from": self._made_from(stage)})
@@ -209,7 +208,7 @@ class Artefacts:
         return [t for s in self._stages if s is not stage for t in _tops(s) if covered(t, mine) and t not in mine]
 
     def _strangers(self, stage: Stage, names: Iterable[str], ledger: Ledger) -> list[str]:
-        return [n for n in names if n not in ledger and not covered(n, stage.scratch) and not left_behind([n])]
+        return [n for n in names if n not in ledger and not covered(n, stage.scratch) and not is_temporary(n)]
 
     def _differences(self, stage: Stage, thorough: bool) -> Iterable[tuple[str, str]]:
         shared = {n for s in self._stages if self._changed(s) for n in s.changes}

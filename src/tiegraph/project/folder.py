@@ -16,7 +16,7 @@ from typing import TextIO
 from tiegraph.errors import InputError
 from tiegraph.project.ledger import covered
 from tiegraph.project.progress import LogFormatter
-from tiegraph.project.stages import digest, write_atomic
+from tiegraph.project.stages import digest, read_object, write_atomic
 from tiegraph.scene.atomic import MARK, TEMPORARIES, is_temporary, sweep
 from tiegraph.scene.regular import real_path
 from tiegraph.text import some
@@ -126,11 +126,7 @@ def _kept(folder: Path, number: int) -> Path:
 
 
 def _mark(folder: Path) -> dict:
-    try:
-        found = json.loads((folder / MARK).read_text())
-    except (OSError, ValueError):
-        found = None
-    return {"made by": "tiegraph run", "format": _FORMAT, **(found if isinstance(found, dict) else {})}
+    return {"made by": "tiegraph run", "format": _FORMAT, **(read_object(folder / MARK) or {})}
 
 
 @contextmanager

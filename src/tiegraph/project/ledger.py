@@ -13,7 +13,7 @@ from datetime import datetime, timezone
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from tiegraph.scene.atomic import JOURNAL, is_temporary, sync
+from tiegraph.scene.atomic import JOURNAL, sync
 
 Ledger = dict[str, list]
 """Name below the run folder -> [size, time in ns, digest], ["link", target], or [] for one not looked at yet."""
@@ -150,8 +150,3 @@ def _parsed(line: str) -> Any:
         return json.loads(line)
     except ValueError:
         return None
-
-
-def left_behind(names: Iterable[str]) -> list[str]:
-    """Those of the names that are temporary files of a writer that was killed."""
-    return [n for n in names if is_temporary(n)]

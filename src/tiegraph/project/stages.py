@@ -106,6 +106,20 @@ def write_atomic(path: Path, data: bytes | str) -> None:
         ) from error
 
 
+def save_json(path: Path, data: Any) -> None:
+    """Write JSON atomically."""
+    write_atomic(path, json.dumps(data, indent=1, default=lambda v: v.tolist() if hasattr(v, "tolist") else str(v)))
+
+
+def read_object(path: Path) -> dict | None:
+    """The JSON object in a file; None where there is none, or none that can be read."""
+    try:
+        found = json.loads(path.read_text())
+    except (OSError, ValueError):
+        return None
+    return found if isinstance(found, dict) else None
+
+
 def stage_keys(
     stages: Sequence[Stage], settings: Any, source_key: str, stamp: Callable[[Path], Any], place: str = ""
 ) -> dict[str, str]:

@@ -18,16 +18,7 @@ from tiegraph.geometry.geodesy import (
 )
 from tiegraph.scene.gcp import FileMark, GcpFile
 from tiegraph.scene.gnss import HEIGHTS_M, beyond
-from tiegraph.scene.markpixels import (
-    AS_IS,
-    EDGE_PX,
-    Copy,
-    file_camera,
-    in_file,
-    lies_in,
-    prepared_pixel,
-    within,
-)
+from tiegraph.scene.markpixels import AS_IS, EDGE_PX, Copy, file_camera, in_file, lies_in, prepared_pixel, within
 from tiegraph.scene.names import found_by, lookup_of
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.sorting import Columns
@@ -119,7 +110,10 @@ def locate(
     origin = scene.origin or _origin_of_points(file, crs)
     world = surveyed_world(file, origin)
     _check_place(file, world, scene)
-    _check_heights(file, geodetic_from_world(world, origin)[:, 2], heights_m)
+    high = geodetic_from_world(world, origin)[:, 2]
+    for k in np.flatnonzero((high < heights_m[0]) | (high > heights_m[1]))[:1]:
+        where = f"{file.path}, line {file.points[k].line}: point {file.points[k].name!r}"
+        raise InputError(f"{where}: height {high[k]:.10g} m, {beyond(heights_m)}")
     vertical = vertical_note(file.crs or origin.crs)
     notes.append(f"{file.path.name}: {len(file.points)} points in {file.crs or origin.crs}; {vertical}")
     _few_marks(file, np.bincount(marks.point, minlength=len(file.points)), notes)
@@ -337,15 +331,6 @@ def surveyed_world(file: GcpFile, origin: Origin) -> np.ndarray:
     if crs == origin.crs:
         return xyz - np.asarray(origin.shift_m)
     return world_from_geodetic(_geodetic(xyz, crs, file), origin)
-
-
-def _check_heights(file: GcpFile, height_m: np.ndarray, heights_m: tuple[float, float]) -> None:
-    """Raise InputError for a height (P,) that is none of a survey's."""
-    bad = np.flatnonzero((height_m < heights_m[0]) | (height_m > heights_m[1]))
-    if len(bad):
-        point = file.points[bad[0]]
-        where = f"{file.path}, line {point.line}: point {point.name!r}"
-        raise InputError(f"{where}: height {height_m[bad[0]]:.10g} m, {beyond(heights_m)}")
 
 
 def _check_place(file: GcpFile, world: np.ndarray, scene: Scene) -> None:

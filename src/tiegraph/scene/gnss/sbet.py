@@ -56,11 +56,4 @@ def read_sbet(path: Path, raw: bytes) -> Fixes:
         f"{path.name}: an SBET file has seconds of the GPS week and no week: that of the frames' times (UTC) is taken; "
         f"its angles are not used{thinned}"
     ]
-    return Fixes(
-        path=path,
-        line=line,
-        lat_lon_height=llh,
-        time_s=records[:, 0],
-        notes=notes,
-        period_s=WEEK_S,
-    )
+    return Fixes(path=path, line=line, lat_lon_height=llh, time_s=records[:, 0], notes=notes, period_s=WEEK_S)
