@@ -3,7 +3,14 @@
 import numpy as np
 
 from tiegraph.geometry import transforms
-from tiegraph.pipeline.files import checked, load_model, load_scene, pairs_of, refused_pairs, trusted_poses
+from tiegraph.pipeline.files import (
+    checked,
+    load_model,
+    load_scene,
+    pairs_of,
+    refused_pairs,
+    trusted_poses,
+)
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome
 from tiegraph.scan.priors.poses import images_by_name

@@ -70,8 +70,7 @@ def _grid(xyz: np.ndarray, value: np.ndarray, edge: float) -> np.ndarray:
 
 def _scale_bar(axes, extent: np.ndarray) -> None:  # type: ignore[no-untyped-def]
     left, right, low, high = extent
-    length = round_below((right - left) / 4)
-    y = low - 0.04 * (high - low)
+    length, y = round_below((right - left) / 4), low - 0.04 * (high - low)
     axes.plot([left, left + length], [y, y], color="#444444", linewidth=3, solid_capstyle="butt", clip_on=False)
     axes.text(left + length / 2, y - 0.015 * (high - low), f"{length:g} m", ha="center", va="top", fontsize=9)
     axes.set_ylim(low - 0.1 * (high - low), high)

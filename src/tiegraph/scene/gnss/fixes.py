@@ -95,16 +95,15 @@ def above_ellipsoid(path: Path, above_sea_m: np.ndarray, undulation_m: np.ndarra
 
 def beyond(heights_m: tuple[float, float]) -> str:
     """What to say of heights that are not within those that are believed."""
-    low, high = heights_m
-    return f"not within {low:g} to {high:g} m: in another unit? Write metres, or give the range as --scan.heights-m"
+    within = " to ".join(f"{h:g}" for h in heights_m)
+    return f"not within {within} m: in another unit? Write metres, or give the range as --scan.heights-m"
 
 
 def _faults(llh: np.ndarray, sigma: np.ndarray, heights_m: tuple[float, float]) -> _Faults:
-    low, high = heights_m
     return [
         ("latitude", ~(np.abs(llh[:, 0]) <= 90)),
         ("longitude", ~(np.abs(llh[:, 1]) <= 360)),
-        ("height", ~((llh[:, 2] >= low) & (llh[:, 2] <= high))),
+        ("height", ~((llh[:, 2] >= heights_m[0]) & (llh[:, 2] <= heights_m[1]))),
         (_NO_FIX, np.all(llh[:, :2] == 0, axis=1)),
         ("accuracy", np.any(sigma > SIGMA_RANGE_M[1], axis=1)),
     ]
