@@ -32,6 +32,7 @@ from benchmarks.scale.standin import without_pixels
 from benchmarks.scale.survey import read_survey, write_survey
 from tiegraph.features.match import BLOCK_PAIRS
 from tiegraph.features.matchblocks import cut
+from tiegraph.pipeline import STAGES as TABLE
 from tiegraph.pipeline.candidates import candidates
 from tiegraph.pipeline.coarse import coarse
 from tiegraph.pipeline.design import design
@@ -42,6 +43,7 @@ from tiegraph.project.inputs import Inputs
 from tiegraph.project.run import Run
 from tiegraph.project.settings import Settings
 from tiegraph.project.stages import Outcome
+from tiegraph.scene.atomic import remove
 from tiegraph.scene.colmaprows import create_database
 from tiegraph.scene.scene import Scene
 
@@ -88,6 +90,8 @@ def one_stage(name: str, folder: Path, profile: Path | None) -> dict[str, Any]:
             for order in ("cumulative", "tottime"):
                 pstats.Stats(watch, stream=stream).sort_stats(order).print_stats(45)
     run.close()
+    for scratch in next((s.scratch for s in TABLE if s.name == name), ()):
+        remove(run.path(scratch))
     return {
         "stage": name,
         "cpu_s": time.process_time() - began - spent,

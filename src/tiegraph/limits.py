@@ -9,6 +9,7 @@ import errno
 import os
 import re
 import shutil
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -74,7 +75,7 @@ def no_room(folder: Path | None, why: object = "") -> InputError:
 
 
 def need_room(path: Path, size: int) -> None:
-    """Raise InputError unless a file of ``size`` bytes can be written at ``path``, which is not there yet.
+    """Raise InputError unless a file of ``size`` bytes can be written at ``path``, in a folder that is there.
 
     For libraries that end the process when they cannot write. The room is not held: another program may take it.
     """
@@ -82,13 +83,11 @@ def need_room(path: Path, size: int) -> None:
     if limit is not None and limit < size:
         raise no_room(path.parent, f"{path} needs about {size / 2**20:.1f} MiB")
     try:
-        with open(path, "wb") as file:
+        with tempfile.TemporaryFile(dir=path.parent) as file:
             if hasattr(os, "posix_fallocate"):
                 os.posix_fallocate(file.fileno(), 0, size)
     except OSError as error:
         raise explained(error, path.parent) or error from error
-    finally:
-        path.unlink(missing_ok=True)
 
 
 def no_memory(why: object = "") -> ProcessLost:

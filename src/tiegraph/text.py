@@ -3,6 +3,7 @@
 import csv
 import io
 import math
+import shlex
 import unicodedata
 from collections.abc import Iterable
 from typing import Any
@@ -39,12 +40,23 @@ def one_line(text: str) -> str:
     return "".join(_escaped(c) if acts(c) else c for c in text)
 
 
+def command(*words: object) -> str:
+    """A command line of tiegraph to copy: names are words to the shell, whatever they hold."""
+    return shlex.join(["tiegraph", *map(str, words)])
+
+
 def known_to(sigma: float, most: float, shown: str) -> str:
     """How well something is known: "known to <shown>", or "not known" where the sigma is not below ``most``.
 
     ``most`` is the size of what it is a sigma of: the length of a lever arm, a right angle, 1 for a scale.
     """
     return f"known to {shown}" if sigma < most else "not known"
+
+
+def round_below(value: float) -> float:
+    """The largest of 1, 2 and 5 times a power of ten that is not above a value: lengths of scale bars."""
+    power = 10.0 ** math.floor(math.log10(value))
+    return max(k * power for k in (1, 2, 5) if k * power <= value * 1.0001)
 
 
 def some(texts: Iterable[str], most: int = 4, total: int = 0, joint: str = ", ") -> str:

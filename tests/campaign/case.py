@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from campaign import oracle
-from campaign.compare import differences
+from campaign.compare import differences, left_over
 from campaign.process import Ended, Server
 from campaign.world import PATIENCE_S, World, fingerprint
 
@@ -89,7 +89,8 @@ def wrong(case: Case, ended: Ended, out: Path, own: dict[str, bytes]) -> oracle.
     different = differences(case.world.clean[max_stage(case.world)], out, own)
     if different:
         return oracle.Verdict(oracle.SILENT, "not the clean run's result: " + "; ".join(different[:4]))
-    return None
+    left = left_over(case.world.clean[max_stage(case.world)], out, own)
+    return oracle.Verdict(oracle.LEFTOVER, "; ".join(left[:4])) if left else None
 
 
 def max_stage(world: World) -> str:

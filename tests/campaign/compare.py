@@ -34,6 +34,15 @@ def owned(folder: Path) -> dict[str, str]:
     return found
 
 
+def left_over(clean: Path, other: Path, besides: Collection[str] = ()) -> list[str]:
+    """Files and folders below run folder ``other`` that the clean run does not have: temporary files, files set aside.
+    ``besides``: files of the user; what SQLite keeps beside an open database is not counted, nor is the lock."""
+    known = {p.relative_to(clean).as_posix() for p in clean.rglob("*")}
+    users = {part.as_posix() for name in besides for part in (Path(name), *Path(name).parents)}
+    found = {p.relative_to(other).as_posix() for p in other.rglob("*")} - known - users
+    return sorted(n for n in found if not n.endswith(("-shm", "-wal")))
+
+
 def differences(clean: Path, other: Path, besides: Collection[str] = (), until: str = STAGES[-1].name) -> list[str]:
     """What is different in run folder ``other``, in words; [] = the same survey. ``besides``: files of the user."""
     names = [s.name for s in STAGES]

@@ -214,15 +214,13 @@ def test_edges_of_uneven_nodes() -> None:
 def test_names_are_no_formulas() -> None:
     from matplotlib.figure import Figure
 
-    from tiegraph.scene.figures import plain_text, png
+    from tiegraph.scene.figures import png
 
-    @plain_text()
-    def drawn() -> bytes:
-        figure = Figure(figsize=(2, 2))
-        axes = figure.add_subplot(title="$\\frac{")
-        axes.set_xticks([0, 1], ["$\\frac{$", "戻り"])
-        return png(figure)
-
+    figure = Figure(figsize=(2, 2), layout="constrained")
+    axes = figure.add_subplot(title="$\\frac{$", ylabel="x^$_$^{{")
+    axes.set_xticks([0, 1], ["$\\frac{$", "戻り"])
+    axes.plot([0, 1], label="$\\frac{$")
+    axes.legend(title="$\\frac{$")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert drawn()[1:4] == b"PNG"
+        assert png(figure)[1:4] == b"PNG"

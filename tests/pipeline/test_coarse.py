@@ -114,6 +114,3 @@ def test_previews_that_were_matched_before_a_kill_stay(tmp_path, monkeypatch) ->
     for one, other in zip(again, once_more):
         assert one.inliers == other.inliers and np.array_equal(one.matches, other.matches)
         assert (one.rotation is None) == (other.rotation is None) and (one.shift is None) == (other.shift is None)
-    matcher = Matcher(run_in(tmp_path), "candidates/matched")
-    matcher.forget()
-    assert not (tmp_path / "candidates" / "matched").exists()

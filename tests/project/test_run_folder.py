@@ -3,6 +3,7 @@
 import json
 import os
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -317,6 +318,32 @@ def test_a_file_that_a_stage_changed_is_not_missed_when_its_maker_made_it_anew(m
     make().path("base.db").write_text("drawn again")
     assert run_stages(SHARED, make(many=3)) == ["many", "whole"]
     assert len(list(make().path("set_aside").iterdir())) == 2
+
+
+@pytest.mark.parametrize("begins_again", [False, True], ids=["at once", "by the next run"])
+def test_what_a_stage_broke_that_was_stopped_is_nobodys_and_what_a_person_broke_is_kept(make, begins_again):
+    """As a full disk leaves a database: it is made anew, and set aside is only what a person may have changed."""
+    full = [True]
+
+    def grown_or_broken(run):
+        path = run.path("base.db")
+        if full:
+            full.clear()
+            path.write_text("half a page")
+            raise InputError("no room") if begins_again else UnreadableArtefact(path, "malformed")
+        if path.read_text() != "1":
+            raise UnreadableArtefact(path, "malformed")
+        return grown(run)
+
+    stages = (SHARED[0], replace(SHARED[1], run=grown_or_broken))
+    if begins_again:
+        with pytest.raises(InputError, match="no room"):
+            run_stages(stages, make())
+    run_stages(stages, make())
+    assert make().path("base.db").read_text() == "1 grown" and not aside(make())
+    make().path("base.db").write_text("by a person")
+    run_stages(stages, make())
+    assert make().path("base.db").read_text() == "1 grown" and aside(make()) == {"base.db": b"by a person"}
 
 
 def test_a_touched_or_copied_folder_is_still_up_to_date(make, tmp_path):

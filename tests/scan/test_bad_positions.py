@@ -35,8 +35,9 @@ class Survey:
         self.names = find_images(images)
         self.probes: Sequence[Probe] = [probe_image(images / n, ImageTuning()) for n in self.names]
 
-    def scan(self, crs: str = "auto", **inputs: Path) -> Scene:
-        return build_scene(ScanInputs(self.images, **inputs), self.names, self.probes, ScanSettings(crs=crs), TUNING)  # type: ignore[arg-type]
+    def scan(self, crs: str = "auto", settings: ScanSettings | None = None, **inputs: Path) -> Scene:
+        settings = settings or ScanSettings(crs=crs)
+        return build_scene(ScanInputs(self.images, **inputs), self.names, self.probes, settings, TUNING)  # type: ignore[arg-type]
 
 
 @pytest.fixture(scope="module")
@@ -100,7 +101,8 @@ def says(scene: Scene, words: str) -> bool:
         (table() + "108,35.69,139.77,40,9\n", r"line 10: 5 cells below a header of 4"),
         (table(*RADIANS), r"line 2: lat 0.6229, lon 2.4394: .*radians do: write degrees"),
         (table(head="time,lat (rad),lon,height"), "column 'lat' is in radians: write degrees"),
-        (table(*((k, {"height": 1e9}) for k in EVERY)), r"none of 8 rows.*line 2, height '1000000000.0'; correct"),
+        (table(*((k, {"height": 39558}) for k in EVERY)),
+         r"none of 8 rows.*line 2, height '39558', not within -500 to 9000 m: in another unit"),
         (table(head=HEAD + ",sigma", more=",inf"), r"none of 8 rows.*line 2, accuracy 'inf'"),
         (table(head=HEAD + ",sigma", more=",1e300"), r"none of 8 rows.*line 2, accuracy '1e300'"),
         (table(*((k, {"lat": 3541.4, "lon": 13946.2}) for k in EVERY)), r"line 2, latitude '3541.4'.*NMEA"),
@@ -130,7 +132,8 @@ def test_short_names_that_several_passes_share(two_passes: Survey, tmp_path: Pat
 @pytest.mark.parametrize(
     "text, words, known",
     [
-        (table((3, {"height": 1e9})), r"1 of 8 rows left out.*line 5, height '1000000000.0'; correct", 8),
+        (table((3, {"height": 9000.5})), r"1 of 8 rows left out.*line 5, height '9000.5', not within -500 to 9", 8),
+        (table((7, {"height": -9999})), r"1 of 8 rows left out.*line 9, height '-9999', not within -500 to", 7),
         (table((3, {"lat": 95})), r"line 5, latitude '95'; correct", 8),
         (table((7, {"lat": "nan"})), r"line 9, latitude 'nan'", 7),
         (table((7, {"time": "inf"})), r"line 9, time 'inf'", 7),
@@ -344,7 +347,11 @@ def photographs(folder: Path, count: int = 6, **of_last: float) -> Scene:
     [
         ({"lat": 91.0}, r"EXIF of IMG_5.jpg: latitude 91, longitude 139.77 is no place.*not used, as in 1 of 6", 5),
         ({"lat": 0.0, "lon": 0.0}, r"IMG_5.jpg: latitude 0, longitude 0 is what a receiver without a fix writes", 5),
-        ({"alt": 1e9}, r"IMG_5.jpg: height 1e\+09 m is none", 6),
+        (
+            {"alt": 39558.0},
+            r"EXIF of IMG_5.jpg: height 39558 m, not within -500 to 9000 m.*; 1 positions are",
+            6,
+        ),
         ({"lat": 40.19}, r"IMG_5.jpg: lat 40.190000, lon 139.770000 lies 499 km .*1 of 6 positions are not used", 5),
     ],
 )
@@ -353,6 +360,19 @@ def test_exif_positions_that_are_said(tmp_path: Path, of_last: dict, words: str,
     assert says(scene, words), scene.notes
     places = scene.world_from_rig[:, :3, 3]
     assert np.isfinite(places[:, 0]).sum() == known and np.nanmax(np.abs(np.ptp(places[:5], axis=0))) < 60
+
+
+def test_heights_of_an_aircraft_that_says_so(tmp_path: Path) -> None:
+    (tmp_path / "g.csv").write_text("time,lat,lon,height\n0,35.69,139.77,11000\n1,35.691,139.77,-600\n")
+    with pytest.raises(InputError, match="none of 2 rows"):
+        read_gnss(tmp_path / "g.csv", GnssTuning())
+    assert len(read_gnss(tmp_path / "g.csv", GnssTuning(), (-500.0, 12000.0)).time_s) == 1
+    for k in range(3):
+        picture(tmp_path / "in" / f"IMG_{k}.jpg", exif=exif_of(lat=35.69 + 1e-4 * k, lon=139.77, alt=11000.0))
+    for settings, sigma in ((ScanSettings(), 100.0), (ScanSettings(heights_m=(-500.0, 12000.0)), 10.0)):
+        scene = Survey(tmp_path / "in").scan(settings=settings)
+        assert np.all(scene.position_sigma_m[:, 2] == sigma)
+        assert abs(scene.origin.height_m - (0 if sigma == 100 else 11000)) < 1
 
 
 def test_no_exif_position_in_range(tmp_path: Path) -> None:

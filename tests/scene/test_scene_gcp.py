@@ -107,6 +107,10 @@ def test_wrong_files_say_where(tmp_path) -> None:
     assert len(locate(_odm(tmp_path, f"{x} {y} 3 1 1 000.jpg\n", "EPSG:6677"), _scene())) == 1
     with pytest.raises(InputError, match=r"lies 39 km from the survey's positions: .*exchanged \(north, east\)"):
         locate(_odm(tmp_path, f"{y} {x} 3 1 1 000.jpg\n", "EPSG:6677"), _scene())
+    for scene in (_scene(), _scene(positions=False)):
+        with pytest.raises(InputError, match=r"line 2: point 'point 1': height 3955\d m, not within -500 to 9000 m"):
+            locate(_odm(tmp_path, f"{EAST} {NORTH} 39558 1 1 000.jpg\n"), scene)
+    assert len(locate(_odm(tmp_path, f"{EAST} {NORTH} -600 1 1 000.jpg\n"), _scene(), heights_m=(-700, 10))) == 1
     (tmp_path / "m.csv").write_text("name,x,y,z,image,px,py\nA,,,,000.jpg,1,2\n")
     with pytest.raises(InputError, match=r"marks, but no points with coordinates; points need the columns name, x"):
         read_gcps(tmp_path / "m.csv", ControlTuning())

@@ -1,7 +1,9 @@
 """The summary of a calibration, as Markdown, and its parameters as tables."""
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from urllib.parse import quote
 
 import cv2
 import numpy as np
@@ -14,8 +16,9 @@ from tiegraph.calibrate.judge import Verdict
 from tiegraph.calibrate.tuning import JudgeTuning
 from tiegraph.geometry import transforms
 from tiegraph.geometry.transforms import invert
-from tiegraph.scene.figures import plain_text, png
+from tiegraph.scene.figures import png
 from tiegraph.scene.targets import CENTRE
+from tiegraph.text import csv_text, one_line
 
 _DPI = 110
 _LONGEST = 0.8  # of a cell: the longest mean vector
@@ -37,7 +40,7 @@ def summary(done: Adjusted, verdict: Verdict, board: str, notes: Sequence[str], 
         "# Calibration",
         f"Board `{board}`, {len(done.seen.instants())} instants, {len(done.seen.views)} views. Sigma of one coordinate "
         f"of a corner: {done.sigma_px:.3f} px.",
-        lengths(done),
+        _word(lengths(done)),
         *_bend(done),
         _table(("camera", *_CAMERA), cameras),
         "RMS: of one coordinate, of all corners. Held out: instants that took no part in the adjustment, to which only "
@@ -47,7 +50,7 @@ def summary(done: Adjusted, verdict: Verdict, board: str, notes: Sequence[str], 
         "## Parameters",
         *([_PLACES] if len(names) > 1 else []),
         _table(COLUMNS, parameter_rows(verdict.precision, names)),
-        *(f"![{name}]({pictures[name]})" for name in names),
+        *(f"![{_word(name)}]({quote(pictures[name])})" for name in names),
         "## Left out",
         _bullets([f"{name}: {reason}" for name, reason in done.left_out]) or "Nothing.",
         "## How the images were read",
@@ -105,9 +108,9 @@ def label(parameter: Parameter, names: Sequence[str]) -> str:
 
 def correlation_csv(exact: Precision, names: Sequence[str]) -> str:
     """All correlations as CSV."""
-    labels = [f'"{label(p, names)}"' for p in exact.parameters]
-    rows = [",".join([name, *(f"{v:.4f}" for v in row)]) for name, row in zip(labels, exact.correlation)]
-    return "\n".join([",".join(["parameter", *labels]), *rows]) + "\n"
+    labels = [label(p, names) for p in exact.parameters]
+    rows = ([name, *(f"{v:.4f}" for v in row)] for name, row in zip(labels, exact.correlation))
+    return csv_text(["parameter", *labels], rows)
 
 
 def rig_sigmas(exact: Precision, camera: int) -> tuple[float, float]:
@@ -117,15 +120,19 @@ def rig_sigmas(exact: Precision, camera: int) -> tuple[float, float]:
 
 
 def _table(columns: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    lines = [columns, ["---"] * len(columns), *rows]
-    return "\n".join(f"| {' | '.join(map(str, line))} |" for line in lines)
+    lines = [columns, ["---"] * len(columns), *([_word(cell) for cell in row] for row in rows)]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
 def _bullets(texts: Sequence[str]) -> str:
-    return "\n".join(f"* {text}" for text in texts)
+    return "\n".join(f"* {_word(text)}" for text in texts)
 
 
-@plain_text()
+def _word(text: object) -> str:
+    """Words that Markdown shows as they are: names of cameras may hold what it would act on."""
+    return re.sub(r"([\\`*_\[\]<>|$])", r"\\\1", one_line(str(text)))
+
+
 def residual_picture(done: Adjusted, camera: int, tuning: JudgeTuning) -> bytes:
     """PNG of one camera."""
     images = done.seen.cameras[camera]

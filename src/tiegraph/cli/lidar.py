@@ -13,6 +13,7 @@ from tiegraph.lidar.settings import LidarSettings
 from tiegraph.pipeline.lidar import MAP, RIG
 from tiegraph.pipeline.lidar import lidar as make_reference
 from tiegraph.project.verbtunings import read_tunings
+from tiegraph.text import command
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,8 +49,8 @@ def _show(made: dict[str, Any], out: Path, settings: LidarSettings) -> None:
         show_table(table["columns"], [[_cell(v) for v in row] for row in table["rows"]], name)
     say(f"written: {out}")
     if settings.run is not None:
-        say(f"into the report: tiegraph report {settings.run} --evaluate.reference {out / RIG} "
-            f"--evaluate.reference-cloud {out / MAP}")  # fmt: skip
+        given = "--evaluate.reference", out / RIG, "--evaluate.reference-cloud", out / MAP
+        say(f"into the report: {command('report', settings.run, *given)}")
 
 
 def _cell(value: Any) -> str:

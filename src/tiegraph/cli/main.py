@@ -24,6 +24,7 @@ from tiegraph.scene.names import check_text
 
 DONE, FAILED, MISUSE = 0, 1, 2
 _STOPPED = "stopped; finished work is kept: run the same command again to go on"
+_ASKED = threading.Event()  # to stop, by a signal
 _GRACE_S = 6.0  # for what is under way to give up; then the process ends without it, as after a SIGKILL
 
 
@@ -64,6 +65,8 @@ def _guarded(arguments: list[str]) -> int:
     except SystemExit as stop:  # the argument parser: 0 after --help, 2 after a wrong option
         return stop.code if isinstance(stop.code, int) else MISUSE
     except Exception as error:
+        if _ASKED.is_set():  # some libraries word a KeyboardInterrupt as an error of theirs
+            raise KeyboardInterrupt from error
         logging.getLogger("tiegraph").debug("unexpected", exc_info=True)
         if isinstance(error, OSError) and error.errno is not None and error.filename is None:
             raise  # standard output: what is written to files is worded where it is written
@@ -134,6 +137,7 @@ def stoppable(for_good: bool = False) -> Iterator[None]:
     os.set_blocking(writer, False)
     wakeup = signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
     over = threading.Event()
+    _ASKED.clear()
     watch = threading.Thread(target=_watch, args=(reader, heard, over), daemon=True, name=HARMLESS)
     watch.start()
     try:
@@ -169,6 +173,7 @@ def _stop(number: int, frame: Any) -> None:
     for heard in STOPPING:  # a second one ends the process by itself, whatever it is at
         if signal.getsignal(heard) != signal.SIG_IGN:
             signal.signal(heard, signal.SIG_DFL)
+    _ASKED.set()
     raise KeyboardInterrupt
 
 

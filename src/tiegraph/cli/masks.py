@@ -3,7 +3,6 @@
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import tyro
 
@@ -15,6 +14,7 @@ from tiegraph.masks.compare import compare, compare_classes, table_text
 from tiegraph.pipeline.masks import masks_by
 from tiegraph.project.folder import SETTINGS
 from tiegraph.project.settings import read_settings
+from tiegraph.scene.atomic import scratch_folder
 from tiegraph.scene.scene import Scene
 
 
@@ -78,9 +78,9 @@ def _tables(asked: _Compare) -> dict[str, dict]:
         rows = [["this run", *tables[which]["rows"][-1][1:]]]
         tuning = read_settings(out / SETTINGS).tuning.masks
         for source in asked.beside:
-            with TemporaryDirectory() as scratch:
-                masks_by(source, scene, out / "images", Path(scratch) / "masks", tuning)
-                rows.append([source, *compared(Path(scratch) / "masks")["rows"][-1][1:]])
+            with scratch_folder() as scratch:
+                masks_by(source, scene, out / "images", scratch / "masks", tuning)
+                rows.append([source, *compared(scratch / "masks")["rows"][-1][1:]])
         tables["beside"] = {"columns": ["source", *tables[which]["columns"][1:]], "rows": rows}
     if asked.classes:
         tables["classes"] = compare_classes(folder / "classes", asked.compare, _labels(asked.classes), cameras).table()

@@ -1,6 +1,5 @@
 """`tiegraph odometry IMAGES --rig rig.toml -o vo.tum`: the path of the cameras from the images alone."""
 
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -10,6 +9,7 @@ import tyro
 from tiegraph.api import open_project
 from tiegraph.cli.options import Talk, options_of
 from tiegraph.project.verbtunings import read_tunings
+from tiegraph.scene.atomic import scratch_folder
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,8 +43,8 @@ def main(arguments: list[str]) -> int:
     if options.masks is not None:
         settings["masks"] = {"source": "folder", "folder": options.masks.absolute()}
     given = {"rig": options.rig, "camera": options.camera, "times": options.times}
-    with tempfile.TemporaryDirectory(prefix="tiegraph_odometry_") as folder:
-        project = open_project(options.images, Path(folder) / "run", pool=options.pool, settings=settings, **given)
+    with scratch_folder() as folder:
+        project = open_project(options.images, folder / "run", pool=options.pool, settings=settings, **given)
         made = project.odometry(options.out, reporter)
     for one in made:
         for text in (*one.said, str(one.tum)):

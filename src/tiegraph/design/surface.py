@@ -17,7 +17,7 @@ from tiegraph.design.tuning import SurfaceTuning
 from tiegraph.geometry import transforms
 from tiegraph.geometry.gravity import levelled
 from tiegraph.geometry.rays import normal_matrices
-from tiegraph.scene.figures import plain_text, png
+from tiegraph.scene.figures import png
 from tiegraph.scene.graph import blocks, parts
 from tiegraph.scene.matches import Visibility
 from tiegraph.scene.sorting import Columns
@@ -225,7 +225,6 @@ class CoveredSurface:
         return {"columns": list(_COLUMNS), "rows": rows}
 
 
-@plain_text()
 def surface_png(
     surface: SurfaceMap, places: Sequence[WeakPlace], cam_from_world: np.ndarray, frame: np.ndarray
 ) -> bytes:

@@ -26,7 +26,8 @@ from tiegraph.features import nearest
 from tiegraph.features.settings import MatchSettings
 from tiegraph.features.tuning import VerificationTuning
 from tiegraph.gpu import device, on_gpu
-from tiegraph.scene.colmapdatabase import Rows, copy_features, remove, take_matches
+from tiegraph.scene.atomic import remove
+from tiegraph.scene.colmapdatabase import Rows, copy_features, take_matches
 from tiegraph.scene.pairs import Pairs
 
 _SEED = 0  # of RANSAC: the same matches give the same inliers

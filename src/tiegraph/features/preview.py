@@ -238,6 +238,6 @@ def write_preview_database(
     create_database(path, scene)
     used = ties.counts() >= min_matches
     points = len(scene) * (1 + int(ties.matches.max(initial=0))) * _POINT_BYTES
-    need_room(path.with_name(path.name + ".room"), DATABASE_BYTES + 2 * (points + ties.matches.size * _MATCH_BYTES))
+    need_room(path, DATABASE_BYTES + 2 * (points + ties.matches.size * _MATCH_BYTES))
     write_ties(path, (preview.xy for preview in previews), ties, used)
     return used

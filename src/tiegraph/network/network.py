@@ -19,7 +19,6 @@ from tiegraph.network.sections.sections import Section, SectionResult, find_sect
 from tiegraph.network.settings import CandidatesSettings, NetworkSettings
 from tiegraph.network.sources import axes_count, axes_pairs
 from tiegraph.network.tuning import SectionsTuning, Tuning
-from tiegraph.scene.figures import plain_text
 from tiegraph.scene.graph import component_notes
 from tiegraph.scene.matches import PreviewMatches, Visibility
 from tiegraph.scene.pairs import Pairs
@@ -39,7 +38,6 @@ class Network:
     notes: tuple[str, ...]
     tables: dict[str, dict] = field(default_factory=dict)
 
-    @plain_text()
     def plots(self, cam_from_world: np.ndarray | None) -> list[tuple[str, bytes]]:
         """(name, PNG) of the correspondence matrix, the map, the sections and the funnel. ``cam_from_world``
         (N, 4, 4): poses of the coarse model, where no prior says where the frames are; NaN = none."""

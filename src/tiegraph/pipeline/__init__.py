@@ -43,12 +43,12 @@ def _stage(name: str, *what: Any, **more: Any) -> Stage:
     return Stage(name, partial(_glue, name), *what, **more)
 
 
-# What SQLite and the matching keep beside the database while they work.
-_BESIDE_DATABASE = tuple(f"database.db{s}" for s in ("-wal", "-shm", "-journal", ".tmp", ".tmp-journal", ".match"))
+# What SQLite keeps beside the database while it works.
+_BESIDE_DATABASE = tuple(f"database.db{s}" for s in ("-wal", "-shm", "-journal"))
 
 # fmt: off
 STAGES = (
-    _stage("scan", (), ("scene.json", "whole.json", "images", "odometry"), "image", version=9,
+    _stage("scan", (), ("scene.json", "whole.json", "images", "odometry"), "image", version=10,
            tuned=("scene", "odometry")),
     _stage("masks", ("scan",), ("masks", "classes", "masks.csv"), "image", version=10),
     _stage("preview", ("scan", "masks"), ("preview",), "image", version=2, tuned=("features",)),
@@ -57,13 +57,13 @@ STAGES = (
     _stage("coarse", ("scan", "preview", "candidates"), ("coarse.npz", "coarse"), "block", version=8,
            uses=("candidates",), scratch=("coarse/blocks", "coarse/mapping", "coarse/matched"),
            tuned=("scene", "network", "features", "sfm")),
-    _stage("network", ("scan", "masks", "preview", "coarse"), ("network.npz", "network.csv", "network"), version=8,
+    _stage("network", ("scan", "masks", "preview", "coarse"), ("network.npz", "network.csv", "network"), version=9,
            uses=("candidates",), tuned=("scene",)),
     _stage("design", ("masks", "coarse", "network"), ("pairs.npz", "pairs.txt", "pairs", "design"), version=10,
            uses=("features",), tuned=("features", "sfm")),
     _stage("features", ("scan", "masks"), ("database.db",), "image", version=3, scratch=_BESIDE_DATABASE),
     _stage("match", ("network", "design", "features"), ("match.npz",), "block of pairs", version=2,
-           changes=("database.db",), clear=_forget_matches, tuned=("features",)),
+           changes=("database.db",), clear=_forget_matches, scratch=("database.db.match",), tuned=("features",)),
     _stage("filter", ("coarse", "network", "match"), ("filter.npz",), "pair", version=3),
     _stage("sparse", ("coarse", "network", "match", "filter"), ("sparse",), version=24, scratch=("sparse/.run",),
            tuned=("scene", "sfm")),

@@ -15,8 +15,9 @@ from tiegraph.papers import colmap, measured
 from tiegraph.pipeline.files import checked, load_json, load_model
 from tiegraph.project.artefacts import LOST
 from tiegraph.project.folder import check_format
-from tiegraph.project.run import Run, save_json
-from tiegraph.project.stages import Stage, needed, remove
+from tiegraph.project.run import Run
+from tiegraph.project.stages import Stage, needed, save_json
+from tiegraph.scene.atomic import remove
 from tiegraph.scene.bags import source_of
 from tiegraph.scene.colmapmodel import registered_images
 from tiegraph.scene.names import on_disk

@@ -19,17 +19,14 @@ from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, write_atomic
 from tiegraph.scene.scene import Scene
 
-MATCHED = "candidates/matched"  # what was previewed, while the stage runs
-
 
 def candidates(run: Run) -> Outcome:
     """Candidate pairs from every source, judged by previews; the order of passes and the rig checked by them."""
     scene = scanned(run)
-    matcher = Matcher(run, MATCHED)
-    descriptors = partial(_Descriptors, run.folder, scene)
+    cache = MatchCache(Matcher(run, "candidates/matched"), len(scene))
     settings, tuning = run.settings.candidates, run.settings.tuning.network
     papers.plug_in(papers.OFFSETS, settings.offsets, OFFSETS)
-    found = find_candidates(scene, MatchCache(matcher, len(scene)), settings, tuning, descriptors)
+    found = find_candidates(scene, cache, settings, tuning, partial(_Descriptors, run.folder, scene))
     save_npz(run.path("candidates.npz"), **found.pairs.to_npz())
     save_npz(run.path("candidates", "matches.npz"), **found.ties.to_npz())
     write_atomic(run.path("candidates", "scene.json"), found.scene.to_json())
@@ -37,7 +34,6 @@ def candidates(run: Run) -> Outcome:
         write_atomic(run.path("candidates", f"{name}.png"), picture)
     if found.curves:
         write_atomic(run.path("candidates", "offsets.csv"), curves_csv(found.curves))
-    matcher.forget()
     counts = {"previews": len(found.ties), "candidates": len(found.pairs), "kept": len(found.pairs.kept())}
     return Outcome(counts, notes=found.notes)
 

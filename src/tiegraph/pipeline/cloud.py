@@ -13,9 +13,9 @@ from tiegraph.pipeline.dense import coloured, depth_path, plan_of, read_depth
 from tiegraph.pipeline.files import load_json, placement_error, world_origin
 from tiegraph.pipeline.predicted import stated
 from tiegraph.project.run import Run
-from tiegraph.project.stages import Outcome, remove
+from tiegraph.project.stages import Outcome
 from tiegraph.scene.accuracy import LAYERS
-from tiegraph.scene.atomic import same_file
+from tiegraph.scene.atomic import remove, same_file
 from tiegraph.scene.cloudfile import write_ply
 from tiegraph.scene.copc import write_copc
 from tiegraph.scene.results import Cloud
@@ -39,7 +39,6 @@ def cloud(run: Run) -> Outcome:
     same_file(run.path("cloud.copc.laz"), run.path("cloud.laz"))
     notes += write_ply(fused.clouds(), run.path("cloud.ply"), said)
     agreement = _passes(run, scratch, fused.voxel)
-    remove(scratch)
     counts = {"points": fused.counts["points"], **{k: v for k, v in fused.counts.items() if k != "points"}, **sigmas}
     return Outcome({**counts, "voxel": float(f"{fused.voxel:.3g}")}, notes=tuple(dict.fromkeys([*notes, *agreement])))
 

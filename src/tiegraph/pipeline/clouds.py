@@ -1,7 +1,5 @@
 """Glue of comparisons of clouds outside the table of stages: two files, and two epochs (``epochs``)."""
 
-import os
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,8 +13,8 @@ from tiegraph.evaluate.reference import to_world
 from tiegraph.evaluate.tuning import Tuning
 from tiegraph.geometry.geodesy import ENU, Origin
 from tiegraph.pipeline.evaluate import write_judgement
-from tiegraph.project.run import save_json
-from tiegraph.scene.atomic import must_be_new
+from tiegraph.project.stages import save_json
+from tiegraph.scene.atomic import must_be_new, replacing, scratch_folder
 from tiegraph.scene.cloudchunks import PointSource, open_cloud
 from tiegraph.scene.results import metrics_to_dict
 
@@ -38,8 +36,8 @@ def evaluate_clouds(files: tuple[Path, Path], out: Path | None, question: Questi
     elif own.crs != truth.crs:
         notes.append(f"only one of both names a CRS ({own.crs or truth.crs}): they are compared as they are")
     notes += [f"{cloud.name}: {cloud.note}" for cloud in (own, truth) if cloud.note and own.note != truth.note]
-    with new_folder(out) as folder, tempfile.TemporaryDirectory(dir=folder) as scratch:
-        found = judge_cloud(own, _into(truth, own.crs), Path(scratch), question, tuning)
+    with new_folder(out) as folder, scratch_folder(folder) as scratch:
+        found = judge_cloud(own, _into(truth, own.crs), scratch, question, tuning)
         result = metrics_to_dict(found.metrics(), found.tables(), [found.notes(), *notes])
         if folder is not None:
             write_judgement(found, folder, _place(own.crs))
@@ -73,13 +71,6 @@ def new_folder(out: Path | None) -> Iterator[Path | None]:
         yield None
         return
     must_be_new(out)
-    with tempfile.TemporaryDirectory(dir=_made(out.absolute().parent), prefix=f".{out.name}-") as temporary:
-        folder = Path(temporary) / "made"
+    with replacing(out) as folder:
         folder.mkdir()
         yield folder
-        os.replace(folder, out)
-
-
-def _made(folder: Path) -> Path:
-    folder.mkdir(parents=True, exist_ok=True)
-    return folder

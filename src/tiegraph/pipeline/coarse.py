@@ -25,7 +25,8 @@ from tiegraph.pipeline.files import load_npz, load_scene, pairs_of, reading, sav
 from tiegraph.pipeline.preview import read_preview
 from tiegraph.pipeline.previews import Matcher
 from tiegraph.project.run import Run
-from tiegraph.project.stages import Outcome, remove, write_atomic
+from tiegraph.project.stages import Outcome, write_atomic
+from tiegraph.scene.atomic import remove
 from tiegraph.scene.blocks import Block, blocks_of, in_one_piece
 from tiegraph.scene.colmapmodel import image_poses, model_rigs, tracks
 from tiegraph.scene.matches import PreviewMatches, Visibility
@@ -34,8 +35,6 @@ from tiegraph.scene.scene import Scene
 from tiegraph.sfm.mapper import Source, reconstruct
 from tiegraph.sfm.settings import SparseSettings
 
-BLOCKS, MAPPING, MATCHED = "coarse/blocks", "coarse/mapping", "coarse/matched"  # only while the stage runs
-
 log = logging.getLogger(__name__)
 
 
@@ -43,8 +42,7 @@ def coarse(run: Run) -> Outcome:
     """The candidate pairs judged by a coarse model of the survey, where one is worth making and is believed."""
     pairs, ties = pairs_of(run, "candidates.npz"), ties_of(run, "candidates")
     scene = load_scene(run.path("candidates", "scene.json"))
-    matcher = Matcher(run, MATCHED)
-    cache = MatchCache(matcher, len(scene), ties)
+    cache = MatchCache(Matcher(run, "coarse/matched"), len(scene), ties)
     found = judged_by_model(run, (pairs, scene), cache)
     save_npz(run.path("coarse.npz"), **found.pairs.to_npz())
     save_npz(run.path("coarse", "matches.npz"), **cache.matches().to_npz())
@@ -56,8 +54,6 @@ def coarse(run: Run) -> Outcome:
         save_npz(run.path("coarse", "model.npz"), cam_from_world=poses, reach=reach, trusted=found.trusted)
         save_npz(run.path("coarse", "visibility.npz"), **surface_seen(run, found, cache.matches()).to_npz())
         counts |= {"images": int(found.model.placed().sum()), "trusted": int(found.trusted.sum())}
-    remove(run.path(*BLOCKS.split("/")))
-    matcher.forget()
     return Outcome(counts, notes=found.notes)
 
 
@@ -119,7 +115,7 @@ class _Mapper:
         """The model of a block: that of an earlier try, or of a run that was interrupted, if its ties are the same."""
         whole = is_whole(self._blocks, self._scene)
         part, inside = (self._scene, ties) if whole else block.part_of(self._scene, ties)
-        kept = self._run.path(*BLOCKS.split("/"), f"{_key(block, inside)}.npz")
+        kept = self._run.path("coarse/blocks", f"{_key(block, inside)}.npz")
         if kept.exists():
             with reading(kept):
                 data = load_npz(kept)
@@ -144,7 +140,7 @@ def coarse_model(run: Run, scene: Scene, ties: PreviewMatches) -> CoarseModel | 
     It is made as the stage sparse makes one by default, whatever its settings are: pairs and matches stay when the
     final model is made otherwise. Its files go: what is needed of them is in the arrays.
     """
-    folder = run.path(*MAPPING.split("/"))
+    folder = run.path("coarse/mapping")
     remove(folder)
     folder.mkdir(parents=True)
     database = folder / "database.db"

@@ -25,7 +25,8 @@ from tiegraph.errors import InputError, ReconstructionError, TiegraphError
 from tiegraph.limits import explained
 from tiegraph.pipeline.files import FINAL, load_json, load_map, load_model, whole
 from tiegraph.project.run import Run
-from tiegraph.project.stages import Outcome, remove, write_atomic
+from tiegraph.project.stages import Outcome, write_atomic
+from tiegraph.scene.atomic import remove
 from tiegraph.scene.hanging import carries
 from tiegraph.scene.names import inside
 from tiegraph.scene.results import DepthMap, save_depth

@@ -1,6 +1,5 @@
 """Glue of `compare --epochs`: what has changed between two surveys of one place, beyond what both are known to."""
 
-import tempfile
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -21,12 +20,12 @@ from tiegraph.pipeline.clouds import new_folder, refuse_coarse_alone
 from tiegraph.pipeline.evaluate import measured
 from tiegraph.pipeline.files import load_json, load_model
 from tiegraph.project.folder import SETTINGS, check_format
-from tiegraph.project.run import save_json
 from tiegraph.project.settings import read_settings
-from tiegraph.project.stages import write_atomic
+from tiegraph.project.stages import save_json, write_atomic
+from tiegraph.scene.atomic import scratch_folder
 from tiegraph.scene.cloudchunks import PointSource, open_cloud, write_measured
 from tiegraph.scene.colmapmodel import model_centres
-from tiegraph.text import csv_text
+from tiegraph.text import command, csv_text
 
 _LISTED = 50  # changes in the table, the largest first
 
@@ -94,9 +93,9 @@ def differences_of(pair: Pair, out: Path, tuning: Tuning, depth_m: float | None)
 
     Raises InputError if they do not meet, or the folder is there.
     """
-    with new_folder(out) as folder, tempfile.TemporaryDirectory(dir=folder) as scratch:
+    with new_folder(out) as folder, scratch_folder(folder) as scratch:
         assert folder is not None
-        found = m3c2_of(pair, Path(scratch), tuning, depth_m)
+        found = m3c2_of(pair, scratch, tuning, depth_m)
         changed = changes(found, tuning.changes)
         result = _result(found, changed, pair)
         save_json(folder / "changes.json", result)
@@ -127,7 +126,7 @@ def _read(folder: Path) -> _Epoch:
     check_format(folder)
     path = folder / "cloud.laz"
     if not path.exists():
-        raise InputError(f"{folder}: it has no cloud.laz: run it to the stage cloud (tiegraph cloud {folder})")
+        raise InputError(f"{folder}: it has no cloud.laz: run it to the stage cloud ({command('cloud', folder)})")
     world = load_json(folder / "world.json")
     if world["scale_source"] == "none":
         raise InputError(f"{folder}: nothing told its scale, so differences have no unit: give positions or a rig")

@@ -19,12 +19,14 @@ from tiegraph.geometry.geodesy import Origin
 from tiegraph.masks.compare import compare
 from tiegraph.pipeline.files import FINAL, checked, load_json, load_model, reading, world_origin
 from tiegraph.pipeline.predicted import stated
-from tiegraph.project.run import Run, save_json
-from tiegraph.project.stages import Outcome, remove, write_atomic
+from tiegraph.project.run import Run
+from tiegraph.project.stages import Outcome, save_json, write_atomic
+from tiegraph.scene.atomic import remove
 from tiegraph.scene.cloudchunks import Measured, open_cloud, write_measured
 from tiegraph.scene.cloudfile import shift_of
 from tiegraph.scene.registered import registration
 from tiegraph.scene.scene import Scene
+from tiegraph.text import command
 
 PASSES = "passes"
 """Folder of what the stage ``cloud`` found between two passes."""
@@ -59,7 +61,6 @@ def evaluate(run: Run) -> Outcome:
         found = evaluate_survey(scene, made, without, *of_run)
     if found.cloud is not None:
         write_judgement(found.cloud, run.path("evaluate"), origin, found.alignment)
-    remove(scratch)
     result = found.metrics
     if settings.reference_masks is not None:
         unfit += _masks(run, scene, settings, result["tables"])
@@ -79,7 +80,7 @@ def evaluate_poses(run: Run, reference: Path, origin: tuple[float, float, float]
     """
     world = run.path("sparse", "world")
     if not (world / "cameras.bin").exists():
-        raise InputError(f"{run.folder}: there is no model in {world}: run `tiegraph georef {run.folder}` first")
+        raise InputError(f"{run.folder}: there is no model in {world}: run `{command('georef', run.folder)}` first")
     scene, model, tuning = checked(run), load_model(world), run.settings.tuning
     settings = EvaluateSettings(reference=reference, reference_origin=origin)
     images = registration(model, scene, tuning.scene.registered)

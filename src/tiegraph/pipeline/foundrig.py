@@ -30,6 +30,7 @@ from tiegraph.sfm.mapping import believed_cameras
 from tiegraph.sfm.rig.rig import rig_modes
 from tiegraph.sfm.rig.timeoffset import relaxed_mountings
 from tiegraph.sfm.settings import SparseSettings
+from tiegraph.text import command
 
 TOML, CONFIG = "rig", "rig_config"
 _LATE = "time offset ms"
@@ -64,7 +65,7 @@ def rig_file(folder: Path, form: str = TOML) -> RigFile:
         raise InputError(
             f"{folder}: nothing in this run told metres, and the places of {run.unscaled[0]} would be in units of the "
             f"model: give positions, control points or a measured baseline ([[pairs]] of the rig file) and run "
-            f"`tiegraph georef {folder}`, or take --format {CONFIG}, which has no unit"
+            f"`{command('georef', folder)}`, or take --format {CONFIG}, which has no unit"
         )
     if len(rigs) > 1:
         raise InputError(

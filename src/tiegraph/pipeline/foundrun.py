@@ -19,6 +19,7 @@ from tiegraph.scan.tuning import CameraTuning
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjustment.lens import difference_px
+from tiegraph.text import command
 
 
 @dataclass(frozen=True)
@@ -64,7 +65,7 @@ def found_run(folder: Path) -> FoundRun:
     receipt, placed = receipts.read("sparse"), receipts.read("georef")
     first, world = folder / "sparse" / "0", folder / "sparse" / "world"
     if not receipt.get("finished") or not (first / "cameras.bin").exists():
-        raise InputError(f"{folder}: this run has no sparse model yet; `tiegraph sparse {folder}` makes it")
+        raise InputError(f"{folder}: this run has no sparse model yet; `{command('sparse', folder)}` makes it")
     scene = load_scene(folder / "network" / "scene.json")
     if any(s.source is not None and s.source.panorama for s in scene.all_sensors):
         raise InputError(f"{folder}: its cameras are views of panoramas, which need no rig file: give --rig panorama")

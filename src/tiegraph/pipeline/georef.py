@@ -11,10 +11,10 @@ from tiegraph.geometry.geodesy import world_from_geodetic
 from tiegraph.pipeline.files import checked, load_json, load_model, load_npz, refused_pairs, whole
 from tiegraph.pipeline.inputs import control_file, orientations
 from tiegraph.pipeline.targets import target_marks
-from tiegraph.project.run import Run, save_json
-from tiegraph.project.stages import Outcome, remove
+from tiegraph.project.run import Run
+from tiegraph.project.stages import Outcome, save_json
 from tiegraph.scene import evidence
-from tiegraph.scene.atomic import claim
+from tiegraph.scene.atomic import claim, remove
 from tiegraph.scene.control import locate, locate_bars
 from tiegraph.scene.gnss import moved_within, on_clock_of, read_gnss, step_of
 from tiegraph.scene.hanging import carries, with_hanging
@@ -125,7 +125,8 @@ def _measured_in_images(run: Run, scene: Scene) -> tuple[Measurements, tuple[str
     try:
         seen = target_marks(run, scene, file, model)
         turned = orientations(run, scene, file)
-        control = locate(file, scene, run.settings.scan.crs, seen.marks, turned) if file.points else None
+        crs, heights = run.settings.scan.crs, run.settings.scan.heights_m
+        control = locate(file, scene, crs, seen.marks, turned, heights) if file.points else None
         return Measurements(control=control, bars=locate_bars(file, scene, seen.marks, turned)), seen.notes, ()
     except UnreadableArtefact:
         raise
@@ -137,7 +138,7 @@ def _rows(run: Run, scene: Scene) -> PositionRows | None:
     """All rows of a GNSS file with times: a receiver writes more often than cameras fire."""
     if scene.prior != "gnss" or scene.origin is None or run.inputs.gnss is None:
         return None
-    gnss = read_gnss(run.inputs.gnss, run.settings.tuning.scan.positions.gnss)
+    gnss = read_gnss(run.inputs.gnss, run.settings.tuning.scan.positions.gnss, run.settings.scan.heights_m)
     if gnss.names:
         return None
     gnss = on_clock_of(gnss, scene.time_s)

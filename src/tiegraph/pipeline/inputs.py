@@ -111,7 +111,7 @@ def _read_inputs(run: Run) -> None:
     if given.start is not None:
         read_start(given.start)
     if given.gnss is not None:
-        read_gnss(given.gnss, run.settings.tuning.scan.positions.gnss)
+        read_gnss(given.gnss, run.settings.tuning.scan.positions.gnss, run.settings.scan.heights_m)
 
 
 def check_against(run: Run, scene: Scene) -> tuple[str, ...]:
@@ -120,7 +120,8 @@ def check_against(run: Run, scene: Scene) -> tuple[str, ...]:
     file = control_file(run)
     notes: tuple[str, ...] = ()
     if file is not None and file.points:
-        notes = locate(file, scene, run.settings.scan.crs, orientation=orientations(run, scene, file)).notes
+        crs, heights = run.settings.scan.crs, run.settings.scan.heights_m
+        notes = locate(file, scene, crs, orientation=orientations(run, scene, file), heights_m=heights).notes
     elif file is not None:
         locate_bars(file, scene, orientation=orientations(run, scene, file))
         notes = file.notes

@@ -24,7 +24,7 @@ from tiegraph.lidar.tuning import Tuning
 from tiegraph.pipeline.files import load_json
 from tiegraph.pipeline.lidarrun import SurveyRun, calibrated, compared
 from tiegraph.project.progress import Reporter
-from tiegraph.project.run import save_json
+from tiegraph.project.stages import save_json
 from tiegraph.project.verbtunings import VerbTunings
 from tiegraph.scan.priors.trajectory import write_tum
 from tiegraph.scene.cloudfile import write_cloud

@@ -1,6 +1,5 @@
 """Glue of the LiDAR reference: what a run made, beside the LiDAR's trajectory and map."""
 
-import tempfile
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -24,12 +23,14 @@ from tiegraph.pipeline.files import load_json, load_model, load_scene, reading
 from tiegraph.project.folder import check_format
 from tiegraph.project.receipts import Receipts
 from tiegraph.project.verbtunings import VerbTunings
+from tiegraph.scene.atomic import scratch_folder
 from tiegraph.scene.cloudchunks import Points, PointSource
 from tiegraph.scene.cloudfile import read_cloud
 from tiegraph.scene.registered import registration
 from tiegraph.scene.results import Cloud
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import RegisteredTuning
+from tiegraph.text import command
 
 _SURE = 3  # images that a point is seen in: of two, a wrong match is not noticed
 _NAN = float("nan")
@@ -60,7 +61,7 @@ class SurveyRun:
         check_format(folder)
         world = folder / "sparse" / "world"
         if not (world / "cameras.bin").exists():
-            raise InputError(f"--run {folder}: there is no model in {world}: run `tiegraph georef {folder}` first")
+            raise InputError(f"--run {folder}: there is no model in {world}: run `{command('georef', folder)}` first")
         scene = load_scene(folder / "network" / "scene.json")
         model = load_model(world)
         rigs = model_poses(model, scene).world_from_rig
@@ -210,5 +211,5 @@ def _judged(xyz: np.ndarray, reference: Cloud, cameras: Cameras, tuning: Evaluat
     """The run's cloud (N, 3) by the LiDAR's map, both in the LiDAR's world."""
     own = PointSource("the run's cloud", lambda: iter([Points(xyz, np.full(len(xyz), np.nan))]))
     truth = PointSource("the LiDAR's map", lambda: iter([Points(reference.xyz_m, reference.sigma_m)]))
-    with tempfile.TemporaryDirectory() as scratch:
-        return judge_cloud(own, truth, Path(scratch), Question(cameras=cameras), tuning)
+    with scratch_folder() as scratch:
+        return judge_cloud(own, truth, scratch, Question(cameras=cameras), tuning)

@@ -10,7 +10,6 @@ which M3C2 needs nothing (mean places in cylinders hardly feel 3 % of strays), t
 5000 core points are enough. Half of the depth maps would leave one of the example's sections without any.
 """
 
-import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -30,8 +29,9 @@ from tiegraph.pipeline.dense import depth_path, read_depth
 from tiegraph.pipeline.epochs import Pair, differences_of, m3c2_of
 from tiegraph.pipeline.evaluate import PASSES, measured
 from tiegraph.pipeline.files import checked, load_model, world_origin
-from tiegraph.project.run import Run, save_json
-from tiegraph.project.stages import write_atomic
+from tiegraph.project.run import Run
+from tiegraph.project.stages import save_json, write_atomic
+from tiegraph.scene.atomic import scratch_folder
 from tiegraph.scene.cloudchunks import Points, PointSource, write_measured
 from tiegraph.scene.colmapmodel import matrix
 from tiegraph.scene.scene import Scene
@@ -64,8 +64,8 @@ def compare_passes(run: Run, out: Path, depth_m: float | None = None) -> dict[st
             f"{run.folder}: depth maps of {len(found)} passes, and two are needed: run it to the stage dense, with "
             "images of each pass in a folder of its own"
         )
-    with tempfile.TemporaryDirectory() as scratch:
-        pair = _pair(run, scene, found, Path(scratch), run.settings.cloud, map)
+    with scratch_folder() as scratch:
+        pair = _pair(run, scene, found, scratch, run.settings.cloud, map)
         return differences_of(pair, out, run.settings.tuning.evaluate, depth_m)
 
 

@@ -16,8 +16,7 @@ from tiegraph.plan.planner import Plan, Rigged, make_plan
 from tiegraph.plan.request import CameraRequest, PlanRequest
 from tiegraph.plan.tables import Table, comparison, frames_apart
 from tiegraph.plan.tuning import ErrorTuning
-from tiegraph.project.run import save_json
-from tiegraph.project.stages import write_atomic
+from tiegraph.project.stages import save_json, write_atomic
 from tiegraph.project.verbtunings import VerbTunings
 from tiegraph.report.html import environment
 from tiegraph.report.plan import Track, frame_positions

@@ -14,7 +14,6 @@ from tiegraph.network.sections.light import LIGHTS, UpLight
 from tiegraph.pipeline.files import load_npz, load_scene, read_mask, reading, save_npz
 from tiegraph.pipeline.preview import preview_path, read_preview
 from tiegraph.project.run import Run
-from tiegraph.project.stages import remove
 from tiegraph.scene.filecache import cached_by_file
 from tiegraph.scene.matches import PreviewMatches
 from tiegraph.scene.pairs import Pairs
@@ -65,7 +64,7 @@ class Matcher:
     stage that was killed goes on where it stood."""
 
     def __init__(self, run: Run, folder: str) -> None:
-        self._run, self._folder = run, run.path(*folder.split("/"))
+        self._run, self._folder = run, run.path(folder)
         self._chunks, self._asked = 0, 0
         self._before: dict[tuple[int, int], PreviewMatch] = {}
         for path in sorted(self._folder.glob("*.npz")):
@@ -83,10 +82,6 @@ class Matcher:
         for first in range(0, len(todo), _CHUNK):
             made |= self._matched(todo[first : first + _CHUNK])
         return [made.get(pair) or self._before[pair] for pair in asked]
-
-    def forget(self) -> None:
-        """Remove what was kept: the stage is done."""
-        remove(self._folder)
 
     def _matched(self, pairs: list[tuple[int, int]]) -> dict[tuple[int, int], PreviewMatch]:
         settings, tuning = self._run.settings.preview, self._run.settings.tuning.features.preview

@@ -2,7 +2,6 @@
 cloud of each posed shot from its rig's frame into the world of the georeferenced model.
 """
 
-import tempfile
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -21,9 +20,9 @@ from tiegraph.pipeline.dense import coloured
 from tiegraph.pipeline.files import load_map, load_model, whole, world_origin, world_unit
 from tiegraph.project.run import Run
 from tiegraph.project.settings import Settings
-from tiegraph.project.stages import Outcome, remove
+from tiegraph.project.stages import Outcome
 from tiegraph.scan.priors.trajectory import write_tum
-from tiegraph.scene.atomic import replacing
+from tiegraph.scene.atomic import replacing, scratch_folder
 from tiegraph.scene.cloudfile import read_cloud, write_cloud
 from tiegraph.scene.colmapmodel import image_poses, tracks
 from tiegraph.scene.hanging import carries
@@ -31,6 +30,7 @@ from tiegraph.scene.names import shortened
 from tiegraph.scene.results import save_depth
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import frame_poses, rig_from_sensor
+from tiegraph.text import command
 
 _FOLDER = "shots"
 POSES = "poses.tum"
@@ -50,7 +50,6 @@ def shots(run: Run) -> Outcome:
     todo = [item for item in items if not item.cloud.exists()]
     run.reporter.total(len(items), len(items) - len(todo))
     run.map(partial(_shot, folder=run.folder, settings=run.settings), todo)
-    remove(run.path(_FOLDER, ".tiles"))
     return Outcome({"shots": len(items)})
 
 
@@ -99,9 +98,9 @@ def _shot(item: _Shot, folder: Path, settings: Settings) -> None:
     maps = Maps(lambda name: load_map(depth_path(folder, name)), colours)
     tiles = folder / _FOLDER / ".tiles"
     tiles.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=tiles) as scratch:
+    with scratch_folder(tiles) as scratch:
         try:
-            fused = fuse(sorted(plan.images), maps, Path(scratch), settings.cloud, settings.tuning.cloud)
+            fused = fuse(sorted(plan.images), maps, scratch, settings.cloud, settings.tuning.cloud)
         except ReconstructionError as error:
             raise ReconstructionError(f"{path.stem}: {error}") from None
         with replacing(path) as temporary:
@@ -126,8 +125,8 @@ def posed_shots(run: Run, folder: Path) -> tuple[list[Path], str]:
         raise InputError(f"{run.folder} has no shots: run `tiegraph shots` first")
     if not run.path("world.json").exists() or not run.path("sparse", "world").exists():
         raise InputError(
-            f"--posed {folder}: {run.folder} has no poses in the world yet: `tiegraph run IMAGES -o {run.folder} "
-            "--rig RIG --until georef` makes them"
+            f"--posed {folder}: {run.folder} has no poses in the world yet: "
+            f"`{command('run', 'IMAGES', '-o', run.folder, '--rig', 'RIG', '--until', 'georef')}` makes them"
         )
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InputError(f"--posed {folder} is there already: give a new folder")

@@ -1,7 +1,6 @@
 """Glue of stations: clouds of single shots -> poses -> one filtered cloud, in a folder of its own."""
 
 import re
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -17,9 +16,10 @@ from tiegraph.geometry import transforms
 from tiegraph.geometry.geodesy import ENU, Origin
 from tiegraph.pipeline.clouds import new_folder
 from tiegraph.project.progress import Reporter
-from tiegraph.project.run import save_json
+from tiegraph.project.stages import save_json
 from tiegraph.project.verbtunings import VerbTunings
 from tiegraph.scan.priors.trajectory import write_tum
+from tiegraph.scene.atomic import scratch_folder
 from tiegraph.scene.cloudfile import read_cloud, shift_of, write_cloud
 from tiegraph.scene.posefile import read_poses
 from tiegraph.stations.joined import Band, Joined, by_distance, join, prepared
@@ -67,11 +67,11 @@ def stations(
             raise ReconstructionError(f"{error}: nothing is written; stations must share surface with shape, 30 % at "
                                       "least") from None  # fmt: skip
         told = _told_of(files, ready, joined, unfit, by_distance(ready, joined.poses, joined.believed, tuning))
-        with reporter.stage("merge"), tempfile.TemporaryDirectory(dir=folder) as scratch:
+        with reporter.stage("merge"), scratch_folder(folder) as scratch:
             path = {s.name: p for s, p in zip(ready, joined.poses) if np.isfinite(p).all()}
             known = {file.stem: file for file in files}
             voxel = options.voxel_m or spacing_m
-            merged = _merged(known, path, voxel, _noise(ready, joined), Path(scratch), options.tuning)
+            merged = _merged(known, path, voxel, _noise(ready, joined), scratch, options.tuning)
             notes = write_cloud((replace(c, origin=origin) for c in merged.clouds()), folder / CLOUD, voxel)
         result = {
             **told,

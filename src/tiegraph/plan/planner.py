@@ -20,7 +20,7 @@ from tiegraph.plan.tables import station_csv
 from tiegraph.plan.tuning import Tuning
 from tiegraph.plan.waypoints import Anchor, read_anchor, waypoint_csv, waypoint_geojson, waypoint_kml
 from tiegraph.plan.world import ControlPoints, Receiver
-from tiegraph.scene.figures import plain_text, png
+from tiegraph.scene.figures import png
 from tiegraph.scene.sorting import evenly
 
 _DPI = 130
@@ -170,7 +170,6 @@ def _receiver(gnss: str | None, outages: Sequence[str], tuning: Tuning) -> Recei
     return Receiver(sigma[0], sigma[-1] if len(sigma) > 1 else tuning.world.height_factor * sigma[0], tuple(stretches))
 
 
-@plain_text()
 def sweep_picture(groups: Sequence[tuple[str, Sequence[Station]]], wanted_m: float | None) -> bytes:
     """PNG: precision of a depth and points per area by the distance, a curve for each group (name, its stations)."""
     figure = Figure(figsize=(9.0, 3.8), dpi=_DPI, layout="constrained")
@@ -196,7 +195,6 @@ def sweep_picture(groups: Sequence[tuple[str, Sequence[Station]]], wanted_m: flo
     return png(figure)
 
 
-@plain_text()
 def path_picture(plan: PathPlan) -> bytes:
     """PNG: from above and from the side, frames coloured by their sigma, viewing directions, points, fixes."""
     e = plan.expected

@@ -14,10 +14,10 @@ run (``receipts/folder.json``). Inputs never lie where outputs go, and the run f
 both are refused at the start. Before a file appears, its name goes to the journal ``receipts/made.txt``
 (``scene.atomic``: ``replacing`` does so by itself, what a library writes is claimed), so that after a kill at any
 moment it is known which files are ours. A file that no list names is refused by name and never touched. A file that
-was changed since is moved to ``set_aside/<time>/`` and made again; so is one that cannot be read
+was changed since is moved to ``set_aside/<time>/`` and made again; one that cannot be read is made again too
 (``UnreadableArtefact``, raised by the readers of ``pipeline.files``; after any other error all contents are compared
-with their hashes). Settings are stored when a run starts, and taken back if they are refused before a stage was
-finished with them.
+with their hashes). Temporary files of processes that have gone are removed when the folder is opened. Settings are
+stored when a run starts, and taken back if they are refused before a stage was finished with them.
 
 **Pool.** ``serial | local[:n] | dask:<address>``: one executor a run, in the main process, never nested. A task is a
 chunk of items; workers get paths and settings and write files themselves. Workers and child processes end with the

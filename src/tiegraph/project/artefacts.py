@@ -2,10 +2,12 @@
 
 A stage is up to date if its receipt has the same key, what it was made from is what there is, and all its files are as
 it left them. Interrupted with the same key: finished items stay. Else its files are removed, and nothing but its files:
-what its list does not name was not made by us and is refused; what was changed since is moved to ``set_aside/``.
+what its list does not name was not made by us and is refused; what was changed since is moved to ``set_aside/``. A
+file that is as it was left, or that a stage was writing when it ended, holds nothing of the user's and is removed.
 """
 
 import dataclasses
+import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path, PurePosixPath
 
@@ -15,7 +17,6 @@ from tiegraph.project.ledger import (
     covered,
     digest_of,
     files_below,
-    left_behind,
     put_aside,
     read_journal,
     recorded,
@@ -24,7 +25,7 @@ from tiegraph.project.ledger import (
 )
 from tiegraph.project.receipts import Receipts
 from tiegraph.project.stages import Outcome, Stage
-from tiegraph.scene.atomic import JOURNAL
+from tiegraph.scene.atomic import JOURNAL, is_temporary, remove
 from tiegraph.text import some
 
 _LET_GO = "files let go"
@@ -148,7 +149,9 @@ class Artefacts:
         self.refuse(stage)
         told = some((f"{n} {what}" for n, what in troubles.items()), _SHOWN, joint="; ")
         changed = [n for n, what in troubles.items() if what != "is missing" and covered(n, _tops(stage))]
-        place = put_aside(self.folder, [n for n in changed if (self.folder / n).exists()])
+        theirs = [n for n in changed if trouble(self.folder / n, self._last(n, ledger), thorough=True)]
+        place = put_aside(self.folder, [n for n in theirs if os.path.lexists(self.folder / n)])
+        take_away(self.folder, set(changed) - set(theirs))
         if troubles:
             said.append(f"{told}: made again" + (f"; what was there is in {place} now" if place else ""))
         names = [n for n in names if n not in set(changed)]
@@ -159,27 +162,33 @@ class Artefacts:
             ledger = {}
         else:
             whole = self._of_items(stage, ledger, troubles)
-            take_away(self.folder, [*left_behind(names), *whole])
+            take_away(self.folder, [*filter(is_temporary, names), *whole])
             ledger = {n: e for n, e in ledger.items() if n not in whole}
         # In this order: a finished receipt never stands beside a list that lacks its files.
         self.receipts.write(stage.name, {"stage": stage.name, "began": key, "from": self._made_from(stage)})
         self.receipts.write_files(stage.name, {n: e for n, e in ledger.items() if n not in troubles})
-        (self.folder / JOURNAL).unlink(missing_ok=True)
+        self.end_journal()
         return said
 
     def finish(self, stage: Stage, key: str, outcome: Outcome, more: dict) -> dict:
-        """Write the list of the files and then the full receipt."""
+        """Remove its scratch files, write the list of the others and then the full receipt."""
+        for name in stage.scratch:
+            remove(self.folder / name)
         mine = {*(self.receipts.files(stage.name) or {}), *read_journal(self.folder)}
         names = _within(files_below(self.folder, stage.makes, self._apart(stage)), mine)
-        files = recorded(self.folder, [n for n in names if not covered(n, stage.scratch)])
+        files = recorded(self.folder, names)
         shared = recorded(self.folder, [n for n in stage.changes if (self.folder / n).exists()])
         self.receipts.write_files(stage.name, {**files, **shared})
         made = digest_of(files, stage.makes)
         head = {"stage": stage.name, "key": key, "from": self._made_from(stage), "made": made, "version": stage.version}
         receipt = {**head, **more, **dataclasses.asdict(outcome)}
         self.receipts.write(stage.name, receipt)
-        (self.folder / JOURNAL).unlink(missing_ok=True)
+        self.end_journal()
         return receipt
+
+    def end_journal(self) -> None:
+        """Forget what was noted: it stands in the lists, and no worker writes."""
+        (self.folder / JOURNAL).unlink(missing_ok=True)
 
     @staticmethod
     def _of_items(stage: Stage, ledger: Ledger, troubles: Iterable[str]) -> set[str]:
@@ -199,7 +208,7 @@ class Artefacts:
         return [t for s in self._stages if s is not stage for t in _tops(s) if covered(t, mine) and t not in mine]
 
     def _strangers(self, stage: Stage, names: Iterable[str], ledger: Ledger) -> list[str]:
-        return [n for n in names if n not in ledger and not covered(n, stage.scratch) and not left_behind([n])]
+        return [n for n in names if n not in ledger and not covered(n, stage.scratch) and not is_temporary(n)]
 
     def _differences(self, stage: Stage, thorough: bool) -> Iterable[tuple[str, str]]:
         shared = {n for s in self._stages if self._changed(s) for n in s.changes}
@@ -208,6 +217,13 @@ class Artefacts:
             known = [] if name in (shared - set(stage.changes)) | old else entry
             if what := trouble(self.folder / name, known, thorough):
                 yield name, what
+
+    def _last(self, name: str, ledger: Ledger) -> list:
+        """A file as it was left last, by its maker's list or that of a stage that has changed it; [] while one does."""
+        for stage in (s for s in self._stages if name in s.changes and self._changed(s)):
+            done = "key" in self.receipts.read(stage.name)
+            ledger = (self.receipts.files(stage.name) or {}) if done else {}
+        return ledger.get(name, [])
 
     def _changed(self, stage: Stage) -> bool:
         """Whether a stage has changed files of others as they are: their makers have not made them anew since."""

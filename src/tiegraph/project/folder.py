@@ -16,8 +16,8 @@ from typing import TextIO
 from tiegraph.errors import InputError
 from tiegraph.project.ledger import covered
 from tiegraph.project.progress import LogFormatter
-from tiegraph.project.stages import digest, write_atomic
-from tiegraph.scene.atomic import MARK
+from tiegraph.project.stages import digest, read_object, write_atomic
+from tiegraph.scene.atomic import MARK, TEMPORARIES, is_temporary, sweep
 from tiegraph.scene.regular import real_path
 from tiegraph.text import some
 
@@ -49,7 +49,7 @@ def check_folder(folder: Path) -> None:
     if not folder.is_dir():
         raise InputError(f"-o {folder} is not a folder: give a new or empty folder for the results")
     try:
-        there = sorted(p.name for p in folder.iterdir() if p.name.lower() not in _HARMLESS)
+        there = sorted(p.name for p in folder.iterdir() if p.name.lower() not in _HARMLESS and not _is_begun(p))
     except OSError as error:
         raise InputError(f"cannot read {folder}: {error.strerror}; give another -o folder") from error
     if not there or is_marked(folder):
@@ -61,6 +61,11 @@ def check_folder(folder: Path) -> None:
         f"-o {folder} holds files that tiegraph did not make ({some(there, 3)}): give a new or empty folder for the "
         f"results, such as {folder / 'tiegraph_out'}"
     )
+
+
+def _is_begun(path: Path) -> bool:
+    """Whether this is the folder of receipts of a run that was killed before it had marked its own."""
+    return path.name == "receipts" and path.is_dir() and all(is_temporary(p.name) for p in path.iterdir())
 
 
 def check_format(folder: Path) -> None:
@@ -121,22 +126,19 @@ def _kept(folder: Path, number: int) -> Path:
 
 
 def _mark(folder: Path) -> dict:
-    try:
-        found = json.loads((folder / MARK).read_text())
-    except (OSError, ValueError):
-        found = None
-    return {"made by": "tiegraph run", "format": _FORMAT, **(found if isinstance(found, dict) else {})}
+    return {"made by": "tiegraph run", "format": _FORMAT, **(read_object(folder / MARK) or {})}
 
 
 @contextmanager
 def working_in(folder: Path) -> Iterator[None]:
-    """The folder is there, marked as ours, locked against other runs, and log records of tiegraph go to its log.txt, as
-    does what native libraries print.
+    """The folder is there, marked as ours, locked against other runs, without what killed processes were writing, and
+    log records of tiegraph go to its log.txt, as does what native libraries print.
 
     Raises InputError where that cannot be.
     """
     handle = _locked(folder)
     try:
+        sweep(folder.rglob(TEMPORARIES))
         if not (folder / MARK).exists():
             write_atomic(folder / MARK, json.dumps(_mark(folder)))
         with _logged(folder / LOG):

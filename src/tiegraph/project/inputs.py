@@ -65,11 +65,7 @@ class Inputs:
         """What the user calls each input -> where it is."""
         rig = Path(self.rig) if self.rig and Path(self.rig).exists() else None
         camera = Path(self.camera) if self.camera and names_file(self.camera) else None
-        files = {
-            "--rig": rig,
-            "--camera": camera,
-            **self._files(),
-        }
+        files = {"--rig": rig, "--camera": camera, **self._files()}
         images = searched(source_of(self.images))
         return {_IMAGES: images, **{n: source_of(p) for n, p in files.items() if p is not None}}
 

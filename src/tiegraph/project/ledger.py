@@ -13,7 +13,7 @@ from datetime import datetime, timezone
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from tiegraph.scene.atomic import JOURNAL, is_temporary, sync
+from tiegraph.scene.atomic import JOURNAL, sync
 
 Ledger = dict[str, list]
 """Name below the run folder -> [size, time in ns, digest], ["link", target], or [] for one not looked at yet."""
@@ -93,13 +93,13 @@ def trouble(path: Path, entry: list, thorough: bool = False) -> str:
     except (FileNotFoundError, NotADirectoryError):
         return "is missing"
     if not entry:
-        return ""
-    if entry[0] == "link":
+        same = not stat.S_ISDIR(info.st_mode)
+    elif entry[0] == "link":
         same = stat.S_ISLNK(info.st_mode) and os.readlink(path) == entry[1]
     elif not stat.S_ISREG(info.st_mode) or info.st_size != entry[0]:
         same = False
     else:
-        same = (info.st_mtime_ns == entry[1] and not thorough) or _digest(path) == entry[2]
+        same = (info.st_mtime_ns == entry[1] and not thorough) or _digest_if_readable(path) == entry[2]
     return "" if same else "was changed since it was made"
 
 
@@ -150,8 +150,3 @@ def _parsed(line: str) -> Any:
         return json.loads(line)
     except ValueError:
         return None
-
-
-def left_behind(names: Iterable[str]) -> list[str]:
-    """Those of the names that are temporary files of a writer that was killed."""
-    return [n for n in names if is_temporary(PurePosixPath(n).name)]

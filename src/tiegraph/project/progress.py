@@ -34,7 +34,7 @@ class Reporter:
 
     def __init__(self, style: str = "auto") -> None:
         self.style = style
-        self.console = _Console(stderr=True, highlight=False, soft_wrap=True)
+        self.console = _Console(stderr=True, highlight=False, emoji=False, soft_wrap=True)
         self._progress: Progress | None = None
         self._task: TaskID | None = None
 

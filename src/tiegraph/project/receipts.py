@@ -6,11 +6,10 @@ import platform
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
 
 from tiegraph.__version__ import __version__
 from tiegraph.project.ledger import Ledger
-from tiegraph.project.stages import write_atomic
+from tiegraph.project.stages import read_object, save_json, write_atomic
 
 
 class Receipts:
@@ -29,7 +28,7 @@ class Receipts:
 
     def read(self, stage: str) -> dict:
         """A stage's receipt, {} if there is none or it is damaged."""
-        return _read(self.path(stage)) or {}
+        return read_object(self.path(stage)) or {}
 
     def damaged(self, stage: str) -> bool:
         """Whether there is a receipt that cannot be read."""
@@ -37,34 +36,18 @@ class Receipts:
 
     def write(self, stage: str, receipt: dict) -> None:
         """Write a stage's receipt."""
-        write_atomic(self.path(stage), json.dumps(receipt, indent=1, default=_plain))
+        save_json(self.path(stage), receipt)
 
     def files(self, stage: str) -> Ledger | None:
         """The files a stage made, {} if it never ran, None if the list is damaged."""
         if not self.list_path(stage).exists():
             return {} if not self.path(stage).exists() else None
-        found = _read(self.list_path(stage))
+        found = read_object(self.list_path(stage))
         return found if found is not None and all(isinstance(v, list) for v in found.values()) else None
 
     def write_files(self, stage: str, files: Ledger) -> None:
         """Write the list of a stage's files."""
         write_atomic(self.list_path(stage), json.dumps(files, separators=(",", ":")))
-
-
-def _read(path: Path) -> dict | None:
-    try:
-        found = json.loads(path.read_text())
-    except (OSError, ValueError):
-        return None
-    return found if isinstance(found, dict) else None
-
-
-def _plain(value: Any) -> Any:
-    if hasattr(value, "tolist"):
-        return value.tolist()
-    if isinstance(value, Path):
-        return str(value)
-    raise TypeError(f"not JSON: {type(value)}")
 
 
 _PACKAGES = ("pycolmap", "pycolmap-cuda12", "numpy", "opencv-python-headless", "scipy", "laspy", "pyproj")

@@ -1,6 +1,5 @@
 """A run folder at work: its lock, its log, its pool, and the loop over the stages."""
 
-import json
 import logging
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -12,14 +11,7 @@ from typing import Any
 
 from tiegraph import forking
 from tiegraph.child import end_helpers, start_server
-from tiegraph.errors import (
-    ChildDied,
-    EngineMissing,
-    InputError,
-    ReconstructionError,
-    SettingsError,
-    TiegraphError,
-)
+from tiegraph.errors import ChildDied, EngineMissing, InputError, ReconstructionError, SettingsError, TiegraphError
 from tiegraph.limits import explained
 from tiegraph.project.artefacts import DIED, LOST, OTHER_KEY, Artefacts
 from tiegraph.project.folder import LOG, check_folder, check_inputs, working_in
@@ -27,7 +19,7 @@ from tiegraph.project.inputs import Inputs
 from tiegraph.project.pool import LocalPool, Place, check_pool, map_items, open_pool
 from tiegraph.project.progress import Elsewhere, Meter, Reporter
 from tiegraph.project.receipts import Receipts, software
-from tiegraph.project.stages import Stage, engines, key_parts, needed, stage_keys, write_atomic
+from tiegraph.project.stages import Stage, engines, key_parts, needed, stage_keys
 from tiegraph.project.stamps import Stamps
 from tiegraph.scene.bags import source_of
 
@@ -188,6 +180,7 @@ def run_stages(
                     artefacts.refuse(stage)
             while (lost := _run_through(wanted, keys, run, artefacts, ran, until)) is None:
                 pass
+            artefacts.end_journal()
         except (InputError, SettingsError, EngineMissing):
             if not ran:
                 take_back()
@@ -383,8 +376,3 @@ def _short(value: Any) -> str:
     if isinstance(value, float) and not value.is_integer():
         return f"{value:.3g}"
     return f"{int(value)}" if isinstance(value, (int, float)) else str(value)
-
-
-def save_json(path: Path, data: Any) -> None:
-    """Write JSON atomically."""
-    write_atomic(path, json.dumps(data, indent=1, default=lambda v: v.tolist() if hasattr(v, "tolist") else str(v)))

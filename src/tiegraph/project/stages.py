@@ -7,7 +7,6 @@ can name what changed.
 
 import hashlib
 import json
-import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -41,7 +40,7 @@ class Stage:
     clear: Callable[[Path], None] | None = None  # removes from those what it added
     uses: tuple[str, ...] = ()  # settings sections of other stages that it follows
     tuned: tuple[str, ...] = ()  # engines whose constants it follows (settings.tuning), beside that of its own name
-    scratch: tuple[str, ...] = ()  # what it keeps below the run folder only while it runs
+    scratch: tuple[str, ...] = ()  # what it keeps below the run folder until it is done
     spares: tuple[str, ...] = ()  # of what it needs: can do without, where the images gave nothing for it
     alone: bool = False  # reads nothing but the run folder, whatever is there
     passing: bool = False  # what it makes serves later stages only and may be let go once they are done
@@ -107,12 +106,18 @@ def write_atomic(path: Path, data: bytes | str) -> None:
         ) from error
 
 
-def remove(path: Path) -> None:
-    """Remove a file or folder, whether it is there or not."""
-    if path.is_dir() and not path.is_symlink():
-        shutil.rmtree(path)
-    else:
-        path.unlink(missing_ok=True)
+def save_json(path: Path, data: Any) -> None:
+    """Write JSON atomically."""
+    write_atomic(path, json.dumps(data, indent=1, default=lambda v: v.tolist() if hasattr(v, "tolist") else str(v)))
+
+
+def read_object(path: Path) -> dict | None:
+    """The JSON object in a file; None where there is none, or none that can be read."""
+    try:
+        found = json.loads(path.read_text())
+    except (OSError, ValueError):
+        return None
+    return found if isinstance(found, dict) else None
 
 
 def stage_keys(

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from tiegraph.text import round_below
+
 _EDL_STRENGTH = 2.0
 _EDL_DEAD_PX = 0.7  # noise of a surface that is not shaded
 _EDL_CLIP_PX = 8.0  # a step deeper than this is not darker
@@ -165,9 +167,7 @@ def brightened(rgb: np.ndarray) -> np.ndarray:
 def with_scale_bar(view: CloudView, unit: str) -> np.ndarray:
     """The picture with a scale bar at its lower left."""
     picture = view.rgb.copy()
-    target = 0.14 * picture.shape[1] / view.px_per_m
-    power = 10 ** np.floor(np.log10(target))
-    length = max(m * power for m in (1, 2, 5) if m * power <= target * 1.0001)
+    length = round_below(0.14 * picture.shape[1] / view.px_per_m)
     x, y, size = 18, picture.shape[0] - 18, round(length * view.px_per_m)
     unit = unit if unit.isascii() else "units"  # the font of the picture has no other letters
     label, font = f"{length:g} {unit.removesuffix('s') if length == 1 else unit}", cv2.FONT_HERSHEY_SIMPLEX

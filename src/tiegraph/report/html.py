@@ -23,7 +23,6 @@ from tiegraph.report.tables import evidence_table, receipt_notes, receipt_tables
 from tiegraph.report.texts import current, language, said, t
 from tiegraph.report.thumbnails import CLASSES, mask_share, thumbnail
 from tiegraph.scene.atomic import replacing
-from tiegraph.scene.figures import plain_text
 from tiegraph.scene.scene import Scene
 from tiegraph.text import printable
 
@@ -84,7 +83,6 @@ def write_report(folder: Path, settings: ReportSettings, planned: formatting.Tab
     return target
 
 
-@plain_text()
 def render(run: RunFolder, settings: ReportSettings, planned: formatting.Table | None = None) -> str:
     """The page as text."""
     with language(settings.language):

@@ -4,10 +4,9 @@ import os
 import shutil
 import subprocess
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 from tiegraph.errors import EngineMissing, InputError
-from tiegraph.scene.atomic import replacing
+from tiegraph.scene.atomic import replacing, scratch_folder
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "microsoft-edge")
 _PATIENCE_S = 120.0
@@ -34,8 +33,8 @@ def print_pdf(page: Path, target: Path) -> None:
     browser = find_browser()
     if target.exists() and (not target.is_file() or target.read_bytes()[:4] != _BEGIN):
         raise InputError(f"{target} is there and is no PDF: move it away, and run the same again")
-    with TemporaryDirectory() as scratch, replacing(target) as temporary:
-        made = Path(scratch) / "report.pdf"
+    with scratch_folder() as scratch, replacing(target) as temporary:
+        made = scratch / "report.pdf"
         command = [browser, "--headless", "--disable-gpu", "--no-first-run", f"--user-data-dir={scratch}/profile"]
         command.append("--no-pdf-header-footer")
         if hasattr(os, "geteuid") and os.geteuid() == 0:  # Chromium refuses its sandbox to root

@@ -24,6 +24,7 @@ from tiegraph.report.texts import t
 from tiegraph.report.thumbnails import jpeg, thumbnail
 from tiegraph.report.viewer import Scale
 from tiegraph.scene.sorting import evenly
+from tiegraph.text import round_below
 
 log = logging.getLogger(__name__)
 _MOST = 1_000_000  # points of a file that are read
@@ -123,9 +124,7 @@ def ellipse_map(run: RunFolder, seen: Scenery) -> tuple[Markup, str] | None:
     largest = max(float(np.sqrt(np.linalg.eigvalsh(c)[-1])) for c in flat)
     if not largest > 0:
         return None
-    exact = 0.06 * float(place.high[0] - place.low[0]) / largest
-    power = 10.0 ** np.floor(np.log10(exact))
-    factor = float(max(k * power for k in (1, 2, 5) if k * power <= exact * 1.0001))
+    factor = round_below(0.06 * float(place.high[0] - place.low[0]) / largest)
     drawn = [maps.ellipse(place, p, c, factor) for p, c in zip(at, flat)]
     return maps.survey_map(place, seen.tracks, seen.given[:0], "", seen.north, drawn), f"{factor:g}"
 

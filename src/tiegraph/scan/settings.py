@@ -7,10 +7,12 @@ from typing import Annotated, Literal
 from pydantic import Field, field_validator
 
 from tiegraph.geometry.geodesy import utm_by_name
+from tiegraph.scene.gnss import HEIGHTS_M
 from tiegraph.settings import Section
 from tiegraph.text import composed
 
 _Px = Annotated[int, Field(ge=0, le=100_000)]
+_Height = Annotated[float, Field(ge=-12_000, le=100_000)]  # from the deepest sea to where space begins
 
 
 class ScanSettings(Section):
@@ -36,6 +38,10 @@ class ScanSettings(Section):
 
     gnss_sigma_m: float = Field(default=5.0, gt=0, le=1000)
     """Standard deviation (m, horizontal) of positions whose file or EXIF gives none; twice that in height."""
+
+    heights_m: tuple[_Height, _Height] = HEIGHTS_M
+    """Lowest and highest height (m) that is believed of positions and control points: others are in another unit. Of an
+    aircraft -500 12000, of a deep mine or a dive -11000 500."""
 
     max_gap_s: float = Field(default=3.0, gt=0, le=3600)
     """Longest gap (s) between two GNSS or trajectory rows across which a frame's position is interpolated."""

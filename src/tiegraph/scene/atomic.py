@@ -1,16 +1,19 @@
-"""Files that appear whole or not at all, and the note that a run folder takes of each before it appears.
+"""Files and folders that appear whole or not at all, and the note that a run folder takes of each before it appears.
 
 A run folder is a folder with the mark ``receipts/folder.json``. Before anything is written into one, its name goes to
-``receipts/made.txt``: so it is known, after a kill at any moment, which files are ours and may be removed.
+``receipts/made.txt``: so it is known, after a kill at any moment, which files are ours and may be removed. What a
+killed process was writing has a name with its process id, by which it is found and removed: in a run folder when that
+is opened, elsewhere when the same file is written again.
 """
 
 import json
 import os
 import re
 import shutil
+import tempfile
 import zlib
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from tiegraph.errors import InputError
@@ -18,20 +21,26 @@ from tiegraph.limits import explained
 
 MARK = "receipts/folder.json"
 JOURNAL = "receipts/made.txt"
-_TEMPORARY = re.compile(r"^\.[0-9a-f]{8}\.\d+\.part")
+TEMPORARIES = ".*.part*"
+_TEMPORARY = re.compile(r"\.[0-9a-f]{8}\.(\d+)\.part")
+_SCRATCH = f".{zlib.crc32(b'tiegraph'):08x}"
+_CLOCKS_S = 2.0  # the system tells when it was started in whole seconds
 
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """A temporary path beside ``path`` that takes its place when the block ends well, and is removed otherwise.
+    """A temporary path beside ``path``, of a file or a folder, that takes its place when the block ends well, and is
+    removed otherwise.
 
     The content is on the disk before it has its name. Raises InputError when the disk is full (the libraries below
     report that in many ways).
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{zlib.crc32(os.fsencode(path.name)):08x}.{os.getpid()}.part{path.suffix}")
+    own = f".{zlib.crc32(os.fsencode(path.name)):08x}"
+    temporary = path.with_name(f"{own}.{os.getpid()}.part{path.suffix}")
     try:
-        claim(path)
+        if not claim(path):
+            sweep(path.parent.glob(f"{own}.*.part*"))
         yield temporary
         if not temporary.is_symlink():
             sync(temporary)
@@ -42,7 +51,50 @@ def replacing(path: Path) -> Iterator[Path]:
             raise InputError(f"cannot write {path}: {told}") from error
         raise
     finally:
-        temporary.unlink(missing_ok=True)
+        remove(temporary)
+
+
+@contextmanager
+def scratch_folder(inside: Path | None = None) -> Iterator[Path]:
+    """A folder that is there for the block, ``inside`` another one, with which it goes after a kill, or among the
+    system's temporary ones, where those of killed processes go when the next is made."""
+    if inside is None:
+        sweep(Path(tempfile.gettempdir()).glob(f"{_SCRATCH}.*"))
+    with tempfile.TemporaryDirectory(prefix=f"{_SCRATCH}.{os.getpid()}.part-", dir=inside) as made:
+        yield Path(made)
+
+
+def remove(path: Path) -> None:
+    """Remove a folder, or a file or link and what SQLite keeps beside a database, whether they are there or not."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+        return
+    # A log left beside a replaced database would be played into the new one.
+    for suffix in ("", "-wal", "-shm", "-journal"):
+        path.with_name(path.name + suffix).unlink(missing_ok=True)
+
+
+def sweep(paths: Iterable[Path]) -> None:
+    """Remove those that are temporary files or folders of ``replacing`` and whose process has gone."""
+    for path in list(paths):
+        found = _TEMPORARY.match(path.name)
+        with suppress(OSError):
+            if found and not _is_alive(int(found[1]), path.lstat().st_mtime):
+                remove(path)
+
+
+def _is_alive(number: int, written_s: float) -> bool:
+    """Whether the process of a number may have written something: one that began later has only the same number, as in
+    containers, where each begins at 1."""
+    import psutil
+
+    try:
+        process = psutil.Process(number)
+        return process.status() != psutil.STATUS_ZOMBIE and process.create_time() < written_s + _CLOCKS_S
+    except psutil.AccessDenied:
+        return True
+    except psutil.Error:
+        return False
 
 
 def must_be_new(out: Path, path: Path | None = None) -> None:
@@ -54,8 +106,8 @@ def must_be_new(out: Path, path: Path | None = None) -> None:
 
 
 def is_temporary(name: str) -> bool:
-    """Whether a file's name is one of ``replacing``'s, left behind by a kill."""
-    return _TEMPORARY.match(name) is not None
+    """Whether a path is, or lies in, one of ``replacing``'s, left behind by a kill."""
+    return any(_TEMPORARY.match(part) for part in name.split("/"))
 
 
 def sync(path: Path) -> None:
@@ -67,15 +119,16 @@ def sync(path: Path) -> None:
         os.close(descriptor)
 
 
-def claim(path: Path) -> None:
-    """Note in the journal of the run folder around ``path``, if there is one, that the file, or all that is going to be
-    below the folder ``path``, is ours. ``replacing`` does so by itself; what libraries write needs it said."""
+def claim(path: Path) -> bool:
+    """Note in the journal of the run folder around ``path`` that the file, or all that is going to be below the folder
+    ``path``, is ours; whether there is one. ``replacing`` does so by itself; what libraries write needs it said."""
     path = path.absolute()
     for folder in path.parents:
         if (folder / MARK).exists():
             with open(folder / JOURNAL, "a", encoding="ascii") as journal:
                 journal.write(json.dumps(path.relative_to(folder).as_posix()) + "\n")
-            return
+            return True
+    return False
 
 
 def same_file(path: Path, other: Path) -> None:

@@ -17,7 +17,7 @@ import pycolmap
 
 from tiegraph import limits
 from tiegraph.errors import InputError, TiegraphError, UnreadableArtefact
-from tiegraph.scene.atomic import replacing
+from tiegraph.scene.atomic import remove, replacing
 from tiegraph.scene.colmapmodel import MAX_IMAGES
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
@@ -282,11 +282,15 @@ def copy_features(source: Path, path: Path, images: np.ndarray, alias: str) -> N
 
 
 def take_matches(path: Path, block: Path) -> None:
-    """Write all matches and geometries of another database into this one."""
-    with transaction(path, beside=block) as cursor:
+    """Write all matches and geometries of another database into this one. Raises as ``explained`` does, of the database
+    at fault."""
+    with reading(block) as cursor:
+        rows = {table: cursor.execute(f"SELECT * FROM {table}").fetchall() for table in _MADE}
+        names = {table: _columns(cursor, table) for table in _MADE}
+    with transaction(path) as cursor:
         for table in _MADE:
-            names = _columns(cursor, table)
-            cursor.execute(f"INSERT INTO {table} ({names}) SELECT {names} FROM beside.{table}")
+            values = ", ".join("?" * (names[table].count(",") + 1))
+            cursor.executemany(f"INSERT INTO {table} ({names[table]}) VALUES ({values})", rows[table])
 
 
 def _columns(cursor: sqlite3.Cursor | sqlite3.Connection, table: str) -> str:
@@ -314,15 +318,10 @@ def copy_verified(source: Path, path: Path, names: set[str] | None, refused: Seq
 
 
 @contextmanager
-def transaction(path: Path, beside: Path | None = None) -> Iterator[sqlite3.Cursor]:
-    """A cursor in one write transaction: committed at the end, undone by any error. SQLite's errors are explained.
-
-    ``beside``: another database, whose tables are ``beside.<table>``.
-    """
+def transaction(path: Path) -> Iterator[sqlite3.Cursor]:
+    """A cursor in one write transaction: committed at the end, undone by any error. SQLite's errors are explained."""
     with _opened(path) as connection:
         cursor = connection.cursor()
-        if beside is not None:
-            cursor.execute("ATTACH ? AS beside", (str(beside),))
         cursor.execute("BEGIN IMMEDIATE")
         try:
             yield cursor
@@ -370,10 +369,3 @@ def explained(path: Path, error: Exception) -> TiegraphError:
     if "malformed" in text or "not a database" in text:
         return UnreadableArtefact(path, text)
     return TiegraphError(f"{path}: {text}")
-
-
-def remove(path: Path) -> None:
-    """Remove a database and what SQLite keeps beside it."""
-    # A log left beside a replaced database would be played into the new one.
-    for suffix in ("", "-wal", "-shm", "-journal"):
-        Path(f"{path}{suffix}").unlink(missing_ok=True)

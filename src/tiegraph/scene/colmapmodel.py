@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import shutil
 import struct
-import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from copy import deepcopy
 from dataclasses import replace
@@ -18,6 +17,7 @@ import numpy as np
 from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity
+from tiegraph.scene.atomic import scratch_folder
 from tiegraph.scene.names import check_text
 from tiegraph.scene.regular import regular
 from tiegraph.scene.rig import Rig
@@ -73,12 +73,12 @@ def _read_text(folder: Path) -> Any:
         raise InputError(
             f"{folder / 'cameras.txt'}: no camera {lost[8]}, which images.txt has for {names[int(lost[0])]}"
         )
-    with tempfile.TemporaryDirectory() as made:
+    with scratch_folder() as made:
         for name in ("rigs.txt", "cameras.txt", "frames.txt", "points3D.txt"):
             if (folder / name).exists():
-                shutil.copyfile(folder / name, Path(made, name))
-        Path(made, "points3D.txt").touch()
-        Path(made, "images.txt").write_text("\n".join([*lines, ""]), encoding="ascii")
+                shutil.copyfile(folder / name, made / name)
+        (made / "points3D.txt").touch()
+        (made / "images.txt").write_text("\n".join([*lines, ""]), encoding="ascii")
         model = pycolmap.Reconstruction(made)
     for number, name in names.items():
         model.images[number].name = name

@@ -11,7 +11,6 @@ sensor is therefore written as a rig of its own (rig_id = number of rigs + camer
 of its own (frame_id = number of frames + image_id); without a rig all but the reference sensor are.
 """
 
-import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from copy import copy
@@ -23,7 +22,8 @@ import pycolmap
 from tiegraph import limits
 from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
-from tiegraph.scene.colmapdatabase import copy_verified, explained, remove
+from tiegraph.scene.atomic import remove, replacing
+from tiegraph.scene.colmapdatabase import copy_verified, explained
 from tiegraph.scene.colmapmodel import rigid3d
 from tiegraph.scene.matches import PreviewMatches
 from tiegraph.scene.rig import Rig
@@ -42,22 +42,19 @@ def create_database(path: Path, scene: Scene, with_rig: bool = True) -> None:
     for sensor in scene.all_sensors:
         if sensor.camera is None:
             raise InputError(f"sensor {sensor.name!r} has no camera: no image of it was found, take it off the rig")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(path.name + ".tmp")
-    remove(temporary)
-    limits.need_room(temporary, DATABASE_BYTES + _IMAGE_BYTES * len(scene))  # COLMAP would end the process
     try:
-        with writing(temporary) as database:
-            _write_rigs(database, scene, with_rig)
-            _write_images(database, scene, with_rig)
-            for prior in position_priors(scene):
-                database.write_pose_prior(prior, use_pose_prior_id=True)
-        remove(path)
-        os.replace(temporary, path)
+        with replacing(path) as temporary:
+            limits.need_room(path, DATABASE_BYTES + _IMAGE_BYTES * len(scene))  # COLMAP would end the process
+            with writing(temporary) as database:
+                _write_rigs(database, scene, with_rig)
+                _write_images(database, scene, with_rig)
+                for prior in position_priors(scene):
+                    database.write_pose_prior(prior, use_pose_prior_id=True)
+            remove(path)
+    except InputError:
+        raise
     except (RuntimeError, ValueError, OSError) as error:
         raise explained(path, error) from error
-    finally:
-        remove(temporary)
 
 
 def _write_rigs(database: pycolmap.Database, scene: Scene, with_rig: bool) -> None:

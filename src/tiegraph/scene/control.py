@@ -10,22 +10,15 @@ from tiegraph.geometry.geodesy import (
     ENU,
     Origin,
     crs_transformer,
+    geodetic_from_world,
     make_origin,
     middle,
     vertical_note,
     world_from_geodetic,
 )
 from tiegraph.scene.gcp import FileMark, GcpFile
-from tiegraph.scene.markpixels import (
-    AS_IS,
-    EDGE_PX,
-    Copy,
-    file_camera,
-    in_file,
-    lies_in,
-    prepared_pixel,
-    within,
-)
+from tiegraph.scene.gnss import HEIGHTS_M, beyond
+from tiegraph.scene.markpixels import AS_IS, EDGE_PX, Copy, file_camera, in_file, lies_in, prepared_pixel, within
 from tiegraph.scene.names import found_by, lookup_of
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.sorting import Columns
@@ -100,6 +93,7 @@ def locate(
     crs: str = "auto",
     found: Sequence[TargetMark] = (),
     orientation: Mapping[int, int] | None = None,
+    heights_m: tuple[float, float] = HEIGHTS_M,
 ) -> Control:
     """The points of a file in the scene's world and their marks in its images.
 
@@ -108,14 +102,18 @@ def locate(
     by EXIF, of images by scene index, 1 where it is not named. Marks in images that are not here, or where the images
     were cropped, are left out and said with file and line, and so are points that keep less than two. Raises InputError
     if no mark is in an image of the survey, if one lies outside its image and they lie inside in no copy of the images
-    (``markpixels.py``), if one image has two marks of a point, if coordinates lie outside their CRS, or far from the
-    survey.
+    (``markpixels.py``), if one image has two marks of a point, if coordinates lie outside their CRS, far from the
+    survey, or at heights beyond ``heights_m``.
     """
     notes = list(file.notes)
     marks = _marks_of(file, scene, [p.name for p in file.points], found, notes, orientation)
     origin = scene.origin or _origin_of_points(file, crs)
     world = surveyed_world(file, origin)
     _check_place(file, world, scene)
+    high = geodetic_from_world(world, origin)[:, 2]
+    for k in np.flatnonzero((high < heights_m[0]) | (high > heights_m[1]))[:1]:
+        where = f"{file.path}, line {file.points[k].line}: point {file.points[k].name!r}"
+        raise InputError(f"{where}: height {high[k]:.10g} m, {beyond(heights_m)}")
     vertical = vertical_note(file.crs or origin.crs)
     notes.append(f"{file.path.name}: {len(file.points)} points in {file.crs or origin.crs}; {vertical}")
     _few_marks(file, np.bincount(marks.point, minlength=len(file.points)), notes)

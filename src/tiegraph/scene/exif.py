@@ -11,7 +11,7 @@ from PIL import Image
 
 from tiegraph.geometry.geodesy import crs_transformer
 from tiegraph.scene import exif as tags
-from tiegraph.scene.gnss import HEIGHT_RANGE_M, SIGMA_RANGE_M
+from tiegraph.scene.gnss import SIGMA_RANGE_M
 from tiegraph.scene.xmp import NAN, Place, RigTags, ratio, read_place, read_rig_tags, xmp_text, xmp_value
 
 # Tags of the EXIF 2.32 standard (CIPA DC-008).
@@ -146,8 +146,6 @@ def _place(gps: dict, xmp: Place, rtk: bool) -> tuple[Place, str]:
         return Place(), f"an accuracy of {sigmas[0]:g} m is none"
     flat, up = (s if s >= SIGMA_RANGE_M[0] else NAN for s in sigmas)
     place = Place(lat_deg=lat, lon_deg=lon, height_m=height, sigma_m=flat, sigma_up_m=up)
-    if np.isfinite(height) and not HEIGHT_RANGE_M[0] <= height <= HEIGHT_RANGE_M[1]:
-        return place._replace(height_m=NAN), f"height {height:g} m is none (the position is taken without it)"
     place, doubt = _in_wgs84(place, _text(gps.get(18)))
     if _text(gps.get(9)).upper() == "V":
         return place, "the receiver had no fix when it was taken (GPSStatus V), so the position may be an old one"
@@ -175,9 +173,8 @@ def _in_wgs84(place: Place, datum: str) -> tuple[Place, str]:
 
 def _is_place(given: Place) -> bool:
     """Whether these are the position and sigma of a receiver with a fix."""
-    low, high = HEIGHT_RANGE_M
     somewhere = abs(given.lat_deg) <= 90 and abs(given.lon_deg) <= 180 and (given.lat_deg, given.lon_deg) != (0, 0)
-    return somewhere and low <= given.height_m <= high and SIGMA_RANGE_M[0] <= given.sigma_m <= SIGMA_RANGE_M[1]
+    return somewhere and np.isfinite(given.height_m) and SIGMA_RANGE_M[0] <= given.sigma_m <= SIGMA_RANGE_M[1]
 
 
 def _focal(detail: dict, size: tuple[int, int], range_: tuple[float, float]) -> float:

@@ -4,29 +4,23 @@ from __future__ import annotations
 
 import io
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-@contextmanager
-def plain_text() -> Iterator[None]:
-    """For functions that draw, as their decorator: names of folders and cameras are no formulas (``$\\frac{`` would be
-    an error), and letters that the font lacks are boxes without a warning for each."""
-    import matplotlib
-
-    with matplotlib.rc_context({"text.parse_math": False}), warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="Glyph .* missing")
-        yield
-
-
 def png(figure: Figure) -> bytes:
-    """A figure as PNG."""
+    """A figure as PNG. Names of folders and cameras are no formulas (``$\\frac{`` would be an error), and letters that
+    the font lacks are boxes without a warning for each."""
+    import matplotlib
     from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.text import Text
 
+    for text in figure.findobj(Text):
+        text.set_parse_math(False)
     out = io.BytesIO()
-    FigureCanvasAgg(figure).print_png(out)
+    with matplotlib.rc_context({"text.parse_math": False}), warnings.catch_warnings():  # ticks are made when drawn
+        warnings.filterwarnings("ignore", message="Glyph .* missing")
+        FigureCanvasAgg(figure).print_png(out)
     return out.getvalue()

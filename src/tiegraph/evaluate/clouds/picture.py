@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 from tiegraph.evaluate.clouds.m3c2 import Differences
 from tiegraph.scene.figures import png
 from tiegraph.scene.sorting import order_of, row_numbers, run_starts
+from tiegraph.text import round_below
 
 _CELLS = 500  # along the longer side
 _INCHES, _DPI = 8.0, 110
@@ -69,10 +70,7 @@ def _grid(xyz: np.ndarray, value: np.ndarray, edge: float) -> np.ndarray:
 
 def _scale_bar(axes, extent: np.ndarray) -> None:  # type: ignore[no-untyped-def]
     left, right, low, high = extent
-    wanted = (right - left) / 4
-    tens = 10.0 ** np.floor(np.log10(wanted))
-    length = max(s for s in (tens, 2 * tens, 5 * tens) if s <= wanted)
-    y = low - 0.04 * (high - low)
+    length, y = round_below((right - left) / 4), low - 0.04 * (high - low)
     axes.plot([left, left + length], [y, y], color="#444444", linewidth=3, solid_capstyle="butt", clip_on=False)
     axes.text(left + length / 2, y - 0.015 * (high - low), f"{length:g} m", ha="center", va="top", fontsize=9)
     axes.set_ylim(low - 0.1 * (high - low), high)

@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
-from matplotlib.ticker import FuncFormatter, MaxNLocator
+from matplotlib.ticker import FuncFormatter, LogFormatter, MaxNLocator
 
 from tiegraph.network.offsets.curves import OffsetCurve
 from tiegraph.network.offsets.surface import OffsetSurface
@@ -23,10 +23,7 @@ from tiegraph.scene.figures import png
 from tiegraph.scene.pairs import REASON_LOOKS, REASONS, Pairs
 from tiegraph.scene.scene import Scene
 
-__all__ = [
-    "curves_png", "funnel_png", "map_png", "matrix_png", "sections_png",
-    "surfaces_png", "weak_pairs",
-]  # fmt: skip
+__all__ = ["curves_png", "funnel_png", "map_png", "matrix_png", "sections_png", "surfaces_png", "weak_pairs"]
 MATRIX_CELLS = 1200  # cells a side at most: larger matrices are reduced by their most telling entry
 MAX_PANELS = 60
 NEVER = "#ffffff"
@@ -168,8 +165,7 @@ def _draw_curve(axes: object, curve: OffsetCurve, top: float, left: bool) -> Non
     axes.tick_params(labelsize=7, length=2)  # type: ignore[attr-defined]
     if not left:
         axes.set_yticklabels([])  # type: ignore[attr-defined]
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)  # type: ignore[attr-defined]
+    axes.spines[["top", "right"]].set_visible(False)  # type: ignore[attr-defined]
 
 
 def _root(values: np.ndarray) -> np.ndarray:
@@ -211,8 +207,7 @@ def funnel_png(pairs: Pairs, images: int) -> bytes:
     axes.invert_yaxis()
     axes.set_xlim(0, 1.2 * top)
     axes.set_xlabel("pairs of images")
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
+    axes.spines[["top", "right"]].set_visible(False)
     share = 100 * left[-1] / max(every, 1)
     axes.set_title(f"From {grouped(every)} pairs of images to {grouped(left[-1])} ({share:.1f} %)", loc="left")
     return png(figure)
@@ -332,6 +327,8 @@ def _values(axes: Axes, scene: Scene, cue: Cue, frames: np.ndarray) -> None:
         axes.set_ylim(0, 1.05)
     else:
         axes.set_yscale("log")
+        axes.yaxis.set_major_formatter(LogFormatter())  # matplotlib's own writes formulas
+        axes.yaxis.set_minor_formatter(LogFormatter())
     for sequence in np.unique(scene.sequence[frames]):
         own = np.flatnonzero(scene.sequence[frames] == sequence)
         size = 3.0 if len(frames) < 400 else 1.2

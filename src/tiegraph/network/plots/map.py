@@ -12,9 +12,10 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import laplacian
 from scipy.sparse.linalg import eigsh
 
-from tiegraph.scene.figures import plain_text, png
+from tiegraph.scene.figures import png
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene, between_neighbours
+from tiegraph.text import round_below
 
 DPI = 110
 BLUE, RED, INK = "#1b6ca8", "#c0392b", "#444444"
@@ -66,7 +67,6 @@ class _Ties:
     pairs: int
 
 
-@plain_text()
 def map_png(
     pairs: Pairs,
     positions: np.ndarray | None,
@@ -358,9 +358,7 @@ def _words(kept: Pairs, scene: Scene, nodes: _Nodes, links: np.ndarray, ties: di
 
 def _scale_bar(axes: Axes, unit: str) -> None:
     (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
-    want = 0.2 * (right - left)
-    power = 10.0 ** np.floor(np.log10(want))
-    length = max(m * power for m in (1, 2, 5) if m * power <= want)
+    length = round_below(0.2 * (right - left))
     x, y = left + 0.03 * (right - left), low + 0.05 * (high - low)
     axes.plot([x, x + length], [y, y], color=INK, lw=2.5, solid_capstyle="butt", zorder=8)
     axes.text(x + length / 2, y + 0.012 * (high - low), f"{length:g} {unit}", ha="center", va="bottom", fontsize=9)

@@ -11,6 +11,7 @@ from tiegraph.report.plan import Track, extent
 from tiegraph.report.svg.drawing import WIDTH, dots, legend, line, pass_colour, svg, text
 from tiegraph.report.texts import t
 from tiegraph.report.thumbnails import png_alpha
+from tiegraph.text import round_below
 
 _PIXELS = 560  # of the backdrop's width
 _SAMPLE, _STRAYS = 100_000, 0.03  # points that tell the extent of the surface; share of them that may lie beyond it
@@ -133,9 +134,7 @@ def ellipse(place: Place, centre: np.ndarray, covariance: np.ndarray, factor: fl
 
 def scale_bar(place: Place) -> str:
     """A round length at the lower left."""
-    target = 0.25 * WIDTH / place.zoom
-    power = 10.0 ** math.floor(math.log10(target))
-    length = max(k * power for k in (1, 2, 5) if k * power <= target * 1.0001)
+    length = round_below(0.25 * WIDTH / place.zoom)
     x, y, end = 12.0, place.height - 12, 12 + length * place.zoom
     unit = place.unit.removesuffix("s") if length == 1 else place.unit
     bar = line([(x, y - 5), (x, y), (end, y), (end, y - 5)], look="bar")

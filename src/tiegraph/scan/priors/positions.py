@@ -14,7 +14,7 @@ from tiegraph.scan.rigfiles.rigspec import AXES, RigSpec
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import PositionsTuning
 from tiegraph.scene.exif import Exif
-from tiegraph.scene.gnss import Gnss, at_times, far_rows, moved_within, on_clock_of, stuck_note, without_far
+from tiegraph.scene.gnss import Gnss, at_times, beyond, far_rows, moved_within, on_clock_of, stuck_note, without_far
 from tiegraph.scene.gpstime import DAY_S, GPS_EPOCH_S
 from tiegraph.scene.rig import Rig
 from tiegraph.text import some
@@ -286,7 +286,7 @@ def from_exif(
     Raises InputError if the CRS of the settings does not fit the positions.
     """
     _say_doubts(frames, notes)
-    llh, given = _exif_positions(frames, notes, tuning.gnss.most_far)
+    llh, given = _exif_positions(frames, notes, settings.heights_m, tuning.gnss.most_far)
     found = [[i for i in row.images if np.isfinite(llh[i, 0])] for row in frames.rows]
     there = np.array([bool(f) for f in found])
     if there.sum() < 2:
@@ -342,10 +342,19 @@ def _say_doubts(frames: Frames, notes: list[str]) -> None:
             )
 
 
-def _exif_positions(frames: Frames, notes: list[str], most_far: float) -> tuple[np.ndarray, np.ndarray]:
-    """Lat, lon, height (N, 3) of the images and their sigmas (N, 2), horizontal and up, in metres; NaN = none, or far
-    from all others."""
+def _exif_positions(
+    frames: Frames, notes: list[str], heights_m: tuple[float, float], most_far: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Lat, lon, height (N, 3) of the images and their sigmas (N, 2), horizontal and up, in metres; NaN = none, far from
+    all others, or a height that is not believed."""
     llh = np.array([[e.lat_deg, e.lon_deg, e.height_m] for e in frames.exif], float).reshape(-1, 3)
+    none = np.flatnonzero((llh[:, 2] < heights_m[0]) | (llh[:, 2] > heights_m[1]))
+    if len(none):
+        notes.append(
+            f"EXIF of {frames.names[none[0]]}: height {llh[none[0], 2]:g} m, {beyond(heights_m)}; "
+            f"{len(none)} positions are taken without their heights"
+        )
+    llh[none, 2] = np.nan
     known = np.flatnonzero(np.isfinite(llh[:, 0]))
     level = np.nan_to_num(llh[known])  # an unknown height serves as zero here: a mountain is no gap of kilometres
     far, note = far_rows(level, [f"EXIF of {frames.names[k]}" for k in known], most_far)

@@ -78,7 +78,7 @@ def estimate_priors(
     step = 0.0 if times is not None else step_of(time_s)
     priors = Priors(time_s, np.full((count, 4, 4), np.nan), np.full((count, 3), np.nan), step_s=step)
     if gnss is not None:
-        rows = read_gnss(gnss, tuning.positions.gnss)
+        rows = read_gnss(gnss, tuning.positions.gnss, settings.heights_m)
         priors = from_gnss(priors, frames, rows, source_of(Path(gnss)), settings, notes, tuning.positions)
     else:
         priors = from_exif(priors, frames, settings, notes, tuning.positions)

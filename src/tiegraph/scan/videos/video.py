@@ -8,8 +8,6 @@ and ..._10_..., or two video tracks of one file, have a lens each: their picture
 import json
 import os
 import re
-import shutil
-import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass
@@ -24,7 +22,7 @@ from tiegraph.scan.recording.tracks import VIDEO, BrokenTrack, OneVideoTrack, ed
 from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scan.videos.bagfilms import BagFilm, open_topic
 from tiegraph.scan.videos.videotime import VideoClock
-from tiegraph.scene.atomic import claim
+from tiegraph.scene.atomic import replacing, scratch_folder
 from tiegraph.scene.images import files_below
 from tiegraph.scene.names import clean_names, shortened
 from tiegraph.scene.regular import real_path, regular
@@ -149,8 +147,8 @@ def _delay_s(recording: Recording) -> float:
 
 def _capture(video: Path) -> cv2.VideoCapture:
     """It gets a link for a name: one that is not UTF-8 would end the process, and %d would mean numbered files."""
-    with tempfile.TemporaryDirectory() as folder:
-        link = Path(folder) / f"video{video.suffix.lower()}"
+    with scratch_folder() as folder:
+        link = folder / f"video{video.suffix.lower()}"
         try:
             link.symlink_to(real_path(video))
         except (OSError, NotImplementedError):
@@ -174,25 +172,15 @@ def take_pictures(
         check_film(recording)
     except OSError as error:
         return Pictures(said=f"{name} is no video: {error.strerror}")
-    partial = folder.with_name(f".{os.getpid()}-{folder.name}")
-    claim(partial)
-    claim(folder)
-    shutil.rmtree(partial, ignore_errors=True)
-    partial.mkdir(parents=True)
     numbers, stamps = [], []
-    try:
-        with open_film(recording, tuning) as opened:
-            for number, (stamp, picture) in choice.pick(opened.frames()):
-                target = partial / f"{folder.name}_{number:06d}.jpg"
-                write_pixels(target, picture[..., ::-1], clock.taken(stamp))
-                numbers.append(number)
-                stamps.append(stamp)
+    with replacing(folder) as partial, open_film(recording, tuning) as opened:
+        partial.mkdir()
+        for number, (stamp, picture) in choice.pick(opened.frames()):
+            write_pixels(partial / f"{folder.name}_{number:06d}.jpg", picture[..., ::-1], clock.taken(stamp))
+            numbers.append(number)
+            stamps.append(stamp)
         found = Pictures(tuple(numbers), tuple(stamps), _said(name, choice.words, len(stamps), opened, tuning))
-        if stamps:
-            (partial / _TAKEN).write_text(json.dumps(asdict(found)))
-            os.replace(partial, folder)
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
+        (partial / _TAKEN).write_text(json.dumps(asdict(found)))
     return found
 
 

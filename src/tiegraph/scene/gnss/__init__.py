@@ -21,7 +21,7 @@ from pathlib import Path
 
 from tiegraph.scene.bags import is_bag
 from tiegraph.scene.gnss import columns, mrk, navsat, nmea, rtklib, sbet, xmltracks
-from tiegraph.scene.gnss.fixes import HEIGHT_RANGE_M, SIGMA_RANGE_M, Fixes, judged
+from tiegraph.scene.gnss.fixes import HEIGHTS_M, SIGMA_RANGE_M, Fixes, beyond, judged
 from tiegraph.scene.gnss.rows import (
     Gnss,
     at_times,
@@ -36,7 +36,7 @@ from tiegraph.scene.textfile import whole_file
 from tiegraph.scene.tuning import GnssTuning
 
 __all__ = [
-    "FORMATS", "HEIGHT_RANGE_M", "SIGMA_RANGE_M", "Gnss", "at_times", "far_rows", "moved_within", "on_clock_of",
+    "FORMATS", "HEIGHTS_M", "SIGMA_RANGE_M", "Gnss", "at_times", "beyond", "far_rows", "moved_within", "on_clock_of",
     "read_gnss", "step_of", "stuck_note", "without_far",
 ]  # fmt: skip
 
@@ -57,16 +57,17 @@ FORMATS: dict[str, tuple[Callable[[str, bytes], bool], Callable[[Path, bytes], F
 The first that fits is taken."""
 
 
-def read_gnss(path: Path, tuning: GnssTuning) -> Gnss:
-    """Read positions of any of ``FORMATS``, or of a ROS bag (of a topic of one: ``scene.bags``).
+def read_gnss(path: Path, tuning: GnssTuning, heights_m: tuple[float, float] = HEIGHTS_M) -> Gnss:
+    """Read positions of any of ``FORMATS``, or of a ROS bag (of a topic of one: ``scene.bags``); ``heights_m``: from
+    which to which are believed.
 
     Rows without a usable position are left out and noted with their lines. Raises InputError, naming file and line, for
     what cannot be read, is damaged, or has no usable row.
     """
     if is_bag(Path(path)):
-        return judged(navsat.read_navsat(Path(path)), tuning)
+        return judged(navsat.read_navsat(Path(path)), tuning, heights_m)
     raw = whole_file(Path(path), "GNSS file")
     utf16 = raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     head = raw[:_HEAD].decode("utf-16" if utf16 else "utf-8-sig", errors="replace")
     read = next(read for told, read in FORMATS.values() if told(head, raw[:_HEAD]))
-    return judged(read(Path(path), raw), tuning)
+    return judged(read(Path(path), raw), tuning, heights_m)

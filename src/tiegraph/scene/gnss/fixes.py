@@ -12,7 +12,7 @@ from tiegraph.scene.table import some_lines
 from tiegraph.scene.tuning import GnssTuning
 
 # What a row cannot mean:
-HEIGHT_RANGE_M = (-12000.0, 100000.0)  # from the deepest sea to where space begins
+HEIGHTS_M = (-500.0, 9000.0)  # from the lowest shore to the highest mountain
 SIGMA_RANGE_M = (1e-4, 1000.0)  # below, no receiver; above, a receiver that has no position
 EMPTY = ("", "nan", "none", "null")
 _NO_FIX = "position 0, 0"
@@ -36,29 +36,29 @@ class Fixes:
     text: Callable[[int, str], str] | None = None  # what stands in a row for "latitude", "time" ...; else the number
 
 
-def judged(fixes: Fixes, tuning: GnssTuning) -> Gnss:
+def judged(fixes: Fixes, tuning: GnssTuning, heights_m: tuple[float, float] = HEIGHTS_M) -> Gnss:
     """The usable rows in order; the others are noted with their lines.
 
-    Left out are rows that are empty, out of range, without any accuracy, or so far from the rest that nothing moves so
-    fast. Raises InputError for positions in radians, an image at two places, one time for all rows, and if no row is
-    usable.
+    Left out are rows that are empty, out of range (heights: of ``heights_m``), without any accuracy, or so far from the
+    rest that nothing moves so fast. Raises InputError for positions in radians, an image at two places, one time for
+    all rows, and if no row is usable.
     """
     path, llh, count = Path(fixes.path), fixes.lat_lon_height, len(fixes.line)
     sigma = np.full((count, 3), np.nan) if fixes.sigma_m is None else fixes.sigma_m
-    faults = _faults(llh, sigma)
+    faults = _faults(llh, sigma, heights_m)
     if not fixes.names:
         faults.append(("time", ~np.isfinite(fixes.time_s)))
     good = ~np.any([bad for _, bad in faults], axis=0)
     if not good.any():
         what = "position in range" if fixes.names else "time and a position in range"
-        raise InputError(f"{path}: none of {count} rows has a {what}: {_first(fixes, faults)}{_hint(llh)}")
+        raise InputError(f"{path}: none of {count} rows has a {what}: {_first(fixes, faults, heights_m)}{_hint(llh)}")
     _refuse_radians(fixes, np.flatnonzero(good).tolist())
     notes = list(fixes.notes)
     if not good.all():
         lines = some_lines([fixes.line[k] for k in np.flatnonzero(~good).tolist()])
         notes.append(
             f"{path.name}: {(~good).sum()} of {len(good)} rows left out, empty or out of range ({lines}): "
-            f"{_first(fixes, faults)}"
+            f"{_first(fixes, faults, heights_m)}"
         )
     rows = np.flatnonzero(good).tolist()
     sigma = np.where(sigma >= SIGMA_RANGE_M[0], sigma, np.nan)
@@ -93,11 +93,17 @@ def above_ellipsoid(path: Path, above_sea_m: np.ndarray, undulation_m: np.ndarra
     return above_sea_m, [f"{Path(path).name}: {note}"]
 
 
-def _faults(llh: np.ndarray, sigma: np.ndarray) -> _Faults:
+def beyond(heights_m: tuple[float, float]) -> str:
+    """What to say of heights that are not within those that are believed."""
+    within = " to ".join(f"{h:g}" for h in heights_m)
+    return f"not within {within} m: in another unit? Write metres, or give the range as --scan.heights-m"
+
+
+def _faults(llh: np.ndarray, sigma: np.ndarray, heights_m: tuple[float, float]) -> _Faults:
     return [
         ("latitude", ~(np.abs(llh[:, 0]) <= 90)),
         ("longitude", ~(np.abs(llh[:, 1]) <= 360)),
-        ("height", ~((llh[:, 2] >= HEIGHT_RANGE_M[0]) & (llh[:, 2] <= HEIGHT_RANGE_M[1]))),
+        ("height", ~((llh[:, 2] >= heights_m[0]) & (llh[:, 2] <= heights_m[1]))),
         (_NO_FIX, np.all(llh[:, :2] == 0, axis=1)),
         ("accuracy", np.any(sigma > SIGMA_RANGE_M[1], axis=1)),
     ]
@@ -112,13 +118,15 @@ def _text(fixes: Fixes, row: int, what: str) -> str:
     return f"{value:.10g}"
 
 
-def _first(fixes: Fixes, faults: _Faults) -> str:
+def _first(fixes: Fixes, faults: _Faults, heights_m: tuple[float, float]) -> str:
     """The first cell at fault that is not empty, in words; else the first empty one."""
     found = [(k, what) for what, bad in faults for k in np.flatnonzero(bad).tolist()]
     filled = [f for f in found if f[1] != _NO_FIX and _text(fixes, *f).lower() not in EMPTY]
     row, what = min(filled or found, key=lambda f: f[0])
     shown = "" if what == _NO_FIX else f" {_text(fixes, row, what)!r}"
     remedy = "; correct the file, or leave such rows out" if filled else ""
+    if what == "height" and np.isfinite(fixes.lat_lon_height[row, 2]):
+        remedy = f", {beyond(heights_m)}"
     return f"line {fixes.line[row]}, {what}{shown}{remedy}"
 
 

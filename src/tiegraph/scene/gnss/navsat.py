@@ -40,10 +40,5 @@ def read_navsat(path: Path) -> Fixes:
     if lost:
         notes[0] += f"; {lost} of them without a fix are left out"
     return Fixes(
-        path=bag_path,
-        line=lines,
-        lat_lon_height=table[:, 1:4],
-        time_s=table[:, 0],
-        sigma_m=sigma,
-        notes=notes,
+        path=bag_path, line=lines, lat_lon_height=table[:, 1:4], time_s=table[:, 0], sigma_m=sigma, notes=notes
     )

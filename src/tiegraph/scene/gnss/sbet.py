@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from tiegraph.errors import InputError
-from tiegraph.scene.gnss.fixes import HEIGHT_RANGE_M, Fixes
+from tiegraph.scene.gnss.fixes import Fixes
 from tiegraph.scene.gpstime import WEEK_S
 
 _FIELDS = 17
@@ -23,12 +23,11 @@ def is_sbet(text: str, raw: bytes) -> bool:
     records = _records(raw[: 2 * _RECORD])
     if not len(records) or not np.isfinite(records).all():
         return False
-    time, lat, lon, height = records[:, :4].T
+    time, lat, lon = records[:, :3].T
     steps = np.diff(time)
     return bool(
         np.all((time >= 0) & (time <= 2 * WEEK_S))
         and np.all((np.abs(lat) <= np.pi / 2) & (np.abs(lon) <= 2 * np.pi))
-        and np.all((height >= HEIGHT_RANGE_M[0]) & (height <= HEIGHT_RANGE_M[1]))
         and np.all((steps > 0) & (steps <= _STEP_S))
         and np.any(np.abs(records[:, 1:3]) > 1e-6)  # numbers, not the tiny ones that other bytes look like
     )
@@ -57,11 +56,4 @@ def read_sbet(path: Path, raw: bytes) -> Fixes:
         f"{path.name}: an SBET file has seconds of the GPS week and no week: that of the frames' times (UTC) is taken; "
         f"its angles are not used{thinned}"
     ]
-    return Fixes(
-        path=path,
-        line=line,
-        lat_lon_height=llh,
-        time_s=records[:, 0],
-        notes=notes,
-        period_s=WEEK_S,
-    )
+    return Fixes(path=path, line=line, lat_lon_height=llh, time_s=records[:, 0], notes=notes, period_s=WEEK_S)

@@ -125,10 +125,4 @@ def read_kml(path: Path, raw: bytes) -> Fixes:
 def _kml_fixes(path: Path, line: list[int], lon_lat_height: list[list[str]], time_s: np.ndarray) -> Fixes:
     lon, lat, above_sea = np.array([[number(v) for v in [*cells, "", "", ""][:3]] for cells in lon_lat_height]).T
     height, notes = above_ellipsoid(path, above_sea, np.full(len(line), _NAN))
-    return Fixes(
-        path=path,
-        line=line,
-        lat_lon_height=np.stack([lat, lon, height], axis=1),
-        time_s=time_s,
-        notes=notes,
-    )
+    return Fixes(path=path, line=line, lat_lon_height=np.stack([lat, lon, height], axis=1), time_s=time_s, notes=notes)
