@@ -49,7 +49,7 @@ def test_errors_over_their_sigmas(white, slow, lasts_s, bounds) -> None:
     rng, level, ratios, sizes = np.random.default_rng(1), np.zeros(COUNT, int), [], []
     for _ in range(25):
         errors = PositionErrors(_linear(_errors(white, slow, lasts_s, rng), 2.0, level), NoiseTuning())
-        moved, covariance = errors.step()
+        moved, covariance = errors.step({})
         ratios.append(moved / np.sqrt(np.diag(covariance)))
         sizes.append([errors.sizes.white[0], errors.sizes.slow[0]])
     assert bounds[0] < np.sqrt(np.mean(np.square(ratios))) < bounds[1]

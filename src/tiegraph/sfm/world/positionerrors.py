@@ -10,6 +10,7 @@ as wide as they are stated. What the images may bend of the model is among the u
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -127,8 +128,19 @@ class PositionErrors:
         sides, weighed = (v.reshape(len(precise) * 3, -1) for v in (sides, weighed))
         return 3 * float(lost), self._linear.known + sides.T @ weighed
 
-    def step(self) -> tuple[np.ndarray, np.ndarray]:
-        """What the unknowns are to be moved by (D,) for the best fit, and their covariance (D, D)."""
+    def step(self, considered: Mapping[int, float]) -> tuple[np.ndarray, np.ndarray]:
+        """What the unknowns are to be moved by (D,) for the best fit, and their covariance (D, D).
+
+        Those ``considered`` (number: sigma), which the positions hardly tell, stay where they are, and what they may be
+        off by counts (Schmidt 1966): noise would carry a clock and with it all places far along a straight way.
+        """
         normal = self._normal(self.sizes)[1]
-        covariance = np.linalg.pinv(normal[:-1, :-1], hermitian=True)
-        return -covariance @ normal[:-1, -1], covariance
+        moved, covariance = np.zeros(len(normal) - 1), np.zeros((len(normal) - 1,) * 2)
+        held = np.array(sorted(considered), int)
+        free = np.setdiff1d(np.arange(len(moved)), held)
+        covariance[np.ix_(free, free)] = np.linalg.pinv(normal[np.ix_(free, free)], hermitian=True)
+        moved[free] = -covariance[np.ix_(free, free)] @ normal[free, -1]
+        follows = np.zeros((len(moved), len(held)))  # what each unknown follows those that are held by
+        follows[held, range(len(held))] = 1.0
+        follows[free] = -covariance[np.ix_(free, free)] @ normal[np.ix_(free, held)]
+        return moved, covariance + (follows * [considered[k] ** 2 for k in held]) @ follows.T

@@ -22,6 +22,7 @@ from tiegraph.sfm.world.antenna import (
     try_clock,
     try_lever_arm,
     up_to_use,
+    with_clock,
     with_lever_arm,
 )
 from tiegraph.sfm.world.bars import BarsFound
@@ -129,7 +130,7 @@ def fit_to_world(
     model: Model, scene: Scene, settings: GeorefSettings, given: Measurements, tuning: WorldTuning
 ) -> SimilarityFit | NotPlaced:
     """Fit the model to everything measured in the world, if that is enough and no mirror image of the model."""
-    notes: list[str] = []
+    notes, tuning = [], with_clock(tuning, scene)
     registered = np.all(np.isfinite(model.frames(scene)), axis=(1, 2))
     stated = make_fixes(scene, registered, given, settings.sigma_floor_m, tuning.fixes)
     points = _usable_points(model, given)
