@@ -13,7 +13,7 @@ from tiegraph.geometry.gravity import Up, roll_by_upward, roll_to_upright, to_up
 from tiegraph.geometry.placement import PlacementError
 from tiegraph.geometry.transforms import skew, turn_by_vector, vector_by_turn
 from tiegraph.sfm.tuning.world import FitTuning, NoiseTuning
-from tiegraph.sfm.world.positionerrors import Linear, PositionErrors, Stated
+from tiegraph.sfm.world.positionerrors import Level, Linear, PositionErrors, Stated
 from tiegraph.sfm.world.unknowns import Clock, FittedArm, LeverArm, LogScale
 
 _OPEN = 1e-6  # squared sine between an unknown and what residuals tell, beyond which it is open
@@ -74,6 +74,7 @@ class Fit:
     roll_sigma_deg: float  # about the direction in which the positions spread most
     sigma_positions_scale: float  # of the logarithm of the scale, from the positions alone
     error: PlacementError  # about the middle of the positions
+    levels: tuple[Level, ...] = ()  # how large the errors of the believed positions are, over the stated sigmas
     bent: np.ndarray | None = None  # (M, M) covariance of the modes of the shape, by images and positions
 
     @property
@@ -153,17 +154,16 @@ def by_errors(evidence: Evidence, up: Up | None, fit: Fit, rows: Stated, tuning:
         size, held = problem.size, 0.0 if evidence.log_scale is None else evidence.log_scale.sigma**-2
         alone = 1 / max(1 / covariance[6, 6] - held, _OPEN)
         fit = _fit(problem, x + moved[:size], covariance[:size, :size], alone, fit.inlier, fit.cost)
-        fit = replace(fit, bent=covariance[size : size + modes, size : size + modes])
+        fit = replace(fit, levels=errors.levels, bent=covariance[size : size + modes, size : size + modes])
     return fit
 
 
 def _considered(evidence: Evidence, fit: Fit, tuning: FitTuning) -> dict[int, float]:
     """Sigmas of antenna and clock, by their numbers among the unknowns, where they are unknown and the fit so far,
     which asked whether the positions tell them, has not estimated them."""
-    arm = evidence.arm.estimate and not np.isfinite(fit.arm.covariance).all()
-    clock = evidence.estimate_offset and not np.isfinite(fit.clock.sigma_s)
-    out = dict.fromkeys(range(7, 10), tuning.antenna_sigma_m) if arm else {}
-    return out | ({7 + 3 * evidence.arm.estimate: tuning.offset_sigma_s} if clock else {})
+    arm, clock = evidence.arm.estimate, evidence.estimate_offset
+    out = {k: tuning.antenna_sigma_m for k in (7, 8, 9) if arm and not np.isfinite(fit.arm.covariance).all()}
+    return out | ({7 + 3 * arm: tuning.offset_sigma_s} if clock and not np.isfinite(fit.clock.sigma_s) else {})
 
 
 def _linearised(problem: _Problem, x: np.ndarray, inlier: np.ndarray, rows: Stated, seen: np.ndarray) -> Linear:

@@ -5,23 +5,11 @@ level of the stated sigma gets one factor from the residuals of its fixes (varia
 correlation of neighbours in time, so that many rows of one wandering solution do not outweigh a few good ones.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from tiegraph.sfm.tuning.world import NoiseTuning
 
 MEDIAN_CHI2_3 = 2.366  # median of chi-square with three degrees of freedom
-
-
-@dataclass(frozen=True)
-class Level:
-    """Fixes of like stated sigma: their number, that sigma, by how much it is too small, lag-one correlation."""
-
-    count: int
-    sigma_m: float
-    factor: float
-    correlation: float
 
 
 def factors(residual: np.ndarray, level: np.ndarray, time_s: np.ndarray, tuning: NoiseTuning) -> np.ndarray:
@@ -40,24 +28,6 @@ def factors(residual: np.ndarray, level: np.ndarray, time_s: np.ndarray, tuning:
         r = correlation(residual[rows], time_s[rows], tuning)
         out[rows] = min(_scatter(residual[rows]) * float(np.sqrt((1 + r) / (1 - r))), tuning.max_factor)
     return out
-
-
-def levels(
-    residual: np.ndarray, level: np.ndarray, sigma: np.ndarray, time_s: np.ndarray, tuning: NoiseTuning
-) -> list[Level]:
-    """The levels there are, best first, for the report."""
-    out = []
-    for rows in _levels(level):
-        r = correlation(residual[rows], time_s[rows], tuning)
-        out.append(
-            Level(
-                count=len(rows),
-                sigma_m=float(np.median(sigma[rows, 0])),
-                factor=_scatter(residual[rows]),
-                correlation=r,
-            )
-        )
-    return sorted(out, key=lambda v: v.sigma_m)
 
 
 def _levels(level: np.ndarray) -> list[np.ndarray]:

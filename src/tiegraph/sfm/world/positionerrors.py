@@ -67,6 +67,15 @@ class Sizes:
     lasts_s: float
 
 
+@dataclass(frozen=True)
+class Level:
+    """Positions of like stated sigma: their number, that sigma, by how many times their errors are larger."""
+
+    count: int
+    sigma_m: float
+    factor: float
+
+
 class PositionErrors:
     """The likeliest sizes of the errors of some positions, and what they leave of the unknowns."""
 
@@ -93,6 +102,14 @@ class PositionErrors:
     def times_stated(self) -> float:
         """The errors over what is stated of them, median of the positions."""
         return float(np.median(np.hypot(self.sizes.white, self.sizes.slow)[self._level]))
+
+    @property
+    def levels(self) -> tuple[Level, ...]:
+        """Of the stated sigma, best first."""
+        total, stated = np.hypot(self.sizes.white, self.sizes.slow), self._linear.stated.sigma[:, 0]
+        found = [(self._level == k, float(factor)) for k, factor in enumerate(total)]
+        made = [Level(count=int(of.sum()), sigma_m=float(np.median(stated[of])), factor=f) for of, f in found]
+        return tuple(sorted(made, key=lambda v: v.sigma_m))
 
     @staticmethod
     def _of(x: np.ndarray) -> Sizes:

@@ -92,13 +92,6 @@ class SimilarityFit:
             return None
         return fit_similarity(self.evidence.where(~held), self.up, self.tuning.fit, self.fit.similarity)
 
-    @cached_property
-    def levels(self) -> list[noise.Level]:
-        """How much worse the fixes of each stated sigma are."""
-        fit, fixes = self.fit, self.fixes
-        residual = self.evidence.position_residuals(fit.similarity, fit.arm.place, fit.clock.offset_s)[: len(fixes)]
-        return noise.levels(residual / fixes.sigma, fixes.level, fixes.sigma, fixes.time_s, self.tuning.noise)
-
 
 @dataclass(frozen=True)
 class NotPlaced:
