@@ -144,10 +144,10 @@ def try_clock(now: Fitted, notes: list[str], tuning: WorldTuning) -> tuple[Fitte
 
 
 def with_clock(tuning: WorldTuning, scene: Scene) -> WorldTuning:
-    """Times that tell which position belongs to which frame are right to half a step between frames."""
+    """Times are right to a step between frames at worst: beyond, positions would belong to other frames."""
     steps = np.diff(scene.time_s)[np.diff(scene.sequence) == 0]
-    half = float(np.median(steps[steps > 0])) / 2 if (steps > 0).any() else np.inf
-    fit = tuning.fit.model_copy(update={"offset_sigma_s": min(half, tuning.fit.offset_sigma_s)})
+    step = float(np.median(steps[steps > 0])) if (steps > 0).any() else np.inf
+    fit = tuning.fit.model_copy(update={"offset_sigma_s": min(step, tuning.fit.offset_sigma_s)})
     return tuning.model_copy(update={"fit": fit})
 
 

@@ -143,27 +143,20 @@ def by_errors(evidence: Evidence, up: Up | None, fit: Fit, rows: Stated, tuning:
     common: ``positionerrors``) and by what the model may bend, with the covariance that these leave."""
     evidence = replace(evidence, arm=replace(evidence.arm, level=None))  # what cannot be told widens what it moves
     stated, seen = rows.common, fit.inlier[: len(rows.level)]
-    considered = _considered(evidence, fit, tuning)
+    believed = dict.fromkeys((7, 8, 9), tuning.antenna_sigma_m) if evidence.arm.estimate else {}
+    believed |= {7 + len(believed): tuning.offset_sigma_s} if evidence.estimate_offset else {}
     modes = 0 if evidence.bend is None else evidence.bend.shape[2]
     for _ in range(_STEPS if seen.any() else 0):  # control points alone may be all that is believed
         problem = _Problem(evidence, up, fit.similarity, tuning)
         x = problem.at(fit)
         errors = PositionErrors(_linearised(problem, x, fit.inlier, rows, seen), noise)
-        moved, covariance = errors.step(considered)
+        moved, covariance = errors.step(believed)
         rows = replace(rows, common=stated * max(1.0, errors.times_stated))  # an optimistic receiver is so in all
         size, held = problem.size, 0.0 if evidence.log_scale is None else evidence.log_scale.sigma**-2
         alone = 1 / max(1 / covariance[6, 6] - held, _OPEN)
         fit = _fit(problem, x + moved[:size], covariance[:size, :size], alone, fit.inlier, fit.cost)
         fit = replace(fit, levels=errors.levels, bent=covariance[size : size + modes, size : size + modes])
     return fit
-
-
-def _considered(evidence: Evidence, fit: Fit, tuning: FitTuning) -> dict[int, float]:
-    """Sigmas of antenna and clock, by their numbers among the unknowns, where they are unknown and the fit so far,
-    which asked whether the positions tell them, has not estimated them."""
-    arm, clock = evidence.arm.estimate, evidence.estimate_offset
-    out = {k: tuning.antenna_sigma_m for k in (7, 8, 9) if arm and not np.isfinite(fit.arm.covariance).all()}
-    return out | ({7 + 3 * arm: tuning.offset_sigma_s} if clock and not np.isfinite(fit.clock.sigma_s) else {})
 
 
 def _linearised(problem: _Problem, x: np.ndarray, inlier: np.ndarray, rows: Stated, seen: np.ndarray) -> Linear:

@@ -21,6 +21,7 @@ from scipy.optimize import minimize
 from tiegraph.sfm.tuning.world import NoiseTuning
 
 _REACH = np.log(100.0)  # of the logarithms of sizes: beyond, positions are made and not measured, or of another survey
+_HARDLY = 0.9  # of the sigma that is believed beforehand: what tells no more than that tells nothing
 _MOST = 1 - 1e-9  # correlation of two positions of one instant
 
 
@@ -145,19 +146,21 @@ class PositionErrors:
         sides, weighed = (v.reshape(len(precise) * 3, -1) for v in (sides, weighed))
         return 3 * float(lost), self._linear.known + sides.T @ weighed
 
-    def step(self, considered: Mapping[int, float]) -> tuple[np.ndarray, np.ndarray]:
+    def step(self, believed: Mapping[int, float]) -> tuple[np.ndarray, np.ndarray]:
         """What the unknowns are to be moved by (D,) for the best fit, and their covariance (D, D).
 
-        Those ``considered`` (number: sigma), which the positions hardly tell, stay where they are, and what they may be
-        off by counts (Schmidt 1966): noise would carry a clock and with it all places far along a straight way.
+        ``believed``: number and sigma of unknowns that are expected where they are. Those of them that the positions
+        hardly tell stay there, and what they may be off by counts (Schmidt 1966): noise would carry a clock, and with
+        it all places, far along a straight way.
         """
         normal = self._normal(self.sizes)[1]
-        moved, covariance = np.zeros(len(normal) - 1), np.zeros((len(normal) - 1,) * 2)
-        held = np.array(sorted(considered), int)
-        free = np.setdiff1d(np.arange(len(moved)), held)
-        covariance[np.ix_(free, free)] = np.linalg.pinv(normal[np.ix_(free, free)], hermitian=True)
-        moved[free] = -covariance[np.ix_(free, free)] @ normal[free, -1]
-        follows = np.zeros((len(moved), len(held)))  # what each unknown follows those that are held by
+        every = np.linalg.pinv(normal[:-1, :-1], hermitian=True)
+        held = np.array([k for k, sigma in believed.items() if every[k, k] > (_HARDLY * sigma) ** 2], int)
+        free = np.setdiff1d(np.arange(len(every)), held)
+        own = np.linalg.pinv(normal[np.ix_(free, free)], hermitian=True)
+        moved, follows = np.zeros(len(every)), np.zeros((len(every), len(held)))
+        moved[free], follows[free] = -own @ normal[free, -1], -own @ normal[np.ix_(free, held)]
         follows[held, range(len(held))] = 1.0
-        follows[free] = -covariance[np.ix_(free, free)] @ normal[np.ix_(free, held)]
-        return moved, covariance + (follows * [considered[k] ** 2 for k in held]) @ follows.T
+        covariance = (follows * [believed[k] ** 2 for k in held]) @ follows.T
+        covariance[np.ix_(free, free)] += own
+        return moved, covariance
