@@ -317,7 +317,7 @@ def outage(length_m: float, gap_m: float, radial: float, seed: int) -> dict[str,
     inside = np.abs(s - length_m / 2) < gap_m / 2
     out: dict[str, Any] = {"length_m": length_m, "gap_m": gap_m, "radial": radial, "seed": seed}
     for way, adjust in (("similarity", "no"), ("adjusted", "yes")):
-        settings = GeorefSettings(adjust=adjust, sigma_floor_m=0.02)
+        settings = GeorefSettings(adjust=adjust)
         start = time.process_time()
         found, world = georeference_model(
             model, scene, settings, Tuning(), Measurements(rows, shape=shape), ConstantParameters((1,), range(1, 5))

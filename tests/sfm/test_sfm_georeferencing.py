@@ -32,6 +32,7 @@ import pycolmap  # isort: skip
 
 TUNING = Tuning()
 WORLD = TUNING.world
+FINE = WORLD.model_copy(update={"fixes": WORLD.fixes.model_copy(update={"floor_m": 0.01})})
 
 
 @pytest.fixture(scope="module")
@@ -289,7 +290,7 @@ def test_rows_between_frames_carry_lever_arm_and_clock() -> None:
     late = _path(fine + clock)  # the receiver's stamps are early: at its time t the boat is where it is at t + clock
     noise = 0.02 * np.random.default_rng(3).standard_normal((len(fine), 3))
     rows = PositionRows(fine, late[:, :3, 3] + late[:, :3, :3] @ arm + noise, np.full((len(fine), 3), 0.02))
-    fixes = make_fixes(scene, np.ones(scene.frames, bool), Measurements(rows), 0.01, WORLD.fixes)
+    fixes = make_fixes(scene, np.ones(scene.frames, bool), Measurements(rows), FINE.fixes)
     assert 150 < len(fixes) <= 5 * scene.frames + scene.frames
     moved, _ = fixes.blend(_path(frames))
     at = np.searchsorted(fine, fixes.time_s - 1e-6)
@@ -298,14 +299,14 @@ def test_rows_between_frames_carry_lever_arm_and_clock() -> None:
     off = np.linalg.norm(moved[:, :3, 3] - poses[at, :3, 3], axis=1)
     assert np.all(off < 3 * wide.sigma[:, 0]) and np.median(wide.sigma) < 0.05
     model = Model(transforms.invert(_path(frames)), None, None, [])
-    placing = fit_to_world(model, scene, GeorefSettings(sigma_floor_m=0.01), Measurements(rows), WORLD)
+    placing = fit_to_world(model, scene, GeorefSettings(), Measurements(rows), FINE)
     assert isinstance(placing, SimilarityFit)
     np.testing.assert_allclose(placing.fit.arm.place[[0, 2]], arm[[0, 2]], atol=0.08)
     assert placing.fit.clock.offset_s == pytest.approx(clock, abs=0.03)
     assert any("clock is +0.1" in n for n in placing.notes) and any("lever arm estimated" in n for n in placing.notes)
     gap = (fine > 20) & (fine < 30)
     few = PositionRows(*(v[~gap] for v in (rows.time_s, rows.position_m, rows.sigma_m)))
-    broken = make_fixes(scene, np.ones(scene.frames, bool), Measurements(few), 0.01, WORLD.fixes)
+    broken = make_fixes(scene, np.ones(scene.frames, bool), Measurements(few), FINE.fixes)
     assert not np.any((broken.time_s > 20.1) & (broken.time_s < 29.9)) and np.all(broken.sigma == 0.02)
 
 
@@ -360,7 +361,7 @@ def test_an_adjustment_ends_where_positions_and_images_are_in_balance(world, mon
     truth, scene = world
     curve = np.outer(np.sin(np.pi * np.arange(scene.frames) / scene.frames), [0.0, 0.0, 0.4])
     survey = with_positions(scene, true_frames(truth, scene)[:, :3, 3] + curve, 1.0)
-    fixes = make_fixes(survey, np.ones(scene.frames, bool), Measurements(), 0.0, WORLD.fixes)
+    fixes = make_fixes(survey, np.ones(scene.frames, bool), Measurements(), FINE.fixes)
     given = Constraints(
         fixes=fixes,
         factor=np.ones(len(fixes)),

@@ -39,7 +39,7 @@ def test_only_points_are_eliminated_before_the_poses(world, monkeypatch, unknown
     survey = with_positions(scene, true_frames(truth, scene)[:, :3, 3], 0.05)
     receiver = Receiver(np.zeros(3), 0.0, free_antenna=unknown[0], free_offset=unknown[1])
     given = Constraints(
-        fixes=make_fixes(survey, np.ones(scene.frames, bool), Measurements(), 0.0, WORLD.fixes),
+        fixes=make_fixes(survey, np.ones(scene.frames, bool), Measurements(), WORLD.fixes),
         factor=np.ones(scene.frames),
         receiver=receiver,
         held=ConstantParameters(),

@@ -50,6 +50,3 @@ class GeorefSettings(Section):
 
     adjust: Literal["auto", "yes", "no"] = "auto"
     """Bundle adjustment with positions and control points, against drift; auto = kept if the held-out check agrees."""
-
-    sigma_floor_m: float = Field(default=0.05, gt=0, le=10)
-    """Smallest sigma believed of a prior position, metres (receivers are optimistic)."""

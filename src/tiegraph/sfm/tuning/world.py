@@ -26,6 +26,8 @@ class FixTuning(Section):
     """Of the second difference: the same at the ends of a pass, where it is 0.06 of the third."""
     unknown_sigma_m: float = Field(10.0, gt=0)
     """Of a position whose source gives none (hand-held GPS)."""
+    floor_m: float = Field(0.05, gt=0)
+    """Of a stated sigma, while it is not known how large the errors are: below, poses and times err as much."""
     lasting: float = Field(0.7, ge=0)
     """Of a receiver's stated sigma: what outlasts a survey, which no residual tells (half of the variance: base
     station, atmosphere)."""

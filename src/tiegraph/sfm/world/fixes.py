@@ -95,10 +95,10 @@ class Fixes:
         return moved, np.einsum("kn,knij->kij", self.rates, there)
 
 
-def make_fixes(scene: Scene, registered: np.ndarray, given: Measurements, floor_m: float, tuning: FixTuning) -> Fixes:
+def make_fixes(scene: Scene, registered: np.ndarray, given: Measurements, tuning: FixTuning) -> Fixes:
     """Fixes of the receiver's rows, or of the scene's prior positions where there are none with times.
 
-    ``registered`` (F,) frames with a pose. Sigmas are at least ``floor_m``.
+    ``registered`` (F,) frames with a pose.
     """
     rows, parts, left = given.rows, [], registered.copy()
     if rows is not None and np.isfinite(scene.time_s).any():
@@ -110,7 +110,7 @@ def make_fixes(scene: Scene, registered: np.ndarray, given: Measurements, floor_
     fixes = _joined([*parts, _of_frames(scene, left)])  # loose photographs have nothing between them
     stated = np.where(np.isfinite(fixes.sigma), fixes.sigma, tuning.unknown_sigma_m)
     level = np.round(tuning.levels_per_octave * np.log2(np.maximum(stated[:, 0], 1e-3))).astype(int)
-    sigma = np.maximum(stated, floor_m)
+    sigma = np.maximum(stated, tuning.floor_m)
     held = held_out_frames(scene, tuning)[fixes.home]
     return replace(fixes, sigma=sigma, stated=stated, level=level, held=held)
 

@@ -125,7 +125,7 @@ def fit_to_world(
     """Fit the model to everything measured in the world, if that is enough and no mirror image of the model."""
     notes, tuning = [], with_clock(tuning, scene)
     registered = np.all(np.isfinite(model.frames(scene)), axis=(1, 2))
-    stated = make_fixes(scene, registered, given, settings.sigma_floor_m, tuning.fixes)
+    stated = make_fixes(scene, registered, given, tuning.fixes)
     points = _usable_points(model, given)
     frames = len(np.unique(stated.home))
     places = len(np.unique(stated.position, axis=0))  # EXIF may give a whole object one place
