@@ -23,7 +23,7 @@ from tiegraph.sfm.verified import VerifiedMatches
 
 @dataclass(frozen=True)
 class ConsistencyVotes:
-    """What the ties of frame pairs say of a model: agreeing and contradicting matches by (a, b), a < b."""
+    """What ties say of a model: agreeing and contradicting matches by (a, b): of frame a with frame b, as a tells."""
 
     agree: Mapping[tuple[int, int], float]
     contradict: Mapping[tuple[int, int], float]
@@ -44,13 +44,11 @@ class ConsistencyVotes:
     @cached_property
     def _beside(self) -> tuple[dict[int, dict[int, float]], ...]:
         """Both tables by frame: asking every frame must not read every pair."""
-        out = []
+        out: list[dict[int, dict[int, float]]] = []
         for table in (self.agree, self.contradict):
-            by_frame: dict[int, dict[int, float]] = {}
+            out.append({})
             for (a, b), value in table.items():
-                by_frame.setdefault(a, {})[b] = value
-                by_frame.setdefault(b, {})[a] = value
-            out.append(by_frame)
+                out[-1].setdefault(a, {})[b] = value
         return tuple(out)
 
 
@@ -58,17 +56,16 @@ def consistency_votes(
     verified: VerifiedMatches, agreed: np.ndarray, scene: Scene, tuning: ConsistencyTuning
 ) -> ConsistencyVotes:
     """Sum the image pairs (``verified.agreement``) over pairs of frames."""
-    share = agreed[:, 0] / np.maximum(agreed[:, 1], 1)
     agree: dict[tuple[int, int], float] = {}
     contradict: dict[tuple[int, int], float] = {}
-    for (i, j), (_, total), part in zip(verified.pairs.tolist(), agreed, share):
-        a, b = sorted((int(scene.frame[i]), int(scene.frame[j])))
-        if a == b or total == 0:
+    for ends, (*own, total) in zip(scene.frame[verified.pairs].tolist(), agreed.tolist()):
+        if ends[0] == ends[1] or total == 0:
             continue
-        if part >= tuning.agrees:
-            agree[a, b] = agree.get((a, b), 0.0) + float(total)
-        elif part < tuning.contradicts:
-            contradict[a, b] = contradict.get((a, b), 0.0) + float(total)
+        for pair, part in zip((tuple(ends), tuple(ends[::-1])), own):
+            if part >= tuning.agrees * total:
+                agree[pair] = agree.get(pair, 0.0) + total
+            elif part < tuning.contradicts * total:
+                contradict[pair] = contradict.get(pair, 0.0) + total
     return ConsistencyVotes(agree, contradict, tuning)
 
 

@@ -154,8 +154,8 @@ def refusal(
     if share < gate.min_seeing:
         return f"only {seeing[tied].sum()} of {tied.sum()} tied images see {tuning.adjust.min_points} of its points"
     agreed = agreement(verified, image_observations(model, scene, tuning.placement.agreement))
-    judged = agreed[:, 1] > 0
-    good = agreed[judged, 0] >= tuning.placement.consistency.agrees * agreed[judged, 1]
+    judged = agreed[:, 2] > 0
+    good = agreed[judged, :2].min(axis=1) >= tuning.placement.consistency.agrees * agreed[judged, 2]
     if not judged.any() or good.mean() < gate.min_agreeing:
         return f"it contradicts {np.sum(~good)} of {len(good)} verified pairs of images"
     error = float(model.compute_mean_reprojection_error())
