@@ -122,9 +122,8 @@ class Run:
         if not made.folders:
             return None, [], made.refused
         model = read_model(made.folders[0])
-        rough = frame_poses(poses, self.scene)
         found = leave_out_doubtful(
-            model, self.scene, MatchSource(source.database, self.refused), rough, self.tuning.placement
+            model, self.scene, MatchSource(source.database, self.refused), self.tuning.placement
         )
         return model, found.notes, ""
 

@@ -81,7 +81,7 @@ def _without_doubtful(
         return model, PlacementCheck()
     tested = pycolmap.Reconstruction(model)
     try:
-        return tested, leave_out_doubtful(tested, scene, request.matched, request.preview, request.tuning.placement)
+        return tested, leave_out_doubtful(tested, scene, request.matched, request.tuning.placement)
     except (RuntimeError, ValueError, np.linalg.LinAlgError) as error:
         return model, PlacementCheck([f"the place of the frames could not be tested: {error}"])
 

@@ -1,11 +1,11 @@
 """Is every frame where its images say it is? What COLMAP's statistics do not show, asked of each frame and block.
 
-A repeated wall holds a frame, a block or a whole pass at the wrong place with ties that agree among themselves. What
-gives it away are the verified ties to the neighbours in the pass, which the mapper had to throw out: they all disagree.
-A jump in the course of a pass is a reason to ask, never one to leave a frame out: whoever numbers photographs of a yard
-makes jumps too. Frames whose ties contradict their place, or hardly hold it where the course jumps, are left out with
-the reason. Frames are asked one by one and in the groups that their agreeing ties join: each of three frames that stand
-wrong together has most of its ties with the other two, which agree.
+A repeated wall holds a frame, a block or a whole pass at the wrong place with ties that agree among themselves, and a
+bad start lets it slide along a straight path. What gives it away are the verified matches that the mapper had to throw
+out, those to the neighbours in the pass above all: the points that others made of them are not where it sees them.
+Frames are asked one by one and in the groups that their agreeing ties join: each of three frames that stand wrong
+together has most of its ties with the other two, which agree. How a pass goes on says nothing: who numbers photographs
+of a yard makes jumps too, and what stands beyond one on false ties has its neighbours' true ones against it.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -16,7 +16,6 @@ import numpy as np
 
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.weakties import strongest_first
-from tiegraph.sfm.placement.continuity import MotionContinuity, Segment, segments
 from tiegraph.sfm.tuning.placement import ConsistencyTuning
 from tiegraph.sfm.verified import VerifiedMatches
 
@@ -78,15 +77,6 @@ class SuspectFrames:
 
 
 @dataclass(frozen=True)
-class ConsistencyCheck:
-    """The frames of the main block, the doubtful ones, and those of the main block that stand beyond a jump."""
-
-    main: tuple[int, ...]
-    suspects: tuple[SuspectFrames, ...]
-    beyond: tuple[int, ...] = ()
-
-
-@dataclass(frozen=True)
 class ConsistencyScore:
     """What the ties of some frames to believed ones say of their place, in matches, and how many of these agree."""
 
@@ -118,11 +108,6 @@ class ConsistencyScore:
             )
         return ""
 
-    def holds(self) -> bool:
-        """Whether they hold the place by themselves, whatever the course of a pass says."""
-        enough = self.agree >= self.tuning.min_votes and self.partners >= self.tuning.min_partners
-        return enough and not self.contradiction()
-
 
 def consistency_score(
     frames: Collection[int], believed: set[int], scores: ConsistencyVotes, near: Sequence[set[int]]
@@ -145,69 +130,31 @@ def consistency_score(
     )
 
 
-def check_consistency(
-    positions: np.ndarray, scene: Scene, continuity: MotionContinuity, scores: ConsistencyVotes
-) -> ConsistencyCheck:
-    """Blocks that a jump parts from the rest and that their ties do not hold there, and frames whose ties contradict
-    their place, by themselves or together with those they are tied to most."""
-    blocks = [
-        sorted(f for _, frames in block for f in frames)
-        for block in _blocks(segments(positions, scene, continuity), scores)
-    ]
-    blocks.sort(key=lambda block: -len(block))
-    near = neighbours(scene, scores.tuning.near_steps)
-    main = set(blocks[0]) if blocks else set()
-    main |= set(np.flatnonzero(np.isfinite(positions).all(axis=1)).tolist()) - {f for block in blocks for f in block}
-    beyond, parted = _held(blocks[1:], main, scores, near)
-    main |= set(beyond)
-    suspects = [SuspectFrames(tuple(block), _torn(consistency_score(block, main, scores, near))) for block in parted]
-    for frame in sorted(main):
-        why = consistency_score([frame], main, scores, near).contradiction()
-        if why:
-            suspects.append(SuspectFrames((frame,), why))
-    suspects += _wrong_together(main, {f for d in suspects for f in d.frames}, scores, near)
-    doubted = {f for d in suspects for f in d.frames}
-    return ConsistencyCheck(tuple(sorted(main - doubted)), tuple(suspects), tuple(sorted(set(beyond) - doubted)))
-
-
-def _wrong_together(
-    main: set[int], doubted: set[int], scores: ConsistencyVotes, near: Sequence[set[int]]
-) -> list[SuspectFrames]:
-    """Groups of frames that agree among themselves and that their ties to the others contradict, each before those it
-    is part of; never the larger half. ``doubted``: frames that are in doubt by themselves."""
-    ends = np.array(sorted(scores.agree), int).reshape(-1, 2)
-    believed, out = main - doubted, []
-    strength = np.array([scores.agree[a, b] for a, b in ends.tolist()])
-    for group in strongest_first(ends[:, 0], ends[:, 1], strength, len(near)):
-        own = [f for f in group.tolist() if f in believed]
-        if not 1 < len(own) <= len(believed) // 2:
+def suspect_frames(placed: Collection[int], scene: Scene, scores: ConsistencyVotes) -> tuple[SuspectFrames, ...]:
+    """Of the frames that have a place those whose ties contradict it, by themselves or together with those they are
+    tied to most, which agree among themselves. First the frames or groups whose ties contradict most, for a pass at a
+    wrong place contradicts every frame of the others too; never the larger half."""
+    near, believed, out = neighbours(scene, scores.tuning.near_steps), set(placed), []
+    asked = [[frame] for frame in sorted(believed)] + _groups(scores, believed, len(near))
+    told = [consistency_score(frames, believed, scores, near) for frames in asked]
+    for k in sorted(range(len(asked)), key=lambda k: told[k].agree - told[k].against):
+        own = [f for f in asked[k] if f in believed]
+        if not told[k].contradiction() or not 0 < len(own) <= max(1, len(believed) // 2):
             continue
         why = consistency_score(own, believed, scores, near).contradiction()
         if why:
-            out.append(SuspectFrames(tuple(own), f"{why}, asked together with the {len(own) - 1} it is tied to most"))
-            believed = believed - set(own)
-    return out
+            together = f", asked together with the {len(own) - 1} it is tied to most" if len(own) > 1 else ""
+            out.append(SuspectFrames(tuple(own), why + together))
+            believed -= set(own)
+    return tuple(out)
 
 
-def _held(
-    blocks: list[list[int]], main: set[int], scores: ConsistencyVotes, near: Sequence[set[int]]
-) -> tuple[list[int], list[list[int]]]:
-    """Frames of the blocks that their ties hold where they are, and the other blocks; each lets the next lean on it."""
-    beyond: list[int] = []
-    while True:
-        held = [b for b in blocks if consistency_score(b, main | set(beyond), scores, near).holds()]
-        if not held:
-            return beyond, blocks
-        beyond += [f for b in held for f in b]
-        blocks = [b for b in blocks if b not in held]
-
-
-def _torn(ties: ConsistencyScore) -> str:
-    """Why a block beyond a jump is in doubt: by what its ties say."""
-    return ties.contradiction() or (
-        f"the course of its pass jumps there and its ties hardly hold it ({ties.agree:.0f} matches with "
-        f"{ties.partners} frames agree)"
-    )
+def _groups(scores: ConsistencyVotes, placed: set[int], frames: int) -> list[list[int]]:
+    """Those that agreeing ties join, the strongest first."""
+    ends = np.array(sorted({(min(pair), max(pair)) for pair in scores.agree}), int).reshape(-1, 2)
+    strength = np.array([scores.agree.get((a, b), 0.0) + scores.agree.get((b, a), 0.0) for a, b in ends.tolist()])
+    groups = strongest_first(ends[:, 0], ends[:, 1], strength, frames)
+    return [own for group in groups if len(own := [f for f in group.tolist() if f in placed]) > 1]
 
 
 def neighbours(scene: Scene, near_steps: int) -> list[set[int]]:
@@ -223,24 +170,3 @@ def neighbours(scene: Scene, near_steps: int) -> list[set[int]]:
         if scene.sequence[frame] >= 0:
             out[frame] = set(order[low[place] : high[place]].tolist()) - {frame}
     return out
-
-
-def _blocks(cut: list[Segment], scores: ConsistencyVotes) -> list[list[Segment]]:
-    """Pieces joined by agreeing ties, strongest first; two pieces of one pass that a jump parts never join."""
-    owner = {f: k for k, (_, frames) in enumerate(cut) for f in frames}
-    weight: dict[tuple[int, int], float] = {}
-    for (a, b), value in scores.agree.items():
-        if a in owner and b in owner and owner[a] != owner[b]:
-            key = (min(owner[a], owner[b]), max(owner[a], owner[b]))
-            weight[key] = weight.get(key, 0.0) + value
-    block = {k: [k] for k in range(len(cut))}
-    home = {k: k for k in range(len(cut))}
-    for (a, b), value in sorted(weight.items(), key=lambda item: -item[1]):
-        one, two = home[a], home[b]
-        tracks = {cut[k][0] for k in block[one]}
-        if one == two or value < scores.tuning.min_votes or tracks & {cut[k][0] for k in block[two]}:
-            continue
-        for k in block[two]:
-            home[k] = one
-        block[one] += block.pop(two)
-    return [[cut[k] for k in members] for members in block.values()]

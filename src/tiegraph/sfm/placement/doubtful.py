@@ -7,12 +7,9 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 
-from tiegraph.scene.colmapmodel import image_poses, model_rigs
 from tiegraph.scene.registered import LEFT_OUT
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.model import frame_poses
-from tiegraph.sfm.placement.consistency import ConsistencyCheck, check_consistency, consistency_votes
-from tiegraph.sfm.placement.continuity import motion_continuity
+from tiegraph.sfm.placement.consistency import consistency_votes, suspect_frames
 from tiegraph.sfm.tuning.placement import PlacementTuning
 from tiegraph.sfm.verified import VerifiedMatches, agreement, image_observations, read_verified
 from tiegraph.text import some
@@ -38,22 +35,17 @@ class PlacementCheck:
 
 
 def leave_out_doubtful(
-    model: pycolmap.Reconstruction,
-    scene: Scene,
-    source: MatchSource,
-    preview: np.ndarray | None,
-    tuning: PlacementTuning,
+    model: pycolmap.Reconstruction, scene: Scene, source: MatchSource, tuning: PlacementTuning
 ) -> PlacementCheck:
     """Test the place of every frame and take the doubtful ones out of ``model``.
 
-    ``preview``: (F, 4, 4) world_from_rig in a rough model that is believed. Where more than ``tuning.max_left_out`` of
-    the frames stand in doubt the model fell apart: none is taken out, and it is said.
+    Where more than ``tuning.max_left_out`` of the frames stand in doubt the model fell apart: none is taken out, and it
+    is said.
     """
-    verified = read_verified(source.database, scene, source.refused)
-    check = _judged(model, scene, verified, preview, tuning)
-    notes, why = _beyond_notes(check, scene), _reasons(check)
+    why = _doubts(model, scene, read_verified(source.database, scene, source.refused), tuning)
     if not why:
-        return PlacementCheck(notes)
+        return PlacementCheck()
+    notes: list[str] = []
     if len(why) > tuning.max_left_out * scene.frames:
         notes.append(f"{len(why)} of {scene.frames} frames stand in doubt: none is left out ({_named(why, scene)})")
         return PlacementCheck(notes)
@@ -72,14 +64,10 @@ def leave_out_doubtful(
 
 
 def doubted_frames(
-    model: pycolmap.Reconstruction,
-    scene: Scene,
-    verified: VerifiedMatches,
-    preview: np.ndarray | None,
-    tuning: PlacementTuning,
+    model: pycolmap.Reconstruction, scene: Scene, verified: VerifiedMatches, tuning: PlacementTuning
 ) -> list[int]:
-    """COLMAP's ids of the frames whose place is doubtful; ``preview``: see ``leave_out_doubtful``."""
-    doubted = _reasons(_judged(model, scene, verified, preview, tuning))
+    """COLMAP's ids of the frames whose place is doubtful."""
+    doubted = _doubts(model, scene, verified, tuning)
     return [frame_id for frame in sorted(doubted) for frame_id in _ids(model, scene, frame)]
 
 
@@ -90,32 +78,14 @@ def _ids(model: pycolmap.Reconstruction, scene: Scene, frame: int) -> list[int]:
     return sorted({image.frame_id for image in there if image.has_pose})
 
 
-def _reasons(check: ConsistencyCheck) -> dict[int, str]:
-    return {frame: suspect.why for suspect in check.suspects for frame in suspect.frames}
-
-
-def _judged(
-    model: pycolmap.Reconstruction,
-    scene: Scene,
-    verified: VerifiedMatches,
-    preview: np.ndarray | None,
-    tuning: PlacementTuning,
-) -> ConsistencyCheck:
-    poses = frame_poses(image_poses(model, scene), scene.with_(rigs=model_rigs(model, scene)))
-    centres = poses[:, :3, 3]
-    rough = None if preview is None else preview[:, :3, 3]
-    course = motion_continuity(centres, scene, rough, tuning.consistency)
-    agreed = agreement(verified, image_observations(model, scene, tuning.agreement))
-    return check_consistency(centres, scene, course, consistency_votes(verified, agreed, scene, tuning.consistency))
-
-
-def _beyond_notes(check: ConsistencyCheck, scene: Scene) -> list[str]:
-    if not check.beyond:
-        return []
-    return [
-        f"{len(check.beyond)} frames stand where the course of their pass jumps, and their ties hold them there: they "
-        f"stay ({_named(check.beyond, scene)})"
-    ]
+def _doubts(
+    model: pycolmap.Reconstruction, scene: Scene, verified: VerifiedMatches, tuning: PlacementTuning
+) -> dict[int, str]:
+    """Why frames stand in doubt."""
+    seen = image_observations(model, scene, tuning.agreement)
+    votes = consistency_votes(verified, agreement(verified, seen), scene, tuning.consistency)
+    suspects = suspect_frames({int(scene.frame[k]) for k in seen.cameras}, scene, votes)
+    return {frame: suspect.why for suspect in suspects for frame in suspect.frames}
 
 
 def _named(frames: Iterable[int], scene: Scene) -> str:
