@@ -122,9 +122,7 @@ class Run:
         if not made.folders:
             return None, [], made.refused
         model = read_model(made.folders[0])
-        found = leave_out_doubtful(
-            model, self.scene, MatchSource(source.database, self.refused), self.tuning.placement
-        )
+        found = leave_out_doubtful(model, self.scene, MatchSource(source.database, self.refused), self.tuning.placement)
         return model, found.notes, ""
 
 

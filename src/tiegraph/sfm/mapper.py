@@ -299,7 +299,7 @@ def _account(job: Job, outcome: Outcome, finished: FinishResult) -> SparseResult
             **finished.tables,
             **job.account.tables,
         },
-        counts=_counts(job, models, sum(len(group.frames) for group in weak)),
+        counts=_counts(job, models, sum(len(group.frames) for group in weak)) | finished.counts,
         sigma=finished.sigma,
     )
 

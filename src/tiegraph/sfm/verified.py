@@ -66,11 +66,14 @@ class ImageObservations:
     frame: np.ndarray  # (N,) of each image of the scene
     tuning: AgreementTuning
 
-    def elsewhere(self, image: int, point: np.ndarray) -> np.ndarray:
-        """(K,) how many frames beside that of an image see points (rows, -1 = none: 0)."""
-        key = point * len(self.frame) + self.frame[image]
-        own = np.searchsorted(self.seen, key, side="right") > np.searchsorted(self.seen, key)
-        return np.where(point >= 0, self.frames[point] - own, 0)
+    def elsewhere(self, image: np.ndarray, point: np.ndarray) -> np.ndarray:
+        """(K,) bool: two frames beside that of an image (K,) see a point (K,) (row, -1 = none)."""
+        count = np.where(point >= 0, self.frames[point], 0)
+        out, open_ = count > 2, np.flatnonzero(count == 2)
+        key = point[open_] * len(self.frame) + self.frame[image[open_]]
+        at = np.searchsorted(self.seen, key)
+        out[open_] = self.seen[np.minimum(at, len(self.seen) - 1)] != key
+        return np.asarray(out)
 
 
 def image_observations(model: pycolmap.Reconstruction, scene: Scene, tuning: AgreementTuning) -> ImageObservations:
@@ -101,32 +104,52 @@ def agreement(verified: VerifiedMatches, seen: ImageObservations) -> np.ndarray:
     rays alone meet wherever one image slides along the line to the other. They are asked where no such point tells and
     none speaks against the key point.
     """
-    out = np.zeros((len(verified.pairs), 3))
-    count = np.array([len(m) for m in verified.matches], int)
-    known = np.isin(verified.pairs, list(seen.cameras)).all(axis=1)
-    rows = np.flatnonzero(known & (count >= seen.tuning.least_matches))
-    if not len(rows):
-        return out
-    keys = _KeyPoints(verified, seen)
-    at = np.concatenate([verified.matches[k] + keys.start[verified.pairs[k]] for k in rows])
-    pair = np.repeat(rows, count[rows])
+    rows, pair, at, keys = _matches(verified, seen)
     told = np.stack([_in_parts(keys.at_points, at[:, end], at[:, 1 - end]) for end in (0, 1)])
     yes, asked = (np.bincount(at.T[of], minlength=len(keys.point)) for of in (told == 1, told >= 0))
     told[(told < 0) & ((yes == 0) & (asked > 0))[at.T]] = 0
-    meets = _in_parts(keys.meet, at, verified.pairs[pair])
-    share = [np.bincount(pair, np.where(t < 0, meets, t > 0), len(out))[rows] / count[rows] for t in told]
-    out[rows] = np.minimum(count[rows], seen.tuning.matches_a_pair)[:, None] * np.column_stack(
-        [*share, share[0] * 0 + 1]
-    )
-    return out
+    left = np.flatnonzero((told < 0).any(axis=0))
+    meets = np.zeros(len(at), bool)
+    meets[left] = _in_parts(keys.meet, at[left], verified.pairs[pair[left]])
+    return _of_pairs(verified, seen, rows, pair, *(np.where(t < 0, meets, t > 0) for t in told))
 
 
-_OTHERS = 2  # frames that make a point
+def rays_meet(verified: VerifiedMatches, seen: ImageObservations) -> np.ndarray:
+    """(P, 2): matches of each pair whose two rays meet, whatever other images say, and all of them, capped likewise."""
+    rows, pair, at, keys = _matches(verified, seen)
+    return _of_pairs(verified, seen, rows, pair, _in_parts(keys.meet, at, verified.pairs[pair]))
+
+
+def _matches(
+    verified: VerifiedMatches, seen: ImageObservations
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, _KeyPoints]:
+    """Pairs (R,) that have an opinion; of each of their matches the pair (M,) and the numbers of its key points (M, 2)
+    among those of all images."""
+    keys = _KeyPoints(verified, seen)
+    enough = np.array([len(m) >= seen.tuning.least_matches for m in verified.matches], bool)
+    rows = np.flatnonzero(np.isin(verified.pairs, list(seen.cameras)).all(axis=1) & enough)
+    at = [verified.matches[k] + keys.start[verified.pairs[k]] for k in rows]
+    pair = np.repeat(rows, [len(a) for a in at])
+    return rows, pair, np.concatenate([np.zeros((0, 2), int), *at]), keys
+
+
+def _of_pairs(
+    verified: VerifiedMatches, seen: ImageObservations, rows: np.ndarray, pair: np.ndarray, *right: np.ndarray
+) -> np.ndarray:
+    """(P, K + 1): of the matches of each pair those that are right (M,) in each of K ways, and all, capped."""
+    count = np.array([len(verified.matches[k]) for k in rows], int)
+    all_ = np.zeros(len(verified.pairs))
+    all_[rows] = np.minimum(count, seen.tuning.matches_a_pair)
+    found = [np.bincount(pair, r, len(all_)) / np.maximum(np.bincount(pair, minlength=len(all_)), 1) for r in right]
+    return np.column_stack([*(share * all_ for share in found), all_])
+
+
 _PART = 1 << 18  # matches that are looked at at once: bounds the memory
 
 
 def _in_parts(function: Callable[..., np.ndarray], *arrays: np.ndarray) -> np.ndarray:
-    return np.concatenate([function(*(a[k : k + _PART] for a in arrays)) for k in range(0, len(arrays[0]), _PART)])
+    starts = range(0, max(len(arrays[0]), 1), _PART)
+    return np.concatenate([function(*(a[k : k + _PART] for a in arrays)) for k in starts])
 
 
 class _KeyPoints:
@@ -136,15 +159,15 @@ class _KeyPoints:
         images, self._seen = sorted(seen.cameras), seen
         count = [len(seen.point[k]) for k in images]
         self.start = np.zeros(len(seen.frame), int)
-        self.start[images] = np.cumsum([0, *count[:-1]])
-        self.point = np.concatenate([seen.point[k] for k in images])
+        self.start[images] = np.cumsum([0, *count])[:-1]
+        self.point = np.concatenate([np.zeros(0, int), *(seen.point[k] for k in images)])
         self._image = np.repeat(images, count)
-        none = np.zeros((0, 2))
-        self._ray = np.concatenate([rays_or_axis(seen.cameras[k], verified.xy.get(k, none)) for k in images])
+        rays = [rays_or_axis(seen.cameras[k], verified.xy[k]) for k in images]
+        self._ray = np.concatenate([np.zeros((0, 3)), *rays])
         usual = np.median(list(seen.reach.values()), axis=0) if seen.reach else np.array([0.0, np.inf])
         self._pose, self._reach = np.full((len(seen.frame), 4, 4), np.nan), np.tile(usual, (len(seen.frame), 1))
         for table, values in ((self._pose, seen.cam_from_world), (self._reach, seen.reach)):
-            table[list(values)] = list(values.values())
+            table[list(values)] = np.reshape(list(values.values()), (-1, *table.shape[1:]))
 
     def at_points(self, own: np.ndarray, matched: np.ndarray) -> np.ndarray:
         """(M,) whether key points lie where the points of those matched to them are: 1, 0; -1 = too few made these."""
@@ -152,7 +175,7 @@ class _KeyPoints:
         local = np.einsum("mij,mj->mi", self._pose[image, :3, :3], seen.xyz[point]) + self._pose[image, :3, 3]
         along = np.sum(local * self._ray[own], axis=1)
         there = along > np.cos(seen.tuning.tolerance_rad) * np.linalg.norm(local, axis=1)
-        return np.where(seen.elsewhere(image, point) < _OTHERS, -1, there)
+        return np.where(seen.elsewhere(image, point), there, -1)
 
     def meet(self, at: np.ndarray, images: np.ndarray) -> np.ndarray:
         """(M,) bool: the rays of matches (M, 2) of images (M, 2) meet, ahead of both and within reach (or far off,

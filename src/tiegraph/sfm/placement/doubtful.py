@@ -1,6 +1,6 @@
 """Frames whose verified matches contradict their place are left out of a model, each with its reason."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -11,10 +11,11 @@ from tiegraph.scene.registered import LEFT_OUT
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.placement.consistency import consistency_votes, suspect_frames
 from tiegraph.sfm.tuning.placement import PlacementTuning
-from tiegraph.sfm.verified import VerifiedMatches, agreement, image_observations, read_verified
+from tiegraph.sfm.verified import ImageObservations, VerifiedMatches, agreement, image_observations, read_verified
 from tiegraph.text import some
 
 _NAMED = 4  # frames that a remark names; the table has all
+_LEAST = 5  # frames that a table shows
 
 
 @dataclass(frozen=True)
@@ -23,6 +24,49 @@ class MatchSource:
 
     database: Path
     refused: Sequence[tuple[int, int]] = ()
+
+    def read(self, scene: Scene) -> VerifiedMatches:
+        """They."""
+        return read_verified(self.database, scene, self.refused)
+
+
+@dataclass(frozen=True)
+class Explained:
+    """Which verified matches a model explains, by pair of images (``agreement``), and why frames stand in doubt."""
+
+    scene: Scene
+    verified: VerifiedMatches
+    seen: ImageObservations
+    agreed: np.ndarray
+    doubts: Mapping[int, str]
+
+    def percent(self) -> float:
+        """Of the matches that have an opinion."""
+        return float(50 * self.agreed[:, :2].sum() / max(self.agreed[:, 2].sum(), 1.0))
+
+    def table(self) -> dict:
+        """The frames of whose matches with other frames the model explains least."""
+        frames = self.scene.frame[self.verified.pairs]
+        of, apart = frames.T.ravel(), np.tile(frames[:, 0] != frames[:, 1], 2)
+        sums = [
+            np.bincount(of, apart * v, self.scene.frames)
+            for v in (self.agreed[:, :2].T.ravel(), np.tile(self.agreed[:, 2], 2))
+        ]
+        share = sums[0] / np.maximum(sums[1], 1)
+        least = [f for f in np.argsort(share, kind="stable").tolist() if sums[1][f] > 0][:_LEAST]
+        rows = [[self.scene.frame_names[f], int(sums[1][f]), round(100 * float(share[f]), 1)] for f in least]
+        return {"columns": ["frame", "matches", "explained %"], "rows": rows}
+
+
+def explained(
+    model: pycolmap.Reconstruction, scene: Scene, verified: VerifiedMatches, tuning: PlacementTuning
+) -> Explained:
+    """Ask a model for all its verified matches."""
+    seen = image_observations(model, scene, tuning.agreement)
+    agreed = agreement(verified, seen)
+    votes = consistency_votes(verified, agreed, scene, tuning.consistency)
+    suspects = suspect_frames({int(scene.frame[k]) for k in seen.cameras}, scene, votes)
+    return Explained(scene, verified, seen, agreed, {f: suspect.why for suspect in suspects for f in suspect.frames})
 
 
 @dataclass(frozen=True)
@@ -42,12 +86,12 @@ def leave_out_doubtful(
     Where more than ``tuning.max_left_out`` of the frames stand in doubt the model fell apart: none is taken out, and it
     is said.
     """
-    why = _doubts(model, scene, read_verified(source.database, scene, source.refused), tuning)
+    why = explained(model, scene, source.read(scene), tuning).doubts
     if not why:
         return PlacementCheck()
     notes: list[str] = []
     if len(why) > tuning.max_left_out * scene.frames:
-        notes.append(f"{len(why)} of {scene.frames} frames stand in doubt: none is left out ({_named(why, scene)})")
+        notes.append(f"{len(why)} of {scene.frames} frames stand in doubt: none is left out ({named(why, scene)})")
         return PlacementCheck(notes)
     notes.append(
         f"{len(why)} of {scene.frames} frames stood at a doubtful place and were left out; see the table of placement"
@@ -67,7 +111,7 @@ def doubted_frames(
     model: pycolmap.Reconstruction, scene: Scene, verified: VerifiedMatches, tuning: PlacementTuning
 ) -> list[int]:
     """COLMAP's ids of the frames whose place is doubtful."""
-    doubted = _doubts(model, scene, verified, tuning)
+    doubted = explained(model, scene, verified, tuning).doubts
     return [frame_id for frame in sorted(doubted) for frame_id in _ids(model, scene, frame)]
 
 
@@ -78,15 +122,6 @@ def _ids(model: pycolmap.Reconstruction, scene: Scene, frame: int) -> list[int]:
     return sorted({image.frame_id for image in there if image.has_pose})
 
 
-def _doubts(
-    model: pycolmap.Reconstruction, scene: Scene, verified: VerifiedMatches, tuning: PlacementTuning
-) -> dict[int, str]:
-    """Why frames stand in doubt."""
-    seen = image_observations(model, scene, tuning.agreement)
-    votes = consistency_votes(verified, agreement(verified, seen), scene, tuning.consistency)
-    suspects = suspect_frames({int(scene.frame[k]) for k in seen.cameras}, scene, votes)
-    return {frame: suspect.why for suspect in suspects for frame in suspect.frames}
-
-
-def _named(frames: Iterable[int], scene: Scene) -> str:
+def named(frames: Iterable[int], scene: Scene) -> str:
+    """The first of some frames."""
     return some([scene.frame_names[f] for f in sorted(frames)], _NAMED)

@@ -12,7 +12,7 @@ import numpy as np
 
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.tuning.rig import CameraMatchesTuning
-from tiegraph.sfm.verified import ImageObservations, VerifiedMatches, agreement
+from tiegraph.sfm.verified import ImageObservations, VerifiedMatches, rays_meet
 
 
 @dataclass(frozen=True)
@@ -32,8 +32,8 @@ def camera_matches(
     verified: VerifiedMatches, seen: ImageObservations, scene: Scene, tuning: CameraMatchesTuning
 ) -> list[CameraMatches]:
     """All two cameras of one rig that enough pairs of images tie, against the poses of a model."""
-    explained = agreement(verified, seen)
-    told = explained[:, -1] > 0
+    explained = rays_meet(verified, seen)
+    told = explained[:, 1] > 0
     rows, explained = verified.pairs[told], explained[told]
     cameras = np.sort(scene.sensor_key[rows], axis=1).reshape(-1, 2)
     rigs = scene.rig[scene.frame[rows]].reshape(-1, 2)
@@ -41,8 +41,8 @@ def camera_matches(
     for pair in np.unique(cameras[rigs[:, 0] == rigs[:, 1]], axis=0):
         of = (cameras == pair).all(axis=1)
         if of.sum() >= tuning.min_pairs:
-            one, two, all_ = explained[of].sum(axis=0)
-            share[int(pair[0]), int(pair[1])] = (int(of.sum()), float((one + two) / (2 * all_)))
+            agree, all_ = explained[of].sum(axis=0)
+            share[int(pair[0]), int(pair[1])] = (int(of.sum()), float(agree / all_))
     out = []
     for (a, b), (count, between) in share.items():
         if a != b and (a, a) in share and (b, b) in share:
