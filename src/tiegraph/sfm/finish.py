@@ -15,7 +15,8 @@ from tiegraph.sfm import shutter
 from tiegraph.sfm.adjustment.adjust import final_adjustment, free_cameras, robust_cost
 from tiegraph.sfm.adjustment.rigpriors import nominal_geometry, rig_priors
 from tiegraph.sfm.covariance import Mounting, PositionSigma, position_sigma
-from tiegraph.sfm.placement.doubtful import PlacementCheck, explained, leave_out_doubtful, named
+from tiegraph.sfm.placement import rival
+from tiegraph.sfm.placement.doubtful import PlacementCheck, explained, frame_ids, leave_out_doubtful, named
 from tiegraph.sfm.relativesigma import between_frames, own_paths
 from tiegraph.sfm.rig import cameramatches
 from tiegraph.sfm.rig.support import place_as_given, units_per_metre
@@ -49,12 +50,12 @@ def finish_model(request: FinishRequest, send: Callable[[Any], None]) -> FinishR
     claim(request.target)
     request.target.mkdir(parents=True, exist_ok=True)
     checked = _without_rolling(_adjusted(mapped, scene, request), mapped, scene, request)
-    matches = _matches(checked, scene, request)
+    matches, steps = _matches(checked, scene, request)
     if request.held.unsupported:
         place_as_given(checked.model, scene, request.held.unsupported, request.tuning)
     colours = _coloured(checked.model, request)
     checked.model.write(request.target)
-    precision = _precision(checked, scene, request)
+    precision = _precision(checked, scene, request, steps)
     return _combined(placement, _rig_findings(checked), matches, colours, precision)
 
 
@@ -171,28 +172,29 @@ def _rig_findings(checked: Checked) -> FinishResult:
     return FinishResult(checked.notes, {**checked.tables, **given}, contradictions=checked.contradictions)
 
 
-def _matches(checked: Checked, scene: Scene, request: FinishRequest) -> FinishResult:
+def _matches(checked: Checked, scene: Scene, request: FinishRequest) -> tuple[FinishResult, dict[int, np.ndarray]]:
     """How much of the verified matches the model explains as it is in the end, whose contradict their places all the
-    same, and whether those between the cameras of rigs agree."""
+    same, and whether those between the cameras of rigs agree; steps to where else frames (COLMAP's ids) could stand."""
     if request.matched is None or request.rough:
-        return FinishResult()
+        return FinishResult(), {}
     try:
         found = explained(checked.model, scene, request.matched.read(scene), request.tuning.placement)
+        other = rival.rivals(found)
     except (RuntimeError, ValueError, np.linalg.LinAlgError) as error:
-        return FinishResult([f"the matches could not be checked against the model: {error}"])
-    tables, said = {"matches explained, the frames with the least": found.table()}, []
-    if found.doubts:
+        return FinishResult([f"the matches could not be checked against the model: {error}"]), {}
+    tables, said = {"matches explained, the frames with the least": found.table()}, rival.told(other, scene)
+    if lost := found.doubts.keys() - other.keys():
         said.append(
-            f"most matches of {len(found.doubts)} frames contradict their place in the end: they may be off by more "
-            f"than is stated ({named(found.doubts, scene)})"
+            f"most matches of {len(lost)} frames contradict their place in the end: they may be off by more than is "
+            f"stated ({named(lost, scene)})"
         )
     if request.held.rigs:
         between = cameramatches.camera_matches(found.verified, found.seen, scene, request.tuning.rig.camera_matches)
         tables |= {"matches between cameras": cameramatches.table(between, scene)} if between else {}
         said += cameramatches.sentence(between, scene)
-    return FinishResult(
-        tables=tables, contradictions=said, counts={"matches_explained_percent": round(found.percent(), 1)}
-    )
+    steps = {k: r.step for f, r in other.items() for k in frame_ids(checked.model, scene, f)}
+    counts = {"matches_explained_percent": round(found.percent(), 1)}
+    return FinishResult(tables=tables, contradictions=said, counts=counts), steps
 
 
 def _coloured(model: pycolmap.Reconstruction, request: FinishRequest) -> FinishResult:
@@ -205,14 +207,15 @@ def _coloured(model: pycolmap.Reconstruction, request: FinishRequest) -> FinishR
     return FinishResult()
 
 
-def _precision(checked: Checked, scene: Scene, request: FinishRequest) -> FinishResult:
-    """The sigmas of positions, lenses and mountings, between frames and along the cameras' own paths."""
+def _precision(checked: Checked, scene: Scene, request: FinishRequest, steps: Mapping[int, np.ndarray]) -> FinishResult:
+    """The sigmas of positions, lenses and mountings, between frames and along the cameras' own paths; ``steps``: to
+    where else frames could stand."""
     frames = checked.model.num_reg_frames()
     if frames > request.covariance_frames:
         many = f"position sigmas not computed: {frames} frames, more than sparse.covariance_frames"
         return FinishResult([many] if request.covariance_frames > 0 else [])
     try:
-        sigma = _position_sigma(checked, scene, request)
+        sigma = _position_sigma(checked, scene, request).covering(steps)
     except (ValueError, RuntimeError, np.linalg.LinAlgError) as error:
         return FinishResult([f"position sigmas could not be computed: {error}"])
     names = {k + 1: s.name for k, s in enumerate(scene.all_sensors)}

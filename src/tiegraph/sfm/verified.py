@@ -79,7 +79,7 @@ class ImageObservations:
 def image_observations(model: pycolmap.Reconstruction, scene: Scene, tuning: AgreementTuning) -> ImageObservations:
     """The registered images of a model that the scene knows."""
     ids = np.array(sorted(model.point3D_ids()), np.int64)
-    xyz = np.array([model.point3D(int(k)).xyz for k in ids]).reshape(-1, 3)
+    xyz = np.array([model.point3D(int(k)).xyz for k in ids] or np.zeros((1, 3)))
     cameras, poses, point, reach, keys = {}, {}, {}, {}, [np.zeros(0, np.int64)]
     for k, image in registered_images(model, scene):
         cameras[k] = model.camera(image.camera_id)
@@ -112,6 +112,31 @@ def agreement(verified: VerifiedMatches, seen: ImageObservations) -> np.ndarray:
     meets = np.zeros(len(at), bool)
     meets[left] = _in_parts(keys.meet, at[left], verified.pairs[pair[left]])
     return _of_pairs(verified, seen, rows, pair, *(np.where(t < 0, meets, t > 0) for t in told))
+
+
+@dataclass(frozen=True)
+class Sightings:
+    """Of K key points of some images the points that other frames made of what they match: ``image`` (K,) scene index,
+    ``xy`` (K, 2) px, ``xyz`` (K, 3), and whether they are seen ``there`` (K,) bool."""
+
+    image: np.ndarray
+    xy: np.ndarray
+    xyz: np.ndarray
+    there: np.ndarray
+
+
+def sightings(verified: VerifiedMatches, seen: ImageObservations, frame: int) -> Sightings:
+    """Those of a frame, each key point with each point once."""
+    own = seen.frame[verified.pairs] == frame
+    _, pair, at, keys = _matches(verified.where(own.any(axis=1)), seen)
+    mine = own[own.any(axis=1)][pair]
+    both = np.unique(np.concatenate([at[mine[:, 0]], at[mine[:, 1]][:, ::-1]]), axis=0)
+    told = _in_parts(keys.at_points, both[:, 0], both[:, 1])
+    key, point, there = both[told >= 0, 0], keys.point[both[told >= 0, 1]], told[told >= 0] == 1
+    first = np.unique(np.column_stack([key, point]), axis=0, return_index=True)[1]
+    key, point, there = key[first], point[first], there[first]
+    xy = np.array([verified.xy[i][k - keys.start[i]] for i, k in zip(keys.image[key], key)]).reshape(-1, 2)
+    return Sightings(keys.image[key], xy, seen.xyz[point], there)
 
 
 def rays_meet(verified: VerifiedMatches, seen: ImageObservations) -> np.ndarray:
@@ -153,15 +178,16 @@ def _in_parts(function: Callable[..., np.ndarray], *arrays: np.ndarray) -> np.nd
 
 
 class _KeyPoints:
-    """All key points of a model's images in one row: ``start`` (N,) of each image, ``point`` (K,) row or -1."""
+    """All key points of a model's images in one row: ``start`` (N,) of each image; ``image`` (K,); ``point`` (K,) row,
+    -1 = none."""
 
     def __init__(self, verified: VerifiedMatches, seen: ImageObservations) -> None:
-        images, self._seen = sorted(seen.cameras), seen
+        images, self._seen = sorted(seen.cameras.keys() & verified.xy.keys()), seen
         count = [len(seen.point[k]) for k in images]
         self.start = np.zeros(len(seen.frame), int)
         self.start[images] = np.cumsum([0, *count])[:-1]
         self.point = np.concatenate([np.zeros(0, int), *(seen.point[k] for k in images)])
-        self._image = np.repeat(images, count)
+        self.image = np.repeat(np.array(images, int), count)
         rays = [rays_or_axis(seen.cameras[k], verified.xy[k]) for k in images]
         self._ray = np.concatenate([np.zeros((0, 3)), *rays])
         usual = np.median(list(seen.reach.values()), axis=0) if seen.reach else np.array([0.0, np.inf])
@@ -171,7 +197,7 @@ class _KeyPoints:
 
     def at_points(self, own: np.ndarray, matched: np.ndarray) -> np.ndarray:
         """(M,) whether key points lie where the points of those matched to them are: 1, 0; -1 = too few made these."""
-        point, seen, image = self.point[matched], self._seen, self._image[own]
+        point, seen, image = self.point[matched], self._seen, self.image[own]
         local = np.einsum("mij,mj->mi", self._pose[image, :3, :3], seen.xyz[point]) + self._pose[image, :3, 3]
         along = np.sum(local * self._ray[own], axis=1)
         there = along > np.cos(seen.tuning.tolerance_rad) * np.linalg.norm(local, axis=1)

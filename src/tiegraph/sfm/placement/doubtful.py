@@ -10,7 +10,7 @@ import pycolmap
 from tiegraph.scene.registered import LEFT_OUT
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.placement.consistency import consistency_votes, suspect_frames
-from tiegraph.sfm.tuning.placement import PlacementTuning
+from tiegraph.sfm.tuning.placement import ConsistencyTuning, PlacementTuning
 from tiegraph.sfm.verified import ImageObservations, VerifiedMatches, agreement, image_observations, read_verified
 from tiegraph.text import some
 
@@ -39,22 +39,25 @@ class Explained:
     seen: ImageObservations
     agreed: np.ndarray
     doubts: Mapping[int, str]
+    tuning: ConsistencyTuning
 
     def percent(self) -> float:
         """Of the matches that have an opinion."""
         return float(50 * self.agreed[:, :2].sum() / max(self.agreed[:, 2].sum(), 1.0))
 
+    def of_frames(self) -> np.ndarray:
+        """(F, 2): matches of each frame with others that are explained, and all."""
+        frames = self.scene.frame[self.verified.pairs]
+        apart = np.tile(frames[:, 0] != frames[:, 1], 2)
+        values = self.agreed[:, :2].T.ravel(), np.tile(self.agreed[:, 2], 2)
+        return np.column_stack([np.bincount(frames.T.ravel(), apart * v, self.scene.frames) for v in values])
+
     def table(self) -> dict:
         """The frames of whose matches with other frames the model explains least."""
-        frames = self.scene.frame[self.verified.pairs]
-        of, apart = frames.T.ravel(), np.tile(frames[:, 0] != frames[:, 1], 2)
-        sums = [
-            np.bincount(of, apart * v, self.scene.frames)
-            for v in (self.agreed[:, :2].T.ravel(), np.tile(self.agreed[:, 2], 2))
-        ]
-        share = sums[0] / np.maximum(sums[1], 1)
-        least = [f for f in np.argsort(share, kind="stable").tolist() if sums[1][f] > 0][:_LEAST]
-        rows = [[self.scene.frame_names[f], int(sums[1][f]), round(100 * float(share[f]), 1)] for f in least]
+        matches = self.of_frames()
+        share = matches[:, 0] / np.maximum(matches[:, 1], 1)
+        least = [f for f in np.argsort(share, kind="stable").tolist() if matches[f, 1] > 0][:_LEAST]
+        rows = [[self.scene.frame_names[f], int(matches[f, 1]), round(100 * float(share[f]), 1)] for f in least]
         return {"columns": ["frame", "matches", "explained %"], "rows": rows}
 
 
@@ -66,7 +69,7 @@ def explained(
     agreed = agreement(verified, seen)
     votes = consistency_votes(verified, agreed, scene, tuning.consistency)
     suspects = suspect_frames({int(scene.frame[k]) for k in seen.cameras}, scene, votes)
-    return Explained(scene, verified, seen, agreed, {f: suspect.why for suspect in suspects for f in suspect.frames})
+    return Explained(scene, verified, seen, agreed, {f: s.why for s in suspects for f in s.frames}, tuning.consistency)
 
 
 @dataclass(frozen=True)
@@ -100,7 +103,7 @@ def leave_out_doubtful(
     dropped: list[tuple[str, str]] = []
     for frame, reason in sorted(why.items()):
         names = [scene.names[k] for k in np.flatnonzero(scene.frame == frame)]
-        for frame_id in _ids(model, scene, frame):
+        for frame_id in frame_ids(model, scene, frame):
             model.deregister_frame(frame_id)
         rows.append([names[0], reason])
         dropped += [(name, f"{LEFT_OUT}{reason}") for name in names]
@@ -112,10 +115,10 @@ def doubted_frames(
 ) -> list[int]:
     """COLMAP's ids of the frames whose place is doubtful."""
     doubted = explained(model, scene, verified, tuning).doubts
-    return [frame_id for frame in sorted(doubted) for frame_id in _ids(model, scene, frame)]
+    return [frame_id for frame in sorted(doubted) for frame_id in frame_ids(model, scene, frame)]
 
 
-def _ids(model: pycolmap.Reconstruction, scene: Scene, frame: int) -> list[int]:
+def frame_ids(model: pycolmap.Reconstruction, scene: Scene, frame: int) -> list[int]:
     """Of a frame of the scene those of COLMAP that are in the model: without a rig one an image."""
     names = [scene.names[k] for k in np.flatnonzero(scene.frame == frame)]
     there = [image for name in names if (image := model.find_image_with_name(name)) is not None]
