@@ -14,7 +14,8 @@ from tiegraph.geometry import transforms
 from tiegraph.scene.colmapmodel import image_poses, rigid3d
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.placement.consistency import ConsistencyVotes, SuspectFrames, suspect_frames
-from tiegraph.sfm.placement.doubtful import MatchSource, PlacementCheck, leave_out_doubtful
+from tiegraph.sfm.placement.doubtful import Explained, MatchSource, PlacementCheck, explained, leave_out_doubtful
+from tiegraph.sfm.placement.rival import rivals, told
 from tiegraph.sfm.tuning.placement import PlacementTuning
 
 TUNING = PlacementTuning()
@@ -29,6 +30,10 @@ def world(tmp_path: Path) -> tuple[pycolmap.Reconstruction, Scene]:
 
 def _test(model: pycolmap.Reconstruction, scene: Scene, folder: Path) -> PlacementCheck:
     return leave_out_doubtful(model, scene, MatchSource(folder / "database.db"), TUNING)
+
+
+def _explained(model: pycolmap.Reconstruction, scene: Scene, folder: Path) -> Explained:
+    return explained(model, scene, MatchSource(folder / "database.db").read(scene), TUNING)
 
 
 def _suspects(scene: Scene, agree: dict, contradict: dict) -> tuple[SuspectFrames, ...]:
@@ -89,6 +94,28 @@ def test_a_frame_that_slid_along_the_line_to_the_others_is_left_out(world, tmp_p
     _shift(model, range(13, 14), steps * np.diff(_centres(model, scene)[12:], axis=0)[0])
     found = _test(model, scene, tmp_path)
     assert [row[0] for row in found.table["rows"]] == ["cam0/013.jpg"]
+
+
+@pytest.mark.parametrize(("cameras", "percent"), [(3, 88.4), (1, 88.4)])
+def test_where_else_a_frame_could_stand_is_found(world, tmp_path: Path, cameras: int, percent: float) -> None:
+    """Of a rig and of one camera: the true place, by the points of the others; how much the model explains is told."""
+    model, scene = world
+    if cameras == 1:
+        for k in [k for k in model.reg_image_ids() if model.image(k).camera_id > 1]:
+            for row in range(model.image(k).num_points2D()):
+                if model.image(k).point2D(row).has_point3D():
+                    model.delete_observation(k, row)
+        write_database(model, tmp_path / "database.db")
+    assert rivals(_explained(model, scene, tmp_path)) == {}
+    _shift(model, range(6, 7), (0.5, 0, 3))
+    found = _explained(model, scene, tmp_path)
+    (frame, rival), *more = rivals(found).items()
+    assert frame == 6 and not more and rival.here < 0.2 * rival.there
+    assert np.allclose(rival.step, (-0.5, 0, -3), atol=0.02)
+    assert found.table()["rows"][0][0] == "cam0/006.jpg" and found.table()["rows"][0][2] < 20
+    assert found.percent() == pytest.approx(percent, abs=3)
+    (said,) = told({6: rival}, scene)
+    assert f"cam0/006.jpg: {rival.here} matches agree with its place, {rival.there} with one 3.04 units" in said
 
 
 def test_a_model_that_fell_apart_keeps_its_frames_and_it_is_said(world, tmp_path: Path) -> None:

@@ -47,7 +47,9 @@ def sparse(run: Run) -> Outcome:
     )
     counts = dict(made.counts)
     if made.sigma is not None:
+        largest = float(np.linalg.norm(made.sigma.sigma, axis=1).max())
         counts |= {"position_sigma_median": made.sigma.median, "position_sigma_p90": made.sigma.p90}
+        counts["position_sigma_largest"] = largest
         if made.sigma.scale is not None:
             counts["scale_sigma"] = made.sigma.scale
     said = made.remarks
