@@ -36,9 +36,9 @@ def _explained(model: pycolmap.Reconstruction, scene: Scene, folder: Path) -> Ex
     return explained(model, scene, MatchSource(folder / "database.db").read(scene), TUNING)
 
 
-def _suspects(scene: Scene, agree: dict, contradict: dict) -> tuple[SuspectFrames, ...]:
-    """By ties (a, b), a < b, of which both frames tell the same."""
-    both = ({**table, **{(b, a): n for (a, b), n in table.items()}} for table in (agree, contradict))
+def _suspects(scene: Scene, *tables: dict) -> tuple[SuspectFrames, ...]:
+    """By agreeing and contradicting ties (a, b), of which both frames tell the same."""
+    both = [{f: {a + b - f: n for (a, b), n in table.items() if f in (a, b)} for f in range(20)} for table in tables]
     return suspect_frames(range(scene.frames), scene, ConsistencyVotes(*both, TUNING.consistency))
 
 

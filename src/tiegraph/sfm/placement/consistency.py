@@ -10,7 +10,6 @@ of a yard makes jumps too, and what stands beyond one on false ties has its neig
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -22,49 +21,33 @@ from tiegraph.sfm.verified import VerifiedMatches
 
 @dataclass(frozen=True)
 class ConsistencyVotes:
-    """What ties say of a model: agreeing and contradicting matches by (a, b): of frame a with frame b, as a tells."""
+    """What ties say of a model: matches of frame a with b that agree and that contradict, as a tells: by a, then b."""
 
-    agree: Mapping[tuple[int, int], float]
-    contradict: Mapping[tuple[int, int], float]
+    agree: Mapping[int, Mapping[int, float]]
+    contradict: Mapping[int, Mapping[int, float]]
     tuning: ConsistencyTuning
 
-    def of(self, frame: int, others: set[int] | None = None) -> tuple[float, float]:
+    def of(self, frame: int, others: set[int] | None = None) -> list[float]:
         """Agreeing and contradicting matches of a frame with others."""
-        sums = [0.0, 0.0]
-        for side, table in enumerate(self._beside):
-            own = table.get(frame, {})
-            sums[side] = float(sum(v for other, v in own.items() if others is None or other in others))
-        return sums[0], sums[1]
+        tables = (table.get(frame, {}) for table in (self.agree, self.contradict))
+        return [sum((v for other, v in own.items() if others is None or other in others), 0.0) for own in tables]
 
     def partners(self, frame: int, others: set[int]) -> set[int]:
         """Those of the others whose ties to a frame agree."""
-        return self._beside[0].get(frame, {}).keys() & others
-
-    @cached_property
-    def _beside(self) -> tuple[dict[int, dict[int, float]], ...]:
-        """Both tables by frame: asking every frame must not read every pair."""
-        out: list[dict[int, dict[int, float]]] = []
-        for table in (self.agree, self.contradict):
-            out.append({})
-            for (a, b), value in table.items():
-                out[-1].setdefault(a, {})[b] = value
-        return tuple(out)
+        return self.agree.get(frame, {}).keys() & others
 
 
 def consistency_votes(
     verified: VerifiedMatches, agreed: np.ndarray, scene: Scene, tuning: ConsistencyTuning
 ) -> ConsistencyVotes:
     """Sum the image pairs (``verified.agreement``) over pairs of frames."""
-    agree: dict[tuple[int, int], float] = {}
-    contradict: dict[tuple[int, int], float] = {}
-    for ends, (*own, total) in zip(scene.frame[verified.pairs].tolist(), agreed.tolist()):
-        if ends[0] == ends[1] or total == 0:
-            continue
-        for pair, part in zip((tuple(ends), tuple(ends[::-1])), own):
-            if part >= tuning.agrees * total:
-                agree[pair] = agree.get(pair, 0.0) + total
-            elif part < tuning.contradicts * total:
-                contradict[pair] = contradict.get(pair, 0.0) + total
+    agree: dict[int, dict[int, float]] = {}
+    contradict: dict[int, dict[int, float]] = {}
+    for (i, j), (*own, total) in zip(scene.frame[verified.pairs].tolist(), agreed.tolist()):
+        for a, b, part in ((i, j, own[0]), (j, i, own[1])):
+            if a != b and total and not tuning.contradicts * total <= part < tuning.agrees * total:
+                table = (agree if part >= tuning.agrees * total else contradict).setdefault(a, {})
+                table[b] = table.get(b, 0.0) + total
     return ConsistencyVotes(agree, contradict, tuning)
 
 
@@ -76,84 +59,56 @@ class SuspectFrames:
     why: str
 
 
-@dataclass(frozen=True)
-class ConsistencyScore:
-    """What the ties of some frames to believed ones say of their place, in matches, and how many of these agree."""
-
-    agree: float
-    against: float
-    agree_near: float  # the neighbours on the pass alone
-    against_near: float
-    partners: int
-    tuning: ConsistencyTuning
-
-    def contradiction(self) -> str:
-        """Why they speak against the place; "" if they do not.
-
-        The neighbours on the pass are asked first: false ties bind what is far apart.
-        """
-        least = self.tuning.min_votes
-        if self.against_near >= least and self.against_near > self.agree_near:
-            return (
-                f"its ties to its neighbours contradict its place ({self.against_near:.0f} matches to "
-                f"{self.agree_near:.0f})"
-            )
-        if self.against >= least and self.against > self.agree:
-            return f"most of its ties contradict its place ({self.against:.0f} matches to {self.agree:.0f})"
-        alone = self.partners < self.tuning.min_partners
-        if alone and self.against >= max(least, self.tuning.lone_against * (self.agree + self.against)):
-            return (
-                f"no more than {self.partners} frame agrees with its place ({self.agree:.0f} matches), and "
-                f"{self.against:.0f} matches with others contradict it"
-            )
-        return ""
-
-
-def consistency_score(
-    frames: Collection[int], believed: set[int], scores: ConsistencyVotes, near: Sequence[set[int]]
-) -> ConsistencyScore:
-    """Of the ties of frames to believed ones; ``near``: the neighbours of every frame on its pass (``neighbours``)."""
-    others = believed - set(frames)
-    sums = np.zeros(4)
-    partners: set[int] = set()
+def contradiction(
+    frames: Collection[int], believed: set[int], votes: ConsistencyVotes, near: Sequence[set[int]]
+) -> tuple[float, str]:
+    """By how many matches the ties of frames to believed others contradict their place more than they agree, and why
+    that speaks against it; "" if it does not. ``near``: the neighbours of every frame on its pass, which are asked
+    first: false ties bind what is far apart."""
+    others, sums, partners = believed - set(frames), np.zeros(4), set[int]()
     for frame in frames:
-        sums += [*scores.of(frame, others), *scores.of(frame, near[frame] & others)]
-        partners |= scores.partners(frame, others)
-    agree, against, agree_near, against_near = sums.tolist()
-    return ConsistencyScore(
-        agree=agree,
-        against=against,
-        agree_near=agree_near,
-        against_near=against_near,
-        partners=len(partners),
-        tuning=scores.tuning,
-    )
+        sums += [*votes.of(frame, others), *votes.of(frame, near[frame] & others)]
+        partners |= votes.partners(frame, others)
+    (agree, against, agree_near, against_near), tuning, why = sums.tolist(), votes.tuning, ""
+    lone = max(tuning.min_votes, tuning.lone_against * (agree + against))
+    if against_near >= tuning.min_votes and against_near > agree_near:
+        why = f"its ties to its neighbours contradict its place ({against_near:.0f} matches to {agree_near:.0f})"
+    elif against >= tuning.min_votes and against > agree:
+        why = f"most of its ties contradict its place ({against:.0f} matches to {agree:.0f})"
+    elif len(partners) < tuning.min_partners and against >= lone:
+        why = (
+            f"no more than {len(partners)} frame agrees with its place ({agree:.0f} matches), and {against:.0f} "
+            "matches with others contradict it"
+        )
+    return against - agree, why
 
 
-def suspect_frames(placed: Collection[int], scene: Scene, scores: ConsistencyVotes) -> tuple[SuspectFrames, ...]:
+def suspect_frames(placed: Collection[int], scene: Scene, votes: ConsistencyVotes) -> tuple[SuspectFrames, ...]:
     """Of the frames that have a place those whose ties contradict it, by themselves or together with those they are
     tied to most, which agree among themselves. First the frames or groups whose ties contradict most, for a pass at a
     wrong place contradicts every frame of the others too; never the larger half."""
-    near, believed, out = neighbours(scene, scores.tuning.near_steps), set(placed), []
-    asked = [[frame] for frame in sorted(believed)] + _groups(scores, believed, len(near))
-    told = [consistency_score(frames, believed, scores, near) for frames in asked]
-    for k in sorted(range(len(asked)), key=lambda k: told[k].agree - told[k].against):
-        own = [f for f in asked[k] if f in believed]
-        if not told[k].contradiction() or not 0 < len(own) <= max(1, len(believed) // 2):
+    near, believed, out = neighbours(scene, votes.tuning.near_steps), set(placed), []
+    asked = [[frame] for frame in sorted(believed)] + _groups(votes, believed, len(near))
+    told = [(*contradiction(frames, believed, votes, near), frames) for frames in asked]
+    for _, why, frames in sorted(told, key=lambda one: -one[0]):
+        own = [f for f in frames if f in believed]
+        if not why or not 0 < len(own) <= max(1, len(believed) // 2):
             continue
-        why = consistency_score(own, believed, scores, near).contradiction()
-        if why:
+        if why := contradiction(own, believed, votes, near)[1]:
             together = f", asked together with the {len(own) - 1} it is tied to most" if len(own) > 1 else ""
             out.append(SuspectFrames(tuple(own), why + together))
             believed -= set(own)
     return tuple(out)
 
 
-def _groups(scores: ConsistencyVotes, placed: set[int], frames: int) -> list[list[int]]:
+def _groups(votes: ConsistencyVotes, placed: set[int], frames: int) -> list[list[int]]:
     """Those that agreeing ties join, the strongest first."""
-    ends = np.array(sorted({(min(pair), max(pair)) for pair in scores.agree}), int).reshape(-1, 2)
-    strength = np.array([scores.agree.get((a, b), 0.0) + scores.agree.get((b, a), 0.0) for a, b in ends.tolist()])
-    groups = strongest_first(ends[:, 0], ends[:, 1], strength, frames)
+    strength: dict[tuple[int, int], float] = {}
+    for a, own in votes.agree.items():
+        for b, value in own.items():
+            strength[min(a, b), max(a, b)] = strength.get((min(a, b), max(a, b)), 0.0) + value
+    ends = np.array(sorted(strength), int).reshape(-1, 2)
+    groups = strongest_first(ends[:, 0], ends[:, 1], np.array([strength[a, b] for a, b in ends.tolist()]), frames)
     return [own for group in groups if len(own := [f for f in group.tolist() if f in placed]) > 1]
 
 
