@@ -93,7 +93,10 @@ def image_observations(model: pycolmap.Reconstruction, scene: Scene, tuning: Agr
             reach[k] = np.percentile(depth, tuning.reach_percent)
     seen = np.unique(np.concatenate(keys).astype(np.int64))
     frames = np.bincount(seen // len(scene), minlength=max(len(ids), 1))
-    return ImageObservations(cameras, poses, point, reach, xyz, frames, seen, scene.frame, tuning)
+    return ImageObservations(
+        cameras=cameras, cam_from_world=poses, point=point, reach=reach, xyz=xyz, frames=frames, seen=seen,
+        frame=scene.frame, tuning=tuning,
+    )  # fmt: skip
 
 
 def agreement(verified: VerifiedMatches, seen: ImageObservations) -> np.ndarray:
@@ -104,14 +107,15 @@ def agreement(verified: VerifiedMatches, seen: ImageObservations) -> np.ndarray:
     rays alone meet wherever one image slides along the line to the other. They are asked where no such point tells and
     none speaks against the key point.
     """
-    rows, pair, at, keys = _matches(verified, seen)
-    told = np.stack([_in_parts(keys.at_points, at[:, end], at[:, 1 - end]) for end in (0, 1)])
-    yes, asked = (np.bincount(at.T[of], minlength=len(keys.point)) for of in (told == 1, told >= 0))
+    all_ = _Matched(verified, seen)
+    at = all_.at
+    told = np.stack([_in_parts(all_.at_points, at[:, end], at[:, 1 - end]) for end in (0, 1)])
+    yes, asked = (np.bincount(at.T[of], minlength=len(all_.point)) for of in (told == 1, told >= 0))
     told[(told < 0) & ((yes == 0) & (asked > 0))[at.T]] = 0
     left = np.flatnonzero((told < 0).any(axis=0))
     meets = np.zeros(len(at), bool)
-    meets[left] = _in_parts(keys.meet, at[left], verified.pairs[pair[left]])
-    return _of_pairs(verified, seen, rows, pair, *(np.where(t < 0, meets, t > 0) for t in told))
+    meets[left] = _in_parts(all_.meet, left)
+    return all_.of_pairs(*(np.where(t < 0, meets, t > 0) for t in told))
 
 
 @dataclass(frozen=True)
@@ -128,45 +132,21 @@ class Sightings:
 def sightings(verified: VerifiedMatches, seen: ImageObservations, frame: int) -> Sightings:
     """Those of a frame, each key point with each point once."""
     own = seen.frame[verified.pairs] == frame
-    _, pair, at, keys = _matches(verified.where(own.any(axis=1)), seen)
-    mine = own[own.any(axis=1)][pair]
-    both = np.unique(np.concatenate([at[mine[:, 0]], at[mine[:, 1]][:, ::-1]]), axis=0)
+    keys = _Matched(verified.where(own.any(axis=1)), seen)
+    mine = own[own.any(axis=1)][keys.pair]
+    both = np.unique(np.concatenate([keys.at[mine[:, 0]], keys.at[mine[:, 1]][:, ::-1]]), axis=0)
     told = _in_parts(keys.at_points, both[:, 0], both[:, 1])
     key, point, there = both[told >= 0, 0], keys.point[both[told >= 0, 1]], told[told >= 0] == 1
     first = np.unique(np.column_stack([key, point]), axis=0, return_index=True)[1]
     key, point, there = key[first], point[first], there[first]
     xy = np.array([verified.xy[i][k - keys.start[i]] for i, k in zip(keys.image[key], key)]).reshape(-1, 2)
-    return Sightings(keys.image[key], xy, seen.xyz[point], there)
+    return Sightings(image=keys.image[key], xy=xy, xyz=seen.xyz[point], there=there)
 
 
 def rays_meet(verified: VerifiedMatches, seen: ImageObservations) -> np.ndarray:
     """(P, 2): matches of each pair whose two rays meet, whatever other images say, and all of them, capped likewise."""
-    rows, pair, at, keys = _matches(verified, seen)
-    return _of_pairs(verified, seen, rows, pair, _in_parts(keys.meet, at, verified.pairs[pair]))
-
-
-def _matches(
-    verified: VerifiedMatches, seen: ImageObservations
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, _KeyPoints]:
-    """Pairs (R,) that have an opinion; of each of their matches the pair (M,) and the numbers of its key points (M, 2)
-    among those of all images."""
-    keys = _KeyPoints(verified, seen)
-    enough = np.array([len(m) >= seen.tuning.least_matches for m in verified.matches], bool)
-    rows = np.flatnonzero(np.isin(verified.pairs, list(seen.cameras)).all(axis=1) & enough)
-    at = [verified.matches[k] + keys.start[verified.pairs[k]] for k in rows]
-    pair = np.repeat(rows, [len(a) for a in at])
-    return rows, pair, np.concatenate([np.zeros((0, 2), int), *at]), keys
-
-
-def _of_pairs(
-    verified: VerifiedMatches, seen: ImageObservations, rows: np.ndarray, pair: np.ndarray, *right: np.ndarray
-) -> np.ndarray:
-    """(P, K + 1): of the matches of each pair those that are right (M,) in each of K ways, and all, capped."""
-    count = np.array([len(verified.matches[k]) for k in rows], int)
-    all_ = np.zeros(len(verified.pairs))
-    all_[rows] = np.minimum(count, seen.tuning.matches_a_pair)
-    found = [np.bincount(pair, r, len(all_)) / np.maximum(np.bincount(pair, minlength=len(all_)), 1) for r in right]
-    return np.column_stack([*(share * all_ for share in found), all_])
+    all_ = _Matched(verified, seen)
+    return all_.of_pairs(_in_parts(all_.meet, np.arange(len(all_.at))))
 
 
 _PART = 1 << 18  # matches that are looked at at once: bounds the memory
@@ -177,9 +157,9 @@ def _in_parts(function: Callable[..., np.ndarray], *arrays: np.ndarray) -> np.nd
     return np.concatenate([function(*(a[k : k + _PART] for a in arrays)) for k in starts])
 
 
-class _KeyPoints:
+class _Matched:
     """All key points of a model's images in one row: ``start`` (N,) of each image; ``image`` (K,); ``point`` (K,) row,
-    -1 = none."""
+    -1 = none. All matches of pairs that have an opinion: the ``pair`` (M,) and the key points ``at`` (M, 2)."""
 
     def __init__(self, verified: VerifiedMatches, seen: ImageObservations) -> None:
         images, self._seen = sorted(seen.cameras.keys() & verified.xy.keys()), seen
@@ -195,6 +175,20 @@ class _KeyPoints:
         for table, values in ((self._pose, seen.cam_from_world), (self._reach, seen.reach)):
             table[list(values)] = np.reshape(list(values.values()), (-1, *table.shape[1:]))
 
+        enough = np.array([len(m) >= seen.tuning.least_matches for m in verified.matches], bool)
+        rows = np.flatnonzero(np.isin(verified.pairs, images).all(axis=1) & enough)
+        at = [verified.matches[k] + self.start[verified.pairs[k]] for k in rows]
+        self.pair = np.repeat(rows, np.array([len(a) for a in at], int))
+        self.at = np.concatenate([np.zeros((0, 2), int), *at])
+        self._pairs = verified.pairs
+
+    def of_pairs(self, *right: np.ndarray) -> np.ndarray:
+        """(P, K + 1): of the matches of each pair those that are right (M,) in each of K ways, and all, capped."""
+        count = np.bincount(self.pair, minlength=len(self._pairs))
+        all_ = np.minimum(count, self._seen.tuning.matches_a_pair)
+        found = [np.bincount(self.pair, r, len(count)) / np.maximum(count, 1) * all_ for r in right]
+        return np.column_stack([*found, all_])
+
     def at_points(self, own: np.ndarray, matched: np.ndarray) -> np.ndarray:
         """(M,) whether key points lie where the points of those matched to them are: 1, 0; -1 = too few made these."""
         point, seen, image = self.point[matched], self._seen, self.image[own]
@@ -203,10 +197,10 @@ class _KeyPoints:
         there = along > np.cos(seen.tuning.tolerance_rad) * np.linalg.norm(local, axis=1)
         return np.where(seen.elsewhere(image, point), there, -1)
 
-    def meet(self, at: np.ndarray, images: np.ndarray) -> np.ndarray:
-        """(M,) bool: the rays of matches (M, 2) of images (M, 2) meet, ahead of both and within reach (or far off,
-        without parallax)."""
-        tuning, (a, b) = self._seen.tuning, self._ray[at.T]
+    def meet(self, rows: np.ndarray) -> np.ndarray:
+        """(M,) bool: the rays of matches (rows of ``at``) meet, ahead of both and within reach (or far off, without
+        parallax)."""
+        tuning, (a, b), images = self._seen.tuning, self._ray[self.at[rows].T], self._pairs[self.pair[rows]]
         turn = np.swapaxes(self._pose[images, :3, :3], -1, -2)
         centre = -np.einsum("mnij,mnj->mni", turn, self._pose[images, :3, 3])
         a, b = (np.einsum("mij,mj->mi", turn[:, n], ray) for n, ray in enumerate((a, b)))

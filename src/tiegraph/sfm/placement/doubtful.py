@@ -69,7 +69,8 @@ def explained(
     agreed = agreement(verified, seen)
     votes = consistency_votes(verified, agreed, scene, tuning.consistency)
     suspects = suspect_frames({int(scene.frame[k]) for k in seen.cameras}, scene, votes)
-    return Explained(scene, verified, seen, agreed, {f: s.why for s in suspects for f in s.frames}, tuning.consistency)
+    why = {f: s.why for s in suspects for f in s.frames}
+    return Explained(scene=scene, verified=verified, seen=seen, agreed=agreed, doubts=why, tuning=tuning.consistency)
 
 
 @dataclass(frozen=True)
