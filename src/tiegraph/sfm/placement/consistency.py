@@ -102,14 +102,14 @@ def suspect_frames(placed: Collection[int], scene: Scene, votes: ConsistencyVote
 
 
 def _groups(votes: ConsistencyVotes, placed: set[int], frames: int) -> list[list[int]]:
-    """Those that agreeing ties join, the strongest first."""
+    """Those that agreeing ties join, up to half of all."""
     strength: dict[tuple[int, int], float] = {}
     for a, own in votes.agree.items():
         for b, value in own.items():
             strength[min(a, b), max(a, b)] = strength.get((min(a, b), max(a, b)), 0.0) + value
     ends = np.array(sorted(strength), int).reshape(-1, 2)
     groups = strongest_first(ends[:, 0], ends[:, 1], np.array([strength[a, b] for a, b in ends.tolist()]), frames)
-    return [own for group in groups if len(own := [f for f in group.tolist() if f in placed]) > 1]
+    return [own for group in groups if 1 < len(own := [f for f in group.tolist() if f in placed]) <= len(placed) // 2]
 
 
 def neighbours(scene: Scene, near_steps: int) -> list[set[int]]:
