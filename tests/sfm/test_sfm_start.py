@@ -217,7 +217,7 @@ def _spoiled(model: pycolmap.Reconstruction, how: str) -> pycolmap.Reconstructio
     ("how", "why"),
     [
         ("", ""),
-        ("moved", "it contradicts 76 of 96 verified pairs"),
+        ("moved", "it contradicts 56 of 96 verified pairs"),
         ("lens", "no lens is like what became of camera cam1"),
         ("noise", "its reprojection error is 10.1 px"),
         ("bare", "only 9 of 18 tied images see 10 of its points"),
