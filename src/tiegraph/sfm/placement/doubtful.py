@@ -26,7 +26,7 @@ class MatchSource:
     refused: Sequence[tuple[int, int]] = ()
 
     def read(self, scene: Scene) -> VerifiedMatches:
-        """They."""
+        """These matches."""
         return read_verified(self.database, scene, self.refused)
 
 
