@@ -6,6 +6,8 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
 from benchmarks.confront.judge import VERDICTS
 
 
@@ -30,7 +32,23 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
         f"clean sets: {len(clean)}, wrong in silence {quiet}, false alarms {alarms}",
         "",
     ]
+    lines += _ratios(rows)
     return "\n".join([*lines, *map(_line, [r for r in rows if r["verdict"] == "silent"])])
+
+
+def _ratios(rows: Sequence[dict[str, Any]]) -> list[str]:
+    """Actual over stated of each quantity, in the cases in which nothing is said against it."""
+    found: dict[str, list[float]] = {}
+    for row in rows:
+        for e in row["errors"]:
+            if e["sigma"] and e["quantity"] not in row["wrong"]:
+                found.setdefault(e["quantity"].partition(":")[0], []).append(e["off"] / e["sigma"])
+    lines = ["| actual over stated | cases | median | 90 % | within a sigma |", "|---|---|---|---|---|"]
+    for name, values in found.items():
+        middle, most = np.percentile(values, [50, 90])
+        within = np.mean(np.array(values) < 1)
+        lines.append(f"| {name} | {len(values)} | {middle:.2f} | {most:.2f} | {within:.0%} |")
+    return [*lines, ""]
 
 
 def _line(row: dict[str, Any]) -> str:

@@ -33,6 +33,7 @@ from benchmarks.sfm.corridor import Corridor, corridor
 from tiegraph.errors import TiegraphError
 from tiegraph.geometry.align import umeyama
 from tiegraph.geometry.geodesy import geodetic_from_world, world_from_geodetic
+from tiegraph.pipeline.files import load_npz
 from tiegraph.project.settings import Settings
 from tiegraph.scene.colmapmodel import image_poses
 from tiegraph.scene.control import Control, locate
@@ -41,10 +42,12 @@ from tiegraph.scene.gnss import read_gnss
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import ControlTuning, GnssTuning
 from tiegraph.sfm.adjustment.adjust import final_adjustment
+from tiegraph.sfm.covariance import position_sigma
 from tiegraph.sfm.mapping import believed_cameras
 from tiegraph.sfm.model import frame_poses
 from tiegraph.sfm.rig.rig import rig_modes
 from tiegraph.sfm.settings import GeorefSettings
+from tiegraph.sfm.shape import SHAPE, Shape
 from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.world.fixes import Measurements, PositionRows
 from tiegraph.sfm.world.georef import Georeference
@@ -65,8 +68,8 @@ class Survey:
         sparse = Settings().sparse
         rigs = tuple(k + 1 for k, mode in rig_modes(self.scene, sparse.rig).items() if mode == "fixed")
         self.held = ConstantParameters(rigs, believed_cameras(self.scene, sparse))
-        counts = json.loads((out / "receipts" / "sparse.json").read_text())["counts"]
-        self.inner_sigma = counts.get("position_sigma_median")
+        shape = out / "sparse" / SHAPE
+        self.given = Measurements(self.rows(), self.control(), Shape(**load_npz(shape)) if shape.exists() else None)
 
     def rows(self) -> PositionRows | None:
         """The receiver's rows in the scene's world."""
@@ -103,8 +106,8 @@ def errors(survey: Survey, found: Georeference, world: Any) -> dict[str, Any]:
     se3, sim3 = (np.linalg.norm(f(here) - true, axis=1) for f in (rigid, free))
     out: dict[str, Any] = {"images": len(names), "ate_se3_m": _rms(se3), "ate_se3_max_m": float(se3.max())}
     out |= {"ate_sim3_m": _rms(sim3), "scale_off": float(free.scale - 1), "predicted": found.uncertainty.sigma}
-    if survey.inner_sigma is not None:
-        out["predicted_inner_m"] = survey.inner_sigma * found.world_from_model.scale
+    if found.uncertainty.shape is not None:
+        out["predicted_inner_m"] = found.uncertainty.shape.sizes()["median"]
         out["actual_inner_m"] = _inner(survey, names, here, true)
     if dataset.truth_origin is not None and found.origin is not None:
         placed = world_from_geodetic(geodetic_from_world(here, found.origin), dataset.truth_origin)
@@ -147,7 +150,7 @@ def measure_set(survey: Survey, ways: tuple[str, ...] = WAYS) -> dict[str, Any]:
     """All ways on one set."""
     out = {}
     for way in ways:
-        given = Measurements(survey.rows(), survey.control())
+        given = survey.given
         found, world, cpu = georeferenced(survey, way, given)
         row = errors(survey, found, world) | held_out(found)
         row |= {"cpu_s": round(cpu, 1), "adjusted": found.adjusted, "antenna_m": found.receiver.antenna_m}
@@ -172,7 +175,7 @@ def bad_cases(survey: Survey, way: str = "adjusted") -> dict[str, Any]:
         scene = survey.scene
         try:
             bad = _with_rows(survey, spoilt)
-            found, world, _ = georeferenced(bad, way, Measurements(spoilt))
+            found, world, _ = georeferenced(bad, way, replace(survey.given, rows=spoilt, control=None))
             out[name] = errors(bad, found, world) | {"notes": list(found.findings.notes), "adjusted": found.adjusted}
         except TiegraphError as error:
             out[name] = {"error": str(error)}
@@ -246,7 +249,7 @@ def receivers(survey: Survey, seeds: int) -> dict[str, Any]:
                 rigs = tuple(replace(r, antenna_m=tuple(ANTENNA) if given else None) for r in scene.rigs)
                 bad = _with_rows(survey, made)
                 bad.scene = bad.scene.with_(rigs=rigs)
-                found, world, _ = georeferenced(bad, "rows", Measurements(made))
+                found, world, _ = georeferenced(bad, "rows", replace(survey.given, rows=made, control=None))
                 survey.scene = scene
                 actual = errors(bad, found, world)["actual"] if found.uncertainty.sigma else {}
                 ratios.append([v / max(found.uncertainty.sigma[k], 1e-9) for k, v in actual.items()])
@@ -283,7 +286,11 @@ def _antenna_path(survey: Survey) -> dict[str, np.ndarray]:
 
 
 def _received(
-    path: Mapping[str, np.ndarray], sigma: np.ndarray, kind: tuple[float, float, float], seed: int
+    path: Mapping[str, np.ndarray],
+    sigma: np.ndarray,
+    kind: tuple[float, float, float],
+    seed: int,
+    common: float = 0.7,
 ) -> PositionRows:
     """Rows of a receiver on a path (``time_s`` (G,), ``place`` (G, 3)) with errors of a kind."""
     time_s, place, rng, (white, slow, lasts_s) = path["time_s"], path["place"], np.random.default_rng(seed), kind
@@ -291,7 +298,7 @@ def _received(
     for k in range(1, len(z)):
         keeps = np.exp(-(time_s[k] - time_s[k - 1]) / lasts_s)
         z[k] = keeps * z[k - 1] + np.sqrt(1 - keeps**2) * z[k]
-    off = white * rng.standard_normal(place.shape) + slow * z + max(white, slow, 0.7) * 0.7 * rng.standard_normal(3)
+    off = white * rng.standard_normal(place.shape) + slow * z + max(white, slow, 0.7) * common * rng.standard_normal(3)
     return PositionRows(time_s, place + sigma * off, np.tile(sigma, (len(place), 1)))
 
 
@@ -302,6 +309,8 @@ def outage(length_m: float, gap_m: float, radial: float, seed: int) -> dict[str,
     """A corridor without positions over ``gap_m`` in its middle: error in the gap, over its length."""
     made = corridor(length_m, radial=radial, seed=seed)
     model = final_adjustment(made.model, [1], range(1, 5), tuning=Tuning().adjust).model
+    sigma = position_sigma(model, (), (), tuning=Tuning())
+    shape = Shape.of(model, sigma, made.scene)
     rows = _receiver(made, gap_m, seed)
     scene = _positions(made.scene, rows)
     s = np.arange(len(made.truth)) * 2.0
@@ -311,25 +320,42 @@ def outage(length_m: float, gap_m: float, radial: float, seed: int) -> dict[str,
         settings = GeorefSettings(adjust=adjust, sigma_floor_m=0.02)
         start = time.process_time()
         found, world = georeference_model(
-            model, scene, settings, Tuning(), Measurements(rows), ConstantParameters((1,), range(1, 5))
+            model, scene, settings, Tuning(), Measurements(rows, shape=shape), ConstantParameters((1,), range(1, 5))
         )
         place = frame_poses(image_poses(world, scene), scene)[:, :3, 3]
         off = np.linalg.norm(place - made.truth[:, :3, 3], axis=1)
         row = {"rms_m": _rms(off), "worst_in_gap_m": float(off[inside].max()), "cpu_s": time.process_time() - start}
+        known = found.uncertainty
+        own = 0.0 if known.shape is None else float(np.interp(length_m / 4, known.shape.index, known.shape.sigma))
+        placed = 0.0 if known.error is None else known.error.sigma(place[inside])
+        row |= {
+            "rms_in_gap_m": _rms(off[inside]),
+            "sigma_in_gap_m": float(np.hypot(_rms(np.linalg.norm(placed, axis=1)), own)),
+        }
         row["drift"] = row["worst_in_gap_m"] / gap_m
         out[way] = {n: round(v, 5) for n, v in row.items()} | {"predicted_m": found.uncertainty.sigma.get("position_m")}
     return out
 
 
-def _receiver(made: Corridor, gap_m: float, seed: int, sigma_m: float = 0.02) -> PositionRows:
-    rng = np.random.default_rng(seed + 100)
+def _receiver(
+    made: Corridor,
+    gap_m: float,
+    seed: int,
+    sigma_m: float = 0.02,
+    *,
+    white: float = 1.0,
+    slow: float = 0.0,
+    lasting: np.ndarray | float = 0.0,
+) -> PositionRows:
+    """Rows at 5 Hz beside a gap; errors over the stated sigma, of which the slow ones last a minute, and metres (3,)
+    that all share."""
     time_s, place = made.scene.time_s, made.truth[:, :3, 3]
     fine = np.arange(time_s[0], time_s[-1], 0.2)
     at = np.stack([np.interp(fine, time_s, place[:, k]) for k in range(3)], axis=1)
-    s = 1.5 * fine
-    open_sky = np.abs(s - s[-1] / 2) > gap_m / 2
-    noise = sigma_m * rng.standard_normal(at.shape) * [1, 1, 2]
-    sigma = np.tile([sigma_m, sigma_m, 2 * sigma_m], (len(at), 1))
+    s, sigma = 1.5 * fine, np.tile([sigma_m, sigma_m, 2 * sigma_m], (len(fine), 1))
+    open_sky = np.abs(s - s[-1] / 2) >= gap_m / 2
+    path = {"time_s": fine, "place": at}
+    noise = _received(path, sigma[0], (white, slow, 60.0), seed + 100, common=0.0).position_m - at + lasting
     return PositionRows(fine[open_sky], (at + noise)[open_sky], sigma[open_sky])
 
 

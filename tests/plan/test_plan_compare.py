@@ -6,7 +6,7 @@ import pytest
 
 from tiegraph.plan.tables import comparison
 from tiegraph.sfm.covariance import PointSigma, PositionSigma, SharedErrors
-from tiegraph.sfm.relativesigma import PATHS, own_paths
+from tiegraph.sfm.shape import PATHS, own_paths
 
 PLAN = {"stations": [{}], "path": {"position_shape_sigma_median_m": 0.002, "place_world_sigma_median_m": 0.03}}
 

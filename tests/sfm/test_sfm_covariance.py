@@ -15,7 +15,7 @@ from tiegraph.sfm.adjustment.adjust import _solve, final_adjustment
 from tiegraph.sfm.adjustment.jacobians import Layout, RigConstraint, RigConstraints, skew
 from tiegraph.sfm.covariance import MOUNTING, position_sigma
 from tiegraph.sfm.model import frame_poses
-from tiegraph.sfm.relativesigma import between_frames
+from tiegraph.sfm.shape import Shape
 from tiegraph.sfm.tuning import Tuning
 
 import pycolmap  # isort: skip
@@ -73,11 +73,12 @@ def test_predicted_sigma_is_the_scatter_of_many_adjustments(world) -> None:
         pairs.append(aligned[1:] - aligned[:-1])
     actual = np.sqrt(np.mean(squares))
     expected = np.sqrt(np.mean(np.sum(predicted.sigma**2, axis=1)))
-    (told,) = between_frames(model, predicted, 3).values()
+    shape = Shape.of(model, predicted, scene)
+    np.testing.assert_allclose(shape.sigma, np.linalg.norm(predicted.sigma, axis=1), rtol=1e-6)
     near = float(np.median(np.linalg.norm(true[1:] - true[:-1], axis=1)))
-    at = min(told["rows"], key=lambda row: abs(np.log(row[0] / near)))
+    at = min(shape.between(3), key=lambda row: abs(np.log(row[0] / near)))
     assert at[1] == pytest.approx(np.sqrt(np.mean(np.sum(np.concatenate(pairs) ** 2, axis=1))), rel=0.4)
-    assert between_frames(model, predicted, 1000) == {}
+    assert shape.between(1000) == []
     assert 0.4 < predicted.pixel_sigma < 0.6
     assert expected == pytest.approx(actual, rel=0.25)
 

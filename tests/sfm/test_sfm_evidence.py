@@ -87,7 +87,7 @@ def found_by(
     view = Model(transforms.invert(poses), up, scale, found, scene.names)
     placing = fit_to_world(view, scene, SETTINGS, given, TUNING)
     assert isinstance(placing, SimilarityFit)
-    return with_statements(georef._placed(placing, view, scene, given), scene, 0.005, found)
+    return with_statements(georef._placed(placing, view, scene, given), scene, found)
 
 
 @pytest.mark.slow

@@ -9,8 +9,8 @@ from tiegraph.geometry.gravity import Up
 from tiegraph.geometry.transforms import skew
 from tiegraph.sfm.tuning.world import NoiseTuning, WorldTuning
 from tiegraph.sfm.world.antenna import up_to_use
-from tiegraph.sfm.world.fit import Evidence, PositionRows, by_errors, fit_similarity
-from tiegraph.sfm.world.positionerrors import Linear, PositionErrors
+from tiegraph.sfm.world.fit import Evidence, by_errors, fit_similarity
+from tiegraph.sfm.world.positionerrors import Linear, PositionErrors, Stated
 from tiegraph.sfm.world.unknowns import LeverArm
 
 _THERE = np.stack([np.arange(60.0), np.sin(np.arange(60) / 7), 0.2 * np.cos(np.arange(60) / 5)], axis=1)
@@ -30,7 +30,13 @@ def _linear(residual: np.ndarray, sigma: float, level: np.ndarray) -> Linear:
     rows, here = np.zeros((COUNT, 3, 8)), PATH - PATH.mean(axis=0)
     rows[:, :, :3], rows[:, :, 3:6], rows[:, :, 6], rows[:, :, 7] = -skew(here), np.eye(3), here, sigma * residual
     known = np.diag([1e-6] * 3 + [0.0] * 5)
-    return Linear(rows=rows, sigma=np.full((COUNT, 3), sigma), level=level, time_s=np.arange(float(COUNT)), known=known)
+    return Linear(
+        rows=rows,
+        stated=Stated(
+            sigma=np.full((COUNT, 3), sigma), level=level, time_s=np.arange(float(COUNT)), common=np.full(3, np.nan)
+        ),
+        known=known,
+    )
 
 
 @pytest.mark.parametrize(
@@ -43,7 +49,7 @@ def test_errors_over_their_sigmas(white, slow, lasts_s, bounds) -> None:
     rng, level, ratios, sizes = np.random.default_rng(1), np.zeros(COUNT, int), [], []
     for _ in range(25):
         errors = PositionErrors(_linear(_errors(white, slow, lasts_s, rng), 2.0, level), NoiseTuning())
-        moved, covariance = errors.step()
+        moved, covariance = errors.step({})
         ratios.append(moved / np.sqrt(np.diag(covariance)))
         sizes.append([errors.sizes.white[0], errors.sizes.slow[0]])
     assert bounds[0] < np.sqrt(np.mean(np.square(ratios))) < bounds[1]
@@ -96,7 +102,43 @@ def test_where_no_position_is_believed_the_fit_to_the_control_points_stays() -> 
         log_scale=None,
     )
     fit = replace(fit_similarity(evidence, None, WorldTuning().fit), inlier=np.arange(12) >= 6)
-    rows = PositionRows(
-        sigma=np.full((6, 3), 0.1), level=np.zeros(6, int), time_s=np.arange(6.0), common=np.full(3, 0.1)
-    )
+    rows = Stated(sigma=np.full((6, 3), 0.1), level=np.zeros(6, int), time_s=np.arange(6.0), common=np.full(3, 0.1))
     assert by_errors(evidence, None, fit, rows, WorldTuning().fit, NoiseTuning()) is fit
+
+
+def test_what_the_model_bends_is_no_error_of_the_positions() -> None:
+    """A way of 600 m bent by half a metre, without positions in its middle third: the errors of the similarity of all
+    its frames over their sigmas, and what is left of the bend."""
+    rng, count = np.random.default_rng(5), 120
+    s = np.linspace(-1, 1, count)
+    true = np.stack([300 * s, 10 * np.sin(9 * s), np.zeros(count)], axis=1)
+    form = np.stack([s**2 - np.mean(s**2), s**3 - np.polyval(np.polyfit(s, s**3, 1), s)])
+    bend = 0.5 * np.einsum("mk,ij->kimj", form, np.eye(3)).reshape(count, 3, 6)
+    known, ratios, left = np.flatnonzero(np.abs(s) > 1 / 3), [], []
+    rows = Stated(
+        sigma=np.full((len(known), 3), 0.02),
+        level=np.zeros(len(known), int),
+        time_s=known * 2.0,
+        common=np.full(3, 0.01),
+    )
+    for _ in range(8):
+        pose = np.tile(np.eye(4), (count, 1, 1))
+        pose[:, :3, 3] = true - bend @ rng.standard_normal(6)
+        noise = 0.02 * (0.7 * rng.standard_normal((count, 3)) + 0.5 * rng.standard_normal(3))
+        evidence = Evidence(
+            frame=np.arange(count),
+            pose=pose,
+            position=true + noise,
+            sigma=np.full((count, 3), 0.02),
+            orientation=np.full((count, 3, 3), np.nan),
+            arm=LeverArm(np.zeros(3)),
+            log_scale=None,
+            bend=bend,
+        ).where(known)
+        rough = fit_similarity(replace(evidence, sigma=np.full((len(known), 3), 0.5)), None, WorldTuning().fit)
+        fit = by_errors(evidence, None, rough, rows, WorldTuning().fit, NoiseTuning())
+        off = fit.similarity.matrix[:3, 3]
+        ratios.append(np.append(off, np.log(fit.similarity.scale)) / np.sqrt(np.diag(fit.error.covariance)[3:7]))
+        left.append(np.sqrt(np.diag(fit.bent)))
+    assert 0.6 < np.sqrt(np.mean(np.square(ratios))) < 1.4
+    assert 0.003 < np.median(left) < 0.1

@@ -8,7 +8,7 @@ import numpy as np
 from tiegraph.child import run_in_child
 from tiegraph.errors import ChildDied, InputError, UnreadableArtefact
 from tiegraph.geometry.geodesy import world_from_geodetic
-from tiegraph.pipeline.files import checked, load_json, load_model, refused_pairs, whole
+from tiegraph.pipeline.files import checked, load_json, load_model, load_npz, refused_pairs, whole
 from tiegraph.pipeline.inputs import control_file, orientations
 from tiegraph.pipeline.targets import target_marks
 from tiegraph.project.run import Run, save_json
@@ -21,8 +21,8 @@ from tiegraph.scene.hanging import carries, with_hanging
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.covariance import MOUNTING
 from tiegraph.sfm.mapping import believed_cameras
-from tiegraph.sfm.relativesigma import BETWEEN
 from tiegraph.sfm.rig.rig import rig_modes
+from tiegraph.sfm.shape import SHAPE, Shape
 from tiegraph.sfm.world.fixes import Measurements, PositionRows
 from tiegraph.sfm.world.georef import Georeference
 from tiegraph.sfm.world.georeferencing import GeorefRequest, georeference_folders
@@ -39,7 +39,7 @@ def georef(run: Run) -> Outcome:
     given = replace(
         measured,
         rows=_rows(run, scene),
-        model_sigma=sigma.get("position_sigma_median", float("nan")),
+        shape=Shape(**load_npz(path)) if (path := run.path("sparse", SHAPE)).exists() else None,
         model_scale_sigma=sigma.get("scale_sigma", float("nan")),
         firm_frames=sigma.get("frames", float("inf")) - sigma.get("on_few_points", 0),
     )
@@ -66,12 +66,9 @@ def georef(run: Run) -> Outcome:
     found, missing = _georeferenced(run, request)
     main, notes = found.first, [*found.notes(), *said]
     world = main.to_dict()
-    if "position_sigma_median" in sigma:
-        # Of the bundle adjustment, in the model's units: the shape of the survey, not its place on the Earth.
-        scale = main.world_from_model.scale
-        world["model_sigma"] = {n: scale * sigma[f"position_sigma_{n}"] for n in ("median", "p90")}
-        between = receipt.get("tables", {}).get(BETWEEN, {}).get("rows", [])
-        world["between_frames"] = [[scale * apart, scale * s] for apart, s, _ in between]  # apart, sigma
+    if (shape := main.uncertainty.shape) is not None:  # of the survey, not its place on the Earth
+        world["model_sigma"] = shape.sizes()
+        world["between_frames"] = [row[:2] for row in shape.between(tuning.sigma.between_pairs)]  # apart, sigma
     hanging, said_of_them = _hang(run, scratch, main.scale_source)
     notes += said_of_them
     remove(run.path("sparse", "world"))

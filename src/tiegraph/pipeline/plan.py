@@ -35,7 +35,7 @@ from tiegraph.scene.decoding import EIGHT_BIT
 from tiegraph.scene.rig import Rig, Sensor, calibrated
 from tiegraph.sfm.adjustment.adjust import free_cameras
 from tiegraph.sfm.covariance import planned_sigma
-from tiegraph.sfm.relativesigma import PATHS
+from tiegraph.sfm.shape import PATHS
 from tiegraph.sfm.systematic.lenses import AssumedErrors
 from tiegraph.sfm.tuning import Tuning as SfmTuning
 

@@ -161,7 +161,7 @@ class SigmaTuning(Section):
     points: int = Field(200, gt=0)
     """Whose sigmas are worked out: a random part."""
     between_pairs: int = Field(10, gt=0)
-    """Pairs of frames about so far apart, of which the sigma of what lies between is told (`relativesigma.py`)."""
+    """Pairs of frames about so far apart, of which the sigma of what lies between is told (`shape.py`)."""
     strong_correlation: float = Field(0.7, ge=0, le=1)
     """Of a parameter of interior orientation: one that is told."""
     open_share: float = Field(0.1, ge=0)

@@ -135,8 +135,6 @@ class SourceTuning(Section):
     """What the orientations of a path have in common does not average out."""
     rounds: int = Field(2, gt=0)
     """In which the sigmas of a source follow the scatter about its own fit."""
-    least: float = Field(0.01, gt=0)
-    """Of the stated sigma: what scatters less is not measured but made."""
 
 
 class SimilarityFitTuning(Section):

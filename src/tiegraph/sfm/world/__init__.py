@@ -29,7 +29,9 @@ a model's rig in the others' points would add no pair of images: of the matches 
 eighth has a point on one side only, and every pair that has such has others too (`canal`, `canal_demo`, KITTI).
 
 **Sigma** (``positionerrors``). The last fit weighs the believed positions by the errors that their residuals show
-(white, slow, common to all), and its covariance is that of the placement. Antenna and clock that nobody gives count
+(white, slow, common to all) and by what the images may bend of the model: its covariance, in large eigenvectors
+(``sfm.shape``), is among the unknowns, which is the one block with the images eliminated. The covariance of the fit is
+that of the placement and, once adjusted, of the shape. Antenna and clock that nobody gives count
 with their priors, what all positions of a receiver share with a part of the stated sigma. An upward direction that the
 positions refute is not used. A note says what holds the scale where the rig does, and what checks it. ``world.json``
 keeps the covariance of the placement (``accuracy``),

@@ -10,6 +10,7 @@ import numpy as np
 from tiegraph.geometry.align import Similarity
 from tiegraph.geometry.gravity import Up
 from tiegraph.scene.evidence import LIMIT
+from tiegraph.scene.scene import Scene
 from tiegraph.sfm.tuning.world import WorldTuning
 from tiegraph.sfm.world import noise
 from tiegraph.sfm.world.fit import Evidence, Fit, fit_similarity, leaning_deg
@@ -140,6 +141,14 @@ def try_clock(now: Fitted, notes: list[str], tuning: WorldTuning) -> tuple[Fitte
     else:
         notes.append(f"the receiver's clock agrees with the cameras' ({value:+.3f} s, sigma {sigma:.3f})")
     return now, richer.fit.clock
+
+
+def with_clock(tuning: WorldTuning, scene: Scene) -> WorldTuning:
+    """Times that tell which position belongs to which frame are right to half a step between frames."""
+    steps = np.diff(scene.time_s)[np.diff(scene.sequence) == 0]
+    half = float(np.median(steps[steps > 0])) / 2 if (steps > 0).any() else np.inf
+    fit = tuning.fit.model_copy(update={"offset_sigma_s": min(half, tuning.fit.offset_sigma_s)})
+    return tuning.model_copy(update={"fit": fit})
 
 
 def up_to_use(

@@ -13,7 +13,7 @@ from tiegraph.geometry.gravity import Up, roll_by_upward, roll_to_upright, to_up
 from tiegraph.geometry.placement import PlacementError
 from tiegraph.geometry.transforms import skew, turn_by_vector, vector_by_turn
 from tiegraph.sfm.tuning.world import FitTuning, NoiseTuning
-from tiegraph.sfm.world.positionerrors import Linear, PositionErrors
+from tiegraph.sfm.world.positionerrors import Linear, PositionErrors, Stated
 from tiegraph.sfm.world.unknowns import Clock, FittedArm, LeverArm, LogScale
 
 _OPEN = 1e-6  # squared sine between an unknown and what residuals tell, beyond which it is open
@@ -27,7 +27,8 @@ class Evidence:
 
     A pose may be a weighted sum of frames' poses, and that of a control point has no rotation (zeros): its lever arm is
     nothing. ``frame`` (K,) -1 = control point; ``speed`` (K, 4, 4) derivative of the pose by time; ``orientation``
-    (K, 3, 3) world_from_rig, NaN = unknown; ``log_scale`` None = the rig says nothing of the scale.
+    (K, 3, 3) world_from_rig, NaN = unknown; ``log_scale`` None = the rig says nothing of the scale; ``bend`` (K, 3, M)
+    what each of the modes of the model's shape moves the places by, model units.
     """
 
     frame: np.ndarray
@@ -39,6 +40,7 @@ class Evidence:
     log_scale: LogScale | None
     speed: np.ndarray | None = None
     estimate_offset: bool = False
+    bend: np.ndarray | None = None
 
     def without_orientations(self) -> Evidence:
         """The same, nothing known of orientations."""
@@ -50,8 +52,8 @@ class Evidence:
 
     def where(self, mask: np.ndarray) -> Evidence:
         """The rows of a mask (K,)."""
-        columns = ("frame", "pose", "position", "sigma", "orientation", *(("speed",) if self.speed is not None else ()))
-        return replace(self, **{n: getattr(self, n)[mask] for n in columns})
+        columns = ("frame", "pose", "position", "sigma", "orientation", "speed", "bend")
+        return replace(self, **{n: getattr(self, n)[mask] for n in columns if getattr(self, n) is not None})
 
     def position_residuals(self, similarity: Similarity, antenna: np.ndarray, offset_s: float = 0.0) -> np.ndarray:
         """(K, 3) metres: antenna by the model minus the prior position, X + R l - p (ALGORITHMS section 4)."""
@@ -72,6 +74,7 @@ class Fit:
     roll_sigma_deg: float  # about the direction in which the positions spread most
     sigma_positions_scale: float  # of the logarithm of the scale, from the positions alone
     error: PlacementError  # about the middle of the positions
+    bent: np.ndarray | None = None  # (M, M) covariance of the modes of the shape, by images and positions
 
     @property
     def sigma(self) -> dict[str, float]:
@@ -134,52 +137,52 @@ def _track(evidence: Evidence, similarity: Similarity) -> tuple[np.ndarray, np.n
     return np.linalg.svd(world - middle, full_matrices=False)[2][0], middle
 
 
-@dataclass(frozen=True)
-class PositionRows:
-    """Of the first K rows of an evidence: ``sigma`` as stated (K, 3), its ``level`` (K,), ``time_s`` (K,), and sigmas
-    (3,) of what all of them share, metres; NaN = nothing."""
-
-    sigma: np.ndarray
-    level: np.ndarray
-    time_s: np.ndarray
-    common: np.ndarray
-
-
-def by_errors(
-    evidence: Evidence, up: Up | None, fit: Fit, rows: PositionRows, tuning: FitTuning, noise: NoiseTuning
-) -> Fit:
+def by_errors(evidence: Evidence, up: Up | None, fit: Fit, rows: Stated, tuning: FitTuning, noise: NoiseTuning) -> Fit:
     """The fit moved to where its believed positions put it by their errors as these are estimated (white, slow and
-    common: ``positionerrors``), with the covariance that these leave."""
+    common: ``positionerrors``) and by what the model may bend, with the covariance that these leave."""
     evidence = replace(evidence, arm=replace(evidence.arm, level=None))  # what cannot be told widens what it moves
     stated, seen = rows.common, fit.inlier[: len(rows.level)]
+    considered = _considered(evidence, fit, tuning)
+    modes = 0 if evidence.bend is None else evidence.bend.shape[2]
     for _ in range(_STEPS if seen.any() else 0):  # control points alone may be all that is believed
         problem = _Problem(evidence, up, fit.similarity, tuning)
         x = problem.at(fit)
         errors = PositionErrors(_linearised(problem, x, fit.inlier, rows, seen), noise)
-        moved, covariance = errors.step()
+        moved, covariance = errors.step(considered)
         rows = replace(rows, common=stated * max(1.0, errors.times_stated))  # an optimistic receiver is so in all
         size, held = problem.size, 0.0 if evidence.log_scale is None else evidence.log_scale.sigma**-2
         alone = 1 / max(1 / covariance[6, 6] - held, _OPEN)
         fit = _fit(problem, x + moved[:size], covariance[:size, :size], alone, fit.inlier, fit.cost)
+        fit = replace(fit, bent=covariance[size : size + modes, size : size + modes])
     return fit
 
 
-def _linearised(problem: _Problem, x: np.ndarray, inlier: np.ndarray, rows: PositionRows, seen: np.ndarray) -> Linear:
-    """The positions ``seen`` (K,), and all else in the normal equations; what the positions share comes last."""
-    sigma, count, size = problem.evidence.sigma, len(seen), problem.size
-    off = np.append(problem.positions(x).ravel(), problem.others(x))
-    every = np.column_stack([problem.derivatives(x, inlier.astype(float)), off])
-    shared = np.flatnonzero(np.isfinite(rows.common))
-    at = np.append(np.arange(size), size + len(shared))  # columns of the unknowns of the problem, and of residuals
-    places = np.zeros((count, 3, at[-1] + 1))
-    places[:, :, at] = every[: 3 * count].reshape(count, 3, -1) * sigma[:count, :, None]
-    places[:, shared, size + np.arange(len(shared))] = 1.0
-    known = np.zeros((at[-1] + 1,) * 2)
-    known[np.ix_(at, at)] = every[3 * count :].T @ every[3 * count :]
-    known[size:-1, size:-1] = np.diag(rows.common[shared] ** -2)
-    return Linear(
-        rows=places[seen], sigma=rows.sigma[seen], level=rows.level[seen], time_s=rows.time_s[seen], known=known
-    )
+def _considered(evidence: Evidence, fit: Fit, tuning: FitTuning) -> dict[int, float]:
+    """Sigmas of antenna and clock, by their numbers among the unknowns, where they are unknown and the fit so far,
+    which asked whether the positions tell them, has not estimated them."""
+    arm = evidence.arm.estimate and not np.isfinite(fit.arm.covariance).all()
+    clock = evidence.estimate_offset and not np.isfinite(fit.clock.sigma_s)
+    out = dict.fromkeys(range(7, 10), tuning.antenna_sigma_m) if arm else {}
+    return out | ({7 + 3 * evidence.arm.estimate: tuning.offset_sigma_s} if clock else {})
+
+
+def _linearised(problem: _Problem, x: np.ndarray, inlier: np.ndarray, rows: Stated, seen: np.ndarray) -> Linear:
+    """The positions ``seen`` (K,), and all else in the normal equations; the unknowns of the problem, then the modes of
+    the shape, then what the positions share."""
+    sigma, count, common = problem.evidence.sigma, len(seen), np.flatnonzero(np.isfinite(rows.common))
+    derivatives, off = problem.derivatives(x, inlier.astype(float)), problem.positions(x).ravel()
+    bend = (problem.bend(x) * (inlier[:, None] / sigma)[:, :, None]).reshape(len(off), -1)
+    beside = np.zeros((len(derivatives), bend.shape[1] + len(common) + 1))  # the unknowns that ``problem`` has not
+    beside[: len(off), : bend.shape[1]], beside[: len(off), -1] = bend, off
+    beside[len(off) :, -1] = problem.others(x)
+    every = np.hstack([derivatives, beside])
+    places = every[: 3 * count].reshape(count, 3, -1) * sigma[:count, :, None]
+    at = -1 - len(common) + np.arange(len(common))
+    places[:, common, at] = 1.0
+    known = every[3 * count :].T @ every[3 * count :]
+    known[range(problem.size, len(known) - 1), range(problem.size, len(known) - 1)] += 1.0  # of modes
+    known[at, at] = rows.common[common] ** -2
+    return Linear(rows=places[seen], stated=rows.where(seen), known=known)
 
 
 class _Problem:
@@ -230,6 +233,12 @@ class _Problem:
     def positions(self, x: np.ndarray) -> np.ndarray:
         similarity, antenna = self.unpack(x)
         return self.evidence.position_residuals(similarity, antenna, self.offset(x)) / self.evidence.sigma
+
+    def bend(self, x: np.ndarray) -> np.ndarray:
+        """(K, 3, M) of the antenna's places by the modes of the model's shape, metres."""
+        similarity, modes = self.unpack(x)[0], self.evidence.bend
+        turn = similarity.scale * similarity.rotation
+        return np.zeros((len(self.evidence.pose), 3, 0)) if modes is None else np.einsum("ij,kjm->kim", turn, modes)
 
     def others(self, x: np.ndarray, with_scale: bool = True) -> np.ndarray:
         similarity, _ = self.unpack(x)

@@ -9,6 +9,7 @@ import numpy as np
 from tiegraph.scene.control import Control, ScaleBars
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import held_out_frames
+from tiegraph.sfm.shape import Shape
 from tiegraph.sfm.tuning.world import FixTuning
 
 NODES = 4  # frames that carry a position between frames: a cubic through them
@@ -25,11 +26,11 @@ class PositionRows:
 
 @dataclass(frozen=True)
 class Measurements:
-    """Known beyond the scene: the receiver's rows, control points, scale bars; a model's sigmas."""
+    """Known beyond the scene: the receiver's rows, control points, scale bars; how well a model knows itself."""
 
     rows: PositionRows | None = None
     control: Control | None = None
-    model_sigma: float = float("nan")  # of a camera inside the model, model units
+    shape: Shape | None = None  # by how much its images may bend it
     model_scale_sigma: float = float("nan")  # of all its lengths together, relative; NaN = its adjustment holds none
     firm_frames: float = float("inf")  # of a model that rest on enough points
     bars: ScaleBars | None = None

@@ -15,6 +15,7 @@ from tiegraph.scene.control import Control
 from tiegraph.scene.evidence import Statement, contradictions, table
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.settings import GeorefSettings
+from tiegraph.sfm.shape import Shape
 from tiegraph.sfm.ties import moved
 from tiegraph.sfm.tuning.world import WorldTuning
 from tiegraph.sfm.world.antenna import RIGHT_ANGLE_DEG
@@ -69,6 +70,7 @@ class Uncertainty:
 
     sigma: dict[str, float] = field(default_factory=dict)  # position_m, height_m, yaw_deg, tilt_deg, scale; {} = none
     error: PlacementError | None = None
+    shape: Shape | None = None  # of the model, in the world
 
 
 @dataclass(frozen=True)
@@ -216,7 +218,7 @@ def georeference(
     )
     placing = fit_to_world(view, scene, settings, given, tuning)
     if isinstance(placing, NotPlaced):
-        return _levelled(scene, view, placing)
+        return _levelled(scene, view, placing, given.shape)
     return _placed(placing, view, scene, given)
 
 
@@ -244,7 +246,7 @@ def _placed(placing: SimilarityFit, view: Model, scene: Scene, given: Measuremen
         origin=scene.origin or (given.control.origin if given.control is not None else None),
         residuals=Residuals(residual, inlier, held_out_m=held_out, fixes_m=here[:count], held=held_fixes),
         findings=Findings((*placing.notes, *_remarks(placing, scene), *lines)),
-        uncertainty=Uncertainty(fit.sigma, fit.error),
+        uncertainty=Uncertainty(fit.sigma, fit.error, given.shape and given.shape.moved(fit.similarity)),
         receiver=applied_receiver(fit.arm.place, fit.clock.offset_s),
         control=PointsFound(
             given=given.control, rows=tuple(points), accuracy=sums, bars=bar_rows(view.bars, fit.similarity.scale)
@@ -327,7 +329,7 @@ def bar_rows(bars: BarsFound | None, metres_per_unit: float) -> tuple[dict, ...]
     return () if bars is None else bars.rows(metres_per_unit)
 
 
-def _levelled(scene: Scene, view: Model, placing: NotPlaced) -> Georeference:
+def _levelled(scene: Scene, view: Model, placing: NotPlaced, shape: Shape | None) -> Georeference:
     """No placement: turned so that up is up, scaled by scale bars or the rig where that can be trusted."""
     up, scale, bars = view.up, view.scale, view.bars
     notes = [] if placing.contradicts else [f"not georeferenced: {placing.why}"]
@@ -357,6 +359,7 @@ def _levelled(scene: Scene, view: Model, placing: NotPlaced) -> Georeference:
             empty, np.zeros(scene.frames, bool), held_out_m=empty, fixes_m=np.zeros((0, 3)), held=HeldOut()
         ),
         findings=Findings(tuple(notes), tuple(said), (*(c.text() for c in contradictions(said)), *against)),
+        uncertainty=Uncertainty(shape=shape and shape.moved(here)),
         control=PointsFound(bars=rows),
     )
 

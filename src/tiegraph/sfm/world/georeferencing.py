@@ -47,7 +47,7 @@ def georeference_model(
     given, held = given or Measurements(), held or ConstantParameters()
     found, world = _georeferenced(model, scene, settings, tuning, given, held)
     points = _points(world, scene, given, tuning.world) if given.control is not None else []
-    return with_statements(found, scene, given.model_sigma * found.world_from_model.scale, points), world
+    return with_statements(found, scene, points), world
 
 
 def _georeferenced(
@@ -296,8 +296,11 @@ def _adjusted(
         f"adjusted with the positions: frames moved by {np.nanmedian(moved):.3f} m (at most {np.nanmax(moved):.3f} m), "
         f"reprojection {made.before_px:.3f} -> {made.after_px:.3f} px"
     )
+    known, bent = first.uncertainty, first.placing.fit.bent
+    shape = known.shape if known.shape is None or bent is None else known.shape.told(bent)
     adjusted = replace(
         first,
+        uncertainty=replace(known, shape=shape),
         world_from_model=worldadjust.similarity_to(model, made.model, first.world_from_model),
         residuals=replace(first.residuals, frames_m=residual, inlier=inlier, fixes_m=made.residual),
         receiver=applied_receiver(made.antenna, made.offset_s),

@@ -130,7 +130,7 @@ def one_world(
     if len(models) == 1:
         return OneWorld(first, world)
     joining = Joining(scene, verified, tuning.placement, models, {0: world})
-    blind = replace(given, model_sigma=float("nan"), model_scale_sigma=float("nan"))
+    blind = replace(given, shape=None, model_scale_sigma=float("nan"))
     assembly = _Assembly(models, first, joining, place, blind, tuning)
     while left := assembly.left():
         if not (assembly.by_matches(left) or assembly.by_positions(left) or assembly.by_points(left)):

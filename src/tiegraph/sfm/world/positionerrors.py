@@ -5,11 +5,12 @@ variance whose correlation falls as exp(-dt / tau); c is the same for all positi
 not how it is made up. So w and g (of each level of the stated sigma) and tau are the likeliest after the residuals are
 seen (restricted likelihood: Patterson and Thompson 1971; of variance components: Foerstner 1979, Koch 1999), with a
 weak belief in the stated sigma beforehand. No residual tells c, nor what of z lasts longer than the survey: these stay
-as wide as they are stated. What the model itself bends is taken for a slow error of the positions.
+as wide as they are stated. What the images may bend of the model is among the unknowns (``sfm.shape``).
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -24,18 +25,36 @@ _MOST = 1 - 1e-9  # correlation of two positions of one instant
 
 
 @dataclass(frozen=True)
-class Linear:
-    """K positions and what else is known of D unknowns, linearised where they are.
+class Stated:
+    """Of K positions: ``sigma`` (K, 3) as stated, its ``level`` (K,), ``time_s`` (K,), NaN = not known, and sigmas (3,)
+    of what all of them have in common, metres, NaN = nothing."""
 
-    ``rows`` (K, 3, D + 1), metres: derivatives of places by the unknowns and, last, residuals, of positions of stated
-    ``sigma`` (K, 3), of ``level`` (K,) and ``time_s`` (K,), NaN = not known. ``known`` (D + 1, D + 1): the products of
-    such rows, over their sigmas, of all else.
-    """
-
-    rows: np.ndarray
     sigma: np.ndarray
     level: np.ndarray
     time_s: np.ndarray
+    common: np.ndarray
+
+    @staticmethod
+    def of_sigma(sigma: np.ndarray) -> Stated:
+        """Places without times that have nothing in common."""
+        count = len(sigma)
+        return Stated(sigma=sigma, level=np.zeros(count, int), time_s=np.full(count, np.nan), common=np.full(3, np.nan))
+
+    def where(self, mask: np.ndarray) -> Stated:
+        """Some of the positions."""
+        return Stated(sigma=self.sigma[mask], level=self.level[mask], time_s=self.time_s[mask], common=self.common)
+
+
+@dataclass(frozen=True)
+class Linear:
+    """K positions and what else is known of D unknowns, linearised where they are.
+
+    ``rows`` (K, 3, D + 1), metres: derivatives of places by the unknowns and, last, residuals. ``known``
+    (D + 1, D + 1): the products of such rows, over their sigmas, of all else.
+    """
+
+    rows: np.ndarray
+    stated: Stated
     known: np.ndarray
 
 
@@ -53,14 +72,14 @@ class PositionErrors:
 
     def __init__(self, linear: Linear, tuning: NoiseTuning) -> None:
         self._linear, self._tuning = linear, tuning
-        names, number, counts = np.unique(linear.level, return_inverse=True, return_counts=True)
+        names, number, counts = np.unique(linear.stated.level, return_inverse=True, return_counts=True)
         few = counts < tuning.min_rows  # levels of a few positions share one size
         joined = np.where(few, few.argmax(), np.arange(len(names)))
         self._level = np.unique(joined[number], return_inverse=True)[1]
-        order = np.argsort(linear.time_s, kind="stable")  # NaN last
+        order = np.argsort(linear.stated.time_s, kind="stable")  # NaN last
         self._order = order
-        self._steps = np.diff(linear.time_s[order])
-        self._sides = (linear.rows / linear.sigma[:, :, None])[order].reshape(len(order), -1)  # (K, 3 (D + 1))
+        self._steps = np.diff(linear.stated.time_s[order])
+        self._sides = (linear.rows / linear.stated.sigma[:, :, None])[order].reshape(len(order), -1)  # (K, 3 (D + 1))
 
     @cached_property
     def sizes(self) -> Sizes:
@@ -109,8 +128,19 @@ class PositionErrors:
         sides, weighed = (v.reshape(len(precise) * 3, -1) for v in (sides, weighed))
         return 3 * float(lost), self._linear.known + sides.T @ weighed
 
-    def step(self) -> tuple[np.ndarray, np.ndarray]:
-        """What the unknowns are to be moved by (D,) for the best fit, and their covariance (D, D)."""
+    def step(self, considered: Mapping[int, float]) -> tuple[np.ndarray, np.ndarray]:
+        """What the unknowns are to be moved by (D,) for the best fit, and their covariance (D, D).
+
+        Those ``considered`` (number: sigma), which the positions hardly tell, stay where they are, and what they may be
+        off by counts (Schmidt 1966): noise would carry a clock and with it all places far along a straight way.
+        """
         normal = self._normal(self.sizes)[1]
-        covariance = np.linalg.pinv(normal[:-1, :-1], hermitian=True)
-        return -covariance @ normal[:-1, -1], covariance
+        moved, covariance = np.zeros(len(normal) - 1), np.zeros((len(normal) - 1,) * 2)
+        held = np.array(sorted(considered), int)
+        free = np.setdiff1d(np.arange(len(moved)), held)
+        covariance[np.ix_(free, free)] = np.linalg.pinv(normal[np.ix_(free, free)], hermitian=True)
+        moved[free] = -covariance[np.ix_(free, free)] @ normal[free, -1]
+        follows = np.zeros((len(moved), len(held)))  # what each unknown follows those that are held by
+        follows[held, range(len(held))] = 1.0
+        follows[free] = -covariance[np.ix_(free, free)] @ normal[np.ix_(free, held)]
+        return moved, covariance + (follows * [considered[k] ** 2 for k in held]) @ follows.T

@@ -22,14 +22,16 @@ from tiegraph.sfm.world.antenna import (
     try_clock,
     try_lever_arm,
     up_to_use,
+    with_clock,
     with_lever_arm,
 )
 from tiegraph.sfm.world.bars import BarsFound
-from tiegraph.sfm.world.fit import Evidence, Fit, PositionRows, by_errors, fit_similarity
+from tiegraph.sfm.world.fit import Evidence, Fit, by_errors, fit_similarity
 from tiegraph.sfm.world.fixes import Fixes, Measurements, make_fixes
 from tiegraph.sfm.world.marks import Target
+from tiegraph.sfm.world.positionerrors import Stated
 from tiegraph.sfm.world.scale import RigScale
-from tiegraph.sfm.world.sources import POSITIONS, common_of
+from tiegraph.sfm.world.sources import POSITIONS
 from tiegraph.sfm.world.unknowns import Clock, LeverArm, LogScale
 from tiegraph.sfm.world.weighing import EvidenceWeights, Question, weigh
 
@@ -117,12 +119,18 @@ class _Given:
     points: np.ndarray
     tuning: WorldTuning
 
+    @cached_property
+    def bend(self) -> np.ndarray:
+        """(F, 3, M) what each of the modes of the model's shape moves the frames by, model units."""
+        shape, frames = self.measured.shape, np.arange(self.scene.frames)
+        return np.zeros((len(frames), 3, 0)) if shape is None else shape.at(frames)
+
 
 def fit_to_world(
     model: Model, scene: Scene, settings: GeorefSettings, given: Measurements, tuning: WorldTuning
 ) -> SimilarityFit | NotPlaced:
     """Fit the model to everything measured in the world, if that is enough and no mirror image of the model."""
-    notes: list[str] = []
+    notes, tuning = [], with_clock(tuning, scene)
     registered = np.all(np.isfinite(model.frames(scene)), axis=(1, 2))
     stated = make_fixes(scene, registered, given, settings.sigma_floor_m, tuning.fixes)
     points = _usable_points(model, given)
@@ -169,7 +177,7 @@ def fit_to_world(
     )
 
 
-def _position_rows(fixes: Fixes, scene: Scene, extra_m: np.ndarray, tuning: FixTuning) -> PositionRows:
+def _position_rows(fixes: Fixes, scene: Scene, extra_m: np.ndarray, tuning: FixTuning) -> Stated:
     """The fixes as stated, wider by (3,) ``extra_m`` where another source contradicts them, and what all of them share:
     of what a receiver states a part lasts (base station, atmosphere), and so does how well the datum is tied to its."""
     common = np.full(3, np.nan)
@@ -177,7 +185,7 @@ def _position_rows(fixes: Fixes, scene: Scene, extra_m: np.ndarray, tuning: FixT
         datum = 0.0 if scene.origin is None else datum_sigma_m(scene.origin.crs)
         common = np.hypot(tuning.lasting * np.median(fixes.stated, axis=0), datum * np.array([0.5, 0.5, 0.0]) ** 0.5)
     sigma = np.hypot(np.maximum(fixes.stated, 1e-3), extra_m)
-    return PositionRows(sigma=sigma, level=fixes.level, time_s=fixes.time_s, common=common)
+    return Stated(sigma=sigma, level=fixes.level, time_s=fixes.time_s, common=common)
 
 
 def _weighed(about: _Given, stated: Fixes, arm: _Arm) -> tuple[EvidenceWeights, Fitted]:
@@ -191,7 +199,7 @@ def _weighed(about: _Given, stated: Fixes, arm: _Arm) -> tuple[EvidenceWeights, 
     metres = 1.0 if model.scale is None else model.scale.metres_per_unit
     weighed: EvidenceWeights | None = None
     for _ in range(tuning.similarity_fit.rounds):
-        evidence = _with_points(_evidence(frames, fixes, scene, arm, model.scale, tuning), about, metres)
+        evidence = _with_points(_evidence(frames, fixes, about, arm), about, metres)
         if weighed is None:
             weighed = weigh(_question(evidence, stated, about, arm))
         fixes = fixes.blurred(weighed.extra_m)
@@ -207,14 +215,12 @@ def _weighed(about: _Given, stated: Fixes, arm: _Arm) -> tuple[EvidenceWeights, 
 
 def _question(evidence: Evidence, stated: Fixes, about: _Given, arm: _Arm) -> Question:
     free = arm.estimate is not False
-    reach = about.tuning.fit.antenna_sigma_m if free else 0.0
-    floor = about.settings.sigma_floor_m
     return Question(
         evidence=evidence,
         count=len(stated),
         times=time_order(about.scene, stated),
         name=POSITIONS.get(about.scene.prior, "positions"),
-        common=common_of(stated.sigma, floor, reach) if len(stated) else np.zeros(4),
+        stated=_position_rows(stated, about.scene, np.zeros(3), about.tuning.fixes),
         scale=about.model.scale,
         tuning=about.tuning,
         free_antenna=free,
@@ -237,14 +243,8 @@ def _usable_points(model: Model, given: Measurements) -> np.ndarray:
     return np.array(usable, int)
 
 
-def _evidence(
-    frames: np.ndarray,
-    fixes: Fixes,
-    scene: Scene,
-    arm: _Arm,
-    scale: RigScale | None,
-    tuning: WorldTuning,
-) -> Evidence:
+def _evidence(frames: np.ndarray, fixes: Fixes, about: _Given, arm: _Arm) -> Evidence:
+    scene, scale, tuning = about.scene, about.model.scale, about.tuning
     pose, speed = fixes.blend(frames)
     orientation = scene.world_from_rig[fixes.home, :3, :3].copy()
     orientation[fixes.weights.max(axis=1) < tuning.similarity_fit.at_frame] = np.nan
@@ -257,18 +257,21 @@ def _evidence(
         arm=LeverArm(np.zeros(3) if arm.given is None else arm.given, arm.estimate is True),
         log_scale=LogScale(np.log(scale.metres_per_unit), scale.sigma) if scale is not None and scale.trusted else None,
         speed=speed,
+        bend=np.einsum("kn,knim->kim", fixes.weights, about.bend[fixes.frames]),
     )
 
 
 def _with_points(evidence: Evidence, about: _Given, metres: float) -> Evidence:
     """The evidence with control points added: rows without rotation, so that no lever arm acts."""
     model, points, control = about.model, about.points, about.measured.control
-    if not len(points) or control is None:
+    if not len(points) or control is None or evidence.bend is None:
         return evidence
     pose = np.zeros((len(points), 4, 4))
     pose[:, :3, 3] = [model.targets[k].place for k in points]
     spread = np.array([np.sqrt(np.trace(model.targets[k].covariance) / 3) for k in points]) * metres
     sigma = np.hypot(control.sigma_m[points], spread[:, None])
+    seen = [about.scene.frame[control.marks.image[model.targets[k].marks]] for k in points]
+    bend = [about.bend[f].sum(axis=0) / max(len(f), 1) for f in seen]  # a point moves as the frames do that see it
     sigma *= _point_factor(pose[:, :3, 3], control.world_m[points], sigma, about.tuning)
     return replace(
         evidence,
@@ -278,6 +281,7 @@ def _with_points(evidence: Evidence, about: _Given, metres: float) -> Evidence:
         position=np.concatenate([evidence.position, control.world_m[points]]),
         sigma=np.concatenate([evidence.sigma, sigma]),
         orientation=np.concatenate([evidence.orientation, np.full((len(points), 3, 3), np.nan)]),
+        bend=np.concatenate([evidence.bend, bend]),
     )
 
 

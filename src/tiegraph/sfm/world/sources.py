@@ -14,9 +14,10 @@ from tiegraph.geometry.align import Similarity
 from tiegraph.geometry.gravity import Up
 from tiegraph.geometry.placement import PlacementError
 from tiegraph.scene.evidence import Statement
-from tiegraph.sfm.tuning.world import NoiseTuning, SourceTuning, WorldTuning
+from tiegraph.sfm.tuning.world import SourceTuning, WorldTuning
 from tiegraph.sfm.world import noise
-from tiegraph.sfm.world.fit import Evidence, Fit, fit_similarity
+from tiegraph.sfm.world.fit import Evidence, by_errors, fit_similarity
+from tiegraph.sfm.world.positionerrors import Stated
 from tiegraph.sfm.world.scale import RigScale
 
 POSITIONS = {"gnss": "GNSS positions", "exif": "EXIF positions", "trajectory": "trajectory positions"}
@@ -29,13 +30,12 @@ _THREE = 3  # places, for a similarity
 @dataclass(frozen=True)
 class Source:
     """A placement by one source. ``covariance`` (7, 7) of turn, shift and log scale about ``middle`` (world);
-    ``common_m`` (3,): errors of its places that all of them share; ``residual`` (K, 3) metres of its own fit."""
+    ``residual`` (K, 3) metres of its own fit."""
 
     name: str
     similarity: Similarity
     covariance: np.ndarray
     middle: np.ndarray
-    common_m: np.ndarray
     residual: np.ndarray
 
     @property
@@ -51,7 +51,7 @@ class Source:
         spread = np.degrees(np.sqrt(np.diag(self.covariance)[:3]))
         here = self.similarity(at[None])
         off = (here - result(at[None]))[0]
-        place = np.hypot(PlacementError(self.middle, self.covariance).sigma(here)[0], self.common_m)
+        place = PlacementError(self.middle, self.covariance).sigma(here)[0]
         out = []
         if self.scale_sigma < tuning.told_scale:
             ratio = self.similarity.scale / result.scale
@@ -86,19 +86,12 @@ class Source:
 
 
 def alone(
-    evidence: Evidence,
-    rows: np.ndarray,
-    name: str,
-    times: np.ndarray,
-    common: np.ndarray,
-    tuning: WorldTuning,
-    free_antenna: bool = False,
+    evidence: Evidence, rows: np.ndarray, name: str, stated: Stated, tuning: WorldTuning, free_antenna: bool = False
 ) -> Source | None:
     """The placement by some rows (K,) bool of the evidence alone; None with fewer than three of them.
 
-    Sigmas follow the scatter about this very fit and its correlation in time (what is stated of a receiver holds for
-    its places on the Earth, not from one to the next); ``common`` (4,): what the places share, east, north, up (m), and
-    what slow errors leave between the ends of the survey (m); ``free_antenna``: the lever arm may be anything.
+    By the errors that their residuals about this very fit show, and what all of them share (``positionerrors``);
+    ``free_antenna``: the lever arm may be anything.
     """
     own = evidence.where(rows)
     if len(np.unique(own.pose[:, :3, 3].round(9), axis=0)) < _THREE:
@@ -106,53 +99,19 @@ def alone(
     own = replace(own, log_scale=None).with_arm(free_antenna).without_orientations()
     fit = fit_similarity(own, None, tuning.fit)
     for _ in range(tuning.sources.rounds):
-        off = own.position_residuals(fit.similarity, fit.arm.place)
-        scatter = _scatter(off / evidence.sigma[rows], times, tuning.noise, tuning.sources.least)
-        own = replace(own, sigma=evidence.sigma[rows] * scatter)
+        off = own.position_residuals(fit.similarity, fit.arm.place) / evidence.sigma[rows]
+        typical = float(np.sqrt(np.median(np.sum(off**2, axis=1)) / noise.MEDIAN_CHI2_3))
+        own = replace(own, sigma=evidence.sigma[rows] * max(1.0, typical))
         fit = fit_similarity(own, None, tuning.fit, fit.similarity)
+    fit = by_errors(own, None, fit, stated, tuning.fit, tuning.noise)
     off = own.position_residuals(fit.similarity, fit.arm.place)
     return Source(
         name=name,
         similarity=fit.similarity,
-        covariance=_with_slow(fit, own, float(common[3])),
+        covariance=fit.error.covariance,
         middle=fit.error.middle,
-        common_m=common[:3],
         residual=off,
     )
-
-
-def _scatter(residual: np.ndarray, times: np.ndarray, tuning: NoiseTuning, least: float) -> float:
-    """By how much residuals over sigma (K, 3) are larger or smaller than said, with their correlation."""
-    count = len(residual)
-    free = 3 * count - 7
-    if free < count:  # three or four: they meet whatever they are
-        return 1.0
-    typical = float(np.median(np.sum(residual**2, axis=1))) / noise.MEDIAN_CHI2_3 * 3 * count / free
-    r = noise.correlation(residual, times, tuning)
-    scatter = float(np.sqrt(typical * (1 + r) / (1 - r)))
-    few = np.sqrt(2 / free)  # a scatter of few may be small by chance
-    told = np.isfinite(times).sum() >= tuning.min_rows
-    return max(scatter * (1 + float(few)), least) if told else max(scatter, 1.0)
-
-
-def _with_slow(fit: Fit, own: Evidence, slow_m: float) -> np.ndarray:
-    """The fit's covariance, and on its diagonal what an error of ``slow_m`` from end to end turns and stretches."""
-    out = fit.error.covariance.copy()
-    out[range(7), range(7)] = np.maximum(np.diag(out), 1e-18)
-    off = own.position - own.position.mean(axis=0)
-    east, north, up = np.mean(off**2, axis=0)
-    shares = (north + up, east + up, east + north, np.inf, np.inf, np.inf, east + north + up)
-    slow = np.array([slow_m**2 / max(v, 1e-12) for v in shares])
-    limit = np.array([np.pi**2] * 3 + [1.0] * 3 + [1.0])
-    out[range(7), range(7)] += np.minimum(slow, limit)
-    return out
-
-
-def common_of(sigma: np.ndarray, floor_m: float, antenna_m: float) -> np.ndarray:
-    """(4,) what positions share: their stated sigma (median over (K, 3)), where no lever arm is known its size
-    (``antenna_m``); and the sigma between far ends that the settings believe of no receiver."""
-    stated = np.median(sigma, axis=0)
-    return np.append(np.hypot(stated, antenna_m), floor_m)
 
 
 def rig_statement(scale: RigScale | None, result: Similarity, used: bool) -> list[Statement]:

@@ -8,7 +8,7 @@ import numpy as np
 from tiegraph.geometry.align import rms_length
 from tiegraph.scene.evidence import LIMIT, Contradiction, Statement, contradictions, trend
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.world.georef import Findings, Georeference, Uncertainty
+from tiegraph.sfm.world.georef import Findings, Georeference
 from tiegraph.sfm.world.marks import Target
 from tiegraph.sfm.world.scale import RIG
 from tiegraph.sfm.world.similarityfit import time_order
@@ -26,13 +26,14 @@ _AXES = ("east", "north", "up")
 _ALONG = "along the motion"
 
 
-def with_statements(found: Georeference, scene: Scene, model_sigma_m: float, targets: list[Target]) -> Georeference:
+def with_statements(found: Georeference, scene: Scene, targets: list[Target]) -> Georeference:
     """The georeference with its statements and contradictions; sigmas widened where a contradiction says so.
 
-    ``model_sigma_m``: of a camera inside the model, NaN = not known; ``targets``: the control points in its world.
+    ``targets``: the control points in its world.
     """
     if found.placing is None:
         return found
+    model_sigma_m = 0.0 if found.uncertainty.shape is None else found.uncertainty.shape.sizes()["median"]
     said = statements(found)
     worst = _of_quantities(contradictions(said))
     if found.placing.weighed.why and not any(c.first.quantity == SCALE for c in worst):
@@ -56,7 +57,9 @@ def with_statements(found: Georeference, scene: Scene, model_sigma_m: float, tar
     sentences += _levels(found, bool(forms))
     sentences += _control(found, targets)
     error = known.error.widened_to(sigma) if known.error is not None else None
-    found = _with_predicted(replace(found, uncertainty=Uncertainty(sigma, error)), model_sigma_m, targets)
+    found = _with_predicted(
+        replace(found, uncertainty=replace(known, sigma=sigma, error=error)), model_sigma_m, targets
+    )
     sentences += _check_points(found, model_sigma_m, targets)
     bars = found.placing.model.bars if found.placing is not None else None
     sentences += bars.told(found.control.bars, sigma["scale"]) if bars is not None else ()
@@ -146,7 +149,7 @@ def _trends(found: Georeference, scene: Scene, model_sigma_m: float, scale_said:
     if not len(fixes):
         return []
     order = np.argsort(time_order(scene, fixes), kind="stable")
-    stated = np.hypot(np.median(fixes.sigma, axis=0), np.nan_to_num(model_sigma_m))
+    stated = np.hypot(np.median(fixes.sigma, axis=0), model_sigma_m)
     residual = found.residuals.fixes_m[order]
     way = _directions(fixes.position[order] + residual)
     series = [(a, residual[:, k], float(stated[k])) for k, a in enumerate(_AXES)]
@@ -297,5 +300,5 @@ def _points_known(
     if not rows or given is None or error is None:
         return rows, np.zeros((0, 3))
     spread = np.array([np.diag(targets[k].covariance) for k in rows])
-    known, inside = error.sigma(given.world_m[rows]), np.nan_to_num(model_sigma_m)
-    return rows, np.sqrt(given.sigma_m[rows] ** 2 + spread + known**2 + inside**2)
+    known = error.sigma(given.world_m[rows])
+    return rows, np.sqrt(given.sigma_m[rows] ** 2 + spread + known**2 + model_sigma_m**2)

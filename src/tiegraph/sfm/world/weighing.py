@@ -8,6 +8,7 @@ from tiegraph.geometry.align import Similarity, rms_length
 from tiegraph.scene.evidence import LIMIT, Trend, trend
 from tiegraph.sfm.tuning.world import SourceTuning, WorldTuning
 from tiegraph.sfm.world.fit import Evidence, fit_similarity
+from tiegraph.sfm.world.positionerrors import Stated
 from tiegraph.sfm.world.scale import BARS, RIG, RigScale
 from tiegraph.sfm.world.sources import CONTROL, Source, alone
 from tiegraph.sfm.world.unknowns import LogScale
@@ -45,14 +46,14 @@ class EvidenceWeights:
 @dataclass(frozen=True)
 class Question:
     """What is weighed: ``count`` fixes before the control points in the evidence, their times (K,) or order, the
-    positions' name, what they share (``common_of``), the scale by known lengths, and whether the lever arm is
+    positions' name, what is ``stated`` of them, the scale by known lengths, and whether the lever arm is
     unknown."""
 
     evidence: Evidence
     count: int
     times: np.ndarray
     name: str
-    common: np.ndarray
+    stated: Stated
     scale: RigScale | None
     tuning: WorldTuning
     free_antenna: bool = False
@@ -70,10 +71,10 @@ def weigh(asked: Question) -> EvidenceWeights:
     rows = np.arange(len(evidence.frame)) < asked.count
     sources = []
     if asked.count:
-        sources.append(alone(evidence, rows, asked.name, asked.times, asked.common, tuning, asked.free_antenna))
+        sources.append(alone(evidence, rows, asked.name, asked.stated, tuning, asked.free_antenna))
     points = int((~rows).sum())
     if points:
-        own = alone(evidence, ~rows, CONTROL, np.full(points, np.nan), np.zeros(4), tuning)
+        own = alone(evidence, ~rows, CONTROL, Stated.of_sigma(evidence.sigma[~rows]), tuning)
         sources.append(own or _few(evidence, rows, sources[0] if sources else None))
     found = {s.name: s for s in sources if s is not None}
     at = evidence.pose[~rows if points else rows, :3, 3].mean(axis=0)
@@ -103,13 +104,11 @@ def _few(evidence: Evidence, rows: np.ndarray, positions: Source | None) -> Sour
     shift = Similarity(shift.scale, shift.rotation, shift.translation + moved)
     variance = np.mean(own.sigma**2, axis=0) / len(own.sigma)
     covariance = np.diag([10.0, 10.0, 10.0, *variance, 100.0])
-    nothing = np.zeros(3)
     return Source(
         name=CONTROL,
         similarity=shift,
         covariance=covariance,
         middle=own.position.mean(axis=0),
-        common_m=nothing,
         residual=np.zeros_like(own.position),
     )
 

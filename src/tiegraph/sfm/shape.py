@@ -1,0 +1,134 @@
+"""The shape of a survey: by how much the adjustment of its images may bend it, and what lies between two frames."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pycolmap
+from scipy.spatial.distance import pdist, squareform
+
+from tiegraph.geometry.align import Similarity
+from tiegraph.geometry.transforms import motions
+from tiegraph.scene.scene import Scene
+from tiegraph.sfm.covariance import PositionSigma
+
+SHAPE = "shape.npz"  # of the largest model, in the folder of models
+PATHS = "sigma of each camera's own path, units of the model"
+_LEAST_FRAMES = 4  # less is not more than a similarity takes away
+_COLUMNS = ["apart", "sigma", "pairs of frames"]
+_STEPS = 2  # rows for each doubling of the distance
+_MODES = 30  # at most: what is left is noise from frame to frame
+_EXPLAINED = 0.999  # of the variance, by the modes
+
+
+@dataclass(frozen=True)
+class Shape:
+    """How N frames of a model may be off, after the best similarity of them all: the large eigenvectors of their
+    covariance, times their sigmas, and the variance of the rest, from frame to frame.
+
+    ``index`` (N,) the scene's frames, ascending; ``place`` (N, 3); ``modes`` (M, N, 3) of unit variance each; ``rest``
+    (N, 3); lengths in units of the model, along its axes.
+    """
+
+    index: np.ndarray
+    place: np.ndarray
+    modes: np.ndarray
+    rest: np.ndarray
+
+    @staticmethod
+    def of(model: pycolmap.Reconstruction, sigma: PositionSigma, scene: Scene) -> Shape | None:
+        """By the covariance of an adjustment; None without one."""
+        if sigma.covariance is None:
+            return None
+        values, vectors = np.linalg.eigh(sigma.covariance)
+        values, vectors = np.clip(values[::-1], 0, None), vectors[:, ::-1]
+        count = min(_MODES, int(np.searchsorted(np.cumsum(values), _EXPLAINED * values.sum())) + 1)
+        modes = (vectors[:, :count] * np.sqrt(values[:count])).T.reshape(count, -1, 3)
+        rest = np.clip(np.diag(sigma.covariance).reshape(-1, 3) - np.sum(modes**2, axis=0), 0, None)
+        number = {name: k for k, name in enumerate(scene.names)}
+        frames = [model.frame(k) for k in sigma.frame_ids]
+        first = [min(number[model.image(d.id).name] for d in f.image_ids if model.exists_image(d.id)) for f in frames]
+        index, rows = np.unique(scene.frame[first], return_index=True)
+        place = np.array([_centre(f) for f in frames])
+        return Shape(index=index, place=place[rows], modes=modes[:, rows], rest=rest[rows])
+
+    @property
+    def sigma(self) -> np.ndarray:
+        """(N,) of the frames' places, root sums of squares."""
+        return np.asarray(np.sqrt(np.sum(self.modes**2, axis=(0, 2)) + self.rest.sum(axis=1)))
+
+    def sizes(self) -> dict[str, float]:
+        """Median and 90th percentile of ``sigma``."""
+        return {"median": float(np.median(self.sigma)), "p90": float(np.percentile(self.sigma, 90))}
+
+    def at(self, frames: np.ndarray) -> np.ndarray:
+        """(K, 3, M) the modes at frames (K,) of the scene, between those that are known."""
+        flat = self.modes.transpose(2, 0, 1).reshape(-1, len(self.index))
+        known = np.stack([np.interp(frames, self.index, row) for row in flat], axis=1)
+        return known.reshape(len(frames), 3, -1)
+
+    def moved(self, similarity: Similarity) -> Shape:
+        """The same in the world."""
+        turn = similarity.scale * similarity.rotation
+        modes, rest = self.modes @ turn.T, self.rest @ (turn**2).T
+        return Shape(index=self.index, place=similarity(self.place), modes=modes, rest=rest)
+
+    def told(self, covariance: np.ndarray) -> Shape:
+        """The same once something has told the coefficients (M,) of the modes to this covariance (M, M)."""
+        values, vectors = np.linalg.eigh(covariance)
+        roots = vectors * np.sqrt(np.clip(values, 0, None))
+        return replace(self, modes=np.einsum("kj,kni->jni", roots, self.modes))
+
+    def between(self, min_pairs: int) -> list[tuple[float, float, int]]:
+        """By distance: how far apart, the sigma of the vector between two frames (root mean square over pairs), how
+        many; of at least ``min_pairs`` pairs. The sigma of the scale is not in it."""
+        flat = np.moveaxis(self.modes, 1, 0).reshape(len(self.index), -1)
+        variance = pdist(flat, "sqeuclidean")
+        own = self.rest.sum(axis=1)
+        variance += squareform(own[:, None] + own[None, :], checks=False)
+        apart = pdist(self.place)
+        there = apart > 0
+        step = np.round(_STEPS * np.log2(apart[there])).astype(int)
+        apart, variance = apart[there], variance[there]
+        return [
+            (float(np.median(apart[of])), float(np.sqrt(variance[of].mean())), int(of.sum()))
+            for of in (step == k for k in np.unique(step))
+            if of.sum() >= min_pairs
+        ]
+
+
+def own_paths(model: pycolmap.Reconstruction, sigma: PositionSigma, names: Mapping[int, str]) -> Mapping[str, dict]:
+    """Table by camera of the median sigma of its positions after the best similarity of these alone, model units.
+
+    {} but for a relaxed rig, whose images are frames of their own: the sigmas of all of them together say how well the
+    cameras' places in the rig are known, and not the path of the rig.
+    """
+    camera = np.array([_only_camera(model.frame(k)) for k in sigma.frame_ids])
+    if sigma.covariance is None or (camera < 0).any() or len(np.unique(camera)) < 2:
+        return {}
+    places = np.array([_centre(model.frame(k)) for k in sigma.frame_ids])
+    rows = []
+    for key in np.unique(camera).tolist():
+        of = np.flatnonzero(camera == key)
+        if len(of) < _LEAST_FRAMES:
+            continue
+        at = (3 * of[:, None] + np.arange(3)).ravel()
+        moves = motions(places[of] - places[of].mean(axis=0)).reshape(-1, 7)
+        left = np.eye(len(at)) - moves @ np.linalg.pinv(moves)
+        own = np.diag(left @ sigma.covariance[np.ix_(at, at)] @ left.T).reshape(-1, 3).sum(axis=1)
+        rows.append([names.get(key, key), float(np.median(np.sqrt(np.clip(own, 0, None)))), len(of)])
+    return {PATHS: {"columns": ["camera", "sigma", "frames"], "rows": rows}} if rows else {}
+
+
+def _only_camera(frame: pycolmap.Frame) -> int:
+    """Id of the camera of a frame of one image, else -1."""
+    sensors = {d.sensor_id.id for d in frame.image_ids}
+    return sensors.pop() if len(sensors) == 1 else -1
+
+
+def _centre(frame: pycolmap.Frame) -> np.ndarray:
+    """(3,) place of a frame in the world."""
+    pose = frame.rig_from_world
+    return np.full(3, np.nan) if pose is None else np.asarray(pose.inverse().translation, float)
