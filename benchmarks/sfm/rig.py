@@ -27,7 +27,6 @@ from tiegraph.scene.scene import Scene
 from tiegraph.sfm.database import ViewGraph
 from tiegraph.sfm.finish import finish_model
 from tiegraph.sfm.mapping import believed_cameras
-from tiegraph.sfm.model import frame_poses
 from tiegraph.sfm.placement.doubtful import MatchSource
 from tiegraph.sfm.rig.rig import rig_modes
 from tiegraph.sfm.rig.support import ties_of, unsupported_sensors
@@ -69,8 +68,6 @@ def _request(folder: Path, scene: Scene, scratch: Path) -> FinishRequest:
     refused = tuple(zip(away.i.tolist(), away.j.tolist()))
     graph = ViewGraph(folder / "database.db", scene, SparseSettings().min_matches, refused)
     alone = unsupported_sensors(scene, graph, modes, Tuning().rig.support)
-    with np.load(folder / "network" / "model.npz") as data:
-        poses = np.where(data["trusted"][:, None, None], data["cam_from_world"], np.nan)
     return FinishRequest(
         folder=folder / "sparse" / "0",
         target=scratch / "finished",
@@ -85,7 +82,6 @@ def _request(folder: Path, scene: Scene, scratch: Path) -> FinishRequest:
             cameras=constant,
         ),
         matched=MatchSource(folder / "database.db", (*refused, *ties_of(scene, graph, alone))),
-        preview=frame_poses(poses, scene),
     )
 
 

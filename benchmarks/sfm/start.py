@@ -60,7 +60,7 @@ def measure(name: str, out: Path, mapper: str, work: Path) -> dict[str, Any]:
 
 
 def _preview(out: Path) -> np.ndarray | None:
-    path = out / "network" / "model.npz"
+    path = out / "coarse" / "model.npz"
     if not path.exists():
         return None
     with np.load(path) as data:

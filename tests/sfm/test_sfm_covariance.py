@@ -49,6 +49,15 @@ def world(tmp_path_factory):
     return make_world(tmp_path_factory.mktemp("world") / "database.db", cameras=2, frames=6, noise_px=0.0)
 
 
+def test_a_sigma_covers_another_place_of_a_frame(world) -> None:
+    told = position_sigma(_noisy(world[0], 0.5, 0), free_intrinsics=False, free_rig=False, tuning=TUNING)
+    wide = told.covering({told.frame_ids[2]: np.array([0.0, 3.0, -4.0])})
+    assert np.allclose(wide.sigma[2] ** 2, told.sigma[2] ** 2 + [0, 9, 16]) and wide.sigma[2, 0] == told.sigma[2, 0]
+    assert np.array_equal(np.delete(wide.sigma, 2, 0), np.delete(told.sigma, 2, 0))
+    assert np.allclose((wide.covariance - told.covariance)[6:9, 6:9], [[0, 0, 0], [0, 9, -12], [0, -12, 16]])
+    assert wide.p90 > told.p90
+
+
 @pytest.mark.slow
 def test_predicted_sigma_is_the_scatter_of_many_adjustments(world) -> None:
     truth, scene = world

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +13,9 @@ from moving_world import moving_world, write_database
 from tiegraph.geometry import transforms
 from tiegraph.scene.colmapmodel import image_poses, rigid3d
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.placement.consistency import ConsistencyVotes, check_consistency
-from tiegraph.sfm.placement.continuity import motion_continuity
-from tiegraph.sfm.placement.doubtful import MatchSource, PlacementCheck, leave_out_doubtful
+from tiegraph.sfm.placement.consistency import ConsistencyVotes, SuspectFrames, suspect_frames
+from tiegraph.sfm.placement.doubtful import Explained, MatchSource, PlacementCheck, explained, leave_out_doubtful
+from tiegraph.sfm.placement.rival import rivals, told
 from tiegraph.sfm.tuning.placement import PlacementTuning
 
 TUNING = PlacementTuning()
@@ -27,10 +28,18 @@ def world(tmp_path: Path) -> tuple[pycolmap.Reconstruction, Scene]:
     return model, scene
 
 
-def _test(
-    model: pycolmap.Reconstruction, scene: Scene, folder: Path, preview: np.ndarray | None = None
-) -> PlacementCheck:
-    return leave_out_doubtful(model, scene, MatchSource(folder / "database.db"), preview, TUNING)
+def _test(model: pycolmap.Reconstruction, scene: Scene, folder: Path) -> PlacementCheck:
+    return leave_out_doubtful(model, scene, MatchSource(folder / "database.db"), TUNING)
+
+
+def _explained(model: pycolmap.Reconstruction, scene: Scene, folder: Path) -> Explained:
+    return explained(model, scene, MatchSource(folder / "database.db").read(scene), TUNING)
+
+
+def _suspects(scene: Scene, *tables: dict) -> tuple[SuspectFrames, ...]:
+    """By agreeing and contradicting ties (a, b), of which both frames tell the same."""
+    both = [{f: {a + b - f: n for (a, b), n in table.items() if f in (a, b)} for f in range(20)} for table in tables]
+    return suspect_frames(range(scene.frames), scene, ConsistencyVotes(*both, TUNING.consistency))
 
 
 def _centres(model: pycolmap.Reconstruction, scene: Scene) -> np.ndarray:
@@ -38,9 +47,9 @@ def _centres(model: pycolmap.Reconstruction, scene: Scene) -> np.ndarray:
     return transforms.centre(poses)
 
 
-def _shift(model: pycolmap.Reconstruction, frames: range, by_m: float) -> None:
-    """Frames along the road to another place, with points of their own there, as a repeated wall does it."""
-    move = transforms.rigid(np.eye(3), np.array([0.0, 0, by_m]))
+def _shift(model: pycolmap.Reconstruction, frames: range, step_m: Sequence[float]) -> None:
+    """Frames to another place, with points of their own there, as a repeated wall does it."""
+    move = transforms.rigid(np.eye(3), np.array(step_m))
     inside = {i for i in model.reg_image_ids() if model.image(i).frame_id - 1 in frames}
     for key, point in list(model.points3D.items()):
         place = np.array(point.xyz)
@@ -63,13 +72,11 @@ def test_a_good_model_is_let_be(world, tmp_path: Path) -> None:
     assert model.num_reg_images() == len(scene)
 
 
-@pytest.mark.parametrize("previewed", [True, False])
-def test_a_frame_at_a_repeated_wall_is_left_out_with_its_reason(world, tmp_path: Path, previewed: bool) -> None:
+def test_a_frame_at_a_repeated_wall_is_left_out_with_its_reason(world, tmp_path: Path) -> None:
     model, scene = world
     true = _centres(model, scene)
-    _shift(model, range(6, 7), 12.0)
-    rough = transforms.rigid(np.tile(np.eye(3), (14, 1, 1)), 0.2 * true) if previewed else None
-    found = _test(model, scene, tmp_path, rough)
+    _shift(model, range(6, 7), (0, 0, 12))
+    found = _test(model, scene, tmp_path)
     assert {name for name, _ in found.dropped} == {f"cam{s}/006.jpg" for s in range(3)}
     assert all(why.startswith("left out: its ties") for _, why in found.dropped)
     assert [row[0] for row in found.table["rows"]] == ["cam0/006.jpg"]
@@ -80,9 +87,40 @@ def test_a_frame_at_a_repeated_wall_is_left_out_with_its_reason(world, tmp_path:
     assert all(p.track.length() >= 2 for p in model.points3D.values())
 
 
+@pytest.mark.parametrize("steps", [-2.0, 1.5])
+def test_a_frame_that_slid_along_the_line_to_the_others_is_left_out(world, tmp_path: Path, steps: float) -> None:
+    """There the rays of any two images meet as they did: only points that two others made tell."""
+    model, scene = world
+    _shift(model, range(13, 14), steps * np.diff(_centres(model, scene)[12:], axis=0)[0])
+    found = _test(model, scene, tmp_path)
+    assert [row[0] for row in found.table["rows"]] == ["cam0/013.jpg"]
+
+
+@pytest.mark.parametrize(("cameras", "percent"), [(3, 88.4), (1, 88.4)])
+def test_where_else_a_frame_could_stand_is_found(world, tmp_path: Path, cameras: int, percent: float) -> None:
+    """Of a rig and of one camera: the true place, by the points of the others; how much the model explains is told."""
+    model, scene = world
+    if cameras == 1:
+        for k in [k for k in model.reg_image_ids() if model.image(k).camera_id > 1]:
+            for row in range(model.image(k).num_points2D()):
+                if model.image(k).point2D(row).has_point3D():
+                    model.delete_observation(k, row)
+        write_database(model, tmp_path / "database.db")
+    assert rivals(_explained(model, scene, tmp_path)) == {}
+    _shift(model, range(6, 7), (0.5, 0, 3))
+    found = _explained(model, scene, tmp_path)
+    (frame, rival), *more = rivals(found).items()
+    assert frame == 6 and not more and rival.here < 0.2 * rival.there
+    assert np.allclose(rival.step, (-0.5, 0, -3), atol=0.02)
+    assert found.table()["rows"][0][0] == "cam0/006.jpg" and found.table()["rows"][0][2] < 20
+    assert found.percent() == pytest.approx(percent, abs=3)
+    (said,) = told({6: rival}, scene)
+    assert f"cam0/006.jpg: {rival.here} matches agree with its place, {rival.there} with one 3.04 units" in said
+
+
 def test_a_model_that_fell_apart_keeps_its_frames_and_it_is_said(world, tmp_path: Path) -> None:
     model, scene = world
-    _shift(model, range(9, 14), 15.0)  # a third of the frames, and a fifth may be left out
+    _shift(model, range(9, 14), (0, 0, 15))  # a third of the frames, and a fifth may be left out
     found = _test(model, scene, tmp_path)
     assert found.table is None and found.dropped == [] and model.num_reg_images() == len(scene)
     named = "cam0/009.jpg, cam0/010.jpg, cam0/011.jpg, cam0/012.jpg and 1 more"
@@ -90,14 +128,13 @@ def test_a_model_that_fell_apart_keeps_its_frames_and_it_is_said(world, tmp_path
 
 
 def test_photographs_numbered_in_another_order_than_they_stand_all_stay(world, tmp_path: Path) -> None:
-    """The course of the pass jumps; every verified tie agrees with every place, and that decides."""
+    """Every verified tie agrees with every place."""
     model, scene = world
     true = _centres(model, scene)
     step = np.arange(14)
     step[2] = 14  # the last number, at the beginning of the road
     found = _test(model, scene.with_(sequence_index=step, time_s=np.full(14, np.nan)), tmp_path)
-    assert found.dropped == [] and found.table is None
-    assert [n for n in found.notes if "jumps" in n and "their ties hold them there: they stay" in n]
+    assert found == PlacementCheck()
     assert model.num_reg_images() == len(scene)
     assert np.linalg.norm(_centres(model, scene) - true, axis=1).max() < 1e-9
 
@@ -105,24 +142,17 @@ def test_photographs_numbered_in_another_order_than_they_stand_all_stay(world, t
 @pytest.mark.parametrize(
     "agree, contradict, kept",
     [
-        ({(2, 7): 200.0, (3, 8): 200.0}, {}, True),  # true ties over a real jump: a gap in the pass
+        ({(2, 7): 200.0, (3, 8): 200.0}, {}, True),  # true ties over a gap in the pass
         ({(2, 7): 200.0, (3, 8): 200.0}, {(4, 5): 100.0, (4, 6): 60.0}, False),  # its neighbours say it is false
         ({(2, 7): 200.0, (3, 8): 200.0}, {(1, 9): 300.0, (0, 8): 200.0}, False),  # more speak against than for it
-        ({(2, 7): 200.0}, {}, False),  # one pair of frames is no hold
-        ({(2, 7): 15.0, (3, 8): 14.0}, {}, False),  # nor are a few matches
     ],
 )
-def test_what_stands_beyond_a_jump_is_decided_by_its_ties(agree: dict, contradict: dict, kept: bool) -> None:
+def test_a_half_that_hangs_on_few_ties_is_judged_by_these(agree: dict, contradict: dict, kept: bool) -> None:
     _, scene = moving_world(frames=10)
-    scene = scene.with_(time_s=np.full(10, np.nan))
-    along = np.array([0.0, 1, 2, 3, 4, 35, 36, 37, 38, 39])
-    positions = np.stack([along, np.zeros(10), np.zeros(10)], axis=1)
     beside = {(k, k + 1): 500.0 for k in range(9) if k != 4}
-    said = ConsistencyVotes({**beside, **agree}, contradict, TUNING.consistency)
-    found = check_consistency(positions, scene, motion_continuity(positions, scene, None, TUNING.consistency), said)
-    assert len(found.main) == (10 if kept else 5) and len(found.beyond) == (5 if kept else 0)
-    assert [len(d.frames) for d in found.suspects] == ([] if kept else [5])
-    assert all("ties" in d.why for d in found.suspects)
+    found = _suspects(scene, {**beside, **agree}, contradict)
+    assert [len(d.frames) for d in found] == ([] if kept else [5])
+    assert all("ties" in d.why for d in found)
 
 
 @pytest.mark.parametrize(
@@ -139,32 +169,21 @@ def test_frames_that_stand_wrong_together_are_asked_together(agree: dict, contra
     """Each of three frames has most of its ties with the other two, which agree: alone none is in doubt."""
     _, scene = moving_world(frames=10)
     scene = scene.with_(sequence=np.full(10, -1))  # photographs: no course that could jump
-    positions = np.stack([np.arange(10.0), np.zeros(10), np.zeros(10)], axis=1)
     inside = {(4, 5): 800.0, (5, 6): 700.0, (4, 6): 600.0}
     outside = {(a, b): 500.0 for a in range(10) for b in range(a + 1, a + 3) if b < 10 and not {a, b} & {4, 5, 6}}
     outside[3, 7] = 500.0
-    said = ConsistencyVotes({**inside, **outside, **agree}, contradict, TUNING.consistency)
-    found = check_consistency(positions, scene, motion_continuity(positions, scene, None, TUNING.consistency), said)
-    assert [d.frames for d in found.suspects] == ([left_out] if left_out else [])
-    assert set(found.main) == set(range(10)) - set(left_out)
-    assert all("asked together with the 2 it is tied to most" in d.why for d in found.suspects)
+    found = _suspects(scene, {**inside, **outside, **agree}, contradict)
+    assert [d.frames for d in found] == ([left_out] if left_out else [])
+    assert all("asked together with the 2 it is tied to most" in d.why for d in found)
 
 
-def test_blocks_never_join_over_a_jump() -> None:
-    """Two passes torn at one place: each half stays with its half, although false ties bind the halves as well."""
+def test_halves_of_two_passes_that_false_ties_hold_together_are_found() -> None:
+    """Two passes torn at one place: each half stays with its half; the ties over the tear are the neighbours'."""
     _, scene = moving_world(frames=12)
     scene = scene.with_(
         sequence=np.repeat([0, 1], 6), sequence_index=np.tile(np.arange(6), 2), sequences=("up", "down")
     )
-    scene = scene.with_(time_s=np.full(12, np.nan))
-    along = np.tile([0.0, 1, 2, 23, 24, 25], 2)
-    positions = np.stack([along, np.zeros(12), np.zeros(12)], axis=1)
-    agree = {(0, 6): 500.0, (1, 7): 500.0, (2, 8): 500.0, (3, 9): 400.0, (4, 10): 400.0, (2, 9): 90.0}
-    found = check_consistency(
-        positions,
-        scene,
-        motion_continuity(positions, scene, None, TUNING.consistency),
-        ConsistencyVotes(agree, {}, TUNING.consistency),
-    )
-    assert found.main == (0, 1, 2, 6, 7, 8)
-    assert [d.frames for d in found.suspects] == [(3, 4, 5, 9, 10, 11)]
+    beside = {(k, k + 1): 300.0 for k in range(11) if k not in (2, 5, 8)}
+    agree = {**beside, (0, 6): 500.0, (1, 7): 500.0, (2, 8): 500.0, (3, 9): 400.0, (4, 10): 400.0, (2, 9): 90.0}
+    found = _suspects(scene, agree, {(2, 3): 60.0, (8, 9): 60.0})
+    assert len(found) == 1 and found[0].frames in ((0, 1, 2, 6, 7, 8), (3, 4, 5, 9, 10, 11))

@@ -107,3 +107,20 @@ def test_frames_that_few_points_of_the_model_tie_to_the_rest(world) -> None:
     weak = few_points(model, scene, everything, LOSSES)
     assert {f for group in weak for f in group.frames} == last
     assert 0 < sum(group.points for group in weak) <= 60
+
+
+def test_points_of_two_images_hold_no_distance(world) -> None:
+    """A frame slides on the line to each of its neighbours without a residual, however many such points there are."""
+    truth, scene = world
+    everything = Registration(np.ones(len(scene), bool), np.full(len(scene), 100), 10)
+    model, last = pycolmap.Reconstruction(truth), scene.frames - 1
+    frame = {i: scene.frame[scene.image_index[model.image(i).name]] for i in model.reg_image_ids()}
+    for key in list(model.points3D):
+        place, ends = model.point3D(key).xyz, [(e.image_id, e.point2D_idx) for e in model.point3D(key).track.elements]
+        own, rest = ([e for e in ends if (frame[e[0]] == last) == side] for side in (True, False))
+        if own and len(rest) > 2:
+            model.delete_point3D(key)
+            for part in ([own[0], rest[0]], rest[1:]):
+                model.add_point3D(place, pycolmap.Track([pycolmap.TrackElement(*e) for e in part]))
+    (weak,) = few_points(model, scene, everything, LOSSES)
+    assert weak.frames == (last,) and weak.points == 0

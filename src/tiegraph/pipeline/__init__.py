@@ -65,7 +65,7 @@ STAGES = (
     _stage("match", ("network", "design", "features"), ("match.npz",), "block of pairs", version=2,
            changes=("database.db",), clear=_forget_matches, scratch=("database.db.match",), tuned=("features",)),
     _stage("filter", ("coarse", "network", "match"), ("filter.npz",), "pair", version=3),
-    _stage("sparse", ("coarse", "network", "match", "filter"), ("sparse",), version=24, scratch=("sparse/.run",),
+    _stage("sparse", ("coarse", "network", "match", "filter"), ("sparse",), version=25, scratch=("sparse/.run",),
            tuned=("scene", "sfm")),
     _stage("georef", ("network", "match", "filter", "sparse"), ("sparse/world", "world.json"), version=20,
            scratch=("sparse/.world",), tuned=("scene", "sfm", "targets")),
@@ -76,7 +76,7 @@ STAGES = (
            scratch=(".tiles",), tuned=("evaluate",)),
     _stage("evaluate", ("filter", "georef", "refine", "dense", "cloud"), ("metrics.json", "accuracy.csv", "evaluate"),
            version=9, scratch=("evaluate/.tiles",), tuned=("scene",), spares=("dense", "cloud")),
-    _stage("report", ("evaluate",), ("report.html", "report.json"), version=11, alone=True),
+    _stage("report", ("evaluate",), ("report.html", "report.json"), version=12, alone=True),
 )
 # fmt: on
 

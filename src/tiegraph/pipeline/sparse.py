@@ -52,7 +52,9 @@ def sparse(run: Run) -> Outcome:
         shape = Shape.of(load_model(run.path("sparse", "0")), made.sigma, checked(run))
         if shape is not None:
             save_npz(run.path("sparse", SHAPE), **vars(shape))
+        largest = float(np.linalg.norm(made.sigma.sigma, axis=1).max())
         counts |= {"position_sigma_median": made.sigma.median, "position_sigma_p90": made.sigma.p90}
+        counts["position_sigma_largest"] = largest
         if made.sigma.scale is not None:
             counts["scale_sigma"] = made.sigma.scale
     said = made.remarks

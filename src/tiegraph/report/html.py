@@ -270,6 +270,9 @@ def _model(run: RunFolder) -> dict[str, Any]:
         (t("mean reprojection error"), f"{formatting.number(m.figures.reprojection_px)} px"),
         (t("models"), formatting.count(1 + len(m.others))),
     ]
+    explained = run.counts("sparse").get("matches_explained_percent")
+    if explained is not None and formatting.is_number(explained):
+        out["facts"].append((t("verified matches that the model explains"), formatting.percent(explained / 100)))
     sizes = spatial.gsd(run)
     if sizes is not None:
         texts = [formatting.length(v, unit) for v in sizes]

@@ -16,12 +16,13 @@ metres in that of ``georef``.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 import pycolmap
 from scipy import sparse
+from scipy.linalg import block_diag
 
 from tiegraph.geometry.align import robust_sigma
 from tiegraph.scene.sorting import evenly
@@ -92,6 +93,12 @@ class PositionSigma:
     def p90(self) -> float:
         """90th percentile of the frames' root sum of squares."""
         return float(np.percentile(np.linalg.norm(self.sigma, axis=1), 90))
+
+    def covering(self, steps: Mapping[int, np.ndarray]) -> PositionSigma:
+        """The same where frames (ids of the model) could as well stand a ``step`` (3,) away."""
+        away = np.array([steps.get(k, np.zeros(3)) for k in self.frame_ids]).reshape(-1, 3)
+        full = None if self.covariance is None else self.covariance + block_diag(*(np.outer(a, a) for a in away))
+        return replace(self, sigma=np.hypot(self.sigma, away), covariance=full)
 
     def tables(self, names: Mapping[int, str]) -> dict[str, dict]:
         """Interior orientation, mounting and lens errors as tables of the receipt; ``names`` of the cameras by id."""

@@ -15,13 +15,13 @@ from tiegraph.sfm import shutter
 from tiegraph.sfm.adjustment.adjust import final_adjustment, free_cameras, robust_cost
 from tiegraph.sfm.adjustment.rigpriors import nominal_geometry, rig_priors
 from tiegraph.sfm.covariance import Mounting, PositionSigma, position_sigma
-from tiegraph.sfm.placement.doubtful import PlacementCheck, leave_out_doubtful
+from tiegraph.sfm.placement import rival
+from tiegraph.sfm.placement.doubtful import PlacementCheck, explained, frame_ids, leave_out_doubtful, named
 from tiegraph.sfm.rig import cameramatches
 from tiegraph.sfm.rig.support import place_as_given, units_per_metre
 from tiegraph.sfm.rigcheck import Checked, FinishRequest, checked_rig
 from tiegraph.sfm.shape import own_paths
 from tiegraph.sfm.tuning import SigmaTuning
-from tiegraph.sfm.verified import image_observations, read_verified
 from tiegraph.text import known_to
 
 
@@ -34,6 +34,7 @@ class FinishResult:
     dropped: list[tuple[str, str]] = field(default_factory=list)  # images left out for their place
     contradictions: list[str] = field(default_factory=list)
     sigma: PositionSigma | None = None
+    counts: dict[str, float] = field(default_factory=dict)
 
 
 def finish_model(request: FinishRequest, send: Callable[[Any], None]) -> FinishResult:
@@ -49,13 +50,13 @@ def finish_model(request: FinishRequest, send: Callable[[Any], None]) -> FinishR
     claim(request.target)
     request.target.mkdir(parents=True, exist_ok=True)
     checked = _without_rolling(_adjusted(mapped, scene, request), mapped, scene, request)
-    between = _camera_matches(checked, scene, request)
+    matches, steps = _matches(checked, scene, request)
     if request.held.unsupported:
         place_as_given(checked.model, scene, request.held.unsupported, request.tuning)
     colours = _coloured(checked.model, request)
     checked.model.write(request.target)
-    precision = _precision(checked, scene, request)
-    return _combined(placement, _rig_findings(checked), between, colours, precision)
+    precision = _precision(checked, scene, request, steps)
+    return _combined(placement, _rig_findings(checked), matches, colours, precision)
 
 
 def _combined(placement: PlacementCheck, *steps: FinishResult) -> FinishResult:
@@ -70,6 +71,7 @@ def _combined(placement: PlacementCheck, *steps: FinishResult) -> FinishResult:
         dropped=placement.dropped,
         contradictions=[line for step in steps for line in step.contradictions],
         sigma=precision.sigma,
+        counts={name: count for step in steps for name, count in step.counts.items()},
     )
 
 
@@ -81,7 +83,7 @@ def _without_doubtful(
         return model, PlacementCheck()
     tested = pycolmap.Reconstruction(model)
     try:
-        return tested, leave_out_doubtful(tested, scene, request.matched, request.preview, request.tuning.placement)
+        return tested, leave_out_doubtful(tested, scene, request.matched, request.tuning.placement)
     except (RuntimeError, ValueError, np.linalg.LinAlgError) as error:
         return model, PlacementCheck([f"the place of the frames could not be tested: {error}"])
 
@@ -170,18 +172,29 @@ def _rig_findings(checked: Checked) -> FinishResult:
     return FinishResult(checked.notes, {**checked.tables, **given}, contradictions=checked.contradictions)
 
 
-def _camera_matches(checked: Checked, scene: Scene, request: FinishRequest) -> FinishResult:
-    """Whether the verified matches between the cameras of rigs agree with the model as it is in the end."""
-    if request.matched is None or request.rough or not request.held.rigs:
-        return FinishResult()
+def _matches(checked: Checked, scene: Scene, request: FinishRequest) -> tuple[FinishResult, dict[int, np.ndarray]]:
+    """How much of the verified matches the model explains as it is in the end, whose contradict their places all the
+    same, and whether those between the cameras of rigs agree; steps to where else frames (COLMAP's ids) could stand."""
+    if request.matched is None or request.rough:
+        return FinishResult(), {}
     try:
-        seen = image_observations(checked.model, scene, request.tuning.placement.agreement)
-        verified = read_verified(request.matched.database, scene, request.matched.refused)
-        found = cameramatches.camera_matches(verified, seen, scene, request.tuning.rig.camera_matches)
+        found = explained(checked.model, scene, request.matched.read(scene), request.tuning.placement)
+        other = rival.rivals(found)
     except (RuntimeError, ValueError, np.linalg.LinAlgError) as error:
-        return FinishResult([f"the matches between cameras could not be checked: {error}"])
-    tables = {"matches between cameras": cameramatches.table(found, scene)} if found else {}
-    return FinishResult(tables=tables, contradictions=cameramatches.sentence(found, scene))
+        return FinishResult([f"the matches could not be checked against the model: {error}"]), {}
+    tables, said = {"matches explained, the frames with the least": found.table()}, rival.told(other, scene)
+    if lost := found.doubts.keys() - other.keys():
+        said.append(
+            f"most matches of {len(lost)} frames contradict their place in the end: they may be off by more than is "
+            f"stated ({named(lost, scene)})"
+        )
+    if request.held.rigs:
+        between = cameramatches.camera_matches(found.verified, found.seen, scene, request.tuning.rig.camera_matches)
+        tables |= {"matches between cameras": cameramatches.table(between, scene)} if between else {}
+        said += cameramatches.sentence(between, scene)
+    steps = {k: r.step for f, r in other.items() for k in frame_ids(checked.model, scene, f)}
+    counts = {"matches_explained_percent": round(found.percent(), 1)}
+    return FinishResult(tables=tables, contradictions=said, counts=counts), steps
 
 
 def _coloured(model: pycolmap.Reconstruction, request: FinishRequest) -> FinishResult:
@@ -194,14 +207,15 @@ def _coloured(model: pycolmap.Reconstruction, request: FinishRequest) -> FinishR
     return FinishResult()
 
 
-def _precision(checked: Checked, scene: Scene, request: FinishRequest) -> FinishResult:
-    """The sigmas of positions, lenses and mountings, and along the cameras' own paths."""
+def _precision(checked: Checked, scene: Scene, request: FinishRequest, steps: Mapping[int, np.ndarray]) -> FinishResult:
+    """The sigmas of positions, lenses and mountings, and along the cameras' own paths; ``steps``: to
+    where else frames could stand."""
     frames = checked.model.num_reg_frames()
     if frames > request.covariance_frames:
         many = f"position sigmas not computed: {frames} frames, more than sparse.covariance_frames"
         return FinishResult([many] if request.covariance_frames > 0 else [])
     try:
-        sigma = _position_sigma(checked, scene, request)
+        sigma = _position_sigma(checked, scene, request).covering(steps)
     except (ValueError, RuntimeError, np.linalg.LinAlgError) as error:
         return FinishResult([f"position sigmas could not be computed: {error}"])
     names = {k + 1: s.name for k, s in enumerate(scene.all_sensors)}

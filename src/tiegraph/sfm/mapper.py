@@ -31,7 +31,7 @@ from tiegraph.sfm.mapping import (
     map_images,
     ran_off,
 )
-from tiegraph.sfm.model import frame_poses, registration_tables
+from tiegraph.sfm.model import registration_tables
 from tiegraph.sfm.placement.doubtful import MatchSource
 from tiegraph.sfm.registrationreport import (
     camera_notes,
@@ -229,7 +229,6 @@ def _finish(job: Job, outcome: Outcome) -> FinishResult:
         lenses_ordered=job.settings.refine_intrinsics == "no",
         readout_ms=job.settings.readout_ms,
     )
-    preview = None if job.source.preview is None else frame_poses(job.source.preview, job.scene)
     matched = MatchSource(job.source.database, job.source.refused)
     for number, folder in enumerate(outcome.folders):
         request = FinishRequest(
@@ -240,7 +239,6 @@ def _finish(job: Job, outcome: Outcome) -> FinishResult:
             tuning=job.tuning,
             held=held,
             matched=None if number or job.source.rough else matched,
-            preview=preview,
             covariance_frames=0 if number else job.settings.covariance_frames,
             rough=job.source.rough,
         )
@@ -301,7 +299,7 @@ def _account(job: Job, outcome: Outcome, finished: FinishResult) -> SparseResult
             **finished.tables,
             **job.account.tables,
         },
-        counts=_counts(job, models, sum(len(group.frames) for group in weak)),
+        counts=_counts(job, models, sum(len(group.frames) for group in weak)) | finished.counts,
         sigma=finished.sigma,
     )
 

@@ -66,8 +66,10 @@ def few_points(
     model: pycolmap.Reconstruction, scene: Scene, found: Registration, tuning: RegistrationTuning
 ) -> tuple[WeaklyTied, ...]:
     """Frames, and groups of frames, that share so few points of a model with all others that the sigma of the others
-    is not theirs."""
-    _, image, point = tracks(model, scene)
+    is not theirs. Points that two images see do not count: their rays meet at whatever distance these stand."""
+    xyz, image, point = tracks(model, scene)
+    several = np.bincount(point, minlength=len(xyz))[point] > 2
+    image, point = image[several], point[several]
     there = np.zeros(scene.frames, bool)
     there[scene.frame[found.placed]] = True
     return weakly_tied(point, scene.frame[image], there, tuning.few_points)

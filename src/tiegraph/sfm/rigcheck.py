@@ -64,7 +64,6 @@ class FinishRequest:
     held: Held
     images: Path | None = None  # None = no colours
     matched: MatchSource | None = None  # None: the place of frames is not tested
-    preview: np.ndarray | None = None  # (F, 4, 4) world_from_rig of the frames in a rough model
     covariance_frames: int = 0  # 0: no sigmas wanted
     rough: bool = False  # as the mapper left it
 

@@ -14,7 +14,6 @@ from tiegraph.scene.rig import Rig, rig_from_dict, rig_to_dict
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.solver import THREADS, factorised
 from tiegraph.sfm.database import write_working_copy
-from tiegraph.sfm.model import frame_poses
 from tiegraph.sfm.placement.doubtful import doubted_frames
 from tiegraph.sfm.start.poses import largest_component, start_from
 from tiegraph.sfm.start.stagedadjustment import Doubted, model_from, place_doubted, refusal
@@ -144,9 +143,8 @@ def _from_poses(
 
 
 def _doubted(request: Request, scene: Scene, verified: VerifiedMatches) -> Doubted:
-    """What asks a model for its doubtful frames; of a pass's course, the poses that are started from tell."""
-    rough = None if request.poses is None else frame_poses(request.poses, scene)
-    return lambda model: doubted_frames(model, scene, verified, rough, request.tuning.placement)
+    """What asks a model for its doubtful frames."""
+    return lambda model: doubted_frames(model, scene, verified, request.tuning.placement)
 
 
 def _options(request: Request, free: bool) -> pycolmap.IncrementalPipelineOptions:

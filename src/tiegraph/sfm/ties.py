@@ -119,7 +119,7 @@ def find_ties(
         images.append(np.tile([a, b], (len(few), 1)))
     at = np.concatenate(images) if images else np.zeros((0, 2), int)
     ids = np.concatenate(points) if points else np.zeros((0, 2), int)
-    xyz = [np.array([m.xyz[int(k)] for k in ids[:, n]]).reshape(-1, 3) for n, m in enumerate((first, second))]
+    xyz = [m.xyz[ids[:, n]] for n, m in enumerate((first, second))]
     centre = [
         np.array([transforms.centre(m.cam_from_world[k]) for k in at[:, n].tolist()]).reshape(-1, 3)
         for n, m in enumerate((first, second))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -52,72 +52,167 @@ def read_verified(database: Path, scene: Scene, refused: Sequence[tuple[int, int
 
 @dataclass(frozen=True)
 class ImageObservations:
-    """What the images of a model know: camera, pose, point of each key point (-1 = none), reach (nearest, farthest);
-    and ``tuning``: by what their matches are judged."""
+    """What the images of a model know: camera, pose, row of the point of each key point (-1 = none), reach (nearest,
+    farthest) by scene index; the points ``xyz`` (P, 3), how many ``frames`` (P,) see each, and which (``seen``, sorted
+    numbers of point and frame in one); and ``tuning``: by what their matches are judged."""
 
-    cameras: dict[int, pycolmap.Camera]  # by scene index
+    cameras: dict[int, pycolmap.Camera]
     cam_from_world: dict[int, np.ndarray]
     point: dict[int, np.ndarray]
     reach: dict[int, np.ndarray]
-    xyz: dict[int, np.ndarray]
+    xyz: np.ndarray
+    frames: np.ndarray
+    seen: np.ndarray
+    frame: np.ndarray  # (N,) of each image of the scene
     tuning: AgreementTuning
+
+    def elsewhere(self, image: np.ndarray, point: np.ndarray) -> np.ndarray:
+        """(K,) bool: two frames beside that of an image (K,) see a point (K,) (row, -1 = none)."""
+        count = np.where(point >= 0, self.frames[point], 0)
+        out, open_ = count > 2, np.flatnonzero(count == 2)
+        key = point[open_] * len(self.frame) + self.frame[image[open_]]
+        at = np.searchsorted(self.seen, key)
+        out[open_] = self.seen[np.minimum(at, len(self.seen) - 1)] != key
+        return np.asarray(out)
 
 
 def image_observations(model: pycolmap.Reconstruction, scene: Scene, tuning: AgreementTuning) -> ImageObservations:
     """The registered images of a model that the scene knows."""
-    xyz = {int(k): p.xyz for k, p in model.points3D.items()}
-    cameras, poses, point, reach = {}, {}, {}, {}
+    ids = np.array(sorted(model.point3D_ids()), np.int64)
+    xyz = np.array([model.point3D(int(k)).xyz for k in ids] or np.zeros((1, 3)))
+    cameras, poses, point, reach, keys = {}, {}, {}, {}, [np.zeros(0, np.int64)]
     for k, image in registered_images(model, scene):
         cameras[k] = model.camera(image.camera_id)
         poses[k] = matrix(image.cam_from_world())
         point[k] = np.full(image.num_points2D(), -1)
-        point[k][image.get_observation_point2D_idxs()] = [p.point3D_id for p in image.get_observation_points2D()]
-        own = np.array([xyz[int(p)] for p in point[k][point[k] >= 0]]).reshape(-1, 3)
-        if len(own) >= tuning.least_matches:
-            depth = np.linalg.norm(transforms.apply(poses[k], own), axis=1)
+        rows = np.searchsorted(ids, [p.point3D_id for p in image.get_observation_points2D()])
+        point[k][image.get_observation_point2D_idxs()] = rows
+        keys.append(rows * len(scene) + scene.frame[k])
+        if len(rows) >= tuning.least_matches:
+            depth = np.linalg.norm(transforms.apply(poses[k], xyz[rows]), axis=1)
             reach[k] = np.percentile(depth, tuning.reach_percent)
-    return ImageObservations(cameras=cameras, cam_from_world=poses, point=point, reach=reach, xyz=xyz, tuning=tuning)
+    seen = np.unique(np.concatenate(keys).astype(np.int64))
+    frames = np.bincount(seen // len(scene), minlength=max(len(ids), 1))
+    return ImageObservations(
+        cameras=cameras, cam_from_world=poses, point=point, reach=reach, xyz=xyz, frames=frames, seen=seen,
+        frame=scene.frame, tuning=tuning,
+    )  # fmt: skip
 
 
 def agreement(verified: VerifiedMatches, seen: ImageObservations) -> np.ndarray:
-    """(P, 2): matches of each pair that the model's poses explain, and all of them, both capped; 0, 0 = no opinion."""
-    tuning = seen.tuning
-    rays: dict[int, np.ndarray] = {}
+    """(P, 3): matches of each pair that the model explains, as its first and as its second image tell, and all of
+    them, all capped; 0, 0, 0 = no opinion.
 
-    def of(k: int) -> np.ndarray:
-        if k not in rays:
-            rays[k] = rays_or_axis(seen.cameras[k], verified.xy[k])
-        return rays[k]
-
-    usual = np.median(list(seen.reach.values()), axis=0) if seen.reach else np.array([0.0, np.inf])
-    out = np.zeros((len(verified.pairs), 2))
-    for row, ((i, j), matches) in enumerate(zip(verified.pairs.tolist(), verified.matches)):
-        if i not in seen.cameras or j not in seen.cameras or len(matches) < tuning.least_matches:
-            continue
-        j_from_i = seen.cam_from_world[j] @ transforms.invert(seen.cam_from_world[i])
-        far = (seen.reach.get(i, usual), seen.reach.get(j, usual))
-        share = float(np.mean(_explained(of(i)[matches[:, 0]], of(j)[matches[:, 1]], j_from_i, far, tuning)))
-        out[row] = min(len(matches), tuning.matches_a_pair) * np.array([share, 1.0])
-    return out
+    Where a match belongs to a point that two frames beside the image's see, that must lie where the key point is: two
+    rays alone meet wherever one image slides along the line to the other. They are asked where no such point tells and
+    none speaks against the key point.
+    """
+    all_ = _Matched(verified, seen)
+    at = all_.at
+    told = np.stack([_in_parts(all_.at_points, at[:, end], at[:, 1 - end]) for end in (0, 1)])
+    yes, asked = (np.bincount(at.T[of], minlength=len(all_.point)) for of in (told == 1, told >= 0))
+    told[(told < 0) & ((yes == 0) & (asked > 0))[at.T]] = 0
+    left = np.flatnonzero((told < 0).any(axis=0))
+    meets = np.zeros(len(at), bool)
+    meets[left] = _in_parts(all_.meet, left)
+    return all_.of_pairs(*(np.where(t < 0, meets, t > 0) for t in told))
 
 
-def _explained(
-    a: np.ndarray, b: np.ndarray, b_from_a: np.ndarray, reach: Sequence[np.ndarray], tuning: AgreementTuning
-) -> np.ndarray:
-    """(M,) bool: rays a and b (M, 3) meet, ahead of both and within reach (or far off, without parallax)."""
-    turned = a @ b_from_a[:3, :3].T
-    step = b_from_a[:3, 3]
-    normal = cross(turned, b)
-    squared = np.maximum(np.sum(normal**2, axis=1), 1e-18)
-    # turned * s + step = b * t in least squares
-    s = np.sum(cross(b, step[None]) * normal, axis=1) / squared
-    t = np.sum(cross(turned, step[None]) * normal, axis=1) / squared
-    gap = np.linalg.norm(turned * s[:, None] + step - b * t[:, None], axis=1)
-    tolerance = tuning.tolerance_rad
-    meets = gap < tolerance * np.maximum(np.abs(s), np.abs(t))
-    near = np.array([reach[0][0], reach[1][0]]) / tuning.reach
-    far = np.array([reach[0][1], reach[1][1]]) * tuning.reach
-    inside = (s > near[0]) & (s < far[0]) & (t > near[1]) & (t < far[1])
-    parallel = (np.sqrt(squared) < tolerance) & (np.sum(turned * b, axis=1) > 0)
-    parallel &= np.linalg.norm(step) < tolerance * tuning.parallax * max(far)
-    return (meets & inside) | parallel
+@dataclass(frozen=True)
+class Sightings:
+    """Of K key points of some images the points that other frames made of what they match: ``image`` (K,) scene index,
+    ``xy`` (K, 2) px, ``xyz`` (K, 3), and whether they are seen ``there`` (K,) bool."""
+
+    image: np.ndarray
+    xy: np.ndarray
+    xyz: np.ndarray
+    there: np.ndarray
+
+
+def sightings(verified: VerifiedMatches, seen: ImageObservations, frame: int) -> Sightings:
+    """Those of a frame, each key point with each point once."""
+    own = seen.frame[verified.pairs] == frame
+    keys = _Matched(verified.where(own.any(axis=1)), seen)
+    mine = own[own.any(axis=1)][keys.pair]
+    both = np.unique(np.concatenate([keys.at[mine[:, 0]], keys.at[mine[:, 1]][:, ::-1]]), axis=0)
+    told = _in_parts(keys.at_points, both[:, 0], both[:, 1])
+    key, point, there = both[told >= 0, 0], keys.point[both[told >= 0, 1]], told[told >= 0] == 1
+    first = np.unique(np.column_stack([key, point]), axis=0, return_index=True)[1]
+    key, point, there = key[first], point[first], there[first]
+    xy = np.array([verified.xy[i][k - keys.start[i]] for i, k in zip(keys.image[key], key)]).reshape(-1, 2)
+    return Sightings(image=keys.image[key], xy=xy, xyz=seen.xyz[point], there=there)
+
+
+def rays_meet(verified: VerifiedMatches, seen: ImageObservations) -> np.ndarray:
+    """(P, 2): matches of each pair whose two rays meet, whatever other images say, and all of them, capped likewise."""
+    all_ = _Matched(verified, seen)
+    return all_.of_pairs(_in_parts(all_.meet, np.arange(len(all_.at))))
+
+
+_PART = 1 << 18  # matches that are looked at at once: bounds the memory
+
+
+def _in_parts(function: Callable[..., np.ndarray], *arrays: np.ndarray) -> np.ndarray:
+    starts = range(0, max(len(arrays[0]), 1), _PART)
+    return np.concatenate([function(*(a[k : k + _PART] for a in arrays)) for k in starts])
+
+
+class _Matched:
+    """All key points of a model's images in one row: ``start`` (N,) of each image; ``image`` (K,); ``point`` (K,) row,
+    -1 = none. All matches of pairs that have an opinion: the ``pair`` (M,) and the key points ``at`` (M, 2)."""
+
+    def __init__(self, verified: VerifiedMatches, seen: ImageObservations) -> None:
+        images, self._seen = sorted(seen.cameras.keys() & verified.xy.keys()), seen
+        count = [len(seen.point[k]) for k in images]
+        self.start = np.zeros(len(seen.frame), int)
+        self.start[images] = np.cumsum([0, *count])[:-1]
+        self.point = np.concatenate([np.zeros(0, int), *(seen.point[k] for k in images)])
+        self.image = np.repeat(np.array(images, int), count)
+        rays = [rays_or_axis(seen.cameras[k], verified.xy[k]) for k in images]
+        self._ray = np.concatenate([np.zeros((0, 3)), *rays])
+        usual = np.median(list(seen.reach.values()), axis=0) if seen.reach else np.array([0.0, np.inf])
+        self._pose, self._reach = np.full((len(seen.frame), 4, 4), np.nan), np.tile(usual, (len(seen.frame), 1))
+        for table, values in ((self._pose, seen.cam_from_world), (self._reach, seen.reach)):
+            table[list(values)] = np.reshape(list(values.values()), (-1, *table.shape[1:]))
+
+        enough = np.array([len(m) >= seen.tuning.least_matches for m in verified.matches], bool)
+        rows = np.flatnonzero(np.isin(verified.pairs, images).all(axis=1) & enough)
+        at = [verified.matches[k] + self.start[verified.pairs[k]] for k in rows]
+        self.pair = np.repeat(rows, np.array([len(a) for a in at], int))
+        self.at = np.concatenate([np.zeros((0, 2), int), *at])
+        self._pairs = verified.pairs
+
+    def of_pairs(self, *right: np.ndarray) -> np.ndarray:
+        """(P, K + 1): of the matches of each pair those that are right (M,) in each of K ways, and all, capped."""
+        count = np.bincount(self.pair, minlength=len(self._pairs))
+        all_ = np.minimum(count, self._seen.tuning.matches_a_pair)
+        found = [np.bincount(self.pair, r, len(count)) / np.maximum(count, 1) * all_ for r in right]
+        return np.column_stack([*found, all_])
+
+    def at_points(self, own: np.ndarray, matched: np.ndarray) -> np.ndarray:
+        """(M,) whether key points lie where the points of those matched to them are: 1, 0; -1 = too few made these."""
+        point, seen, image = self.point[matched], self._seen, self.image[own]
+        local = np.einsum("mij,mj->mi", self._pose[image, :3, :3], seen.xyz[point]) + self._pose[image, :3, 3]
+        along = np.sum(local * self._ray[own], axis=1)
+        there = along > np.cos(seen.tuning.tolerance_rad) * np.linalg.norm(local, axis=1)
+        return np.where(seen.elsewhere(image, point), there, -1)
+
+    def meet(self, rows: np.ndarray) -> np.ndarray:
+        """(M,) bool: the rays of matches (rows of ``at``) meet, ahead of both and within reach (or far off, without
+        parallax)."""
+        tuning, (a, b), images = self._seen.tuning, self._ray[self.at[rows].T], self._pairs[self.pair[rows]]
+        turn = np.swapaxes(self._pose[images, :3, :3], -1, -2)
+        centre = -np.einsum("mnij,mnj->mni", turn, self._pose[images, :3, 3])
+        a, b = (np.einsum("mij,mj->mi", turn[:, n], ray) for n, ray in enumerate((a, b)))
+        step = centre[:, 0] - centre[:, 1]
+        normal = cross(a, b)
+        squared = np.maximum(np.sum(normal**2, axis=1), 1e-18)
+        # a * s + step = b * t in least squares
+        s, t = (np.sum(cross(ray, step) * normal, axis=1) / squared for ray in (b, a))
+        gap = np.linalg.norm(a * s[:, None] + step - b * t[:, None], axis=1)
+        meets = gap < tuning.tolerance_rad * np.maximum(np.abs(s), np.abs(t))
+        near, far = self._reach[images, 0] / tuning.reach, self._reach[images, 1] * tuning.reach
+        inside = np.all((np.stack([s, t], axis=1) > near) & (np.stack([s, t], axis=1) < far), axis=1)
+        parallel = (np.sqrt(squared) < tuning.tolerance_rad) & (np.sum(a * b, axis=1) > 0)
+        parallel &= np.linalg.norm(step, axis=1) < tuning.tolerance_rad * tuning.parallax * far.max(axis=1)
+        return (meets & inside) | parallel

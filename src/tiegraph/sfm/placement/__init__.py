@@ -1,9 +1,8 @@
 """The place of every frame, tested before the final adjustment.
 
-The pass must not jump (``continuity``; the coarse model tells how long a step is, else the pass itself), and the
-verified matches of a frame, also those that the mapper threw out, must agree with its pose (``verified``,
-``consistency``). A frame or block that fails is left out with its reason (``doubtful``). Segments of a pass that a
-jump separates never join into a block, whatever false ties connect them.
+The verified matches of a frame, or of frames that hang together, also those that the mapper threw out, must agree with
+its pose: the points that other frames made of them must be where it sees them (``verified``, ``consistency``). What
+fails is left out with its reason (``doubtful``).
 
 A mapper's model and a start are asked too: frames in doubt, and frames without a place, are placed by their matches
 with the others (``start.stagedadjustment``), and only what is in doubt still is left out in the end. Of ``seneca`` (167

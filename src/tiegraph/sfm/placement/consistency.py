@@ -1,74 +1,53 @@
 """Is every frame where its images say it is? What COLMAP's statistics do not show, asked of each frame and block.
 
-A repeated wall holds a frame, a block or a whole pass at the wrong place with ties that agree among themselves. What
-gives it away are the verified ties to the neighbours in the pass, which the mapper had to throw out: they all disagree.
-A jump in the course of a pass is a reason to ask, never one to leave a frame out: whoever numbers photographs of a yard
-makes jumps too. Frames whose ties contradict their place, or hardly hold it where the course jumps, are left out with
-the reason. Frames are asked one by one and in the groups that their agreeing ties join: each of three frames that stand
-wrong together has most of its ties with the other two, which agree.
+A repeated wall holds a frame, a block or a whole pass at the wrong place with ties that agree among themselves, and a
+bad start lets it slide along a straight path. What gives it away are the verified matches that the mapper had to throw
+out, those to the neighbours in the pass above all: the points that others made of them are not where it sees them.
+Frames are asked one by one and in the groups that their agreeing ties join: each of three frames that stand wrong
+together has most of its ties with the other two, which agree. How a pass goes on says nothing: who numbers photographs
+of a yard makes jumps too, and what stands beyond one on false ties has its neighbours' true ones against it.
 """
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.weakties import strongest_first
-from tiegraph.sfm.placement.continuity import MotionContinuity, Segment, segments
 from tiegraph.sfm.tuning.placement import ConsistencyTuning
 from tiegraph.sfm.verified import VerifiedMatches
 
 
 @dataclass(frozen=True)
 class ConsistencyVotes:
-    """What the ties of frame pairs say of a model: agreeing and contradicting matches by (a, b), a < b."""
+    """What ties say of a model: matches of frame a with b that agree and that contradict, as a tells: by a, then b."""
 
-    agree: Mapping[tuple[int, int], float]
-    contradict: Mapping[tuple[int, int], float]
+    agree: Mapping[int, Mapping[int, float]]
+    contradict: Mapping[int, Mapping[int, float]]
     tuning: ConsistencyTuning
 
-    def of(self, frame: int, others: set[int] | None = None) -> tuple[float, float]:
+    def of(self, frame: int, others: set[int] | None = None) -> list[float]:
         """Agreeing and contradicting matches of a frame with others."""
-        sums = [0.0, 0.0]
-        for side, table in enumerate(self._beside):
-            own = table.get(frame, {})
-            sums[side] = float(sum(v for other, v in own.items() if others is None or other in others))
-        return sums[0], sums[1]
+        tables = (table.get(frame, {}) for table in (self.agree, self.contradict))
+        return [sum((v for other, v in own.items() if others is None or other in others), 0.0) for own in tables]
 
     def partners(self, frame: int, others: set[int]) -> set[int]:
         """Those of the others whose ties to a frame agree."""
-        return self._beside[0].get(frame, {}).keys() & others
-
-    @cached_property
-    def _beside(self) -> tuple[dict[int, dict[int, float]], ...]:
-        """Both tables by frame: asking every frame must not read every pair."""
-        out = []
-        for table in (self.agree, self.contradict):
-            by_frame: dict[int, dict[int, float]] = {}
-            for (a, b), value in table.items():
-                by_frame.setdefault(a, {})[b] = value
-                by_frame.setdefault(b, {})[a] = value
-            out.append(by_frame)
-        return tuple(out)
+        return self.agree.get(frame, {}).keys() & others
 
 
 def consistency_votes(
     verified: VerifiedMatches, agreed: np.ndarray, scene: Scene, tuning: ConsistencyTuning
 ) -> ConsistencyVotes:
     """Sum the image pairs (``verified.agreement``) over pairs of frames."""
-    share = agreed[:, 0] / np.maximum(agreed[:, 1], 1)
-    agree: dict[tuple[int, int], float] = {}
-    contradict: dict[tuple[int, int], float] = {}
-    for (i, j), (_, total), part in zip(verified.pairs.tolist(), agreed, share):
-        a, b = sorted((int(scene.frame[i]), int(scene.frame[j])))
-        if a == b or total == 0:
-            continue
-        if part >= tuning.agrees:
-            agree[a, b] = agree.get((a, b), 0.0) + float(total)
-        elif part < tuning.contradicts:
-            contradict[a, b] = contradict.get((a, b), 0.0) + float(total)
+    agree: dict[int, dict[int, float]] = {}
+    contradict: dict[int, dict[int, float]] = {}
+    for (i, j), (*own, total) in zip(scene.frame[verified.pairs].tolist(), agreed.tolist()):
+        for a, b, part in ((i, j, own[0]), (j, i, own[1])):
+            if a != b and total and not tuning.contradicts * total <= part < tuning.agrees * total:
+                table = (agree if part >= tuning.agrees * total else contradict).setdefault(a, {})
+                table[b] = table.get(b, 0.0) + total
     return ConsistencyVotes(agree, contradict, tuning)
 
 
@@ -80,137 +59,57 @@ class SuspectFrames:
     why: str
 
 
-@dataclass(frozen=True)
-class ConsistencyCheck:
-    """The frames of the main block, the doubtful ones, and those of the main block that stand beyond a jump."""
-
-    main: tuple[int, ...]
-    suspects: tuple[SuspectFrames, ...]
-    beyond: tuple[int, ...] = ()
-
-
-@dataclass(frozen=True)
-class ConsistencyScore:
-    """What the ties of some frames to believed ones say of their place, in matches, and how many of these agree."""
-
-    agree: float
-    against: float
-    agree_near: float  # the neighbours on the pass alone
-    against_near: float
-    partners: int
-    tuning: ConsistencyTuning
-
-    def contradiction(self) -> str:
-        """Why they speak against the place; "" if they do not.
-
-        The neighbours on the pass are asked first: false ties bind what is far apart.
-        """
-        least = self.tuning.min_votes
-        if self.against_near >= least and self.against_near > self.agree_near:
-            return (
-                f"its ties to its neighbours contradict its place ({self.against_near:.0f} matches to "
-                f"{self.agree_near:.0f})"
-            )
-        if self.against >= least and self.against > self.agree:
-            return f"most of its ties contradict its place ({self.against:.0f} matches to {self.agree:.0f})"
-        alone = self.partners < self.tuning.min_partners
-        if alone and self.against >= max(least, self.tuning.lone_against * (self.agree + self.against)):
-            return (
-                f"no more than {self.partners} frame agrees with its place ({self.agree:.0f} matches), and "
-                f"{self.against:.0f} matches with others contradict it"
-            )
-        return ""
-
-    def holds(self) -> bool:
-        """Whether they hold the place by themselves, whatever the course of a pass says."""
-        enough = self.agree >= self.tuning.min_votes and self.partners >= self.tuning.min_partners
-        return enough and not self.contradiction()
-
-
-def consistency_score(
-    frames: Collection[int], believed: set[int], scores: ConsistencyVotes, near: Sequence[set[int]]
-) -> ConsistencyScore:
-    """Of the ties of frames to believed ones; ``near``: the neighbours of every frame on its pass (``neighbours``)."""
-    others = believed - set(frames)
-    sums = np.zeros(4)
-    partners: set[int] = set()
+def contradiction(
+    frames: Collection[int], believed: set[int], votes: ConsistencyVotes, near: Sequence[set[int]]
+) -> tuple[float, str]:
+    """By how many matches the ties of frames to believed others contradict their place more than they agree, and why
+    that speaks against it; "" if it does not. ``near``: the neighbours of every frame on its pass, which are asked
+    first: false ties bind what is far apart."""
+    others, sums, partners = believed - set(frames), np.zeros(4), set[int]()
     for frame in frames:
-        sums += [*scores.of(frame, others), *scores.of(frame, near[frame] & others)]
-        partners |= scores.partners(frame, others)
-    agree, against, agree_near, against_near = sums.tolist()
-    return ConsistencyScore(
-        agree=agree,
-        against=against,
-        agree_near=agree_near,
-        against_near=against_near,
-        partners=len(partners),
-        tuning=scores.tuning,
-    )
+        sums += [*votes.of(frame, others), *votes.of(frame, near[frame] & others)]
+        partners |= votes.partners(frame, others)
+    (agree, against, agree_near, against_near), tuning, why = sums.tolist(), votes.tuning, ""
+    lone = max(tuning.min_votes, tuning.lone_against * (agree + against))
+    if against_near >= tuning.min_votes and against_near > agree_near:
+        why = f"its ties to its neighbours contradict its place ({against_near:.0f} matches to {agree_near:.0f})"
+    elif against >= tuning.min_votes and against > agree:
+        why = f"most of its ties contradict its place ({against:.0f} matches to {agree:.0f})"
+    elif len(partners) < tuning.min_partners and against >= lone:
+        why = (
+            f"no more than {len(partners)} frame agrees with its place ({agree:.0f} matches), and {against:.0f} "
+            "matches with others contradict it"
+        )
+    return against - agree, why
 
 
-def check_consistency(
-    positions: np.ndarray, scene: Scene, continuity: MotionContinuity, scores: ConsistencyVotes
-) -> ConsistencyCheck:
-    """Blocks that a jump parts from the rest and that their ties do not hold there, and frames whose ties contradict
-    their place, by themselves or together with those they are tied to most."""
-    blocks = [
-        sorted(f for _, frames in block for f in frames)
-        for block in _blocks(segments(positions, scene, continuity), scores)
-    ]
-    blocks.sort(key=lambda block: -len(block))
-    near = neighbours(scene, scores.tuning.near_steps)
-    main = set(blocks[0]) if blocks else set()
-    main |= set(np.flatnonzero(np.isfinite(positions).all(axis=1)).tolist()) - {f for block in blocks for f in block}
-    beyond, parted = _held(blocks[1:], main, scores, near)
-    main |= set(beyond)
-    suspects = [SuspectFrames(tuple(block), _torn(consistency_score(block, main, scores, near))) for block in parted]
-    for frame in sorted(main):
-        why = consistency_score([frame], main, scores, near).contradiction()
-        if why:
-            suspects.append(SuspectFrames((frame,), why))
-    suspects += _wrong_together(main, {f for d in suspects for f in d.frames}, scores, near)
-    doubted = {f for d in suspects for f in d.frames}
-    return ConsistencyCheck(tuple(sorted(main - doubted)), tuple(suspects), tuple(sorted(set(beyond) - doubted)))
-
-
-def _wrong_together(
-    main: set[int], doubted: set[int], scores: ConsistencyVotes, near: Sequence[set[int]]
-) -> list[SuspectFrames]:
-    """Groups of frames that agree among themselves and that their ties to the others contradict, each before those it
-    is part of; never the larger half. ``doubted``: frames that are in doubt by themselves."""
-    ends = np.array(sorted(scores.agree), int).reshape(-1, 2)
-    believed, out = main - doubted, []
-    strength = np.array([scores.agree[a, b] for a, b in ends.tolist()])
-    for group in strongest_first(ends[:, 0], ends[:, 1], strength, len(near)):
-        own = [f for f in group.tolist() if f in believed]
-        if not 1 < len(own) <= len(believed) // 2:
+def suspect_frames(placed: Collection[int], scene: Scene, votes: ConsistencyVotes) -> tuple[SuspectFrames, ...]:
+    """Of the frames that have a place those whose ties contradict it, by themselves or together with those they are
+    tied to most, which agree among themselves. First the frames or groups whose ties contradict most, for a pass at a
+    wrong place contradicts every frame of the others too; never the larger half."""
+    near, believed, out = neighbours(scene, votes.tuning.near_steps), set(placed), []
+    asked = [[frame] for frame in sorted(believed)] + _groups(votes, believed, len(near))
+    told = [(*contradiction(frames, believed, votes, near), frames) for frames in asked]
+    for _, why, frames in sorted(told, key=lambda one: -one[0]):
+        own = [f for f in frames if f in believed]
+        if not why or not 0 < len(own) <= max(1, len(believed) // 2):
             continue
-        why = consistency_score(own, believed, scores, near).contradiction()
-        if why:
-            out.append(SuspectFrames(tuple(own), f"{why}, asked together with the {len(own) - 1} it is tied to most"))
-            believed = believed - set(own)
-    return out
+        if why := contradiction(own, believed, votes, near)[1]:
+            together = f", asked together with the {len(own) - 1} it is tied to most" if len(own) > 1 else ""
+            out.append(SuspectFrames(tuple(own), why + together))
+            believed -= set(own)
+    return tuple(out)
 
 
-def _held(
-    blocks: list[list[int]], main: set[int], scores: ConsistencyVotes, near: Sequence[set[int]]
-) -> tuple[list[int], list[list[int]]]:
-    """Frames of the blocks that their ties hold where they are, and the other blocks; each lets the next lean on it."""
-    beyond: list[int] = []
-    while True:
-        held = [b for b in blocks if consistency_score(b, main | set(beyond), scores, near).holds()]
-        if not held:
-            return beyond, blocks
-        beyond += [f for b in held for f in b]
-        blocks = [b for b in blocks if b not in held]
-
-
-def _torn(ties: ConsistencyScore) -> str:
-    """Why a block beyond a jump is in doubt: by what its ties say."""
-    return ties.contradiction() or (
-        f"the course of its pass jumps there and its ties hardly hold it ({ties.agree:.0f} matches with "
-        f"{ties.partners} frames agree)"
-    )
+def _groups(votes: ConsistencyVotes, placed: set[int], frames: int) -> list[list[int]]:
+    """Those that agreeing ties join, up to half of all."""
+    strength: dict[tuple[int, int], float] = {}
+    for a, own in votes.agree.items():
+        for b, value in own.items():
+            strength[min(a, b), max(a, b)] = strength.get((min(a, b), max(a, b)), 0.0) + value
+    ends = np.array(sorted(strength), int).reshape(-1, 2)
+    groups = strongest_first(ends[:, 0], ends[:, 1], np.array([strength[a, b] for a, b in ends.tolist()]), frames)
+    return [own for group in groups if 1 < len(own := [f for f in group.tolist() if f in placed]) <= len(placed) // 2]
 
 
 def neighbours(scene: Scene, near_steps: int) -> list[set[int]]:
@@ -226,24 +125,3 @@ def neighbours(scene: Scene, near_steps: int) -> list[set[int]]:
         if scene.sequence[frame] >= 0:
             out[frame] = set(order[low[place] : high[place]].tolist()) - {frame}
     return out
-
-
-def _blocks(cut: list[Segment], scores: ConsistencyVotes) -> list[list[Segment]]:
-    """Pieces joined by agreeing ties, strongest first; two pieces of one pass that a jump parts never join."""
-    owner = {f: k for k, (_, frames) in enumerate(cut) for f in frames}
-    weight: dict[tuple[int, int], float] = {}
-    for (a, b), value in scores.agree.items():
-        if a in owner and b in owner and owner[a] != owner[b]:
-            key = (min(owner[a], owner[b]), max(owner[a], owner[b]))
-            weight[key] = weight.get(key, 0.0) + value
-    block = {k: [k] for k in range(len(cut))}
-    home = {k: k for k in range(len(cut))}
-    for (a, b), value in sorted(weight.items(), key=lambda item: -item[1]):
-        one, two = home[a], home[b]
-        tracks = {cut[k][0] for k in block[one]}
-        if one == two or value < scores.tuning.min_votes or tracks & {cut[k][0] for k in block[two]}:
-            continue
-        for k in block[two]:
-            home[k] = one
-        block[one] += block.pop(two)
-    return [[cut[k] for k in members] for members in block.values()]

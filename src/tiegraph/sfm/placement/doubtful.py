@@ -1,23 +1,21 @@
 """Frames whose verified matches contradict their place are left out of a model, each with its reason."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 import pycolmap
 
-from tiegraph.scene.colmapmodel import image_poses, model_rigs
 from tiegraph.scene.registered import LEFT_OUT
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.model import frame_poses
-from tiegraph.sfm.placement.consistency import ConsistencyCheck, check_consistency, consistency_votes
-from tiegraph.sfm.placement.continuity import motion_continuity
-from tiegraph.sfm.tuning.placement import PlacementTuning
-from tiegraph.sfm.verified import VerifiedMatches, agreement, image_observations, read_verified
+from tiegraph.sfm.placement.consistency import consistency_votes, suspect_frames
+from tiegraph.sfm.tuning.placement import ConsistencyTuning, PlacementTuning
+from tiegraph.sfm.verified import ImageObservations, VerifiedMatches, agreement, image_observations, read_verified
 from tiegraph.text import some
 
 _NAMED = 4  # frames that a remark names; the table has all
+_LEAST = 5  # frames that a table shows
 
 
 @dataclass(frozen=True)
@@ -26,6 +24,53 @@ class MatchSource:
 
     database: Path
     refused: Sequence[tuple[int, int]] = ()
+
+    def read(self, scene: Scene) -> VerifiedMatches:
+        """These matches."""
+        return read_verified(self.database, scene, self.refused)
+
+
+@dataclass(frozen=True)
+class Explained:
+    """Which verified matches a model explains, by pair of images (``agreement``), and why frames stand in doubt."""
+
+    scene: Scene
+    verified: VerifiedMatches
+    seen: ImageObservations
+    agreed: np.ndarray
+    doubts: Mapping[int, str]
+    tuning: ConsistencyTuning
+
+    def percent(self) -> float:
+        """Of the matches that have an opinion."""
+        return float(50 * self.agreed[:, :2].sum() / max(self.agreed[:, 2].sum(), 1.0))
+
+    def of_frames(self) -> np.ndarray:
+        """(F, 2): matches of each frame with others that are explained, and all."""
+        frames = self.scene.frame[self.verified.pairs]
+        apart = np.tile(frames[:, 0] != frames[:, 1], 2)
+        values = self.agreed[:, :2].T.ravel(), np.tile(self.agreed[:, 2], 2)
+        return np.column_stack([np.bincount(frames.T.ravel(), apart * v, self.scene.frames) for v in values])
+
+    def table(self) -> dict:
+        """The frames of whose matches with other frames the model explains least."""
+        matches = self.of_frames()
+        share = matches[:, 0] / np.maximum(matches[:, 1], 1)
+        least = [f for f in np.argsort(share, kind="stable").tolist() if matches[f, 1] > 0][:_LEAST]
+        rows = [[self.scene.frame_names[f], int(matches[f, 1]), round(100 * float(share[f]), 1)] for f in least]
+        return {"columns": ["frame", "matches", "explained %"], "rows": rows}
+
+
+def explained(
+    model: pycolmap.Reconstruction, scene: Scene, verified: VerifiedMatches, tuning: PlacementTuning
+) -> Explained:
+    """Ask a model for all its verified matches."""
+    seen = image_observations(model, scene, tuning.agreement)
+    agreed = agreement(verified, seen)
+    votes = consistency_votes(verified, agreed, scene, tuning.consistency)
+    suspects = suspect_frames({int(scene.frame[k]) for k in seen.cameras}, scene, votes)
+    why = {f: s.why for s in suspects for f in s.frames}
+    return Explained(scene=scene, verified=verified, seen=seen, agreed=agreed, doubts=why, tuning=tuning.consistency)
 
 
 @dataclass(frozen=True)
@@ -38,24 +83,19 @@ class PlacementCheck:
 
 
 def leave_out_doubtful(
-    model: pycolmap.Reconstruction,
-    scene: Scene,
-    source: MatchSource,
-    preview: np.ndarray | None,
-    tuning: PlacementTuning,
+    model: pycolmap.Reconstruction, scene: Scene, source: MatchSource, tuning: PlacementTuning
 ) -> PlacementCheck:
     """Test the place of every frame and take the doubtful ones out of ``model``.
 
-    ``preview``: (F, 4, 4) world_from_rig in a rough model that is believed. Where more than ``tuning.max_left_out`` of
-    the frames stand in doubt the model fell apart: none is taken out, and it is said.
+    Where more than ``tuning.max_left_out`` of the frames stand in doubt the model fell apart: none is taken out, and it
+    is said.
     """
-    verified = read_verified(source.database, scene, source.refused)
-    check = _judged(model, scene, verified, preview, tuning)
-    notes, why = _beyond_notes(check, scene), _reasons(check)
+    why = explained(model, scene, source.read(scene), tuning).doubts
     if not why:
-        return PlacementCheck(notes)
+        return PlacementCheck()
+    notes: list[str] = []
     if len(why) > tuning.max_left_out * scene.frames:
-        notes.append(f"{len(why)} of {scene.frames} frames stand in doubt: none is left out ({_named(why, scene)})")
+        notes.append(f"{len(why)} of {scene.frames} frames stand in doubt: none is left out ({named(why, scene)})")
         return PlacementCheck(notes)
     notes.append(
         f"{len(why)} of {scene.frames} frames stood at a doubtful place and were left out; see the table of placement"
@@ -64,7 +104,7 @@ def leave_out_doubtful(
     dropped: list[tuple[str, str]] = []
     for frame, reason in sorted(why.items()):
         names = [scene.names[k] for k in np.flatnonzero(scene.frame == frame)]
-        for frame_id in _ids(model, scene, frame):
+        for frame_id in frame_ids(model, scene, frame):
             model.deregister_frame(frame_id)
         rows.append([names[0], reason])
         dropped += [(name, f"{LEFT_OUT}{reason}") for name in names]
@@ -72,51 +112,20 @@ def leave_out_doubtful(
 
 
 def doubted_frames(
-    model: pycolmap.Reconstruction,
-    scene: Scene,
-    verified: VerifiedMatches,
-    preview: np.ndarray | None,
-    tuning: PlacementTuning,
+    model: pycolmap.Reconstruction, scene: Scene, verified: VerifiedMatches, tuning: PlacementTuning
 ) -> list[int]:
-    """COLMAP's ids of the frames whose place is doubtful; ``preview``: see ``leave_out_doubtful``."""
-    doubted = _reasons(_judged(model, scene, verified, preview, tuning))
-    return [frame_id for frame in sorted(doubted) for frame_id in _ids(model, scene, frame)]
+    """COLMAP's ids of the frames whose place is doubtful."""
+    doubted = explained(model, scene, verified, tuning).doubts
+    return [frame_id for frame in sorted(doubted) for frame_id in frame_ids(model, scene, frame)]
 
 
-def _ids(model: pycolmap.Reconstruction, scene: Scene, frame: int) -> list[int]:
+def frame_ids(model: pycolmap.Reconstruction, scene: Scene, frame: int) -> list[int]:
     """Of a frame of the scene those of COLMAP that are in the model: without a rig one an image."""
     names = [scene.names[k] for k in np.flatnonzero(scene.frame == frame)]
     there = [image for name in names if (image := model.find_image_with_name(name)) is not None]
     return sorted({image.frame_id for image in there if image.has_pose})
 
 
-def _reasons(check: ConsistencyCheck) -> dict[int, str]:
-    return {frame: suspect.why for suspect in check.suspects for frame in suspect.frames}
-
-
-def _judged(
-    model: pycolmap.Reconstruction,
-    scene: Scene,
-    verified: VerifiedMatches,
-    preview: np.ndarray | None,
-    tuning: PlacementTuning,
-) -> ConsistencyCheck:
-    poses = frame_poses(image_poses(model, scene), scene.with_(rigs=model_rigs(model, scene)))
-    centres = poses[:, :3, 3]
-    rough = None if preview is None else preview[:, :3, 3]
-    course = motion_continuity(centres, scene, rough, tuning.consistency)
-    agreed = agreement(verified, image_observations(model, scene, tuning.agreement))
-    return check_consistency(centres, scene, course, consistency_votes(verified, agreed, scene, tuning.consistency))
-
-
-def _beyond_notes(check: ConsistencyCheck, scene: Scene) -> list[str]:
-    if not check.beyond:
-        return []
-    return [
-        f"{len(check.beyond)} frames stand where the course of their pass jumps, and their ties hold them there: they "
-        f"stay ({_named(check.beyond, scene)})"
-    ]
-
-
-def _named(frames: Iterable[int], scene: Scene) -> str:
+def named(frames: Iterable[int], scene: Scene) -> str:
+    """The first of some frames."""
     return some([scene.frame_names[f] for f in sorted(frames)], _NAMED)

@@ -12,7 +12,7 @@ import numpy as np
 
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.tuning.rig import CameraMatchesTuning
-from tiegraph.sfm.verified import ImageObservations, VerifiedMatches, agreement
+from tiegraph.sfm.verified import ImageObservations, VerifiedMatches, rays_meet
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ def camera_matches(
     verified: VerifiedMatches, seen: ImageObservations, scene: Scene, tuning: CameraMatchesTuning
 ) -> list[CameraMatches]:
     """All two cameras of one rig that enough pairs of images tie, against the poses of a model."""
-    explained = agreement(verified, seen)
+    explained = rays_meet(verified, seen)
     told = explained[:, 1] > 0
     rows, explained = verified.pairs[told], explained[told]
     cameras = np.sort(scene.sensor_key[rows], axis=1).reshape(-1, 2)

@@ -17,7 +17,7 @@ from tiegraph.sfm.adjustment.adjust import free_cameras, impossible_camera
 from tiegraph.sfm.adjustment.fewpoints import points_that_can_wait
 from tiegraph.sfm.start.poses import Start, place_frames
 from tiegraph.sfm.tuning import FewPointsTuning, Tuning
-from tiegraph.sfm.verified import VerifiedMatches, agreement, image_observations
+from tiegraph.sfm.verified import VerifiedMatches, image_observations, rays_meet
 
 # What is adjusted beside poses and points: at first nothing, because lens and rig would soak up what is wrong with the
 # poses; then both; then principal points too, because the final adjustment alone does not get there: after it canal's
@@ -153,7 +153,7 @@ def refusal(
     share = float(np.mean(seeing[tied])) if tied.any() else 0.0
     if share < gate.min_seeing:
         return f"only {seeing[tied].sum()} of {tied.sum()} tied images see {tuning.adjust.min_points} of its points"
-    agreed = agreement(verified, image_observations(model, scene, tuning.placement.agreement))
+    agreed = rays_meet(verified, image_observations(model, scene, tuning.placement.agreement))
     judged = agreed[:, 1] > 0
     good = agreed[judged, 0] >= tuning.placement.consistency.agrees * agreed[judged, 1]
     if not judged.any() or good.mean() < gate.min_agreeing:

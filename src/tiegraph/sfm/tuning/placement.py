@@ -23,8 +23,7 @@ class AgreementTuning(Section):
 
 
 class ConsistencyTuning(Section):
-    """Frames judged by the ties between them (`consistency.py`), and whether a model moves as its passes do
-    (`continuity.py`)."""
+    """Frames judged by the ties between them (`consistency.py`)."""
 
     near_steps: int = Field(3, gt=0)
     """Steps of a pass within which a tie is one of the neighbours'."""
@@ -39,14 +38,6 @@ class ConsistencyTuning(Section):
     lone_against: float = Field(0.25, ge=0, le=1)
     """Share of matches that contradict a place, from which fewer frames that agree do not hold it: 0.49 where two
     frames of kerry_park stood two thirds of its extent away, tied to one; none of canal, KITTI, PandaSet has one."""
-    expected_times: float = Field(2.0, ge=1)
-    """Times the expected way between two frames that they may be apart ..."""
-    jump_steps: float = Field(2.0, ge=0)
-    """... and usual steps beyond that; a wall's period is more in a survey that overlaps."""
-    brisk_percent: float = Field(80.0, ge=0, le=100)
-    """Percentile of the steps that is called usual: vehicles also stand."""
-    least_frames: int = Field(5, ge=2)
-    """Of a pass, to speak of a usual step."""
 
 
 class TieTuning(Section):
