@@ -37,7 +37,7 @@ from tiegraph.sfm.world.fixes import Measurements
 from tiegraph.sfm.world.georeferencing import georeference_model
 
 Errors = dict[str, list[float]]
-LASTING = 0.7 * 0.02  # metres an axis, of all positions
+LASTING = 0.7 * 0.02 * np.array([1, 1, 2])  # metres, of all positions
 
 
 def block(length_m: float, seed: int) -> Errors:

@@ -138,6 +138,8 @@ def case(server: Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Cas
     (tmp_path / "inputs").mkdir()
     (tmp_path / "inputs" / "a.jpg").write_bytes(b"picture")
     clean = {"report": tmp_path / "clean"}
+    (tmp_path / "clean").mkdir()
+    (tmp_path / "clean" / "result").touch()
     world = World(tmp_path, tmp_path / "inputs", clean, {}, fingerprint(tmp_path / "inputs"))
     monkeypatch.setattr(case_module, "differences", lambda a, b, own: [] if (b / "result").exists() else ["all"])
     made = Case("fake", 1, 0, world, server, tmp_path / "case")

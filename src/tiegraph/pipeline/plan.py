@@ -20,7 +20,7 @@ from tiegraph.project.stages import save_json, write_atomic
 from tiegraph.project.verbtunings import VerbTunings
 from tiegraph.report.html import environment
 from tiegraph.report.plan import Track, frame_positions
-from tiegraph.report.runfolder import RunFolder, read_run
+from tiegraph.report.runfolder import read_run
 from tiegraph.report.summary import metric_values
 from tiegraph.report.viewer import viewer_data, viewer_script
 from tiegraph.scan.cameras import FileFacts, calibrate
@@ -34,7 +34,6 @@ from tiegraph.scene.decoding import EIGHT_BIT
 from tiegraph.scene.rig import Rig, Sensor, calibrated
 from tiegraph.sfm.adjustment.adjust import free_cameras
 from tiegraph.sfm.covariance import planned_sigma
-from tiegraph.sfm.shape import PATHS
 from tiegraph.sfm.systematic.lenses import AssumedErrors
 from tiegraph.sfm.tuning import Tuning as SfmTuning
 
@@ -96,25 +95,12 @@ def reached(folder: Path) -> dict[str, float | None]:
         out |= {"base_m": base, "overlap": max(0.0, 1 - base / (float(out["tie_gsd_m"] or 0) * camera.width))}
     inside, sigma = world.get("model_sigma") or {}, world.get("sigma") or {}
     shape = inside.get("median")
-    own = _own_path(run, shape)
-    out["relaxed"] = None if own is None else 1.0
-    out["position_shape_sigma_median_m"] = shape if own is None else own
+    out["position_shape_sigma_median_m"] = shape
     if shape is not None and "position_m" in sigma:
         out["place_world_sigma_median_m"] = float(np.hypot(shape, sigma["position_m"]))
         out["height_world_sigma_median_m"] = float(np.hypot(shape, sigma["height_m"]))
     out["ate_m"] = metric_values(run).get("ate_sim3_rmse")
     return out
-
-
-def _own_path(run: RunFolder, model_sigma_m: float | None) -> float | None:
-    """Median sigma of the cameras' own paths, metres, of a run whose rig was relaxed: there the sigma of all positions
-    together is how well the cameras' places in the rig are known, which a plan does not ask. None = it was not."""
-    receipt = run.receipts.get("sparse", {})
-    rows = receipt.get("tables", {}).get(PATHS, {}).get("rows", [])
-    units = receipt.get("counts", {}).get("position_sigma_median")
-    if not rows or not units or model_sigma_m is None:
-        return None
-    return model_sigma_m / units * float(np.median([sigma for _, sigma, _ in rows]))
 
 
 def _propagate(

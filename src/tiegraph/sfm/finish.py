@@ -20,7 +20,6 @@ from tiegraph.sfm.placement.doubtful import PlacementCheck, explained, frame_ids
 from tiegraph.sfm.rig import cameramatches
 from tiegraph.sfm.rig.support import place_as_given, units_per_metre
 from tiegraph.sfm.rigcheck import Checked, FinishRequest, checked_rig
-from tiegraph.sfm.shape import own_paths
 from tiegraph.sfm.tuning import SigmaTuning
 from tiegraph.text import known_to
 
@@ -208,8 +207,7 @@ def _coloured(model: pycolmap.Reconstruction, request: FinishRequest) -> FinishR
 
 
 def _precision(checked: Checked, scene: Scene, request: FinishRequest, steps: Mapping[int, np.ndarray]) -> FinishResult:
-    """The sigmas of positions, lenses and mountings, and along the cameras' own paths; ``steps``: to
-    where else frames could stand."""
+    """The sigmas of positions, lenses and mountings; ``steps``: to where else frames could stand."""
     frames = checked.model.num_reg_frames()
     if frames > request.covariance_frames:
         many = f"position sigmas not computed: {frames} frames, more than sparse.covariance_frames"
@@ -219,8 +217,7 @@ def _precision(checked: Checked, scene: Scene, request: FinishRequest, steps: Ma
     except (ValueError, RuntimeError, np.linalg.LinAlgError) as error:
         return FinishResult([f"position sigmas could not be computed: {error}"])
     names = {k + 1: s.name for k, s in enumerate(scene.all_sensors)}
-    tables = {**sigma.tables(names), **(own_paths(checked.model, sigma, names) if checked.ties else {})}
-    return FinishResult(_open_notes(sigma, names, request.tuning.sigma), tables, sigma=sigma)
+    return FinishResult(_open_notes(sigma, names, request.tuning.sigma), sigma.tables(names), sigma=sigma)
 
 
 def _position_sigma(checked: Checked, scene: Scene, request: FinishRequest) -> PositionSigma:

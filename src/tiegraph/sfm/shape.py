@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,9 +14,6 @@ from tiegraph.scene.scene import Scene
 from tiegraph.sfm.covariance import PositionSigma
 
 SHAPE = "shape.npz"  # of the largest model, in the folder of models
-PATHS = "sigma of each camera's own path, units of the model"
-_LEAST_FRAMES = 4  # less is not more than a similarity takes away
-_COLUMNS = ["apart", "sigma", "pairs of frames"]
 _STEPS = 2  # rows for each doubling of the distance
 _MODES = 30  # at most: what is left is noise from frame to frame
 _EXPLAINED = 0.999  # of the variance, by the modes
@@ -39,20 +35,27 @@ class Shape:
 
     @staticmethod
     def of(model: pycolmap.Reconstruction, sigma: PositionSigma, scene: Scene) -> Shape | None:
-        """By the covariance of an adjustment; None without one."""
+        """By the covariance of an adjustment; None without one. Of a relaxed rig, whose images are frames of their own,
+        that of its first camera: the others' places in the rig are not the shape of the path."""
         if sigma.covariance is None:
             return None
-        values, vectors = np.linalg.eigh(sigma.covariance)
-        values, vectors = np.clip(values[::-1], 0, None), vectors[:, ::-1]
-        count = min(_MODES, int(np.searchsorted(np.cumsum(values), _EXPLAINED * values.sum())) + 1)
-        modes = (vectors[:, :count] * np.sqrt(values[:count])).T.reshape(count, -1, 3)
-        rest = np.clip(np.diag(sigma.covariance).reshape(-1, 3) - np.sum(modes**2, axis=0), 0, None)
         number = {name: k for k, name in enumerate(scene.names)}
         frames = [model.frame(k) for k in sigma.frame_ids]
         first = [min(number[model.image(d.id).name] for d in f.image_ids if model.exists_image(d.id)) for f in frames]
-        index, rows = np.unique(scene.frame[first], return_index=True)
-        place = np.array([_centre(f) for f in frames])
-        return Shape(index=index, place=place[rows], modes=modes[:, rows], rest=rest[rows])
+        relaxed = len(np.unique(scene.frame[first])) < len(first)
+        rows = np.flatnonzero((scene.sensor[first] == scene.sensor[first].min()) | (not relaxed))
+        rows = rows[np.argsort(scene.frame[first][rows])]
+        index = scene.frame[first][rows]
+        place, at = np.array([_centre(frames[k]) for k in rows]), (3 * rows[:, None] + np.arange(3)).ravel()
+        moves = motions(place - place.mean(axis=0)).reshape(-1, 7)
+        alone = np.eye(len(at)) - moves @ np.linalg.pinv(moves)  # after the best similarity of these
+        full = alone @ sigma.covariance[np.ix_(at, at)] @ alone.T
+        values, vectors = np.linalg.eigh(full)
+        values, vectors = np.clip(values[::-1], 0, None), vectors[:, ::-1]
+        count = min(_MODES, int(np.searchsorted(np.cumsum(values), _EXPLAINED * values.sum())) + 1)
+        modes = (vectors[:, :count] * np.sqrt(values[:count])).T.reshape(count, -1, 3)
+        rest = np.clip(np.diag(full).reshape(-1, 3) - np.sum(modes**2, axis=0), 0, None)
+        return Shape(index=index, place=place, modes=modes, rest=rest)
 
     @property
     def sigma(self) -> np.ndarray:
@@ -97,35 +100,6 @@ class Shape:
             for of in (step == k for k in np.unique(step))
             if of.sum() >= min_pairs
         ]
-
-
-def own_paths(model: pycolmap.Reconstruction, sigma: PositionSigma, names: Mapping[int, str]) -> Mapping[str, dict]:
-    """Table by camera of the median sigma of its positions after the best similarity of these alone, model units.
-
-    {} but for a relaxed rig, whose images are frames of their own: the sigmas of all of them together say how well the
-    cameras' places in the rig are known, and not the path of the rig.
-    """
-    camera = np.array([_only_camera(model.frame(k)) for k in sigma.frame_ids])
-    if sigma.covariance is None or (camera < 0).any() or len(np.unique(camera)) < 2:
-        return {}
-    places = np.array([_centre(model.frame(k)) for k in sigma.frame_ids])
-    rows = []
-    for key in np.unique(camera).tolist():
-        of = np.flatnonzero(camera == key)
-        if len(of) < _LEAST_FRAMES:
-            continue
-        at = (3 * of[:, None] + np.arange(3)).ravel()
-        moves = motions(places[of] - places[of].mean(axis=0)).reshape(-1, 7)
-        left = np.eye(len(at)) - moves @ np.linalg.pinv(moves)
-        own = np.diag(left @ sigma.covariance[np.ix_(at, at)] @ left.T).reshape(-1, 3).sum(axis=1)
-        rows.append([names.get(key, key), float(np.median(np.sqrt(np.clip(own, 0, None)))), len(of)])
-    return {PATHS: {"columns": ["camera", "sigma", "frames"], "rows": rows}} if rows else {}
-
-
-def _only_camera(frame: pycolmap.Frame) -> int:
-    """Id of the camera of a frame of one image, else -1."""
-    sensors = {d.sensor_id.id for d in frame.image_ids}
-    return sensors.pop() if len(sensors) == 1 else -1
 
 
 def _centre(frame: pycolmap.Frame) -> np.ndarray:

@@ -44,10 +44,6 @@ class NoiseTuning(Section):
     """Of a level, to say anything of its factor; of positions with times, to say anything of their correlation."""
     max_correlation: float = Field(0.9, ge=0, lt=1)
     """Of neighbours in time: what looks more correlated is believed to be so much."""
-    neighbour_steps: float = Field(1.5, ge=1)
-    """Median steps in time, within which two positions are neighbours."""
-    outlier: float = Field(4.0, ge=1)
-    """Times the median product of neighbours, at which one is capped: an outlier must not decide."""
     slow_s: float = Field(60.0, gt=0)
     """How long slow errors of a receiver last (multipath), before the residuals speak (`positionerrors.py`)."""
     belief: float = Field(1.0, gt=0)

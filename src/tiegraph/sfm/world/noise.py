@@ -47,12 +47,8 @@ def correlation(residual: np.ndarray, time_s: np.ndarray, tuning: NoiseTuning) -
     known = np.flatnonzero(np.isfinite(time_s))
     if len(known) < tuning.min_rows:
         return 0.0
-    order = known[np.argsort(time_s[known], kind="stable")]
-    step = np.diff(time_s[order])
-    near = step <= tuning.neighbour_steps * np.median(step)
-    a, b = residual[order[:-1]][near], residual[order[1:]][near]
-    size = np.sqrt(np.sum(a**2, axis=1) * np.sum(b**2, axis=1))
-    cap = max(float(np.median(size)) * tuning.outlier, 1e-12)  # an outlier must not decide
-    product = np.sum(a * b, axis=1) * np.minimum(1.0, cap / np.maximum(size, 1e-12))
-    total = np.minimum(0.5 * (np.sum(a**2, axis=1) + np.sum(b**2, axis=1)), cap)
-    return float(np.clip(product.sum() / max(total.sum(), 1e-12), 0.0, tuning.max_correlation))
+    length = np.linalg.norm(residual, axis=1, keepdims=True)
+    short = residual * np.minimum(1.0, np.median(length) / np.maximum(length, 1e-12))  # an outlier must not decide
+    in_order = short[known[np.argsort(time_s[known], kind="stable")]]
+    a, b = in_order[:-1], in_order[1:]
+    return float(np.clip(2 * np.sum(a * b) / max(np.sum(a**2 + b**2), 1e-12), 0.0, tuning.max_correlation))
