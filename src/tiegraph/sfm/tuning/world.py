@@ -36,7 +36,7 @@ class FixTuning(Section):
 
 
 class NoiseTuning(Section):
-    """How much worse positions are than their sigmas say (`noise.py`)."""
+    """How much worse positions are than their sigmas say (`positionerrors.py`)."""
 
     max_factor: float = Field(30.0, ge=1)
     """On a stated sigma."""

@@ -2,9 +2,9 @@
 
 **Evidence** (``fixes``). Every row of the receiver is tied to the poses of up to four frames about its time by a cubic.
 So rows between frames count, a lever arm turns with the boat, and a clock offset is the derivative of the same sum.
-Sigmas are scaled by level of the stated sigma to what the residuals say, and for their correlation in time (``noise``):
-a float solution that wanders must not outvote a fixed one because it is written five times a second. (Doubt beforehand,
-after outages and under bridges, bought nothing.) Control points enter where the rays of their marks meet (``marks``),
+Until all is found sigmas are scaled by level of the stated sigma to what the residuals say, and for their correlation
+in time (``positionerrors``): a float solution that wanders must not outvote a fixed one because it is written five
+times a second. (Doubt beforehand, after outages and under bridges, bought nothing.) Control points enter where the rays of their marks meet (``marks``),
 which tells too whether they were marked in copies of the images; check points never enter. The scale of the rig enters
 with the sigma of its file, with how well the images carry its baselines to the length of the whole (the adjustment's
 own sigma of the scale, which two cameras back to back hardly tell) and with the share of its lever arms that the images

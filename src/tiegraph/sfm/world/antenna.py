@@ -12,9 +12,9 @@ from tiegraph.geometry.gravity import Up
 from tiegraph.scene.evidence import LIMIT
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.tuning.world import WorldTuning
-from tiegraph.sfm.world import noise
 from tiegraph.sfm.world.fit import Evidence, Fit, fit_similarity, leaning_deg
 from tiegraph.sfm.world.fixes import Fixes
+from tiegraph.sfm.world.positionerrors import factors
 from tiegraph.sfm.world.unknowns import Clock
 from tiegraph.text import known_to
 
@@ -40,7 +40,7 @@ def believed(evidence: Evidence, fixes: Fixes, up: Up | None, near: Similarity, 
     count = len(fixes)
     for _ in range(tuning.similarity_fit.noise_rounds if count else 0):
         residual = evidence.position_residuals(fit.similarity, fit.arm.place, fit.clock.offset_s)[:count] / fixes.sigma
-        stretched = fixes.stretched(noise.factors(residual, fixes.level, fixes.time_s, tuning.noise))
+        stretched = fixes.stretched(factors(residual, fixes.level, fixes.time_s, tuning.noise))
         evidence = replace(evidence, sigma=np.concatenate([stretched.sigma, evidence.sigma[count:]]))
         fit = fit_similarity(evidence, used, tuning.fit, near=fit.similarity)
     return Fitted(evidence=evidence, fit=fit, fixes=fixes, up=up)

@@ -13,7 +13,6 @@ from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import frame_poses
 from tiegraph.sfm.settings import GeorefSettings
 from tiegraph.sfm.tuning.world import FixTuning, WorldTuning
-from tiegraph.sfm.world import noise
 from tiegraph.sfm.world.antenna import (
     UNKNOWN,
     Fitted,
@@ -29,7 +28,7 @@ from tiegraph.sfm.world.bars import BarsFound
 from tiegraph.sfm.world.fit import Evidence, Fit, by_errors, fit_similarity
 from tiegraph.sfm.world.fixes import Fixes, Measurements, make_fixes
 from tiegraph.sfm.world.marks import Target
-from tiegraph.sfm.world.positionerrors import Stated
+from tiegraph.sfm.world.positionerrors import MEDIAN_CHI2_3, Stated
 from tiegraph.sfm.world.scale import RigScale
 from tiegraph.sfm.world.sources import POSITIONS
 from tiegraph.sfm.world.unknowns import Clock, LeverArm, LogScale
@@ -287,7 +286,7 @@ def _point_factor(place: np.ndarray, world: np.ndarray, sigma: np.ndarray, tunin
     squares = np.sum((off / sigma) ** 2, axis=1)
     typical = float(np.mean(squares))
     if count >= tuning.similarity_fit.many_points:
-        typical = float(np.median(squares)) * 3 / noise.MEDIAN_CHI2_3
+        typical = float(np.median(squares)) * 3 / MEDIAN_CHI2_3
     return max(1.0, float(np.sqrt(typical * count / (3 * count - 7))))
 
 

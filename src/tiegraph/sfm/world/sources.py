@@ -15,9 +15,8 @@ from tiegraph.geometry.gravity import Up
 from tiegraph.geometry.placement import PlacementError
 from tiegraph.scene.evidence import Statement
 from tiegraph.sfm.tuning.world import SourceTuning, WorldTuning
-from tiegraph.sfm.world import noise
 from tiegraph.sfm.world.fit import Evidence, by_errors, fit_similarity
-from tiegraph.sfm.world.positionerrors import Stated
+from tiegraph.sfm.world.positionerrors import MEDIAN_CHI2_3, Stated
 from tiegraph.sfm.world.scale import RigScale
 
 POSITIONS = {"gnss": "GNSS positions", "exif": "EXIF positions", "trajectory": "trajectory positions"}
@@ -100,7 +99,7 @@ def alone(
     fit = fit_similarity(own, None, tuning.fit)
     for _ in range(tuning.sources.rounds):
         off = own.position_residuals(fit.similarity, fit.arm.place) / evidence.sigma[rows]
-        typical = float(np.sqrt(np.median(np.sum(off**2, axis=1)) / noise.MEDIAN_CHI2_3))
+        typical = float(np.sqrt(np.median(np.sum(off**2, axis=1)) / MEDIAN_CHI2_3))
         own = replace(own, sigma=evidence.sigma[rows] * max(1.0, typical))
         fit = fit_similarity(own, None, tuning.fit, fit.similarity)
     fit = by_errors(own, None, fit, stated, tuning.fit, tuning.noise)

@@ -23,7 +23,7 @@ from tiegraph.sfm.adjustment.rigpriors import relaxed_frames, rig_priors
 from tiegraph.sfm.model import frame_poses
 from tiegraph.sfm.tuning import AdjustTuning, Tuning
 from tiegraph.sfm.tuning.world import AdjustmentTuning
-from tiegraph.sfm.world import costs, noise
+from tiegraph.sfm.world import costs, positionerrors
 from tiegraph.sfm.world.fixes import Fixes
 from tiegraph.sfm.world.marks import Target, mark_sigma
 
@@ -131,7 +131,7 @@ def factors(residual: np.ndarray, given: Constraints) -> np.ndarray:
     if not len(given.fixes):
         return given.factor
     known, fixes = given.tuning.world.noise, given.fixes
-    return noise.factors(residual / fixes.sigma, fixes.level, fixes.time_s, known)
+    return positionerrors.factors(residual / fixes.sigma, fixes.level, fixes.time_s, known)
 
 
 def settled(world: pycolmap.Reconstruction, tuning: AdjustTuning) -> pycolmap.Reconstruction:
