@@ -4,12 +4,12 @@
 So rows between frames count, a lever arm turns with the boat, and a clock offset is the derivative of the same sum.
 Until all is found sigmas are scaled by level of the stated sigma to what the residuals say, and for their correlation
 in time (``positionerrors``): a float solution that wanders must not outvote a fixed one because it is written five
-times a second. (Doubt beforehand, after outages and under bridges, bought nothing.) Control points enter where the rays of their marks meet (``marks``),
-which tells too whether they were marked in copies of the images; check points never enter. The scale of the rig enters
-with the sigma of its file, with how well the images carry its baselines to the length of the whole (the adjustment's
-own sigma of the scale, which two cameras back to back hardly tell) and with the share of its lever arms that the images
-contradict. Cameras all round (a ring, or two back to back) tell the vertical, to 3 deg or to what they
-lean from frame to frame.
+times a second. (Doubt beforehand, after outages and under bridges, bought nothing.) Control points enter where the rays
+of their marks meet (``marks``), which tells too whether they were marked in copies of the images; check points never
+enter. The scale of the rig enters with the sigma of its file, with how well the images carry its baselines to the
+length of the whole (the adjustment's own sigma of the scale, which two cameras back to back hardly tell) and with the
+share of its lever arms that the images contradict. Cameras all round (a ring, or two back to back) tell the vertical,
+to 3 deg or to what they lean from frame to frame.
 
 **Similarity** (``similarityfit``, ``fit``). Lever arm and clock are estimated only where the fit tells them (sigma in
 plan below 0.5 m) and agrees clearly better (chi-square at 0.1 %; begun with the sigmas as stated, as without lever arm
