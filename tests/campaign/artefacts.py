@@ -34,7 +34,7 @@ def run(case: Case) -> Result:
     ended = case.server.run(world.command(out, "--pool", "serial"), case.folder, PATIENCE_S)
     words = (path.name, path.parent.name, path.stem, stage, *_made(stage))
     if ended.code == 0:
-        fault = wrong(case, ended, out, {})
+        fault = wrong(case, ended, out, {}, changed=True)
         if fault is None and _content(path) == damage:
             fault = oracle.Verdict(oracle.SILENT, "the damaged file is there still")
         if fault is None:
@@ -52,7 +52,7 @@ def _heals(case: Case, out: Path, path: Path, verdict: oracle.Verdict) -> oracle
     else:
         path.unlink(missing_ok=True)
     ended = case.server.run(case.world.command(out, "--pool", "serial"), case.folder, PATIENCE_S)
-    return wrong(case, ended, out, {}) or verdict
+    return wrong(case, ended, out, {}, changed=True) or verdict
 
 
 def _content(path: Path) -> object:

@@ -75,8 +75,9 @@ def _kept(out: Path, own: dict[str, bytes]) -> bool:
     return all((out / n).is_file() and (out / n).read_bytes() == data for n, data in own.items())
 
 
-def wrong(case: Case, ended: Ended, out: Path, own: dict[str, bytes]) -> oracle.Verdict | None:
-    """What is wrong with a run that had to end with the clean run's result; None = nothing."""
+def wrong(case: Case, ended: Ended, out: Path, own: dict[str, bytes], changed: bool = False) -> oracle.Verdict | None:
+    """What is wrong with a run that had to end with the clean run's result; None = nothing. ``changed``: a person has
+    changed what it made, and that may be set aside."""
     if not _kept(out, own):
         return oracle.Verdict(oracle.LOSS, f"of {sorted(own)} in the run folder some are gone or changed")
     if fingerprint(case.world.inputs) != case.world.marks:
@@ -90,6 +91,7 @@ def wrong(case: Case, ended: Ended, out: Path, own: dict[str, bytes]) -> oracle.
     if different:
         return oracle.Verdict(oracle.SILENT, "not the clean run's result: " + "; ".join(different[:4]))
     left = left_over(case.world.clean[max_stage(case.world)], out, own)
+    left = [name for name in left if not (changed and Path(name).parts[0] == "set_aside")]
     return oracle.Verdict(oracle.LEFTOVER, "; ".join(left[:4])) if left else None
 
 

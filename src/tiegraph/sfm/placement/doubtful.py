@@ -114,8 +114,11 @@ def leave_out_doubtful(
 def doubted_frames(
     model: pycolmap.Reconstruction, scene: Scene, verified: VerifiedMatches, tuning: PlacementTuning
 ) -> list[int]:
-    """COLMAP's ids of the frames whose place is doubtful."""
-    doubted = explained(model, scene, verified, tuning).doubts
+    """COLMAP's ids of the frames whose place is doubtful; none if they are the larger half (a rig that is wrong): the
+    others are nothing to lean on."""
+    found = explained(model, scene, verified, tuning)
+    placed = {int(scene.frame[k]) for k in found.seen.cameras}
+    doubted = found.doubts if 2 * len(found.doubts) <= len(placed) else {}
     return [frame_id for frame in sorted(doubted) for frame_id in frame_ids(model, scene, frame)]
 
 

@@ -36,12 +36,6 @@ class Stated:
     time_s: np.ndarray
     common: np.ndarray
 
-    @staticmethod
-    def of_sigma(sigma: np.ndarray) -> Stated:
-        """Places without times that have nothing in common."""
-        count = len(sigma)
-        return Stated(sigma=sigma, level=np.zeros(count, int), time_s=np.full(count, np.nan), common=np.full(3, np.nan))
-
     def where(self, mask: np.ndarray) -> Stated:
         """Some of the positions."""
         return Stated(sigma=self.sigma[mask], level=self.level[mask], time_s=self.time_s[mask], common=self.common)

@@ -85,12 +85,18 @@ class Source:
 
 
 def alone(
-    evidence: Evidence, rows: np.ndarray, name: str, stated: Stated, tuning: WorldTuning, free_antenna: bool = False
+    evidence: Evidence,
+    rows: np.ndarray,
+    name: str,
+    stated: Stated | None,
+    tuning: WorldTuning,
+    free_antenna: bool = False,
 ) -> Source | None:
     """The placement by some rows (K,) bool of the evidence alone; None with fewer than three of them.
 
-    By the errors that their residuals about this very fit show, and what all of them share (``positionerrors``);
-    ``free_antenna``: the lever arm may be anything.
+    Positions by the errors that their residuals about this very fit show, and what all of them share
+    (``positionerrors``), control points, which are ``stated`` as they are, by these; ``free_antenna``: the lever arm
+    may be anything.
     """
     own = evidence.where(rows)
     if len(np.unique(own.pose[:, :3, 3].round(9), axis=0)) < _THREE:
@@ -102,7 +108,7 @@ def alone(
         typical = float(np.sqrt(np.median(np.sum(off**2, axis=1)) / MEDIAN_CHI2_3))
         own = replace(own, sigma=evidence.sigma[rows] * max(1.0, typical))
         fit = fit_similarity(own, None, tuning.fit, fit.similarity)
-    fit = by_errors(own, None, fit, stated, tuning.fit, tuning.noise)
+    fit = fit if stated is None else by_errors(own, None, fit, stated, tuning.fit, tuning.noise)
     off = own.position_residuals(fit.similarity, fit.arm.place)
     return Source(
         name=name,

@@ -74,7 +74,7 @@ def weigh(asked: Question) -> EvidenceWeights:
         sources.append(alone(evidence, rows, asked.name, asked.stated, tuning, asked.free_antenna))
     points = int((~rows).sum())
     if points:
-        own = alone(evidence, ~rows, CONTROL, Stated.of_sigma(evidence.sigma[~rows]), tuning)
+        own = alone(evidence, ~rows, CONTROL, None, tuning)
         sources.append(own or _few(evidence, rows, sources[0] if sources else None))
     found = {s.name: s for s in sources if s is not None}
     at = evidence.pose[~rows if points else rows, :3, 3].mean(axis=0)
