@@ -135,3 +135,23 @@ def test_a_worker_ended_while_it_sends_a_result_is_reported_and_the_pool_can_be_
     left.start()
     left.join(20)
     assert not left.is_alive()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("lost", [0, 1])
+def test_a_worker_killed_while_the_pool_ends_keeps_nobody_waiting(lost):
+    """One of two idle workers holds the lock of the queue: the other would wait for it for ever."""
+    local = pool.LocalPool(2, 1)
+    for done in [local.submit(time.sleep, 0.3) for _ in range(2)]:
+        done.result()
+    time.sleep(0.3)
+    workers = list(local._processes)
+    for worker in workers:
+        os.kill(worker, signal.SIGSTOP)
+    ending = threading.Thread(target=local.shutdown, daemon=True)
+    ending.start()
+    time.sleep(0.5)
+    os.kill(workers[lost], signal.SIGKILL)
+    os.kill(workers[1 - lost], signal.SIGCONT)
+    ending.join(20)
+    assert not ending.is_alive()

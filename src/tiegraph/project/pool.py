@@ -48,6 +48,16 @@ class LocalPool(ProcessPoolExecutor):
                 raise BrokenProcessPool(f"a worker was lost while another started: {error}") from error
             raise
 
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """As the base class. A worker that is killed meanwhile may have held the lock of the queue, which nobody
+        releases then: the others, who would wait for it for ever, are ended too."""
+        manager: Any = self._executor_manager_thread  # typeshed has another type
+        super().shutdown(wait=False, cancel_futures=cancel_futures)
+        while wait and manager is not None and manager.is_alive():
+            manager.join(_LOOK_S)
+            if manager.is_alive() and self.helpers.lost():
+                self.helpers.end()
+
     def end(self) -> None:
         """End the workers at once, in the middle of what they do."""
         self.helpers.end()
