@@ -95,7 +95,7 @@ def measure(name: str, folder: Path, scratch: Path) -> dict[str, Any]:
     for key in (f"{s}_sigma_median_m" for s in _SIGMAS):
         planned, reported = path.get(key), run.get(key)
         out[key] = _beside(planned, reported)
-    off = errors_m(dataset, folder)
+    off = errors_m(dataset, folder, relaxed=bool(run.get("relaxed")))
     errors = {"error": float(np.median([np.median(np.linalg.norm(e, axis=1)) for e in off.values()]))}
     if len(off) > 1:
         errors["error beside the common"] = beside_common_m(off)
@@ -165,11 +165,10 @@ def _beside(planned: float | None, reported: float | None) -> dict[str, float | 
     }  # fmt: skip
 
 
-def errors_m(dataset: datasets.Dataset, folder: Path) -> dict[int, np.ndarray]:
+def errors_m(dataset: datasets.Dataset, folder: Path, *, relaxed: bool) -> dict[int, np.ndarray]:
     """Errors (F, 3) of positions after the best similarity; of a relaxed rig camera by camera, frames in order."""
     model = pycolmap.Reconstruction(folder / "sparse" / "0")
     truth = reference_poses(model, dataset)
-    relaxed = len(model.cameras) > 1 and all(len(model.frame(f).data_ids) == 1 for f in truth)
     groups: dict[int, list[tuple[str, int]]] = {}
     for frame in truth:
         image = min((model.image(d.id) for d in model.frame(frame).image_ids), key=lambda i: i.name)

@@ -311,11 +311,14 @@ def outage(length_m: float, gap_m: float, radial: float, seed: int) -> dict[str,
     model = final_adjustment(made.model, [1], range(1, 5), tuning=Tuning().adjust).model
     sigma = position_sigma(model, (), (), tuning=Tuning())
     shape = Shape.of(model, sigma, made.scene)
-    rows = _receiver(made, gap_m, seed)
-    scene = _positions(made.scene, rows)
+    rows = receiver_rows(made, gap_m, seed)
+    scene = with_positions(made.scene, rows)
     s = np.arange(len(made.truth)) * 2.0
     inside = np.abs(s - length_m / 2) < gap_m / 2
     out: dict[str, Any] = {"length_m": length_m, "gap_m": gap_m, "radial": radial, "seed": seed}
+    out["images_alone_m"] = (
+        None if shape is None else round(shape.sizes()["median"], 4)
+    )  # the model is metric by its rig
     for way, adjust in (("similarity", "no"), ("adjusted", "yes")):
         settings = GeorefSettings(adjust=adjust)
         start = time.process_time()
@@ -325,19 +328,13 @@ def outage(length_m: float, gap_m: float, radial: float, seed: int) -> dict[str,
         place = frame_poses(image_poses(world, scene), scene)[:, :3, 3]
         off = np.linalg.norm(place - made.truth[:, :3, 3], axis=1)
         row = {"rms_m": _rms(off), "worst_in_gap_m": float(off[inside].max()), "cpu_s": time.process_time() - start}
-        known = found.uncertainty
-        own = 0.0 if known.shape is None else float(np.interp(length_m / 4, known.shape.index, known.shape.sigma))
-        placed = 0.0 if known.error is None else known.error.sigma(place[inside])
-        row |= {
-            "rms_in_gap_m": _rms(off[inside]),
-            "sigma_in_gap_m": float(np.hypot(_rms(np.linalg.norm(placed, axis=1)), own)),
-        }
+        row |= _in_plan(found, place, made.truth[:, :3, 3], inside)
         row["drift"] = row["worst_in_gap_m"] / gap_m
         out[way] = {n: round(v, 5) for n, v in row.items()} | {"predicted_m": found.uncertainty.sigma.get("position_m")}
     return out
 
 
-def _receiver(
+def receiver_rows(
     made: Corridor,
     gap_m: float,
     seed: int,
@@ -359,7 +356,18 @@ def _receiver(
     return PositionRows(fine[open_sky], (at + noise)[open_sky], sigma[open_sky])
 
 
-def _positions(scene: Scene, rows: PositionRows) -> Scene:
+def _in_plan(found: Georeference, place: np.ndarray, true: np.ndarray, inside: np.ndarray) -> dict[str, float]:
+    """Errors and stated sigmas of frames an axis in plan (root mean square), in the gap and beside it."""
+    known, frames = found.uncertainty, np.arange(len(place))
+    if known.error is None or known.shape is None:
+        return {}
+    own = np.sqrt(np.sum(known.shape.at(frames) ** 2, axis=2))
+    both = {"error": (place - true)[:, :2], "sigma": np.hypot(known.error.sigma(place), own)[:, :2]}
+    rows = {"in_gap": inside, "beside": ~inside}
+    return {f"plan_{n}_{w}_m": float(np.sqrt(np.mean(v[r] ** 2))) for n, v in both.items() for w, r in rows.items()}
+
+
+def with_positions(scene: Scene, rows: PositionRows) -> Scene:
     poses = np.full((scene.frames, 4, 4), np.nan)
     sigma = np.full((scene.frames, 3), np.nan)
     for f, t in enumerate(scene.time_s):
@@ -372,10 +380,13 @@ def _positions(scene: Scene, rows: PositionRows) -> Scene:
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--runs", type=Path, required=True, help="folder with <set>-tiegraph-0/out or <set>/out")
+    parser.add_argument("--runs", type=Path, default=Path(), help="folder with <set>-tiegraph-0/out or <set>/out")
     parser.add_argument("--sets", nargs="*", default=list(SETS))
     parser.add_argument("--ways", nargs="*", default=list(WAYS))
     parser.add_argument("--cases", nargs="*", default=[], help="bad, outage, receivers")
+    parser.add_argument(
+        "--corridor", type=float, nargs=2, default=(400.0, 100.0), help="length and gap of an outage, m"
+    )
     parser.add_argument("--seeds", type=int, default=2, help="of the corridor, of receivers")
     parser.add_argument("--bad-way", default="adjusted", help="way of the bad cases: rows or adjusted")
     parser.add_argument("-o", "--out", type=Path)
@@ -394,7 +405,7 @@ def main() -> None:
             if "bad" in options.cases and survey.rows() is not None:
                 results.setdefault("bad", {})[name] = bad_cases(survey, options.bad_way)
     if "outage" in options.cases:
-        results["outage"] = [outage(400.0, 100.0, r, seed) for r in (0.0, 0.005) for seed in range(options.seeds)]
+        results["outage"] = [outage(*options.corridor, r, seed) for r in (0.0, 0.005) for seed in range(options.seeds)]
     text = json.dumps(results, indent=1, default=float)
     if options.out:
         options.out.write_text(text + "\n")

@@ -24,7 +24,7 @@ import tiegraph  # noqa: F401  before pycolmap
 import pycolmap  # isort: skip
 
 from benchmarks.sfm.corridor import FOCAL, HEIGHT, WIDTH, Corridor, camera_of, corridor
-from benchmarks.sfm.georef import _positions, _receiver
+from benchmarks.sfm.georef import receiver_rows, with_positions
 from tiegraph.geometry.align import Similarity, umeyama
 from tiegraph.scene.colmapmodel import image_poses
 from tiegraph.sfm.adjustment.adjust import final_adjustment
@@ -80,8 +80,8 @@ def _cameras(model: pycolmap.Reconstruction, sigma: PositionSigma, fit: Similari
 def _placed(made: Corridor, model: pycolmap.Reconstruction, sigma: PositionSigma, seed: int) -> Errors:
     """The middle, the turn and the scale in the world, and the cameras there."""
     rng = np.random.default_rng(seed + 5000)
-    rows = _receiver(made, 0.0, seed, white=0.7, slow=0.7, lasting=LASTING * rng.standard_normal(3))
-    scene = _positions(made.scene, rows)
+    rows = receiver_rows(made, 0.0, seed, white=0.7, slow=0.7, lasting=LASTING * rng.standard_normal(3))
+    scene = with_positions(made.scene, rows)
     given = Measurements(rows, shape=Shape.of(model, sigma, scene))
     found, world = georeference_model(model, scene, GeorefSettings(antenna="ignored"), Tuning(), given)
     place, true = frame_poses(image_poses(world, scene), scene)[:, :3, 3], made.truth[:, :3, 3]

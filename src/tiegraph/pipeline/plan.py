@@ -10,6 +10,7 @@ import pycolmap
 from tiegraph.errors import InputError
 from tiegraph.features.settings import FeaturesSettings
 from tiegraph.geometry import transforms
+from tiegraph.pipeline.files import load_npz
 from tiegraph.plan.accuracy import Shape
 from tiegraph.plan.network import MountedCamera, model_figures
 from tiegraph.plan.planner import Plan, Rigged, make_plan
@@ -34,6 +35,8 @@ from tiegraph.scene.decoding import EIGHT_BIT
 from tiegraph.scene.rig import Rig, Sensor, calibrated
 from tiegraph.sfm.adjustment.adjust import free_cameras
 from tiegraph.sfm.covariance import planned_sigma
+from tiegraph.sfm.shape import SHAPE
+from tiegraph.sfm.shape import Shape as ModelShape
 from tiegraph.sfm.systematic.lenses import AssumedErrors
 from tiegraph.sfm.tuning import Tuning as SfmTuning
 
@@ -95,12 +98,22 @@ def reached(folder: Path) -> dict[str, float | None]:
         out |= {"base_m": base, "overlap": max(0.0, 1 - base / (float(out["tie_gsd_m"] or 0) * camera.width))}
     inside, sigma = world.get("model_sigma") or {}, world.get("sigma") or {}
     shape = inside.get("median")
-    out["position_shape_sigma_median_m"] = shape
+    path = _own_path(folder)
+    out["relaxed"] = None if path is None else 1.0
+    out["position_shape_sigma_median_m"] = shape if path is None else world["scale"] * path
     if shape is not None and "position_m" in sigma:
         out["place_world_sigma_median_m"] = float(np.hypot(shape, sigma["position_m"]))
         out["height_world_sigma_median_m"] = float(np.hypot(shape, sigma["height_m"]))
     out["ate_m"] = metric_values(run).get("ate_sim3_rmse")
     return out
+
+
+def _own_path(folder: Path) -> float | None:
+    """Median sigma of a camera's way, model units, of a run whose rig was relaxed: there the sigma of all positions is
+    how well the cameras' places in the rig are known, which a plan does not ask. None = it was not."""
+    file = folder / "sparse" / SHAPE
+    path = ModelShape(**load_npz(file)).of_path() if file.exists() else None
+    return None if path is None else path.sizes()["median"]
 
 
 def _propagate(

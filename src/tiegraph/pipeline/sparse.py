@@ -18,7 +18,7 @@ from tiegraph.scan.priors.poses import images_by_name
 from tiegraph.scan.priors.startmodel import read_start
 from tiegraph.scene.colmapmodel import image_poses, tracks
 from tiegraph.sfm.mapper import Source, reconstruct
-from tiegraph.sfm.shape import SHAPE, Shape
+from tiegraph.sfm.shape import SHAPE
 from tiegraph.sfm.startcheck import check_start, told
 
 
@@ -48,10 +48,9 @@ def sparse(run: Run) -> Outcome:
         run.log,
     )
     counts = dict(made.counts)
+    if made.shape is not None:
+        save_npz(run.path("sparse", SHAPE), **vars(made.shape))
     if made.sigma is not None:
-        shape = Shape.of(load_model(run.path("sparse", "0")), made.sigma, checked(run))
-        if shape is not None:
-            save_npz(run.path("sparse", SHAPE), **vars(shape))
         largest = float(np.linalg.norm(made.sigma.sigma, axis=1).max())
         counts |= {"position_sigma_median": made.sigma.median, "position_sigma_p90": made.sigma.p90}
         counts["position_sigma_largest"] = largest

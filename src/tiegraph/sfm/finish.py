@@ -20,6 +20,7 @@ from tiegraph.sfm.placement.doubtful import PlacementCheck, explained, frame_ids
 from tiegraph.sfm.rig import cameramatches
 from tiegraph.sfm.rig.support import place_as_given, units_per_metre
 from tiegraph.sfm.rigcheck import Checked, FinishRequest, checked_rig
+from tiegraph.sfm.shape import Shape
 from tiegraph.sfm.tuning import SigmaTuning
 from tiegraph.text import known_to
 
@@ -33,6 +34,7 @@ class FinishResult:
     dropped: list[tuple[str, str]] = field(default_factory=list)  # images left out for their place
     contradictions: list[str] = field(default_factory=list)
     sigma: PositionSigma | None = None
+    shape: Shape | None = None
     counts: dict[str, float] = field(default_factory=dict)
 
 
@@ -70,6 +72,7 @@ def _combined(placement: PlacementCheck, *steps: FinishResult) -> FinishResult:
         dropped=placement.dropped,
         contradictions=[line for step in steps for line in step.contradictions],
         sigma=precision.sigma,
+        shape=precision.shape,
         counts={name: count for step in steps for name, count in step.counts.items()},
     )
 
@@ -214,10 +217,11 @@ def _precision(checked: Checked, scene: Scene, request: FinishRequest, steps: Ma
         return FinishResult([many] if request.covariance_frames > 0 else [])
     try:
         sigma = _position_sigma(checked, scene, request).covering(steps)
+        shape = Shape.of(checked.model, sigma, scene)
     except (ValueError, RuntimeError, np.linalg.LinAlgError) as error:
         return FinishResult([f"position sigmas could not be computed: {error}"])
     names = {k + 1: s.name for k, s in enumerate(scene.all_sensors)}
-    return FinishResult(_open_notes(sigma, names, request.tuning.sigma), sigma.tables(names), sigma=sigma)
+    return FinishResult(_open_notes(sigma, names, request.tuning.sigma), sigma.tables(names), sigma=sigma, shape=shape)
 
 
 def _position_sigma(checked: Checked, scene: Scene, request: FinishRequest) -> PositionSigma:

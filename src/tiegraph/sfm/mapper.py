@@ -47,6 +47,7 @@ from tiegraph.sfm.rig.rig import DerivedRig, derive_rig, rig_modes, rig_table
 from tiegraph.sfm.rig.support import ties_of, unsupported_sensors
 from tiegraph.sfm.rigcheck import FinishRequest, Held
 from tiegraph.sfm.settings import SparseSettings
+from tiegraph.sfm.shape import Shape
 from tiegraph.sfm.start.turning import no_base
 from tiegraph.sfm.ties import TEST_COLUMNS, Joining, TieTest, moved
 from tiegraph.sfm.tuning import MappingTuning, Tuning
@@ -100,6 +101,7 @@ class SparseResult:
     tables: dict[str, dict]
     counts: dict[str, float]
     sigma: PositionSigma | None  # of the first model's frames, model units
+    shape: Shape | None  # the same as what may bend it
 
     def load(self, model: int = 0) -> pycolmap.Reconstruction:
         """Read a model from disk."""
@@ -301,6 +303,7 @@ def _account(job: Job, outcome: Outcome, finished: FinishResult) -> SparseResult
         },
         counts=_counts(job, models, sum(len(group.frames) for group in weak)) | finished.counts,
         sigma=finished.sigma,
+        shape=finished.shape,
     )
 
 

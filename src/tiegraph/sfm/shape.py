@@ -24,38 +24,50 @@ class Shape:
     """How N frames of a model may be off, after the best similarity of them all: the large eigenvectors of their
     covariance, times their sigmas, and the variance of the rest, from frame to frame.
 
-    ``index`` (N,) the scene's frames, ascending; ``place`` (N, 3); ``modes`` (M, N, 3) of unit variance each; ``rest``
-    (N, 3); lengths in units of the model, along its axes.
+    ``index`` (N,) the scene's frames, ascending; ``reference`` (N,) bool those that stand for these: of a relaxed rig,
+    whose images are frames of their own, those of its first camera; ``place`` (N, 3); ``modes`` (M, N, 3) of unit
+    variance each; ``rest`` (N, 3); lengths in units of the model, along its axes.
     """
 
     index: np.ndarray
+    reference: np.ndarray
     place: np.ndarray
     modes: np.ndarray
     rest: np.ndarray
 
     @staticmethod
     def of(model: pycolmap.Reconstruction, sigma: PositionSigma, scene: Scene) -> Shape | None:
-        """By the covariance of an adjustment; None without one. Of a relaxed rig, whose images are frames of their own,
-        that of its first camera: the others' places in the rig are not the shape of the path."""
+        """By the covariance of an adjustment; None without one."""
         if sigma.covariance is None:
             return None
         number = {name: k for k, name in enumerate(scene.names)}
         frames = [model.frame(k) for k in sigma.frame_ids]
         first = [min(number[model.image(d.id).name] for d in f.image_ids if model.exists_image(d.id)) for f in frames]
-        relaxed = len(np.unique(scene.frame[first])) < len(first)
-        rows = np.flatnonzero((scene.sensor[first] == scene.sensor[first].min()) | (not relaxed))
-        rows = rows[np.argsort(scene.frame[first][rows])]
-        index = scene.frame[first][rows]
-        place, at = np.array([_centre(frames[k]) for k in rows]), (3 * rows[:, None] + np.arange(3)).ravel()
-        moves = motions(place - place.mean(axis=0)).reshape(-1, 7)
-        alone = np.eye(len(at)) - moves @ np.linalg.pinv(moves)  # after the best similarity of these
-        full = alone @ sigma.covariance[np.ix_(at, at)] @ alone.T
-        values, vectors = np.linalg.eigh(full)
+        rows = np.argsort(scene.frame[first], kind="stable")
+        index, sensor = scene.frame[first][rows], scene.sensor[first][rows]
+        reference = (sensor == sensor.min()) | (len(np.unique(index)) == len(index))
+        at = (3 * rows[:, None] + np.arange(3)).ravel()
+        place = np.array([_centre(frames[k]) for k in rows])
+        return Shape._of(index, reference, place, sigma.covariance[np.ix_(at, at)])
+
+    @staticmethod
+    def _of(index: np.ndarray, reference: np.ndarray, place: np.ndarray, covariance: np.ndarray) -> Shape:
+        values, vectors = np.linalg.eigh(covariance)
         values, vectors = np.clip(values[::-1], 0, None), vectors[:, ::-1]
         count = min(_MODES, int(np.searchsorted(np.cumsum(values), _EXPLAINED * values.sum())) + 1)
         modes = (vectors[:, :count] * np.sqrt(values[:count])).T.reshape(count, -1, 3)
-        rest = np.clip(np.diag(full).reshape(-1, 3) - np.sum(modes**2, axis=0), 0, None)
-        return Shape(index=index, place=place, modes=modes, rest=rest)
+        rest = np.clip(np.diag(covariance).reshape(-1, 3) - np.sum(modes**2, axis=0), 0, None)
+        return Shape(index=index, reference=reference, place=place, modes=modes, rest=rest)
+
+    def of_path(self) -> Shape | None:
+        """That of the first camera's way alone, after the best similarity of it; None of a rig that is not relaxed."""
+        if self.reference.all():
+            return None
+        place, flat = self.place[self.reference], self.modes[:, self.reference].reshape(len(self.modes), -1)
+        moves = motions(place - place.mean(axis=0)).reshape(-1, 7)
+        left = np.eye(len(moves)) - moves @ np.linalg.pinv(moves)
+        own = left @ (flat.T @ flat + np.diag(self.rest[self.reference].ravel())) @ left.T
+        return Shape._of(self.index[self.reference], self.reference[self.reference], place, own)
 
     @property
     def sigma(self) -> np.ndarray:
@@ -68,15 +80,16 @@ class Shape:
 
     def at(self, frames: np.ndarray) -> np.ndarray:
         """(K, 3, M) the modes at frames (K,) of the scene, between those that are known."""
-        flat = self.modes.transpose(2, 0, 1).reshape(-1, len(self.index))
-        known = np.stack([np.interp(frames, self.index, row) for row in flat], axis=1)
+        index = self.index[self.reference]
+        flat = self.modes[:, self.reference].transpose(2, 0, 1).reshape(-1, len(index))
+        known = np.stack([np.interp(frames, index, row) for row in flat], axis=1)
         return known.reshape(len(frames), 3, -1)
 
     def moved(self, similarity: Similarity) -> Shape:
         """The same in the world."""
         turn = similarity.scale * similarity.rotation
         modes, rest = self.modes @ turn.T, self.rest @ (turn**2).T
-        return Shape(index=self.index, place=similarity(self.place), modes=modes, rest=rest)
+        return replace(self, place=similarity(self.place), modes=modes, rest=rest)
 
     def told(self, covariance: np.ndarray) -> Shape:
         """The same once something has told the coefficients (M,) of the modes to this covariance (M, M)."""

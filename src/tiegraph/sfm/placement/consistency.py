@@ -51,14 +51,6 @@ def consistency_votes(
     return ConsistencyVotes(agree, contradict, tuning)
 
 
-@dataclass(frozen=True)
-class SuspectFrames:
-    """Frames that stand together at a doubtful place, and why."""
-
-    frames: tuple[int, ...]
-    why: str
-
-
 def contradiction(
     frames: Collection[int], believed: set[int], votes: ConsistencyVotes, near: Sequence[set[int]]
 ) -> tuple[float, str]:
@@ -83,11 +75,12 @@ def contradiction(
     return against - agree, why
 
 
-def suspect_frames(placed: Collection[int], scene: Scene, votes: ConsistencyVotes) -> tuple[SuspectFrames, ...]:
-    """Of the frames that have a place those whose ties contradict it, by themselves or together with those they are
-    tied to most, which agree among themselves. First the frames or groups whose ties contradict most, for a pass at a
-    wrong place contradicts every frame of the others too; never the larger half."""
-    near, believed, out = neighbours(scene, votes.tuning.near_steps), set(placed), []
+def suspect_frames(placed: Collection[int], scene: Scene, votes: ConsistencyVotes) -> dict[tuple[int, ...], str]:
+    """Of the frames that have a place those whose ties contradict it, and why: by themselves, or together with those
+    they are tied to most, which agree among themselves. First those whose ties contradict most, for a pass at a wrong
+    place contradicts every frame of the others too; never the larger half."""
+    near, believed = neighbours(scene, votes.tuning.near_steps), set(placed)
+    out: dict[tuple[int, ...], str] = {}
     asked = [[frame] for frame in sorted(believed)] + _groups(votes, believed, len(near))
     told = [(*contradiction(frames, believed, votes, near), frames) for frames in asked]
     for _, why, frames in sorted(told, key=lambda one: -one[0]):
@@ -96,9 +89,9 @@ def suspect_frames(placed: Collection[int], scene: Scene, votes: ConsistencyVote
             continue
         if why := contradiction(own, believed, votes, near)[1]:
             together = f", asked together with the {len(own) - 1} it is tied to most" if len(own) > 1 else ""
-            out.append(SuspectFrames(tuple(own), why + together))
+            out[tuple(own)] = why + together
             believed -= set(own)
-    return tuple(out)
+    return out
 
 
 def _groups(votes: ConsistencyVotes, placed: set[int], frames: int) -> list[list[int]]:

@@ -69,7 +69,7 @@ def explained(
     agreed = agreement(verified, seen)
     votes = consistency_votes(verified, agreed, scene, tuning.consistency)
     suspects = suspect_frames({int(scene.frame[k]) for k in seen.cameras}, scene, votes)
-    why = {f: s.why for s in suspects for f in s.frames}
+    why = {f: reason for frames, reason in suspects.items() for f in frames}
     return Explained(scene=scene, verified=verified, seen=seen, agreed=agreed, doubts=why, tuning=tuning.consistency)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,7 +14,7 @@ from tiegraph.geometry.gravity import Up, roll_by_upward, roll_to_upright, to_up
 from tiegraph.geometry.placement import PlacementError
 from tiegraph.geometry.transforms import skew, turn_by_vector, vector_by_turn
 from tiegraph.sfm.tuning.world import FitTuning, NoiseTuning
-from tiegraph.sfm.world.positionerrors import Level, Linear, PositionErrors, Stated
+from tiegraph.sfm.world.positionerrors import Linear, PositionErrors, Stated
 from tiegraph.sfm.world.unknowns import Clock, FittedArm, LeverArm, LogScale
 
 _OPEN = 1e-6  # squared sine between an unknown and what residuals tell, beyond which it is open
@@ -74,7 +75,7 @@ class Fit:
     roll_sigma_deg: float  # about the direction in which the positions spread most
     sigma_positions_scale: float  # of the logarithm of the scale, from the positions alone
     error: PlacementError  # about the middle of the positions
-    levels: tuple[Level, ...] = ()  # how large the errors of the believed positions are, over the stated sigmas
+    levels: Sequence[tuple[float, float, int]] = ()  # how large the errors of the positions are (``positionerrors``)
     bent: np.ndarray | None = None  # (M, M) covariance of the modes of the shape, by images and positions
 
     @property

@@ -301,11 +301,10 @@ def _scale_source(placing: SimilarityFit, scene: Scene, view: Model, fixes: int)
 def _remarks(placing: SimilarityFit, scene: Scene) -> list[str]:
     notes, fit, tuning = [], placing.fit, placing.tuning
     told, most = tuning.statements.scatter_told, tuning.statements.scatter
-    for level in placing.fit.levels:
-        if told < level.factor <= most and level.count >= tuning.noise.min_rows:
+    for sigma_m, factor, count in placing.fit.levels:
+        if told < factor <= most and count >= tuning.noise.min_rows:
             notes.append(
-                f"positions of stated sigma {level.sigma_m:.2f} m scatter {level.factor:.1f} times as much: "
-                "believed accordingly"
+                f"positions of stated sigma {sigma_m:.2f} m scatter {factor:.1f} times as much: believed accordingly"
             )
     if fit.roll_sigma_deg > tuning.similarity_fit.roll_limit_deg:
         known = known_to(fit.roll_sigma_deg, RIGHT_ANGLE_DEG, f"{fit.roll_sigma_deg:.0f} deg only")

@@ -63,15 +63,6 @@ class Sizes:
     lasts_s: float
 
 
-@dataclass(frozen=True)
-class Level:
-    """Positions of like stated sigma: their number, that sigma, by how many times their errors are larger."""
-
-    count: int
-    sigma_m: float
-    factor: float
-
-
 class PositionErrors:
     """The likeliest sizes of the errors of some positions, and what they leave of the unknowns."""
 
@@ -100,12 +91,11 @@ class PositionErrors:
         return float(np.median(np.hypot(self.sizes.white, self.sizes.slow)[self._level]))
 
     @property
-    def levels(self) -> tuple[Level, ...]:
-        """Of the stated sigma, best first."""
+    def levels(self) -> list[tuple[float, float, int]]:
+        """Of the stated sigma, best first: that sigma (m), by how many times errors are larger, how many positions."""
         total, stated = np.hypot(self.sizes.white, self.sizes.slow), self._linear.stated.sigma[:, 0]
-        found = [(self._level == k, float(factor)) for k, factor in enumerate(total)]
-        made = [Level(count=int(of.sum()), sigma_m=float(np.median(stated[of])), factor=f) for of, f in found]
-        return tuple(sorted(made, key=lambda v: v.sigma_m))
+        of = [stated[self._level == k] for k in range(len(total))]
+        return sorted((float(np.median(own)), float(factor), len(own)) for own, factor in zip(of, total))
 
     @staticmethod
     def _of(x: np.ndarray) -> Sizes:

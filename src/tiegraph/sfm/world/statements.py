@@ -227,12 +227,12 @@ def _levels(found: Georeference, explained: bool) -> list[str]:
     placing = found.placing
     assert placing is not None
     tuning, out = placing.tuning, []
-    for level in placing.fit.levels:
+    for sigma_m, factor, count in placing.fit.levels:
         name = placing.weighed.name
-        if level.factor > tuning.statements.scatter and level.count >= tuning.noise.min_rows and not explained:
+        if factor > tuning.statements.scatter and count >= tuning.noise.min_rows and not explained:
             out.append(
-                f"{name} of stated sigma {level.sigma_m:.2f} m scatter {level.factor:.1f} times as much "
-                f"({level.count} of them): believed accordingly; a receiver that is optimistic, or a lever arm or "
+                f"{name} of stated sigma {sigma_m:.2f} m scatter {factor:.1f} times as much "
+                f"({count} of them): believed accordingly; a receiver that is optimistic, or a lever arm or "
                 "clock that is not known"
             )
     used = int(found.residuals.inlier.sum())
