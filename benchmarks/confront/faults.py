@@ -101,6 +101,17 @@ def _exchanged(p: Positions, size: float) -> Positions:
     return replace(p, enu_m=p.enu_m[:, columns] * np.array(sign, float))
 
 
+def _floating(p: Positions, size: float) -> Positions:
+    """As a receiver without fixed ambiguities gives and states them: slow errors of ``size`` metres (60 s)."""
+    rng, steps = np.random.default_rng(7), np.diff(p.time_s, prepend=p.time_s[0])
+    off = rng.normal(size=(len(p.time_s), 3))
+    for k in range(1, len(off)):
+        kept = np.exp(-abs(steps[k]) / 60)
+        off[k] = kept * off[k - 1] + np.sqrt(1 - kept**2) * off[k]
+    sigma = size * np.array([1.0, 1.5])
+    return replace(p, enu_m=p.enu_m + off * sigma[[0, 0, 1]], sigma_m=np.tile(sigma, (len(off), 1)))
+
+
 # --- rig and cameras ------------------------------------------------------------------------------------------------
 
 
@@ -233,6 +244,15 @@ def _focal(given: Given, size: float) -> Wronged | None:
     return Wronged(replace(given, rig=replace(rig, sensors=tuple(sensors))), f"focal length {size:+.0%}", held)
 
 
+def _bent(given: Given, size: float) -> Wronged | None:
+    """The pictures of the last camera bent by a keystone, which its calibration does not know."""
+    if given.rig is None or len(given.rig.sensors) < 2 or given.rig.sensors[-1].camera is None:
+        return None
+    folders, last = given.folders(), given.rig.sensors[-1].folder
+    images = {n: replace(p, keystone_px=size) if folders[n] == last else p for n, p in given.images.items()}
+    return Wronged(replace(given, images=images), f"{last} bent by a keystone of {size:g} px", {})
+
+
 # --- times and images -----------------------------------------------------------------------------------------------
 
 
@@ -327,11 +347,13 @@ FAULTS: dict[str, Fault] = {
     "gnss_step": Fault((0.01, 0.03, 0.1), _moved(_stepped, "steps, by shares of the extent,"), "positions", NOTHING),
     "gnss_lag": Fault((0.1, 0.3, 1.0), _moved(_lagging, "lags, seconds:"), "clock", NOTHING),
     "gnss_axes": Fault((0, 1, 2), _moved(_exchanged, "axes exchanged, kind"), "positions", NOTHING),
+    "gnss_float": Fault((0.1, 0.3, 1.0), _moved(_floating, "floats, metres:"), "positions", NOTHING),
     "rig_baseline": Fault((0.01, 0.03, 0.1), _baseline, "rig", RIG),
     "rig_turned": Fault((0.2, 0.5, 2.0), _turned, "rig", RIG),
     "rig_other": Fault((0, 1, 2), _other_rig, "rig", RIG),
     "rig_swapped": Fault((0, 1, 2), _swapped, "rig", RIG),
     "focal": Fault((0.01, 0.05, 0.2), _focal, "camera", RIG),
+    "keystone": Fault((0.5, 1.5, 3.0), _bent, "camera", EVERYTHING),
     "order": Fault((0, 1, 2), _order, "order", EVERYTHING),
     "blurred": Fault((3.0, 8.0, 20.0), _blurred, "images", EVERYTHING),
 }

@@ -25,17 +25,19 @@ _QUALITY = [cv2.IMWRITE_JPEG_QUALITY, 95]
 
 @dataclass(frozen=True)
 class Picture:
-    """An image file, and what is done to it: blurred, or made anew a ``share`` of the way to the picture ``after``."""
+    """An image file, and what is done to it: blurred, or made anew a ``share`` of the way to the picture ``after``;
+    ``keystone_px``: seen by a lens about another axis than its calibration says, so far off in the corners."""
 
     file: Path
     blur_px: float = 0.0
+    keystone_px: float = 0.0
     after: Path | None = None
     share: float = 0.0
 
     @property
     def plain(self) -> bool:
         """Whether the file itself is the image."""
-        return self.blur_px <= 0 and self.after is None
+        return self.blur_px <= 0 and self.after is None and not self.keystone_px
 
 
 @dataclass(frozen=True)
@@ -192,7 +194,16 @@ def made(picture: Picture) -> np.ndarray:
         pixels = between(pixels, cv2.imread(str(picture.after), cv2.IMREAD_UNCHANGED), picture.share)
     if picture.blur_px > 0:
         pixels = _smeared(pixels, picture.blur_px)
-    return pixels
+    return _keystone(pixels, picture.keystone_px) if picture.keystone_px else pixels
+
+
+def _keystone(pixels: np.ndarray, corner_px: float) -> np.ndarray:
+    """The homography (1 0 0; 0 1 0; k 0 1) about the middle: the corners move up and down by ``corner_px``."""
+    height, width = pixels.shape[:2]
+    k = 4 * corner_px / (width * height)
+    y, x = (np.mgrid[:height, :width] - np.array([[[height - 1]], [[width - 1]]]) / 2).astype(np.float32)
+    seen = [(v / (1 - k * x) + m).astype(np.float32) for v, m in ((x, (width - 1) / 2), (y, (height - 1) / 2))]
+    return cv2.remap(pixels, *seen, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT)
 
 
 def _smeared(pixels: np.ndarray, length_px: float) -> np.ndarray:

@@ -13,7 +13,7 @@ from tiegraph.sfm.model import frame_poses
 from tiegraph.sfm.rig.confront import prior_test
 from tiegraph.sfm.rig.priortest import PriorTest
 from tiegraph.sfm.rig.resections import Resections, SensorDiagnostics, resect_all, sensor_diagnostics, table_rows
-from tiegraph.sfm.rig.timeoffset import TimeOffset, rig_motion, time_offset
+from tiegraph.sfm.rig.timeoffset import TimeOffset, moved_in_time, rig_motion
 from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.tuning.rig import DiagnosticsTuning, RigTuning, TimeOffsetTuning
 
@@ -64,14 +64,14 @@ def rig_diagnostics(
 
     ``before``: the model before its adjustment. A camera that sits loose loses most of its sightings there.
     """
-    found = resect_all(model, scene, metres_per_unit, tuning.rig.diagnostics)
+    found = resect_all(model, scene, metres_per_unit, tuning)
     health = sensor_diagnostics(found, scene, tuning.rig.diagnostics)
     tests = {
         k: j for k in range(len(scene.rigs)) if (j := prior_test(model, scene, k, metres_per_unit, tuning)) is not None
     }
     late = _late(tests, health, scene, tuning.rig.time_offset)
     rig_of = np.concatenate([[k] * len(r.sensors) for k, r in enumerate(scene.rigs)]) if scene.rigs else np.zeros(0)
-    in_time = _in_time(found, model, scene, tests, metres_per_unit, tuning.rig.time_offset)
+    in_time = _in_time(found, model, scene, tests, metres_per_unit)
     scattered = {h.sensor: h for h in sensor_diagnostics(in_time, scene, tuning.rig.diagnostics)}
     still = {k for k, h in scattered.items() if h.rigid(tuning.rig.diagnostics)}
     torn = _torn_off(before, model, scene, tuning.rig.diagnostics)
@@ -152,7 +152,6 @@ def _in_time(
     scene: Scene,
     tests: Mapping[int, PriorTest],
     metres: float,
-    tuning: TimeOffsetTuning,
 ) -> Resections:
     """The resections less what the motion does to cameras that fire apart: what is left is how loose they sit."""
     if not any(j.times_s() for j in tests.values()):
@@ -163,11 +162,9 @@ def _in_time(
     shift, turn = found.shift_m.copy(), found.turn_deg.copy()
     for key in np.unique(scene.sensor_key[found.image]):
         rows = scene.sensor_key[found.image] == key
-        fit = time_offset(found.residual()[rows], found.covariance[rows], columns[rows], tuning)
-        if fit is not None:
-            moved = np.nan_to_num(fit.offset_s * columns[rows])
-            shift[rows] -= moved[:, :3]
-            turn[rows] -= np.degrees(moved[:, 3:])
+        moved = moved_in_time(found.residual()[rows], found.covariance[rows], columns[rows])
+        shift[rows] -= moved[:, :3]
+        turn[rows] -= np.degrees(moved[:, 3:])
     return replace(found, shift_m=shift, turn_deg=turn)
 
 

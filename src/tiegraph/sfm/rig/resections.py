@@ -17,11 +17,16 @@ from scipy.special import bdtr
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import MAD
 from tiegraph.geometry.transforms import skew
-from tiegraph.scene.colmapmodel import matrix, model_rigs
+from tiegraph.scene.colmapmodel import model_rigs, registered_images
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.sorting import Columns
-from tiegraph.sfm.rig.observations import Observations, model_observations, retriangulate
+from tiegraph.sfm.adjustment.jacobians import Layout, System, jacobians, sampled
+from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.tuning.rig import DiagnosticsTuning
+
+_OPEN = 1e-9  # of a point's information: along a single ray nothing is known
+_ROUNDS, _CAUCHY = 5, 2.0  # of the robust step; its scale in sigmas
+_MEDIAN = 1.1774  # of the length of a two-dimensional normal error, in its sigma
 
 COLUMNS = (
     "frame", "pass", "camera", "points", "rms_px", "right_m", "down_m", "forward_m", "turn_x_deg", "turn_y_deg",
@@ -86,112 +91,116 @@ class SensorDiagnostics:
 
 
 def resect_all(
-    reconstruction: pycolmap.Reconstruction, scene: Scene, metres_per_unit: float, tuning: DiagnosticsTuning
+    reconstruction: pycolmap.Reconstruction, scene: Scene, metres_per_unit: float, tuning: Tuning
 ) -> Resections:
-    """Resect each registered image of a rig of several sensors in the points its own sensor had no part in."""
-    seen = model_observations(reconstruction, scene)
-    rows = []
-    for key in np.unique(scene.sensor_key[seen.image]) if len(seen.image) else ():
-        of_sensor = scene.sensor_key[seen.image] == key
-        index = scene.rig[scene.frame[seen.image[of_sensor][0]]]
-        if len(scene.rigs[index].sensors) < 2:
+    """Resect each registered image of a rig of several sensors in the points its own sensor had no part in.
+
+    Linearised where the model is: the points go to their minimum by the other sensors, and the image follows them, each
+    sighting weighed by its own error and that of its point (Foerstner and Wrobel 2016, section 4.1.4).
+    """
+    several = (k for k, p in reconstruction.points3D.items() if p.track.length() > 1)
+    points, _ = sampled(several, tuning.rig.system.most_points)
+    if not points:
+        return _gathered([])
+    seen = jacobians(reconstruction, Layout(reconstruction, False, False), points)
+    rigs, rows = model_rigs(reconstruction, scene), []
+    others: dict[int, _PointsOf] = {}
+    for index, image in registered_images(reconstruction, scene):
+        sensors = rigs[scene.rig[scene.frame[index]]].sensors
+        if len(sensors) < 2:
             continue
-        others = retriangulate(seen.where(~of_sensor), tuning)
-        own = seen.where(of_sensor & np.isfinite(others.xyz[seen.point]).all(axis=1))
-        for image in np.unique(own.image):
-            part = own.where(own.image == image)
-            pose = seen.cam_from_world[image]
-            sharp = others.sigma_px(part.point, pose, float(part.focal_px[0])) < tuning.max_point_spread_px
-            part = part.where(sharp)
-            camera = reconstruction.camera(reconstruction.find_image_with_name(scene.names[image]).camera_id)
-            enough = len(part.image) >= tuning.min_points
-            row = _resect(int(image), part, others.xyz, camera, tuning) if enough else None
-            if row is not None:
-                rows.append(row)
-    return _against_rig(rows, seen, scene, reconstruction, metres_per_unit)
+        if image.camera_id not in others:
+            others[image.camera_id] = _PointsOf.others(seen, image.camera_id, tuning.adjust.robust_px)
+        own = np.flatnonzero(seen.image == image.image_id)
+        row = others[image.camera_id].resected(seen, own, tuning.rig.diagnostics)
+        if row is None:
+            continue
+        extrinsics = sensors[scene.sensor[index]].sensor_from_rig
+        rig_pose = np.eye(4) if extrinsics is None else extrinsics.copy()
+        rig_from_model = rig_pose[:3, :3].T @ image.cam_from_world().rotation.matrix()
+        rig_pose[:3, 3] *= metres_per_unit
+        rows.append((index, row, np.kron(np.diag([metres_per_unit, 1.0]), rig_from_model), rig_pose))
+    return _gathered(rows)
 
 
 @dataclass(frozen=True)
 class _Resected:
-    """An image placed by points: covariance (6, 6) of half rotation angles, translation."""
+    """An image placed by points: shift of its centre and turn (6,), covariance of them, along the model's axes."""
 
-    image: int
     inliers: int
     sigma_px: float
-    cam_from_world: np.ndarray
+    step: np.ndarray
     covariance: np.ndarray
 
 
-def _resect(
-    image: int,
-    part: Observations,
-    xyz: np.ndarray,
-    camera: pycolmap.Camera,
-    tuning: DiagnosticsTuning,
-) -> _Resected | None:
-    """The pose of an image by points alone; None with too few that agree."""
-    options = pycolmap.AbsolutePoseEstimationOptions()
-    options.ransac.max_error = tuning.search_px
-    options.ransac.random_seed = 0
-    refinement = pycolmap.AbsolutePoseRefinementOptions()
-    points = xyz[part.point]
-    found = pycolmap.estimate_and_refine_absolute_pose(part.xy, points, camera, options, refinement, True)
-    if found is None or found["num_inliers"] < tuning.min_points or "covariance" not in found:
-        return None
-    own = matrix(found["cam_from_world"])
-    points = points[found["inlier_mask"]]
-    here = np.asarray(camera.img_from_cam(transforms.apply(own, points)))
-    error = np.linalg.norm(here - part.xy[found["inlier_mask"]], axis=1)
-    # One coordinate's sigma, from the median length of a two-dimensional normal error: 1.1774 sigma.
-    sigma_px = float(np.median(error)) / 1.1774
-    return _Resected(
-        image=image,
-        inliers=int(found["num_inliers"]),
-        sigma_px=sigma_px,
-        cam_from_world=own,
-        covariance=found["covariance"] * max(sigma_px, tuning.least_sigma_px) ** 2,
-    )
+@dataclass(frozen=True)
+class _PointsOf:
+    """Points (P) at their minimum by the sightings of some cameras: steps (P, 3) to there, covariance (P, 3, 3) for
+    sightings of 1 px, model units."""
+
+    step: np.ndarray
+    spread: np.ndarray
+
+    @staticmethod
+    def others(seen: System, camera: int, robust_px: float) -> _PointsOf:
+        """By all cameras but one."""
+        point = _numbers(seen)
+        weight = (seen.camera != camera) / (1 + np.sum(seen.residual.reshape(-1, 2) ** 2, axis=1) / robust_px**2)
+        count = seen.points.shape[1] // 3
+        normal, right = np.zeros((count, 3, 3)), np.zeros((count, 3))
+        np.add.at(normal, point, np.einsum("o,oki,okj->oij", weight, seen.by_point, seen.by_point))
+        np.add.at(right, point, np.einsum("o,oki,ok->oi", weight, seen.by_point, seen.residual.reshape(-1, 2)))
+        size = np.trace(normal, axis1=1, axis2=2)[:, None, None]
+        known = normal + np.where(size > 0, _OPEN * size, 1.0) * np.eye(3)  # what one ray leaves open stays so
+        spread = np.linalg.inv(known)
+        spread[size[:, 0, 0] <= 0] = np.inf
+        return _PointsOf(step=-np.linalg.solve(known, right[..., None])[..., 0], spread=spread)
+
+    def resected(self, seen: System, rows: np.ndarray, tuning: DiagnosticsTuning) -> _Resected | None:
+        """The image with these observations; None with too few."""
+        point = _numbers(seen)[rows]
+        known = np.isfinite(self.spread[point]).all(axis=(1, 2))
+        rows, point = rows[known], point[known]
+        if len(rows) < tuning.min_points:
+            return None
+        by_point = seen.by_point[rows]
+        left = seen.residual.reshape(-1, 2)[rows] + np.einsum("oki,oi->ok", by_point, self.step[point])
+        spread = np.eye(2) + by_point @ self.spread[point] @ np.swapaxes(by_point, 1, 2)
+        root = np.linalg.inv(np.linalg.cholesky(spread))  # of the weights
+        columns = root @ np.concatenate([-by_point, by_point @ skew(seen.lever[rows])], axis=2)
+        left = np.einsum("oij,oj->oi", root, left)
+        step, sigma = np.zeros(6), 1.0
+        for _ in range(_ROUNDS):
+            off = np.linalg.norm(left + columns @ step, axis=1)
+            sigma = max(float(np.median(off)) / _MEDIAN, tuning.least_sigma_px)
+            weight = 1 / (1 + (off / (_CAUCHY * sigma)) ** 2)
+            normal = np.einsum("o,oki,okj->ij", weight, columns, columns)
+            step = -np.linalg.lstsq(normal, np.einsum("o,oki,ok->i", weight, columns, left), rcond=None)[0]
+        if np.linalg.matrix_rank(normal) < len(normal):
+            return None
+        return _Resected(len(rows), sigma, step, sigma**2 * np.linalg.inv(normal))
 
 
-def _against_rig(
-    rows: list[_Resected],
-    seen: Observations,
-    scene: Scene,
-    reconstruction: pycolmap.Reconstruction,
-    metres_per_unit: float,
-) -> Resections:
-    rigs = model_rigs(reconstruction, scene)
-    count = len(rows)
-    shift, turn = np.zeros((count, 3)), np.zeros((count, 3))
-    covariance, rig_pose = np.zeros((count, 6, 6)), np.tile(np.eye(4), (count, 1, 1))
-    for k, row in enumerate(rows):
-        image, own = row.image, row.cam_from_world
-        extrinsics = rigs[scene.rig[scene.frame[image]]].sensors[scene.sensor[image]].sensor_from_rig
-        if extrinsics is not None:
-            rig_pose[k] = transforms.rigid(extrinsics[:3, :3], metres_per_unit * extrinsics[:3, 3])
-        rig_from_cam = rig_pose[k, :3, :3].T
-        given = seen.cam_from_world[image]
-        moved = given[:3, :3] @ (transforms.centre(own) - transforms.centre(given))
-        shift[k] = rig_from_cam @ moved * metres_per_unit
-        turn[k] = np.degrees(rig_from_cam @ Rotation.from_matrix(given[:3, :3] @ own[:3, :3].T).as_rotvec())
-        # Half angles to rotation vector, pose to centre: R dc = -dt + dr x t (all in the camera); a body turned by a
-        # sees the world turned by -a.
-        change = np.zeros((6, 6))
-        change[:3, :3] = -2 * metres_per_unit * rig_from_cam @ skew(own[:3, 3])
-        change[:3, 3:] = -metres_per_unit * rig_from_cam
-        change[3:, :3] = -2 * rig_from_cam
-        covariance[k] = change @ row.covariance @ change.T
-    sigma = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)).reshape(count, 6)
+def _numbers(seen: System) -> np.ndarray:
+    """(O,) the point of each observation."""
+    return seen.points.indices[seen.points.indptr[:-1:2]] // 3
+
+
+def _gathered(rows: list[tuple[int, _Resected, np.ndarray, np.ndarray]]) -> Resections:
+    """Of scene indices, images, (6, 6) from the model's axes to the rig's in metres, rig poses."""
+    moved = np.array([axes @ row.step for _, row, axes, _ in rows]).reshape(-1, 6)
+    covariance = np.array([axes @ row.covariance @ axes.T for _, row, axes, _ in rows]).reshape(-1, 6, 6)
+    sigma = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)).reshape(-1, 6)
     return Resections(
-        image=np.array([row.image for row in rows], int),
-        points=np.array([row.inliers for row in rows], int),
-        rms_px=np.array([row.sigma_px for row in rows], float),
-        shift_m=shift,
-        turn_deg=turn,
+        image=np.array([index for index, *_ in rows], int),
+        points=np.array([row.inliers for _, row, _, _ in rows], int),
+        rms_px=np.array([row.sigma_px for _, row, _, _ in rows], float),
+        shift_m=moved[:, :3],
+        turn_deg=np.degrees(moved[:, 3:]),
         sigma_m=sigma[:, :3],
         sigma_deg=np.degrees(sigma[:, 3:]),
         covariance=covariance,
-        rig_pose=rig_pose,
+        rig_pose=np.array([pose for *_, pose in rows]).reshape(-1, 4, 4),
     )
 
 

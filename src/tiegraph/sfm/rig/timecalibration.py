@@ -10,21 +10,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pycolmap
-from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import transforms
-from tiegraph.scene.colmapmodel import image_poses, matrix, model_rigs, observations
+from tiegraph.scene.colmapmodel import image_poses, model_rigs, observations
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjustment.adjust import final_adjustment
 from tiegraph.sfm.adjustment.constraints import PoseConstraints, RelativePosePrior
 from tiegraph.sfm.adjustment.jacobians import RigConstraint, RigConstraints
 from tiegraph.sfm.adjustment.lens import take_cameras
-from tiegraph.sfm.adjustment.timecost import TimeOffsetPrior, TimeOffsetPriors, expected
+from tiegraph.sfm.adjustment.timecost import TimeOffsetPrior, TimeOffsetPriors
 from tiegraph.sfm.model import frame_poses
 from tiegraph.sfm.rig.linear import per_camera_frames
-from tiegraph.sfm.rig.timeoffset import Motion, TimeOffset, rig_motion, time_offset
+from tiegraph.sfm.rig.timeoffset import Motion, TimeOffset, rig_motion
 from tiegraph.sfm.tuning import Tuning
-from tiegraph.sfm.tuning.rig import TimeOffsetTuning
 
 
 @dataclass(frozen=True)
@@ -108,7 +106,7 @@ def calibrate_times(
     found = final_adjustment(free, (), constant_cameras, soft, doubted, tuning=tuning.adjust)
     return TimeCalibration(
         model=found.model,
-        offsets=_offsets(found.model, setting, soft.time_offsets),
+        offsets=_offsets(setting, soft.time_offsets),
         note=found.note,
         constraints=_ties(found.model, soft),
     )
@@ -194,36 +192,14 @@ def _pairs(model: pycolmap.Reconstruction, setting: _Setting) -> Iterator[tuple[
             yield first, other, (ids[first], ids[other])
 
 
-def _offsets(model: pycolmap.Reconstruction, setting: _Setting, timed: TimeOffsetPriors) -> dict[int, TimeOffset]:
-    """The unknowns with a sigma from how the frames scatter about them."""
-    rows: dict[int, list[np.ndarray]] = {}
-    columns: dict[int, list[np.ndarray]] = {}
-    scale = np.array([setting.metres_per_unit] * 3 + [1.0] * 3)
+def _offsets(setting: _Setting, timed: TimeOffsetPriors) -> dict[int, TimeOffset]:
+    """When each camera fires by the adjustment, and how far that moves it at the highest speed."""
+    speed = {tie.sensor: 0.0 for tie in timed.priors}
     for tie in timed.priors:
-        poses = [model.image(i).cam_from_world() for i in (tie.first, tie.second)]
-        relative = matrix(poses[1] * poses[0].inverse())
-        left = (
-            transforms.invert(expected(tie, timed.unknowns[tie.sensor])) @ relative
-        )  # the frame as the camera sees it
-        back = transforms.invert(left)
-        lever = transforms.centre(tie.sensor_from_first)
-        moved = transforms.apply(back, lever[None])[0] - lever
-        rows.setdefault(tie.sensor, []).append(
-            np.concatenate([moved, Rotation.from_matrix(back[:3, :3]).as_rotvec()]) * scale
-        )
-        columns.setdefault(tie.sensor, []).append(tie.columns * scale)
-    sync = setting.tuning.rig.time_offset
-    return {key: _offset(timed.unknowns[key], np.array(rows[key]), np.array(columns[key]), sync) for key in rows}
-
-
-def _offset(unknowns: np.ndarray, left: np.ndarray, columns: np.ndarray, tuning: TimeOffsetTuning) -> TimeOffset:
-    spread = np.maximum(1.4826 * np.median(np.abs(left), axis=0), 1e-7)
-    covariance = np.tile(np.diag(spread**2), (len(left), 1, 1))
-    again = time_offset(left, covariance, columns, tuning)
-    sigma = np.inf if again is None else float(np.hypot(again.sigma_s, again.offset_s))
-    top = float(np.max(np.linalg.norm(columns[:, :3], axis=1)))
-    late = float(unknowns[0])
-    return TimeOffset(late, sigma, moves_m=abs(late) * top)
+        own = float(np.linalg.norm(tie.columns[:3])) * setting.metres_per_unit
+        speed[tie.sensor] = max(speed[tie.sensor], own)
+    late = {key: float(timed.unknowns[key][0]) for key in speed}
+    return {key: TimeOffset(late[key], moves_m=abs(late[key]) * top) for key, top in speed.items()}
 
 
 def with_observations_of(model: pycolmap.Reconstruction, mapped: pycolmap.Reconstruction) -> pycolmap.Reconstruction:

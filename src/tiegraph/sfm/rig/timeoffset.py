@@ -21,7 +21,9 @@ from tiegraph.geometry import transforms
 from tiegraph.geometry.align import l1_mean_rotation, robust_sigma
 from tiegraph.scene.colmapmodel import image_poses
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.tuning.rig import RigTuning, TimeOffsetTuning
+from tiegraph.sfm.tuning.rig import RigTuning
+
+_FEW, _ROUNDS = 8, 15  # frames; of the robust fit
 
 
 @dataclass(frozen=True)
@@ -65,42 +67,25 @@ class TimeOffset:
     """When a camera fires against the rig's instant."""
 
     offset_s: float
-    sigma_s: float
     moves_m: float  # how far the offset moves the camera at the highest speed seen
 
-    def there(self, expected_m: float, tuning: TimeOffsetTuning) -> bool:
-        """Whether the camera fires at another instant, given the expected sigma of its place in a frame."""
-        sure = abs(self.offset_s) > tuning.sigmas * self.sigma_s and self.sigma_s < tuning.observable_s
-        return sure and self.moves_m > tuning.min_effect * expected_m
 
-
-def time_offset(
-    residual: np.ndarray, covariance: np.ndarray, columns: np.ndarray, tuning: TimeOffsetTuning
-) -> TimeOffset | None:
-    """Fit residual (K, 6) = constant + offset * columns (K, 6), weights from covariance (K, 6, 6), robust (Cauchy).
-
-    None with fewer than 8 rows. The sigma is scaled by how well the fit explains the rows.
-    """
-    rows = np.isfinite(columns).all(axis=1) & np.isfinite(residual).all(axis=1)
-    if rows.sum() < tuning.min_frames:
-        return None
-    residual, covariance, columns = residual[rows], covariance[rows], columns[rows]
-    design = np.zeros((len(residual), 6, 7))
-    design[:, :, :6], design[:, :, 6] = np.eye(6), columns
-    information = np.linalg.inv(covariance)
-    weight = np.ones(len(residual))
-    for _ in range(tuning.rounds):
-        normal = np.einsum("k,kia,kij,kjb->ab", weight, design, information, design)
-        normal += 1e-9 * np.diag(np.diag(normal))
-        right = np.einsum("k,kia,kij,kj->a", weight, design, information, residual)
-        found = np.linalg.solve(normal, right)
-        left = residual - design @ found
-        chi = np.einsum("ki,kij,kj->k", left, information, left) / 6
-        scale = max(float(np.median(chi)), 1e-12)
-        weight = 1 / (1 + chi / scale)
-    sigma = float(np.sqrt(np.linalg.inv(normal)[6, 6] * max(scale, 1.0)))
-    top = float(np.max(np.linalg.norm(columns[:, :3], axis=1)))
-    return TimeOffset(float(found[6]), sigma, moves_m=abs(float(found[6])) * top)
+def moved_in_time(residual: np.ndarray, covariance: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """(K, 6) what the motion does to a camera: offset * columns (K, 6) of the best fit of constant + offset * columns
+    to its residuals (K, 6), robust (Cauchy), weights from covariance (K, 6, 6); nothing where too little is known."""
+    rows = np.isfinite(columns).all(axis=1)
+    if rows.sum() < _FEW:
+        return np.zeros_like(columns)
+    design = np.concatenate([np.tile(np.eye(6), (int(rows.sum()), 1, 1)), columns[rows][:, :, None]], axis=2)
+    root = np.swapaxes(np.linalg.cholesky(np.linalg.inv(covariance[rows])), 1, 2)
+    design, off = root @ design, np.einsum("kij,kj->ki", root, residual[rows])
+    found, weight = np.zeros(7), np.ones(len(off))
+    for _ in range(_ROUNDS):
+        sides = [np.sqrt(weight)[:, None] * v.reshape(len(off), -1) for v in (design, off)]
+        found = np.linalg.lstsq(sides[0].reshape(-1, 7), sides[1].ravel(), rcond=None)[0]
+        chi = np.sum((off - design @ found) ** 2, axis=1)
+        weight = 1 / (1 + chi / max(float(np.median(chi)), 1e-12))
+    return np.asarray(found[6] * np.nan_to_num(columns))
 
 
 @dataclass(frozen=True)

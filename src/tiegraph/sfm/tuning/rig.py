@@ -59,21 +59,11 @@ class SupportTuning(Section):
 
 
 class DiagnosticsTuning(Section):
-    """A camera against its rig, frame by frame, by its own sightings (`resections.py`, `observations.py`), and one that
+    """A camera against its rig, frame by frame, by its own sightings (`resections.py`), and one that
     lost its sightings in the adjustment (`diagnostics.py`)."""
 
-    point_rounds: int = Field(3, gt=0)
-    """In which points are made anew, robust from the second on."""
-    point_cauchy_px: float = Field(2.0, gt=0)
-    """Cauchy scale of these rounds."""
-    min_angle_deg: float = Field(1.5, gt=0)
-    """Between two rays of a point, for its place to be known along them."""
     min_points: int = Field(12, gt=3)
     """Of the other cameras that an image sees, to be resected."""
-    max_point_spread_px: float = Field(1.5, gt=0)
-    """Uncertainty of a point in the image that is resected, for 1 px sightings."""
-    search_px: float = Field(6.0, gt=0)
-    """An inlier of the resection; a camera that is off as a whole still has most of its points within."""
     least_sigma_px: float = Field(0.1, gt=0)
     """Sigma of a coordinate at least, for the covariance of a resection."""
     min_frames: int = Field(5, gt=0)
@@ -93,18 +83,12 @@ class DiagnosticsTuning(Section):
 
 
 class TimeOffsetTuning(Section):
-    """Whether the cameras of a rig fire at one instant (`timeoffset.py`, `diagnostics.py`)."""
+    """Whether the cameras of a rig fire at one instant (`diagnostics.py`)."""
 
-    min_frames: int = Field(8, gt=0)
-    """Resected frames below which no offset is fitted."""
     sigmas: float = Field(5.0, gt=0)
     """An offset this many sigmas from none is there."""
     min_effect: float = Field(2.0, ge=0)
     """Times the expected sigma of a place: what the offset must move a camera by at the highest speed."""
-    observable_s: float = Field(0.01, gt=0)
-    """Sigma of an offset above which the motion does not tell it."""
-    rounds: int = Field(15, gt=0)
-    """Of the robust fit of an offset."""
 
 
 class TimeCalibrationTuning(Section):
