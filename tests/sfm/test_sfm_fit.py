@@ -43,7 +43,7 @@ def _winding(noise_m: float) -> Evidence:
     return Evidence(
         frame=frame, pose=pose, position=position + noise_m * rng.standard_normal((40, 3)),
         sigma=np.tile([0.05, 0.05, 0.1], (40, 1)), orientation=orientation,
-        arm=LeverArm(GIVEN, True, level=np.array([0.0, 0.0, 1.0])),
+        arm=LeverArm(GIVEN, True),
         log_scale=LogScale(np.log(2.6), 0.1), speed=speed, estimate_offset=True,
     )  # fmt: skip
 

@@ -110,8 +110,6 @@ class FitTuning(Section):
     """See `orientation_sigma_deg`."""
     antenna_sigma_m: float = Field(1.0, gt=0)
     """Weak prior of a lever arm that no file gives: boats and cars carry it not much farther."""
-    held_m: float = Field(1e-3, gt=0)
-    """Sigma of a lever arm's height that the positions do not tell: it stays, for a valley that flat has no bottom."""
     offset_sigma_s: float = Field(1.0, gt=0)
     """Weak prior of the receiver's clock against the cameras'."""
     rounds: int = Field(6, gt=0)
@@ -148,10 +146,6 @@ class SimilarityFitTuning(Section):
     """Sigma of the roll about the track above which lone cameras' upright direction is used."""
     tilt_share: float = Field(0.5, gt=0)
     """Of the sigma of a ring's upright direction: above that sigma of the tilt it is used."""
-    arm_share: float = Field(0.5, gt=0)
-    """Of `antenna_sigma_m`: known better than that in plan, the lever arm is observable."""
-    clock_sigmas: float = Field(4.0, ge=0)
-    """By which the receiver's clock must be off, to be taken into account."""
     many_points: int = Field(8, gt=0)
     """Control points among which a wrong one does not hide."""
     at_frame: float = Field(0.9, ge=0, le=1)

@@ -18,7 +18,7 @@ from tiegraph.sfm.world.positionerrors import Linear, PositionErrors, Stated
 from tiegraph.sfm.world.unknowns import Clock, FittedArm, LeverArm, LogScale
 
 _OPEN = 1e-6  # squared sine between an unknown and what residuals tell, beyond which it is open
-_STEPS = 2  # of linearising about the errors of the positions
+_STEPS = 3  # of linearising about the errors of the positions
 _MAX_LOG_SCALE = 5.0  # from the start: keeps a step of the solver finite
 
 
@@ -142,7 +142,7 @@ def _track(evidence: Evidence, similarity: Similarity) -> tuple[np.ndarray, np.n
 def by_errors(evidence: Evidence, up: Up | None, fit: Fit, rows: Stated, tuning: FitTuning, noise: NoiseTuning) -> Fit:
     """The fit moved to where its believed positions put it by their errors as these are estimated (white, slow and
     common: ``positionerrors``) and by what the model may bend, with the covariance that these leave."""
-    evidence = replace(evidence, arm=replace(evidence.arm, level=None))  # what cannot be told widens what it moves
+    fit = replace(fit, arm=FittedArm(evidence.arm.place, fit.arm.covariance), clock=Clock(0.0, fit.clock.sigma_s))
     stated, seen = rows.common, fit.inlier[: len(rows.level)]
     believed = dict.fromkeys((7, 8, 9), tuning.antenna_sigma_m) if evidence.arm.estimate else {}
     believed |= {7 + len(believed): tuning.offset_sigma_s} if evidence.estimate_offset else {}
@@ -250,8 +250,6 @@ class _Problem:
             parts.append(np.array([off / self.evidence.log_scale.sigma]))
         if self.evidence.arm.estimate:
             parts.append(x[7:10] / self.tuning.antenna_sigma_m)
-            if self.evidence.arm.level is not None:
-                parts.append(np.array([x[7:10] @ self.evidence.arm.level / self.tuning.held_m]))
         if self.evidence.estimate_offset:
             parts.append(x[-1:] / self.tuning.offset_sigma_s)
         return np.concatenate(parts)
@@ -311,8 +309,6 @@ class _Problem:
             parts.append(free * unit[6:7] / evidence.log_scale.sigma)
         if evidence.arm.estimate:
             parts.append(unit[7:10] / self.tuning.antenna_sigma_m)
-            if evidence.arm.level is not None:
-                parts.append((evidence.arm.level @ unit[7:10])[None] / self.tuning.held_m)
         if evidence.estimate_offset:
             parts.append(unit[-1:] / self.tuning.offset_sigma_s)
         return parts
@@ -377,9 +373,6 @@ def _fit(
 ) -> Fit:
     """What is told at unknowns (D,) with this covariance; ``alone``: variance of the log scale by the positions."""
     similarity, antenna = problem.unpack(x)
-    if problem.evidence.arm.level is not None:  # its height is that of the world
-        covariance = covariance.copy()
-        covariance[5, 5] += problem.tuning.antenna_sigma_m**2
     sd = np.sqrt(np.clip(np.diag(covariance), 0, None))
     arm, clock = problem.evidence.arm.estimate, problem.evidence.estimate_offset
     return Fit(

@@ -17,6 +17,7 @@ from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.tuning.world import WorldTuning
 from tiegraph.sfm.verified import VerifiedMatches, read_verified
 from tiegraph.sfm.world import worldadjust
+from tiegraph.sfm.world.antenna import told
 from tiegraph.sfm.world.bars import bars_in
 from tiegraph.sfm.world.fixes import Fixes, Measurements
 from tiegraph.sfm.world.georef import Georeference, HeldOut, applied_receiver, bar_rows, georeference, row_of_frames
@@ -175,8 +176,8 @@ def _constraints(
         receiver=Receiver(
             antenna=placing.fit.arm.place,
             offset_s=placing.fit.clock.offset_s,
-            free_antenna=evidence.arm.estimate,
-            free_offset=evidence.estimate_offset,
+            free_antenna=told(placing.fit, evidence),
+            free_offset=bool(placing.fit.clock.offset_s),
         ),
         held=held,
         tuning=tuning,

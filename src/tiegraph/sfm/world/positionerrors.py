@@ -22,7 +22,7 @@ from tiegraph.sfm.tuning.world import NoiseTuning
 
 MEDIAN_CHI2_3 = 2.366  # median of chi-square with three degrees of freedom
 _REACH = np.log(100.0)  # of the logarithms of sizes: beyond, positions are made and not measured, or of another survey
-_HARDLY = 0.9  # of the sigma that is believed beforehand: what tells no more than that tells nothing
+HARDLY = 0.9  # of the sigma that is believed beforehand: what tells no more than that tells nothing
 _MOST = 1 - 1e-9  # correlation of two positions of one instant
 
 
@@ -140,7 +140,7 @@ class PositionErrors:
         """
         normal = self._normal(self.sizes)[1]
         every = np.linalg.pinv(normal[:-1, :-1], hermitian=True)
-        held = np.array([k for k, sigma in believed.items() if every[k, k] > (_HARDLY * sigma) ** 2], int)
+        held = np.array([k for k, sigma in believed.items() if every[k, k] > (HARDLY * sigma) ** 2], int)
         free = np.setdiff1d(np.arange(len(every)), held)
         own = np.linalg.pinv(normal[np.ix_(free, free)], hermitian=True)
         moved, follows = np.zeros(len(every)), np.zeros((len(every), len(held)))

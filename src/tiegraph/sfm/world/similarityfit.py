@@ -14,15 +14,12 @@ from tiegraph.sfm.model import frame_poses
 from tiegraph.sfm.settings import GeorefSettings
 from tiegraph.sfm.tuning.world import FixTuning, WorldTuning
 from tiegraph.sfm.world.antenna import (
-    UNKNOWN,
     Fitted,
     arm_text,
     believed,
-    try_clock,
-    try_lever_arm,
+    clock_text,
     up_to_use,
     with_clock,
-    with_lever_arm,
 )
 from tiegraph.sfm.world.bars import BarsFound
 from tiegraph.sfm.world.fit import Evidence, Fit, by_errors, fit_similarity
@@ -31,7 +28,7 @@ from tiegraph.sfm.world.marks import Target
 from tiegraph.sfm.world.positionerrors import MEDIAN_CHI2_3, Stated
 from tiegraph.sfm.world.scale import RigScale
 from tiegraph.sfm.world.sources import POSITIONS
-from tiegraph.sfm.world.unknowns import Clock, LeverArm, LogScale
+from tiegraph.sfm.world.unknowns import LeverArm, LogScale
 from tiegraph.sfm.world.weighing import EvidenceWeights, Question, weigh
 
 
@@ -74,7 +71,6 @@ class SimilarityFit:
     weighed: EvidenceWeights
     model: Model
     tuning: WorldTuning
-    clock: Clock = UNKNOWN  # as estimated, taken into account or not
 
     @property
     def factor(self) -> np.ndarray:
@@ -136,25 +132,21 @@ def fit_to_world(
     arm = _lever_arm(scene, settings, notes)
     about = _Given(model=model, scene=scene, settings=settings, measured=given, points=points, tuning=tuning)
     weighed, rough = _weighed(about, stated, arm)
-    now = believed(rough.evidence, rough.fixes, model.up, rough.fit.similarity, tuning)
+    moving = given.rows is not None and settings.antenna != "ignored"
+    free = replace(rough.evidence.with_arm(arm.estimate is not False), estimate_offset=moving)
+    now = believed(free, rough.fixes, model.up, rough.fit.similarity, tuning)
     if against := _mirrored(now, about) or _upside_down(now, about):
         return NotPlaced(against, contradicts=True)
-    if arm.estimate is None:
-        now = try_lever_arm(now, notes, tuning)
-    elif arm.estimate:
-        now = with_lever_arm(now, tuning)
-        notes.append(arm_text(now, tuning))
-    clock = UNKNOWN
-    moving = given.rows is not None and settings.antenna != "ignored"
-    if moving:
-        now, clock = try_clock(now, notes, tuning)
     rows = _position_rows(now.fixes, scene, weighed.extra_m, tuning.fixes)
-    armed = arm.estimate is not False and moving  # positions of images by name are those of the cameras
-    free = replace(now.evidence.with_arm(armed or now.evidence.arm.estimate), estimate_offset=moving)
-    fit = by_errors(free, None, now.fit, rows, tuning.fit, tuning.noise)
-    up = up_to_use(free, model.up, notes, tuning, fit)
+    fit = by_errors(now.evidence, None, now.fit, rows, tuning.fit, tuning.noise)
+    if arm.estimate is None and not moving and not _significant(fit, now.evidence):  # positions of the cameras by name
+        now = believed(free.with_arm(estimate=False), now.fixes, model.up, now.fit.similarity, tuning)
+        fit = by_errors(now.evidence, None, now.fit, rows, tuning.fit, tuning.noise)
+    up = up_to_use(now.evidence, model.up, notes, tuning, fit)
     if up is not None:
-        fit = by_errors(free, up, now.fit, rows, tuning.fit, tuning.noise)
+        fit = by_errors(now.evidence, up, now.fit, rows, tuning.fit, tuning.noise)
+    notes += [arm_text(fit, now.evidence, tuning)] if now.evidence.arm.estimate else []
+    notes += [clock_text(fit, now.evidence)] if moving else []
     return SimilarityFit(
         evidence=now.evidence,
         fixes=now.fixes,
@@ -165,8 +157,13 @@ def fit_to_world(
         weighed=replace(weighed, doubt=_looking_up(now, about)),
         model=model,
         tuning=tuning,
-        clock=clock,
     )
+
+
+def _significant(fit: Fit, evidence: Evidence) -> bool:
+    """Whether the antenna is surely elsewhere than given."""
+    off = fit.arm.place - evidence.arm.place
+    return bool(off @ np.linalg.pinv(fit.arm.covariance, hermitian=True) @ off > LIMIT**2)
 
 
 def _position_rows(fixes: Fixes, scene: Scene, extra_m: np.ndarray, tuning: FixTuning) -> Stated:

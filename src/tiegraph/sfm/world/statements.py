@@ -86,13 +86,13 @@ def statements(found: Georeference) -> list[Statement]:
     out += rig_statement(placing.model.rig, result, False)
     out += up_statements(placing.model.up, result, placing.up is not None)
     out += orientation_statements(placing.evidence, result, placing.tuning.sources)
-    if np.isfinite(placing.clock.sigma_s):
+    if np.isfinite(placing.fit.clock.sigma_s):
         out.append(
             Statement(
                 quantity="clock",
                 source="images and positions",
-                value=placing.clock.offset_s,
-                sigma=placing.clock.sigma_s,
+                value=placing.fit.clock.offset_s,
+                sigma=placing.fit.clock.sigma_s,
                 unit="s",
                 used=bool(found.receiver.offset_s),
             )

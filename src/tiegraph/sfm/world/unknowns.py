@@ -19,7 +19,6 @@ class LeverArm:
 
     place: np.ndarray  # (3,)
     estimate: bool = False
-    level: np.ndarray | None = None  # (3,) upward in the rig frame, along which it is held; None: nowhere
 
 
 @dataclass(frozen=True)
