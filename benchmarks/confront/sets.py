@@ -23,7 +23,8 @@ from benchmarks.confront.faults import (
     apart,
     strangers,
 )
-from benchmarks.confront.given import Given, Picture, of_dataset
+from benchmarks.confront.given import Given, Picture, of_dataset, read_positions
+from benchmarks.sfm.georef import ANTENNA
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import umeyama
 
@@ -35,6 +36,8 @@ _TRUTH = {
 }  # fmt: skip
 _RENDERED = {"boat": ("boat", 8), "vehicle": ("vehicle", 12), "tiny": ("boat", 4)}
 PIECE = 30
+# A receiver with fixed ambiguities whose antenna is measured, so that place and height can be judged: set:rtk
+_ANTENNA_M = {"boat": (0.0, 0.0, 0.0), "vehicle": (0.0, 0.0, 0.0), "canal_demo": tuple(ANTENNA.tolist())}
 
 
 def names() -> list[str]:
@@ -43,6 +46,7 @@ def names() -> list[str]:
     return [
         *_RENDERED,
         "canal_demo",
+        *(f"{name}:rtk" for name in _ANTENNA_M),
         *pieces,
         "kitti_stereo",
         "kitti_stereo:20",
@@ -56,18 +60,28 @@ def load(name: str, work: Path) -> Given:
     """The clean survey. Raises InputError where a data set is not there, ValueError for an unknown name."""
     if name not in names():
         raise ValueError(f"unknown set {name!r}: {', '.join(names())}")
-    if name in _RENDERED:
-        return rendered.survey(work / "rendered" / name, *_RENDERED[name])
     base, _, piece = name.partition(":")
+    if base in _RENDERED:
+        given = rendered.survey(work / "rendered" / base, *_RENDERED[base])
+        return with_antenna(given, base) if piece else given
     dataset = datasets.load(base, work / "datasets")
     given = of_dataset(dataset, _focal_px(base))
     sigma_m, sigma_deg = _TRUTH.get(base, (0.0, 0.0))
     given = replace(given, truth=replace(given.truth, sigma_m=sigma_m, sigma_deg=sigma_deg))
+    if piece == "rtk":
+        rtk = read_positions(datasets.data_root() / base / "sensors" / "gnss_rtk.csv")
+        return with_antenna(replace(given, positions=rtk), base)
     if base == "pandaset":
         given = cut(_anchored(given), int(piece), PIECE)
     elif piece:
         given = cut(given, 0, int(piece))
     return given
+
+
+def with_antenna(given: Given, name: str) -> Given:
+    """The survey with its antenna in the rig file."""
+    assert given.rig is not None
+    return replace(given, rig=replace(given.rig, antenna_m=_ANTENNA_M[name]))
 
 
 def _focal_px(name: str) -> dict[str, float]:
@@ -117,7 +131,7 @@ def faults_of(name: str, given: Given, work: Path) -> dict[str, Fault]:
 
 
 def _apart(name: str, work: Path) -> Callable[[Given, float], Wronged | None] | None:
-    if name in _RENDERED:
+    if name.partition(":")[0] in _RENDERED:
         return partial(_rendered_apart, name, work)
     if name.startswith("kitti"):
         return _kitti_apart
@@ -129,10 +143,10 @@ def _words(late: dict[str, float]) -> str:
 
 
 def _rendered_apart(name: str, work: Path, given: Given, size: float) -> Wronged:
-    kind, frames = _RENDERED[name]
+    kind, frames = _RENDERED[name.partition(":")[0]]
     assert given.rig is not None
     late = amplitudes([s.folder for s in given.rig.sensors], size)
-    folder = work / "rendered" / f"{name}-{1000 * size:.0f}ms"
+    folder = work / "rendered" / f"{name.replace(':', '-')}-{1000 * size:.0f}ms"
     return Wronged(rendered.fired_apart(given, folder, kind, frames, late), _words(late), {})
 
 
@@ -145,7 +159,7 @@ def _kitti_apart(given: Given, size: float) -> Wronged:
 
 def _elsewhere(name: str, work: Path) -> list[Picture]:
     """Pictures of another place, of a camera with the same size of image."""
-    if name in _RENDERED:
+    if name.partition(":")[0] in _RENDERED:
         other = rendered.survey(work / "rendered" / "elsewhere", "boat", 4, seed=5)
         return list(other.images.values())
     twin = {

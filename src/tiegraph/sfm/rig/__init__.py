@@ -3,10 +3,10 @@
 **Sensors without ties** (``support``). A sensor of a refined rig most of whose images have no ties (an up camera
 under the open sky) is placed as given: with a few false ties it would run off, and nothing in the error would tell.
 
-**Rig diagnostics** (``resections``, written to ``sparse/0/rig_diagnostics.csv``). Each camera is resected in points
-triangulated without it (``model_observations``), so that it cannot confirm itself. ``diagnostics`` names cameras that
-scatter or stand off along the motion (``timeoffset``). A scatter counts by what its frames make sure of (a sign test of
-the median at 5 %): nine frames with few points prove little.
+**Rig diagnostics** (``resections``, written to ``sparse/0/rig_diagnostics.csv``). Each camera takes the step to where
+the sightings of points want it that stand where the other cameras alone put them, so that it cannot confirm itself.
+``diagnostics`` names cameras that scatter or stand off along the motion (``timeoffset``). A scatter counts by what its
+frames make sure of (a sign test of the median at 5 %): nine frames with few points prove little.
 
 **The rig against the images** (``linear``, ``contradicted_priors``, ``confront``). One system of equations holds times,
 places, rotations, lenses and scale; frames and points are eliminated. Of all groups of unknowns the one that explains

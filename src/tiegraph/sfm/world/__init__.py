@@ -11,10 +11,9 @@ length of the whole (the adjustment's own sigma of the scale, which two cameras 
 share of its lever arms that the images contradict. Cameras all round (a ring, or two back to back) tell the vertical,
 to 3 deg or to what they lean from frame to frame.
 
-**Similarity** (``similarityfit``, ``fit``). Lever arm and clock are estimated only where the fit tells them (sigma in
-plan below 0.5 m) and agrees clearly better (chi-square at 0.1 %; begun with the sigmas as stated, as without lever arm
-all positions look bad and wrong ones hide). What cannot be told is reported: along a straight way the clock is the
-lever arm, and the height of an antenna is the height of the world.
+**Similarity** (``similarityfit``, ``fit``). Lever arm and clock are unknowns of it (``antenna``). What cannot be told
+is reported: along a straight way the clock is the lever arm, and the height of an antenna is the height of the world.
+Positions of images by name are those of the cameras, unless they surely stand off by one lever arm.
 
 **Adjustment with positions** (``worldadjust``). Images, positions and points are adjusted together, which takes out
 bends that a similarity cannot. Own residuals are small classes in ``costs``, added to COLMAP's Ceres problem through
@@ -31,9 +30,8 @@ eighth has a point on one side only, and every pair that has such has others too
 **Sigma** (``positionerrors``). The last fit weighs the believed positions by the errors that their residuals show
 (white, slow, common to all) and by what the images may bend of the model: its covariance, in large eigenvectors
 (``sfm.shape``), is among the unknowns, which is the one block with the images eliminated. The covariance of the fit is
-that of the placement and, once adjusted, of the shape. Antenna and clock that nobody gives count
-with their priors, what all positions of a receiver share with a part of the stated sigma. An upward direction that the
-positions refute is not used. A note says what holds the scale where the rig does, and what checks it. ``world.json``
+that of the placement and, once adjusted, of the shape. What all positions of a receiver share counts with a
+part of the stated sigma. An upward direction that the positions refute is not used. A note says what holds the scale where the rig does, and what checks it. ``world.json``
 keeps the covariance of the placement (``accuracy``),
 which ``cloud`` carries to its points. Heights are ellipsoidal unless the CRS is a compound one. A compound CRS whose
 geoid grid PROJ does not have is refused, because PROJ would silently leave the heights as they are. Grid coordinates
