@@ -25,7 +25,6 @@ class FileFacts:
     focal_px: float  # median of EXIF, NaN = none
     upright: bool
     levels: Levels
-    loose: bool
     radius_px: float = float("nan")  # of the circle that a fisheye lens lights of most of them, NaN = none shows
 
 
