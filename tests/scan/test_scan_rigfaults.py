@@ -128,7 +128,7 @@ def test_a_lens_whose_image_size_only_the_images_tell(tmp_path: Path) -> None:
         scan(tmp_path / "in", rig=str(toml(tmp_path, text.format(-1))))
     with pytest.raises(InputError, match=r"rig.toml, line 2: sensor 'c': a focal length of 0.05 px"):
         scan(tmp_path / "in", rig=str(toml(tmp_path, "[camera]\nfocal_px = 0.05\n[[sensors]]\nname = 'c'\n")))
-    with pytest.raises(InputError, match=r"rig.toml, line 2: sensor 'c': hfov_deg = 175: a RADIAL image"):
+    with pytest.raises(InputError, match=r"rig.toml, line 2: sensor 'c': hfov_deg = 175: a SIMPLE_RADIAL image"):
         scan(tmp_path / "in", rig=str(toml(tmp_path, "[camera]\nhfov_deg = 175\n[[sensors]]\nname = 'c'\n")))
 
 

@@ -195,7 +195,7 @@ def _camera(
         raise InputError("nothing says how large the images are: give --size 2448x2050, or a --rig with cameras")
     if not known and focal_px is None:
         raise InputError(f"the focal length of {sensor.name} is not known: give --focal and --pixel, or --focal-px")
-    facts = FileFacts(size, focal_px or float("nan"), upright=True, levels=EIGHT_BIT)
+    facts = FileFacts(size, focal_px or float("nan"), upright=True, levels=EIGHT_BIT, loose=False)
     return calibrate(sensor, facts, spec.file, ScanSettings(), tuning.rig.camera)[0]
 
 

@@ -25,6 +25,7 @@ class FileFacts:
     focal_px: float  # median of EXIF, NaN = none
     upright: bool
     levels: Levels
+    loose: bool
     radius_px: float = float("nan")  # of the circle that a fisheye lens lights of most of them, NaN = none shows
 
 
@@ -150,10 +151,10 @@ def _default_model(spec: SensorSpec, facts: FileFacts, settings: ScanSettings) -
         return settings.camera_model
     if "fisheye" in words(spec.folder or spec.name) or np.isfinite(facts.radius_px):
         return "OPENCV_FISHEYE"
-    # On the nearly straight tracks of a survey fy and the tangential terms of OPENCV are hardly observable (they trade
-    # against the rotations) and bend the model; the final adjustment adds them with priors (sfm.adjustment.lens). With
-    # one radial term a drone's focal length runs off over flat ground (1050 px for 1906, mirafiori of the ladder).
-    return "RADIAL"
+    # Loose photographs: few images of a camera, so one distortion parameter. Rigs and sequences: wide lenses need two,
+    # but on the nearly straight tracks of a survey fy and the tangential terms of OPENCV are hardly observable (they
+    # trade against the rotations) and bend the model; the final adjustment adds them with priors (sfm.adjustment.lens).
+    return "SIMPLE_RADIAL" if facts.loose else "RADIAL"
 
 
 def _camera(model: str, focal_px: float, facts: FileFacts, prior: bool) -> pycolmap.Camera:

@@ -210,6 +210,7 @@ def _facts(shots: list[Shot], probes: Sequence[Probe], loose: bool, tuning: Tuni
         focal_px=float(np.median(focal)) if focal else float("nan"),
         upright=upright,
         levels=(min(low for low, _ in deep), max(high for _, high in deep)) if deep else EIGHT_BIT,
+        loose=loose,
         radius_px=float(np.median(radii)) if len(radii) > tuning.lens_views.most * len(of) else float("nan"),
     )
 

@@ -29,8 +29,9 @@ class ScanSettings(Section):
     camera_model: Literal[
         "auto", "SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV", "OPENCV_FISHEYE"
     ] = "auto"
-    """COLMAP camera model of sensors without one in the rig file; auto = RADIAL, or
-    OPENCV_FISHEYE for folders named fisheye. RADIAL becomes OPENCV in the final adjustment."""
+    """COLMAP camera model of sensors without one in the rig file; auto = RADIAL for rigs and sequences, SIMPLE_RADIAL
+    for loose photographs, OPENCV_FISHEYE for folders named fisheye. The final adjustment makes OPENCV of the radial
+    ones."""
 
     crs: str = "auto"
     """Coordinate system of the products: EPSG:n (projected, metres), UTM10N, ENU (tangent plane), or auto = the UTM

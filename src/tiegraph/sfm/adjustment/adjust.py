@@ -38,7 +38,7 @@ def final_adjustment(
     All but the last with few points where there are many (``fewpoints``).
 
     ``fixed_rigs``: COLMAP rig ids whose extrinsics stay. ``constant_cameras``, and those with fewer than 10 images,
-    keep their intrinsics (KITTI, driving straight on: free principal points run off by 30 px); free RADIAL ones become
+    keep their intrinsics (KITTI, driving straight on: free principal points run off by 30 px); free radial ones become
     OPENCV (``lens``). ``soft``: what is known of poses with a sigma. ``doubted``: constant cameras whose calibration
     gives way if that explains the images clearly better. A camera whose adjusted intrinsics no lens has keeps its own,
     and that is said.
@@ -163,9 +163,8 @@ def _solve(
     tuning: AdjustTuning,
     given: Mapping[int, pycolmap.Camera] | None = None,
 ) -> None:
-    iterations = tuning.robust_iterations if robust else tuning.first_iterations
     options = options_of(
-        iterations, tuning.tolerance, tuning.robust_px if robust else None, refine_principal_point=True
+        tuning.iterations, tuning.tolerance, tuning.robust_px if robust else None, refine_principal_point=True
     )
     factorised(options, model.num_reg_frames(), model.num_reg_images())
     config = all_images(model)
