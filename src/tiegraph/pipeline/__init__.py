@@ -50,7 +50,7 @@ _BESIDE_DATABASE = tuple(f"database.db{s}" for s in ("-wal", "-shm", "-journal")
 STAGES = (
     _stage("scan", (), ("scene.json", "whole.json", "images", "odometry"), "image", version=10,
            tuned=("scene", "odometry")),
-    _stage("masks", ("scan",), ("masks", "classes", "masks.csv"), "image", version=10),
+    _stage("masks", ("scan",), ("masks", "classes", "masks.csv"), "image", version=11),
     _stage("preview", ("scan", "masks"), ("preview",), "image", version=2, tuned=("features",)),
     _stage("candidates", ("scan", "preview"), ("candidates.npz", "candidates"), "pair", version=5,
            scratch=("candidates/matched",), tuned=("scene", "network", "features")),
@@ -67,7 +67,7 @@ STAGES = (
     _stage("filter", ("coarse", "network", "match"), ("filter.npz",), "pair", version=3),
     _stage("sparse", ("coarse", "network", "match", "filter"), ("sparse",), version=26, scratch=("sparse/.run",),
            tuned=("scene", "sfm")),
-    _stage("georef", ("network", "match", "filter", "sparse"), ("sparse/world", "world.json"), version=22,
+    _stage("georef", ("network", "match", "filter", "sparse"), ("sparse/world", "world.json"), version=23,
            scratch=("sparse/.world",), tuned=("scene", "sfm", "targets")),
     _stage("refine", ("masks", "georef"), ("refine/masks", "refine/classes"), "image", version=3,
            tuned=("masks", "sfm")),

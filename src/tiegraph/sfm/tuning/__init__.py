@@ -102,8 +102,8 @@ class AdjustTuning(Section):
     """Observations worse than this after the first pass go."""
     filter_angle_deg: float = Field(1.0, ge=0)
     """Points go whose rays all meet at a smaller angle."""
-    first_iterations: int = Field(30, gt=0)
-    """Of the plain solution."""
+    first_iterations: int = Field(30, ge=0)
+    """Of the plain solution; 0: the model stays as its mapper leaves it, neither adjusted nor checked."""
     robust_iterations: int = Field(10, gt=0)
     """Of each robust one."""
     robust_rounds: int = Field(2, ge=0)

@@ -195,8 +195,8 @@ class CloudTuning(Section):
     """... with this between their logarithms."""
     peaks: int = Field(3, gt=0)
     """Best places of each turn and scale ..."""
-    tried: int = Field(40, gt=0)
-    """... of which the best so many are refined."""
+    tried: int = Field(40, ge=0)
+    """... of which the best so many are refined; 0: points place nothing."""
     icp_cells: tuple[float, ...] = (3.0, 1.5, 0.75)
     """To the nearest point of the others, at most."""
     icp_rounds: int = Field(10, gt=0)
