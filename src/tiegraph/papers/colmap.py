@@ -71,7 +71,7 @@ def reconstruct(
     stages.end("" if models else "no model")
 
 
-def exhaustive(images: Path, out: Path, record: Path, send: Callable[[Any], None], seed: int = 0) -> None:
+def exhaustive(images: Path, out: Path, record: Path, seed: int = 0, *, send: Callable[[Any], None]) -> None:
     """All of it with defaults, in a child process (``child.run_in_child``); the JSON file is ``record``."""
     reconstruct(Stages(record), images, out, given=Given(seed=seed))
 
