@@ -49,6 +49,11 @@ class Method:
 COLMAP = Method("COLMAP")
 _OURS = Method("tiegraph")
 _PAPERS = {n: Method(n, n) for n in ("conventional", "meguro2024", "meguro2025")}
+WITHOUT = (
+    Method("meguro2024, no list", "conventional", {"masks": {"source": "meguro2024"}}, "georef"),
+    Method("meguro2024, no masks", "meguro2024", {"masks": {"source": "none"}}, "georef"),
+)
+"""Paper 000 with one of its two parts: what each buys."""
 _DESIGNS = tuple(
     Method(name, settings={"candidates": _VIDEO, "design": {"method": design}}, until="georef")
     for name, design in (("all pairs", "all"), ("fuse2014", "fuse2014"), ("fuse2014_safe", "fuse2014_safe"),
@@ -65,7 +70,7 @@ _TO_WORLD = {n: replace(m, until="georef") for n, m in {"tiegraph": _OURS, **_PA
 
 RUNS: dict[str, tuple[tuple[str, tuple[Method, ...]], ...]] = {
     "000": (
-        ("canal_demo", (_OURS, _PAPERS["conventional"], _PAPERS["meguro2024"])),
+        ("canal_demo", (_OURS, _PAPERS["conventional"], _PAPERS["meguro2024"], *WITHOUT)),
         ("canal", (_TO_WORLD["tiegraph"], _TO_WORLD["conventional"], _TO_WORLD["meguro2024"])),
     ),
     "001": (

@@ -9,7 +9,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from benchmarks.papers.measure import RUNS
+from benchmarks.papers.measure import RUNS, WITHOUT
 from benchmarks.papers.printed import PRINTED, Printed
 from benchmarks.papers.scenes import SIX
 from benchmarks.table import line
@@ -171,14 +171,18 @@ _ALIGNMENT: tuple[tuple[str, Callable[[Row], Any]], ...] = (
 )
 
 
+def _parts(paper: str) -> list[str]:
+    return [m.name for m in WITHOUT if m.name.startswith(paper)]
+
+
 def _alignment(found: Mapping[tuple[str, str], Row], name: str, paper: str, title: str) -> list[str]:
-    rows = _columns(found, name, ("COLMAP", "conventional", paper, "tiegraph"))
+    rows = _columns(found, name, ("COLMAP", "conventional", *_parts(paper), paper, "tiegraph"))
     more = () if name == "canal_demo" else (_ATE, _PER_IMAGE)  # of the other they stand in the next table
     return [_table(f"{title} on `{name}`, CPU s", _titled(rows), _by(rows, (*_ALIGNMENT, *more)))] if rows else []
 
 
 def _paper000(found: Mapping[tuple[str, str], Row]) -> list[str]:
-    rows = _columns(found, "canal_demo", ("COLMAP", "conventional", "meguro2024", "tiegraph"))
+    rows = _columns(found, "canal_demo", ("COLMAP", "conventional", *_parts("meguro2024"), "meguro2024", "tiegraph"))
     two = _by(rows, (
         ("Mask image creation", _masks), ("SfM", _sfm), ("MVS", _mvs), ("Total", _total), ("Dense points", _dense),
         ("RMSE (the round trip of equation 6), m", lambda r: r.get("rmse_m")), _ATE, *_WORLD, _PER_IMAGE,

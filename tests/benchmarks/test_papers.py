@@ -49,7 +49,7 @@ def test_paper_000_adds_up_the_stages_of_its_rows() -> None:
     assert cells(text, "SfM, total") == ["14", "14"] and cells(text, "MVS") == ["67", "67"]
     assert cells(text, "Total") == ["82", "82"]  # without scan, which the papers do not count
     assert cells(text, "CPU s of SfM an image used") == ["1.4", "0.875"]  # meguro2024 stands before tiegraph
-    assert "Not measured (`--run`): canal_demo: conventional; canal: tiegraph" in text
+    assert "Not measured (`--run`): canal_demo: conventional; canal_demo: meguro2024, no list; " in text
     longer = tables("000", [row("canal_demo", "tiegraph"), row("canal", "tiegraph", largest=10)])
     assert "table 1 on `canal`" in longer and "table 1 on `canal`" not in text
     assert cells(longer, "SfM, total") == ["14"] and cells(longer, "CPU s of SfM an image used") == ["1.4"]
