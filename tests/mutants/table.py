@@ -50,7 +50,7 @@ MUTANTS: tuple[Mutant, ...] = (
         ("mask: threshold side", "use = difference >= threshold", "use = difference > threshold"),
         ("mask: what is equal is used", "use = difference >= threshold", "use = difference < threshold"),
         ("mask: sum for difference", "cv2.absdiff(a, b)", "cv2.subtract(a, b)"),
-        ("mask: small white areas stay", "use = without_small(use, least)\n", ""),
+        ("mask: small white areas stay", "use = without_small(use, least)", "use = use"),
         ("mask: small black areas stay", "return ~without_small(~use, least)", "return use"),
         ("mask: the up camera is used", "np.zeros(shape, bool)", "np.ones(shape, bool)"),
         ("mask: no opening", "use = opened_closed(use, tuning.square_px)", "use = use"),

@@ -66,6 +66,8 @@ def test_opening_before_closing():
     speck[10:13, 10:13] = True
     assert not opened_closed(speck, 7).any()
     assert opened_closed(~speck, 7).all()
+    stripes = np.tile(np.arange(40) % 4 == 0, (40, 1))  # closing first would join them
+    assert not opened_closed(stripes, 7).any()
 
 
 def test_without_small_counts_pixels_and_joins_corners():

@@ -54,9 +54,13 @@ def colmap_alone(upright: bool = False) -> dict[str, dict[str, Any]]:
                 # The models are COLMAP's, as its mapper leaves them.
                 "mapping": {"min_model_images": 10},
                 "adjust": {"first_iterations": 0},
-                # Each stands where its own positions put it: neither matches nor points join it to the others.
+                # Each stands where its cameras' positions put it: neither matches nor points join it to the others.
                 "placement": {"ties": {"trials": 0}},
-                "world": {"clouds": {"tried": 0}, **({} if upright else {"up": {"agreement": 1.0}})},
+                "world": {
+                    "fixes": {"rows_per_frame": 0},
+                    "clouds": {"tried": 0},
+                    **({} if upright else {"up": {"agreement": 1.0}}),
+                },
             },
         },
     }
