@@ -59,7 +59,9 @@ def medians(rows: Sequence[Row]) -> dict[tuple[str, str], Row]:
         known = {n: values for n, values in known.items() if values}
         middle = {n: type(values[0])(median(values)) for n, values in known.items()}
         ranges = {n: (min(v), max(v)) for n, v in known.items() if len(group) > 1}
-        out[key] = {**group[0], **middle, "range": ranges, "seeds": len(group)}
+        stages = {n: [float(median(r["stages"][n][k] for r in group if n in r["stages"])) for k in (0, 1)]
+                  for n in group[0]["stages"]}  # fmt: skip
+        out[key] = {**group[0], **middle, "stages": stages, "range": ranges, "seeds": len(group)}
     return out
 
 

@@ -60,10 +60,10 @@ def _write(path: Path, text: str) -> None:
 def main(argv: list[str] | None = None) -> int:
     """0 if every mistake is noticed."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--only", default="", help="a paper (002), or a word of what is mistaken")
+    parser.add_argument("--only", nargs="*", default=[""], help="papers (002), or words of what is mistaken")
     parser.add_argument("--jobs", type=int, default=1)
     args = parser.parse_args(argv)
-    asked = [m for m in MUTANTS if args.only in f"{m.paper} {m.what} {m.file}"]
+    asked = [m for m in MUTANTS if any(w in f"{m.paper} {m.what} {m.file}" for w in args.only)]
     with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
         trees = [copied(Path(folder) / str(k)) for k in range(args.jobs)]
         tests = sorted({m.test for m in asked})

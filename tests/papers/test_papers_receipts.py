@@ -56,10 +56,3 @@ def test_nothing_of_ours_acted_in_a_recipe(method: str) -> None:
     assert rows and all(r["status"] == "done" for r in rows), "python -m benchmarks.papers 000 001 --run"
     allowed = {LEVELLED} if method == "meguro2025" else set()
     assert all(set(r["ours"]) <= allowed for r in rows)
-
-
-def test_of_the_default_nearly_all_of_it_did() -> None:
-    rows = [r for r in ROWS if r["method"] == "tiegraph"]
-    assert rows and all(
-        {"rig check", "coarse model", "choice of pairs", "final adjustment"} <= set(r["ours"]) for r in rows
-    )
