@@ -50,7 +50,7 @@ def test_each_step_of_ours_shows_in_the_receipts(step: str, changed: dict) -> No
     assert ours(filled) == [step]
 
 
-@pytest.mark.parametrize("method", ["meguro2024", "meguro2025"])
+@pytest.mark.parametrize("method", ["conventional", "meguro2024", "meguro2025"])
 def test_nothing_of_ours_acted_in_a_recipe(method: str) -> None:
     rows = [r for r in ROWS if r["method"] == method]
     assert rows and all(r["status"] == "done" for r in rows), "python -m benchmarks.papers 000 001 --run"
