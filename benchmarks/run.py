@@ -80,7 +80,7 @@ def _arguments(argv: list[str] | None) -> argparse.Namespace:
         "--competitors", nargs="+", default=["tiegraph", "colmap_exhaustive"], type=_competitor,
         help=f"{', '.join(_PROGRAMS)}; tiegraph:PRESET, or tiegraph:masks.source=none for any setting",
     )  # fmt: skip
-    parser.add_argument("--repeat", type=int, default=1, help="runs of each competitor")
+    parser.add_argument("--repeat", type=int, default=1, help="runs of each competitor, with seeds 0, 1, ...")
     parser.add_argument("--until", default="georef", help="last stage of tiegraph (report: the whole way)")
     parser.add_argument("--calibrated", action="store_true", help="give COLMAP the calibration that tiegraph is given")
     parser.add_argument("--timeout", type=float, default=7200.0, help="seconds a run may take")
@@ -105,7 +105,7 @@ def run_one(
     work = (args.keep or folder) / f"{dataset.name}-{competitor.replace(':', '-')}-{repeat}"
     shutil.rmtree(work, ignore_errors=True)
     (work / "out").mkdir(parents=True)
-    command = _command(dataset, competitor, work, args)
+    command = _command(dataset, competitor, repeat, work, args)
     row: dict[str, Any] = {
         "set": dataset.name,
         "competitor": competitor,
@@ -138,11 +138,14 @@ def _given(dataset: datasets.Dataset, competitor: str, args: argparse.Namespace)
     return bool(dataset.cameras) and (args.calibrated or competitor.startswith("tiegraph"))
 
 
-def _command(dataset: datasets.Dataset, competitor: str, work: Path, args: argparse.Namespace) -> list[str]:
+def _command(
+    dataset: datasets.Dataset, competitor: str, repeat: int, work: Path, args: argparse.Namespace
+) -> list[str]:
     program, _, preset = competitor.partition(":")
     file, *words = _PROGRAMS[program]
     command = [sys.executable, str(_COMPETITORS / file)]
     command += ["--images", str(dataset.images), "--out", str(work / "out"), "--json", str(work / "figures.json")]
+    command += ["--seed", str(repeat)]
     if program == "tiegraph":
         files = {name: getattr(dataset, name) for name in ("rig", "gnss", "trajectory", "times", "gcp")}
         for name, value in files.items():

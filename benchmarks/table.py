@@ -61,20 +61,40 @@ def figures(sets: Sequence[tuple[str, str]], others: Sequence[tuple[str, str]] =
 
 
 def _figure(rows: Sequence[dict[str, Any]]) -> str:
-    """A competitor on a set; that it was given the calibration is said, of tiegraph it goes without saying."""
+    """A competitor on a set; that it was given the calibration is said, of tiegraph it goes without saying. Of several
+    seeds the medians, with the least and the most."""
     said = []
-    for row in sorted(rows, key=lambda r: (r["calibration"], r["repeat"])):
-        given = "calibrated: " if row["calibration"] == "given" and row["competitor"] != "tiegraph" else ""
+    for given in ("estimated", "given"):
+        own = sorted((r for r in rows if r["calibration"] == given), key=lambda r: r["repeat"])
+        row = dict(own[0]) if own else None
+        if row is None:
+            continue
+        spread = {n: [r[n] for r in own if r[n] is not None] for n in ("largest", "ate_m", "cpu_s")}
+        row |= {n: median(values) for n, values in spread.items() if values}
+        word = "calibrated: " if given == "given" and row["competitor"] != "tiegraph" else ""
         more = f" of {row['registered']} in {row['components']} models" if row["registered"] > row["largest"] else ""
         more = f" + {row['placed_by_rig']} by the rig" if row.get("placed_by_rig") else more
-        known = "" if row["ate_m"] is None else f" {_metres(row['ate_m'])},"
+        shown = {n: tuple(_PRINTED[n](v) for v in (row[n], *_ends(spread[n]))) for n in spread if row[n] is not None}
+        images, *ends = shown["largest"]
+        known = f" {_ranged(*shown['ate_m'])}," if "ate_m" in shown else ""
         error = known if row["largest"] else " no model,"
-        said.append(f"{given}{row['largest']}{more},{error} {row['cpu_s']:.0f} s")
+        said.append(f"{word}{_ranged(images + more, *ends)},{error} {_ranged(*shown['cpu_s'])} s")
     return "; ".join(said) or "not run"
+
+
+def _ends(values: Sequence[float]) -> tuple[float, float]:
+    return min(values), max(values)
+
+
+def _ranged(value: str, least: str, most: str) -> str:
+    return value if least == most else f"{value} ({least} to {most})"
 
 
 def _metres(value: float) -> str:
     return f"{1000 * value:.0f} mm" if value < 0.1 else f"{value:.2g} m"
+
+
+_PRINTED = {"largest": lambda v: f"{v:.0f}", "ate_m": _metres, "cpu_s": lambda v: f"{v:.0f}"}
 
 
 def write(root: Path = _ROOT) -> None:

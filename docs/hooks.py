@@ -35,7 +35,7 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
     """The chapters into the table of contents."""
     for entry in config.nav or ():
         if isinstance(entry, dict):
-            for key in entry:
+            for key in (k for k, pages in entry.items() if not pages):
                 entry[key] = [{name: f"reasons/{name}.md"} for name in CHAPTERS]
     return config
 
@@ -51,14 +51,14 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 def on_page_markdown(markdown: str, **_: object) -> str:
     """Links from docs/ to the files beside it."""
-    return markdown.replace("../DESIGN.md", "design.md")
+    return markdown.replace("../DESIGN.md", "design.md").replace("](../benchmarks/README.md)", "](benchmarks.md)")
 
 
 def inside(text: str) -> str:
     """A page of the root folder, with the links that it needs in docs/."""
     for name, page in PAGES.items():
         text = text.replace(f"]({name})", f"]({page})")
-    return text.replace("](docs/", "](")
+    return text.replace("](docs/", "](").replace("](benchmarks/README.md)", "](benchmarks.md)")
 
 
 def chapter(name: str) -> str:

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from command import arguments
 
-from tiegraph.papers.colmap import SEED, Given, Models, incremental, reconstruct
+from tiegraph.papers.colmap import Given, Models, incremental, reconstruct
 from tiegraph.papers.measured import Stages
 
 import pycolmap  # isort: skip
@@ -35,19 +35,20 @@ def main() -> None:
     match = next((way for word, way in ways.items() if word in args.options), pycolmap.match_exhaustive)
     mapped = global_models if "global" in args.options else incremental
     if "rig" not in args.options:
-        given = Given(cameras, mixed="mixed" in args.options)
+        given = Given(cameras, mixed="mixed" in args.options, seed=args.seed)
         return reconstruct(stages, args.images, args.out, match, given, mapped)
     if args.rig is None:
         return stages.end("the set has no rig")
     images, names = _folders_of_sensors(args.images, Path(args.rig), args.out / "images")
-    reconstruct(stages, images, args.out, match, Given(cameras, Path(args.rig), args.hold_rig, names), mapped)
+    given = Given(cameras, Path(args.rig), args.hold_rig, names, seed=args.seed)
+    reconstruct(stages, images, args.out, match, given, mapped)
 
 
 def global_models(database: Path, images: Path, sparse: Path, given: Given) -> Models:
     """The models of GLOMAP's mapper by number; the view graph is calibrated first where no calibration is given."""
     if not given.cameras:
         pycolmap.calibrate_view_graph(database)
-    options = pycolmap.GlobalPipelineOptions(random_seed=SEED)
+    options = pycolmap.GlobalPipelineOptions(random_seed=given.seed)
     options.mapper.refine_sensor_from_rig = not given.held
     return pycolmap.global_mapping(database, images, sparse, options)
 

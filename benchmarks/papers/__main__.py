@@ -10,12 +10,12 @@ from typing import Any
 
 from benchmarks.papers import measure
 from benchmarks.papers.printed import PRINTED
-from benchmarks.papers.tables import tables
+from benchmarks.papers.tables import colmap_rows, tables
 
 
 def rows_of(path: Path) -> list[dict[str, Any]]:
-    """The rows of a results file, none if it is not there."""
-    return json.loads(path.read_text())["runs"] if path.exists() else []
+    """The rows of a results file, none if it is not there, and those that COLMAP has in the table of figures."""
+    return [*(json.loads(path.read_text())["runs"] if path.exists() else []), *colmap_rows()]
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -6,24 +6,26 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from statistics import median
 from typing import Any
 
-from benchmarks.papers.measure import RUNS
+from benchmarks.papers.measure import RUNS, WITHOUT
 from benchmarks.papers.printed import PRINTED, Printed
 from benchmarks.papers.scenes import SIX
 from benchmarks.table import line
-from tiegraph.plan.figures import Lens, Motion, Wanted, station
+from tiegraph.plan.figures import Lens, Motion, Station, Wanted, station
 from tiegraph.plan.tuning import Tuning
 
 Row = Mapping[str, Any]
 _RESULTS = Path(__file__).resolve().parents[1] / "results"
 _LIST = ("preview", "candidates", "coarse", "network")
+_SEEDED = ("registered", "largest", "components", "points", "ate_m", "in_world", "world_ate_m")
 _COLMAP_IS = "COLMAP: pycolmap's defaults on every pair; its dense matching needs CUDA, so there is none here."
 
 
 def tables(paper: str, rows: Sequence[Row]) -> str:
     """All of a paper: as printed, and ours in the same shape."""
-    found = {(r["set"], r["method"]): r for r in rows}
+    found = medians(rows)
     blocks = [_printed(p) for p in PRINTED[paper]]
     asked = [(name, m.name) for name, methods in RUNS[paper] for m in methods]
     lost = [f"{name}: {method}" for name, method in asked if (name, method) not in found]
@@ -32,6 +34,44 @@ def tables(paper: str, rows: Sequence[Row]) -> str:
              if found.get((name, method), {}).get("note")]  # fmt: skip
     said += [f"Rows of other sittings: {'; '.join(notes)}."] if notes else []
     return "\n\n".join([f"# Paper {paper}", "## As printed", *blocks, "## Here", *_HERE[paper](found), *said])
+
+
+def colmap_rows() -> list[Row]:
+    """COLMAP's rows of the table of figures (``benchmarks.run``) in the shape of these: measured once for both."""
+    return [
+        {**r, "method": "COLMAP", "seed": r["repeat"], "counts": r["pairs"],
+         "stages": {s["stage"]: [s["cpu_s"], s["wall_s"]] for s in r["stages"]}}
+        for file in ("small_sets", "large_sets")
+        for r in json.loads((_RESULTS / f"{file}.json").read_text())["runs"]
+        if r["set"] in _BOAT and r["competitor"] == "colmap_exhaustive" and r["calibration"] == "estimated"
+    ]  # fmt: skip
+
+
+def medians(rows: Sequence[Row]) -> dict[tuple[str, str], Row]:
+    """A row for each set and method: that of its first seed, with the medians over all seeds of what they change, and
+    under ``range`` the least and the most of these."""
+    groups: dict[tuple[str, str], list[Row]] = {}
+    for row in sorted(rows, key=lambda r: r["seed"]):
+        groups.setdefault((row["set"], row["method"]), []).append(row)
+    out: dict[tuple[str, str], Row] = {}
+    for key, group in groups.items():
+        known = {n: [r[n] for r in group if r.get(n) is not None] for n in _SEEDED}
+        known = {n: values for n, values in known.items() if values}
+        middle = {n: type(values[0])(median(values)) for n, values in known.items()}
+        ranges = {n: (min(v), max(v)) for n, v in known.items() if len(group) > 1}
+        stages = {n: [float(median(r["stages"][n][k] for r in group if n in r["stages"])) for k in (0, 1)]
+                  for n in group[0]["stages"]}  # fmt: skip
+        out[key] = {**group[0], **middle, "stages": stages, "range": ranges, "seeds": len(group)}
+    return out
+
+
+def _spread(row: Row, name: str) -> str | float | None:
+    """A figure, over several seeds the median with the least and the most."""
+    value, ranges = row.get(name), row.get("range", {})
+    if value is None or name not in ranges:
+        return value
+    low, high = ranges[name]
+    return f"{_text(value)} ({_text(low)} to {_text(high)})"
 
 
 def _printed(table: Printed) -> str:
@@ -90,14 +130,19 @@ def _by(found: Sequence[Row], rows: Sequence[tuple[str, Callable[[Row], Any]]]) 
 
 _SIZES: tuple[tuple[str, Callable[[Row], Any]], ...] = (
     ("Images", lambda r: r["images"]),
-    ("Images used", lambda r: r.get("largest")),
+    ("Images used", lambda r: _spread(r, "largest")),
     ("Placed by the rig besides", lambda r: r.get("placed_by_rig")),
-    ("Separate models", lambda r: r.get("components")),
+    ("Separate models", lambda r: _spread(r, "components")),
     ("Pairs matched", lambda r: r["counts"]["matched"]),
-    ("Sparse points", lambda r: r.get("points")),
+    ("Sparse points", lambda r: _spread(r, "points")),
 )
 _PER_IMAGE = ("CPU s of SfM an image used", lambda r: _ratio(_sfm(r), r.get("largest")))
-_ATE = ("ATE, m", lambda r: r.get("ate_m"))
+_ATE = ("ATE, m", lambda r: _spread(r, "ate_m"))
+_WORLD: tuple[tuple[str, Callable[[Row], Any]], ...] = (
+    ("Images in the world", lambda r: _spread(r, "in_world")),
+    ("ATE of these, m", lambda r: _spread(r, "world_ate_m")),
+    ("Seeds: median (least to most)", lambda r: r.get("seeds")),
+)
 
 
 def _ratio(a: float | None, b: float | None) -> float | None:
@@ -128,17 +173,21 @@ _ALIGNMENT: tuple[tuple[str, Callable[[Row], Any]], ...] = (
 )
 
 
+def _parts(paper: str) -> list[str]:
+    return [m.name for m in WITHOUT if m.name.startswith(paper)]
+
+
 def _alignment(found: Mapping[tuple[str, str], Row], name: str, paper: str, title: str) -> list[str]:
-    rows = _columns(found, name, ("COLMAP", "conventional", paper, "tiegraph"))
+    rows = _columns(found, name, ("COLMAP", "conventional", *_parts(paper), paper, "tiegraph"))
     more = () if name == "canal_demo" else (_ATE, _PER_IMAGE)  # of the other they stand in the next table
     return [_table(f"{title} on `{name}`, CPU s", _titled(rows), _by(rows, (*_ALIGNMENT, *more)))] if rows else []
 
 
 def _paper000(found: Mapping[tuple[str, str], Row]) -> list[str]:
-    rows = _columns(found, "canal_demo", ("COLMAP", "conventional", "meguro2024", "tiegraph"))
+    rows = _columns(found, "canal_demo", ("COLMAP", "conventional", *_parts("meguro2024"), "meguro2024", "tiegraph"))
     two = _by(rows, (
         ("Mask image creation", _masks), ("SfM", _sfm), ("MVS", _mvs), ("Total", _total), ("Dense points", _dense),
-        ("RMSE (the round trip of equation 6), m", lambda r: r.get("rmse_m")), _ATE, _PER_IMAGE,
+        ("RMSE (the round trip of equation 6), m", lambda r: r.get("rmse_m")), _ATE, *_WORLD, _PER_IMAGE,
     ))  # fmt: skip
     return [
         *(table for name in _BOAT for table in _alignment(found, name, "meguro2024", "table 1")),
@@ -151,7 +200,7 @@ def _paper001(found: Mapping[tuple[str, str], Row]) -> list[str]:
     rows = _columns(found, "canal_demo", ("COLMAP", "conventional", "meguro2025", "tiegraph"))
     whole = _by(rows, (
         ("Final mask processing", _masks), ("SfM", _sfm), ("MVS", _mvs), ("Overall processing", _total), *_SIZES,
-        ("MVS points", _dense), ("RMSE (round trip), m", lambda r: r.get("rmse_m")), _ATE, _PER_IMAGE,
+        ("MVS points", _dense), ("RMSE (round trip), m", lambda r: r.get("rmse_m")), _ATE, *_WORLD, _PER_IMAGE,
     ))  # fmt: skip
     sections = [r for r in found.values() if r["set"].startswith("canal_demo section")]
     parts = _by(sections, (
@@ -261,10 +310,15 @@ _BASE_M, _DISPARITY_PX = 0.075, 0.3
 _DISTANCES_M = (0.5, 0.7, 1.0, 1.2)
 
 
+def planned() -> list[Station]:
+    """Paper 004's table 1 by the planner, a station for each of its distances."""
+    wanted = Wanted(base_m=_BASE_M, match_px=_DISPARITY_PX)
+    return [station(_LENS, d, wanted, Motion(), Tuning().station) for d in _DISTANCES_M]
+
+
 def _paper004(found: Mapping[tuple[str, str], Row]) -> list[str]:
     del found  # nothing is run
-    made = [station(_LENS, d, Wanted(base_m=_BASE_M, match_px=_DISPARITY_PX), Motion(), Tuning().station)
-            for d in _DISTANCES_M]  # fmt: skip
+    made = planned()
     rows = [
         ["Precision, mm", *(round(1000 * s.precision_m[0], 3) for s in made)],
         ["Resolution, px/mm2", *(round(s.points_mm2, 1) for s in made)],

@@ -8,7 +8,7 @@ from benchmarks.papers.measure import RESULTS, RUNS
 from benchmarks.papers.printed import PRINTED
 from benchmarks.papers.tables import tables
 
-from benchmarks import table
+from benchmarks import check, table
 
 _ROOT = Path(__file__).resolve().parents[2]
 
@@ -17,8 +17,9 @@ def row(name: str, method: str, **more: object) -> dict:
     stages = {"masks": [1.0, 1.0], "preview": [2.0, 2.0], "features": [3.0, 3.0], "match": [4.0, 4.0],
               "sparse": [5.0, 5.0], "dense": [60.0, 60.0], "cloud": [7.0, 7.0], "scan": [100.0, 1.0]}  # fmt: skip
     counts = {"matched": 50, "verified": 40, "dense_points": 9000}
-    return {"set": name, "method": method, "status": "done", "stages": stages, "counts": counts, "images": 20,
-            "largest": 16, "components": 2, "points": 700, "ate_m": 0.25, "rmse_m": 0.003, **more}  # fmt: skip
+    return {"set": name, "method": method, "seed": 0, "status": "done", "stages": stages, "counts": counts,
+            "images": 20, "largest": 16, "components": 2, "points": 700, "ate_m": 0.25, "rmse_m": 0.003,
+            **more}  # fmt: skip
 
 
 def cells(text: str, name: str) -> list[str]:
@@ -48,10 +49,32 @@ def test_paper_000_adds_up_the_stages_of_its_rows() -> None:
     assert cells(text, "SfM, total") == ["14", "14"] and cells(text, "MVS") == ["67", "67"]
     assert cells(text, "Total") == ["82", "82"]  # without scan, which the papers do not count
     assert cells(text, "CPU s of SfM an image used") == ["1.4", "0.875"]  # meguro2024 stands before tiegraph
-    assert "Not measured (`--run`): canal_demo: COLMAP; canal_demo: conventional; canal: tiegraph" in text
+    assert "Not measured (`--run`): canal_demo: conventional; canal_demo: meguro2024, no list; " in text
     longer = tables("000", [row("canal_demo", "tiegraph"), row("canal", "tiegraph", largest=10)])
     assert "table 1 on `canal`" in longer and "table 1 on `canal`" not in text
     assert cells(longer, "SfM, total") == ["14"] and cells(longer, "CPU s of SfM an image used") == ["1.4"]
+
+
+def test_of_several_seeds_the_median_stands_with_the_least_and_the_most() -> None:
+    rows = [row("canal_demo", "meguro2024", seed=k, ate_m=a, largest=n) for k, (a, n) in enumerate(
+        [(0.1, 100), (0.3, 50), (5.0, 100)])]  # fmt: skip
+    text = tables("000", rows)
+    assert cells(text.partition("table 2 on")[2].join(("## Here", "")), "ATE, m") == ["0.3 (0.1 to 5)"]
+    assert cells(text, "Images used") == ["100 (50 to 100)"]
+    shown = [
+        {"competitor": "colmap", "calibration": "estimated", "repeat": k, "registered": n, "largest": n,
+         "components": 1, "ate_m": a, "cpu_s": 150 + k}
+        for k, (a, n) in enumerate([(0.08, 100), (6.1, 100), (0.12, 95)])
+    ]  # fmt: skip
+    assert table._figure(shown) == "100 (95 to 100), 0.12 m (80 mm to 6.1 m), 151 (150 to 152) s"
+
+
+def test_figures_that_no_longer_hold_are_named(capsys: pytest.CaptureFixture[str], monkeypatch) -> None:
+    assert check.main([]) == 0 and "5 of 5 figures hold" in capsys.readouterr().out
+    monkeypatch.setattr(table, "figures", lambda *shown: "| another |")
+    assert check.main([]) == 1
+    said = capsys.readouterr().out
+    assert "README.md no longer holds (python -m benchmarks.table --write)" in said and "+ | another |" in said
 
 
 def test_paper_003_lays_both_ways_side_by_side() -> None:

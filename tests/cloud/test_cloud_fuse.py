@@ -110,6 +110,14 @@ def test_uncertain_points_are_left_out_and_counted():
     assert uncertain > 0.9 * SHAPE[0] * SHAPE[1]
 
 
+def test_a_point_lies_on_the_ray_through_the_centre_of_its_pixel():
+    view = wall("near", 0)
+    cloud, _, _ = map_points(view, RED, CloudSettings(voxel_size=0.1, max_relative_sigma=0.5), slice(0, SHAPE[0]))
+    pixels = transforms.apply(view.cam_from_world, cloud.xyz_m) @ K.T
+    assert len(cloud) == SHAPE[0] * SHAPE[1]
+    np.testing.assert_allclose((pixels[:, :2] / pixels[:, 2:])[[0, -1]], [[0.5, 0.5], [SHAPE[1] - 0.5, SHAPE[0] - 0.5]])
+
+
 def test_missing_and_empty_maps(tmp_path):
     assert len(fuse(["0", "missing"], MAPS, tmp_path, SETTINGS, TUNING).cloud()) > 1000
     empty = DepthMap("e", np.full(SHAPE, np.nan, np.float32), WALLS["0"].sigma_m, WALLS["0"].views, K, np.eye(4))
@@ -184,6 +192,9 @@ def test_filters_drop_outliers_and_keep_the_surface():
     keep, statistical, radius = filter_points(points, spacing, CloudSettings(radius_neighbours=0), TUNING)
     assert keep[: len(surface)].mean() > 0.97 and not keep[len(surface) :].any()
     assert statistical == (~keep).sum() and radius == 0
+    three = np.r_[surface, [[0, 0, 9.0], [0.1, 0, 9], [0, 0.1, 9]]]  # a point is no neighbour of its own
+    few = CloudSettings(neighbours=3, radius_neighbours=0)
+    assert not filter_points(three, np.full(len(three), 0.1), few, TUNING)[0][-3:].any()
     off = CloudSettings(statistical_ratio=0, radius_neighbours=0)
     assert filter_points(points, spacing, off, TUNING)[0].all()
     assert len(filter_points(np.zeros((0, 3)), np.zeros(0), SETTINGS, TUNING)[0]) == 0

@@ -9,7 +9,7 @@ import pytest
 from tiegraph.dense.consistency import Consistency, check
 from tiegraph.dense.depth import with_normals
 from tiegraph.dense.settings import DenseSettings
-from tiegraph.dense.sgbm import match_sgbm
+from tiegraph.dense.sgbm import _left_right, match_sgbm
 from tiegraph.dense.triangulate import Candidates, triangulate
 from tiegraph.dense.tuning import Tuning
 from tiegraph.geometry import transforms
@@ -286,3 +286,10 @@ def test_a_vague_depth_needs_one_map_more(share, stays):
     assert (np.isfinite(result.depth_m[inner]) == stays).all()
     result, _ = check(maps["a"], [], ["bb", "ccc"], maps.get, SETTINGS, TUNING.rays)  # no more images could see it
     assert np.isfinite(result.depth_m[inner]).all()
+
+
+@pytest.mark.parametrize("apart, stays", [(0, True), (1, True), (2, False)])
+def test_both_directions_may_differ_by_a_pixel(apart: int, stays: bool):
+    """Paper 004, section 5.2.2: "greater than 1 pixel" is invalid."""
+    found = _left_right(np.full((2, 6), 3, np.float32), np.full((2, 14), 3.0 + apart, np.float32), 8)
+    assert np.isfinite(found).all() == stays == np.isfinite(found).any()

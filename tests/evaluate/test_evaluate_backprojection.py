@@ -35,6 +35,7 @@ def test_error_is_the_rounding_alone(depth: float) -> None:
     expected = depth * np.sqrt(2 / 12) / 505
     assert 0.95 * expected < result.rmse_m < 1.05 * expected
     assert 0.95 < result.rmse_m / result.rounding_m < 1.05
+    assert all(0.9 * expected < rmse < 1.2 * expected for _, _, rmse in result.images)
     assert result.points == sum(n for _, n, _ in result.images) > 1000
 
 

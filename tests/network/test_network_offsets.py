@@ -114,6 +114,8 @@ def test_of_the_partners_around_an_offset_the_best_ones_are_kept() -> None:
     settings = CandidatesSettings(offsets="constant", offset_range=4, min_matches=40)
     cache = MatchCache(world.match, len(world.scene))
     scores = score_matrix(p, q, 1, np.ones((5, 5), bool), TUNING.offsets.scores)
+    step, every = world.scene.sequence_index[world.scene.frame], _around(scores, _At(1, 3, 15), True, cache, settings)
+    assert set(step[every.i] + step[every.j] - 15) == set(range(-4, 5))
     for best in (1, 2):
         chosen = settings.model_copy(update={"offset_best": best})
         pairs = _around(scores, _At(1, 3, 15), True, cache, chosen)
@@ -274,6 +276,9 @@ def test_yaw_and_vertical_of_a_ring() -> None:
     assert yaw_between(rig, np.eye(6), AXES) == pytest.approx(0, abs=12)
     assert yaw_between(rig, np.zeros((6, 6)), AXES) is None
     assert np.allclose(np.diag(angles_deg(rig, 180, AXES))[:5], 180)
+    turned = np.array([-np.sin(np.radians(72)), 0, np.cos(np.radians(72))])  # the first axis, z, about -y by 72 degrees
+    axes = np.array([s.optical_axis() for s in rig.sensors])
+    assert np.allclose(angles_deg(rig, 72, AXES)[:, 0], np.degrees(np.arccos(np.clip(axes @ turned, -1, 1))))
 
 
 def test_book_asks_each_pair_once() -> None:

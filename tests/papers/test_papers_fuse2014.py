@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from boat_world import photos
+from boat_world import boat, photos
 from tiegraph import papers
 from tiegraph.design.design import METHODS, design
 from tiegraph.design.settings import DesignSettings
 from tiegraph.design.tuning import Tuning
-from tiegraph.papers.fuse2014 import capacities
+from tiegraph.papers.fuse2014 import capacities, image_order
 from tiegraph.scene.graph import components
 from tiegraph.scene.pairs import Pairs
 
@@ -33,8 +33,9 @@ def reasons(pairs: Pairs) -> dict[str, int]:
 
 def test_weak_pairs_go_first() -> None:
     pairs = video()
-    weak = int(np.sum(pairs.score < 25))
     pairs = pairs.with_(score=np.where(np.arange(len(pairs)) % 10 == 3, 24.0, pairs.score))
+    pairs = pairs.with_(score=np.where(np.arange(len(pairs)) % 10 == 4, 25.0, pairs.score))  # "less than 25"
+    weak = int(np.sum((pairs.score < 25) & (np.arange(len(pairs)) % 10 != 3)))
     found = design(pairs, photos(60), None, DesignSettings(method="fuse2014"), TUNING)
     assert reasons(found.pairs)["weak"] == weak + np.sum(np.arange(len(pairs)) % 10 == 3) == found.counts["weak"]
 
@@ -78,10 +79,25 @@ def test_a_cut_takes_the_pairs_of_least_capacity() -> None:
     assert {(0, 2), (1, 2), (3, 4), (3, 5)} & dropped == set()
 
 
+def test_a_way_that_turns_back_is_cut_too() -> None:
+    pairs = Pairs.make([0, 1, 1], [2, 2, 3], "file", score=np.full(3, 100.0), sigma_m=np.array([0.1, 1.0, 0.1]))
+    found = design(pairs, photos(4), None, DesignSettings(method="fuse2014"), TUNING).pairs
+    assert [(int(a), int(b)) for a, b in zip(found.i[found.dropped != 0], found.j[found.dropped != 0])] == [(1, 2)]
+
+
+def test_images_are_in_order_of_pass_step_and_camera() -> None:
+    scene = boat((3, 3), (2.0, 2.0)).scene
+    order = image_order(scene)
+    frame = scene.frame[order]
+    found = list(zip(scene.sequence[frame], scene.sequence_index[frame], scene.sensor_key[order]))
+    assert found == sorted(found) and len({step for _, step, _ in found}) == 3 < len(scene)
+
+
 def test_similar_images_lose_all_their_pairs() -> None:
     pairs = video(20, 3)
     ratio = np.full(len(pairs), 30.0)
     ratio[(pairs.i == 7) & (pairs.j == 8)] = 501.0
+    ratio[(pairs.i == 14) & (pairs.j == 15)] = 500.0  # "more than 500"
     found = design(pairs.with_(h_over_b=ratio), photos(20), None, DesignSettings(method="fuse2014"), TUNING)
     touches = (pairs.i == 8) | (pairs.j == 8)
     assert found.counts["similar"] == np.sum(touches)

@@ -4,8 +4,9 @@ from masks_world import DECK, HORIZON, frame, sequence, share
 from tiegraph.masks.frames import grey
 from tiegraph.masks.morphology import block_share, from_blocks, masked_neighbours, opened_closed, without_small
 from tiegraph.masks.settings import MasksSettings
+from tiegraph.masks.sources import Camera
 from tiegraph.masks.tuning import Tuning
-from tiegraph.papers.meguro2024 import difference_mask, prepare_difference
+from tiegraph.papers.meguro2024 import difference_mask, mask_of_camera, prepare, prepare_difference
 
 TUNING = Tuning()
 
@@ -20,6 +21,14 @@ def test_what_stays_is_masked_and_what_moves_is_used(tmp_path):
 def test_light_change_breaks_it_as_the_papers_method_does(tmp_path):
     a, b = grey(frame(0)), grey(frame(1, gain=0.8))
     assert share(difference_mask(a, b, 8, TUNING.meguro2024), slice(DECK, None)) > 0.5
+
+
+def test_nothing_of_a_camera_that_looks_up_is_used(tmp_path):
+    """Paper 000: "the images from the five side cameras are used"."""
+    images = tuple(sequence(tmp_path))
+    both = prepare({0: Camera(images), 5: Camera(images, upward=True)}, MasksSettings(source="meguro2024"), TUNING)
+    assert both[0].any() and not both[5].any() and both[0].shape == both[5].shape
+    assert not mask_of_camera(images[0], both[5], MasksSettings(source="meguro2024"), TUNING, "").any()
 
 
 def test_small_areas_of_both_colours_go():
@@ -57,6 +66,8 @@ def test_opening_before_closing():
     speck[10:13, 10:13] = True
     assert not opened_closed(speck, 7).any()
     assert opened_closed(~speck, 7).all()
+    stripes = np.tile(np.arange(40) % 4 == 0, (40, 1))  # closing first would join them
+    assert not opened_closed(stripes, 7).any()
 
 
 def test_without_small_counts_pixels_and_joins_corners():

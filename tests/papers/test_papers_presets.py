@@ -12,6 +12,7 @@ import pytest
 
 from boat_world import boat, ring
 from tiegraph import papers
+from tiegraph.geometry.gravity import up_vector
 from tiegraph.masks.sources import SOURCES
 from tiegraph.network.passes import MatchCache, find_passes
 from tiegraph.network.rig.check import check_rigs
@@ -33,8 +34,12 @@ SWITCHES = {
     "georef.adjust": ("no", "auto"),
     "georef.antenna": ("ignored", "auto"),
     "refine.geometry": ("off", "auto"),
-    "tuning.sfm.placement.max_left_out": (0, 0.2),
-    "tuning.sfm.adjust.robust_rounds": (0, 2),
+    "tuning.network.rig.check.frames": (0, 16),
+    "tuning.sfm.adjust.iterations": (0, 30),
+    "tuning.sfm.placement.ties.trials": (0, 2000),
+    "tuning.sfm.world.clouds.tried": (0, 40),
+    "tuning.sfm.world.fixes.rows_per_frame": (0, 5),
+    "tuning.sfm.mapping.min_model_images": (10, 3),
 }
 
 
@@ -51,6 +56,16 @@ def test_what_a_paper_did_not_have_is_off(name: str, switch: str) -> None:
         assert value(DEFAULT, switch) == default
     else:
         assert value(DEFAULT, switch) > 0
+
+
+@pytest.mark.parametrize("name", ["default", *papers.PRESETS])
+def test_cameras_tell_what_is_up_where_the_paper_has_optical_axes(name: str) -> None:
+    """Paper 001 corrects poses by "the fixed baseline and optical axis"; the others have no such step."""
+    settings = merged(preset(name))
+    upright, poses = settings.tuning.sfm.world.up, np.tile(np.eye(4), (4, 1, 1))
+    poses[:, :3, :3] = [[[c, 0, s], [0, 1, 0], [-s, 0, c]] for c, s in ((1, 0), (0, 1), (-1, 0), (0, -1))]
+    assert (up_vector(poses, np.zeros(4, int), upright) is not None) == (name in ("default", "meguro2025"))
+    assert settings.scan.max_gap_s == (60.0 if name == "meguro2025" else 3.0)
 
 
 @pytest.mark.parametrize(

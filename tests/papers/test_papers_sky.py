@@ -38,7 +38,7 @@ def test_blue_range():
 def test_final_mask_takes_sky_and_burnt_out_areas_and_leaves_the_scene():
     image = frame(0)
     image[20:40, 50:120] = CLOUD_BGR
-    image[100:132, 200:232] = 255
+    image[100:132, 200:232] = SETTINGS.overexposed
     mask = final_mask(image, None, SETTINGS, TUNING)
     assert mask.shape == SHAPE
     assert share(mask, slice(0, HORIZON - 8)) < 0.15

@@ -32,6 +32,8 @@ def test_ssim_of_equal_inverted_and_flat_images():
     assert ssim(a, 255 - a)[HORIZON + 10 : DECK - 10].mean() < 0
     flat = ssim(np.full((30, 30), 100, np.uint8), np.full((30, 30), 140, np.uint8))
     assert np.allclose(flat, (2 * 100 * 140 + C1) / (100**2 + 140**2 + C1), atol=1e-3)
+    dark = ssim(np.full((30, 30), 2, np.uint8), np.full((30, 30), 6, np.uint8))
+    assert np.allclose(dark, (2 * 2 * 6 + C1) / (2**2 + 6**2 + C1), atol=1e-3)
 
 
 def test_initial_mask_separates_the_platform_even_when_the_light_changes(tmp_path):

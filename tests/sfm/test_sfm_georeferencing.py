@@ -310,6 +310,18 @@ def test_rows_between_frames_carry_lever_arm_and_clock() -> None:
     assert not np.any((broken.time_s > 20.1) & (broken.time_s < 29.9)) and np.all(broken.sigma == 0.02)
 
 
+def test_positions_count_at_the_frames_alone_where_that_is_asked() -> None:
+    """As in paper 001: below a bridge a frame has the position between the last fix before it and the first behind."""
+    frames = np.arange(0, 20.01, 2.0)
+    scene = _drive(frames)
+    scene = scene.with_(world_from_rig=_path(frames), position_sigma_m=np.full((scene.frames, 3), 0.5), prior="gnss")
+    fine = np.arange(0, 20.01, 0.2)
+    rows = PositionRows(fine, _path(fine)[:, :3, 3] + 100.0, np.full((len(fine), 3), 0.5))
+    alone = FINE.fixes.model_copy(update={"rows_per_frame": 0})
+    fixes = make_fixes(scene, np.ones(scene.frames, bool), Measurements(rows), alone)
+    assert len(fixes) == scene.frames and np.allclose(fixes.position, _path(frames)[:, :3, 3])
+
+
 def _path(time_s: np.ndarray) -> np.ndarray:
     """world_from_rig (T, 4, 4) of a level camera that looks ahead (x right, y down, z forward)."""
     s = 60 * np.sin(time_s / 12) + 8 * np.sin(time_s / 6)

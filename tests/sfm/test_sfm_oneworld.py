@@ -9,7 +9,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 from sfm_worlds import make_world, true_frames, with_positions
 
+from tiegraph import papers
 from tiegraph.geometry import transforms
+from tiegraph.project.settings import merged as merged_settings
 from tiegraph.scene.colmapmodel import image_poses
 from tiegraph.scene.mergedmodel import merged
 from tiegraph.sfm.settings import GeorefSettings
@@ -50,7 +52,7 @@ def _part(truth, scene, frames, rng):
     return model
 
 
-def _joined(survey, verified=None, scene=None):
+def _joined(survey, verified=None, scene=None, tuning=TUNING):
     without, _, models, matches = survey
     scene = without if scene is None else scene
     settings = GeorefSettings(adjust="no")
@@ -63,7 +65,7 @@ def _joined(survey, verified=None, scene=None):
         return found, found.apply(model)
 
     matches = matches if verified is None else verified
-    return one_world(models, scene, matches, ByPositions(similarity, whole), Measurements(), TUNING)
+    return one_world(models, scene, matches, ByPositions(similarity, whole), Measurements(), tuning)
 
 
 def _off(found, survey):
@@ -168,6 +170,24 @@ def test_without_matches_and_positions_a_model_stays_out_and_says_why(survey) ->
         found = _joined(survey, NONE, scene.with_(world_from_rig=poses))
         assert found.others[0].by == "" and "too few positions" in found.others[0].why_not
         assert found.model.num_reg_images() == 2 * FIRST
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("joins", [True, False])
+def test_the_largest_model_with_positions_carries_the_world(survey, joins) -> None:
+    """As where a survey is cut at a bridge below which most of it lies, and no position."""
+    scene = _with_positions(survey)
+    places = scene.world_from_rig.copy()
+    places[:FIRST] = np.nan
+    recipe = merged_settings(papers.colmap_alone()).tuning.sfm
+    found = _joined(survey, scene=scene.with_(world_from_rig=places), tuning=TUNING if joins else recipe)
+    (first,) = found.others
+    assert found.first.placed and first.number == 0 and first.row()[0] == "sparse/0"
+    assert (first.by, found.model.num_reg_images()) == (("matches", 40) if joins else ("", 16))
+    said = "24 images of 1 models are not in the world: the recipe has no step for that"
+    assert [line[: len(said)] for line in found.by_hand()] == ([] if joins else [said])
+    off = transforms.centre(image_poses(found.model, scene)) - transforms.centre(image_poses(survey[1], scene))
+    assert 1e-4 < np.nanmedian(np.linalg.norm(off, axis=1)) < 0.06
 
 
 @pytest.mark.slow

@@ -28,7 +28,8 @@ class UpTuning(Section):
     lone_sigma_deg: float = Field(10.0, gt=0)
     """A person holding a camera, or cameras to one side."""
     agreement: float = Field(0.8, ge=0, le=1)
-    """Length of the mean of the unit vectors at least; nadir photographs of many headings have about 0."""
+    """Length of the mean of the unit vectors at least; nadir photographs of many headings have about 0. 1: cameras tell
+    nothing."""
     round: float = Field(0.5, ge=0, le=1)
     """Length of the mean viewing direction of a frame, below which its cameras look all round."""
 
@@ -54,7 +55,7 @@ def up_vector(cam_from_world: np.ndarray, frame: np.ndarray, tuning: UpTuning) -
     camera on a pole).
     """
     use = np.isfinite(cam_from_world).all(axis=(1, 2))
-    if not use.any():
+    if not use.any() or tuning.agreement == 1:
         return None
     turns = cam_from_world[use, :3, :3]
     count, (top, looking) = _of_frames(frame[use], (-turns[:, 1], turns[:, 2]))

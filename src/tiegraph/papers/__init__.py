@@ -29,28 +29,41 @@ MASKS = {"meguro2024": "meguro2024.MASKS", "meguro2025": "meguro2025.MASKS", "sk
 OFFSETS = {"constant": "meguro2024.constant_offsets"}
 LIGHTS = {"meguro2025": "meguro2025.light"}
 DESIGNS = {"fuse2014": "fuse2014.fuse2014", "fuse2014_safe": "fuse2014.fuse2014_safe"}
-_NEVER = 10**6  # votes, or frames: more than any survey has
 
-COLMAP_ALONE: dict[str, dict[str, Any]] = {
-    # Matches alone say which images tie.
-    "coarse": {"method": "off"},
-    # Every listed pair is matched, and what COLMAP verifies is kept.
-    "design": {"method": "all"},
-    "filter": {"method": "off"},
-    # COLMAP's incremental mapper by images alone: "even when the relative positions of the cameras are unknown".
-    "sparse": {"rig": "absent", "mapper": "incremental", "use_positions": False, "covariance_frames": 0},
-    # Positions "were used to determine the scale": a similarity to the cameras, without lever arm or adjustment.
-    "georef": {"adjust": "no", "antenna": "ignored"},
-    "refine": {"geometry": "off"},
-    "tuning": {
-        # The rig is believed as it is given.
-        "network": {"rig": {"check": {"min_votes": _NEVER}, "order": {"better": 3.0}}},
-        # The model stays as the mapper leaves it, but for a last bundle adjustment by least squares.
-        "sfm": {"placement": {"max_left_out": 0}, "adjust": {"robust_rounds": 0}},
-    },
-}
-"""Switched off is what the papers did not have. What they had and tiegraph does otherwise stays tiegraph's: who
-extracts SIFT, the lens model, dense matching."""
+
+def colmap_alone(upright: bool = False) -> dict[str, dict[str, Any]]:
+    """Settings that leave off what the papers did not have; ``upright``: but for the ring that tells what is up.
+
+    What they had and tiegraph does otherwise stays tiegraph's: who extracts SIFT, the lens model, dense matching.
+    """
+    return {
+        # Matches alone say which images tie.
+        "coarse": {"method": "off"},
+        # Every listed pair is matched, and what COLMAP verifies is kept.
+        "design": {"method": "all"},
+        "filter": {"method": "off"},
+        # COLMAP's incremental mapper by images alone: "even when the relative positions of the cameras are unknown".
+        "sparse": {"rig": "absent", "mapper": "incremental", "use_positions": False, "covariance_frames": 0},
+        # Positions "were used to determine the scale": a similarity to the cameras, without lever arm or adjustment.
+        "georef": {"adjust": "no", "antenna": "ignored"},
+        "refine": {"geometry": "off"},
+        "tuning": {
+            # The rig is believed as it is given.
+            "network": {"rig": {"check": {"frames": 0}}},
+            "sfm": {
+                # The models are COLMAP's, as its mapper leaves them.
+                "mapping": {"min_model_images": 10},
+                "adjust": {"iterations": 0},
+                # Each stands where its cameras' positions put it: neither matches nor points join it to the others.
+                "placement": {"ties": {"trials": 0}},
+                "world": {
+                    "fixes": {"rows_per_frame": 0},
+                    "clouds": {"tried": 0},
+                    **({} if upright else {"up": {"agreement": 1.0}}),
+                },
+            },
+        },
+    }
 
 
 def plug_in(recipes: Mapping[str, str], name: str, point: dict[str, Any]) -> None:

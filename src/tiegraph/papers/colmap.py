@@ -15,8 +15,6 @@ import pycolmap
 
 from tiegraph.papers.measured import Stages, pairs_of
 
-SEED = 0
-
 
 @dataclass(frozen=True)
 class Given:
@@ -24,7 +22,8 @@ class Given:
 
     ``cameras``: image folder -> calibrated camera, else guessed. ``rig``: a rig_config.json, whose extrinsics the
     mapper refines unless they are ``held``. ``names``: of images in the model, where they lie under others. ``mixed``:
-    cameras are told apart by EXIF and not by folder.
+    cameras are told apart by EXIF and not by folder. ``seed`` of the mapper's random choices: with others, and with
+    other threads, other models come out of the same images.
     """
 
     cameras: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
@@ -32,6 +31,7 @@ class Given:
     held: bool = False
     names: Mapping[str, str] = field(default_factory=dict)
     mixed: bool = False
+    seed: int = 0
 
 
 Models = dict[int, pycolmap.Reconstruction]
@@ -39,7 +39,7 @@ Models = dict[int, pycolmap.Reconstruction]
 
 def incremental(database: Path, images: Path, sparse: Path, given: Given) -> Models:
     """The models of COLMAP's incremental mapper by number."""
-    options = pycolmap.IncrementalPipelineOptions(random_seed=SEED)
+    options = pycolmap.IncrementalPipelineOptions(random_seed=given.seed)
     options.ba_refine_sensor_from_rig = not given.held
     return pycolmap.incremental_mapping(database, images, sparse, options)
 
@@ -71,9 +71,9 @@ def reconstruct(
     stages.end("" if models else "no model")
 
 
-def exhaustive(images: Path, out: Path, record: Path, send: Callable[[Any], None]) -> None:
+def exhaustive(images: Path, out: Path, record: Path, seed: int = 0, *, send: Callable[[Any], None]) -> None:
     """All of it with defaults, in a child process (``child.run_in_child``); the JSON file is ``record``."""
-    reconstruct(Stages(record), images, out)
+    reconstruct(Stages(record), images, out, given=Given(seed=seed))
 
 
 def _extract(database: Path, images: Path, given: Given) -> None:

@@ -9,7 +9,7 @@ of paper 001 (section c) is brute force without masks. The constants that the pa
 ``masks.tuning.Meguro2024Tuning`` and ``network.tuning.offsets.ConstantTuning``.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,10 +17,11 @@ from typing import Any
 import cv2
 import numpy as np
 
-from tiegraph.masks.frames import full_size, image_size, two_frames
+from tiegraph.masks.frames import full_size, image_size, small_shape, two_frames
+from tiegraph.masks.learnt import Map
 from tiegraph.masks.morphology import opened_closed, without_small
 from tiegraph.masks.settings import MasksSettings
-from tiegraph.masks.sources import MaskSource, check_shape, each
+from tiegraph.masks.sources import Camera, MaskSource, check_shape, each
 from tiegraph.masks.tuning import Meguro2024Tuning
 from tiegraph.masks.tuning import Tuning as MasksTuning
 from tiegraph.network.offsets.curves import Proposal, curves_of, facing, votes_of
@@ -30,7 +31,7 @@ from tiegraph.network.rig.axes import allowed_within
 from tiegraph.network.scorematrix import ScoreMatrix, score_matrix
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
-from tiegraph.papers import COLMAP_ALONE
+from tiegraph.papers import colmap_alone
 from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.sorting import evenly
 
@@ -57,6 +58,16 @@ def prepare_difference(images: Sequence[Path], settings: MasksSettings, tuning: 
     return None if frames is None else difference_mask(*frames, settings.difference, tuning.meguro2024)
 
 
+def prepare(
+    cameras: Mapping[int, Camera], settings: MasksSettings, tuning: MasksTuning, apply: Map = map
+) -> dict[int, Any]:
+    """The masks of all cameras; of one that looks up nothing is used: "the images from the five side cameras are
+    used", the top one "was not used in this study"."""
+    side = each(prepare_difference)({k: c for k, c in cameras.items() if not c.upward}, settings, tuning)
+    up = {k: small_shape(image_size(c.images[0]), tuning.frames.work_px) for k, c in cameras.items() if c.upward}
+    return side | {k: np.zeros(shape, bool) for k, shape in up.items()}
+
+
 def mask_of_camera(
     image: Path, prepared: np.ndarray | None, settings: MasksSettings, tuning: MasksTuning, name: str
 ) -> np.ndarray:
@@ -66,7 +77,7 @@ def mask_of_camera(
     return np.ones(size, bool) if prepared is None else full_size(prepared, size)
 
 
-MASKS = MaskSource(each(prepare_difference), mask_of_camera)
+MASKS = MaskSource(prepare, mask_of_camera)
 
 
 def constant_offsets(p: Pass, q: Pass, cache: MatchCache, settings: CandidatesSettings, tuning: Tuning) -> Proposal:
@@ -199,12 +210,12 @@ PRESET: dict[str, dict[str, Any]] = {
         "axes_deg": 90.0,
     },
     "network": {"sections": "off"},
-    **COLMAP_ALONE,
+    **colmap_alone(),
 }
 
 CONVENTIONAL: dict[str, dict[str, Any]] = {
     "masks": {"source": "none"},
     "candidates": {"sources": ("exhaustive",)},
     "network": {"sections": "off"},
-    **COLMAP_ALONE,
+    **colmap_alone(),
 }

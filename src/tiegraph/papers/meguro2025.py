@@ -5,8 +5,8 @@ Masks (section a) in two stages: what is alike in the first and the last image o
 then sky and overexposure of each image. Network (section b): neighbouring frames of a camera; between cameras a range
 of frames around one offset, the one with the most matches (``meguro2024.constant_offsets``); and by the brightness of
 the upward camera's pixels the frames below bridges, for which separate lists are made. Mapping: COLMAP, by masks and
-lists; positions of GNSS serve the scale afterwards. The constants that the paper does not print are
-``masks.tuning.Meguro2025Tuning``.
+lists, each section by itself; positions of GNSS bring them together afterwards. The constants that the paper does not
+print are ``masks.tuning.Meguro2025Tuning``.
 """
 
 from collections.abc import Callable, Sequence
@@ -23,7 +23,7 @@ from tiegraph.masks.sources import MaskSource, check_shape, each, prepare_nothin
 from tiegraph.masks.tuning import Meguro2025Tuning
 from tiegraph.masks.tuning import Tuning as MasksTuning
 from tiegraph.network.sections.light import UpLight, otsu
-from tiegraph.papers import COLMAP_ALONE
+from tiegraph.papers import colmap_alone
 from tiegraph.scene.scene import Scene
 
 _PIXELS = 1 << 16  # that stand for those of all upward images
@@ -158,8 +158,13 @@ def bright_share(counts: np.ndarray) -> np.ndarray:
     return share[:, levels > otsu(pixels).threshold].sum(axis=1)
 
 
-# The range is our reading, as in ``meguro2024``.
+# The range is our reading, as in ``meguro2024``. Sections of a list of their own are models of their own, which come
+# together by "camera positions estimated by SfM and GNSS position data": below a bridge, which is passed in less than a
+# minute, by the straight line between the last fix before it and the first behind. What the rig says goes in where
+# positions do not tell it: its fixed baselines the scale, if they are calibrated, its optical axes the roll of a
+# straight track.
 PRESET: dict[str, dict[str, Any]] = {
+    "scan": {"max_gap_s": 60.0},
     "masks": {"source": "meguro2025"},
     "candidates": {
         "sources": ("sequence", "offsets"),
@@ -169,5 +174,5 @@ PRESET: dict[str, dict[str, Any]] = {
         "axes_deg": 90.0,
     },
     "network": {"sections": "meguro2025"},
-    **COLMAP_ALONE,
+    **colmap_alone(upright=True),
 }

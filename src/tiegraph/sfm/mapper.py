@@ -221,8 +221,9 @@ def _derived_note(rig: Rig, result: DerivedRig, tuning: DeriveTuning) -> str:
 def _finish(job: Job, outcome: Outcome) -> FinishResult:
     """Adjust, check, colour and write the models to their place; what there is to say of the first."""
     out, modes = [], job.rigs.used()
+    plain = job.source.rough or not job.tuning.adjust.iterations
     held = Held(
-        rigs=() if job.source.rough else tuple(modes),
+        rigs=() if plain else tuple(modes),
         fixed=tuple(k for k, mode in modes.items() if mode == "fixed"),
         soft=tuple(k for k, mode in modes.items() if mode == "soft"),
         ordered=tuple(modes) if job.settings.rig == "fixed" else (),
@@ -240,9 +241,9 @@ def _finish(job: Job, outcome: Outcome) -> FinishResult:
             scene=job.scene.to_json(),
             tuning=job.tuning,
             held=held,
-            matched=None if number or job.source.rough else matched,
+            matched=None if number or plain else matched,
             covariance_frames=0 if number else job.settings.covariance_frames,
-            rough=job.source.rough,
+            rough=plain,
         )
         out.append(_finished(request, job.log))
     job.account.notes.extend(out[0].notes)

@@ -99,7 +99,7 @@ def run_mapper(request: Request, send: Callable[[Any], None]) -> MappingResult:
         else _global(request, working, raw)
     )
     ordered = sorted(models.values(), key=lambda m: (-m.num_reg_images(), -m.num_points3D()))
-    if ordered and not request.method.rough:
+    if ordered and not request.method.rough and request.tuning.adjust.iterations:
         verified = read_verified(seen.database, scene, seen.refused)
         doubted = _doubted(request, scene, verified)
         place_doubted(ordered[0], working, _options(request, False), request.tuning, doubted)

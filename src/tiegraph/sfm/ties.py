@@ -130,7 +130,7 @@ def find_ties(
 def fit_ties(ties: Ties, tuning: PlacementTuning) -> TieFit | None:
     """The similarity that most ties agree with; None if there are too few or none comes out."""
     asked, tolerance_rad = tuning.ties, tuning.agreement.tolerance_rad
-    if len(ties) < asked.least:
+    if not asked.trials or len(ties) < asked.least:
         return None
     some = ties.where(np.linspace(0, len(ties) - 1, min(len(ties), asked.most)).astype(int))
     reach = float(np.median(np.linalg.norm(some.xyz[0] - some.centre[0], axis=1)))

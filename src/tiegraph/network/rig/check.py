@@ -183,6 +183,8 @@ def check_rigs(
 
     Cameras with fewer frames than others and cameras that seem to run late are told of.
     """
+    if not tuning.rig.check.frames:
+        return scene, ()
     rigs, notes, poses = (
         list(scene.rigs),
         list(frame_notes(passes, scene.names, tuning.rig.synchronisation)),

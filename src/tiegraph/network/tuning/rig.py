@@ -21,8 +21,8 @@ class AxesTuning(Section):
 class CheckTuning(Section):
     """Mirrored and rolled rigs (`check.py`)."""
 
-    frames: int = Field(16, gt=0)
-    """Frames whose images are compared, at most ..."""
+    frames: int = Field(16, ge=0)
+    """Frames whose images are compared, at most (0: rigs are believed as they are given) ..."""
     least_frames: int = Field(4, gt=0)
     """... and at least."""
     samples: int = Field(250, gt=0)

@@ -51,8 +51,8 @@ class TieTuning(Section):
     """Of the matches that must agree, known to the fit or held back: below, chance agreements are as many."""
     error: float = Field(0.1, gt=0)
     """Bound of the RANSAC, in median distances of the points from their cameras."""
-    trials: int = Field(2000, gt=0)
-    """Of the RANSAC."""
+    trials: int = Field(2000, ge=0)
+    """Of the RANSAC; 0: matches join nothing."""
     most: int = Field(2000, gt=0)
     """Matches that a fit is made of: bounds its time, more say the same once more."""
     rounds: int = Field(3, gt=0)

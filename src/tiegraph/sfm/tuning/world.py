@@ -15,8 +15,8 @@ class FixTuning(Section):
     """ALGORITHMS: every fifth position is left out of the fit, to look at its residual."""
     least_to_hold_out: int = Field(10, gt=0)
     """Positions below which none is held out: a fit without a fifth of them says little."""
-    rows_per_frame: int = Field(5, gt=0)
-    """Of the receiver, that are used between two frames: more say the same once more."""
+    rows_per_frame: int = Field(5, ge=0)
+    """Of the receiver, that are used between two frames: more say the same once more. 0: positions at frames alone."""
     max_step: float = Field(3.0, ge=1)
     """Median steps of a pass: no interpolation across wider gaps between frames."""
     cubic_error: float = Field(0.03, ge=0)
@@ -189,8 +189,8 @@ class CloudTuning(Section):
     """... with this between their logarithms."""
     peaks: int = Field(3, gt=0)
     """Best places of each turn and scale ..."""
-    tried: int = Field(40, gt=0)
-    """... of which the best so many are refined."""
+    tried: int = Field(40, ge=0)
+    """... of which the best so many are refined; 0: points place nothing."""
     icp_cells: tuple[float, ...] = (3.0, 1.5, 0.75)
     """To the nearest point of the others, at most."""
     icp_rounds: int = Field(10, gt=0)

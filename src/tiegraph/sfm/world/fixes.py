@@ -101,7 +101,7 @@ def make_fixes(scene: Scene, registered: np.ndarray, given: Measurements, tuning
     ``registered`` (F,) frames with a pose.
     """
     rows, parts, left = given.rows, [], registered.copy()
-    if rows is not None and np.isfinite(scene.time_s).any():
+    if rows is not None and tuning.rows_per_frame and np.isfinite(scene.time_s).any():
         for track in np.unique(scene.sequence[scene.sequence >= 0]):
             part = _of_track(scene, registered, rows, int(track), tuning)
             if part is not None:

@@ -1,14 +1,15 @@
 """All models of a survey in one world: parts that no tie joined for the mapper.
 
-What tells where a further model stands is tried in the order of trust. *Matches* between its images and those already
-in the world (``ties``): they need no positions, and a similarity that matches it did not know agree with is beyond
-doubt. Else its own *positions* and control points (``georeferencing``), if the first model stands in their world. Else
-its *points* (``clouds``), where they lie on the others' in one place only. A model that none of them tells, or whose
-turn about a straight track is open, is named with the reason and stays out: nothing is guessed. What matches and
-positions tell is compared, and said where they cannot both be right.
+The largest model that positions or control points place carries the world; without one the largest. What tells where a
+further model stands is tried in the order of trust. *Matches* between its images and those already in the world
+(``ties``): they need no positions, and a similarity that matches it did not know agree with is beyond doubt. Else its
+own *positions* and control points (``georeferencing``). Else its *points* (``clouds``), where they lie on the others'
+in one place only. A model that none of them tells, or whose turn about a straight track is open, is named with the
+reason and stays out: nothing is guessed. What matches and positions tell is compared, and said where they cannot both
+be right.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -93,8 +94,8 @@ class Joined:
 
 @dataclass(frozen=True)
 class OneWorld:
-    """The ``first`` model's georeference, the ``model`` of all that came into its world (None: it is on disk), the
-    others one by one."""
+    """The georeference of the model that carries the world (``first``), the ``model`` of all that came into it (None:
+    it is on disk), the others one by one."""
 
     first: Georeference
     model: pycolmap.Reconstruction | None
@@ -105,6 +106,14 @@ class OneWorld:
         """Of the first model, and what became of the others."""
         metric = self.first.scale_source != "none"
         return [*self.first.findings.notes, *(o.note(metric) for o in self.others)]
+
+    def by_hand(self) -> list[str]:
+        """What is lost where models come together by their positions alone, as in the papers' recipes."""
+        out = [o.images for o in self.others if not o.by]
+        lost = [] if self.first.placed else ["no model stands in the world by its positions"]
+        lost += [f"{sum(out)} images of {len(out)} models are not in the world"] if out else []
+        why = "the recipe has no step for that, where its authors looked at the models by hand"
+        return [f"{', and '.join(lost)}: {why}"] if lost else []
 
     def table(self) -> dict[str, dict]:
         """How each further model came into the world; {} if there is one only."""
@@ -124,14 +133,18 @@ def one_world(
     given: Measurements,
     tuning: Tuning,
 ) -> OneWorld:
-    """Bring the first model into the world by its positions, then the others to it, one after another: by matches, else
-    by their own positions, else by their points. ``given`` is of the first."""
+    """Bring the largest model that its positions place into the world, then the others to it, one after another: by
+    matches, else by their own positions, else by their points. ``given`` is of the first of ``models``."""
     first, world = place.whole(models[0], given)
     if len(models) == 1:
         return OneWorld(first, world)
-    joining = Joining(scene, verified, tuning.placement, models, {0: world})
     blind = replace(given, shape=None, model_scale_sigma=float("nan"))
-    assembly = _Assembly(models, first, joining, place, blind, tuning)
+    alone = {k: place.similarity(models[k], blind) if k else first for k in range(len(models))}
+    carrier = next((k for k, found in alone.items() if found.placed), 0)
+    if carrier:
+        first, world = place.whole(models[carrier], blind)
+    joining = Joining(scene, verified, tuning.placement, models, {carrier: world})
+    assembly = _Assembly(models, first, joining, place, blind, alone, tuning)
     while left := assembly.left():
         if not (assembly.by_matches(left) or assembly.by_positions(left) or assembly.by_points(left)):
             break
@@ -151,11 +164,12 @@ class _Assembly:
         joining: Joining,
         place: ByPositions,
         given: Measurements,
+        alone: Mapping[int, Georeference],
         tuning: Tuning,
     ) -> None:
         self._models, self._first, self._joining, self._tuning = models, first, joining, tuning
         self._whole = lambda number: place.whole(models[number], given)[1]
-        self._alone = {k: place.similarity(models[k], given) for k in range(1, len(models))}
+        self._alone = {k: found for k, found in alone.items() if k not in joining.world}
         self._others: dict[int, Joined] = {}
         self._contradictions: list[str] = []
 
@@ -223,13 +237,13 @@ def _by_positions(
     """What its positions make of a model that no match joins."""
     test = joining.tests.get(number)
     out = Joined(number, model.num_reg_images(), test=test)
-    loose = "no match runs between it and the others" if test is None else (
+    loose = "no match joins it to the others" if test is None else (
         f"{test.total} matches run between it and the others, of which {test.ties} agree with one similarity"
     )  # fmt: skip
     if not own.placed or own.placing is None:
         return replace(out, why_not=f"{loose}, and it has too few positions of its own")
     if not first.placed:
-        return replace(out, why_not=f"{loose}, and the first model has no positions to meet its own")
+        return replace(out, why_not=f"{loose}, and the model that carries the world has no positions to meet its own")
     roll = own.placing.fit.roll_sigma_deg
     if roll > tuning.world.similarity_fit.roll_limit_deg:
         known = known_to(roll, RIGHT_ANGLE_DEG, f"{roll:.0f} deg only")
@@ -249,7 +263,7 @@ def _by_points(
 
     Not where its matches contradict each other: points cannot settle that.
     """
-    if unplaced.test is not None:
+    if unplaced.test is not None or not tuning.clouds.tried:
         return unplaced
     world, scene = ground
     own = surface_of([models[unplaced.number]], scene, tuning)
