@@ -142,12 +142,14 @@ def _track(evidence: Evidence, similarity: Similarity) -> tuple[np.ndarray, np.n
 def by_errors(evidence: Evidence, up: Up | None, fit: Fit, rows: Stated, tuning: FitTuning, noise: NoiseTuning) -> Fit:
     """The fit moved to where its believed positions put it by their errors as these are estimated (white, slow and
     common: ``positionerrors``) and by what the model may bend, with the covariance that these leave."""
-    fit = replace(fit, arm=FittedArm(evidence.arm.place, fit.arm.covariance), clock=Clock(0.0, fit.clock.sigma_s))
     stated, seen = rows.common, fit.inlier[: len(rows.level)]
+    if not seen.any():  # control points alone may be all that is believed
+        return fit
+    fit = replace(fit, arm=FittedArm(evidence.arm.place, fit.arm.covariance), clock=Clock(0.0, fit.clock.sigma_s))
     believed = dict.fromkeys((7, 8, 9), tuning.antenna_sigma_m) if evidence.arm.estimate else {}
     believed |= {7 + len(believed): tuning.offset_sigma_s} if evidence.estimate_offset else {}
     modes = 0 if evidence.bend is None else evidence.bend.shape[2]
-    for _ in range(_STEPS if seen.any() else 0):  # control points alone may be all that is believed
+    for _ in range(_STEPS):
         problem = _Problem(evidence, up, fit.similarity, tuning)
         x = problem.at(fit)
         errors = PositionErrors(_linearised(problem, x, fit.inlier, rows, seen), noise)

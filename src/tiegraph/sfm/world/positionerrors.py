@@ -23,6 +23,7 @@ from tiegraph.sfm.tuning.world import NoiseTuning
 MEDIAN_CHI2_3 = 2.366  # median of chi-square with three degrees of freedom
 _REACH = np.log(100.0)  # of the logarithms of sizes: beyond, positions are made and not measured, or of another survey
 HARDLY = 0.9  # of the sigma that is believed beforehand: what tells no more than that tells nothing
+_OPEN = 1e-10  # of what is known of an unknown: what nothing tells gets a huge sigma instead of a singular matrix
 _MOST = 1 - 1e-9  # correlation of two positions of one instant
 
 
@@ -129,7 +130,10 @@ class PositionErrors:
         weighed = precise[:, None] * sides
         weighed -= precise[:, None] * cho_solve_banded((factor, False), weighed)
         sides, weighed = (v.reshape(len(precise) * 3, -1) for v in (sides, weighed))
-        return 3 * float(lost), self._linear.known + sides.T @ weighed
+        normal = self._linear.known + sides.T @ weighed
+        unknowns = np.arange(len(normal) - 1)
+        normal[unknowns, unknowns] += _OPEN * np.maximum(np.diag(normal)[:-1], _OPEN)
+        return 3 * float(lost), normal
 
     def step(self, believed: Mapping[int, float]) -> tuple[np.ndarray, np.ndarray]:
         """What the unknowns are to be moved by (D,) for the best fit, and their covariance (D, D).
@@ -139,10 +143,10 @@ class PositionErrors:
         it all places, far along a straight way.
         """
         normal = self._normal(self.sizes)[1]
-        every = np.linalg.pinv(normal[:-1, :-1], hermitian=True)
+        every = np.linalg.inv(normal[:-1, :-1])
         held = np.array([k for k, sigma in believed.items() if every[k, k] > (HARDLY * sigma) ** 2], int)
         free = np.setdiff1d(np.arange(len(every)), held)
-        own = np.linalg.pinv(normal[np.ix_(free, free)], hermitian=True)
+        own = np.linalg.inv(normal[np.ix_(free, free)])
         moved, follows = np.zeros(len(every)), np.zeros((len(every), len(held)))
         moved[free], follows[free] = -own @ normal[free, -1], -own @ normal[np.ix_(free, held)]
         follows[held, range(len(held))] = 1.0
