@@ -11,10 +11,12 @@ import pytest
 from moving_world import moving_world, write_database
 
 from tiegraph.geometry import transforms
-from tiegraph.scene.colmapmodel import image_poses, rigid3d
+from tiegraph.geometry.align import umeyama
+from tiegraph.scene.colmapmodel import image_poses, matrix, rigid3d
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.placement.consistency import ConsistencyVotes, suspect_frames
 from tiegraph.sfm.placement.doubtful import Explained, MatchSource, PlacementCheck, explained, leave_out_doubtful
+from tiegraph.sfm.placement.parts import part_moves, placed_anew
 from tiegraph.sfm.placement.rival import rivals, told
 from tiegraph.sfm.tuning.placement import PlacementTuning
 
@@ -47,9 +49,8 @@ def _centres(model: pycolmap.Reconstruction, scene: Scene) -> np.ndarray:
     return transforms.centre(poses)
 
 
-def _shift(model: pycolmap.Reconstruction, frames: range, step_m: Sequence[float]) -> None:
-    """Frames to another place, with points of their own there, as a repeated wall does it."""
-    move = transforms.rigid(np.eye(3), np.array(step_m))
+def _shift(model: pycolmap.Reconstruction, frames: range, step_m: Sequence[float], scale: float = 1.0) -> None:
+    """Frames to another place, and of another size, with points of their own there, as a repeated wall does it."""
     inside = {i for i in model.reg_image_ids() if model.image(i).frame_id - 1 in frames}
     for key, point in list(model.points3D.items()):
         place = np.array(point.xyz)
@@ -57,13 +58,14 @@ def _shift(model: pycolmap.Reconstruction, frames: range, step_m: Sequence[float
         own, rest = [e for e in elements if e[0] in inside], [e for e in elements if e[0] not in inside]
         if own:
             model.delete_point3D(key)
-            for part, xyz in ((own, place + move[:3, 3]), (rest, place)):
+            for part, xyz in ((own, scale * place + step_m), (rest, place)):
                 if len(part) >= 2:
                     model.add_point3D(xyz, pycolmap.Track([pycolmap.TrackElement(*e) for e in part]))
     for f in frames:
         pose = model.frame(f + 1).rig_from_world
-        now = np.vstack([pose.matrix(), [0, 0, 0, 1]])
-        model.frame(f + 1).rig_from_world = rigid3d(now @ transforms.invert(move))
+        now = transforms.invert(matrix(pose))
+        now[:3, 3] = scale * now[:3, 3] + step_m
+        model.frame(f + 1).rig_from_world = rigid3d(transforms.invert(now))
 
 
 def test_a_good_model_is_let_be(world, tmp_path: Path) -> None:
@@ -116,6 +118,26 @@ def test_where_else_a_frame_could_stand_is_found(world, tmp_path: Path, cameras:
     assert found.percent() == pytest.approx(percent, abs=3)
     (said,) = told({6: rival}, scene)
     assert f"cam0/006.jpg: {rival.here} matches agree with its place, {rival.there} with one 3.04 units" in said
+
+
+@pytest.mark.parametrize(
+    ("frames", "scale"), [(range(5, 9), 1.0), (range(9, 14), 1.0), (range(7, 14), 1.0), (range(9, 14), 1.1)]
+)
+def test_a_part_that_stands_wrong_moves_as_a_whole(world, tmp_path: Path, frames: range, scale: float) -> None:
+    """A section in the middle, an end, a half, and one that is of another size; what is right stays."""
+    model, scene = world
+    true = _centres(model, scene)
+    _shift(model, frames, (0.5, 0, 15), scale)
+    off = _centres(model, scene)
+    found = _explained(model, scene, tmp_path)
+    moves = part_moves(found, TUNING)
+    assert set(moves) == set(frames) or set(moves) == set(range(14)) - set(frames) and len(frames) == 7
+    now = np.array([moves[f](off[f]) if f in moves else off[f] for f in range(14)])
+    assert np.linalg.norm(umeyama(now, true)(now) - true, axis=1).max() < 0.02
+    poses, out = placed_anew(model, scene, found.verified, TUNING)
+    assert sorted(poses) == [f + 1 for f in sorted(moves)] and out == []
+    placed = np.array([transforms.centre(matrix(poses[f + 1])) for f in sorted(moves)])
+    assert np.allclose(placed, now[sorted(moves)], atol=1e-9)
 
 
 def test_a_model_that_fell_apart_keeps_its_frames_and_it_is_said(world, tmp_path: Path) -> None:

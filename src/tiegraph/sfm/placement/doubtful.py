@@ -32,14 +32,20 @@ class MatchSource:
 
 @dataclass(frozen=True)
 class Explained:
-    """Which verified matches a model explains, by pair of images (``agreement``), and why frames stand in doubt."""
+    """Which verified matches a model explains, by pair of images (``agreement``), and why frames stand in doubt:
+    single ones, and ``parts`` that stand wrong together."""
 
     scene: Scene
     verified: VerifiedMatches
     seen: ImageObservations
     agreed: np.ndarray
-    doubts: Mapping[int, str]
+    parts: Mapping[tuple[int, ...], str]
     tuning: ConsistencyTuning
+
+    @property
+    def doubts(self) -> dict[int, str]:
+        """By frame."""
+        return {f: why for frames, why in self.parts.items() for f in frames}
 
     def percent(self) -> float:
         """Of the matches that have an opinion."""
@@ -68,9 +74,8 @@ def explained(
     seen = image_observations(model, scene, tuning.agreement)
     agreed = agreement(verified, seen)
     votes = consistency_votes(verified, agreed, scene, tuning.consistency)
-    suspects = suspect_frames({int(scene.frame[k]) for k in seen.cameras}, scene, votes)
-    why = {f: reason for frames, reason in suspects.items() for f in frames}
-    return Explained(scene=scene, verified=verified, seen=seen, agreed=agreed, doubts=why, tuning=tuning.consistency)
+    parts = suspect_frames({int(scene.frame[k]) for k in seen.cameras}, scene, votes)
+    return Explained(scene=scene, verified=verified, seen=seen, agreed=agreed, parts=parts, tuning=tuning.consistency)
 
 
 @dataclass(frozen=True)
@@ -109,17 +114,6 @@ def leave_out_doubtful(
         rows.append([names[0], reason])
         dropped += [(name, f"{LEFT_OUT}{reason}") for name in names]
     return PlacementCheck(notes, {"columns": ["frame", "left out because"], "rows": rows}, dropped)
-
-
-def doubted_frames(
-    model: pycolmap.Reconstruction, scene: Scene, verified: VerifiedMatches, tuning: PlacementTuning
-) -> list[int]:
-    """COLMAP's ids of the frames whose place is doubtful; none if they are the larger half (a rig that is wrong): the
-    others are nothing to lean on."""
-    found = explained(model, scene, verified, tuning)
-    placed = {int(scene.frame[k]) for k in found.seen.cameras}
-    doubted = found.doubts if 2 * len(found.doubts) <= len(placed) else {}
-    return [frame_id for frame in sorted(doubted) for frame_id in frame_ids(model, scene, frame)]
 
 
 def frame_ids(model: pycolmap.Reconstruction, scene: Scene, frame: int) -> list[int]:
