@@ -73,8 +73,8 @@ def explained(
     """Ask a model for all its verified matches."""
     seen = image_observations(model, scene, tuning.agreement)
     agreed = agreement(verified, seen)
-    votes = consistency_votes(verified, agreed, scene, tuning.consistency)
-    parts = suspect_frames({int(scene.frame[k]) for k in seen.cameras}, scene, votes)
+    votes = consistency_votes(verified, agreed, scene)
+    parts = suspect_frames({int(scene.frame[k]) for k in seen.cameras}, votes, tuning.consistency)
     return Explained(scene=scene, verified=verified, seen=seen, agreed=agreed, parts=parts, tuning=tuning.consistency)
 
 
