@@ -9,7 +9,7 @@ import pycolmap
 
 from tiegraph.scene.registered import LEFT_OUT
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.placement.consistency import consistency_votes, suspect_frames
+from tiegraph.sfm.placement.consistency import ConsistencyVotes, consistency_votes, suspect_frames
 from tiegraph.sfm.tuning.placement import ConsistencyTuning, PlacementTuning
 from tiegraph.sfm.verified import ImageObservations, VerifiedMatches, agreement, image_observations, read_verified
 from tiegraph.text import some
@@ -39,6 +39,7 @@ class Explained:
     verified: VerifiedMatches
     seen: ImageObservations
     agreed: np.ndarray
+    votes: ConsistencyVotes
     parts: Mapping[tuple[int, ...], str]
     tuning: ConsistencyTuning
 
@@ -53,10 +54,8 @@ class Explained:
 
     def of_frames(self) -> np.ndarray:
         """(F, 2): matches of each frame with others that are explained, and all."""
-        frames = self.scene.frame[self.verified.pairs]
-        apart = np.tile(frames[:, 0] != frames[:, 1], 2)
-        values = self.agreed[:, :2].T.ravel(), np.tile(self.agreed[:, 2], 2)
-        return np.column_stack([np.bincount(frames.T.ravel(), apart * v, self.scene.frames) for v in values])
+        agree, against = (np.asarray(table.sum(axis=1)) for table in (self.votes.agree, self.votes.against))
+        return np.column_stack([agree, agree + against])
 
     def table(self) -> dict:
         """The frames of whose matches with other frames the model explains least."""
@@ -75,7 +74,9 @@ def explained(
     agreed = agreement(verified, seen)
     votes = consistency_votes(verified, agreed, scene)
     parts = suspect_frames({int(scene.frame[k]) for k in seen.cameras}, votes, tuning.consistency)
-    return Explained(scene=scene, verified=verified, seen=seen, agreed=agreed, parts=parts, tuning=tuning.consistency)
+    return Explained(
+        scene=scene, verified=verified, seen=seen, agreed=agreed, votes=votes, parts=parts, tuning=tuning.consistency
+    )
 
 
 @dataclass(frozen=True)
