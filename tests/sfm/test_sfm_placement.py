@@ -171,8 +171,12 @@ def test_photographs_numbered_in_another_order_than_they_stand_all_stay(world, t
     "agree, contradict, kept",
     [
         ({(2, 7): 200.0, (3, 8): 200.0}, {}, True),  # true ties over a gap in the pass
-        ({(2, 7): 200.0, (3, 8): 200.0}, {(4, 5): 100.0, (4, 6): 60.0}, True),  # fewer speak against than for it
-        ({(2, 7): 200.0, (3, 8): 200.0}, {(1, 9): 300.0, (0, 8): 200.0}, False),  # more speak against than for it
+        (
+            {(2, 7): 200.0, (3, 8): 200.0},
+            {(4, 5): 300.0, (4, 6): 200.0},
+            True,
+        ),  # not clearly more speak against than for it
+        ({(2, 7): 200.0, (3, 8): 200.0}, {(1, 9): 400.0, (0, 8): 300.0}, False),  # more speak against than for it
     ],
 )
 def test_a_half_that_hangs_on_few_ties_is_judged_by_these(agree: dict, contradict: dict, kept: bool) -> None:
@@ -186,7 +190,7 @@ def test_a_half_that_hangs_on_few_ties_is_judged_by_these(agree: dict, contradic
 @pytest.mark.parametrize(
     "agree, contradict, left_out",
     [
-        ({(3, 4): 60.0, (5, 8): 55.0}, {(3, 5): 80.0, (4, 7): 90.0}, (4, 5, 6)),  # more speak against than for them
+        ({(3, 4): 60.0, (5, 8): 45.0}, {(3, 5): 80.0, (4, 7): 90.0}, (4, 5, 6)),  # more speak against than for them
         ({(3, 4): 300.0, (5, 8): 200.0}, {(2, 4): 90.0, (5, 7): 90.0}, ()),  # more speak for them
         ({(3, 4): 60.0, (5, 8): 55.0}, {}, ()),  # few points hold them, and all agree: said elsewhere
     ],
@@ -211,5 +215,5 @@ def test_halves_of_two_passes_that_false_ties_hold_together_are_found() -> None:
     )
     beside = {(k, k + 1): 300.0 for k in range(11) if k not in (2, 5, 8)}
     agree = {**beside, (0, 6): 500.0, (1, 7): 500.0, (2, 8): 500.0, (3, 9): 400.0, (4, 10): 400.0, (2, 9): 90.0}
-    found = _suspects(scene, agree, {(2, 3): 60.0, (8, 9): 60.0})
+    found = _suspects(scene, agree, {(2, 3): 80.0, (8, 9): 80.0})
     assert len(found) == 1 and next(iter(found)) in ((0, 1, 2, 6, 7, 8), (3, 4, 5, 9, 10, 11))

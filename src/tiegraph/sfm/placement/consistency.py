@@ -2,8 +2,8 @@
 
 A repeated wall holds a frame, a block or a whole pass at the wrong place with ties that agree among themselves, and a
 bad start lets it slide along a straight path. What gives it away are the verified matches that the mapper had to throw
-out: the points that others made of them are not where it sees them. A place of whose matches the model explains fewer
-than it leaves is in doubt.
+out: the points that others made of them are not where it sees them. A place of whose matches the model leaves clearly
+more than it explains is in doubt.
 
 Frames are asked one by one and in the groups that their agreeing ties join: each of three frames that stand wrong
 together has most of its ties with the other two, which agree. How a pass goes on says nothing: who numbers photographs
@@ -48,11 +48,11 @@ def contradiction(
     frames: Collection[int], believed: np.ndarray, votes: ConsistencyVotes, tuning: ConsistencyTuning
 ) -> tuple[float, str]:
     """By how many matches frames and believed others (F,) bool contradict each other more than they agree, and why that
-    speaks against their place; "" if it does not."""
+    speaks against their place; "" if it does not, or not clearly."""
     others, own = believed.astype(float), list(frames)
     others[own] = 0
     agree, against = (float((table[own] @ others).sum()) for table in (votes.agree, votes.against))
-    doubtful = against >= tuning.min_votes and against > agree
+    doubtful = against >= tuning.min_votes and against > tuning.loses * agree
     why = f"most of its matches contradict its place ({against:.0f} to {agree:.0f})" if doubtful else ""
     return against - agree, why
 
