@@ -5,11 +5,12 @@
 Each case takes the finished model of a run, moves one frame, one section of a pass (a third of its frames) or one pass
 by some steps ``along`` the path, ``across`` it, or by a ``period`` of 8 m along it (without a known scale four steps),
 and starts from these poses as the program does from any: points made anew, staged adjustment, the test of places. The
-database and the model are read, never changed. Places are compared with the finished model's after the similarity of
-the frames that were not moved; ``off`` is a tenth of the usual step. Of each case: ``mended`` (all moved frames are
-back), ``told`` (those that are not are left out, or the start was refused), ``missed`` (one stands off and nothing says
-so), ``right`` frames that stand off, and ``lost`` ones. ``--only-found``: whether the test of places has all moved
-frames in doubt, and how many ``right`` ones, in the model whose points are made anew, before any adjustment.
+database and the model are read, never changed. Places are compared with what starts from the poses as they are, after
+the similarity of the frames that were not moved; ``off`` is a tenth of the usual step. Of each case: ``mended`` (all
+moved frames are back), ``told`` (those that are not are left out, or the start was refused), ``missed`` (one stands off
+and nothing says so), ``right`` frames that stand off, and ``lost`` ones. ``--only-found``: whether the test of places
+has all moved frames in doubt, and how many ``right`` ones, in the model whose points are made anew, before any
+adjustment.
 """
 
 from __future__ import annotations
@@ -72,7 +73,7 @@ class Run:
         with pycolmap.Database.open(self.database) as database:  # the lenses are known: only places are wrong
             for camera in model.cameras.values():
                 database.update_camera(camera)
-        self.rig = frame_poses(self.poses, self.scene)
+        self.rig = self.unmoved = frame_poses(self.poses, self.scene)
         world = json.loads((out / "world.json").read_text()) if (out / "world.json").exists() else None
         counts = json.loads((out / "receipts" / "georef.json").read_text())["counts"] if world else {}
         self.metres = float(counts.get("scale", 1.0))
@@ -109,12 +110,12 @@ class Run:
         return size * float(rng.choice([-1.0, 1.0])) * ahead
 
     def usual(self) -> float:
-        """Median step between neighbours of a pass, units of the model."""
+        """Mean step between neighbours of a pass, units of the model: a car stands still at times."""
         steps = []
         for sequence in np.unique(self.scene.sequence):
             order = self.scene.in_order((self.scene.sequence == sequence) & np.isfinite(self.rig[:, 0, 0]))
             steps += np.linalg.norm(np.diff(self.rig[order, :3, 3], axis=0), axis=1).tolist()
-        return float(np.median(steps))
+        return float(np.mean(steps))
 
     def request(self, poses: np.ndarray) -> Request:
         """To map from poses (N, 4, 4)."""
@@ -181,7 +182,7 @@ def _became(run: Run, frames: np.ndarray, model: Any, notes: list[str], refused:
     if model is None:
         return {"outcome": "told", "refused": refused, "right": 0, "lost": 0}
     there = frame_poses(image_poses(model, run.scene), run.scene)[:, :3, 3]
-    true, own = run.rig[:, :3, 3], np.isin(np.arange(run.scene.frames), frames)
+    true, own = run.unmoved[:, :3, 3], np.isin(np.arange(run.scene.frames), frames)
     placed, known = np.isfinite(there).all(axis=1), np.isfinite(true).all(axis=1)
     rest = placed & known & (~own | (2 * own.sum() >= known.sum()))
     fit, _ = robust_umeyama(there[rest], true[rest], sigma=0.02 * run.usual())
@@ -211,6 +212,8 @@ def main(argv: list[str] | None = None) -> int:
         name, folder = item.split("=", 1)
         with tempfile.TemporaryDirectory() as work:
             run = Run(name, Path(folder), Path(work))
+            if not args.only_found:
+                run.unmoved = frame_poses(image_poses(run.started(run.poses)[0], run.scene), run.scene)
             passes = len(np.unique(run.scene.sequence[np.isfinite(run.rig[:, 0, 0])]))
             for what in [w for w in args.what if w != "pass" or passes > 1]:
                 for where in args.where:

@@ -14,6 +14,7 @@ from tiegraph.scene.colmapmodel import image_poses
 from tiegraph.sfm.adjustment.adjust import _solve, final_adjustment
 from tiegraph.sfm.adjustment.jacobians import Layout, RigConstraint, RigConstraints, skew
 from tiegraph.sfm.covariance import MOUNTING, position_sigma
+from tiegraph.sfm.finish import _open_places
 from tiegraph.sfm.model import frame_poses
 from tiegraph.sfm.shape import Shape
 from tiegraph.sfm.tuning import Tuning
@@ -169,6 +170,30 @@ def test_unknown_intrinsics_and_rig_widen_the_sigmas(world) -> None:
     known, free = position_sigma(model, False, False, tuning=TUNING), position_sigma(model, tuning=TUNING)
     assert known.median < free.median < 50 * known.median
     assert free.median <= free.p90
+
+
+@pytest.mark.parametrize("others", [1, 9])
+def test_a_frame_whose_points_no_two_others_see_has_an_unknown_distance(others: int) -> None:
+    """Along a straight path: across it two rays tell, along it nothing; it is named, its neighbours behind it."""
+    model, scene = moving_world(frames=10)
+    for key, point in list(model.points3D.items()) if others == 1 else []:
+        xyz, seen = np.array(point.xyz), [(e.image_id, e.point2D_idx) for e in point.track.elements]
+        own = [e for e in seen if e[0] > 27]
+        same = [e for e in seen if len(own) == 1 and e[0] < 28 and (own[0][0] - e[0]) % 3 == 0]
+        if own:
+            model.delete_point3D(key)
+        if own and same:
+            two = own[0], same[key % len(same)]
+            model.add_point3D(xyz, pycolmap.Track([pycolmap.TrackElement(*e) for e in two]))
+    model = _noisy(model, 0.3, 0)
+    sigma = position_sigma(model, free_intrinsics=False, free_rig=False, tuning=TUNING)
+    said = _open_places(Shape.of(model, sigma, scene), scene, TUNING.sigma)
+    x, _, along = sigma.sigma[-1]
+    if others == 9:
+        assert along < 0.003 and said == []
+    else:
+        assert 0.1 < along < 3 and x < 0.2 * along
+        assert "(sigma 0." in said[0] and ": cam0/009.jpg: " in said[0]
 
 
 def test_two_frames_have_no_sigma(tmp_path) -> None:

@@ -88,13 +88,19 @@ def test_frames_without_a_pose_are_registered(world, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_frames_that_the_poses_have_at_a_wrong_place_are_placed_by_their_matches(world, tmp_path: Path) -> None:
-    """Seneca's coarse model had four photographs elsewhere: they stayed there, and were left out in the end."""
+@pytest.mark.parametrize("part", [False, True])
+def test_frames_that_the_poses_have_at_a_wrong_place_are_placed_by_their_matches(world, tmp_path: Path, part) -> None:
+    """Seneca's coarse model had four photographs elsewhere: they stayed there, and were left out in the end. A part
+    moves as a whole, without a frame being placed by itself."""
     true, scene = world
     frames = frame_poses(_rough(true, scene), scene)
-    frames[[4, 9]] = frames[[10, 3]] @ transforms.rigid(_turned(20), np.array([3.0, 0, 0]))
+    if part:
+        frames[7:] = transforms.rigid(_turned(20), np.array([3.0, 0, 12.0])) @ frames[7:]
+    else:
+        frames[[4, 9]] = frames[[10, 3]] @ transforms.rigid(_turned(20), np.array([3.0, 0, 0]))
     extrinsics = np.stack([scene.rigs[0].sensors[s].sensor_from_rig for s in scene.sensor])
-    mapped = _map(tmp_path, scene, extrinsics @ transforms.invert(frames[scene.frame]))
+    tuning = Tuning(start=StartTuning(staged={"register_rounds": 0})) if part else None
+    mapped = _map(tmp_path, scene, extrinsics @ transforms.invert(frames[scene.frame]), tuning=tuning)
     assert mapped.refused == ""
     assert pycolmap.Reconstruction(mapped.folders[0]).num_reg_images() == len(scene)
     _assert_near(mapped.folders[0], true, scene)

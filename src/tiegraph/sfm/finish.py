@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pycolmap
+from scipy.spatial.distance import pdist, squareform
 
 from tiegraph.scene.atomic import claim
 from tiegraph.scene.colmapmodel import read_model
@@ -22,7 +23,9 @@ from tiegraph.sfm.rig.support import place_as_given, units_per_metre
 from tiegraph.sfm.rigcheck import Checked, FinishRequest, checked_rig
 from tiegraph.sfm.shape import Shape
 from tiegraph.sfm.tuning import SigmaTuning
-from tiegraph.text import known_to
+from tiegraph.text import known_to, some
+
+_NAMED = 3  # frames that a sentence names
 
 
 @dataclass(frozen=True)
@@ -221,7 +224,8 @@ def _precision(checked: Checked, scene: Scene, request: FinishRequest, steps: Ma
     except (ValueError, RuntimeError, np.linalg.LinAlgError) as error:
         return FinishResult([f"position sigmas could not be computed: {error}"])
     names = {k + 1: s.name for k, s in enumerate(scene.all_sensors)}
-    return FinishResult(_open_notes(sigma, names, request.tuning.sigma), sigma.tables(names), sigma=sigma, shape=shape)
+    notes = _open_notes(sigma, names, request.tuning.sigma) + _open_places(shape, scene, request.tuning.sigma)
+    return FinishResult(notes, sigma.tables(names), sigma=sigma, shape=shape)
 
 
 def _position_sigma(checked: Checked, scene: Scene, request: FinishRequest) -> PositionSigma:
@@ -250,3 +254,14 @@ def _open_notes(sigma: PositionSigma, names: Mapping[int, str], tuning: SigmaTun
         "cameras; measured and given in a rig file it would place its images"
         for camera, share in sigma.open_mountings(tuning).items()
     ]
+
+
+def _open_places(shape: Shape | None, scene: Scene, tuning: SigmaTuning) -> list[str]:
+    """Frames that hardly anything tells how far off they stand, such as one whose points no two others see."""
+    if shape is None:
+        return []
+    size, step = shape.sigma, np.sort(squareform(pdist(shape.place)), axis=1)[:, 1]
+    rows = np.flatnonzero((size > tuning.open_share * step) & (size > tuning.open_times * np.median(size)))
+    each = [f"{scene.frame_names[shape.index[k]]}: {size[k]:.2g}" for k in rows[np.argsort(-size[rows])]]
+    said = f"{len(rows)} frames are placed far worse than the others (sigma {np.median(size):.2g} units of the model)"
+    return [f"{said}: {some(each, _NAMED)}; too few points tie them to two other frames"] if each else []

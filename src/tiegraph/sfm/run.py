@@ -14,9 +14,9 @@ from tiegraph.scene.rig import Rig, rig_from_dict, rig_to_dict
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.solver import THREADS, factorised
 from tiegraph.sfm.database import write_working_copy
-from tiegraph.sfm.placement.doubtful import doubted_frames
+from tiegraph.sfm.placement.parts import placed_anew
 from tiegraph.sfm.start.poses import largest_component, start_from
-from tiegraph.sfm.start.stagedadjustment import Doubted, model_from, place_doubted, refusal
+from tiegraph.sfm.start.stagedadjustment import Anew, model_from, place_anew, refusal
 from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.verified import VerifiedMatches, read_verified
 
@@ -101,8 +101,7 @@ def run_mapper(request: Request, send: Callable[[Any], None]) -> MappingResult:
     ordered = sorted(models.values(), key=lambda m: (-m.num_reg_images(), -m.num_points3D()))
     if ordered and not request.method.rough and request.tuning.adjust.iterations:
         verified = read_verified(seen.database, scene, seen.refused)
-        doubted = _doubted(request, scene, verified)
-        place_doubted(ordered[0], working, _options(request, False), request.tuning, doubted)
+        place_anew(ordered[0], working, _options(request, False), request.tuning, _anew(request, scene, verified))
     folders = []
     for number, model in enumerate(m for m in ordered if m.num_reg_images() >= 2):
         folder = request.folder / str(number)
@@ -130,8 +129,8 @@ def _from_poses(
     if start is None:
         return MappingResult([], refused="neither matches nor positions tell the length of its path against the rig")
     write_working_copy(seen.database, working, scene, start.rigs, None, seen.refused, seen.only)
-    doubted = _doubted(request, scene, verified)
-    model = model_from(working, scene, start, lambda free: _options(request, free), request.tuning, send, doubted)
+    anew = _anew(request, scene, verified)
+    model = model_from(working, scene, start, lambda free: _options(request, free), request.tuning, send, anew)
     working.unlink()
     refused = refusal(model, scene, verified, piece, request.tuning)
     if refused:
@@ -142,9 +141,9 @@ def _from_poses(
     return MappingResult([folder], start.notes)
 
 
-def _doubted(request: Request, scene: Scene, verified: VerifiedMatches) -> Doubted:
+def _anew(request: Request, scene: Scene, verified: VerifiedMatches) -> Anew:
     """What asks a model for its doubtful frames."""
-    return lambda model: doubted_frames(model, scene, verified, request.tuning.placement)
+    return lambda model: placed_anew(model, scene, verified, request.tuning.placement)
 
 
 def _options(request: Request, free: bool) -> pycolmap.IncrementalPipelineOptions:

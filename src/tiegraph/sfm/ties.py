@@ -47,6 +47,11 @@ class Ties:
         """Some of them (boolean or index array)."""
         return Ties(self.images[rows], self.xyz[:, rows], self.centre[:, rows])
 
+    def moved(self, first: Similarity) -> Ties:
+        """The same after the first model was moved."""
+        xyz, centre = (np.stack([first(v[0]), v[1]]) for v in (self.xyz, self.centre))
+        return Ties(self.images, xyz, centre)
+
     def angles(self, first_from_second: Similarity) -> np.ndarray:
         """(K, 6) sines between what either camera sees of its own point and of the other model's."""
         moved, back = first_from_second(self.xyz[1]), first_from_second(self.centre[1])
@@ -246,9 +251,9 @@ class Joining:
         """The model most matches join to the world, of those whose matches hold."""
         found: tuple[int, TieFit, TieTest] | None = None
         for number in numbers:
-            ties = _together(self._ties.get(number, []))
-            fit = fit_ties(ties, self._tuning) if ties is not None else None
-            if ties is None or fit is None:
+            ties = together(self._ties.get(number, []))
+            fit = fit_ties(ties, self._tuning)
+            if fit is None:
                 continue
             self.tests[number] = test = tested(ties, fit, self._tuning)
             if test.holds(self._tuning) and (found is None or test.ties > found[2].ties):
@@ -272,11 +277,11 @@ def moved(model: pycolmap.Reconstruction, world_from_model: Similarity) -> pycol
     return out
 
 
-def _together(ties: Sequence[Ties]) -> Ties | None:
-    if not ties:
-        return None
+def together(ties: Sequence[Ties]) -> Ties:
+    """Ties of several models to one."""
+    none = np.zeros((2, 0, 3))
     return Ties(
-        np.concatenate([t.images for t in ties]),
-        np.concatenate([t.xyz for t in ties], axis=1),
-        np.concatenate([t.centre for t in ties], axis=1),
+        np.concatenate([np.zeros((0, 2), int), *(t.images for t in ties)]),
+        np.concatenate([none, *(t.xyz for t in ties)], axis=1),
+        np.concatenate([none, *(t.centre for t in ties)], axis=1),
     )

@@ -9,7 +9,7 @@ import pycolmap
 
 from tiegraph.scene.registered import LEFT_OUT
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.placement.consistency import consistency_votes, suspect_frames
+from tiegraph.sfm.placement.consistency import ConsistencyVotes, consistency_votes, suspect_frames
 from tiegraph.sfm.tuning.placement import ConsistencyTuning, PlacementTuning
 from tiegraph.sfm.verified import ImageObservations, VerifiedMatches, agreement, image_observations, read_verified
 from tiegraph.text import some
@@ -32,14 +32,21 @@ class MatchSource:
 
 @dataclass(frozen=True)
 class Explained:
-    """Which verified matches a model explains, by pair of images (``agreement``), and why frames stand in doubt."""
+    """Which verified matches a model explains, by pair of images (``agreement``), and why frames stand in doubt:
+    single ones, and ``parts`` that stand wrong together."""
 
     scene: Scene
     verified: VerifiedMatches
     seen: ImageObservations
     agreed: np.ndarray
-    doubts: Mapping[int, str]
+    votes: ConsistencyVotes
+    parts: Mapping[tuple[int, ...], str]
     tuning: ConsistencyTuning
+
+    @property
+    def doubts(self) -> dict[int, str]:
+        """By frame."""
+        return {f: why for frames, why in self.parts.items() for f in frames}
 
     def percent(self) -> float:
         """Of the matches that have an opinion."""
@@ -47,10 +54,8 @@ class Explained:
 
     def of_frames(self) -> np.ndarray:
         """(F, 2): matches of each frame with others that are explained, and all."""
-        frames = self.scene.frame[self.verified.pairs]
-        apart = np.tile(frames[:, 0] != frames[:, 1], 2)
-        values = self.agreed[:, :2].T.ravel(), np.tile(self.agreed[:, 2], 2)
-        return np.column_stack([np.bincount(frames.T.ravel(), apart * v, self.scene.frames) for v in values])
+        agree, against = (np.asarray(table.sum(axis=1)) for table in (self.votes.agree, self.votes.against))
+        return np.column_stack([agree, agree + against])
 
     def table(self) -> dict:
         """The frames of whose matches with other frames the model explains least."""
@@ -67,10 +72,11 @@ def explained(
     """Ask a model for all its verified matches."""
     seen = image_observations(model, scene, tuning.agreement)
     agreed = agreement(verified, seen)
-    votes = consistency_votes(verified, agreed, scene, tuning.consistency)
-    suspects = suspect_frames({int(scene.frame[k]) for k in seen.cameras}, scene, votes)
-    why = {f: reason for frames, reason in suspects.items() for f in frames}
-    return Explained(scene=scene, verified=verified, seen=seen, agreed=agreed, doubts=why, tuning=tuning.consistency)
+    votes = consistency_votes(verified, agreed, scene)
+    parts = suspect_frames({int(scene.frame[k]) for k in seen.cameras}, votes, tuning.consistency)
+    return Explained(
+        scene=scene, verified=verified, seen=seen, agreed=agreed, votes=votes, parts=parts, tuning=tuning.consistency
+    )
 
 
 @dataclass(frozen=True)
@@ -109,17 +115,6 @@ def leave_out_doubtful(
         rows.append([names[0], reason])
         dropped += [(name, f"{LEFT_OUT}{reason}") for name in names]
     return PlacementCheck(notes, {"columns": ["frame", "left out because"], "rows": rows}, dropped)
-
-
-def doubted_frames(
-    model: pycolmap.Reconstruction, scene: Scene, verified: VerifiedMatches, tuning: PlacementTuning
-) -> list[int]:
-    """COLMAP's ids of the frames whose place is doubtful; none if they are the larger half (a rig that is wrong): the
-    others are nothing to lean on."""
-    found = explained(model, scene, verified, tuning)
-    placed = {int(scene.frame[k]) for k in found.seen.cameras}
-    doubted = found.doubts if 2 * len(found.doubts) <= len(placed) else {}
-    return [frame_id for frame in sorted(doubted) for frame_id in frame_ids(model, scene, frame)]
 
 
 def frame_ids(model: pycolmap.Reconstruction, scene: Scene, frame: int) -> list[int]:

@@ -3,7 +3,7 @@
 The rounds take few points (``adjustment.fewpoints``); all are triangulated anew from what they found.
 """
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -25,8 +25,9 @@ from tiegraph.sfm.verified import VerifiedMatches, image_observations, rays_meet
 STEPS = ("poses", "lens", "centre")
 
 Options = pycolmap.IncrementalPipelineOptions
-Doubted = Callable[[pycolmap.Reconstruction], Collection[int]]
-"""COLMAP's ids of the frames of a model whose verified matches contradict their place."""
+Anew = Callable[[pycolmap.Reconstruction], tuple[Mapping[int, pycolmap.Rigid3d], Collection[int]]]
+"""Of the frames of a model whose verified matches contradict their place, by COLMAP's ids, new poses of those that
+move, and those that are taken out."""
 
 
 def model_from(
@@ -36,12 +37,12 @@ def model_from(
     options: Callable[[bool], Options],
     tuning: Tuning,
     send: Callable[[int], None],
-    doubted: Doubted,
+    anew: Anew,
 ) -> pycolmap.Reconstruction:
     """Triangulate the verified matches of the mapper's ``database`` from the poses of ``start``, and adjust.
 
     ``options(free)``: the pipeline's options with intrinsics and extrinsics free or held. Frames without a pose, and
-    those ``doubted``, are placed by their matches after an adjustment. ``send`` is told how many frames are placed.
+    those in doubt (``anew``), are placed by their matches after an adjustment. ``send`` is told how many are placed.
     """
     cache = read_cache(database, options(False).min_num_matches)
     model = pycolmap.Reconstruction()
@@ -54,9 +55,9 @@ def model_from(
     for stage in STEPS:
         _thin(mapper, tuning.adjust.few_points)
         _round(mapper, options(stage != "poses"), tuning, stage == "centre")
-        wrong = doubted(model) if stage != "centre" else ()
-        if stage == "poses" or wrong:
-            _take_out(mapper, wrong)
+        moved, out = anew(model) if stage != "centre" else ({}, ())
+        if stage == "poses" or moved or out:
+            _place(mapper, moved, out)
             _triangulate(mapper, options(False))
             _register(mapper, options(False), tuning.start.staged.register_rounds)
             send(model.num_reg_frames())
@@ -102,23 +103,25 @@ def _thin(mapper: pycolmap.IncrementalMapper, tuning: FewPointsTuning) -> None:
         mapper.observation_manager.delete_point3D(point_id)
 
 
-def place_doubted(
-    model: pycolmap.Reconstruction, database: Path, options: Options, tuning: Tuning, doubted: Doubted
-) -> None:
-    """Place the doubted frames of a mapper's model by their matches, and those that have no place yet."""
-    wrong = doubted(model)
-    if not wrong:
+def place_anew(model: pycolmap.Reconstruction, database: Path, options: Options, tuning: Tuning, anew: Anew) -> None:
+    """Place the frames of a mapper's model that are in doubt by their matches, and those that have no place yet."""
+    moved, out = anew(model)
+    if not moved and not out:
         return
     mapper = pycolmap.IncrementalMapper(read_cache(database, options.min_num_matches))
     mapper.begin_reconstruction(model)
-    _take_out(mapper, wrong)
+    _place(mapper, moved, out)
+    if moved:
+        _triangulate(mapper, options)
     _register(mapper, options, tuning.start.staged.register_rounds)
     mapper.end_reconstruction(False)
     model.update_point_3d_errors()
 
 
-def _take_out(mapper: pycolmap.IncrementalMapper, frames: Collection[int]) -> None:
-    for frame_id in sorted(frames):
+def _place(mapper: pycolmap.IncrementalMapper, moved: Mapping[int, pycolmap.Rigid3d], out: Collection[int]) -> None:
+    for frame_id, pose in moved.items():
+        mapper.reconstruction.frame(frame_id).rig_from_world = pose
+    for frame_id in out:
         mapper.observation_manager.deregister_frame(frame_id)
 
 
