@@ -5,7 +5,7 @@ of it is not known here: start, rig, sigmas and the adjustment in the world all 
 
 **The final adjustment** (``adjust``) is robust, with free principal points.
 
-**Priors** (``priors`` adds them all). What rig.toml gives with a sigma (``rigpriors``, ``constraints``), in the final
+**Priors** (``constraints.add_priors`` adds them all). What rig.toml gives with a sigma (``rigpriors``), in the final
 adjustment and in the one with positions; cameras that fire at a time of their own (``timecost``); what lenses look like
 (``lens``).
 

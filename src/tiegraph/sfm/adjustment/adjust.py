@@ -8,9 +8,8 @@ import pycolmap
 
 from tiegraph.scene.solver import all_images, factorised, options_of
 from tiegraph.sfm.adjustment import lens
-from tiegraph.sfm.adjustment.constraints import PoseConstraints
+from tiegraph.sfm.adjustment.constraints import PoseConstraints, add_priors
 from tiegraph.sfm.adjustment.fewpoints import take_poses, thinned
-from tiegraph.sfm.adjustment.priors import add_priors
 from tiegraph.sfm.tuning import AdjustTuning
 
 Cameras = dict[int, pycolmap.Camera] | pycolmap.CameraMap

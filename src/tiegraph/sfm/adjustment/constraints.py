@@ -13,8 +13,10 @@ import pycolmap.cost_functions
 from scipy.spatial.transform import Rotation
 
 from tiegraph.scene.colmapmodel import rigid3d
+from tiegraph.sfm.adjustment import lens, leverarmprior
 from tiegraph.sfm.adjustment.leverarmprior import NominalGeometry
 from tiegraph.sfm.adjustment.timecost import TimeOffsetPriors, add_time_offsets, pose_block
+from tiegraph.sfm.tuning import AdjustTuning
 
 
 @dataclass(frozen=True)
@@ -72,7 +74,24 @@ class PoseConstraints:
         return frozenset([*((s.rig_id, s.camera_id) for s in self.sensors), *pairs])
 
 
-def add_constraints(
+def add_priors(
+    adjuster: Any,
+    model: pycolmap.Reconstruction,
+    soft: PoseConstraints | None,
+    tuning: AdjustTuning,
+    given: Mapping[int, pycolmap.Camera] | None = None,
+) -> list[Any]:
+    """What a rig file gives with a sigma, what lenses look like, what a rig lets expect; keep it until it has solved.
+
+    ``given``: as of ``lens.add_priors``.
+    """
+    soft = PoseConstraints() if soft is None else soft
+    kept = _add_constraints(adjuster, model, soft, tuning.robust_px)
+    kept += lens.add_priors(adjuster.problem, model, given or {}, tuning)
+    return kept + leverarmprior.add_priors(adjuster.problem, model, soft.known_sensors(), soft.nominal, tuning)
+
+
+def _add_constraints(
     adjuster: Any, model: pycolmap.Reconstruction, soft: PoseConstraints, robust_px: float
 ) -> list[Any]:
     """Add the residuals to the problem of an adjuster over ``model``; keep what is returned until it has solved.

@@ -16,9 +16,8 @@ from tiegraph.scene.control import Control, Marks, ScaleBars
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.solver import all_images, factorised, options_of, undamped
 from tiegraph.sfm.adjustment.adjust import free_cameras, solve_points
-from tiegraph.sfm.adjustment.constraints import RelativePosePrior
+from tiegraph.sfm.adjustment.constraints import RelativePosePrior, add_priors
 from tiegraph.sfm.adjustment.costs import PriorCost
-from tiegraph.sfm.adjustment.priors import add_priors
 from tiegraph.sfm.adjustment.rigpriors import relaxed_frames, rig_priors
 from tiegraph.sfm.model import frame_poses
 from tiegraph.sfm.tuning import AdjustTuning, Tuning
