@@ -81,6 +81,14 @@ def test_apply_scales_the_rig_too(world) -> None:
         np.testing.assert_allclose(placed.rig(1).sensor_from_rig(sensor).translation, pose.translation, atol=1e-4)
 
 
+def test_positions_that_do_not_tell_the_size_place_nothing(world) -> None:
+    """Twenty photographs from one spot, to which positions of 5 m give places a millimetre apart."""
+    truth, scene = world
+    place = 0.001 * np.random.default_rng(0).standard_normal((20, 3))
+    found = georeference(_moved(truth), with_positions(scene, place, 5.0), GeorefSettings(), TUNING)
+    assert not found.placed and any("do not tell its size" in n for n in found.findings.notes)
+
+
 @pytest.mark.slow
 def test_lever_arm_given_and_estimated(world) -> None:
     truth, scene = world

@@ -76,6 +76,22 @@ def test_an_extended_camera_projects_as_before(tmp_path) -> None:
     assert wide.camera(1).img_from_cam(rays) == pytest.approx(start.camera(1).img_from_cam(rays))
 
 
+@pytest.mark.parametrize("model", ["RADIAL", "SIMPLE_RADIAL"])
+def test_free_radial_cameras_get_all_terms(tmp_path, model: str) -> None:
+    """With one radial term the second is taken up by the focal length."""
+    truth, start = _world(tmp_path)
+    for key, camera in start.cameras.items() if model == "SIMPLE_RADIAL" else ():
+        _put(
+            start, key, pycolmap.Camera(model=model, width=camera.width, height=camera.height, params=camera.params[:4])
+        )
+    found = final_adjustment(start, tuning=Tuning().adjust).model
+    for key in truth.cameras:
+        assert found.camera(key).model.name == "OPENCV"
+        assert found.camera(key).mean_focal_length() == pytest.approx(truth.camera(key).mean_focal_length(), rel=0.005)
+    held = final_adjustment(start, (), [1], tuning=Tuning().adjust).model
+    assert held.camera(1).model.name == model and held.camera(2).model.name == "OPENCV"
+
+
 def test_a_model_takes_another_s_cameras_with_their_models(tmp_path) -> None:
     """Parameters alone made a file that no one can read, after an hour of 4020 images."""
     _, start = _world(tmp_path, frames=4)
