@@ -85,7 +85,10 @@ def test_positions_that_do_not_tell_the_size_place_nothing(world) -> None:
     """Twenty photographs from one spot, to which positions of 5 m give places a millimetre apart."""
     truth, scene = world
     place = 0.001 * np.random.default_rng(0).standard_normal((20, 3))
-    found = georeference(_moved(truth), with_positions(scene, place, 5.0), GeorefSettings(), TUNING)
+    survey = with_positions(scene, place, 5.0)
+    assert georeference(_moved(truth), survey, GeorefSettings(), TUNING).placed  # the rig tells its size
+    nominal = survey.with_(rigs=tuple(replace(r, nominal=True) for r in scene.rigs))
+    found = georeference(_moved(truth), nominal, GeorefSettings(), TUNING)
     assert not found.placed and any("do not tell its size" in n for n in found.findings.notes)
 
 
