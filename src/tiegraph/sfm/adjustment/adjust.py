@@ -45,7 +45,7 @@ def final_adjustment(
     free = free_cameras(model, tuning) - set(constant_cameras)
     adjusted = lens.extended(model, lens.extensible(model, free))
     drop_momentary(adjusted, tuning.enough_seen)
-    few = thinned(adjusted, tuning.few_points)
+    few, last = thinned(adjusted, tuning.few_points), tuning.model_copy(update={"iterations": tuning.last_iterations})
     _solve(few, fixed_rigs, free, False, soft, tuning)
     for _ in range(tuning.robust_rounds - 1):
         pycolmap.ObservationManager(few).filter_all_points3D(tuning.filter_px, tuning.filter_angle_deg)
@@ -55,9 +55,9 @@ def final_adjustment(
         solve_points(adjusted, tuning)
     if few is not adjusted or tuning.robust_rounds:
         pycolmap.ObservationManager(adjusted).filter_all_points3D(tuning.filter_px, tuning.filter_angle_deg)
-        _solve(adjusted, fixed_rigs, free, tuning.robust_rounds > 0, soft, tuning)
+        _solve(adjusted, fixed_rigs, free, tuning.robust_rounds > 0, soft, last)
     asked = free_cameras(adjusted, tuning) & set(doubted)
-    adjusted, lenses = _with_doubted(adjusted, fixed_rigs, free, asked, soft, tuning)
+    adjusted, lenses = _with_doubted(adjusted, fixed_rigs, free, asked, soft, last)
     # The robust loss lets go of some points; those that went behind a camera have an infinite error.
     manager = pycolmap.ObservationManager(adjusted)
     manager.filter_observations_with_negative_depth()

@@ -103,8 +103,10 @@ class AdjustTuning(Section):
     filter_angle_deg: float = Field(1.0, ge=0)
     """Points go whose rays all meet at a smaller angle."""
     iterations: int = Field(100, ge=0)
-    """Of each solution, at most: a valley such as that of focal length and height over flat ground takes its time. 0:
-    the model stays as its mapper leaves it, neither adjusted nor checked."""
+    """Of a solution with few points, at most: a valley such as that of focal length and height over flat ground takes
+    its time. 0: the model stays as its mapper leaves it, neither adjusted nor checked."""
+    last_iterations: int = Field(10, gt=0)
+    """Of the last solutions, with all points."""
     robust_rounds: int = Field(2, ge=0)
     """The last with all points. The first plain solution is bent by what is filtered after it, and what the robust one
     shows to be wrong pulls on it still: once more without that, canal_demo is 4.7 mm off for 6.5 and canal 6.8 for
