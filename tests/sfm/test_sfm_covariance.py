@@ -84,6 +84,19 @@ def test_predicted_sigma_is_the_scatter_of_many_adjustments(world) -> None:
     assert expected == pytest.approx(actual, rel=0.25)
 
 
+def test_a_shape_is_told_as_far_as_its_frames_followed() -> None:
+    """What positions ask of the modes and the adjustment did not do is an error that stays."""
+    rng = np.random.default_rng(0)
+    modes, count = rng.standard_normal((3, 8, 3)), np.arange(8)
+    shape = Shape(count, np.ones(8, bool), rng.standard_normal((8, 3)), modes, np.full((8, 3), 1e-4))
+    best, known = np.array([1.5, -0.5, 0.2]), 0.01 * np.eye(3)
+    followed = shape.told(best, known, np.einsum("m,mni->ni", best, modes))
+    assert followed.sigma == pytest.approx(np.sqrt(0.01 * np.sum(modes**2, axis=(0, 2)) + 3e-4))
+    stayed = shape.told(best, known, np.zeros((8, 3)))
+    off = np.sum(np.einsum("m,mni->ni", best, modes) ** 2, axis=1)
+    assert stayed.sigma == pytest.approx(np.sqrt(0.01 * np.sum(modes**2, axis=(0, 2)) + off + 3e-4))
+
+
 def _drawn(truth: pycolmap.Reconstruction, seed: int) -> pycolmap.Reconstruction:
     """Errors as key points have them: long tails, and half of each shared by a point's sightings in one camera."""
     model = pycolmap.Reconstruction(truth)

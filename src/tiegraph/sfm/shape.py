@@ -91,9 +91,13 @@ class Shape:
         modes, rest = self.modes @ turn.T, self.rest @ (turn**2).T
         return replace(self, place=similarity(self.place), modes=modes, rest=rest)
 
-    def told(self, covariance: np.ndarray) -> Shape:
-        """The same once something has told the coefficients (M,) of the modes to this covariance (M, M)."""
-        values, vectors = np.linalg.eigh(covariance)
+    def told(self, best: np.ndarray, covariance: np.ndarray, moved: np.ndarray) -> Shape:
+        """The same once something has told the coefficients of the modes, ``best`` (M,) to this covariance (M, M), and
+        the frames of the scene were ``moved`` (F, 3): what they should have been moved by and were not counts."""
+        there = np.nan_to_num(moved[self.index[self.reference]])
+        flat = self.modes[:, self.reference].reshape(len(self.modes), -1)
+        left = best - np.linalg.lstsq(flat.T, there.ravel(), rcond=None)[0]
+        values, vectors = np.linalg.eigh(covariance + np.outer(left, left))
         roots = vectors * np.sqrt(np.clip(values, 0, None))
         return replace(self, modes=np.einsum("kj,kni->jni", roots, self.modes))
 

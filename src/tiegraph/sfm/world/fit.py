@@ -76,7 +76,7 @@ class Fit:
     sigma_positions_scale: float  # of the logarithm of the scale, from the positions alone
     error: PlacementError  # about the middle of the positions
     levels: Sequence[tuple[float, float, int]] = ()  # how large the errors of the positions are (``positionerrors``)
-    bent: np.ndarray | None = None  # (M, M) covariance of the modes of the shape, by images and positions
+    bent: tuple[np.ndarray, np.ndarray] | None = None  # of the modes of the shape by images and positions: (M,), (M, M)
 
     @property
     def sigma(self) -> dict[str, float]:
@@ -158,7 +158,8 @@ def by_errors(evidence: Evidence, up: Up | None, fit: Fit, rows: Stated, tuning:
         size, held = problem.size, 0.0 if evidence.log_scale is None else evidence.log_scale.sigma**-2
         alone = 1 / max(1 / covariance[6, 6] - held, _OPEN)
         fit = _fit(problem, x + moved[:size], covariance[:size, :size], alone, fit.inlier, fit.cost)
-        fit = replace(fit, levels=errors.levels, bent=covariance[size : size + modes, size : size + modes])
+        own = slice(size, size + modes)
+        fit = replace(fit, levels=errors.levels, bent=(moved[own], covariance[own, own]))
     return fit
 
 

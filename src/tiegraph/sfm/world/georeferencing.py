@@ -292,13 +292,15 @@ def _adjusted(
         control = replace(control, rows=tuple(rows), accuracy=accuracy)
     bars = bars_in(made.model, scene, given.bars, tuning.marks)
     control = replace(control, bars=bar_rows(bars, 1.0))
-    moved = np.linalg.norm(_centres(world, scene) - _centres(made.model, scene), axis=1)
+    step = _centres(made.model, scene) - _centres(world, scene)
+    moved, of_frames = np.linalg.norm(step, axis=1), np.full((scene.frames, 3), np.nan)
+    of_frames[scene.frame[::-1]] = step[::-1]  # by the first image of each
     note = (
         f"adjusted with the positions: frames moved by {np.nanmedian(moved):.3f} m (at most {np.nanmax(moved):.3f} m), "
         f"reprojection {made.before_px:.3f} -> {made.after_px:.3f} px"
     )
     known, bent = first.uncertainty, first.placing.fit.bent
-    shape = known.shape if known.shape is None or bent is None else known.shape.told(bent)
+    shape = known.shape if known.shape is None or bent is None else known.shape.told(*bent, of_frames)
     adjusted = replace(
         first,
         uncertainty=replace(known, shape=shape),
