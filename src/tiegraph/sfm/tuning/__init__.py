@@ -102,7 +102,7 @@ class AdjustTuning(Section):
     """Observations worse than this after the first pass go."""
     filter_angle_deg: float = Field(1.0, ge=0)
     """Points go whose rays all meet at a smaller angle."""
-    iterations: int = Field(100, ge=0)
+    iterations: int = Field(30, ge=0)
     """Of a solution with few points, at most: a valley such as that of focal length and height over flat ground takes
     its time. 0: the model stays as its mapper leaves it, neither adjusted nor checked."""
     last_iterations: int = Field(10, gt=0)
