@@ -98,7 +98,9 @@ def _without_shared_points(model: pycolmap.Reconstruction, camera: int) -> pycol
 def test_what_one_step_cannot_tell_is_said_without_figures() -> None:
     """A model 128 times too long (PandaSet, standing): cameras "turned by 4522 deg" and "829 m off"."""
     model, scene = _rigid("turned")
-    test = prior_test(model, scene, 0, 1.0, Tuning(rig=RigTuning(prior_test=PriorTestTuning(freed_deg=0.05))))
+    test = prior_test(
+        model, scene, 0, 1.0, Tuning(rig=RigTuning(prior_test=PriorTestTuning(freed_deg=0.05, freed_lens=0.001)))
+    )
     assert test is not None and test.beyond == (2,) and test.freed == ()
     said = statements(test, scene, 0)
     assert said.statements == () and len(said.contradictions) == 1 and "(cam2)" in said.contradictions[0]

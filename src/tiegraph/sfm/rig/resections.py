@@ -178,7 +178,7 @@ class _PointsOf:
             step = -np.linalg.lstsq(normal, np.einsum("o,oki,ok->i", weight, columns, left), rcond=None)[0]
         if np.linalg.matrix_rank(normal) < len(normal):
             return None
-        return _Resected(len(rows), sigma, step, sigma**2 * np.linalg.inv(normal))
+        return _Resected(inliers=len(rows), sigma_px=sigma, step=step, covariance=sigma**2 * np.linalg.inv(normal))
 
 
 def _numbers(seen: System) -> np.ndarray:

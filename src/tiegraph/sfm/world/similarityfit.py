@@ -145,7 +145,7 @@ def fit_to_world(
     up = up_to_use(now.evidence, model.up, notes, tuning, fit)
     if up is not None:
         fit = by_errors(now.evidence, up, now.fit, rows, tuning.fit, tuning.noise)
-    if fit.inlier.sum() < tuning.similarity_fit.min_positions or not fit.sigma["scale"] < tuning.sources.any_scale:
+    if not 0 < fit.sigma["scale"] < tuning.sources.any_scale:
         return NotPlaced(f"{fit.inlier.sum()} of {len(fit.inlier)} positions agree with it, and do not tell its size")
     notes += [arm_text(fit, now.evidence, tuning)] if now.evidence.arm.estimate else []
     notes += [clock_text(fit, now.evidence)] if moving else []
