@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pycolmap
-from scipy.spatial.distance import pdist, squareform
+from scipy.spatial import KDTree
 
 from tiegraph.scene.atomic import claim
 from tiegraph.scene.colmapmodel import read_model
@@ -260,7 +260,7 @@ def _open_places(shape: Shape | None, scene: Scene, tuning: SigmaTuning) -> list
     """Frames that hardly anything tells how far off they stand, such as one whose points no two others see."""
     if shape is None:
         return []
-    size, step = shape.sigma, np.sort(squareform(pdist(shape.place)), axis=1)[:, 1]
+    size, step = shape.sigma, KDTree(shape.place).query(shape.place, k=2)[0][:, 1]
     rows = np.flatnonzero((size > tuning.open_share * step) & (size > tuning.open_times * np.median(size)))
     each = [f"{scene.frame_names[shape.index[k]]}: {size[k]:.2g}" for k in rows[np.argsort(-size[rows])]]
     said = f"{len(rows)} frames are placed far worse than the others (sigma {np.median(size):.2g} units of the model)"

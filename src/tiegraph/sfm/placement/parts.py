@@ -59,7 +59,8 @@ def part_moves(found: Explained, tuning: PlacementTuning) -> dict[int, Similarit
 
 def _alone(seen: ImageObservations, frames: tuple[int, ...]) -> ImageObservations:
     """The images of some frames, with the points that no others see."""
-    own = {k for k in seen.cameras if seen.frame[k] in set(frames)}
+    inside = set(frames)
+    own = {k for k in seen.cameras if seen.frame[k] in inside}
     shared = np.zeros(len(seen.xyz) + 1, bool)  # the last: no point
     for k in seen.cameras.keys() - own:
         shared[seen.point[k]] = True

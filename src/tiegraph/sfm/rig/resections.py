@@ -99,7 +99,8 @@ def resect_all(
     sighting weighed by its own error and that of its point (Foerstner and Wrobel 2016, section 4.1.4).
     """
     several = (k for k, p in reconstruction.points3D.items() if p.track.length() > 1)
-    points, _ = sampled(several, tuning.rig.system.most_points)
+    enough = tuning.rig.diagnostics.min_points * reconstruction.num_reg_images()  # each is seen several times
+    points, _ = sampled(several, max(tuning.rig.system.most_points, enough))
     if not points:
         return _gathered([])
     seen = jacobians(reconstruction, Layout(reconstruction, False, False), points)
