@@ -134,11 +134,11 @@ def _inner(survey: Survey, names: list[str], here: np.ndarray, true: np.ndarray)
 def held_out(found: Georeference) -> dict[str, float]:
     """Held-out positions by the blind similarity: robust root mean square per axis in stated sigmas, and how many."""
     placing = found.placing
-    if placing is None or placing.held_out is None:
+    blind = None if placing is None else placing.held_out(bends=False)
+    if placing is None or blind is None:
         return {}
-    fixes, blind = placing.fixes, placing.held_out
-    off = placing.evidence.position_residuals(blind.similarity, blind.arm.place, blind.clock.offset_s)[: len(fixes)]
-    squares = np.sum((off / fixes.sigma) ** 2, axis=1)[fixes.held]
+    fixes = placing.fixes
+    squares = np.sum((blind / fixes.sigma) ** 2, axis=1)[fixes.held]
     return {"held_out": int(fixes.held.sum()), "held_out_sigmas": float(np.sqrt(np.median(squares) / 2.366))}
 
 

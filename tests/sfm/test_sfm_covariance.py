@@ -91,10 +91,13 @@ def test_a_shape_is_told_as_far_as_its_frames_followed() -> None:
     place, rest = rng.standard_normal((8, 3)), np.full((8, 3), 1e-4)
     shape = Shape(index=count, reference=np.ones(8, bool), place=place, modes=modes, rest=rest)
     best, known = np.array([1.5, -0.5, 0.2]), 0.01 * np.eye(3)
-    followed = shape.told(best, known, np.einsum("m,mni->ni", best, modes))
+    step = np.einsum("m,mni->ni", best, modes)
+    np.testing.assert_allclose(shape.coefficients(step), best, atol=1e-9)
+    np.testing.assert_allclose(shape.step(count, best)[0], step, atol=1e-9)
+    followed = shape.told(np.zeros(3), known)
     assert followed.sigma == pytest.approx(np.sqrt(0.01 * np.sum(modes**2, axis=(0, 2)) + 3e-4))
-    stayed = shape.told(best, known, np.zeros((8, 3)))
-    off = np.sum(np.einsum("m,mni->ni", best, modes) ** 2, axis=1)
+    stayed = shape.told(best, known)
+    off = np.sum(step**2, axis=1)
     assert stayed.sigma == pytest.approx(np.sqrt(0.01 * np.sum(modes**2, axis=(0, 2)) + off + 3e-4))
 
 

@@ -88,7 +88,7 @@ def test_an_upward_direction_that_the_positions_refute_is_not_used(turned_deg, w
     assert ("not used" in notes[0]) == (not used)
 
 
-def test_where_no_position_is_believed_the_fit_to_the_control_points_stays() -> None:
+def test_where_no_position_is_believed_the_control_points_alone_tell() -> None:
     place = np.random.default_rng(4).uniform(-20, 20, (12, 3))
     pose = np.tile(np.eye(4), (12, 1, 1))
     pose[:, :3, 3] = place
@@ -103,7 +103,9 @@ def test_where_no_position_is_believed_the_fit_to_the_control_points_stays() -> 
     )
     fit = replace(fit_similarity(evidence, None, WorldTuning().fit), inlier=np.arange(12) >= 6)
     rows = Stated(sigma=np.full((6, 3), 0.1), level=np.zeros(6, int), time_s=np.arange(6.0), common=np.full(3, 0.1))
-    assert by_errors(evidence, None, fit, rows, WorldTuning().fit, NoiseTuning()) is fit
+    found = by_errors(evidence, None, fit, rows, WorldTuning().fit, NoiseTuning())
+    assert found.levels == [] and np.abs(found.similarity(place) - place).max() < 1e-6
+    assert found.sigma["position_m"] == pytest.approx(0.1 * np.sqrt(2 / 6), rel=0.3)
 
 
 def test_what_the_model_bends_is_no_error_of_the_positions() -> None:

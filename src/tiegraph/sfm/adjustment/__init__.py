@@ -10,9 +10,9 @@ adjustment and in the one with positions; cameras that fire at a time of their o
 (``lens``).
 
 **Lever-arm prior from the rig's shape** (``leverarmprior``). The cameras look outwards from one body. The middle, the
-distance along the axis and the scatter of the other cameras are the prior, under a robust loss, of the place of a
-camera that hardly shares a point with them. On ``canal`` 16 tracks tie the up camera (sigma 44 mm): it stood 66 mm
-off without the prior, 12 mm with it. On PandaSet, whose cameras stand anywhere and are well tied, nothing moves.
+distance along the axis and the scatter of the cameras, unknowns of the same adjustment, are what is expected of the
+place of one that hardly shares a point with them. On ``canal`` 16 tracks tie the up camera (sigma 44 mm): it stood
+66 mm off without the prior, 12 mm with it. On PandaSet, whose cameras stand anywhere and are well tied, nothing moves.
 
 **Normal equations** at the solution (``jacobians``, ``normal``): sigmas and the test of the rig are made of them.
 """

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import pycolmap
 
-from tiegraph.scene.solver import all_images, factorised, options_of
+from tiegraph.scene.solver import all_images, factorised, options_of, undamped
 from tiegraph.sfm.adjustment import lens
 from tiegraph.sfm.adjustment.constraints import PoseConstraints, add_priors
 from tiegraph.sfm.adjustment.fewpoints import take_poses, thinned
@@ -58,11 +58,7 @@ def final_adjustment(
         _solve(adjusted, fixed_rigs, free, tuning.robust_rounds > 0, soft, last)
     asked = free_cameras(adjusted, tuning) & set(doubted)
     adjusted, lenses = _with_doubted(adjusted, fixed_rigs, free, asked, soft, last)
-    # The robust loss lets go of some points; those that went behind a camera have an infinite error.
-    manager = pycolmap.ObservationManager(adjusted)
-    manager.filter_observations_with_negative_depth()
-    manager.filter_all_points3D(tuning.filter_px, tuning.filter_angle_deg)
-    adjusted.update_point_3d_errors()
+    _without_outliers(adjusted, tuning)
     bad = impossible_camera(model.cameras, adjusted.cameras, free, tuning)
     if bad:
         held = final_adjustment(model, fixed_rigs, {*constant_cameras, bad}, soft, doubted, tuning=tuning)
@@ -74,6 +70,36 @@ def final_adjustment(
     if moved:
         note += f", principal points moved by up to {max(moved):.1f} px"
     return Adjustment(adjusted, note + lenses)
+
+
+def adjusted_to(
+    model: pycolmap.Reconstruction,
+    fixed_rigs: Collection[int],
+    constant_cameras: Collection[int],
+    soft: PoseConstraints,
+    *,
+    tuning: AdjustTuning,
+) -> pycolmap.Reconstruction:
+    """A copy of a model that was adjusted before, with its frames at the ``places`` of what is known, and all else
+    where the images have it then: the last step of ``final_adjustment``.
+
+    Its points are brought to where their rays meet first. Points far out in the robust loss slide for tens of steps,
+    and an adjustment that waits for them does not stop when all else has.
+    """
+    out = pycolmap.Reconstruction(model)
+    solve_points(out, tuning)
+    free, last = free_cameras(out, tuning) - set(constant_cameras), tuning.last_iterations
+    _solve(out, fixed_rigs, free, True, soft, tuning.model_copy(update={"iterations": last}))
+    _without_outliers(out, tuning)
+    return out
+
+
+def _without_outliers(model: pycolmap.Reconstruction, tuning: AdjustTuning) -> None:
+    """The robust loss lets go of some points; those that went behind a camera have an infinite error."""
+    manager = pycolmap.ObservationManager(model)
+    manager.filter_observations_with_negative_depth()
+    manager.filter_all_points3D(tuning.filter_px, tuning.filter_angle_deg)
+    model.update_point_3d_errors()
 
 
 def _with_doubted(
@@ -175,7 +201,9 @@ def _solve(
         for sensor in model.rigs[rig_id].non_ref_sensors if rig_id in model.rigs else ():
             config.set_constant_sensor_from_rig_pose(sensor)
             held = True
-    if soft:  # lengths are among what is known: only place and attitude are free
+    if soft and soft.places:  # nothing is free, and the model is near its end
+        undamped(options)
+    elif soft:  # lengths are among what is known: only place and attitude are free
         config.set_constant_rig_from_world_pose(_anchor(model))
     elif not held:  # a rig of fixed size fixes the scale; two fixed cameras would fix it once more
         config.fix_gauge(pycolmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)

@@ -53,6 +53,15 @@ class PairPrior:
 
 
 @dataclass(frozen=True)
+class PlacePrior:
+    """Where the frame of an image (COLMAP id) stands: ``place`` (3,) and sigmas (3,) along the axes, model units."""
+
+    image: int
+    place: np.ndarray
+    sigma: np.ndarray
+
+
+@dataclass(frozen=True)
 class PoseConstraints:
     """All soft knowledge of one adjustment; true where it holds lengths.
 
@@ -63,15 +72,11 @@ class PoseConstraints:
     sensors: Sequence[SensorPrior] = ()
     pairs: Sequence[PairPrior] = ()
     time_offsets: TimeOffsetPriors | None = None
+    places: Sequence[PlacePrior] = ()
     nominal: Mapping[int, NominalGeometry] = field(default_factory=dict)
 
     def __bool__(self) -> bool:
-        return bool(self.relative_poses or self.sensors or self.pairs or self.time_offsets)
-
-    def known_sensors(self) -> frozenset[tuple[int, int]]:
-        """(rig id, camera id) of the sensors of whose place in the rig something is known."""
-        pairs = ((p.rig_id, c) for p in self.pairs for c in p.cameras)
-        return frozenset([*((s.rig_id, s.camera_id) for s in self.sensors), *pairs])
+        return bool(self.relative_poses or self.sensors or self.pairs or self.time_offsets or self.places)
 
 
 def add_priors(
@@ -88,7 +93,7 @@ def add_priors(
     soft = PoseConstraints() if soft is None else soft
     kept = _add_constraints(adjuster, model, soft, tuning.robust_px)
     kept += lens.add_priors(adjuster.problem, model, given or {}, tuning)
-    return kept + leverarmprior.add_priors(adjuster.problem, model, soft.known_sensors(), soft.nominal, tuning)
+    return kept + leverarmprior.add_priors(adjuster.problem, model, soft.nominal, tuning)
 
 
 def _add_constraints(
@@ -122,6 +127,10 @@ def _add_constraints(
         if block is not None:
             covariance = prior.covariance / robust_px**2
             add(pycolmap.cost_functions.AbsolutePosePriorCost(covariance, rigid3d(prior.sensor_from_rig)), block)
+    for known in soft.places:
+        covariance = np.diag((known.sigma / robust_px) ** 2)
+        cost = pycolmap.cost_functions.AbsolutePosePositionPriorCost(covariance, known.place)
+        add(cost, pose_block(model, known.image))
     for pair in soft.pairs:
         found = [_extrinsics(model, pair.rig_id, c) for c in pair.cameras]
         blocks = [b for b in found if b is not None]

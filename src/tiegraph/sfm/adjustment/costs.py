@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 import pyceres
 
+from tiegraph.geometry.transforms import skew
+
 
 class Cost(pyceres.CostFunction):  # type: ignore[misc, name-defined]
     """A residual of ours; ``_begin`` is the last that its constructor does."""
@@ -39,3 +41,21 @@ class PriorCost(Cost):
         if jacobians is not None and jacobians[0] is not None:
             jacobians[0][:] = np.diag(self.weight).ravel()
         return True
+
+
+def centres_of(poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(N, 3) centres -R^T t of pose blocks (N, 7), quaternion x y z w and translation, and (N, 3, 7) their Jacobians.
+
+    With the quaternion (u, w): R^T v = v - 2 w u x v + 2 u x (u x v). Off the unit sphere the formula goes on as it is;
+    the solver only uses directions along it.
+    """
+    u, w, v = poses[:, :3], poses[:, 3, None, None], -poses[:, 4:]
+    across, unit = skew(u), np.eye(3)
+    inverse = unit + 2 * (across - w * unit) @ across
+    outer = u[:, :, None] * v[:, None, :]
+    out = np.empty((len(poses), 3, 7))
+    out[:, :, :3] = 2 * (w * skew(v) + np.sum(u * v, axis=1)[:, None, None] * unit + outer)
+    out[:, :, :3] -= 4 * np.swapaxes(outer, 1, 2)
+    out[:, :, 3] = 2 * (skew(v) @ u[:, :, None])[:, :, 0]
+    out[:, :, 4:] = -inverse
+    return (inverse @ v[:, :, None])[:, :, 0], out

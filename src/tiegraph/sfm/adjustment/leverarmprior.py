@@ -7,21 +7,19 @@ have around it (empirical Bayes: Efron and Morris 1975). A robust loss lets go o
 where the images tell the place they outweigh it.
 """
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import pyceres
 import pycolmap
-import pycolmap.cost_functions
 
 from tiegraph.geometry.transforms import skew
-from tiegraph.scene.colmapmodel import rigid3d
+from tiegraph.sfm.adjustment.costs import Cost, centres_of
 from tiegraph.sfm.tuning import AdjustTuning
 from tiegraph.sfm.tuning.rig import LeverArmTuning
 
-_ANY_RAD = 30.0  # nothing is expected of the turn
+_TOLD = 1e-9  # of the largest eigenvalue: below, the information is rounding
 
 
 NominalGeometry = Mapping[
@@ -98,9 +96,11 @@ def information(
     if len(expected) < len(keys) or not keys:
         return [], np.zeros((0, 0))
     outward = _outward(centres, axes, axes[0], tuning.uneven)[1]
-    if drawn is not None and drawn.any() and _as_drawn(centres, drawn, drawn[0], tuning.inexact)[1] < outward:
-        turned = skew(centres)
-        basis = np.concatenate([turned, centres[:, :, None]], axis=2)
+    fitted, sigma = (None, np.inf) if drawn is None or not drawn.any() else _as_drawn(
+        centres, drawn, drawn.T, tuning.inexact
+    )  # fmt: skip
+    if fitted is not None and sigma < outward:
+        basis = np.concatenate([skew(fitted.T), fitted.T[:, :, None]], axis=2)
     else:
         basis = np.concatenate([np.tile(np.eye(3), (len(centres), 1, 1)), axes[:, :, None]], axis=2)
     off = [np.linalg.norm(c - expected[k][0]) / expected[k][1] for k, c in zip(keys, centres[1:])]
@@ -112,32 +112,45 @@ def information(
     return keys, whole[3:, 3:]
 
 
-def add_priors(
-    problem: Any,
-    model: pycolmap.Reconstruction,
-    known: Collection[tuple[int, int]],
-    nominal: Mapping[int, NominalGeometry] | None,
-    tuning: AdjustTuning,
-) -> list[Any]:
-    """Expect the free sensors of the problem near the others of their rig; keep what is returned until it has solved.
+class _CentresCost(Cost):
+    """A root (R, 3N) of information times the centres (N, 3) of sensors in their rig. Blocks: their poses (7 each)."""
 
-    ``known``: (rig id, camera id) of sensors of which more is known; ``nominal``: geometry of rigs by rig id.
+    def __init__(self, root: np.ndarray) -> None:
+        super().__init__()
+        self.root = root
+        self._begin(len(root), [7] * (root.shape[1] // 3))
+
+    def Evaluate(self, parameters: Any, residuals: Any, jacobians: Any) -> bool:
+        """Residual and Jacobians; a Jacobian is None where its block is constant."""
+        places, slopes = centres_of(np.array(parameters))
+        residuals[:] = self.root @ places.ravel()
+        for k, jacobian in enumerate(jacobians or ()):
+            if jacobian is not None:
+                jacobian[:] = (self.root[:, 3 * k : 3 * k + 3] @ slopes[k]).ravel()
+        return True
+
+
+def add_priors(
+    problem: Any, model: pycolmap.Reconstruction, nominal: Mapping[int, NominalGeometry] | None, tuning: AdjustTuning
+) -> list[Any]:
+    """Expect the sensors of each rig where all of them together let expect each; keep what is returned until it has
+    solved. ``nominal``: geometry of rigs by rig id.
+
+    The rule's own unknowns are eliminated (``information``). With the rule held as the model had it before, each
+    adjustment went a part of the way only: on canal_demo, a nominal rig, twelve in a row went from 5.9 to 2.8 mm.
     """
     kept: list[Any] = []
     for rig_id, rig in model.rigs.items():
-        expected = expected_centres(rig, tuning.lever_arms, (nominal or {}).get(rig_id))
-        for identity, pose in rig.non_ref_sensors.items():
-            if identity.id not in expected or (rig_id, identity.id) in known:
-                continue
-            block = pose.params
-            if not problem.has_parameter_block(block) or problem.is_parameter_block_constant(block):
-                continue
-            centre, sigma = expected[identity.id]
-            turn = pose.rotation.matrix()
-            about = np.vstack([np.column_stack([turn, -turn @ centre]), [0.0, 0, 0, 1]])
-            covariance = np.diag([_ANY_RAD**2] * 3 + [sigma**2] * 3) / tuning.robust_px**2
-            cost = pycolmap.cost_functions.AbsolutePosePriorCost(covariance, rigid3d(about))
-            loss = pyceres.CauchyLoss(tuning.lever_arms.cauchy_sigmas * tuning.robust_px)
-            problem.add_residual_block(cost, loss, [block])
-            kept += [cost, loss]
+        keys, known = information(rig, tuning.lever_arms, (nominal or {}).get(rig_id))
+        poses = {i.id: pose.params for i, pose in rig.non_ref_sensors.items() if pose is not None}
+        blocks = [poses[k] for k in keys]
+        unseen = [b for b in blocks if not problem.has_parameter_block(b)]
+        if all(problem.is_parameter_block_constant(b) for b in blocks if problem.has_parameter_block(b)):
+            continue
+        value, vector = np.linalg.eigh(known)
+        told = value > _TOLD * value[-1]
+        kept.append(_CentresCost(tuning.robust_px * np.sqrt(value[told])[:, None] * vector[:, told].T))
+        problem.add_residual_block(kept[-1], None, blocks)
+        for block in unseen:
+            problem.set_parameter_block_constant(block)
     return kept

@@ -218,21 +218,10 @@ class CloudTuning(Section):
 class AdjustmentTuning(Section):
     """The bundle adjustment in the world, and whether it stands its check (`worldadjust.py`, `georeferencing.py`)."""
 
-    rounds: int = Field(2, gt=0)
-    """Of adjustment and new noise factors, at most."""
-    same_factor: float = Field(0.05, ge=0)
-    """Change of every factor, as a share, after which there is no further round: 0.01 and less on canal and PandaSet,
-    where one more moved no frame by 0.0001 mm."""
-    check_rounds: int = Field(1, gt=0)
-    """The same for the check by positions held back."""
-    iterations: int = Field(15, gt=0)
-    """Of the solver, at most."""
-    tolerance: float = Field(1e-5, ge=0)
-    """Of the cost: the model was adjusted before, only the positions are new."""
-    min_pixel_sigma_px: float = Field(0.1, gt=0)
-    """Sigma of an image coordinate, at least."""
-    unknown_pixel_sigma_px: float = Field(0.5, gt=0)
-    """The same where no point tells."""
+    rounds: int = Field(3, gt=0)
+    """Of bending the model and fitting it anew, at most."""
+    least_bend: float = Field(0.05, ge=0)
+    """Of the sigma of the shape: what is bent by less stays as it is."""
     worse_pixels: float = Field(1.05, ge=1)
     """Times the reprojection error before: more, and the positions bend the model."""
     not_worse: float = Field(1.01, gt=0)

@@ -15,11 +15,13 @@ to 3 deg or to what they lean from frame to frame.
 is reported: along a straight way the clock is the lever arm, and the height of an antenna is the height of the world.
 Positions of images by name are those of the cameras, unless they surely stand off by one lever arm.
 
-**Adjustment with positions** (``worldadjust``). Images, positions and points are adjusted together, which takes out
-bends that a similarity cannot. Own residuals are small classes in ``costs``, added to COLMAP's Ceres problem through
-pyceres (one thread: Python's lock). The adjustment is kept only if every fifth position, which it did not know, is
-met as well as by the similarity, and the images fit no worse (``georeference_folders``). The cameras of a relaxed rig
-keep how they stand to each other in each frame (``rigpriors.relaxed_frames``).
+**Adjustment with positions** (``fit.by_errors``, ``worldadjust``). Positions, control points, antenna, clock,
+similarity and what the images leave open of the shape are unknowns of one block: its large eigenvectors
+(``sfm.shape``) stand for the images there. One bundle adjustment then brings the frames to where the block has them,
+and all else follows as the images have it; once more where that was far, for control points move as the frames that
+see them only to first order. It is kept only if every fifth position, which it did not know, is met as well as by the
+similarity, and the images fit no worse (``georeference_folders``). The cameras of a relaxed rig keep how they stand to
+each other in each frame (``rigpriors.relaxed_frames``).
 
 **Several models** (``oneworld``): parts of a survey that no tie joined for the mapper come into the world of the
 largest by the matches between them, else by their own positions, else by their points where these lie on the others'
@@ -28,9 +30,7 @@ a model's rig in the others' points would add no pair of images: of the matches 
 eighth has a point on one side only, and every pair that has such has others too (`canal`, `canal_demo`, KITTI).
 
 **Sigma** (``positionerrors``). The last fit weighs the believed positions by the errors that their residuals show
-(white, slow, common to all) and by what the images may bend of the model: its covariance, in large eigenvectors
-(``sfm.shape``), is among the unknowns, which is the one block with the images eliminated. The covariance of the fit is
-that of the placement and, once adjusted, of the shape. What all positions of a receiver share counts with a part of
+(white, slow, common to all). The covariance of the block is that of the placement and, once adjusted, of the shape. What all positions of a receiver share counts with a part of
 the stated sigma. An upward direction that the positions refute is not used. A note says what holds the scale where the
 rig does, and what checks it. ``world.json`` keeps the covariance of the placement (``accuracy``), which ``cloud``
 carries to its points. Heights are ellipsoidal unless the CRS is a compound one. A compound CRS whose geoid grid PROJ

@@ -42,6 +42,7 @@ class Evidence:
     speed: np.ndarray | None = None
     estimate_offset: bool = False
     bend: np.ndarray | None = None
+    bent: np.ndarray | None = None  # (M,) coefficients of the modes by which the poses were moved already
 
     def without_orientations(self) -> Evidence:
         """The same, nothing known of orientations."""
@@ -141,10 +142,11 @@ def _track(evidence: Evidence, similarity: Similarity) -> tuple[np.ndarray, np.n
 
 def by_errors(evidence: Evidence, up: Up | None, fit: Fit, rows: Stated, tuning: FitTuning, noise: NoiseTuning) -> Fit:
     """The fit moved to where its believed positions put it by their errors as these are estimated (white, slow and
-    common: ``positionerrors``) and by what the model may bend, with the covariance that these leave."""
+    common: ``positionerrors``) and by what the model may bend, with the covariance that these leave.
+
+    This is the one block: what the images tell of the frames is in the modes of the shape, whose coefficients are
+    expected to be nothing but for a sigma of 1."""
     stated, seen = rows.common, fit.inlier[: len(rows.level)]
-    if not seen.any():  # control points alone may be all that is believed
-        return fit
     fit = replace(fit, arm=FittedArm(evidence.arm.place, fit.arm.covariance), clock=Clock(0.0, fit.clock.sigma_s))
     believed = dict.fromkeys((7, 8, 9), tuning.antenna_sigma_m) if evidence.arm.estimate else {}
     believed |= {7 + len(believed): tuning.offset_sigma_s} if evidence.estimate_offset else {}
@@ -166,19 +168,24 @@ def by_errors(evidence: Evidence, up: Up | None, fit: Fit, rows: Stated, tuning:
 def _linearised(problem: _Problem, x: np.ndarray, inlier: np.ndarray, rows: Stated, seen: np.ndarray) -> Linear:
     """The positions ``seen`` (K,), and all else in the normal equations; the unknowns of the problem, then the modes of
     the shape, then what the positions share."""
-    sigma, count, common = problem.evidence.sigma, len(seen), np.flatnonzero(np.isfinite(rows.common))
+    sigma, count = problem.evidence.sigma, len(seen)
+    common = np.flatnonzero(np.isfinite(rows.common) & seen.any())
     derivatives, off = problem.derivatives(x, inlier.astype(float)), problem.positions(x).ravel()
     bend = (problem.bend(x) * (inlier[:, None] / sigma)[:, :, None]).reshape(len(off), -1)
     beside = np.zeros((len(derivatives), bend.shape[1] + len(common) + 1))  # the unknowns that ``problem`` has not
     beside[: len(off), : bend.shape[1]], beside[: len(off), -1] = bend, off
     beside[len(off) :, -1] = problem.others(x)
     every = np.hstack([derivatives, beside])
-    places = every[: 3 * count].reshape(count, 3, -1) * sigma[:count, :, None]
+    places = every[: 3 * count].reshape(count, 3, every.shape[1]) * sigma[:count, :, None]
     at = -1 - len(common) + np.arange(len(common))
     places[:, common, at] = 1.0
     known = every[3 * count :].T @ every[3 * count :]
     known[range(problem.size, len(known) - 1), range(problem.size, len(known) - 1)] += 1.0  # of modes
     known[at, at] = rows.common[common] ** -2
+    if problem.evidence.bent is not None:
+        own = slice(problem.size, problem.size + len(problem.evidence.bent))
+        known[own, -1] = known[-1, own] = problem.evidence.bent
+        known[-1, -1] += problem.evidence.bent @ problem.evidence.bent
     return Linear(rows=places[seen], stated=rows.where(seen), known=known)
 
 

@@ -223,28 +223,13 @@ def georeference(
 
 
 def _placed(placing: SimilarityFit, view: Model, scene: Scene, given: Measurements) -> Georeference:
-    fit, evidence, fixes = placing.fit, placing.evidence, placing.fixes
-    count = len(fixes)
-    here = evidence.position_residuals(fit.similarity, fit.arm.place, fit.clock.offset_s)
-    at = row_of_frames(fixes, scene.frames)
-    has = np.flatnonzero(at >= 0)
-    residual, held_out = np.full((scene.frames, 3), np.nan), np.full((scene.frames, 3), np.nan)
-    residual[has] = here[at[has]]
-    inlier, held_fixes = np.zeros(scene.frames, bool), HeldOut()
-    inlier[has] = fit.inlier[at[has]]
-    if placing.held_out is not None:
-        blind = placing.held_out
-        off = evidence.position_residuals(blind.similarity, blind.arm.place, blind.clock.offset_s)
-        held = has[fixes.held[at[has]]]
-        held_out[held] = off[at[held]]
-        good = fixes.held & fit.inlier[:count]
-        held_fixes = HeldOut(off[:count][good], fixes.stated[good])
+    fit, count = placing.fit, len(placing.fixes)
     points, sums, lines = _points(view, given, fit)
     return Georeference(
         world_from_model=fit.similarity,
         scale_source=_scale_source(placing, scene, view, count),
         origin=scene.origin or (given.control.origin if given.control is not None else None),
-        residuals=Residuals(residual, inlier, held_out_m=held_out, fixes_m=here[:count], held=held_fixes),
+        residuals=residuals_of(placing, scene, placing.held_out(bends=False)),
         findings=Findings((*placing.notes, *_remarks(placing, scene), *lines)),
         uncertainty=Uncertainty(fit.sigma, fit.error, given.shape and given.shape.moved(fit.similarity)),
         receiver=applied_receiver(fit.arm.place, fit.clock.offset_s),
@@ -253,6 +238,23 @@ def _placed(placing: SimilarityFit, view: Model, scene: Scene, given: Measuremen
         ),
         placing=placing,
     )
+
+
+def residuals_of(placing: SimilarityFit, scene: Scene, blind: np.ndarray | None) -> Residuals:
+    """The residuals of a placement; ``blind`` (K, 3) those of the fit that did not know the fixes held out."""
+    fixes, fit, here = placing.fixes, placing.fit, placing.residuals()
+    at = row_of_frames(fixes, scene.frames)
+    has = np.flatnonzero(at >= 0)
+    residual, held_out = np.full((scene.frames, 3), np.nan), np.full((scene.frames, 3), np.nan)
+    residual[has] = here[at[has]]
+    inlier, held_fixes = np.zeros(scene.frames, bool), HeldOut()
+    inlier[has] = fit.inlier[at[has]]
+    if blind is not None:
+        held = has[fixes.held[at[has]]]
+        held_out[held] = blind[at[held]]
+        good = fixes.held & fit.inlier[: len(fixes)]
+        held_fixes = HeldOut(blind[good], fixes.stated[good])
+    return Residuals(residual, inlier, held_out_m=held_out, fixes_m=here, held=held_fixes)
 
 
 def applied_receiver(antenna: np.ndarray, offset_s: float) -> AppliedReceiver:

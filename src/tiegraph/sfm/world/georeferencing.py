@@ -8,32 +8,38 @@ from typing import Any
 import numpy as np
 import pycolmap
 
-from tiegraph.geometry.align import Similarity
-from tiegraph.scene.colmapmodel import image_poses, read_model, sim3d
+from tiegraph.geometry.align import rms_length
+from tiegraph.scene.colmapmodel import image_poses, read_model
 from tiegraph.scene.evidence import CHANCE
 from tiegraph.scene.scene import Scene
+from tiegraph.sfm.adjustment.adjust import free_cameras
+from tiegraph.sfm.adjustment.rigpriors import nominal_geometry
+from tiegraph.sfm.covariance import position_sigma
+from tiegraph.sfm.model import frame_poses
 from tiegraph.sfm.settings import GeorefSettings
+from tiegraph.sfm.shape import Shape
+from tiegraph.sfm.ties import moved
 from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.tuning.world import WorldTuning
 from tiegraph.sfm.verified import VerifiedMatches, read_verified
 from tiegraph.sfm.world import worldadjust
-from tiegraph.sfm.world.antenna import told
 from tiegraph.sfm.world.bars import bars_in
-from tiegraph.sfm.world.fixes import Fixes, Measurements
-from tiegraph.sfm.world.georef import Georeference, HeldOut, applied_receiver, bar_rows, georeference, row_of_frames
+from tiegraph.sfm.world.fixes import Measurements
+from tiegraph.sfm.world.georef import (
+    Georeference,
+    PointsFound,
+    applied_receiver,
+    bar_rows,
+    georeference,
+    residuals_of,
+)
 from tiegraph.sfm.world.marks import Target, as_copy, by_chance, copy_of, marked, point_table, targets
 from tiegraph.sfm.world.oneworld import ByPositions, OneWorld, one_world
-from tiegraph.sfm.world.scale import BARS
 from tiegraph.sfm.world.similarityfit import SimilarityFit
 from tiegraph.sfm.world.statements import with_statements
-from tiegraph.sfm.world.worldadjust import (
-    AdjustmentResult,
-    ConstantParameters,
-    Constraints,
-    Lengths,
-    Receiver,
-    adjust_in_world,
-)
+from tiegraph.sfm.world.worldadjust import ConstantParameters
+
+_REFUSED = "the similarity stays, a bundle adjustment with the positions was refused: {}"
 
 
 def georeference_model(
@@ -66,31 +72,85 @@ def _georeferenced(
     as with the similarity, and the images no worse. What was decided, and why, is in the notes.
     """
     first = georeference(model, scene, settings, tuning.world, given)
-    world = first.apply(model)
-    placing = first.placing
+    if first.placing is not None and given.shape is None and settings.adjust != "no":
+        given = replace(given, shape=_shape(model, scene, held, tuning))
+        first = georeference(model, scene, settings, tuning.world, given)
+    world, placing, shape = first.apply(model), first.placing, first.uncertainty.shape
     if placing is None or settings.adjust == "no":
         return first, world
-    constraints = _constraints(world, scene, first, placing, tuning, given, held)
-    settled = worldadjust.settled(world, tuning.adjust)
-    check = _check(settled, scene, placing, constraints)
-    checked, why = check.good, check.why
-    if not checked and settings.adjust == "auto":
-        return _with(first, f"the similarity stays, a bundle adjustment with the positions was refused: {why}"), world
-    bounds = tuning.world.adjustment
-    near = settled
-    if checked and check.model is not None:  # what four fifths of the positions took out of a long way is out
-        near, receiver = check.model, constraints.receiver
-        off = worldadjust.residuals(near, scene, constraints.fixes, np.array(receiver.antenna), receiver.offset_s)
-        constraints = replace(constraints, factor=worldadjust.factors(off, constraints))
-    made = adjust_in_world(near, scene, constraints, bounds.rounds)
-    made = replace(made, before_px=float(settled.compute_mean_reprojection_error()))  # not of what these have bent
-    if made.after_px > bounds.worse_pixels * made.before_px and settings.adjust == "auto":
-        text = f"the images fit worse with it ({made.before_px:.3f} -> {made.after_px:.3f} px)"
-        return _with(first, f"the similarity stays, a bundle adjustment with the positions was refused: {text}"), world
-    adjusted = _adjusted(first, made, model, world, scene, given, why)
-    if check.held is not None:
-        adjusted = replace(adjusted, residuals=replace(adjusted.residuals, held=check.held))
-    return adjusted, made.model
+    if shape is None:
+        why = "its points do not tell how far it may be bent"
+        return _with(first, _REFUSED.format(why)), world
+    good, why, blind = _check(placing)
+    if not good and settings.adjust == "auto":
+        return _with(first, _REFUSED.format(why)), world
+    placed, bent, left = _bent(world, placing, shape, scene, given, (held, settings.adjust == "yes"), tuning)
+    before, after = (m.compute_mean_reprojection_error() for m in (world, bent))
+    if after > tuning.world.adjustment.worse_pixels * before and settings.adjust == "auto":
+        text = f"the images fit worse with it ({before:.3f} -> {after:.3f} px)"
+        return _with(first, _REFUSED.format(text)), world
+    step = np.linalg.norm(_frames(bent, scene)[:, :3, 3] - _frames(world, scene)[:, :3, 3], axis=1)
+    note = "the model keeps the shape that its images give it: positions and points would hardly change it"
+    if placed is not placing:
+        note = (
+            f"adjusted with the positions: frames moved by {np.nanmedian(step):.3f} m (at most {np.nanmax(step):.3f} m)"
+            f", reprojection {before:.3f} -> {after:.3f} px"
+        )
+    assert placed.fit.bent is not None
+    adjusted = replace(
+        first,
+        uncertainty=replace(first.uncertainty, shape=shape.told(left, placed.fit.bent[1])),
+        world_from_model=worldadjust.similarity_to(model, bent, first.world_from_model),
+        residuals=residuals_of(placed, scene, blind),
+        receiver=applied_receiver(placed.fit.arm.place, placed.fit.clock.offset_s),
+        control=_control(first, bent, scene, given, tuning.world),
+        adjusted=placed is not placing,
+    )
+    return _with(_with(adjusted, note), f"check of this adjustment: {why}"), bent
+
+
+def _bent(
+    world: pycolmap.Reconstruction,
+    placing: SimilarityFit,
+    shape: Shape,
+    scene: Scene,
+    given: Measurements,
+    how: tuple[ConstantParameters, bool],
+    tuning: Tuning,
+) -> tuple[SimilarityFit, pycolmap.Reconstruction, np.ndarray]:
+    """The fit to the model once it has the shape that its images and all else have together, that model in the world,
+    and what is left of the bend, (M,) coefficients of the modes of its shape. ``how``: what is held, and whether it is
+    adjusted even where that changes little.
+
+    The bend is linear in these, and control points are taken to move with the frames that see them: so once more.
+    """
+    held, always = how
+    placed, bent, start = placing, world, _frames(world, scene)[:, :3, 3]
+    least, left = tuning.world.adjustment.least_bend * rms_length(shape.sigma[:, None]), np.zeros(len(shape.modes))
+    for _ in range(tuning.world.adjustment.rounds):
+        assert placed.fit.bent is not None
+        left = placed.fit.bent[0]
+        step, sigma = shape.step(np.arange(scene.frames), left)
+        if rms_length(step) < least and not (always and placed is placing):
+            break
+        bent = worldadjust.bent(bent, scene, (step, sigma), held, tuning)
+        poses = _frames(bent, scene)
+        places = np.array([t.place for t in _points(bent, scene, given, tuning.world)] if len(placing.points) else [])
+        done = shape.coefficients(poses[:, :3, 3] - start)
+        placed = placing.of_bent(poses, places.reshape(-1, 3)[placing.points], done)
+    if placed is not placing:
+        bent = moved(bent, placed.fit.similarity)
+    return placed, bent, left
+
+
+def _shape(model: pycolmap.Reconstruction, scene: Scene, held: ConstantParameters, tuning: Tuning) -> Shape | None:
+    """By how much its images may bend a model of which that is not known yet; None where its points do not tell."""
+    free, rigs = free_cameras(model, tuning.adjust) - set(held.cameras), set(model.rigs) - set(held.rigs)
+    try:
+        sigma = position_sigma(model, free, rigs, nominal=nominal_geometry(model, scene), tuning=tuning)
+        return Shape.of(model, sigma, scene)
+    except (ValueError, RuntimeError):
+        return None
 
 
 @dataclass(frozen=True)
@@ -152,105 +212,25 @@ def _with(georeference: Georeference, note: str) -> Georeference:
     return replace(georeference, findings=replace(findings, notes=(*findings.notes, note)))
 
 
-def _constraints(
-    world: pycolmap.Reconstruction,
-    scene: Scene,
-    first: Georeference,
-    placing: SimilarityFit,
-    tuning: Tuning,
-    given: Measurements,
-    held: ConstantParameters,
-) -> Constraints:
-    evidence, control = placing.evidence, given.control
-    up = placing.up
-    if up is not None:
-        up = replace(up, direction=np.array([0.0, 0.0, 1.0]))  # it was brought there by the similarity
-    stretch, found = 1.0, []
-    if control is not None:
-        found = marked(_points(world, scene, given, tuning.world), first.control.rows)
-    if control is not None and len(placing.points):
-        stretch = float(np.median(evidence.sigma[len(placing.fixes) :] / control.sigma_m[placing.points]))
-    return Constraints(
-        fixes=placing.fixes,
-        factor=placing.factor,
-        receiver=Receiver(
-            antenna=placing.fit.arm.place,
-            offset_s=placing.fit.clock.offset_s,
-            free_antenna=told(placing.fit, evidence),
-            free_offset=bool(placing.fit.clock.offset_s),
-        ),
-        held=held,
-        tuning=tuning,
-        control=control,
-        targets=found,
-        point_factor=stretch,
-        up=up,
-        lengths=_lengths(world, scene, placing, given, tuning.world),
-    )
-
-
 def _points(model: pycolmap.Reconstruction, scene: Scene, given: Measurements, tuning: WorldTuning) -> list[Target]:
     """The control points in a model."""
     assert given.control is not None
     return targets(model, scene, given.control.marks, len(given.control), tuning.marks)
 
 
-def _lengths(
-    world: pycolmap.Reconstruction, scene: Scene, placing: SimilarityFit, given: Measurements, tuning: WorldTuning
-) -> Lengths | None:
-    """The scale bars that hold lengths in the adjustment: those that the similarity believed, where it used them."""
-    found = placing.model.bars
-    if given.bars is None or found is None or BARS not in placing.weighed.scale_used:
-        return None
-    ends = targets(world, scene, given.bars.marks, len(given.bars.names), tuning.marks)
-    there = np.array([not (ends[a].why_not or ends[b].why_not) for a, b in given.bars.ends], bool)
-    return Lengths(given.bars, ends, found.used & there)
-
-
-@dataclass(frozen=True)
-class _Check:
-    """Whether an adjustment may be kept, why, how it meets the positions it did not know, and the model it made.
-
-    That is, where the similarity of all positions puts it.
-    """
-
-    good: bool
-    why: str
-    held: HeldOut | None = None
-    model: pycolmap.Reconstruction | None = None
-
-
-def _check(world: pycolmap.Reconstruction, scene: Scene, placing: SimilarityFit, constraints: Constraints) -> _Check:
-    """Whether an adjustment without the held-out positions meets them at least as well as such a similarity; and how.
-
-    The model starts from the similarity that did not know them either.
-    """
-    fixes, blind, bounds = placing.fixes, placing.held_out, placing.tuning.adjustment
-    out = np.flatnonzero(fixes.held)
-    if blind is None or len(out) < bounds.min_held:
+def _check(placing: SimilarityFit) -> tuple[bool, str, np.ndarray | None]:
+    """Whether what the others tell of the model's shape meets the positions held out at least as well as the similarity
+    does, why, and how it meets them, (K, 3) metres."""
+    fixes, bounds = placing.fixes, placing.tuning.adjustment
+    plain, bends = placing.held_out(bends=False), placing.held_out(bends=True)
+    if plain is None or bends is None or fixes.held.sum() < bounds.min_held:
         if len(placing.points) and not len(fixes):
-            return _Check(True, "control points only: nothing was held out")
-        return _Check(False, "too few positions to hold some back as a check")
-    start = pycolmap.Reconstruction(world)
-    start.transform(_between(placing.fit.similarity, blind.similarity))
-    keep = ~fixes.held
-    known = replace(
-        constraints,
-        fixes=fixes.where(keep),
-        factor=placing.factor[keep],
-        receiver=replace(constraints.receiver, antenna=blind.arm.place, offset_s=blind.clock.offset_s),
-    )
-    made = adjust_in_world(start, scene, known, bounds.check_rounds, filtered=False)
-    held = fixes.where(fixes.held)
-    sigma = held.sigma * placing.factor[out, None]
-    before = worldadjust.residuals(start, scene, held, blind.arm.place, blind.clock.offset_s) / sigma
-    after = worldadjust.residuals(made.model, scene, held, made.antenna, made.offset_s) / sigma
-    a, b = _score(before, bounds.clip_sigmas), _score(after, bounds.clip_sigmas)
-    believed = placing.fit.inlier[out]
-    text = f"{len(out)} positions held back are met within {b:.2f} of their sigmas, with the similarity {a:.2f}"
-    met = HeldOut((after * sigma)[believed], held.stated[believed])
-    made.model.transform(_between(blind.similarity, placing.fit.similarity))  # weak positions would not bring it back
-    return _Check(good=b <= bounds.not_worse * a, why=text, held=met, model=made.model)
+            return True, "control points only: nothing was held out", None
+        return False, "too few positions to hold some back as a check", None
+    sigma = placing.evidence.sigma[: len(fixes)][fixes.held]
+    a, b = (_score(off[fixes.held] / sigma, bounds.clip_sigmas) for off in (plain, bends))
+    text = f"{fixes.held.sum()} positions held back are met within {b:.2f} of their sigmas, with the similarity {a:.2f}"
+    return b <= bounds.not_worse * a, text, bends
 
 
 def _score(residual: np.ndarray, clip: float) -> float:
@@ -259,60 +239,19 @@ def _score(residual: np.ndarray, clip: float) -> float:
     return float(np.sqrt(np.mean(distance**2) / 3))
 
 
-def _between(first: Similarity, second: Similarity) -> pycolmap.Sim3d:
-    """From the world of one similarity to that of another."""
-    scale, rotation = second.scale / first.scale, second.rotation @ first.rotation.T
-    shift = second.translation - scale * rotation @ first.translation
-    return sim3d(Similarity(scale, rotation, shift))
-
-
-def _adjusted(
-    first: Georeference,
-    made: AdjustmentResult,
-    model: pycolmap.Reconstruction,
-    world: pycolmap.Reconstruction,
-    scene: Scene,
-    given: Measurements,
-    why: str,
-) -> Georeference:
-    assert first.placing is not None
-    tuning = first.placing.tuning
-    fixes: Fixes = first.placing.fixes
-    at = row_of_frames(fixes, scene.frames)
-    has = np.flatnonzero(at >= 0)
-    residual, inlier = np.full((scene.frames, 3), np.nan), np.zeros(scene.frames, bool)
-    residual[has] = made.residual[at[has]]
-    sigma = fixes.sigma * made.factor[:, None] if len(fixes) else fixes.sigma
-    inlier[has] = np.linalg.norm(made.residual / sigma, axis=1)[at[has]] < tuning.fit.inlier_sigmas * np.sqrt(3)
+def _control(
+    first: Georeference, world: pycolmap.Reconstruction, scene: Scene, given: Measurements, tuning: WorldTuning
+) -> PointsFound:
+    """Control points and scale bars in the adjusted model."""
     control = first.control
     if given.control is not None:
-        found = marked(_points(made.model, scene, given, tuning), control.rows)
+        found = marked(_points(world, scene, given, tuning), control.rows)
         off = np.array([t.place for t in found]).reshape(-1, 3) - given.control.world_m
         rows, accuracy = point_table(given.control, found, off, scene.names)
         control = replace(control, rows=tuple(rows), accuracy=accuracy)
-    bars = bars_in(made.model, scene, given.bars, tuning.marks)
-    control = replace(control, bars=bar_rows(bars, 1.0))
-    step = _centres(made.model, scene) - _centres(world, scene)
-    moved, of_frames = np.linalg.norm(step, axis=1), np.full((scene.frames, 3), np.nan)
-    of_frames[scene.frame[::-1]] = step[::-1]  # by the first image of each
-    note = (
-        f"adjusted with the positions: frames moved by {np.nanmedian(moved):.3f} m (at most {np.nanmax(moved):.3f} m), "
-        f"reprojection {made.before_px:.3f} -> {made.after_px:.3f} px"
-    )
-    known, bent = first.uncertainty, first.placing.fit.bent
-    shape = known.shape if known.shape is None or bent is None else known.shape.told(*bent, of_frames)
-    adjusted = replace(
-        first,
-        uncertainty=replace(known, shape=shape),
-        world_from_model=worldadjust.similarity_to(model, made.model, first.world_from_model),
-        residuals=replace(first.residuals, frames_m=residual, inlier=inlier, fixes_m=made.residual),
-        receiver=applied_receiver(made.antenna, made.offset_s),
-        control=control,
-        adjusted=True,
-    )
-    return _with(_with(adjusted, note), f"check of this adjustment: {why}")
+    return replace(control, bars=bar_rows(bars_in(world, scene, given.bars, tuning.marks), 1.0))
 
 
-def _centres(model: pycolmap.Reconstruction, scene: Scene) -> np.ndarray:
-    poses = image_poses(model, scene)
-    return -np.einsum("nji,nj->ni", poses[:, :3, :3], poses[:, :3, 3])
+def _frames(model: pycolmap.Reconstruction, scene: Scene) -> np.ndarray:
+    """(F, 4, 4) of the scene's frames in a metric model."""
+    return frame_poses(image_poses(model, scene), scene)

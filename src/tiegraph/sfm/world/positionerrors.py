@@ -71,12 +71,14 @@ class PositionErrors:
         self._linear, self._tuning = linear, tuning
         names, number, counts = np.unique(linear.stated.level, return_inverse=True, return_counts=True)
         few = counts < tuning.min_rows  # levels of a few positions share one size
-        joined = np.where(few, few.argmax(), np.arange(len(names)))
+        joined = np.where(few, few.argmax() if len(few) else 0, np.arange(len(names)))
         self._level = np.unique(joined[number], return_inverse=True)[1]
         order = np.argsort(linear.stated.time_s, kind="stable")  # NaN last
         self._order = order
         self._steps = np.diff(linear.stated.time_s[order])
-        self._sides = (linear.rows / linear.stated.sigma[:, :, None])[order].reshape(len(order), -1)  # (K, 3 (D + 1))
+        self._sides = (linear.rows / linear.stated.sigma[:, :, None])[order].reshape(
+            len(order), 3 * linear.rows.shape[2]
+        )
 
     @cached_property
     def sizes(self) -> Sizes:
@@ -89,7 +91,7 @@ class PositionErrors:
     @property
     def times_stated(self) -> float:
         """The errors over what is stated of them, median of the positions."""
-        return float(np.median(np.hypot(self.sizes.white, self.sizes.slow)[self._level]))
+        return float(np.median(np.hypot(self.sizes.white, self.sizes.slow)[self._level])) if len(self._level) else 1.0
 
     @property
     def levels(self) -> list[tuple[float, float, int]]:
@@ -115,6 +117,8 @@ class PositionErrors:
     def _normal(self, sizes: Sizes) -> tuple[float, np.ndarray]:
         """Logarithm of the determinant of the errors' covariance, and (D + 1, D + 1): the normal matrix, with the right
         side as its last column and the squares of the residuals in the corner."""
+        if not len(self._order):  # control points alone may be all that is believed
+            return 0.0, _regular(self._linear.known)
         level = self._level[self._order]
         slow = sizes.slow[level]
         precise = (slow / sizes.white[level]) ** 2  # all is read in units of the slow part
@@ -130,10 +134,7 @@ class PositionErrors:
         weighed = precise[:, None] * sides
         weighed -= precise[:, None] * cho_solve_banded((factor, False), weighed)
         sides, weighed = (v.reshape(len(precise) * 3, -1) for v in (sides, weighed))
-        normal = self._linear.known + sides.T @ weighed
-        unknowns = np.arange(len(normal) - 1)
-        normal[unknowns, unknowns] += _OPEN * np.maximum(np.diag(normal)[:-1], _OPEN)
-        return 3 * float(lost), normal
+        return 3 * float(lost), _regular(self._linear.known + sides.T @ weighed)
 
     def step(self, believed: Mapping[int, float]) -> tuple[np.ndarray, np.ndarray]:
         """What the unknowns are to be moved by (D,) for the best fit, and their covariance (D, D).
@@ -153,6 +154,13 @@ class PositionErrors:
         covariance = (follows * [believed[k] ** 2 for k in held]) @ follows.T
         covariance[np.ix_(free, free)] += own
         return moved, covariance
+
+
+def _regular(normal: np.ndarray) -> np.ndarray:
+    """The normal matrix (D + 1, D + 1), last the right side, that can be solved for what nothing tells too."""
+    unknowns, out = np.arange(len(normal) - 1), normal.copy()
+    out[unknowns, unknowns] += _OPEN * np.maximum(np.diag(normal)[:-1], _OPEN)
+    return out
 
 
 # --- while poses, antenna and clock are looked for -------------------------------------------------------------------

@@ -25,7 +25,7 @@ from tiegraph.sfm.world.bars import BarsFound
 from tiegraph.sfm.world.fit import Evidence, Fit, by_errors, fit_similarity
 from tiegraph.sfm.world.fixes import Fixes, Measurements, make_fixes
 from tiegraph.sfm.world.marks import Target
-from tiegraph.sfm.world.positionerrors import MEDIAN_CHI2_3, Stated
+from tiegraph.sfm.world.positionerrors import MEDIAN_CHI2_3, Stated, factors
 from tiegraph.sfm.world.scale import RigScale
 from tiegraph.sfm.world.sources import POSITIONS
 from tiegraph.sfm.world.unknowns import LeverArm, LogScale
@@ -71,21 +71,57 @@ class SimilarityFit:
     weighed: EvidenceWeights
     model: Model
     tuning: WorldTuning
+    rows: Stated  # the fixes as they are stated
 
-    @property
-    def factor(self) -> np.ndarray:
-        """(K,) by which the fixes' sigmas were multiplied."""
-        count = len(self.fixes)
-        return self.evidence.sigma[:count, 0] / self.fixes.sigma[:, 0] if count else np.zeros(0)
+    def residuals(self) -> np.ndarray:
+        """(K, 3) metres, of the fixes."""
+        fit = self.fit
+        return self.evidence.position_residuals(fit.similarity, fit.arm.place, fit.clock.offset_s)[: len(self.fixes)]
 
-    @cached_property
-    def held_out(self) -> Fit | None:
-        """The fit without the held-out fixes; None without any, or with too few others."""
-        held = np.zeros(len(self.evidence.frame), bool)
-        held[: len(self.fixes)] = self.fixes.held
-        if not held.any() or (~held).sum() < self.tuning.similarity_fit.min_positions:
+    def held_out(self, bends: bool) -> np.ndarray | None:
+        """(K, 3) metres, residuals of the fixes by the fit without those held out, and with what it tells of the
+        model's shape, or without; None without any, or with too few others."""
+        count, evidence = len(self.fixes), self.evidence if bends else replace(self.evidence, bend=None, bent=None)
+        held = np.append(self.fixes.held, np.zeros(len(evidence.frame) - count, bool))
+        seen = self.fit.inlier & ~held
+        if not held.any() or seen.sum() < self.tuning.similarity_fit.min_positions:
             return None
-        return fit_similarity(self.evidence.where(~held), self.up, self.tuning.fit, self.fit.similarity)
+        fit = replace(self.fit, inlier=seen)
+        blind = replace(self, evidence=evidence, fit=fit).refitted()
+        off, (coefficients, _) = blind.residuals(), blind.fit.bent or (np.zeros(0), None)
+        turn = blind.fit.similarity.scale * blind.fit.similarity.rotation
+        return off if evidence.bend is None else off + evidence.bend[:count] @ coefficients @ turn.T
+
+    def refitted(self) -> "SimilarityFit":
+        """The same once its believed positions are fitted anew."""
+        tuning = self.tuning
+        return replace(self, fit=by_errors(self.evidence, self.up, self.fit, self.rows, tuning.fit, tuning.noise))
+
+    def of_bent(self, poses: np.ndarray, targets: np.ndarray, bent: np.ndarray) -> "SimilarityFit":
+        """The same of a model that its similarity has placed and that was bent since: ``poses`` (F, 4, 4) of the
+        scene's frames, places (C, 3) of the control points used, coefficients (M,) of the modes of its shape."""
+        there, evidence, tuning, count = self.fit.similarity, self.evidence, self.tuning, len(self.fixes)
+        pose, speed = self.fixes.blend(poses)
+        points = evidence.pose[count:].copy()
+        points[:, :3, 3] = targets
+        bend = None if evidence.bend is None else np.einsum("ij,kjm->kim", there.rotation, evidence.bend) * there.scale
+        length, up = evidence.log_scale, self.up
+        evidence = replace(
+            evidence,
+            pose=np.concatenate([pose, points]),
+            speed=np.concatenate([speed, np.zeros_like(points)]),
+            bend=bend,
+            bent=bent,
+            log_scale=length and replace(length, value=length.value - np.log(there.scale)),
+        )
+        start = replace(self.fit, similarity=Similarity(1.0, np.eye(3), np.zeros(3)))
+        up = up and replace(up, direction=there.rotation @ up.direction)
+        placed = replace(self, evidence=evidence, fit=start, up=up)
+        off = placed.residuals()
+        factor = factors(off / self.fixes.sigma, self.fixes.level, self.fixes.time_s, tuning.noise)
+        times = np.linalg.norm(off / self.fixes.stretched(factor).sigma, axis=1)
+        inlier = np.append(times < tuning.fit.inlier_sigmas * np.sqrt(3), self.fit.inlier[count:])
+        return replace(placed, fit=replace(start, inlier=inlier)).refitted()
 
 
 @dataclass(frozen=True)
@@ -159,6 +195,7 @@ def fit_to_world(
         weighed=replace(weighed, doubt=_looking_up(now, about)),
         model=model,
         tuning=tuning,
+        rows=rows,
     )
 
 
