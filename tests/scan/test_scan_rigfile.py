@@ -12,8 +12,7 @@ from near import baselines_m
 from tiegraph.errors import InputError
 from tiegraph.geometry.transforms import angle_deg, from_quaternion_wxyz, invert
 from tiegraph.scan.rigfiles.rigfile import read_rig_file
-from tiegraph.scan.rigfiles.rigspec import AXES, orient, preset, yaw_pitch_roll_deg
-from tiegraph.scan.rigfiles.rigwrite import rig_config, write_rig_toml
+from tiegraph.scan.rigfiles.rigspec import AXES, orient, preset, rig_config, write_rig_toml, yaw_pitch_roll_deg
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import RigTuning
 from tiegraph.scene.rig import Rig, Sensor, rig_from_dict, rig_to_dict

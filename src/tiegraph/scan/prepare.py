@@ -16,10 +16,9 @@ from tiegraph.scan.settings import ScanSettings
 from tiegraph.scene.atomic import replacing
 from tiegraph.scene.decoding import Levels, Opened, eight_bit, opened, turned
 from tiegraph.scene.exif import Taken, exif_of, orientation_in
-from tiegraph.scene.filecache import cached_by_file
 from tiegraph.scene.fisheye import frozen, render_lens_view
 from tiegraph.scene.panorama import render_view, sphere_of
-from tiegraph.scene.regular import real_path, regular
+from tiegraph.scene.regular import cached_by_file, real_path, regular
 from tiegraph.scene.rig import Sensor, Source, camera_from_dict, camera_to_dict
 
 # Formats that OpenCV and COLMAP both read by themselves.

@@ -9,12 +9,10 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from tiegraph.scan.assign import Report, Shot, Survey, Usable, assign, need_two, usable_images, zoomed
-from tiegraph.scan.calibration import with_camera, with_start_cameras
-from tiegraph.scan.cameras import FileFacts, calibrate
+from tiegraph.scan.cameras import FileFacts, calibrate, with_camera, with_start_cameras
 from tiegraph.scan.fisheye import ImageFiles, into_views, with_lit_circle
 from tiegraph.scan.folders import natural
 from tiegraph.scan.frames import into_frames
-from tiegraph.scan.perspective import perspective_views
 from tiegraph.scan.prepare import KEPT_SUFFIXES, prepare_image
 from tiegraph.scan.priors.positions import Frames
 from tiegraph.scan.priors.priors import Followed, estimate_priors
@@ -22,8 +20,8 @@ from tiegraph.scan.priors.startmodel import StartModel, must_be_whole
 from tiegraph.scan.priors.times import FrameRow
 from tiegraph.scan.rigfiles.rigspec import RigSpec
 from tiegraph.scan.settings import ScanSettings
+from tiegraph.scan.sharedfiles import perspective_views, two_lenses
 from tiegraph.scan.tuning import Tuning
-from tiegraph.scan.twolenses import two_lenses
 from tiegraph.scene.decoding import EIGHT_BIT
 from tiegraph.scene.exif import Exif
 from tiegraph.scene.hanging import wide_first

@@ -90,7 +90,7 @@ class RigTuning(Section):
 
 
 class PanoramaTuning(Section):
-    """The views of panoramas (`perspective.py`): like the side cameras of a Ladybug, seen by the same offsets and
+    """The views of panoramas (`sharedfiles.py`): like the side cameras of a Ladybug, seen by the same offsets and
     sections as such a rig; and one up. What is below is the tripod, the operator or the platform."""
 
     most: float = Field(0.5, ge=0, lt=1)

@@ -17,7 +17,7 @@ from tiegraph.geometry.geodesy import (
     world_from_geodetic,
 )
 from tiegraph.scene.gcp import FileMark, GcpFile
-from tiegraph.scene.gnss import HEIGHTS_M, beyond
+from tiegraph.scene.gnss.fixes import HEIGHTS_M, beyond
 from tiegraph.scene.markpixels import AS_IS, EDGE_PX, Copy, file_camera, in_file, lies_in, prepared_pixel, within
 from tiegraph.scene.names import found_by, lookup_of
 from tiegraph.scene.scene import Scene

@@ -11,7 +11,7 @@ from PIL import Image
 
 from tiegraph.geometry.geodesy import crs_transformer
 from tiegraph.scene import exif as tags
-from tiegraph.scene.gnss import SIGMA_RANGE_M
+from tiegraph.scene.gnss.fixes import SIGMA_RANGE_M
 from tiegraph.scene.xmp import NAN, Place, RigTags, ratio, read_place, read_rig_tags, xmp_text, xmp_value
 
 # Tags of the EXIF 2.32 standard (CIPA DC-008).

@@ -23,7 +23,7 @@ from tiegraph.geometry.transforms import rigid
 from tiegraph.scene.cells import number, out_of_order
 from tiegraph.scene.columnwords import without_unit
 from tiegraph.scene.table import read_table
-from tiegraph.scene.timecolumns import Times, times_in, times_of
+from tiegraph.scene.times import Times, times_in, times_of
 
 FORMS = "a TUM file: t x y z qx qy qz qw"
 _TUM, _KITTI, _EUROC = 8, 12, 17  # columns

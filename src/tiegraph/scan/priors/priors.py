@@ -11,19 +11,19 @@ from tiegraph.errors import InputError
 from tiegraph.geometry.align import Similarity, rms_length, robust_umeyama
 from tiegraph.geometry.geodesy import ENU, parse_crs
 from tiegraph.geometry.transforms import interpolate, rigid, skew
-from tiegraph.scan.priors.poses import poses_by_image
 from tiegraph.scan.priors.positions import Frames, Priors, body_of, from_exif, from_gnss
 from tiegraph.scan.priors.startmodel import StartModel
 from tiegraph.scan.priors.times import exif_times, name_times, read_times
-from tiegraph.scan.priors.trajectory import read_trajectory, same_start, trajectory_files
+from tiegraph.scan.priors.trajectory import poses_by_image, read_trajectory, same_start, trajectory_files
 from tiegraph.scan.rigfiles.rigspec import AXES
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import TimesTuning, TrajectoryTuning, Tuning
 from tiegraph.scene.bags import source_of
 from tiegraph.scene.exif import Exif
-from tiegraph.scene.gnss import read_gnss, step_of
-from tiegraph.scene.gpstime import laid_on
+from tiegraph.scene.gnss import read_gnss
+from tiegraph.scene.gnss.fixes import step_of
 from tiegraph.scene.results import Trajectory
+from tiegraph.scene.times import laid_on
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ def estimate_priors(
     priors = Priors(time_s, np.full((count, 4, 4), np.nan), np.full((count, 3), np.nan), step_s=step)
     if gnss is not None:
         rows = read_gnss(gnss, tuning.positions.gnss, settings.heights_m)
-        priors = from_gnss(priors, frames, rows, source_of(Path(gnss)), settings, notes, tuning.positions)
+        priors = from_gnss(priors, frames, rows, settings, notes, tuning.positions)
     else:
         priors = from_exif(priors, frames, settings, notes, tuning.positions)
     if priors.origin is None and settings.crs.lower() != "auto":

@@ -32,9 +32,17 @@ from tiegraph.scan.rigfiles.cameraforeign import agisoft, opensfm_cameras
 from tiegraph.scan.rigfiles.cameraread import NUMBER, FoundCamera, numbers
 from tiegraph.scan.rigfiles.rigreader import is_number
 from tiegraph.scene.colmapmodel import is_model, read_model
-from tiegraph.scene.namedposes import check_poses, checked_pose, poses_of_model, poses_of_transforms, read_json
+from tiegraph.scene.namedposes import (
+    ACCEPTED,
+    called,
+    check_poses,
+    checked_pose,
+    find_start,
+    poses_of_model,
+    poses_of_transforms,
+    read_json,
+)
 from tiegraph.scene.regular import regular
-from tiegraph.scene.startplace import ACCEPTED, called, find_start
 from tiegraph.scene.xmltree import Element, parse_xml
 
 

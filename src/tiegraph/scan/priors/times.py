@@ -18,7 +18,7 @@ from tiegraph.scene.cells import in_seconds
 from tiegraph.scene.exif import Exif
 from tiegraph.scene.names import found_by, lookup_of, plain_name
 from tiegraph.scene.table import Table, read_table
-from tiegraph.scene.timecolumns import Times, times_of
+from tiegraph.scene.times import Times, times_of
 
 _UNIX_NAME = re.compile(r"(?:^|\D)(\d{10}(?:[._]\d{1,9})?|\d{13}|\d{16}|\d{19})$")
 _DATE_NAME = re.compile(r"(?:^|\D)((?:19|20)\d{6})[_\-T ]?(\d{6})(\d{0,6})(?:\D|$)")

@@ -25,8 +25,8 @@ import numpy as np
 from tiegraph.scan.recording.fixes import Fixes, Readings, believed
 from tiegraph.scan.recording.tracks import BrokenTrack, Samples, samples, tracks
 from tiegraph.scan.tuning import PicturesTuning
-from tiegraph.scene.gpstime import DAY_S
 from tiegraph.scene.regular import regular
+from tiegraph.scene.times import DAY_S
 
 _NUMBERS = {
     "b": ">i1", "B": ">u1", "s": ">i2", "S": ">u2", "l": ">i4", "L": ">u4", "j": ">i8", "J": ">u8", "f": ">f4",

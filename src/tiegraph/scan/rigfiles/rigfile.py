@@ -1,4 +1,4 @@
-"""Rig files: tiegraph's rig.toml, COLMAP's rig_config.json and Kalibr's camchain.yaml (``rigkalibr``), read.
+"""Rig files: tiegraph's rig.toml, COLMAP's rig_config.json and Kalibr's camchain.yaml (``camerafile``), read.
 
 rig.toml::
 
@@ -52,10 +52,9 @@ import pycolmap
 
 from tiegraph.errors import InputError
 from tiegraph.geometry.transforms import invert, rigid
-from tiegraph.scan.rigfiles.camerafile import check_lens, read_camera_file
+from tiegraph.scan.rigfiles.camerafile import check_lens, kalibr_rig, read_camera_file
 from tiegraph.scan.rigfiles.cameraread import only_one
 from tiegraph.scan.rigfiles.rigfaults import MAX_SIDE_PX, faults, lens_fault
-from tiegraph.scan.rigfiles.rigkalibr import kalibr_rig
 from tiegraph.scan.rigfiles.rigreader import Reader, is_number
 from tiegraph.scan.rigfiles.rigspec import AXES, PRESET_WORDS, UNIT, RigSpec, SensorSpec, orient
 from tiegraph.scan.tuning import RigTuning

@@ -21,12 +21,11 @@ from tiegraph.scan.folders import is_camera
 from tiegraph.scan.recording import Recording
 from tiegraph.scan.recording.fixes import RECORDED_RANGE_S
 from tiegraph.scan.rigfiles.camerafile import check_lens
-from tiegraph.scan.rigfiles.cameraread import FoundCamera
-from tiegraph.scan.rigfiles.camerayaml import opencv
+from tiegraph.scan.rigfiles.cameraread import FoundCamera, opencv
 from tiegraph.scan.tuning import CameraTuning, PicturesTuning
 from tiegraph.scan.videos.videotime import VideoClock
 from tiegraph.scene.bags import METADATA, SUFFIXES, Bag, Topic, in_full, is_bag, of_topic, open_bag, shown, stamp_ns
-from tiegraph.scene.gnss.navsat import KINDS as FIXES
+from tiegraph.scene.gnss.solutions import KINDS as FIXES
 from tiegraph.scene.images import files_below
 
 KINDS = ("sensor_msgs/Image", "sensor_msgs/CompressedImage")

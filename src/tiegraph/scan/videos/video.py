@@ -1,8 +1,9 @@
 """Videos as image sequences: the sharpest picture of each stretch of time, numbered in order, each with its time.
 
 Videos of 360 cameras before stitching: Insta360's .insv, an MP4 by another name. Three kinds are about. One video shows
-both lenses side by side: its pictures are told by their two circles (``twolenses``). Two files of one shot, ..._00_...
-and ..._10_..., or two video tracks of one file, have a lens each: their pictures become the two cameras of a rig.
+both lenses side by side: its pictures are told by their two circles (``sharedfiles``). Two files of one shot,
+..._00_... and ..._10_..., or two video tracks of one file, have a lens each: their pictures become the two cameras of a
+rig.
 """
 
 import json

@@ -21,8 +21,8 @@ import scipy
 from tiegraph.errors import InputError
 from tiegraph.geometry.align import robust_sigma
 from tiegraph.scan.assign import Report, Usable, assign
-from tiegraph.scan.perspective import PRESET
 from tiegraph.scan.settings import ScanSettings, video_offsets
+from tiegraph.scan.sharedfiles import PRESET
 from tiegraph.scan.tuning import MotionTuning, OffsetTuning, Tuning
 from tiegraph.scene.images import Probe
 

@@ -17,9 +17,9 @@ from tiegraph.scan.recording.tracks import BrokenTrack, boxes
 from tiegraph.scan.settings import ScanSettings, VideoOffsets, video_offsets
 from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scene.exif import Taken
-from tiegraph.scene.gpstime import DAY_S
 from tiegraph.scene.names import clean
 from tiegraph.scene.regular import regular
+from tiegraph.scene.times import DAY_S
 
 _MP4_EPOCH_S = datetime(1904, 1, 1, tzinfo=timezone.utc).timestamp()  # ISO/IEC 14496-12, 8.2.2
 _QUARTER_S = 900.0  # time zones are whole quarters of an hour ...

@@ -15,8 +15,8 @@ import numpy as np
 
 from tiegraph.errors import InputError
 from tiegraph.scene.cells import number
-from tiegraph.scene.gnss.fixes import Fixes, above_ellipsoid
-from tiegraph.scene.gpstime import DAY_S, going_on
+from tiegraph.scene.gnss.fixes import Gnss, above_ellipsoid
+from tiegraph.scene.times import DAY_S, going_on
 
 _TOLD = re.compile(rb"(?m)^[^<\r\n]{0,64}\$[A-Z]{2}(?:GGA|RMC|ZDA|GST|GNS|GLL|GSA|GSV|VTG),")
 _SENTENCE = re.compile(rb"\$([A-Z]{2}(GGA|RMC|ZDA|GST),[^$*]*)(\*[0-9A-Fa-f]{2})?\s*$")
@@ -76,7 +76,7 @@ def is_nmea(text: str, raw: bytes) -> bool:
     return bool(_TOLD.search(raw))
 
 
-def read_nmea(path: Path, raw: bytes) -> Fixes:
+def read_nmea(path: Path, raw: bytes) -> Gnss:
     """The GGA sentences of a log; heights are above the ellipsoid by the undulation that they give.
 
     Without RMC and ZDA times are those of the day. Raises InputError for no GGA, none that is whole, and heights that
@@ -110,7 +110,7 @@ def read_nmea(path: Path, raw: bytes) -> Fixes:
     dated = bool(log.dates)
     if not dated:
         notes.append(f"{path.name}: no RMC or ZDA gives a date: its times of day (UTC) are those of the frames' day")
-    return Fixes(
+    return Gnss(
         path=path,
         line=[n for n, _ in log.rows],
         lat_lon_height=llh,

@@ -15,7 +15,7 @@ import numpy as np
 
 from tiegraph.errors import InputError
 from tiegraph.scene.cells import number, parse_time
-from tiegraph.scene.gnss.fixes import Fixes, above_ellipsoid
+from tiegraph.scene.gnss.fixes import Gnss, above_ellipsoid
 from tiegraph.scene.xmltree import parse_xml
 
 _NAN = float("nan")
@@ -53,7 +53,7 @@ def _unpacked(path: Path, raw: bytes) -> bytes:
     raise InputError(f"{path}: a ZIP archive, but no KMZ ({why}): give a KMZ or one of the formats of positions")
 
 
-def read_gpx(path: Path, raw: bytes) -> Fixes:
+def read_gpx(path: Path, raw: bytes) -> Gnss:
     """Track points of GPX 1.0 and 1.1 with their times. Raises InputError for damaged XML and for no timed points."""
     root = parse_xml(path, raw)
     points = list(root.all("trkpt"))
@@ -69,7 +69,7 @@ def read_gpx(path: Path, raw: bytes) -> Fixes:
         )
     above_sea, undulation = (np.array([number(p.said(n)) for p in points]) for n in ("ele", "geoidheight"))
     height, notes = above_ellipsoid(path, above_sea, undulation)
-    return Fixes(
+    return Gnss(
         path=path,
         line=[p.line for p in points],
         lat_lon_height=np.column_stack(
@@ -80,7 +80,7 @@ def read_gpx(path: Path, raw: bytes) -> Fixes:
     )
 
 
-def read_kml(path: Path, raw: bytes) -> Fixes:
+def read_kml(path: Path, raw: bytes) -> Gnss:
     """Rows of gx:Track (when, coord), or placemarks of points that are named as images or have a TimeStamp.
 
     Raises InputError for damaged XML or KMZ, heights above the ground, a track of other times than places, and for
@@ -122,7 +122,7 @@ def read_kml(path: Path, raw: bytes) -> Fixes:
     return _kml_fixes(path, [p.line for _, p in timed], [p.said("coordinates").split(",") for _, p in timed], times)
 
 
-def _kml_fixes(path: Path, line: list[int], lon_lat_height: list[list[str]], time_s: np.ndarray) -> Fixes:
+def _kml_fixes(path: Path, line: list[int], lon_lat_height: list[list[str]], time_s: np.ndarray) -> Gnss:
     lon, lat, above_sea = np.array([[number(v) for v in [*cells, "", "", ""][:3]] for cells in lon_lat_height]).T
     height, notes = above_ellipsoid(path, above_sea, np.full(len(line), _NAN))
-    return Fixes(path=path, line=line, lat_lon_height=np.stack([lat, lon, height], axis=1), time_s=time_s, notes=notes)
+    return Gnss(path=path, line=line, lat_lon_height=np.stack([lat, lon, height], axis=1), time_s=time_s, notes=notes)
