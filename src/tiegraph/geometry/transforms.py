@@ -40,6 +40,13 @@ def skew(v: np.ndarray) -> np.ndarray:
     return out - np.swapaxes(out, -1, -2)
 
 
+def are_rotations(turns: np.ndarray, play: float) -> np.ndarray:
+    """(...) bool: matrices (..., 3, 3) that are rotations, products of whose rows miss 0 or 1 by ``play`` at most."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        off = np.abs(turns @ np.swapaxes(turns, -1, -2) - np.eye(3)).max(axis=(-2, -1))
+        return (off <= play) & (np.linalg.det(turns) > 0)
+
+
 def motions(from_middle: np.ndarray) -> np.ndarray:
     """(N, 3, 7) what a turn (rad), a shift (m) and a change of scale do to places (N, 3) about the middle."""
     shift = np.broadcast_to(np.eye(3), (len(from_middle), 3, 3))

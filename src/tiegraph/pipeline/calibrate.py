@@ -38,7 +38,7 @@ from tiegraph.scan.assign import Report, usable_images
 from tiegraph.scan.folders import guess_layout
 from tiegraph.scan.frames import match_frames
 from tiegraph.scan.rigfiles.camerafile import MODELS
-from tiegraph.scan.rigfiles.rigreader import nearest
+from tiegraph.scan.rigfiles.rigfaults import nearest
 from tiegraph.scan.rigfiles.rigspec import rig_config, rig_toml
 from tiegraph.scan.tuning import Tuning as ScanTuning
 from tiegraph.scene.atomic import must_be_new

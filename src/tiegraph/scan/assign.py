@@ -26,7 +26,7 @@ from tiegraph.scan.folders import (
     words,
 )
 from tiegraph.scan.rigfiles.rigfaults import contradictions
-from tiegraph.scan.rigfiles.rigfile import parse_rig_file, read_rig_file
+from tiegraph.scan.rigfiles.rigfile import read_rig_file
 from tiegraph.scan.rigfiles.rigspec import RigSpec, SensorSpec, preset, preset_sizes
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import FoldersTuning, Tuning
@@ -98,10 +98,9 @@ def assign(
 
     Raises InputError for a rig that is wrong or does not fit.
     """
-    if rig is not None and text is not None:
-        specs = parse_rig_file(Path(rig), text, tuning.rig)
-        return _assign_by_file(Path(rig), specs, usable, settings, report, tuning)
-    cameras = preset_sizes(rig, tuning.rig) if rig else ()
+    cameras = preset_sizes(rig, tuning.rig) if rig and text is None else ()
+    if rig is not None and not cameras:
+        return _assign_by_file(Path(rig), read_rig_file(rig, tuning.rig, text), usable, settings, report, tuning)
     exif, sizes = usable.facts()
     kind = usable.layout(settings)
     layout = band_layout(usable.names, exif, kind, tuning.frames) or guess_layout(
@@ -117,11 +116,9 @@ def assign(
                 f"no rig given: how the {len(layout.folders)} cameras stand to each other is unknown and has to come "
                 "from the images; --rig takes a file or ladybug5, ring:N, stereo"
             )
-    elif cameras:
+    else:
         spec = preset(rig, layout.folders, tuning.rig)
         report.notes.append(f"layout guessed: {layout.note}; rig preset {rig}: nominal axes and centres")
-    else:
-        return _assign_by_file(Path(rig), read_rig_file(rig, tuning.rig), usable, settings, report, tuning)
     index = {s.folder: k for k, s in enumerate(spec.sensors)}
     shots = tuple(
         _shot(image, name, (0, index[place.folder]), place, layout.loose)

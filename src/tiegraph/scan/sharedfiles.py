@@ -11,7 +11,7 @@ one's horizontal; and in newer cameras their distortion, a start where it fits t
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path, PurePosixPath
+from pathlib import PurePosixPath
 
 import numpy as np
 import pycolmap
@@ -22,7 +22,7 @@ from tiegraph.scan.assign import Report, Shot, Survey, Usable
 from tiegraph.scan.folders import guess_layout
 from tiegraph.scan.recording.insta360 import FactoryLens, factory_lenses
 from tiegraph.scan.rigfiles.rigfaults import lens_fault
-from tiegraph.scan.rigfiles.rigfile import parse_rig_file, read_rig_file
+from tiegraph.scan.rigfiles.rigfile import read_rig_file
 from tiegraph.scan.rigfiles.rigspec import RigSpec, SensorSpec, orient, preset_sizes
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import PanoramaTuning, Tuning
@@ -261,7 +261,7 @@ def _given(rig: str, text: str | None, tuning: Tuning) -> RigSpec:
         raise InputError(
             f"--rig {rig}: the files hold two fisheye images each: give a rig file with two sensors, or none"
         )
-    specs = read_rig_file(rig, tuning.rig) if text is None else parse_rig_file(Path(rig), text, tuning.rig)
+    specs = read_rig_file(rig, tuning.rig, text)
     count = sum(len(s.sensors) for s in specs)
     if len(specs) != 1 or count != len(NAMES):
         raise InputError(

@@ -190,12 +190,9 @@ def _pose(given: Any, where: str) -> np.ndarray:
 
 def checked_pose(pose: np.ndarray, what: str) -> np.ndarray:
     """(4, 4) of a camera-to-world matrix (3 or 4, 4). Raises InputError, naming ``what``, if it has no rotation."""
-    turn = pose[:3, :3]
-    with np.errstate(over="ignore", invalid="ignore"):
-        off = np.abs(turn @ turn.T - np.eye(3)).max()
-    if not (off <= _ROTATION and np.linalg.det(turn) > 0):
+    if not transforms.are_rotations(pose[:3, :3], _ROTATION):
         raise InputError(
             f"{what} has no rotation in its first three columns (scaled, or mirrored): write "
             "camera-to-world matrices with a rotation and a translation"
         )
-    return transforms.rigid(turn, pose[:3, 3])
+    return transforms.rigid(pose[:3, :3], pose[:3, 3])

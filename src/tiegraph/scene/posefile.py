@@ -19,7 +19,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tiegraph.errors import InputError
-from tiegraph.geometry.transforms import rigid
+from tiegraph.geometry.transforms import are_rotations, rigid
 from tiegraph.scene.cells import number, out_of_order
 from tiegraph.scene.columnwords import without_unit
 from tiegraph.scene.table import read_table
@@ -35,6 +35,7 @@ _HEADERS = "'# time x y z qx qy qz qw' or '# time x y z qw qx qy qz'"
 _NANOSECONDS = 1e17  # times since 1970 above this are in nanoseconds
 _FAR_M = 1e8  # ECEF and grid coordinates are smaller
 _EXTENT_M = 1e6  # of a survey
+_PLAY = 1e-2  # by so much may the length of a quaternion, or R R^T, miss 1
 _MOVED = 1e-9  # poses that differ less are the same
 W_LAST, W_FIRST = (0, 1, 2, 3), (1, 2, 3, 0)  # columns of x, y, z, w
 _STEPS, _MOVE = 8, 0.1  # moves needed to see which way a body drives, and the least one in median moves
@@ -110,7 +111,7 @@ def _checked(rows: _Rows, time_s: np.ndarray, table: np.ndarray, said: tuple[str
         raise rows.fail(bad[0], f"the time {table[bad[0], 0]:g} is none: seconds, or nanoseconds since 1970")
     with np.errstate(over="ignore"):
         length = np.linalg.norm(table[:, 4:], axis=1)
-    bad = np.flatnonzero(~(np.abs(length - 1) <= 1e-2))
+    bad = np.flatnonzero(~(np.abs(length - 1) <= _PLAY))
     if len(bad):
         raise rows.fail(bad[0], f"the quaternion qx qy qz qw has length {length[bad[0]]:.3g}, not 1")
     _check_places(rows, table[:, 1:4])
@@ -221,9 +222,7 @@ def _columns(rows: _Rows) -> tuple[tuple[int, ...], tuple[str, ...]]:
 def _kitti(rows: _Rows) -> np.ndarray:
     matrices = rows.numbers.reshape(-1, 3, 4)
     turns = matrices[:, :, :3]
-    with np.errstate(over="ignore", invalid="ignore"):
-        off = np.abs(turns @ np.swapaxes(turns, 1, 2) - np.eye(3)).max(axis=(1, 2))
-        bad = np.flatnonzero(~(off <= 1e-2) | (np.linalg.det(turns) < 0))
+    bad = np.flatnonzero(~are_rotations(turns, _PLAY))
     if len(bad):
         raise rows.fail(bad[0], "columns 1-3, 5-7, 9-11 are not a rotation")
     return rigid(Rotation.from_matrix(turns).as_matrix(), matrices[:, :, 3])

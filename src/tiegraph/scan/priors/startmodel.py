@@ -30,7 +30,7 @@ from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
 from tiegraph.scan.rigfiles.cameraforeign import agisoft, opensfm_cameras
 from tiegraph.scan.rigfiles.cameraread import NUMBER, FoundCamera, numbers
-from tiegraph.scan.rigfiles.rigreader import is_number
+from tiegraph.scan.rigfiles.rigfaults import is_number
 from tiegraph.scene.colmapmodel import is_model, read_model
 from tiegraph.scene.namedposes import (
     ACCEPTED,

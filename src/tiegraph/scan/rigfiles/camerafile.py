@@ -20,7 +20,7 @@ import numpy as np
 import pycolmap
 
 from tiegraph.errors import InputError
-from tiegraph.geometry.transforms import invert
+from tiegraph.geometry.transforms import are_rotations, invert
 from tiegraph.scan.rigfiles.cameraforeign import agisoft, is_agisoft, is_opensfm, opensfm
 from tiegraph.scan.rigfiles.cameraread import (
     NUMBER,
@@ -33,8 +33,7 @@ from tiegraph.scan.rigfiles.cameraread import (
     matrix_of,
     opencv,
 )
-from tiegraph.scan.rigfiles.rigfaults import MAX_SIDE_PX, faults, lens_fault
-from tiegraph.scan.rigfiles.rigreader import nearest
+from tiegraph.scan.rigfiles.rigfaults import MAX_SIDE_PX, MODELS, count_fault, faults, lens_fault, nearest
 from tiegraph.scan.rigfiles.rigspec import UNIT, RigSpec, SensorSpec
 from tiegraph.scan.tuning import CameraTuning, RigTuning
 from tiegraph.scene.regular import regular
@@ -44,7 +43,6 @@ PROGRAMS = (
     "COLMAP's cameras.txt or cameras.bin, OpenCV's or ROS's YAML or XML, Kalibr's camchain.yaml, OpenSfM's "
     "camera_models.json, Agisoft's XML"
 )
-MODELS = tuple(m for m in pycolmap.CameraModelId.__members__ if m not in ("INVALID", "EQUIRECTANGULAR"))
 _ROW = re.compile(rf"(?m)^[ \t]*\d+[ \t]+(?:{'|'.join(MODELS)})[ \t]")
 
 
@@ -106,9 +104,8 @@ def in_words(words: list[str], where: str, remedy: str) -> FoundCamera:
 
 def check_count(model: str, params: tuple[float, ...], where: str) -> None:
     """Raise InputError for a wrong number of parameters."""
-    info = pycolmap.Camera.create_from_model_name(0, model, 1.0, 1, 1)
-    if len(params) != len(info.params):
-        raise InputError(f"{where}: {model} has {len(info.params)} parameters ({info.params_info}), got {len(params)}")
+    if wrong := count_fault(model, params):
+        raise InputError(f"{where}: {wrong}")
 
 
 def _cameras_txt(content: str, where: str) -> list[FoundCamera]:
@@ -192,8 +189,7 @@ def _link(block: str, where: str) -> np.ndarray:
             "a rig.toml"
         )
     matrix = np.array(exactly(given, 16, f"{where}: {_CHAIN}")).reshape(4, 4)
-    turn = matrix[:3, :3]
-    good = np.isfinite(matrix).all() and np.allclose(turn @ turn.T, np.eye(3), atol=UNIT) and np.linalg.det(turn) > 0
-    if not good or not np.array_equal(matrix[3], [0, 0, 0, 1]):
+    good = np.isfinite(matrix).all() and np.array_equal(matrix[3], [0, 0, 0, 1])
+    if not good or not are_rotations(matrix[:3, :3], UNIT):
         raise InputError(f"{where}: {_CHAIN} is no rotation and place (4 rows of 4, the last 0, 0, 0, 1)")
     return matrix

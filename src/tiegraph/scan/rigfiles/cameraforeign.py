@@ -19,7 +19,7 @@ from typing import Any
 
 from tiegraph.errors import InputError
 from tiegraph.scan.rigfiles.cameraread import NUMBER, FoundCamera, size_of, zero
-from tiegraph.scan.rigfiles.rigreader import is_number
+from tiegraph.scan.rigfiles.rigfaults import is_number
 
 # --- OpenSfM ----------------------------------------------------------------------------------------------------------
 
