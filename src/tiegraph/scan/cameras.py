@@ -11,6 +11,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
+from typing import Any
 
 import numpy as np
 import pycolmap
@@ -25,7 +26,7 @@ from tiegraph.scan.rigfiles.camerafile import PROGRAMS, check_lens, in_words, re
 from tiegraph.scan.rigfiles.cameraread import FoundCamera, only_one
 from tiegraph.scan.rigfiles.rigfaults import focal_fault, lens_fault
 from tiegraph.scan.rigfiles.rigfile import camera_table
-from tiegraph.scan.rigfiles.rigspec import SensorSpec
+from tiegraph.scan.rigfiles.rigspec import RigSpec, SensorSpec
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import CameraTuning, RigTuning
 from tiegraph.scene.decoding import EIGHT_BIT, Levels
@@ -93,35 +94,42 @@ def _file_camera(
     model = spec.model or _default_model(spec, facts, settings)
     fisheye, named = "FISHEYE" in model, Path(file).name  # where it lies on this machine is nobody's
     width, height = facts.size
+    known = True
     if spec.focal_px is not None:
         scale = _scale(spec, facts, file, tuning)
-        wrong = focal_fault(spec.focal_px * scale, width, fisheye, tuning)
-        if wrong:
+        focal, how = spec.focal_px * scale, f"focal length from {named}{_scaled(scale)}"
+        if wrong := focal_fault(focal, width, fisheye, tuning):
             raise InputError(f"{spec.at or file}: sensor {spec.name!r}: {wrong}")
-        return _camera(model, spec.focal_px * scale, facts, True), f"focal length from {named}{_scaled(scale)}"
-    if spec.hfov_deg is not None and file:
+    elif spec.hfov_deg is not None and file:
         if not fisheye and not tuning.min_fov_deg <= spec.hfov_deg <= tuning.max_fov_deg:
             raise InputError(
                 f"{spec.at or file}: sensor {spec.name!r}: hfov_deg = {spec.hfov_deg:g}: a {model} image sees "
                 f"{tuning.min_fov_deg:g} to {tuning.max_fov_deg:g} degrees; give a fisheye model?"
             )
-        return _camera(model, _from_hfov(spec.hfov_deg, width, fisheye), facts, True), f"field of view from {named}"
-    if np.isfinite(facts.focal_px):
-        return _camera(model, facts.focal_px, facts, True), "focal length from EXIF"
+        focal, how = _from_hfov(spec.hfov_deg, width, fisheye), f"field of view from {named}"
+    elif np.isfinite(facts.focal_px):
+        focal, how = facts.focal_px, "focal length from EXIF"
+    else:
+        known, (focal, how) = False, _guessed(spec, facts, fisheye, tuning)
+    made = pycolmap.Camera.create_from_model_name(0, model, float(focal), width, height)
+    camera = pycolmap.Camera(model=model, width=width, height=height, params=made.params)
+    camera.has_prior_focal_length = known
+    return camera, how
+
+
+def _guessed(spec: SensorSpec, facts: FileFacts, fisheye: bool, tuning: CameraTuning) -> tuple[float, str]:
+    """Focal length, pixels, of a camera of which nothing tells it, and what it is guessed by."""
+    width = facts.size[0]
     if spec.hfov_deg is not None:
         how = f"focal length from the preset's nominal field of view of {spec.hfov_deg:g} degrees"
-        return _camera(model, _from_hfov(spec.hfov_deg, width, fisheye), facts, False), how
-    if fisheye and np.isfinite(facts.radius_px):
-        across = tuning.guessed_circle_deg
-        how = f"focal length guessed: a fisheye of {across:g} degrees across its circle"
-        return _camera(model, _from_hfov(across, 2 * facts.radius_px, fisheye), facts, False), how
+        return _from_hfov(spec.hfov_deg, width, fisheye), how
     if fisheye:
-        across = tuning.guessed_fisheye_deg
-        how = f"focal length guessed: a fisheye of {across:g} degrees across"
-        return _camera(model, _from_hfov(across, width, fisheye), facts, False), how
-    guess = tuning.guessed_focal * max(width, height)
+        circle = np.isfinite(facts.radius_px)
+        across = tuning.guessed_circle_deg if circle else tuning.guessed_fisheye_deg
+        how = f"focal length guessed: a fisheye of {across:g} degrees across{' its circle' if circle else ''}"
+        return _from_hfov(across, 2 * facts.radius_px if circle else width, fisheye), how
     how = f"focal length guessed as {tuning.guessed_focal} x the longer side (no EXIF, no rig file with a camera)"
-    return _camera(model, guess, facts, False), how
+    return tuning.guessed_focal * max(facts.size), how
 
 
 def _from_params(
@@ -175,13 +183,6 @@ def _default_model(spec: SensorSpec, facts: FileFacts, settings: ScanSettings) -
     return "SIMPLE_RADIAL" if facts.loose else "RADIAL"
 
 
-def _camera(model: str, focal_px: float, facts: FileFacts, prior: bool) -> pycolmap.Camera:
-    made = pycolmap.Camera.create_from_model_name(0, model, float(focal_px), *facts.size)
-    camera = pycolmap.Camera(model=model, width=facts.size[0], height=facts.size[1], params=made.params)
-    camera.has_prior_focal_length = prior
-    return camera
-
-
 WORDS = (
     "give MODEL,parameters as COLMAP names and orders them (such as OPENCV,4000x3000,fx,fy,cx,cy,k1,k2,p1,p2; the size "
     f"of the images may be left away), or a file: {PROGRAMS}, or a rig.toml with one camera"
@@ -225,44 +226,41 @@ def with_camera(
     if camera is None:
         return survey
     given = read_camera(camera, tuning)
-    specs = list(survey.specs)
-    there = {(r, k): (specs[r].sensors[k], size) for (r, k), size in sizes.items()}
-    for (r, k), sensor in _takers(given, there, notes, tuning.camera).items():
-        sensors = tuple(sensor if n == k else s for n, s in enumerate(specs[r].sensors))
-        specs[r] = replace(specs[r], sensors=sensors, file=specs[r].file or given.at)
+    r, k = _taker(given, survey, sizes, tuning.camera)
+    sensor = survey.specs[r].sensors[k]
+    if sensor.params is not None or sensor.focal_px is not None or sensor.hfov_deg is not None:
+        raise InputError(f"{given.at}: the rig file gives a camera for {sensor.name!r} too: leave one of the two away")
+    if len(sizes) > 1:
+        others = f"{len(sizes) - 1} other cameras keep what EXIF says"
+        notes.append(f"{Path(given.at).name}: taken for {sensor.name}; {others}")
+    fields = ("model", "size", "params", "focal_px", "hfov_deg", "camera_sigma_px", "at")
+    specs = _with_sensor(survey.specs, (r, k), **{name: getattr(given, name) for name in fields})
+    specs[r] = replace(specs[r], file=specs[r].file or given.at)
     return replace(survey, specs=tuple(specs))
 
 
-def _takers(
-    given: SensorSpec,
-    sensors: dict[tuple[int, int], tuple[SensorSpec, tuple[int, int]]],
-    notes: list[str],
-    tuning: CameraTuning,
-) -> dict[tuple[int, int], SensorSpec]:
-    """The sensors that take a given camera: {key: sensor} of {key: (sensor, size of its images)}.
+def _taker(
+    given: SensorSpec, survey: Survey, sizes: dict[tuple[int, int], tuple[int, int]], tuning: CameraTuning
+) -> tuple[int, int]:
+    """Rig and sensor that take a given camera: the lone one, or that whose images have the shape the calibration is of,
+    for photographs by other cameras keep what EXIF says. Raises InputError if it could be several, or none."""
+    fits = [key for key, size in sizes.items() if len(sizes) == 1 or _same_shape(given.size, size, tuning)]
+    if len(fits) == 1:
+        return fits[0]
+    named = [f"{survey.specs[r].sensors[k].name} ({w} x {h})" for (r, k), (w, h) in sizes.items()]
+    which = f"a camera of {given.size[0]} x {given.size[1]} images fits" if given.size else "without a size it fits"
+    count = f"{len(fits)} of them" if fits else "none of them"
+    raise InputError(
+        f"{given.at}: {which} {count}, the images are of {len(sizes)} cameras: {', '.join(named[:4])}; give each its "
+        "own camera in a rig.toml (`tiegraph init` writes one), or keep photographs of one camera"
+    )
 
-    The lone camera, or those whose images have the shape the calibration is of: photographs by other cameras keep what
-    EXIF says. Raises InputError if it could be several, or none.
-    """
-    fits = {k: s for k, (s, size) in sensors.items() if len(sensors) == 1 or _same_shape(given.size, size, tuning)}
-    listed = ", ".join(f"{s.name} ({w} x {h})" for s, (w, h) in list(sensors.values())[:4])
-    if len(fits) != 1:
-        which = f"a camera of {given.size[0]} x {given.size[1]} images fits" if given.size else "without a size it fits"
-        count = f"{len(fits)} of them" if fits else "none of them"
-        raise InputError(
-            f"{given.at}: {which} {count}, the images are of {len(sensors)} cameras: {listed}; give each its own "
-            "camera in a rig.toml (`tiegraph init` writes one), or keep photographs of one camera"
-        )
-    ((key, sensor),) = fits.items()
-    if sensor.params is not None or sensor.focal_px is not None or sensor.hfov_deg is not None:
-        raise InputError(f"{given.at}: the rig file gives a camera for {sensor.name!r} too: leave one of the two away")
-    others = [s.name for k, (s, _) in sensors.items() if k != key]
-    if others:
-        notes.append(f"{Path(given.at).name}: taken for {sensor.name}; {len(others)} other cameras keep what EXIF says")
-    camera = {
-        n: getattr(given, n) for n in ("model", "size", "params", "focal_px", "hfov_deg", "camera_sigma_px", "at")
-    }
-    return {key: replace(sensor, **camera)}
+
+def _with_sensor(specs: Sequence[RigSpec], key: tuple[int, int], **changes: Any) -> list[RigSpec]:
+    """The rigs with some fields of one sensor changed."""
+    r, k = key
+    sensors = [replace(s, **changes) if n == k else s for n, s in enumerate(specs[r].sensors)]
+    return [replace(spec, sensors=tuple(sensors)) if n == r else spec for n, spec in enumerate(specs)]
 
 
 def start_cameras(root: Path, by_folder: Mapping[str, FoundCamera], names: Sequence[str]) -> StartModel | None:
@@ -304,9 +302,8 @@ def with_start_cameras(
         check_lens(found, tuning)
         found = _adjustable(found, size)
         focal = tuning.start_focal * found.params[0]
-        changed = replace(sensor, model=found.model, size=found.size, params=found.params, at=found.where)
-        changed = replace(changed, camera_sigma_px=focal, started=True)
-        specs[r] = replace(specs[r], sensors=tuple(changed if n == k else s for n, s in enumerate(specs[r].sensors)))
+        camera = {"model": found.model, "size": found.size, "params": found.params, "at": found.where}
+        specs = _with_sensor(specs, (r, k), **camera, camera_sigma_px=focal, started=True)
     if given:
         notes.append(f"{some(given)}: the cameras given are used, not those of {start.cameras_of()}")
     return replace(survey, specs=tuple(specs))

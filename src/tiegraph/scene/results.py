@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import zipfile
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -78,12 +78,6 @@ class Cloud(Columns):
         """The points and their normals by a rigid motion (4, 4)."""
         normal = (self.normal @ pose[:3, :3].T).astype(np.float32)
         return replace(self, xyz_m=transforms.apply(pose, self.xyz_m), normal=normal)
-
-    @staticmethod
-    def concatenate(clouds: list[Cloud]) -> Cloud:
-        """All points of several clouds; the origin of the first."""
-        columns = {f.name: np.concatenate([getattr(c, f.name) for c in clouds]) for f in fields(Cloud)[:-1]}
-        return Cloud(**columns, origin=clouds[0].origin)
 
     @staticmethod
     def empty(origin: Origin | None = None) -> Cloud:

@@ -1,5 +1,6 @@
 """Many numbers: tables of columns, sorting of points by voxel, tile or node, even samples."""
 
+from collections.abc import Sequence
 from dataclasses import fields, replace
 from typing import TypeVar
 
@@ -18,6 +19,13 @@ class Columns:
         """The rows of a mask or index array."""
         named = {f.name: getattr(self, f.name) for f in fields(self)}  # type: ignore[arg-type]
         return replace(self, **{n: v[rows] for n, v in named.items() if isinstance(v, np.ndarray)})  # type: ignore
+
+    @classmethod
+    def concatenate(cls: type[T], parts: Sequence[T]) -> T:
+        """The rows of several tables (one at least), one after another; what is no column is that of the first."""
+        first = parts[0]
+        names = [n for n, v in vars(first).items() if isinstance(v, np.ndarray)]
+        return replace(first, **{n: np.concatenate([getattr(p, n) for p in parts]) for n in names})  # type: ignore
 
 
 def run_starts(numbers: np.ndarray) -> np.ndarray:

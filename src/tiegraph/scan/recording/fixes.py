@@ -1,6 +1,6 @@
 """Positions that a camera's own receiver wrote into its video: which are believed, and where a frame was taken."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -69,5 +69,5 @@ def believed(readings: Readings, tuning: PicturesTuning) -> tuple[Readings, str]
     level[good.fix == 2, 2] = np.nan
     first, last = RECORDED_RANGE_S
     time = np.where((good.time_s >= first) & (good.time_s <= last), good.time_s, np.nan)
-    kept = Readings(good.stamp_s, time, level, fix=good.fix, dop=good.dop)
+    kept = replace(good, time_s=time, lat_lon_height=level)
     return kept, f"{len(kept)} of {len(readings)} fixes used" + (f" ({words} left out)" if words else "")

@@ -15,7 +15,7 @@ up to four bytes. Entries nest; a reader here asks for one level at a time, so d
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import BinaryIO
@@ -159,9 +159,7 @@ def _add(found: _Found, payload: bytes, begin_s: float, length_s: float) -> None
                 continue
             readings = read(stream)
             stamps = begin_s + length_s * np.arange(len(readings)) / max(len(readings), 1)
-            found.readings[kind].append(
-                Readings(stamps, readings.time_s, readings.lat_lon_height, fix=readings.fix, dop=readings.dop)
-            )
+            found.readings[kind].append(replace(readings, stamp_s=stamps))
             if "GPSA" in stream:
                 found.above_sea = stream["GPSA"].text() == "MSLV"
 
@@ -225,7 +223,7 @@ def _judge(found: _Found, max_gap_s: float, tuning: PicturesTuning) -> Telemetry
     )
     if not any(len(p) for p in parts):
         return Telemetry(None, np.nan, "; ".join(filter(None, ["its GPMF track has no fixes of a receiver", damaged])))
-    kept, words = believed(_joined(parts), tuning)
+    kept, words = believed(Readings.concatenate(parts), tuning)
     where = "above the sea" if found.above_sea else "above the ellipsoid"
     said = [f"positions from its GPMF track ({kind}): {words}, heights {where}", damaged]
     late = (kept.time_s - kept.stamp_s)[np.isfinite(kept.time_s)]
@@ -238,13 +236,3 @@ def _judge(found: _Found, max_gap_s: float, tuning: PicturesTuning) -> Telemetry
         said.insert(0, f"begins at {when} UTC by {len(late)} times of its receiver{doubt}")
     fixes = Fixes(kept.stamp_s, kept.lat_lon_height, max_gap_s) if len(kept) else None
     return Telemetry(fixes, start, "; ".join(filter(None, said)))
-
-
-def _joined(parts: list[Readings]) -> Readings:
-    return Readings(
-        stamp_s=np.concatenate([p.stamp_s for p in parts]),
-        time_s=np.concatenate([p.time_s for p in parts]),
-        lat_lon_height=np.concatenate([p.lat_lon_height for p in parts]),
-        fix=np.concatenate([p.fix for p in parts]),
-        dop=np.concatenate([p.dop for p in parts]),
-    )
