@@ -70,6 +70,16 @@ class Report:
 
 
 @dataclass(frozen=True)
+class ImageFiles:
+    """Images, or the views that files are cut into: their names, what a look at the files found, and the files;
+    parallel."""
+
+    names: Sequence[str]
+    probes: Sequence[Probe]
+    files: Sequence[str]
+
+
+@dataclass(frozen=True)
 class Usable:
     """The usable images: their numbers, names and what their probes say; parallel."""
 

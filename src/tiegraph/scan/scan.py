@@ -8,9 +8,9 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 
-from tiegraph.scan.assign import Report, Shot, Survey, Usable, assign, need_two, usable_images, zoomed
+from tiegraph.scan.assign import ImageFiles, Report, Shot, Survey, Usable, assign, need_two, usable_images, zoomed
 from tiegraph.scan.cameras import FileFacts, calibrate, with_camera, with_start_cameras
-from tiegraph.scan.fisheye import ImageFiles, into_views, with_lit_circle
+from tiegraph.scan.fisheye import into_views, with_lit_circle
 from tiegraph.scan.folders import natural
 from tiegraph.scan.frames import into_frames
 from tiegraph.scan.prepare import KEPT_SUFFIXES, prepare_image
@@ -23,7 +23,6 @@ from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.sharedfiles import perspective_views, two_lenses
 from tiegraph.scan.tuning import Tuning
 from tiegraph.scene.decoding import EIGHT_BIT
-from tiegraph.scene.exif import Exif
 from tiegraph.scene.hanging import wide_first
 from tiegraph.scene.images import IMAGES_FOLDER, Probe, find_images, probe_image
 from tiegraph.scene.names import clean, shortened
@@ -77,7 +76,7 @@ def build_scene(
     rigs, survey, views = into_views(rigs, survey, pictures, settings, report, tuning.lens_views, tuning.panorama)
     if inputs.start is not None:
         must_be_whole(inputs.start, views.names is pictures.names)
-    return _scene(inputs, _Named.of(survey, views), rigs, survey, settings, report, tuning)
+    return _scene(inputs, views, rigs, survey, settings, report, tuning)
 
 
 def _assigned(
@@ -90,7 +89,7 @@ def _assigned(
     )
     if views is None:
         return assign(inputs.rig, usable, settings, report, tuning, inputs.rig_text), pictures, True
-    return views.survey, ImageFiles(views.names, views.probes, views.files), False
+    return *views, False
 
 
 def _with_cameras(
@@ -164,28 +163,26 @@ def _rigs(
             facts = _facts(groups[r, k], probes, survey.loose, tuning)
             camera, source, how = calibrate(sensor, facts, spec.file, settings, tuning.rig.camera)
             hows.setdefault(how, []).append(sensor.name)
-            pose = _sensor_from_rig(spec, k, present[0])
             made = Sensor(
                 name=sensor.name,
                 camera=camera,
-                sensor_from_rig=pose,
+                sensor_from_rig=_sensor_from_rig(spec, k, present[0]),
                 role=sensor.role,
                 folder=sensor.folder or "",
                 source=source,
+                sigma_deg=sensor.sigma_deg,
+                sigma_m=sensor.sigma_m,
+                camera_sigma_px=sensor.camera_sigma_px,
             )
-            made = with_lit_circle(made, [probes[s.image] for s in groups[r, k]], tuning.lens_views)
-            made = replace(made, sigma_deg=sensor.sigma_deg, sigma_m=sensor.sigma_m)
-            sensors.append(replace(made, camera_sigma_px=sensor.camera_sigma_px))
-        pairs = tuple(p for p in spec.pairs if set(p.sensors) <= {s.name for s in sensors})
-        arm = _antenna(spec, present[0])
+            sensors.append(with_lit_circle(made, [probes[s.image] for s in groups[r, k]], tuning.lens_views))
         rigs.append(
             Rig(
                 name=spec.name,
                 sensors=tuple(sensors),
                 fixed=spec.fixed,
                 nominal=spec.nominal,
-                antenna_m=arm,
-                pairs=pairs,
+                antenna_m=_antenna(spec, present[0]),
+                pairs=tuple(p for p in spec.pairs if set(p.sensors) <= {s.name for s in sensors}),
                 synchronised=spec.synchronised,
             )
         )
@@ -231,38 +228,21 @@ def _antenna(spec: RigSpec, reference: int) -> tuple[float, float, float] | None
 # --- the scene ------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class _Named:
-    """Order of the shots by their names in the scene, those names, and each one's file and EXIF; parallel."""
-
-    order: tuple[int, ...]
-    names: tuple[str, ...]
-    files: tuple[str, ...]
-    exif: tuple[Exif, ...]
-    renamed: int
-
-    @staticmethod
-    def of(survey: Survey, pictures: ImageFiles) -> "_Named":
-        names, probes, files = pictures.names, pictures.probes, pictures.files
-        given = [names[s.image] for s in survey.shots]
-        safe = safe_names(given)
-        order = sorted(range(len(safe)), key=lambda k: safe[k])
-        renamed = sum(a != b for a, b in zip(given, safe))
-        images = [survey.shots[k].image for k in order]
-        of, exif = tuple(files[i] for i in images), tuple(probes[i].exif for i in images)
-        return _Named(order=tuple(order), names=tuple(safe[k] for k in order), files=of, exif=exif, renamed=renamed)
-
-
 def _scene(
-    inputs: ScanInputs, named: _Named, rigs: tuple[Rig, ...], survey: Survey, settings: ScanSettings, report: Report,
-    tuning: Tuning,
+    inputs: ScanInputs, pictures: ImageFiles, rigs: tuple[Rig, ...], survey: Survey, settings: ScanSettings,
+    report: Report, tuning: Tuning,
 ) -> Scene:  # fmt: skip
-    shots, sources = [survey.shots[k] for k in named.order], named.files
+    given = [pictures.names[s.image] for s in survey.shots]
+    safe = safe_names(given)
+    order = sorted(range(len(safe)), key=lambda k: safe[k])
+    shots, names = [survey.shots[k] for k in order], tuple(safe[k] for k in order)
+    sources = tuple(pictures.files[s.image] for s in shots)
+    exif = tuple(pictures.probes[s.image].exif for s in shots)
     sequences = tuple(sorted({s.sequence for s in shots} - {""}, key=natural))
     rows = _frame_rows(shots, sequences)
     sensors = tuple(s.sensor for s in shots)
     frames = Frames(
-        rows=rows, sequences=sequences, names=sources, exif=named.exif, rigs=rigs, specs=survey.specs, sensors=sensors
+        rows=rows, sequences=sequences, names=sources, exif=exif, rigs=rigs, specs=survey.specs, sensors=sensors
     )
     priors = estimate_priors(frames, inputs.gnss, inputs.start or inputs.trajectory, inputs.times, settings, tuning)
     rows, priors_order = _in_time_order(rows, priors.time_s, report)
@@ -270,14 +250,12 @@ def _scene(
     frame = np.zeros(len(shots), int)
     for k, row in enumerate(rows):
         frame[list(row.images)] = k
-    if named.renamed:
-        report.notes.append(
-            f"{named.renamed} images renamed (blanks, #, long names or formats that COLMAP does not take)"
-        )
-    exposure = np.array([e.exposure for e in named.exif], float)
+    if renamed := sum(a != b for a, b in zip(given, safe)):
+        report.notes.append(f"{renamed} images renamed (blanks, #, long names or formats that COLMAP does not take)")
+    exposure = np.array([e.exposure for e in exif], float)
     return Scene(
         rigs=rigs,
-        names=named.names,
+        names=names,
         frame=frame,
         sensor=np.array([s.sensor for s in shots]),
         rig=np.array([r.rig for r in rows]),
@@ -294,7 +272,7 @@ def _scene(
         dropped=tuple(sorted(report.dropped, key=lambda d: d.name)),
         notes=(*report.notes, *priors.notes),
         guessed=sequences if survey.guessed and not inputs.tells_order() else (),
-        sources=() if named.names == sources else sources,
+        sources=() if names == sources else sources,
         exposure=exposure if np.isfinite(exposure).any() else None,
     )
 

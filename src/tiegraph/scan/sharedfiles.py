@@ -10,7 +10,7 @@ one's horizontal; and in newer cameras their distortion, a start where it fits t
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import PurePosixPath
 
 import numpy as np
@@ -18,7 +18,7 @@ import pycolmap
 
 from tiegraph.errors import InputError
 from tiegraph.geometry.transforms import rigid
-from tiegraph.scan.assign import Report, Shot, Survey, Usable
+from tiegraph.scan.assign import ImageFiles, Report, Shot, Survey, Usable
 from tiegraph.scan.folders import guess_layout
 from tiegraph.scan.recording.insta360 import FactoryLens, factory_lenses
 from tiegraph.scan.rigfiles.rigfaults import lens_fault
@@ -33,25 +33,16 @@ from tiegraph.text import some
 PRESET = "panorama"
 
 
-@dataclass(frozen=True)
-class SharedFiles:
-    """The images of a survey whose files hold a whole shot each: names, probes, files and owners, parallel."""
-
-    names: tuple[str, ...]
-    probes: tuple[Probe, ...]
-    files: tuple[str, ...]
-    survey: Survey
-
-    def order(self) -> str:
-        """How they are ordered, for people."""
-        passes = len({s.sequence for s in self.survey.shots})
-        return "in no order" if self.survey.loose else f"in the order of their names, {passes} pass(es)"
+def _order(survey: Survey) -> str:
+    """How the files are ordered, for people."""
+    passes = len({s.sequence for s in survey.shots})
+    return "in no order" if survey.loose else f"in the order of their names, {passes} pass(es)"
 
 
 def perspective_views(
     usable: Usable, rig: str | None, settings: ScanSettings, report: Report, tuning: Tuning
-) -> SharedFiles | None:
-    """Views of a survey of panoramas; None if it is none.
+) -> tuple[Survey, ImageFiles] | None:
+    """Views of a survey of panoramas, and their owners; None if it is none.
 
     Panoramas are noticed where no rig is given and most images are some; ``panorama`` as rig says so. Raises InputError
     if none of the images is twice as wide as high although the user says they are panoramas.
@@ -85,34 +76,34 @@ def of_one_kind(
     return replace(usable, images=tuple(usable.images[k] for k in kept), names=names, probes=probes)
 
 
-def _views(usable: Usable, settings: ScanSettings, report: Report, tuning: Tuning) -> SharedFiles:
+def _views(usable: Usable, settings: ScanSettings, report: Report, tuning: Tuning) -> tuple[Survey, ImageFiles]:
     spheres = [p.sphere for p in usable.probes if p.sphere is not None]
     width = sorted(s.width for s in spheres)[len(spheres) // 2]
     spec = panorama_rig(width, tuning.panorama)
-    shared = share_files(usable, spec, settings, tuning)
+    survey, images = share_files(usable, spec, settings, tuning)
     columns, rows = spec.sensors[0].size or (0, 0)
     cameras = [pycolmap.Camera(model=s.model, width=columns, height=rows, params=s.params) for s in spec.sensors]
     turns = [np.reshape(s.view_of_panorama, (3, 3)) for s in spec.sensors]
-    of = {s.image: (shared.probes[s.image].sphere, s.sensor) for s in shared.survey.shots}
+    of = {s.image: (images.probes[s.image].sphere, s.sensor) for s in survey.shots}
     share = {k: seen(sphere, cameras[view], turns[view]) for k, (sphere, view) in of.items() if sphere is not None}
-    shots = tuple(s for s in shared.survey.shots if share[s.image] > 0)
+    shots = tuple(s for s in survey.shots if share[s.image] > 0)
     level, parts = len(spec.sensors) - 1, sum(s.part for s in spheres)
     report.notes.append(
         f"{len(usable.names)} equirectangular panoramas, {width} x {width // 2} pixels: each unfolded into {level} "
-        f"level views and one up, of {columns} x {rows} pixels: a calibrated rig without a base; {shared.order()}"
+        f"level views and one up, of {columns} x {rows} pixels: a calibrated rig without a base; {_order(survey)}"
     )
     if parts:
         report.notes.append(
             f"{parts} of the panoramas are parts of a sphere, by their tags (GPano) or for the rest is black: what is "
-            f"not in them is masked, and {len(shared.survey.shots) - len(shots)} views that see nothing are left out"
+            f"not in them is masked, and {len(survey.shots) - len(shots)} views that see nothing are left out"
         )
     # What is masked of a view is the transparency of its file.
-    names = [n if share[k] == 1 else str(PurePosixPath(n).with_suffix(".png")) for k, n in enumerate(shared.names)]
-    probes = tuple(_as_view(p, columns, rows) for p in shared.probes)
-    return replace(shared, names=tuple(names), probes=probes, survey=replace(shared.survey, shots=shots))
+    names = [n if share[k] == 1 else str(PurePosixPath(n).with_suffix(".png")) for k, n in enumerate(images.names)]
+    probes = [_as_view(p, columns, rows) for p in images.probes]
+    return replace(survey, shots=shots), replace(images, names=names, probes=probes)
 
 
-def share_files(usable: Usable, spec: RigSpec, settings: ScanSettings, tuning: Tuning) -> SharedFiles:
+def share_files(usable: Usable, spec: RigSpec, settings: ScanSettings, tuning: Tuning) -> tuple[Survey, ImageFiles]:
     """The images that the sensors of a rig have of each file, named as it in a folder of the sensor's name, with the
     probes of the files."""
     kind = "sequence" if settings.layout == "auto" else settings.layout
@@ -127,12 +118,8 @@ def share_files(usable: Usable, spec: RigSpec, settings: ScanSettings, tuning: T
             shots.append(Shot(image=len(views), rig=0, sensor=k, sequence=sequence, stem=path.stem))
             views.append(str(path.parent / sensor.name / path.name))
     each = len(spec.sensors)
-    return SharedFiles(
-        names=tuple(views),
-        probes=tuple(p for p in usable.probes for _ in range(each)),
-        files=tuple(n for n in usable.names for _ in range(each)),
-        survey=Survey((spec,), tuple(shots), layout.loose),
-    )
+    probes, files = [p for p in usable.probes for _ in range(each)], [n for n in usable.names for _ in range(each)]
+    return Survey((spec,), tuple(shots), layout.loose), ImageFiles(views, probes, files)
 
 
 def _as_view(probe: Probe, width: int, height: int) -> Probe:
@@ -166,7 +153,7 @@ NAMES = ("lens0", "lens1")
 
 def two_lenses(
     usable: Usable, rig: str | None, text: str | None, settings: ScanSettings, report: Report, tuning: Tuning
-) -> SharedFiles | None:
+) -> tuple[Survey, ImageFiles] | None:
     """The lenses' images of a survey whose files hold two circles each; None if it is none.
 
     ``rig``: a file with two sensors, the left circle's first, cameras and sizes those of half a file; ``text``: of a
@@ -180,11 +167,11 @@ def two_lenses(
         return None
     kept = of_one_kind(usable, both, [True] * len(both), "not two fisheye images, as most files here are", report)
     spec = _nominal(kept.probes, report, tuning) if rig is None else _given(rig, text, tuning)
-    shared = share_files(kept, spec, settings, tuning)
-    halves = tuple(_half(p, s.sensor) for p, s in zip(shared.probes, shared.survey.shots))
-    jpeg = tuple(n if PurePosixPath(n).suffix.lower() != ".insp" else f"{n[:-5]}.jpg" for n in shared.names)
-    report.notes.append(f"{len(kept.names)} files with the images of two fisheye lenses side by side; {shared.order()}")
-    return replace(shared, names=jpeg, probes=halves)
+    survey, images = share_files(kept, spec, settings, tuning)
+    halves = [_half(p, s.sensor) for p, s in zip(images.probes, survey.shots)]
+    jpeg = [n if PurePosixPath(n).suffix.lower() != ".insp" else f"{n[:-5]}.jpg" for n in images.names]
+    report.notes.append(f"{len(kept.names)} files with the images of two fisheye lenses side by side; {_order(survey)}")
+    return survey, replace(images, names=jpeg, probes=halves)
 
 
 def _half(probe: Probe, part: int) -> Probe:

@@ -3,7 +3,7 @@ receiver in the file, by its container, or from its own start."""
 
 import re
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Protocol
@@ -47,24 +47,7 @@ class VideoClock:
     def taken(self, stamp_s: float) -> Taken:
         """When and where the frame with a stamp was taken."""
         place = self.places.place(stamp_s) if self.places is not None else Taken()
-        return Taken(
-            time_s=self.start_s + stamp_s,
-            utc=self.utc,
-            lat_deg=place.lat_deg,
-            lon_deg=place.lon_deg,
-            height_m=place.height_m,
-            sigma_m=place.sigma_m,
-        )
-
-
-@dataclass(frozen=True)
-class _Container:
-    """What the header of a file says: when the recording began (s since 1970), whether it does, and its length (s)."""
-
-    start_s: float
-    known: bool
-    length_s: float
-    said: str
+        return replace(place, time_s=self.start_s + stamp_s, utc=self.utc)
 
 
 def video_clock(video: Path, settings: ScanSettings, tuning: PicturesTuning) -> VideoClock:
@@ -77,58 +60,44 @@ def video_clock(video: Path, settings: ScanSettings, tuning: PicturesTuning) -> 
     if subtitles is not None and np.isfinite(subtitles.start_s):
         start = subtitles.start_s + told.all_s
         return VideoClock(start_s=start, known=True, places=subtitles, note="; ".join(notes))
-    container = _container(video, told.from_end)
+    clock, length_s = _container(video, told)
     telemetry = None if subtitles is not None else read_gpmf(video, settings.max_gap_s, tuning)
     if telemetry is not None:
-        found = _by_telemetry(telemetry, container, told, tuning)
-    elif subtitles is not None:
-        found = _by_container(container, told)
-    else:
-        found = _by_trailer(video, container, told, settings.max_gap_s, tuning)
-    notes.append(f"{name}: {found.note}")
-    places = subtitles or found.places
-    return VideoClock(found.start_s, found.known, found.utc, places=places, note="; ".join(notes))
+        clock = _by_telemetry(telemetry, clock, told.all_s, tuning)
+    elif subtitles is None:
+        clock = _by_trailer(video, clock, length_s, settings.max_gap_s, tuning)
+    notes.append(f"{name}: {clock.note}")
+    return replace(clock, places=subtitles or clock.places, note="; ".join(notes))
 
 
-def _by_container(container: _Container, told: VideoOffsets) -> VideoClock:
-    known = container.known or told.all_s != 0
-    return VideoClock(container.start_s + told.all_s, known, utc=container.known, note=container.said)
-
-
-def _by_telemetry(
-    telemetry: Telemetry, container: _Container, told: VideoOffsets, tuning: PicturesTuning
-) -> VideoClock:
-    """The clock of a video whose fixes stand on its own clock."""
+def _by_telemetry(telemetry: Telemetry, clock: VideoClock, all_s: float, tuning: PicturesTuning) -> VideoClock:
+    """The clock of a video whose fixes stand on its own clock; ``clock``: of its container, ``all_s`` later."""
     if np.isnan(telemetry.start_s):
-        clock = _by_container(container, told)
-        return VideoClock(
-            clock.start_s, clock.known, clock.utc, places=telemetry.fixes, note=f"{clock.note}; {telemetry.note}"
-        )
-    note, apart = telemetry.note, abs(container.start_s - telemetry.start_s) / DAY_S
-    if container.known and apart > tuning.creation_days:
+        return replace(clock, places=telemetry.fixes, note=f"{clock.note}; {telemetry.note}")
+    note, apart = telemetry.note, abs(clock.start_s - all_s - telemetry.start_s) / DAY_S
+    if clock.utc and apart > tuning.creation_days:
         note += f"; its creation time is {apart:.0f} days from that and not used: set the camera's clock"
-    return VideoClock(telemetry.start_s + told.all_s, known=True, utc=True, places=telemetry.fixes, note=note)
+    return VideoClock(telemetry.start_s + all_s, known=True, utc=True, places=telemetry.fixes, note=note)
 
 
 def _by_trailer(
-    video: Path, container: _Container, told: VideoOffsets, max_gap_s: float, tuning: PicturesTuning
+    video: Path, clock: VideoClock, length_s: float, max_gap_s: float, tuning: PicturesTuning
 ) -> VideoClock:
     """The clock of a video whose fixes, if it has some, have times in UTC and no stamps."""
-    clock = _by_container(container, told)
     try:
         readings = read_trailer(video)
     except (BrokenTrack, OSError) as error:
-        note = f"{clock.note}; its Insta360 trailer cannot be read ({error}): no positions from it"
-        return VideoClock(clock.start_s, clock.known, clock.utc, note=note)
+        said = f"its Insta360 trailer cannot be read ({error}): no positions from it"
+        return replace(clock, note=f"{clock.note}; {said}")
     if readings is None:
         return clock
     kept, words = believed(readings, tuning)
     kept = kept.where(np.argsort(kept.time_s, kind="stable")[: int(np.isfinite(kept.time_s).sum())])
     said = f"positions from its Insta360 trailer: {words}"
-    zone_s = _zone(kept, clock, container.length_s, tuning)
+    zone_s = _zone(kept, clock, length_s, tuning)
     if not len(kept) or zone_s is None:
         why = "" if not len(kept) else ", but their times are not those of the recording (--scan.video-offset SECONDS)"
-        return VideoClock(clock.start_s, clock.known, clock.utc, note=f"{clock.note}; {said}{why}: none used")
+        return replace(clock, note=f"{clock.note}; {said}{why}: none used")
     if zone_s:
         said += f"; its creation time is local, {-zone_s / 3600:+g} h from UTC by these fixes: times are UTC"
     start = clock.start_s + zone_s
@@ -150,18 +119,18 @@ def _zone(fixes: Readings, clock: VideoClock, length_s: float, tuning: PicturesT
     return zone if fits else None
 
 
-def _container(video: Path, from_end: bool) -> _Container:
-    created = _created(video)
-    if created is None or not RECORDED_RANGE_S[0] <= created[0] <= RECORDED_RANGE_S[1]:
+def _container(video: Path, told: VideoOffsets) -> tuple[VideoClock, float]:
+    """The clock that the header of a file has, and the length of the recording (s)."""
+    time_s, length_s = _created(video) or (0.0, 0.0)
+    if not RECORDED_RANGE_S[0] <= time_s <= RECORDED_RANGE_S[1]:
         remedy = "--scan.video-offset says when it began (seconds since 1970)"
         said = f"it does not say when it was recorded: its times count from its start; {remedy}"
-        return _Container(0.0, known=False, length_s=created[1] if created else 0.0, said=said)
-    time_s, length_s = created
-    start = time_s - (length_s if from_end else 0.0)
+        return VideoClock(told.all_s, known=told.all_s != 0, note=said), length_s
+    start = time_s - (length_s if told.from_end else 0.0)
     when = datetime.fromtimestamp(start, timezone.utc).strftime("%Y-%m-%d %H:%M:%S")
     doubt = "which has whole seconds and may be local or that of its end (--scan.video-offset SECONDS, or end)"
     said = f"begins at {when} UTC by the creation time in it, {doubt}"
-    return _Container(start, known=True, length_s=length_s, said=said)
+    return VideoClock(start + told.all_s, known=True, utc=True, note=said), length_s
 
 
 def _created(video: Path) -> tuple[float, float] | None:
