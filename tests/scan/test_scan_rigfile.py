@@ -60,7 +60,7 @@ def test_yaw_turns_right_pitch_up_and_roll_clockwise(axes: str) -> None:
 @given(st.floats(-179, 179), st.floats(-90, 90), st.floats(-179, 179), st.sampled_from(sorted(AXES)))
 def test_angles_and_rotation_are_inverse(yaw: float, pitch: float, roll: float, axes: str) -> None:
     rotation = orient(yaw, pitch, roll, axes)
-    assert np.allclose(orient(*yaw_pitch_roll_deg(rotation, axes), axes), rotation, atol=1e-6)
+    assert np.allclose(orient(*yaw_pitch_roll_deg(AXES[axes] @ rotation), axes), rotation, atol=1e-6)
 
 
 def test_rig_frame_is_the_first_sensor_and_the_antenna_moves_along(tmp_path: Path) -> None:

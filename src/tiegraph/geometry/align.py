@@ -29,6 +29,12 @@ class Similarity:
         """Points (N, 3) of the source in the target frame."""
         return self.scale * np.asarray(points, float) @ self.rotation.T + self.translation
 
+    def __matmul__(self, other: "Similarity") -> "Similarity":
+        """Of two in a row, ``other`` first: target_from_source = target_from_middle @ middle_from_source."""
+        turned = self.rotation @ other.rotation
+        shift = self.scale * self.rotation @ other.translation + self.translation
+        return Similarity(self.scale * other.scale, turned, shift)
+
     def inverse(self) -> "Similarity":
         """source = scale * rotation @ target + translation."""
         turned = self.rotation.T / self.scale

@@ -30,9 +30,8 @@ from tiegraph.scan.rigfiles.rigspec import RigSpec, SensorSpec
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import CameraTuning, RigTuning
 from tiegraph.scene.decoding import EIGHT_BIT, Levels
-from tiegraph.scene.rays import on_plane
 from tiegraph.scene.regular import names_file, regular
-from tiegraph.scene.rig import Source
+from tiegraph.scene.rig import Source, on_plane
 from tiegraph.text import some
 
 

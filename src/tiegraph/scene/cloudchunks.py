@@ -5,6 +5,7 @@ extra dimensions of 32 bits, colours by the first.
 """
 
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
@@ -137,21 +138,18 @@ def las_crs(path: Path) -> str | None:
     return name
 
 
-class _reading:
+@contextmanager
+def _reading(path: Path) -> Iterator[None]:
     """What libraries raise for a damaged file is an InputError that names it."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-
-    def __enter__(self) -> None:
-        return None
-
-    def __exit__(self, kind: type | None, error: BaseException | None, trace: object) -> None:
-        if isinstance(error, Exception) and not isinstance(error, InputError):
-            why = str(error).partition("\n")[0]  # libE57 writes a page
-            raise InputError(
-                f"{self._path}: not a readable point cloud: {why}; is it cut short? Copy or export it again"
-            ) from None
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:
+        why = str(error).partition("\n")[0]  # libE57 writes a page
+        raise InputError(
+            f"{path}: not a readable point cloud: {why}; is it cut short? Copy or export it again"
+        ) from None
 
 
 def _checked(path: Path, read: Callable[[Path], Iterator[Points]]) -> Iterator[Points]:

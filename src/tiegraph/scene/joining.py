@@ -179,7 +179,7 @@ def _along_tree(tree: list[Join], models: int) -> list[Similarity]:
     at: list[Similarity | None] = [None] * models
     beside: list[list[tuple[int, Similarity]]] = [[] for _ in range(models)]
     for x in tree:
-        beside[x.a].append((x.b, _inverse(x.b_from_a)))  # a_from_b
+        beside[x.a].append((x.b, x.b_from_a.inverse()))  # a_from_b
         beside[x.b].append((x.a, x.b_from_a))
     for root in range(models):
         if at[root] is not None:
@@ -190,7 +190,7 @@ def _along_tree(tree: list[Join], models: int) -> list[Similarity]:
             here = todo.pop()
             for there, here_from_there in beside[here]:
                 if at[there] is None:
-                    at[there] = _after(at[here], here_from_there)  # type: ignore[arg-type]
+                    at[there] = at[here] @ here_from_there  # type: ignore[operator]
                     todo.append(there)
     return at  # type: ignore[return-value]
 
@@ -230,14 +230,3 @@ class _Solver:
 
     def __call__(self, given: np.ndarray) -> np.ndarray:
         return self._inverse[:, : len(given)] @ (self._weight[:, None] * given)
-
-
-def _inverse(s: Similarity) -> Similarity:
-    back = s.rotation.T
-    return Similarity(1 / s.scale, back, -back @ s.translation / s.scale)
-
-
-def _after(c_from_b: Similarity, b_from_a: Similarity) -> Similarity:
-    """c_from_a."""
-    shift = c_from_b.scale * c_from_b.rotation @ b_from_a.translation + c_from_b.translation
-    return Similarity(c_from_b.scale * b_from_a.scale, c_from_b.rotation @ b_from_a.rotation, shift)

@@ -1,4 +1,4 @@
-"""What the later stages make: depth maps, clouds, trajectories, metrics, and their files.
+"""What the later stages make: depth maps, clouds, metrics, and their files.
 
 Depth maps are compressed .npz: depth (f4), sigma as a share of the depth (f2), views (u1), normal (i1).
 """
@@ -22,23 +22,6 @@ from tiegraph.scene.sorting import Columns
 from tiegraph.text import finite
 
 _KEPT_BITS = 15  # of the mantissa: 3e-5 of the depth, far below any sigma; the rest is noise that does not compress
-
-
-@dataclass(frozen=True)
-class Trajectory:
-    """T poses in time order: time_s (T,), world_from_rig (T, 4, 4), sigma_m (T,) NaN = unknown."""
-
-    time_s: np.ndarray
-    world_from_rig: np.ndarray
-    sigma_m: np.ndarray
-    origin: Origin | None = None
-    notes: tuple[str, ...] = ()  # what to say of the file it came from
-    names: tuple[str, ...] = ()  # the image of each pose, which then is its camera's, in no order; else ()
-    metric: bool = True  # lengths are metres
-    period_s: float = 0.0  # times count within a day or a GPS week that nothing names; 0 = from an epoch
-
-    def __len__(self) -> int:
-        return len(self.time_s)
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from tiegraph.geometry.transforms import interpolate, rigid, skew
 from tiegraph.scan.priors.positions import Frames, Priors, body_of, from_exif, from_gnss
 from tiegraph.scan.priors.startmodel import StartModel
 from tiegraph.scan.priors.times import exif_times, name_times, read_times
-from tiegraph.scan.priors.trajectory import poses_by_image, read_trajectory, same_start, trajectory_files
+from tiegraph.scan.priors.trajectory import of_images, poses_by_image, read_trajectory, same_start, trajectory_files
 from tiegraph.scan.rigfiles.rigspec import AXES
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import TimesTuning, TrajectoryTuning, Tuning
@@ -22,7 +22,7 @@ from tiegraph.scene.bags import source_of
 from tiegraph.scene.exif import Exif
 from tiegraph.scene.gnss import read_gnss
 from tiegraph.scene.gnss.fixes import step_of
-from tiegraph.scene.results import Trajectory
+from tiegraph.scene.posefile import Trajectory
 from tiegraph.scene.times import laid_on
 
 
@@ -227,8 +227,6 @@ def _by_image(
 
 
 def _of_start(frames: Frames, start: StartModel, notes: list[str], tuning: TrajectoryTuning) -> _Paths:
-    unknown = np.full(len(start.poses), np.nan)
-    trajectory = Trajectory(unknown, np.array(list(start.poses.values())), unknown, names=tuple(start.poses))
     without = f", {start.unposed} of its images have no pose" if start.unposed else ""
     named = f"{start.path.parent.name}/{start.path.name}"  # sparse/0
     notes.append(
@@ -236,7 +234,7 @@ def _of_start(frames: Frames, start: StartModel, notes: list[str], tuning: Traje
         "images; its unit and its place are not taken over"
     )
     notes += start.notes
-    return _by_image(trajectory, start.path, frames, notes, tuning, started=True)
+    return _by_image(of_images(start.poses), start.path, frames, notes, tuning, started=True)
 
 
 def _of_odometry(frames: Frames, followed: Followed) -> _Paths:
@@ -253,7 +251,7 @@ def _frame_poses(
 ) -> np.ndarray:
     timed = np.isfinite(trajectory.time_s).all()
     if timed and np.isfinite(time_s[rows]).any():
-        poses = interpolate(trajectory.time_s, trajectory.world_from_rig, time_s[rows], settings.max_gap_s)
+        poses = interpolate(trajectory.time_s, trajectory.poses, time_s[rows], settings.max_gap_s)
         if np.isnan(poses[:, 0, 0]).all():
             raise InputError(
                 f"{path}: times {trajectory.time_s[0]:.2f} ... {trajectory.time_s[-1]:.2f} s do not overlap the "
@@ -262,7 +260,7 @@ def _frame_poses(
         return poses
     in_order = len(np.unique(frames.sequence()[rows])) == 1
     if in_order and len(rows) == len(trajectory):
-        return trajectory.world_from_rig
+        return trajectory.poses
     remedy = "give --times with a table image,time" if timed else "give one line a frame, or a TUM file and --times"
     raise InputError(
         f"{path}: {len(trajectory)} poses for {len(rows)} frames, and nothing says which belongs to which: {remedy}"

@@ -43,7 +43,7 @@ from tiegraph.scene.namedposes import (
     read_json,
 )
 from tiegraph.scene.regular import regular
-from tiegraph.scene.xmltree import Element, parse_xml
+from tiegraph.scene.textfile import Element, parse_xml
 
 
 @dataclass(frozen=True)

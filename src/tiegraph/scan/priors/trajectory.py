@@ -2,7 +2,8 @@
 images, by their names, as poses of the frames' rigs.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import combinations, islice
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -18,8 +19,7 @@ from tiegraph.scan.tuning import TrajectoryTuning
 from tiegraph.scene.bags import Bag, Topic, is_bag, open_bag, split_topics, stamp_ns
 from tiegraph.scene.namedposes import called, has_named_poses, read_named_poses
 from tiegraph.scene.names import clean, plain_name
-from tiegraph.scene.posefile import PoseFile, checked_poses, read_poses
-from tiegraph.scene.results import Trajectory
+from tiegraph.scene.posefile import Trajectory, checked_poses, read_poses
 from tiegraph.text import composed
 
 _PATH = "nav_msgs/Path"
@@ -36,14 +36,15 @@ def read_trajectory(path: Path) -> Trajectory:
     number of columns, text, and values that are none or make no sense.
     """
     if has_named_poses(path):
-        named = read_named_poses(path)
-        unknown = np.full(len(named), np.nan)
-        return Trajectory(unknown, np.array(list(named.values())), unknown, names=tuple(named))
-    found = read_bag_poses(path) if is_bag(path) else read_poses(path)
-    unknown = np.full(len(found.poses), np.nan)
-    return Trajectory(
-        found.time_s, found.poses, unknown, notes=found.notes, metric=not _says_free(path), period_s=found.period_s
-    )
+        return of_images(read_named_poses(path))
+    if is_bag(path):
+        return read_bag_poses(path)
+    return replace(read_poses(path), metric=not _says_free(path))
+
+
+def of_images(poses: Mapping[str, np.ndarray]) -> Trajectory:
+    """Poses (4, 4) by image name as a trajectory without times."""
+    return Trajectory(np.full(len(poses), np.nan), np.array(list(poses.values())), names=tuple(poses))
 
 
 FREE_UNIT = "# unit: free (a single camera tells no scale)"
@@ -51,8 +52,6 @@ FREE_UNIT = "# unit: free (a single camera tells no scale)"
 
 
 def _says_free(path: Path) -> bool:
-    if is_bag(path):
-        return False
     with path.open(errors="replace") as stream:
         return FREE_UNIT in (line.rstrip() for line in islice(stream, _HEAD_LINES))
 
@@ -110,7 +109,7 @@ def _for_pass(name: str, files: Sequence[Path]) -> Path | None:
 
 def same_start(trajectories: Sequence[Trajectory], tuning: TrajectoryTuning) -> bool:
     """Whether trajectories all begin at the same pose: each then has a world of its own, as odometry starts at zero."""
-    first = [t.world_from_rig[0] for t in trajectories]
+    first = [t.poses[0] for t in trajectories]
     return all(
         np.linalg.norm(p[:3, 3] - first[0][:3, 3]) < tuning.same_start_m
         and angle_deg(p[:3, :3], first[0][:3, :3]) < tuning.same_start_deg
@@ -118,7 +117,7 @@ def same_start(trajectories: Sequence[Trajectory], tuning: TrajectoryTuning) -> 
     )
 
 
-def read_bag_poses(path: Path) -> PoseFile:
+def read_bag_poses(path: Path) -> Trajectory:
     """The poses of a bag's only topic of such, or of the one behind the path (``topics.split_topics``).
 
     A path that is sent again and again is read as it was last. Raises InputError for several topics, none, a damaged
@@ -135,7 +134,7 @@ def read_bag_poses(path: Path) -> PoseFile:
     said = f"{bag_path.name}: poses of {topic}: {' and '.join(sorted(frames)[:2])}"
     table = np.array([[float(v) for v in row] for row in rows]).reshape(-1, 8)
     found = checked_poses(bag_path, table[:, 0] * 1e-9, table[:, 1:4], table[:, 4:])
-    return PoseFile(found.time_s, found.poses, (said, *found.notes))
+    return replace(found, notes=(said, *found.notes))
 
 
 def _poses(bag: Bag, topic: Topic) -> Iterator[tuple[Any, int, str]]:
@@ -164,7 +163,7 @@ def poses_by_image(
     not used is in the notes. Raises InputError if no name is that of an image here, or a name may be of several.
     """
     found = images_by_name(trajectory.names, path, frames.names)
-    pose_of = {k: trajectory.world_from_rig[row] for k, row in found.items()}
+    pose_of = {k: trajectory.poses[row] for k, row in found.items()}
     strange = sorted(set(range(len(trajectory))) - set(found.values()))
     if strange:
         name = trajectory.names[strange[0]]

@@ -15,8 +15,7 @@ from tiegraph.errors import InputError
 from tiegraph.geometry.transforms import from_quaternion_wxyz
 from tiegraph.scan.rigfiles.rigspec import UNIT, RigSpec
 from tiegraph.scan.tuning import CameraTuning, RigTuning
-from tiegraph.scene.rays import on_plane
-from tiegraph.scene.rig import PAIR_KEYS, SensorPair
+from tiegraph.scene.rig import PAIR_KEYS, SensorPair, on_plane
 
 MAX_SIDE_PX = 100_000  # of an image that a rig file may name
 MODELS = tuple(m for m in pycolmap.CameraModelId.__members__ if m not in ("INVALID", "EQUIRECTANGULAR"))

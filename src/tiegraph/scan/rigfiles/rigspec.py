@@ -88,9 +88,9 @@ def orient(yaw_deg: float, pitch_deg: float, roll_deg: float, axes: str = "camer
     return AXES[axes].T @ yaw @ pitch @ roll
 
 
-def yaw_pitch_roll_deg(body_from_sensor: np.ndarray, axes: str = "camera") -> tuple[float, float, float]:
-    """Inverse of ``orient``; looking straight up or down, roll is 0."""
-    rotation = AXES[axes] @ body_from_sensor[:3, :3]
+def yaw_pitch_roll_deg(body_from_sensor: np.ndarray) -> tuple[float, float, float]:
+    """Inverse of ``orient`` of a body with a camera's axes; looking straight up or down, roll is 0."""
+    rotation = body_from_sensor[:3, :3]
     forward = rotation[:, 2]
     pitch = np.arctan2(-forward[1], np.hypot(forward[0], forward[2]))
     if abs(np.cos(pitch)) < 1e-9:

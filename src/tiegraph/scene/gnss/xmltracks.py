@@ -16,7 +16,7 @@ import numpy as np
 from tiegraph.errors import InputError
 from tiegraph.scene.cells import number, parse_time
 from tiegraph.scene.gnss.fixes import Gnss, above_ellipsoid
-from tiegraph.scene.xmltree import parse_xml
+from tiegraph.scene.textfile import parse_xml
 
 _NAN = float("nan")
 _MOST_BYTES = 1 << 29  # bound of memory: of a KMZ's document
