@@ -43,7 +43,7 @@ def with_lit_circle(sensor: Sensor, probes: Sequence[Probe], tuning: LensViewsTu
             continue
         inside = [c for c in probe.circles if left < c[0] < probe.width - right and top < c[1] < probe.height - bottom]
         found += inside[:1]
-    if len(found) <= tuning.most * len(probes):
+    if 2 * len(found) <= len(probes):
         return sensor
     x, y, radius = (float(v) for v in np.median(found, axis=0))
     return replace(sensor, source=replace(source, circle_px=(x - left, y - top, radius * (1 - tuning.rim))))

@@ -96,7 +96,7 @@ def _with_cameras(
     inputs: ScanInputs, survey: Survey, pictures: ImageFiles, whole: bool, report: Report, tuning: Tuning
 ) -> Survey:
     """The survey with the cameras that the user, a start model or a bag gave."""
-    sizes = {k: _facts(shots, pictures.probes, survey.loose, tuning).size for k, shots in _sensors(survey).items()}
+    sizes = {k: _facts(shots, pictures.probes, survey.loose).size for k, shots in _sensors(survey).items()}
     survey = with_camera(survey, sizes, inputs.camera, report.notes, tuning.rig)
     if inputs.start is not None:
         must_be_whole(inputs.start, whole)
@@ -160,7 +160,7 @@ def _rigs(
         for k in present:
             sensor = spec.sensors[k]
             renumber[r, k] = len(rigs), len(sensors)
-            facts = _facts(groups[r, k], probes, survey.loose, tuning)
+            facts = _facts(groups[r, k], probes, survey.loose)
             camera, source, how = calibrate(sensor, facts, spec.file, settings, tuning.rig.camera)
             hows.setdefault(how, []).append(sensor.name)
             made = Sensor(
@@ -194,7 +194,7 @@ def _rigs(
     return tuple(rigs), replace(survey, specs=kept, shots=shots)
 
 
-def _facts(shots: list[Shot], probes: Sequence[Probe], loose: bool, tuning: Tuning) -> FileFacts:
+def _facts(shots: list[Shot], probes: Sequence[Probe], loose: bool) -> FileFacts:
     upright = _upright(shots, probes, loose)
     of = [probes[s.image] for s in shots]
     focal = [p.exif.focal_px for p in of if np.isfinite(p.exif.focal_px)]
@@ -206,7 +206,7 @@ def _facts(shots: list[Shot], probes: Sequence[Probe], loose: bool, tuning: Tuni
         upright=upright,
         levels=(min(low for low, _ in deep), max(high for _, high in deep)) if deep else EIGHT_BIT,
         loose=loose,
-        radius_px=float(np.median(radii)) if len(radii) > tuning.lens_views.most * len(of) else float("nan"),
+        radius_px=float(np.median(radii)) if 2 * len(radii) > len(of) else float("nan"),
     )
 
 

@@ -55,7 +55,7 @@ def perspective_views(
             f"--rig {PRESET}: no image is twice as wide as high ({sizes}), as equirectangular panoramas are, or "
             "has tags that say which part of one it is (GPano)"
         )
-    if not said and (rig is not None or sum(full) <= tuning.panorama.most * len(full)):
+    if not said and (rig is not None or 2 * sum(full) <= len(full)):
         if any(full):
             report.notes.append(f"{sum(full)} images look like panoramas; --rig {PRESET} reads them as such")
         return None
@@ -163,7 +163,7 @@ def two_lenses(
     if (rig or "").strip().lower() == PRESET:  # the user says they are panoramas
         return None
     both = [len(p.circles) == len(NAMES) and p.exif.orientation <= 1 for p in usable.probes]
-    if sum(both) <= tuning.lens_views.most * len(both):
+    if 2 * sum(both) <= len(both):
         return None
     kept = of_one_kind(usable, both, [True] * len(both), "not two fisheye images, as most files here are", report)
     spec = _nominal(kept.probes, report, tuning) if rig is None else _given(rig, text, tuning)

@@ -23,6 +23,10 @@ from tiegraph.scene.matches import PreviewMatches
 from tiegraph.scene.scene import Scene, between_neighbours
 from tiegraph.scene.tuning import BlocksTuning
 
+# Of the inverse iterations for the second eigenvector; the next eigenvalues of a long path lie close together, so that
+# some vectors iterate together.
+_ITERATIONS, _VECTORS = 12, 4
+
 
 class Links(Protocol):
     """What ties two images i, j (T,), however it was found: so many matches."""
@@ -165,7 +169,7 @@ def _first_side(
 ) -> np.ndarray:
     """(F,) bool: the side for the first of so many ``blocks``, (some, all), cut where least is cut."""
     share, total = blocks[0] / blocks[1], float(size.sum())
-    order = np.argsort(_second_vector(graph, tuning), kind="stable")
+    order = np.argsort(_second_vector(graph), kind="stable")
     place = np.empty(len(order), int)
     place[order] = np.arange(len(order))
     coo = graph.tocoo()
@@ -182,15 +186,15 @@ def _first_side(
     return place <= np.argmin(np.where(allowed, cost, np.inf))
 
 
-def _second_vector(graph: csr_array, tuning: BlocksTuning) -> np.ndarray:
+def _second_vector(graph: csr_array) -> np.ndarray:
     """(F,) second eigenvector of the normalised Laplacian over the root of the degrees: neighbours have near values."""
     degree = np.asarray(graph.sum(axis=1)).ravel()
     root = np.sqrt(np.maximum(degree, 1e-12))
     normal = diags_array(1 / root) @ graph @ diags_array(1 / root)
     solve = splu((diags_array(np.full(len(root), 1.0 + 1e-9)) - normal).tocsc()).solve
     first = root / np.linalg.norm(root)
-    block = np.random.default_rng(0).normal(size=(len(root), tuning.vectors))
-    for _ in range(tuning.iterations):
+    block = np.random.default_rng(0).normal(size=(len(root), _VECTORS))
+    for _ in range(_ITERATIONS):
         block = solve(block)
         block -= np.outer(first, first @ block)
         block = np.linalg.qr(block)[0]

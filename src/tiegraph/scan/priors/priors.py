@@ -25,6 +25,9 @@ from tiegraph.scene.gnss.fixes import step_of
 from tiegraph.scene.posefile import Trajectory
 from tiegraph.scene.times import laid_on
 
+_SCALE_ROUNDS = 10  # it converges linearly, by the ratio of the lever arm to the length of the track
+_FIT_ROUNDS = 20  # of the reweighted least squares in each of them
+
 
 @dataclass(frozen=True)
 class _Paths:
@@ -179,7 +182,7 @@ def _paths(
     if by_image is not None:
         notes.append(f"{by_image[0].name}: its unit is taken for metres; give it by --start if nothing says that it is")
         return _by_image(by_image[1], by_image[0], frames, notes, tuning)
-    own_worlds = len(files) > 1 and same_start([t for _, t in files.values()], tuning)
+    own_worlds = len(files) > 1 and same_start([t for _, t in files.values()])
     poses, group = np.full((len(frames.rows), 4, 4), np.nan), np.full(len(frames.rows), -1)
     for sequence, (path, trajectory) in files.items():
         rows = np.arange(len(group)) if sequence < 0 else np.flatnonzero(frames.sequence() == sequence)
@@ -347,8 +350,8 @@ def _lay_on_gnss(
     if np.ptp(target[good, :2], axis=0).max() < tuning.least_extent_sigmas * np.median(sigma[good, 0]):
         return None
     scale = 1.0
-    for _ in range(tuning.scale_rounds):  # the lever arm is in metres, the odometry need not be
-        fit, rms_m = _fit_level((centre + arm / scale)[good], target[good], sigma[good], tuning.fit_rounds)
+    for _ in range(_SCALE_ROUNDS):  # the lever arm is in metres, the odometry need not be
+        fit, rms_m = _fit_level((centre + arm / scale)[good], target[good], sigma[good])
         scale = fit.scale
     return _Laid(
         rotation=fit.rotation @ level @ poses[:, :3, :3],
@@ -366,11 +369,11 @@ def _turn_to_z(up: np.ndarray) -> np.ndarray:
     return np.eye(3) + x + x @ x / (1 + up[2])
 
 
-def _fit_level(path: np.ndarray, target: np.ndarray, sigma: np.ndarray, rounds: int) -> tuple[Similarity, float]:
+def _fit_level(path: np.ndarray, target: np.ndarray, sigma: np.ndarray) -> tuple[Similarity, float]:
     """Turn about z, scale and shift by reweighted least squares (Cauchy weights, residuals over sigma), and the rms."""
     source, goal = path[:, 0] + 1j * path[:, 1], target[:, 0] + 1j * target[:, 1]
     weight = 1 / sigma[:, 0] ** 2
-    for _ in range(rounds):
+    for _ in range(_FIT_ROUNDS):
         s0, g0 = np.average(source, weights=weight), np.average(goal, weights=weight)
         a = np.sum(weight * np.conj(source - s0) * (goal - g0)) / np.sum(weight * np.abs(source - s0) ** 2)
         residual = np.abs(goal - g0 - a * (source - s0))

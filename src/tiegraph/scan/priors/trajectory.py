@@ -25,6 +25,7 @@ from tiegraph.text import composed
 _PATH = "nav_msgs/Path"
 KINDS = ("nav_msgs/Odometry", "geometry_msgs/PoseStamped", "geometry_msgs/PoseWithCovarianceStamped", _PATH)
 _HEAD_LINES = 10
+_SAME_M, _SAME_DEG = 1e-3, 0.1  # between poses that are one
 _SUFFIXES = ((".tum",), (".txt", ".kitti"), (".csv",))  # the first kind that a folder has
 
 
@@ -107,12 +108,11 @@ def _for_pass(name: str, files: Sequence[Path]) -> Path | None:
     return exact[0] if len(exact) == 1 else None
 
 
-def same_start(trajectories: Sequence[Trajectory], tuning: TrajectoryTuning) -> bool:
+def same_start(trajectories: Sequence[Trajectory]) -> bool:
     """Whether trajectories all begin at the same pose: each then has a world of its own, as odometry starts at zero."""
     first = [t.poses[0] for t in trajectories]
     return all(
-        np.linalg.norm(p[:3, 3] - first[0][:3, 3]) < tuning.same_start_m
-        and angle_deg(p[:3, :3], first[0][:3, :3]) < tuning.same_start_deg
+        np.linalg.norm(p[:3, 3] - first[0][:3, 3]) < _SAME_M and angle_deg(p[:3, :3], first[0][:3, :3]) < _SAME_DEG
         for p in first[1:]
     )
 

@@ -20,6 +20,7 @@ from tiegraph.scene.rig import PAIR_KEYS, SensorPair, on_plane
 MAX_SIDE_PX = 100_000  # of an image that a rig file may name
 MODELS = tuple(m for m in pycolmap.CameraModelId.__members__ if m not in ("INVALID", "EQUIRECTANGULAR"))
 SIGMA_M, SIGMA_DEG = (1e-6, 100.0), (1e-6, 180.0)  # sigmas of lengths and angles, from and to
+_FISHEYE_LINES = 8  # of a fisheye image; those of a perspective one go to its corners and the middles of its sides
 _STEPS = 24  # along a line from the middle to the edge
 _EDGE = 0.95  # share of that line that is looked at: calibrations may fold in the last corner pixels
 
@@ -283,7 +284,7 @@ def _ends(camera: pycolmap.Camera, middle: np.ndarray, fisheye: bool, tuning: Ca
     """(E, 2) ends of lines from the middle: the edge of the image, or the circle surely seen by a fisheye lens."""
     width, height = camera.width, camera.height
     if fisheye:
-        turn = np.radians(360.0 / tuning.fisheye_lines * np.arange(tuning.fisheye_lines))
+        turn = 2 * np.pi / _FISHEYE_LINES * np.arange(_FISHEYE_LINES)
         return middle + tuning.fisheye_middle * min(width, height) / 2 * np.stack([np.cos(turn), np.sin(turn)], axis=1)
     x, y = middle
     return np.array([[0, 0], [x, 0], [width, 0], [0, y], [width, y], [0, height], [x, height], [width, height]], float)

@@ -50,6 +50,7 @@ _ENCODINGS: dict[str, tuple[int, int | None]] = {
 }
 _INFO = "sensor_msgs/CameraInfo"
 _COMPRESSED = "/compressed"
+_RATE_FRAMES = 50  # messages of a topic, from its start, whose stamps tell its rate
 _IMAGE = re.compile(r"image(_\w+)?")
 
 
@@ -76,7 +77,9 @@ def bag_films(bag_path: Path, folder: str, asked: Sequence[str]) -> tuple[list[t
         cameras: dict[str, list[Topic]] = {}
         for topic in found:
             source = topic.name.removesuffix(_COMPRESSED)
-            why = f"as {source} is" if source != topic.name and source in names else _why_not(bag, topic)
+            why = (
+                f"as {source} is" if source != topic.name and source in names else unread(next(bag.messages(topic))[0])
+            )
             if why:
                 notes.append(f"{shown(bag_path, topic.name)}: left out: {why}")
             else:
@@ -101,11 +104,6 @@ def fixes_notes(bag_path: Path) -> list[str]:
     return [f"{bag_path.name} has positions, {t}: --gnss {of_topic(bag_path, t.name)} takes them" for t in found]
 
 
-def _why_not(bag: Bag, topic: Topic) -> str:
-    message, _ = next(bag.messages(topic))
-    return unread(message)
-
-
 def _source(topic: str) -> list[str]:
     """The parts of a topic's name without that of its compression."""
     return [p for p in topic.removesuffix(_COMPRESSED).split("/") if p]
@@ -119,17 +117,17 @@ def _camera_name(topic: str) -> str:
 
 
 @contextmanager
-def open_topic(bag_path: Path, topic: str, tuning: PicturesTuning) -> "Iterator[BagFilm]":
+def open_topic(bag_path: Path, topic: str) -> "Iterator[BagFilm]":
     """An image topic of a bag. Raises what ``open_bag`` raises, and InputError if the topic is none of images."""
     with open_bag(bag_path) as bag:
-        yield BagFilm(bag, bag.only(KINDS, (topic,)), tuning)
+        yield BagFilm(bag, bag.only(KINDS, (topic,)))
 
 
 class BagFilm:
     """An opened image topic: its frames as those of an ``OpenVideo``, and what is wrong with them."""
 
-    def __init__(self, bag: Bag, topic: Topic, tuning: PicturesTuning) -> None:
-        self._bag, self._topic, self._tuning = bag, topic, tuning
+    def __init__(self, bag: Bag, topic: Topic) -> None:
+        self._bag, self._topic = bag, topic
         self.count = self.late = 0
         first, received_ns = next(bag.messages(topic))
         self._start_ns = stamp_ns(first.header, received_ns)
@@ -140,7 +138,7 @@ class BagFilm:
     @property
     def fps(self) -> float:
         """Frames a second, by the stamps of the first messages."""
-        first = islice(self._bag.messages(self._topic), self._tuning.rate_frames)
+        first = islice(self._bag.messages(self._topic), _RATE_FRAMES)
         steps = np.diff([stamp_ns(m.header, t) for m, t in first]) * 1e-9
         return float(1 / np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
 
