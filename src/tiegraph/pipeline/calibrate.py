@@ -123,7 +123,9 @@ def _read_folder(
         probes = _map(pool, reporter, probe_image, paths, tunings.scene.images)
     usable = usable_images(names, probes, report)
     layout = guess_layout(usable.names, *usable.facts(), settings.layout, tuning.folders)
-    report.notes.append(f"layout: {len(layout.folders)} camera(s){'' if layout.loose else ': ' + layout.note}")
+    report.notes.append(
+        f"layout: {len(layout.folders)} camera(s){'' if layout.order.loose else ': ' + layout.order.why}"
+    )
     kept = [k for k, place in zip(usable.images, layout.places) if place is not None]
     folder = {k: place.folder for k, place in zip(usable.images, layout.places) if place is not None}
     sequence = {k: place.sequence for k, place in zip(usable.images, layout.places) if place is not None}

@@ -116,10 +116,10 @@ def assign(
     layout = band_layout(usable.names, exif, kind, tuning.frames) or guess_layout(
         usable.names, exif, sizes, kind, tuning.folders, cameras
     )
-    if layout.folders == ("",) and not layout.loose and kind == "auto" and len(_lenses(usable)) > 1:
+    if layout.folders == ("",) and not layout.order.loose and kind == "auto" and len(_lenses(usable)) > 1:
         layout = replace(layout, order=Order(True, "loose photographs: taken with different lenses"))
     if rig is None:
-        report.notes.append(f"layout guessed: {layout.note}")
+        report.notes.append(f"layout guessed: {layout.order.why}")
         spec = with_rig_tags(_guessed_rig(layout), layout, exif, report.notes)
         if len(layout.folders) > 1 and not spec.nominal:
             report.notes.append(
@@ -128,17 +128,17 @@ def assign(
             )
     else:
         spec = preset(rig, layout.folders, tuning.rig)
-        report.notes.append(f"layout guessed: {layout.note}; rig preset {rig}: nominal axes and centres")
+        report.notes.append(f"layout guessed: {layout.order.why}; rig preset {rig}: nominal axes and centres")
     index = {s.folder: k for k, s in enumerate(spec.sensors)}
     shots = tuple(
-        _shot(image, name, (0, index[place.folder]), place, layout.loose)
+        _shot(image, name, (0, index[place.folder]), place, layout.order.loose)
         for image, name, place in zip(usable.images, usable.names, layout.places)
         if place is not None
     )
     strays = [name for name, place in zip(usable.names, layout.places) if place is None]
     report.drop(strays, f"outside the camera folders ({some(layout.folders)})")
-    if layout.loose or (kind == "video" and layout.folders == ("",)):
-        return _by_camera(spec, shots, usable, report, loose=layout.loose)
+    if layout.order.loose or (kind == "video" and layout.folders == ("",)):
+        return _by_camera(spec, shots, usable, report, loose=layout.order.loose)
     return Survey(specs=(spec,), shots=shots, loose=False, guessed=layout.order.guessed)
 
 

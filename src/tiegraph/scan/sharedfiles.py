@@ -113,13 +113,13 @@ def share_files(usable: Usable, spec: RigSpec, settings: ScanSettings, tuning: T
     shots: list[Shot] = []
     for name, place in zip(usable.names, layout.places):
         path = PurePosixPath(name)
-        sequence = "" if layout.loose or place is None else place.sequence
+        sequence = "" if layout.order.loose or place is None else place.sequence
         for k, sensor in enumerate(spec.sensors):
             shots.append(Shot(image=len(views), rig=0, sensor=k, sequence=sequence, stem=path.stem))
             views.append(str(path.parent / sensor.name / path.name))
     each = len(spec.sensors)
     probes, files = [p for p in usable.probes for _ in range(each)], [n for n in usable.names for _ in range(each)]
-    return Survey((spec,), tuple(shots), layout.loose), ImageFiles(views, probes, files)
+    return Survey((spec,), tuple(shots), layout.order.loose), ImageFiles(views, probes, files)
 
 
 def _as_view(probe: Probe, width: int, height: int) -> Probe:

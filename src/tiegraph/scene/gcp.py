@@ -12,7 +12,6 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -26,9 +25,6 @@ from tiegraph.scene.table import Table, table_of
 from tiegraph.scene.targets import BAR_FORM, FORM, FileBar, Target, count_of, names_bars, read_bars, target_of
 from tiegraph.scene.textfile import decoded, delimiter_of_rows, filled_lines, header_words, split_cells, whole_file
 from tiegraph.scene.tuning import ControlTuning
-
-if TYPE_CHECKING:
-    pass
 
 MAX_SIGMA_M = 100.0  # no survey of a point is worse: another unit, or a typing error
 _CHECK = ("check", "checkpoint", "check_point", "checkpoints", "cp", "chk")

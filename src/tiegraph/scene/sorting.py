@@ -1,12 +1,26 @@
 """Many numbers: tables of columns, sorting of points by voxel, tile or node, even samples."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from typing import TypeVar
 
 import numpy as np
 
+A = TypeVar("A", bound="Arrays")
 T = TypeVar("T", bound="Columns")
+
+
+class Arrays:
+    """Base of dataclasses whose fields are arrays, which a .npz holds by their names."""
+
+    def to_npz(self) -> dict[str, np.ndarray]:
+        """Columns for ``np.savez``."""
+        return {f.name: getattr(self, f.name) for f in fields(self)}  # type: ignore[arg-type]
+
+    @classmethod
+    def from_npz(cls: type[A], data: Mapping[str, np.ndarray]) -> A:
+        """Inverse of ``to_npz``; other entries are ignored."""
+        return cls(**{f.name: data[f.name] for f in fields(cls)})  # type: ignore[arg-type]
 
 
 class Columns:
