@@ -8,7 +8,13 @@ from datetime import datetime, timezone
 import numpy as np
 
 from tiegraph.errors import InputError
-from tiegraph.scene.columnwords import UNIT_M
+
+UNIT_M = {
+    "m": 1.0, "metre": 1.0, "metres": 1.0, "meter": 1.0, "meters": 1.0, "km": 1e3, "cm": 1e-2, "mm": 1e-3, "ft": 0.3048,
+    "feet": 0.3048, "foot": 0.3048, "ftus": 1200 / 3937, "us-ft": 1200 / 3937, "us ft": 1200 / 3937,
+    "us survey feet": 1200 / 3937,
+}  # fmt: skip
+UNIT_S = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "msec": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}
 
 # A half of the Earth, degrees, minutes, seconds, a half: "N35.5", "35 deg 41' 22.2\" N", "35°41'22.2\"".
 _ANGLE = re.compile(

@@ -13,8 +13,7 @@ from datetime import datetime, timezone
 import numpy as np
 
 from tiegraph.errors import InputError
-from tiegraph.scene.cells import in_seconds, parse_time
-from tiegraph.scene.columnwords import UNIT_S
+from tiegraph.scene.cells import UNIT_S, in_seconds, parse_time
 from tiegraph.scene.table import Table
 
 GPS_EPOCH_S = 315964800.0  # 6 January 1980, 0 h UTC, in seconds since 1970

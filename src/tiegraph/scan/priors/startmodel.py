@@ -28,7 +28,7 @@ from scipy.spatial.transform import Rotation
 
 from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
-from tiegraph.scan.rigfiles.cameraforeign import agisoft, opensfm_cameras
+from tiegraph.scan.rigfiles.camerafile import agisoft, opensfm_cameras
 from tiegraph.scan.rigfiles.cameraread import NUMBER, FoundCamera, numbers
 from tiegraph.scan.rigfiles.rigfaults import is_number
 from tiegraph.scene.colmapmodel import is_model, read_model

@@ -13,8 +13,8 @@ from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import apart
 from tiegraph.scan.folders import LONE_PASS
 from tiegraph.scan.tuning import TimesTuning
-from tiegraph.scene.bycontent import times as times_by_content
 from tiegraph.scene.cells import in_seconds
+from tiegraph.scene.columnwords import times as times_by_content
 from tiegraph.scene.exif import Exif
 from tiegraph.scene.names import found_by, lookup_of, plain_name
 from tiegraph.scene.table import Table, read_table

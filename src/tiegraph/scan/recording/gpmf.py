@@ -22,7 +22,7 @@ from typing import BinaryIO
 
 import numpy as np
 
-from tiegraph.scan.recording.fixes import Fixes, Readings, believed
+from tiegraph.scan.recording import Fixes, Readings, believed
 from tiegraph.scan.recording.tracks import BrokenTrack, Samples, samples, tracks
 from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scene.regular import regular

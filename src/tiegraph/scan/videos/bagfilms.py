@@ -18,8 +18,7 @@ import numpy as np
 
 from tiegraph.errors import InputError
 from tiegraph.scan.folders import is_camera
-from tiegraph.scan.recording import Recording
-from tiegraph.scan.recording.fixes import RECORDED_RANGE_S
+from tiegraph.scan.recording import RECORDED_RANGE_S, Recording
 from tiegraph.scan.rigfiles.camerafile import check_lens
 from tiegraph.scan.rigfiles.cameraread import FoundCamera, opencv
 from tiegraph.scan.tuning import CameraTuning, PicturesTuning

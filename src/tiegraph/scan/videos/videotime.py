@@ -10,7 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
-from tiegraph.scan.recording.fixes import RECORDED_RANGE_S, Fixes, Readings, believed
+from tiegraph.scan.recording import RECORDED_RANGE_S, Fixes, Readings, believed
 from tiegraph.scan.recording.gpmf import Telemetry, read_gpmf
 from tiegraph.scan.recording.insta360 import read_trailer
 from tiegraph.scan.recording.tracks import BrokenTrack, boxes

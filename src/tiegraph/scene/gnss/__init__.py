@@ -20,7 +20,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from tiegraph.scene.bags import is_bag
-from tiegraph.scene.gnss import columns, nmea, solutions, xmltracks
+from tiegraph.scene.gnss import columns, solutions, tracks
 from tiegraph.scene.gnss.fixes import HEIGHTS_M, Gnss, judged
 from tiegraph.scene.textfile import whole_file
 from tiegraph.scene.tuning import GnssTuning
@@ -29,13 +29,13 @@ _HEAD = 1 << 16  # bytes that tell a format
 
 
 FORMATS: dict[str, tuple[Callable[[str, bytes], bool], Callable[[Path, bytes], Gnss]]] = {
-    "GPX": (xmltracks.is_gpx, xmltracks.read_gpx),
-    "KML": (xmltracks.is_kml, xmltracks.read_kml),
+    "GPX": (tracks.is_gpx, tracks.read_gpx),
+    "KML": (tracks.is_kml, tracks.read_kml),
     "SBET": (solutions.is_sbet, solutions.read_sbet),
     "RTKLIB": (solutions.is_rtklib, solutions.read_rtklib),
     "DJI MRK": (solutions.is_mrk, solutions.read_mrk),
     "ODM geo.txt": (columns.is_geotxt, columns.read_geotxt),
-    "NMEA 0183": (nmea.is_nmea, nmea.read_nmea),
+    "NMEA 0183": (tracks.is_nmea, tracks.read_nmea),
     "CSV": (lambda text, raw: True, columns.read_columns),
 }
 """Of each format what says of the first bytes of a file, as text and as bytes, whether it is one, and what reads it.
