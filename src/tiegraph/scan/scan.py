@@ -246,7 +246,8 @@ def _scene(
     )
     priors = estimate_priors(frames, inputs.gnss, inputs.start or inputs.trajectory, inputs.times, settings, tuning)
     rows, priors_order = _in_time_order(rows, priors.time_s, report)
-    _say_incomplete(rows, rigs, report)
+    if missing := sum(len(r.images) < len(rigs[r.rig].sensors) for r in rows):
+        report.notes.append(f"{missing} of {len(rows)} frames lack the image of some camera")
     frame = np.zeros(len(shots), int)
     for k, row in enumerate(rows):
         frame[list(row.images)] = k
@@ -336,9 +337,3 @@ def _steps(rows: Sequence[FrameRow]) -> np.ndarray:
         out[k] = seen[row.sequence]
         seen[row.sequence] += 1
     return out
-
-
-def _say_incomplete(rows: Sequence[FrameRow], rigs: Sequence[Rig], report: Report) -> None:
-    missing = sum(len(r.images) < len(rigs[r.rig].sensors) for r in rows)
-    if missing:
-        report.notes.append(f"{missing} of {len(rows)} frames lack the image of some camera")

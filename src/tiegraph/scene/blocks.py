@@ -141,7 +141,9 @@ def _symmetric(a: np.ndarray, b: np.ndarray, value: np.ndarray, n: int) -> csr_a
 def _cut(graph: csr_array, size: np.ndarray, own: int, tuning: BlocksTuning) -> np.ndarray:
     """(F,) part of every frame; none has more than ``own`` images, unless one frame has."""
     label = np.zeros(len(size), int)
-    todo = [np.flatnonzero(piece) for piece in _pieces(graph)]
+    row, column = graph.tocoo().coords
+    piece = parts(row, column, len(size))
+    todo = [np.flatnonzero(piece == k) for k in range(piece.max() + 1)]
     done: list[np.ndarray] = []
     while todo:
         frames = todo.pop()
@@ -154,14 +156,6 @@ def _cut(graph: csr_array, size: np.ndarray, own: int, tuning: BlocksTuning) -> 
     for k, frames in enumerate(done):
         label[frames] = k
     return label
-
-
-def _pieces(graph: csr_array) -> list[np.ndarray]:
-    """(F,) bool of each connected piece."""
-    coo = graph.tocoo()
-    row, column = coo.coords
-    label = parts(row, column, graph.shape[0])
-    return [label == k for k in range(label.max() + 1)]
 
 
 def _first_side(

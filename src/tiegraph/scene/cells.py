@@ -4,6 +4,7 @@ import bisect
 import re
 from collections.abc import Sequence
 from datetime import datetime, timezone
+from functools import lru_cache
 
 import numpy as np
 
@@ -101,6 +102,20 @@ def parse_time(text: str) -> float:
         return float("nan")
     stamp = stamp if stamp.tzinfo else stamp.replace(tzinfo=timezone.utc)
     return stamp.timestamp() + (float(f"0.{digits[0]}") if digits else 0.0)
+
+
+@lru_cache(maxsize=64)
+def seconds_of(text: str, form: str) -> float:
+    """Seconds since 1970 of a date, UTC, in a form of ``strptime``; NaN if it is none."""
+    try:
+        return datetime.strptime(text, form).replace(tzinfo=timezone.utc).timestamp()
+    except ValueError:
+        return float("nan")
+
+
+def date_text(time_s: float) -> str:
+    """A time (seconds since 1970, UTC) as people read it."""
+    return f"{datetime.fromtimestamp(time_s, timezone.utc):%Y-%m-%d %H:%M:%S}"
 
 
 def out_of_order(times: np.ndarray) -> np.ndarray:

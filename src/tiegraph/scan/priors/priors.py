@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import datetime, timezone
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +18,7 @@ from tiegraph.scan.rigfiles.rigspec import AXES
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import TimesTuning, TrajectoryTuning, Tuning
 from tiegraph.scene.bags import source_of
+from tiegraph.scene.cells import date_text
 from tiegraph.scene.exif import Exif
 from tiegraph.scene.gnss import read_gnss
 from tiegraph.scene.gnss.fixes import step_of
@@ -150,10 +150,8 @@ def _unless_one(time_s: np.ndarray, where: str, notes: list[str]) -> np.ndarray:
     known = time_s[np.isfinite(time_s)]
     if len(known) < 2 or np.ptp(known) > 0:
         return time_s
-    when = datetime.fromtimestamp(known[0], timezone.utc).strftime("%Y-%m-%d %H:%M:%S")
-    notes.append(
-        f"{where}: all {len(known)} frames with a time have the same, {when}: not used; give --times if times matter"
-    )
+    same = f"all {len(known)} frames with a time have the same, {date_text(known[0])}"
+    notes.append(f"{where}: {same}: not used; give --times if times matter")
     return np.full(len(time_s), np.nan)
 
 

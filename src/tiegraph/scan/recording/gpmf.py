@@ -25,6 +25,7 @@ import numpy as np
 from tiegraph.scan.recording import Fixes, Readings, believed
 from tiegraph.scan.recording.tracks import BrokenTrack, Samples, samples, tracks
 from tiegraph.scan.tuning import PicturesTuning
+from tiegraph.scene.cells import date_text, seconds_of
 from tiegraph.scene.regular import regular
 from tiegraph.scene.times import DAY_S
 
@@ -39,7 +40,6 @@ _MOST_SHOWN = 40  # letters
 _MOST_ROW = 255  # one byte says the length of a row
 _FORMAT = b"gpmd"
 _EPOCH_S = datetime(2000, 1, 1, tzinfo=timezone.utc).timestamp()
-_UTC = re.compile(r"(\d\d)(\d\d)(\d\d)(\d\d)(\d\d)(\d\d)\.(\d{3})")
 _GPS5, _GPS9 = 5, 9  # numbers a row
 
 
@@ -205,14 +205,7 @@ def _first(stream: _Stream, key: str) -> float:
 
 
 def _utc(text: str) -> float:
-    found = _UTC.fullmatch(text)
-    if found is None:
-        return float("nan")
-    year, month, day, hour, minute, second, ms = (int(v) for v in found.groups())
-    try:
-        return datetime(2000 + year, month, day, hour, minute, second, 1000 * ms, timezone.utc).timestamp()
-    except ValueError:  # or second 60, a leap second
-        return float("nan")
+    return seconds_of(f"20{text}", "%Y%m%d%H%M%S.%f")  # NaN of second 60, a leap second, too
 
 
 def _judge(found: _Found, max_gap_s: float, tuning: PicturesTuning) -> Telemetry:
@@ -231,7 +224,8 @@ def _judge(found: _Found, max_gap_s: float, tuning: PicturesTuning) -> Telemetry
     if len(late):
         start = float(np.median(late))
         spread = float(np.median(np.abs(late - start)))
-        when = datetime.fromtimestamp(start, timezone.utc).strftime("%Y-%m-%d %H:%M:%S.%f")[:-3]
+        second, part = divmod(round(1e6 * start), 10**6)
+        when = f"{date_text(second)}.{part // 1000:03d}"
         doubt = f", in which they contradict each other by {spread:.1f} s" if spread > tuning.receiver_apart_s else ""
         said.insert(0, f"begins at {when} UTC by {len(late)} times of its receiver{doubt}")
     fixes = Fixes(kept.stamp_s, kept.lat_lon_height, max_gap_s) if len(kept) else None

@@ -8,7 +8,6 @@ folder of the pictures is called as what stands before ``image``: left.
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from datetime import datetime, timezone
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -24,6 +23,7 @@ from tiegraph.scan.rigfiles.cameraread import FoundCamera, opencv
 from tiegraph.scan.tuning import CameraTuning, PicturesTuning
 from tiegraph.scan.videos.videotime import VideoClock
 from tiegraph.scene.bags import METADATA, SUFFIXES, Bag, Topic, in_full, is_bag, of_topic, open_bag, shown, stamp_ns
+from tiegraph.scene.cells import date_text
 from tiegraph.scene.gnss.solutions import KINDS as FIXES
 from tiegraph.scene.images import files_below
 
@@ -165,7 +165,7 @@ class BagFilm:
         start_s, name = self._start_ns * 1e-9, shown(self._bag.path, self._topic.name)
         low, high = RECORDED_RANGE_S
         dated = low <= start_s <= high
-        when = f"{datetime.fromtimestamp(start_s, timezone.utc):%Y-%m-%d %H:%M:%S} UTC" if dated else f"{start_s:.3f} s"
+        when = f"{date_text(start_s)} UTC" if dated else f"{start_s:.3f} s"
         late = f"which it was received {(self._received_ns - self._start_ns) * 1e-9:.3f} s after"
         by = f"the stamp of its first message, {late}" if self._stamped else "its receipt: its headers have no stamps"
         return VideoClock(

@@ -16,6 +16,7 @@ from tiegraph.scan.recording.insta360 import read_trailer
 from tiegraph.scan.recording.tracks import BrokenTrack, boxes
 from tiegraph.scan.settings import ScanSettings, VideoOffsets, video_offsets
 from tiegraph.scan.tuning import PicturesTuning
+from tiegraph.scene.cells import date_text, seconds_of
 from tiegraph.scene.exif import Taken
 from tiegraph.scene.names import clean
 from tiegraph.scene.regular import regular
@@ -127,9 +128,8 @@ def _container(video: Path, told: VideoOffsets) -> tuple[VideoClock, float]:
         said = f"it does not say when it was recorded: its times count from its start; {remedy}"
         return VideoClock(told.all_s, known=told.all_s != 0, note=said), length_s
     start = time_s - (length_s if told.from_end else 0.0)
-    when = datetime.fromtimestamp(start, timezone.utc).strftime("%Y-%m-%d %H:%M:%S")
     doubt = "which has whole seconds and may be local or that of its end (--scan.video-offset SECONDS, or end)"
-    said = f"begins at {when} UTC by the creation time in it, {doubt}"
+    said = f"begins at {date_text(start)} UTC by the creation time in it, {doubt}"
     return VideoClock(start + told.all_s, known=True, utc=True, note=said), length_s
 
 
@@ -191,8 +191,7 @@ class Subtitles:
         rows = f"{name}: {placed} of {len(self.stamp_s)} rows have a position"
         if np.isnan(self.start_s):
             return [f"{rows}, none a date"]
-        when = datetime.fromtimestamp(self.start_s, timezone.utc).strftime("%Y-%m-%d %H:%M:%S")
-        return [f"{rows}; the video begins at {when} in the drone's own clock and zone"]
+        return [f"{rows}; the video begins at {date_text(self.start_s)} in the drone's own clock and zone"]
 
 
 def subtitles_of(video: Path) -> Path | None:
@@ -235,11 +234,7 @@ def _date(row: str) -> float:
     found = _DATE.search(row)
     if found is None:
         return float("nan")
-    try:
-        stamp = datetime(*(int(v) for v in found.groups()[:6]), tzinfo=timezone.utc)  # type: ignore[arg-type,misc]
-    except ValueError:
-        return float("nan")
-    return stamp.timestamp() + float(f"0.{found[7] or ''}{found[8] or ''}0")
+    return seconds_of("".join(found.groups()[:6]), "%Y%m%d%H%M%S") + float(f"0.{found[7] or ''}{found[8] or ''}0")
 
 
 def _place(row: str) -> tuple[tuple[float, float, float], int]:

@@ -15,14 +15,12 @@ import zipfile
 import zlib
 from collections import Counter
 from dataclasses import dataclass, field, replace
-from datetime import datetime, timezone
-from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
 from tiegraph.errors import InputError
-from tiegraph.scene.cells import number, parse_time
+from tiegraph.scene.cells import number, parse_time, seconds_of
 from tiegraph.scene.gnss.fixes import Gnss, above_ellipsoid
 from tiegraph.scene.textfile import parse_xml
 from tiegraph.scene.times import DAY_S, going_on
@@ -75,7 +73,7 @@ class _Log:
 
     def date(self, time: str, day: str) -> None:
         """``day`` as ddmmyyyy; what is none counts as not there."""
-        second, midnight = _second(time), _midnight(day)
+        second, midnight = _second(time), seconds_of(day, "%d%m%Y")
         if second == second and midnight == midnight:
             self.dates.append((len(self.rows), second, midnight))
 
@@ -139,7 +137,8 @@ def _read(raw: bytes) -> _Log:
     for n, match in found:
         cells = match[1].decode("ascii", errors="replace").split(",")
         least = {b"GGA": 13, b"RMC": 10, b"ZDA": 5, b"GST": 9}[match[2]]
-        if len(cells) < least or (summed and not (match[3] and _sum(match[1]) == int(match[3][1:], 16))):
+        checksum = np.bitwise_xor.reduce(np.frombuffer(match[1], np.uint8))
+        if len(cells) < least or (summed and not (match[3] and checksum == int(match[3][1:], 16))):
             log.damaged.append((n, match[0].decode("ascii", errors="replace").strip()))
         elif match[2] == b"GGA":
             log.gga(n, cells)
@@ -157,22 +156,9 @@ def _read(raw: bytes) -> _Log:
     return log
 
 
-@lru_cache(maxsize=64)
-def _midnight(day: str) -> float:
-    """Seconds since 1970 at the start of ddmmyyyy."""
-    try:
-        return datetime.strptime(day, "%d%m%Y").replace(tzinfo=timezone.utc).timestamp()
-    except ValueError:
-        return _NAN
-
-
 def _four_digits(day: str) -> str:
     """ddmmyyyy of ddmmyy."""
     return day[:4] + ("19" if day[4:] >= "80" else "20") + day[4:]
-
-
-def _sum(body: bytes) -> int:
-    return int(np.bitwise_xor.reduce(np.frombuffer(body, np.uint8)))
 
 
 def _said(path: Path, log: _Log) -> list[str]:
