@@ -357,8 +357,13 @@ def geodetic_from_world(world_m: np.ndarray, origin: Origin) -> np.ndarray:
         zero = np.array(_ecef().transform(origin.lat_deg, origin.lon_deg, origin.height_m))
         ecef = world_m @ enu_axes(origin.lat_deg, origin.lon_deg) + zero
         return geodetic_from_ecef(ecef)
-    east, north, up = (world_m + np.asarray(origin.shift_m)).T
-    lon, lat, height = crs_transformer(origin.crs).transform(east, north, up, direction="INVERSE")
+    return geodetic_from_crs(world_m + np.asarray(origin.shift_m), origin.crs)
+
+
+def geodetic_from_crs(xyz: np.ndarray, crs: str) -> np.ndarray:
+    """Geodetic positions (N, 3) of east, north (of degrees: longitude, latitude) and height in a CRS (N, 3); infinite
+    outside of it."""
+    lon, lat, height = crs_transformer(crs).transform(*xyz.T, direction="INVERSE")
     return np.stack([lat, lon, height], axis=-1)
 
 

@@ -30,8 +30,9 @@ from tiegraph.scan.rigfiles.rigspec import RigSpec, SensorSpec
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import CameraTuning, RigTuning
 from tiegraph.scene.decoding import EIGHT_BIT, Levels
-from tiegraph.scene.regular import names_file, regular
+from tiegraph.scene.regular import names_file
 from tiegraph.scene.rig import Source, on_plane
+from tiegraph.scene.textfile import utf8_text
 from tiegraph.text import some
 
 
@@ -197,10 +198,7 @@ def read_camera(text: str, tuning: RigTuning) -> SensorSpec:
             raise InputError(f"{where}: no such file; {WORDS}")
         return _sensor(in_words(re.split(r"[,;\s]+", text.strip()), where, WORDS), tuning.camera)
     if path.suffix.lower() == ".toml":
-        try:
-            return camera_table(path, regular(path).read_text(encoding="utf-8-sig"), tuning)
-        except (OSError, UnicodeDecodeError) as error:
-            raise InputError(f"{where}: cannot be read as text in UTF-8 ({error}); {WORDS}") from None
+        return camera_table(path, utf8_text(path, where, f"; {WORDS}"), tuning)
     return _sensor(only_one(read_camera_file(path, where), where), tuning.camera)
 
 

@@ -17,8 +17,7 @@ import pyproj
 
 from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import ENU, Origin, check_vertical, parse_crs
-from tiegraph.scene.atomic import replacing
-from tiegraph.scene.cloudfile import las_header, ply_parts, refuse_cut_las, shift_of, undate
+from tiegraph.scene.cloudfile import las_header, ply_parts, refuse_cut_las, shift_of, write_records
 from tiegraph.scene.regular import regular
 from tiegraph.scene.results import Cloud
 from tiegraph.scene.sorting import Columns
@@ -221,14 +220,7 @@ def write_measured(parts: Iterable[Measured], path: Path, origin: Origin | None,
         return 0
     cloud = replace(Cloud.empty(origin), xyz_m=first.xyz)
     header, _ = las_header(cloud, spacing, extra=[(name, "f4") for name in first.columns])
-    count = 0
-    with replacing(path) as temporary:
-        with laspy.open(temporary, mode="w", header=header, do_compress=path.suffix.lower() == ".laz") as out:
-            for part in chain([first], rest):
-                out.write_points(_records(part, header, shift_of(origin)))
-                count += len(part.xyz)
-        undate(temporary)
-    return count
+    return write_records((_records(part, header, shift_of(origin)) for part in chain([first], rest)), header, path)
 
 
 def _records(part: Measured, header: laspy.LasHeader, shift: np.ndarray) -> laspy.ScaleAwarePointRecord:

@@ -9,7 +9,7 @@ import numpy as np
 
 from tiegraph.scene.graph import blocks, unite
 from tiegraph.scene.pairs import pair_key
-from tiegraph.scene.sorting import Arrays
+from tiegraph.scene.sorting import Arrays, freeze
 
 
 @dataclass(frozen=True)
@@ -27,11 +27,7 @@ class PreviewMatches(Arrays):
     matches: np.ndarray  # (M, 2) u2
 
     def __post_init__(self) -> None:
-        dtypes = {"i": np.int32, "j": np.int32, "start": np.int64, "matches": np.uint16}
-        for name, dtype in dtypes.items():
-            column = np.array(getattr(self, name), dtype=dtype)
-            column.setflags(write=False)
-            object.__setattr__(self, name, column)
+        freeze(self, {"i": np.int32, "j": np.int32, "start": np.int64, "matches": np.uint16})
         key = pair_key(self.i, self.j)
         if np.any(self.i >= self.j) or np.any(np.diff(key) <= 0) or len(self.start) != len(self.i) + 1:
             raise ValueError("ties must have i < j and be sorted and unique: build them with PreviewMatches.make")

@@ -177,11 +177,8 @@ def read_json(path: Path, what: str = "a transforms.json of nerfstudio or instan
 
 
 def _pose(given: Any, where: str) -> np.ndarray:
-    try:
-        pose = np.array(given, float)
-    except (TypeError, ValueError):
-        pose = np.zeros(0)
-    if pose.shape not in ((4, 4), (3, 4)) or not np.isfinite(pose).all():
+    pose = transforms.finite_array(given, (4, 4), (3, 4))
+    if pose is None:
         raise InputError(f"{where}: transform_matrix is no 4 x 4 matrix of numbers: remove that frame")
     out = checked_pose(pose, f"{where}: transform_matrix")
     out[:3, 1:3] *= -1  # from OpenGL's camera

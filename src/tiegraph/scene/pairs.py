@@ -14,7 +14,7 @@ import numpy as np
 from tiegraph.errors import InputError
 from tiegraph.scene.names import plain_name
 from tiegraph.scene.scene import Scene
-from tiegraph.scene.sorting import Arrays, Columns
+from tiegraph.scene.sorting import Arrays, Columns, freeze
 from tiegraph.scene.textfile import decoded, delimiter_of_rows, filled_lines, split_cells, whole_file
 from tiegraph.text import csv_text
 
@@ -70,11 +70,11 @@ class Pairs(Columns, Arrays):
     inliers: np.ndarray
 
     def __post_init__(self) -> None:
-        dtypes = {"i": np.int32, "j": np.int32, "source": np.uint8, "dropped": np.uint8, "inliers": np.int32}
-        for name in self.columns():
-            column = np.array(getattr(self, name), dtype=dtypes.get(name, np.float32))
-            column.setflags(write=False)
-            object.__setattr__(self, name, column)
+        numbers = dict.fromkeys(NUMBERS, np.float32)
+        freeze(
+            self,
+            {"i": np.int32, "j": np.int32, "source": np.uint8, "dropped": np.uint8, "inliers": np.int32, **numbers},
+        )
         if np.any(self.i >= self.j) or np.any(np.diff(self.key) <= 0):
             raise ValueError("pairs must have i < j and be sorted and unique: build them with Pairs.make")
 

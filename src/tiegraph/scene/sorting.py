@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -40,6 +40,14 @@ class Columns:
         first = parts[0]
         names = [n for n, v in vars(first).items() if isinstance(v, np.ndarray)]
         return replace(first, **{n: np.concatenate([getattr(p, n) for p in parts]) for n in names})  # type: ignore
+
+
+def freeze(table: object, dtypes: Mapping[str, Any]) -> None:
+    """Make fields of a frozen dataclass read-only columns of some types."""
+    for name, dtype in dtypes.items():
+        column = np.array(getattr(table, name), dtype=dtype)
+        column.setflags(write=False)
+        object.__setattr__(table, name, column)
 
 
 def run_starts(numbers: np.ndarray) -> np.ndarray:

@@ -36,6 +36,14 @@ def filled_lines(text: str) -> list[tuple[int, str]]:
     return [(k, line.rstrip()) for k, line in lines]
 
 
+def utf8_text(path: Path, where: str, remedy: str = "") -> str:
+    """Text of a file that is UTF-8; ``where``: what errors call it. Raises InputError, ending with ``remedy``."""
+    try:
+        return regular(path).read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{where}: cannot be read as text in UTF-8 ({error}){remedy}") from None
+
+
 def whole_file(path: Path, purpose: str) -> bytes:
     """What is in a file. Raises InputError if it cannot be read."""
     try:

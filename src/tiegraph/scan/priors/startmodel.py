@@ -188,11 +188,8 @@ def _shot(row: Any, where: str) -> np.ndarray:
     """world_from_camera (4, 4)."""
     columns = []
     for key in ("rotation", "translation"):
-        try:
-            vector = np.array(row[key] if isinstance(row, dict) else None, float)
-        except (KeyError, TypeError, ValueError):
-            vector = np.zeros(0)
-        if vector.shape != (3,) or not np.isfinite(vector).all():
+        vector = transforms.finite_array(row.get(key) if isinstance(row, dict) else None, (3,))
+        if vector is None:
             raise InputError(f"{where}: {key} is no list of three numbers: remove that shot")
         columns.append(vector)
     turn, shift = columns

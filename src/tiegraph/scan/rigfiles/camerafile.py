@@ -50,7 +50,7 @@ from tiegraph.scan.rigfiles.rigfaults import MAX_SIDE_PX, MODELS, count_fault, f
 from tiegraph.scan.rigfiles.rigspec import UNIT, RigSpec, SensorSpec
 from tiegraph.scan.tuning import CameraTuning, RigTuning
 from tiegraph.scene.regular import regular
-from tiegraph.scene.textfile import text_lines
+from tiegraph.scene.textfile import text_lines, utf8_text
 
 PROGRAMS = (
     "COLMAP's cameras.txt or cameras.bin, OpenCV's or ROS's YAML or XML, Kalibr's camchain.yaml, OpenSfM's "
@@ -61,17 +61,14 @@ _ROW = re.compile(rf"(?m)^[ \t]*\d+[ \t]+(?:{'|'.join(MODELS)})[ \t]")
 
 def read_camera_file(path: Path, where: str) -> list[FoundCamera]:
     """The cameras of a file; ``where``: what errors call it. Raises InputError naming what is wrong."""
-    try:
-        data = regular(path).read_bytes()
-        if path.suffix.lower() == ".bin":
-            return cameras_bin(data, where)
-        content = data.decode("utf-8-sig").replace("\r\n", "\n")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{where}: cannot be read as text in UTF-8 ({error}); known are {PROGRAMS}") from None
+    known = f"; known are {PROGRAMS}"
+    if path.suffix.lower() == ".bin":
+        return cameras_bin(path, where)
+    content = utf8_text(path, where, known)
     read = next((read for told, read in FORMATS.values() if told(content)), None)
     found = [] if read is None else read(content, where)
     if not found:
-        raise InputError(f"{where}: no calibration that is known; known are {PROGRAMS}")
+        raise InputError(f"{where}: no calibration that is known{known}")
     for camera in found:
         check_count(camera.model, camera.params, camera.where)
     return found
@@ -126,11 +123,12 @@ def _cameras_txt(content: str, where: str) -> list[FoundCamera]:
     return found
 
 
-def cameras_bin(data: bytes, where: str) -> list[FoundCamera]:
+def cameras_bin(path: Path, where: str) -> list[FoundCamera]:
     """COLMAP's cameras.bin: count u64; id u32, model i32, width u64, height u64, parameters f64. Raises InputError."""
     names = {int(v): n for n, v in pycolmap.CameraModelId.__members__.items() if n in MODELS}
     found, at = [], 8
     try:
+        data = regular(path).read_bytes()
         for _ in range(struct.unpack_from("<Q", data)[0]):
             camera, model, width, height = struct.unpack_from("<IiQQ", data, at)
             name = names[model]
@@ -139,6 +137,8 @@ def cameras_bin(data: bytes, where: str) -> list[FoundCamera]:
             at += 24 + 8 * count
             size = (width, height)
             found.append(FoundCamera(model=name, params=params, size=size, where=where, name=str(camera)))
+    except OSError as error:
+        raise InputError(f"{where}: cannot be read ({error})") from None
     except (struct.error, KeyError, OverflowError):
         raise InputError(f"{where}: no cameras.bin of COLMAP, or cut off; export the model again") from None
     if at != len(data) or not found:

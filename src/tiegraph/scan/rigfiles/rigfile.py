@@ -51,15 +51,14 @@ import numpy as np
 import pycolmap
 
 from tiegraph.errors import InputError
-from tiegraph.geometry.transforms import are_rotations, invert, rigid
+from tiegraph.geometry.transforms import are_rotations, finite_array, invert, rigid
 from tiegraph.scan.rigfiles.camerafile import check_lens, kalibr_rig, read_camera_file
 from tiegraph.scan.rigfiles.cameraread import only_one
 from tiegraph.scan.rigfiles.rigfaults import MAX_SIDE_PX, Part, faults, is_number, lens_fault
 from tiegraph.scan.rigfiles.rigspec import AXES, PRESET_WORDS, UNIT, RigSpec, SensorSpec, orient
 from tiegraph.scan.tuning import RigTuning
-from tiegraph.scene.regular import regular
 from tiegraph.scene.rig import PAIR_KEYS, ROLES, SensorPair
-from tiegraph.scene.textfile import text_lines
+from tiegraph.scene.textfile import text_lines, utf8_text
 from tiegraph.text import composed
 
 if sys.version_info >= (3, 11):
@@ -96,10 +95,7 @@ def read_rig_file(path: Path | str, tuning: RigTuning, text: str | None = None) 
         raise InputError(f"--rig {path}: no such file, and no preset: {PRESET_WORDS}")
     if path.is_dir():
         raise InputError(f"--rig {path}: a folder, not a file, and no run folder of tiegraph: give one of these")
-    try:
-        text = composed(regular(path).read_text(encoding="utf-8-sig"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read as text in UTF-8 ({error})") from None
+    text = composed(utf8_text(path, str(path)))
     if path.suffix.lower() in _KALIBR:
         return (kalibr_rig(path, text, RIG_NAME, tuning),)
     return parse_rig_file(path, text, tuning, path.suffix.lower() == ".json")
@@ -311,11 +307,8 @@ def _pose(part: Part, axes: str) -> np.ndarray | None:
 def _matrix(part: Part) -> np.ndarray:
     """(3, 3), (3, 4) or (4, 4) of body_from_sensor."""
     key = "body_from_sensor"
-    try:
-        matrix = np.array(part.data[key], float)
-    except (TypeError, ValueError, OverflowError):
-        matrix = np.zeros(0)
-    if matrix.shape not in ((3, 3), (3, 4), (4, 4)) or not np.isfinite(matrix).all():
+    matrix = finite_array(part.data[key], (3, 3), (3, 4), (4, 4))
+    if matrix is None:
         raise part.fail(key, f"{key}: expected 3 rows of 3 or 4 finite numbers")
     if len(matrix) == 4 and not np.array_equal(matrix[3], [0, 0, 0, 1]):
         raise part.fail(key, f"{key}: the fourth row must be 0, 0, 0, 1")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tiegraph.errors import InputError
-from tiegraph.geometry.geodesy import crs_transformer
+from tiegraph.geometry.geodesy import geodetic_from_crs
 from tiegraph.scene.columnwords import SIGMAS, geotxt, is_file, positions
 from tiegraph.scene.crsline import crs_above, parse_crs_line, say_axes, units_of
 from tiegraph.scene.gnss.fixes import EMPTY, SIGMA_RANGE_M, Gnss, above_ellipsoid
@@ -128,8 +128,8 @@ def _geodetic(crs: pyproj.CRS, xyz: np.ndarray, table: Table) -> np.ndarray:
     Raises InputError, with the line, for a place outside the CRS.
     """
     x, y, z = xyz.T
-    lon, lat, height = crs_transformer(crs.srs).transform(x, y, np.nan_to_num(z), direction="INVERSE")
-    bad = np.flatnonzero(np.isfinite(x + y) & ~(np.isfinite(lat) & np.isfinite(lon)))
+    out = geodetic_from_crs(np.stack([x, y, np.nan_to_num(z)], axis=1), crs.srs)
+    bad = np.flatnonzero(np.isfinite(x + y) & ~np.isfinite(out[:, :2]).all(axis=1))
     if crs.is_geographic:
         bad = np.flatnonzero((np.abs(y) > 90) | (np.abs(x) > 360))
     if len(bad):
@@ -139,7 +139,8 @@ def _geodetic(crs: pyproj.CRS, xyz: np.ndarray, table: Table) -> np.ndarray:
             f"{table.where(k)}: x {x[k]:.10g}, y {y[k]:.10g} lies outside {crs.name}: {swapped}another CRS? "
             "Correct the line that names it"
         )
-    return np.stack([lat, lon, np.where(np.isnan(z), np.nan, height)], axis=1)
+    out[np.isnan(z), 2] = np.nan
+    return out
 
 
 def _image(table: Table) -> int | None:
