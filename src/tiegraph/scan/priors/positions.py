@@ -42,8 +42,8 @@ class Frames:
     names: tuple[str, ...]  # file names of the images
     exif: tuple[Exif, ...]
     rigs: tuple[Rig, ...]
-    specs: tuple[RigSpec | None, ...]  # rig file or preset of each rig
-    sensors: tuple[int, ...] = ()  # of its rig, of each image
+    specs: tuple[RigSpec, ...]  # rig file or preset of each rig
+    sensors: tuple[int, ...]  # of its rig, of each image
 
     def sequence(self) -> np.ndarray:
         """(F,) pass of each frame."""
@@ -278,10 +278,10 @@ def _rotations(frames: Frames, heading_deg: np.ndarray) -> np.ndarray:
     return out
 
 
-def body_of(spec: RigSpec | None) -> tuple[np.ndarray, str]:
+def body_of(spec: RigSpec) -> tuple[np.ndarray, str]:
     """rig_from_body (4, 4) and the axes of a rig's body; those of its first camera where the rig names no body."""
-    pose = None if spec is None else spec.rig_from_body()
-    return (np.eye(4), "camera") if spec is None or pose is None else (pose, spec.axes)
+    pose = spec.rig_from_body()
+    return (np.eye(4), "camera") if pose is None else (pose, spec.axes)
 
 
 _NEAR_NOUGHT_M = 5.0  # of a height: where another is so near to 0 metres, 0 may be one

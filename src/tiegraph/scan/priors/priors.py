@@ -198,9 +198,7 @@ def _paths(
     for k, row in enumerate(frames.rows):  # the file's poses are those of the body
         poses[k] = poses[k] @ np.linalg.inv(body_of(frames.specs[row.rig])[0])
     group[np.isnan(poses[:, 0, 0])] = -1
-    named = next(
-        (s for s in frames.specs if s is not None and s.rig_from_body() is not None and not s.body_is_reference), None
-    )
+    named = next((s for s in frames.specs if s.rig_from_body() is not None and not s.body_is_reference), None)
     what = (
         f"the body frame of {Path(named.file).name}"
         if named

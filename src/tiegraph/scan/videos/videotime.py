@@ -6,7 +6,6 @@ import struct
 from dataclasses import dataclass, replace
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
@@ -27,13 +26,6 @@ _QUARTER_S = 900.0  # time zones are whole quarters of an hour ...
 _ZONES_S = (-12 * 3600.0, 14 * 3600.0)  # ... in this range
 
 
-class Places(Protocol):
-    """Where the frames of a video were taken."""
-
-    def place(self, stamp_s: float) -> Taken:
-        """The place of the frame with a stamp; without one if nothing says it."""
-
-
 @dataclass(frozen=True)
 class VideoClock:
     """How the stamps of a video become times: ``start_s`` + stamp, seconds since 1970; not known: since the start."""
@@ -42,7 +34,7 @@ class VideoClock:
     known: bool = False
     utc: bool = False
     shared: bool = False  # with others: the stamps of messages, of which the start is one
-    places: Places | None = None
+    places: "Fixes | Subtitles | None" = None
     note: str = ""
 
     def taken(self, stamp_s: float) -> Taken:
