@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from tiegraph.errors import InputError
 from tiegraph.geometry.transforms import invert, quaternion_xyzw, rigid
@@ -80,12 +81,9 @@ def orient(yaw_deg: float, pitch_deg: float, roll_deg: float, axes: str = "camer
 
     yaw to the right (clockwise seen from above), then pitch up, then roll clockwise as seen by the camera.
     """
-    y, p, r = np.radians([yaw_deg, pitch_deg, roll_deg])
     # In right, down, forward: yaw turns forward (z) to right (x), pitch forward to up (-y), roll right (x) to down (y).
-    yaw = np.array([[np.cos(y), 0, np.sin(y)], [0, 1, 0], [-np.sin(y), 0, np.cos(y)]])
-    pitch = np.array([[1, 0, 0], [0, np.cos(p), -np.sin(p)], [0, np.sin(p), np.cos(p)]])
-    roll = np.array([[np.cos(r), -np.sin(r), 0], [np.sin(r), np.cos(r), 0], [0, 0, 1]])
-    return AXES[axes].T @ yaw @ pitch @ roll
+    turn = Rotation.from_euler("YXZ", [yaw_deg, pitch_deg, roll_deg], degrees=True)
+    return AXES[axes].T @ turn.as_matrix()
 
 
 def yaw_pitch_roll_deg(body_from_sensor: np.ndarray) -> tuple[float, float, float]:
