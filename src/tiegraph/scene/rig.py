@@ -182,16 +182,17 @@ def rig_from_dict(data: dict) -> Rig:
             sensor_from_rig=None if s["sensor_from_rig"] is None else np.array(s["sensor_from_rig"], float),
             role=s["role"],
             folder=s["folder"],
-            source=_source_from_dict(s["source"]),
-            sigma_deg=s["sigma"][0],
-            sigma_m=s["sigma"][1],
+            source=_source_from_dict(s.get("source")),
+            sigma_deg=s.get("sigma", (None, None))[0],
+            sigma_m=s.get("sigma", (None, None))[1],
             camera_sigma_px=s.get("camera_sigma_px"),
         )
         for s in data["sensors"]
     )
-    given = {name: data[name] for name in _RIG}
+    said: dict = {"synchronised": False, **data}  # older files say nothing of it
+    given = {name: said[name] for name in _RIG}
     given["antenna_m"] = None if given["antenna_m"] is None else tuple(given["antenna_m"])
-    pairs = tuple(SensorPair(tuple(p["sensors"]), **{k: p[k] for k in PAIR_KEYS}) for p in data["pairs"])
+    pairs = tuple(SensorPair(tuple(p["sensors"]), **{k: p[k] for k in PAIR_KEYS}) for p in data.get("pairs", ()))
     return Rig(**given, sensors=sensors, pairs=pairs)
 
 
