@@ -360,7 +360,7 @@ def _write_times(rows: list[tuple[str, float]], work: Path) -> Path:
 
 def write_rig(rig: Rig, work: Path) -> Path:
     """The rig as ``rig.toml`` below ``work``."""
-    from tiegraph.scan.rigfiles.rigwrite import write_rig_toml
+    from tiegraph.scan.rigfiles.rigspec import write_rig_toml
 
     path = work / "rig.toml"
     write_rig_toml(rig, path)

@@ -34,7 +34,7 @@ from benchmarks import odometrychecks
 from benchmarks.datasets import data_root
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import umeyama
-from tiegraph.scan.rigfiles.rigwrite import write_rig_toml
+from tiegraph.scan.rigfiles.rigspec import write_rig_toml
 from tiegraph.scene.posefile import read_poses
 from tiegraph.scene.rig import Rig, Sensor
 

@@ -17,7 +17,7 @@ from scipy.ndimage import map_coordinates
 from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry.transforms import apply, invert, rigid
-from tiegraph.scene.rays import on_plane
+from tiegraph.scene.rig import on_plane
 
 SIZE = (1224, 1025)
 PITCH_MM = 0.0069

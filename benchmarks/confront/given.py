@@ -16,7 +16,7 @@ from benchmarks.datasets import Dataset
 from tiegraph.geometry import transforms
 from tiegraph.geometry.geodesy import Origin, geodetic_from_world, world_from_geodetic
 from tiegraph.scan.rigfiles.rigfile import read_rig_file
-from tiegraph.scan.rigfiles.rigwrite import write_rig_toml
+from tiegraph.scan.rigfiles.rigspec import write_rig_toml
 from tiegraph.scan.tuning import RigTuning
 from tiegraph.scene.rig import Rig, Sensor
 

@@ -37,7 +37,7 @@ from tiegraph.design.matchprediction import expected_matches
 from tiegraph.design.settings import DesignSettings
 from tiegraph.design.tuning import MatchPredictionTuning, Tuning
 from tiegraph.errors import InputError, TiegraphError
-from tiegraph.scan.rigfiles.rigwrite import write_rig_toml
+from tiegraph.scan.rigfiles.rigspec import write_rig_toml
 from tiegraph.scene.graph import forest
 from tiegraph.scene.rig import Rig, Sensor
 

@@ -11,6 +11,7 @@ import sys
 import tempfile
 import zlib  # noqa: F401  pycolmap must not be the first to load zlib
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 
@@ -136,13 +137,19 @@ def _generated(scene: Scene, own: np.ndarray, with_rig: bool, generator: type, o
     part = _part(scene, own)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "database.db"
-        create_database(path, part, with_rig)
+        create_database(path, part if with_rig else _apart(part))
         with pycolmap.Database.open(str(path)) as database:
             if generator is pycolmap.SpatialPairGenerator:
                 _write_priors(database, part)
             pairs = generator(options, database).all_pairs()
             names = {image.image_id: image.name for image in database.read_all_images()}
     return [(names[a], names[b]) for a, b in pairs]
+
+
+def _apart(scene: Scene) -> Scene:
+    """The scene with rigs of unknown extrinsics: no two images share a frame."""
+    rigs = [replace(r, sensors=tuple(replace(s, sensor_from_rig=None) for s in r.sensors)) for r in scene.rigs]
+    return scene.with_(rigs=tuple(rigs))
 
 
 def _write_priors(database: pycolmap.Database, scene: Scene) -> None:

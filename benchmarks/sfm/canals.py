@@ -29,9 +29,8 @@ import numpy as np
 
 import tiegraph  # noqa: F401  before pycolmap
 from benchmarks import close, datasets, variants
-from tiegraph.geometry.align import robust_umeyama
+from tiegraph.geometry.align import PlacementError, robust_umeyama
 from tiegraph.geometry.geodesy import Origin, geodetic_from_world, world_from_geodetic
-from tiegraph.geometry.placement import PlacementError
 from tiegraph.scene.colmapmodel import read_model
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.shape import SHAPE, Shape

@@ -29,9 +29,9 @@ from benchmarks.accuracy import evaluate
 from tiegraph.pipeline import STAGES
 from tiegraph.scan.priors.startmodel import read_start
 from tiegraph.scene.colmapmodel import read_model
+from tiegraph.scene.namedposes import find_start
 from tiegraph.scene.pairs import Pairs, source_bit
 from tiegraph.scene.scene import Scene
-from tiegraph.scene.startplace import find_start
 
 VARIANTS = ("without", "started", "turned", "stretched", "shuffled")
 _TURN_DEG, _STRETCH, _SHARED = 20.0, 3.0, 15

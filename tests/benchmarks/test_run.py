@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks import run
 from tiegraph.geometry import transforms
-from tiegraph.scan.rigfiles.rigwrite import write_rig_toml
+from tiegraph.scan.rigfiles.rigspec import write_rig_toml
 from tiegraph.scene.rig import Rig, Sensor
 
 import pycolmap  # isort: skip

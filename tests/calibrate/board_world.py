@@ -14,7 +14,7 @@ from tiegraph.calibrate.adjust import State
 from tiegraph.calibrate.board import APRILGRID, CHARUCO, Board
 from tiegraph.calibrate.observations import CameraImages, Observations, View
 from tiegraph.geometry import transforms
-from tiegraph.scene.rays import on_plane
+from tiegraph.scene.rig import on_plane
 
 OVERSAMPLING = 2
 BACKGROUND = 150

@@ -19,7 +19,7 @@ from campaign.process import Server
 from tiegraph.geometry import transforms
 from tiegraph.geometry.geodesy import geodetic_from_world
 from tiegraph.pipeline import STAGES
-from tiegraph.scan.rigfiles.rigwrite import rig_config, write_rig_toml
+from tiegraph.scan.rigfiles.rigspec import rig_config, write_rig_toml
 from tiegraph.scene.atomic import MARK
 
 NAMES = tuple(s.name for s in STAGES)

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from tiegraph.evaluate.clouds.register import register
 from tiegraph.evaluate.tuning import RegistrationTuning
 from tiegraph.geometry.align import Similarity
-from tiegraph.geometry.coarse.consistent import start_of
+from tiegraph.geometry.coarse import start_of
 
 TUNING = RegistrationTuning(rounds=10)
 

@@ -11,7 +11,7 @@ from tiegraph.api import open_project
 from tiegraph.cli.main import main
 from tiegraph.errors import InputError
 from tiegraph.scan.priors.trajectory import FREE_UNIT
-from tiegraph.scan.rigfiles.rigwrite import write_rig_toml
+from tiegraph.scan.rigfiles.rigspec import write_rig_toml
 from tiegraph.scene.posefile import read_poses
 
 FRAMES = 8

@@ -19,7 +19,7 @@ import tiegraph
 import worlds
 from tiegraph.cli.main import main
 from tiegraph.errors import InputError, ReconstructionError, SettingsError
-from tiegraph.scan.rigfiles.rigwrite import write_rig_toml
+from tiegraph.scan.rigfiles.rigspec import write_rig_toml
 from tiegraph.scene import atomic
 
 Run = Callable[..., tuple[int, str]]

@@ -27,7 +27,7 @@ from tiegraph.pipeline.baseline import lay_out
 from tiegraph.project.run import Run
 from tiegraph.project.stages import needed
 from tiegraph.report.accuracy import terminal_lines
-from tiegraph.scan.rigfiles.rigwrite import write_rig_toml
+from tiegraph.scan.rigfiles.rigspec import write_rig_toml
 from tiegraph.scene.accuracy import LAYERS, Accuracy
 
 pytestmark = pytest.mark.slow

@@ -12,7 +12,7 @@ import tiegraph
 from tiegraph.errors import InputError
 from tiegraph.geometry.transforms import invert, rigid
 from tiegraph.pipeline.shots import shot_views
-from tiegraph.scan.rigfiles.rigwrite import write_rig_toml
+from tiegraph.scan.rigfiles.rigspec import write_rig_toml
 from tiegraph.scene.cloudfile import read_cloud
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene

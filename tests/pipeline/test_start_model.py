@@ -18,7 +18,7 @@ from tiegraph.errors import InputError
 from tiegraph.evaluate.reference import model_poses
 from tiegraph.geometry.align import umeyama
 from tiegraph.geometry.transforms import invert
-from tiegraph.scan.rigfiles.rigwrite import write_rig_toml
+from tiegraph.scan.rigfiles.rigspec import write_rig_toml
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("children_are_functions")]  # slow: the world they share
 

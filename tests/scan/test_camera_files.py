@@ -17,7 +17,7 @@ from scan_worlds import papers_rig, scan
 
 from tiegraph.errors import InputError
 from tiegraph.geometry.transforms import centre, rigid
-from tiegraph.scan.calibration import read_camera
+from tiegraph.scan.cameras import read_camera
 from tiegraph.scan.rigfiles.rigfile import read_rig_file
 from tiegraph.scan.rigfiles.rigspec import orient
 from tiegraph.scan.tuning import RigTuning

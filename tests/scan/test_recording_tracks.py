@@ -10,7 +10,6 @@ import pytest
 import recording_world as world
 from tiegraph.scan.recording import Recording
 from tiegraph.scan.recording.tracks import OneVideoTrack, edits, samples, tracks
-from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scan.videos.video import open_film, recordings_of
 
 
@@ -23,7 +22,7 @@ def two(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize("track, level", [(0, 20), (1, 150), (None, 20)])
 def test_frames_of_each_track(two: Path, track: int | None, level: int) -> None:
-    with open_film(Recording(two, track), PicturesTuning()) as opened:
+    with open_film(Recording(two, track)) as opened:
         frames = list(opened.frames())
     assert [stamp for stamp, _ in frames] == pytest.approx(np.arange(20) / 10)
     assert np.all(np.abs([picture.mean() - level - k for k, (_, picture) in enumerate(frames)]) < 6)
@@ -44,9 +43,9 @@ def test_frames_count_as_the_edit_list_shows_them(
     tmp_path: Path, listed: list, first: int, stamp: float, count: int, wide: bool
 ) -> None:
     path = world.film(tmp_path / "a.mp4")
-    with open_film(Recording(path), PicturesTuning()) as opened:
+    with open_film(Recording(path)) as opened:
         whole = [picture.mean() for _, picture in opened.frames()]
-    with open_film(Recording(world.edited(path, 0, listed, wide)), PicturesTuning()) as opened:
+    with open_film(Recording(world.edited(path, 0, listed, wide))) as opened:
         frames = list(opened.frames())
     assert [s for s, _ in frames] == pytest.approx(stamp + np.arange(count) / 10, abs=1e-6)
     assert [p.mean() for _, p in frames] == pytest.approx(whole[first : first + count])
@@ -94,7 +93,7 @@ def test_a_track_in_a_box_of_a_long_size_is_hidden_too(tmp_path: Path, two: Path
     path = tmp_path / "long.insv"
     path.write_bytes(data[: data.rindex(b"moov") - 4] + world.box(b"moov", boxes))
     for track, level in ((0, 20), (1, 150)):
-        with open_film(Recording(path, track), PicturesTuning()) as opened:
+        with open_film(Recording(path, track)) as opened:
             assert abs(next(opened.frames())[1].mean() - level) < 6
 
 

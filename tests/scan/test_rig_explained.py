@@ -10,7 +10,7 @@ from scan_worlds import exif_of, papers_rig, picture, scan
 
 from tiegraph.cli.main import main
 from tiegraph.scan.rigfiles.rigfile import read_rig_file
-from tiegraph.scan.rigfiles.rigwrite import EXPLAINED
+from tiegraph.scan.rigfiles.rigspec import EXPLAINED
 from tiegraph.scan.tuning import RigTuning
 
 RIG = RigTuning()

@@ -9,7 +9,7 @@ import pytest
 from PIL.TiffImagePlugin import ImageFileDirectory_v2
 from scan_worlds import exif_of, picture, scan
 
-from tiegraph.scan.rigfiles.rigwrite import write_rig_toml
+from tiegraph.scan.rigfiles.rigspec import write_rig_toml
 from tiegraph.scene.images import probe_image
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene

@@ -11,7 +11,7 @@ from scan_worlds import exif_of, papers_rig, picture, scan
 
 from tiegraph.cli.main import main
 from tiegraph.errors import InputError
-from tiegraph.scan.calibration import read_camera
+from tiegraph.scan.cameras import read_camera
 from tiegraph.scan.tuning import RigTuning
 
 RIG = RigTuning()

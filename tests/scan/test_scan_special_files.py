@@ -162,6 +162,6 @@ def test_what_is_no_video_does_not_hold_the_scan(tmp_path: Path) -> None:
         (tmp_path / "list.mkv").write_text(f"#EXTM3U\n#EXT-X-TARGETDURATION:9\n#EXTINF:9,\n{address}\n#EXT-X-ENDLIST\n")
         for name, word in (("pipe.mp4", "named pipe"), ("empty.mp4", "decoded"), ("text.mp4", "decoded"),
                            ("list.mkv", "decoded")):  # fmt: skip
-            choice = sharpest(1.0, PICTURES)
+            choice = sharpest(1.0)
             taken = take_pictures(Recording(tmp_path / name), tmp_path / "out" / name, choice, VideoClock(), PICTURES)
             assert word in taken.said

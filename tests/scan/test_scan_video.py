@@ -39,7 +39,7 @@ def film(path: Path, seconds: int, sharp: int = 3, seed: int = 0) -> Path:
 
 
 def take(video: Path, folder: Path, per_second: float) -> Pictures:
-    return take_pictures(Recording(video), folder, sharpest(per_second, PICTURES), VideoClock(), PICTURES)
+    return take_pictures(Recording(video), folder, sharpest(per_second), VideoClock(), PICTURES)
 
 
 def test_the_sharpest_of_each_second_is_taken_in_order(tmp_path: Path) -> None:

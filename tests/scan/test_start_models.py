@@ -28,8 +28,8 @@ from tiegraph.errors import InputError
 from tiegraph.geometry.transforms import angle_deg
 from tiegraph.scan.priors.startmodel import read_start
 from tiegraph.scan.settings import ScanSettings
+from tiegraph.scene.namedposes import find_start
 from tiegraph.scene.scene import Scene
-from tiegraph.scene.startplace import find_start
 
 LOOSE = ScanSettings(layout="loose")
 Write = Callable[[Path], Path]

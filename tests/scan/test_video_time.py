@@ -103,7 +103,7 @@ def test_a_video_without_creation_time_counts_from_its_start(tmp_path: Path) -> 
 def test_pictures_carry_the_time_of_their_frames(tmp_path: Path) -> None:
     video = stamped(film(tmp_path / "a.mp4"), START)
     taken = take_pictures(
-        Recording(video), tmp_path / "out", sharpest(2.0, PICTURES), clock(video, video_offset=("0.25",)), PICTURES
+        Recording(video), tmp_path / "out", sharpest(2.0), clock(video, video_offset=("0.25",)), PICTURES
     )
     found = [exif(f) for f in sorted((tmp_path / "out").glob("*.jpg"))]
     assert [e.time_s for e in found] == pytest.approx([START + 0.25 + s for s in taken.stamps_s], abs=1e-6)
@@ -153,7 +153,7 @@ def test_subtitles_beside_a_video_come_first_and_others_are_said(tmp_path: Path)
     found = clock(video, video_offset=("-7200.0",))
     assert found.start_s == pytest.approx(seconds("2024-05-01T10:00:00.774808"), abs=1e-6) and not found.utc
     assert "2 of 2 rows have a position" in found.note and "own clock and zone" in found.note
-    take_pictures(Recording(video), tmp_path / "out", sharpest(2.0, PICTURES), found, PICTURES)
+    take_pictures(Recording(video), tmp_path / "out", sharpest(2.0), found, PICTURES)
     first = exif(min((tmp_path / "out").glob("*.jpg")))
     assert first.lat_deg == pytest.approx(41.42473, abs=1e-5) and 132 < first.height_m < 134
     (tmp_path / "DJI_0001.SRT").write_text("1\n00:00:00,000 --> 00:00:02,000\nA river, in 2024.\n")

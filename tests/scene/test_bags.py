@@ -121,8 +121,8 @@ def as_poses(topic: str) -> list[world.Row]:
 @pytest.mark.parametrize("made", [odometry, as_poses, as_path])
 def test_poses_have_their_quaternions_in_order(tmp_path: Path, form: str, made) -> None:
     found = read_trajectory(world.bag(tmp_path, form, made("/slam")))
-    np.testing.assert_allclose(found.world_from_rig[:, :3, 3], PLACES, atol=1e-12)
-    off = (Rotation.from_matrix(found.world_from_rig[:, :3, :3]) * TURNS.inv()).magnitude()
+    np.testing.assert_allclose(found.poses[:, :3, 3], PLACES, atol=1e-12)
+    off = (Rotation.from_matrix(found.poses[:, :3, :3]) * TURNS.inv()).magnitude()
     assert off.max() < 1e-9 < 0.3 < TURNS.magnitude().min()
     np.testing.assert_allclose(found.time_s, TIMES, rtol=0, atol=1e-6)
     assert "poses of /slam" in found.notes[0] and ("base_link in 'odom'" in found.notes[0]) == (made is odometry)

@@ -5,7 +5,7 @@ import os
 import pytest
 
 from tiegraph.pipeline import design, previews
-from tiegraph.scene.filecache import cached_by_file
+from tiegraph.scene.regular import cached_by_file
 
 
 def replace(path, text):

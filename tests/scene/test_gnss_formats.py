@@ -13,8 +13,9 @@ import pyproj
 import pytest
 
 from tiegraph.errors import InputError
-from tiegraph.scene.gnss import FORMATS, Gnss, on_clock_of, read_gnss
-from tiegraph.scene.gpstime import gps_from_utc, leap_seconds, utc_from_gps
+from tiegraph.scene.gnss import FORMATS, read_gnss
+from tiegraph.scene.gnss.fixes import Gnss, on_clock_of
+from tiegraph.scene.times import gps_from_utc, leap_seconds, utc_from_gps
 from tiegraph.scene.tuning import GnssTuning
 
 NOON = 1714564800.0  # 2024-05-01 12:00:00 UTC, which is second 302418 of GPS week 2312

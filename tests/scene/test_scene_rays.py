@@ -3,7 +3,7 @@
 import numpy as np
 import pycolmap
 
-from tiegraph.scene.rays import on_plane, pixel_rays, rays_or_axis
+from tiegraph.scene.rig import on_plane, pixel_rays, rays_or_axis
 
 CAMERA = pycolmap.Camera(model="OPENCV", width=640, height=480, params=[500, 500, 320, 240, 0.1, 0.01, 0, 0])
 

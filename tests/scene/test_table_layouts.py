@@ -9,7 +9,8 @@ import pytest
 
 from tiegraph.errors import InputError
 from tiegraph.scene.gcp import GcpFile, read_gcps, read_points
-from tiegraph.scene.gnss import Gnss, read_gnss
+from tiegraph.scene.gnss import read_gnss
+from tiegraph.scene.gnss.fixes import Gnss
 from tiegraph.scene.posefile import read_poses
 from tiegraph.scene.tuning import ControlTuning, GnssTuning
 

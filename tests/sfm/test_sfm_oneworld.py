@@ -12,8 +12,7 @@ from sfm_worlds import make_world, true_frames, with_positions
 from tiegraph import papers
 from tiegraph.geometry import transforms
 from tiegraph.project.settings import merged as merged_settings
-from tiegraph.scene.colmapmodel import image_poses
-from tiegraph.scene.mergedmodel import merged
+from tiegraph.scene.colmapmodel import image_poses, merged
 from tiegraph.sfm.settings import GeorefSettings
 from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.verified import VerifiedMatches, read_verified

@@ -17,7 +17,7 @@ from tiegraph.geometry.align import umeyama
 from tiegraph.pipeline.watch.loop import KEPT, PAGE, Watched
 from tiegraph.project.progress import Reporter
 from tiegraph.project.run import Run
-from tiegraph.scan.rigfiles.rigwrite import write_rig_toml
+from tiegraph.scan.rigfiles.rigspec import write_rig_toml
 from tiegraph.watch.tuning import ArrivalsTuning, ModelTuning, Tuning
 
 FRAMES = 9

@@ -9,7 +9,7 @@ import pycolmap
 
 from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
-from tiegraph.scene.rays import pixel_rays
+from tiegraph.scene.rig import pixel_rays
 
 _GRID = 21  # rays along each side of an image
 

@@ -8,7 +8,7 @@ from tiegraph.calibrate.adjust import State, adjust, residuals
 from tiegraph.calibrate.observations import CameraImages, Observations, View, joint_instants
 from tiegraph.calibrate.tuning import StartTuning, Tuning
 from tiegraph.geometry import transforms
-from tiegraph.scene.rays import on_plane
+from tiegraph.scene.rig import on_plane
 
 
 def start(seen: Observations, tuning: Tuning) -> State:

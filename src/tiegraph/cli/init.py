@@ -10,8 +10,8 @@ from tiegraph.api import open_project
 from tiegraph.cli.options import options_of
 from tiegraph.cli.output import say
 from tiegraph.cli.run import Common
-from tiegraph.scan.calibration import WORDS
-from tiegraph.scan.rigfiles.rigwrite import write_rig_toml
+from tiegraph.scan.cameras import WORDS
+from tiegraph.scan.rigfiles.rigspec import write_rig_toml
 from tiegraph.scene.gcp import FORMS
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene

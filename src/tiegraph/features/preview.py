@@ -24,7 +24,7 @@ from tiegraph.features.tuning import PreviewTuning, Tuning
 from tiegraph.limits import need_room
 from tiegraph.scene.colmaprows import DATABASE_BYTES, create_database, write_ties
 from tiegraph.scene.matches import PreviewMatches
-from tiegraph.scene.rays import on_plane
+from tiegraph.scene.rig import on_plane
 from tiegraph.scene.scene import Scene
 
 BINS = 16  # of the brightness histogram

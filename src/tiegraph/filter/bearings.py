@@ -13,9 +13,8 @@ from tiegraph.errors import InputError
 from tiegraph.filter.motion import Rays
 from tiegraph.geometry import transforms
 from tiegraph.scene.colmapdatabase import Rows
-from tiegraph.scene.filecache import cached_by_file
-from tiegraph.scene.rays import pixel_rays
-from tiegraph.scene.rig import camera_from_dict, camera_to_dict
+from tiegraph.scene.regular import cached_by_file
+from tiegraph.scene.rig import camera_from_dict, camera_to_dict, pixel_rays
 from tiegraph.scene.scene import Scene
 
 _CACHED_IMAGES = 512  # of about 100 kB each, in every worker

@@ -13,6 +13,8 @@ import numpy as np
 from tiegraph.errors import InputError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     import pyproj  # a tenth of the start of a process, and few processes ask where on the Earth they are
 
 ENU = "ENU"
@@ -229,20 +231,17 @@ def crs_transformer(crs: str) -> _Transformer:
 def check_vertical(crs: str) -> None:
     """Raise InputError for a compound CRS whose geoid grid is not installed: PROJ would leave heights as they are."""
     import pyproj
-    from pyproj.transformer import TransformerGroup
 
     parsed = None if crs.upper() == ENU else pyproj.CRS.from_user_input(crs)
     if parsed is None or not parsed.is_compound:
         return
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # says the same as best_available
-        group = TransformerGroup("EPSG:4979", parsed)
+    group = _operations(crs, "EPSG:4979")
     if group.transformers and "ballpark vertical" not in group.transformers[0].description:
         return
-    grids = sorted({g.short_name for o in group.unavailable_operations for g in o.grids if not g.available})
+    grids = _missing_grids(group.unavailable_operations)
     raise InputError(
         f"CRS {crs!r} ({parsed.name}) has heights above a geoid, but PROJ has no grid for it"
-        + (f" ({', '.join(grids)}: install it with projsync or set PROJ_NETWORK=ON)" if grids else "")
+        + (f" ({grids}: install it with projsync or set PROJ_NETWORK=ON)" if grids else "")
         + "; or choose the horizontal CRS alone: heights then stay above the ellipsoid"
     )
 
@@ -285,13 +284,17 @@ def datum_note(crs: str) -> str:
     )
 
 
-def _operations(crs: str) -> Any:
+def _operations(crs: str, wgs84: str = "EPSG:4326") -> Any:
     import pyproj
     from pyproj.transformer import TransformerGroup
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # says the same as unavailable_operations
-        return TransformerGroup("EPSG:4326", pyproj.CRS.from_user_input(crs))
+        return TransformerGroup(wgs84, pyproj.CRS.from_user_input(crs))
+
+
+def _missing_grids(operations: Sequence[Any]) -> str:
+    return ", ".join(sorted({g.short_name for o in operations for g in o.grids if not g.available}))
 
 
 def _operation(crs: str) -> list[str]:
@@ -311,8 +314,7 @@ def _operation(crs: str) -> list[str]:
     if not better:
         return [text]
     best = min(better, key=lambda o: o.accuracy)
-    grids = ", ".join(sorted({g.short_name for g in best.grids if not g.available}))
-    return [f"{text} (with {grids}, which projsync fetches, to {best.accuracy:g} m)"]
+    return [f"{text} (with {_missing_grids([best])}, which projsync fetches, to {best.accuracy:g} m)"]
 
 
 class _Transformer:
@@ -357,8 +359,13 @@ def geodetic_from_world(world_m: np.ndarray, origin: Origin) -> np.ndarray:
         zero = np.array(_ecef().transform(origin.lat_deg, origin.lon_deg, origin.height_m))
         ecef = world_m @ enu_axes(origin.lat_deg, origin.lon_deg) + zero
         return geodetic_from_ecef(ecef)
-    east, north, up = (world_m + np.asarray(origin.shift_m)).T
-    lon, lat, height = crs_transformer(origin.crs).transform(east, north, up, direction="INVERSE")
+    return geodetic_from_crs(world_m + np.asarray(origin.shift_m), origin.crs)
+
+
+def geodetic_from_crs(xyz: np.ndarray, crs: str) -> np.ndarray:
+    """Geodetic positions (N, 3) of east, north (of degrees: longitude, latitude) and height in a CRS (N, 3); infinite
+    outside of it."""
+    lon, lat, height = crs_transformer(crs).transform(*xyz.T, direction="INVERSE")
     return np.stack([lat, lon, height], axis=-1)
 
 

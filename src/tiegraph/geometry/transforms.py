@@ -1,5 +1,7 @@
 """Rigid transforms as float64 (..., 4, 4) matrices named ``target_from_source``; NaN = unknown."""
 
+from typing import Any
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -38,6 +40,22 @@ def skew(v: np.ndarray) -> np.ndarray:
     out = np.zeros((*v.shape, 3))
     out[..., 0, 1], out[..., 0, 2], out[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
     return out - np.swapaxes(out, -1, -2)
+
+
+def are_rotations(turns: np.ndarray, play: float) -> np.ndarray:
+    """(...) bool: matrices (..., 3, 3) that are rotations, products of whose rows miss 0 or 1 by ``play`` at most."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        off = np.abs(turns @ np.swapaxes(turns, -1, -2) - np.eye(3)).max(axis=(-2, -1))
+        return (off <= play) & (np.linalg.det(turns) > 0)
+
+
+def finite_array(given: Any, *shapes: tuple[int, ...]) -> np.ndarray | None:
+    """The array of finite numbers of one of some shapes that a value of a file is; None if it is none."""
+    try:
+        found = np.array(given, float)
+    except (TypeError, ValueError, OverflowError):
+        return None
+    return found if found.shape in shapes and np.isfinite(found).all() else None
 
 
 def motions(from_middle: np.ndarray) -> np.ndarray:

@@ -17,12 +17,12 @@ from tiegraph.geometry.transforms import from_quaternion_wxyz
 from tiegraph.lidar.formats import BIN_COLUMNS, READERS, Points, points_of
 from tiegraph.lidar.tuning import ScanTuning
 from tiegraph.scene.bags import is_bag, open_bag, split_topics, stamp_ns
-from tiegraph.scene.bycontent import times as times_by_content
 from tiegraph.scene.cells import in_seconds, parse_time
+from tiegraph.scene.columnwords import times as times_by_content
 from tiegraph.scene.posefile import read_poses
 from tiegraph.scene.regular import regular
 from tiegraph.scene.table import Table, read_table
-from tiegraph.scene.timecolumns import times_in, times_of
+from tiegraph.scene.times import times_in, times_of
 
 _CLOUD_KINDS = ("sensor_msgs/PointCloud2",)
 _FIELD_TYPES = ("i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8")  # by PointField.datatype, from 1

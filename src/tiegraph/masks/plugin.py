@@ -10,8 +10,7 @@ import numpy as np
 
 from tiegraph.errors import EngineMissing, InputError
 from tiegraph.masks import NAMES, USE
-from tiegraph.scene.filecache import cached_by_file
-from tiegraph.scene.regular import regular
+from tiegraph.scene.regular import cached_by_file, regular
 
 if sys.version_info >= (3, 11):
     import tomllib

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from tiegraph.masks import EGO, SKY, USE, WATER
 from tiegraph.masks.tuning import WaterlineTuning
-from tiegraph.scene.rays import pixel_rays
+from tiegraph.scene.rig import pixel_rays
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from tiegraph.geometry import transforms
 from tiegraph.scene.colmapmodel import rigid3d
 from tiegraph.scene.graph import forest, parts
 from tiegraph.scene.pairs import Pairs
-from tiegraph.scene.rays import on_plane
+from tiegraph.scene.rig import on_plane
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.solver import options_of
 from tiegraph.sfm.tuning import TwoViewTuning

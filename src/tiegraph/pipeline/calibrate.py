@@ -38,8 +38,8 @@ from tiegraph.scan.assign import Report, usable_images
 from tiegraph.scan.folders import guess_layout
 from tiegraph.scan.frames import match_frames
 from tiegraph.scan.rigfiles.camerafile import MODELS
-from tiegraph.scan.rigfiles.rigreader import nearest
-from tiegraph.scan.rigfiles.rigwrite import rig_config, rig_toml
+from tiegraph.scan.rigfiles.rigfaults import nearest
+from tiegraph.scan.rigfiles.rigspec import rig_config, rig_toml
 from tiegraph.scan.tuning import Tuning as ScanTuning
 from tiegraph.scene.atomic import must_be_new
 from tiegraph.scene.decoding import Levels, eight_bit, opened, turned
@@ -123,7 +123,9 @@ def _read_folder(
         probes = _map(pool, reporter, probe_image, paths, tunings.scene.images)
     usable = usable_images(names, probes, report)
     layout = guess_layout(usable.names, *usable.facts(), settings.layout, tuning.folders)
-    report.notes.append(f"layout: {len(layout.folders)} camera(s){'' if layout.loose else ': ' + layout.note}")
+    report.notes.append(
+        f"layout: {len(layout.folders)} camera(s){'' if layout.order.loose else ': ' + layout.order.why}"
+    )
     kept = [k for k, place in zip(usable.images, layout.places) if place is not None]
     folder = {k: place.folder for k, place in zip(usable.images, layout.places) if place is not None}
     sequence = {k: place.sequence for k, place in zip(usable.images, layout.places) if place is not None}

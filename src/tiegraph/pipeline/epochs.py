@@ -14,8 +14,8 @@ from tiegraph.evaluate.clouds.register import Registration, registered
 from tiegraph.evaluate.clouds.tiles import tile_clouds
 from tiegraph.evaluate.reference import to_world
 from tiegraph.evaluate.tuning import RegistrationTuning, Tuning
+from tiegraph.geometry.align import PlacementError
 from tiegraph.geometry.geodesy import Origin
-from tiegraph.geometry.placement import PlacementError
 from tiegraph.pipeline.clouds import new_folder, refuse_coarse_alone
 from tiegraph.pipeline.evaluate import measured
 from tiegraph.pipeline.files import load_json, load_model

@@ -24,7 +24,7 @@ def features(run: Run) -> Outcome:
     if not path.exists():
         claim(path)
         create_database(path, scene.measured())
-    there = database.images_with_features(path)
+    there = database.feature_counts(path)
     todo = [(k, n) for k, n in enumerate(scene.names) if k not in there]
     run.reporter.total(len(scene), len(there))
     step, tuning = _SLAB_IMAGES * run.workers, run.settings.tuning.features.sift

@@ -22,7 +22,7 @@ from tiegraph.pipeline.foundrun import FoundRun, found_run, with_camera
 from tiegraph.project.folder import names_run
 from tiegraph.scan.rigfiles.rigfaults import SIGMA_DEG, SIGMA_M
 from tiegraph.scan.rigfiles.rigfile import parse_rig_file
-from tiegraph.scan.rigfiles.rigwrite import rig_config, rig_toml
+from tiegraph.scan.rigfiles.rigspec import rig_config, rig_toml
 from tiegraph.scene.colmapmodel import model_rigs
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.sfm.covariance import INTERIOR_TABLE, MOUNTING

@@ -20,12 +20,12 @@ from tiegraph.project.inputs import FOLLOW, Inputs, check_files, check_path
 from tiegraph.project.run import Run, status
 from tiegraph.project.settings import Settings
 from tiegraph.project.stages import Stage
-from tiegraph.scan.calibration import read_camera
-from tiegraph.scan.perspective import PRESET
+from tiegraph.scan.cameras import read_camera
 from tiegraph.scan.priors.startmodel import read_start
 from tiegraph.scan.priors.trajectory import read_trajectory
 from tiegraph.scan.rigfiles.rigfile import read_rig_file
 from tiegraph.scan.rigfiles.rigspec import preset_sizes
+from tiegraph.scan.sharedfiles import PRESET
 from tiegraph.scene.bags import is_bag, source_of
 from tiegraph.scene.control import image_lookup, locate, locate_bars
 from tiegraph.scene.exif import orientation_of

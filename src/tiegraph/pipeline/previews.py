@@ -14,9 +14,9 @@ from tiegraph.network.sections.light import LIGHTS, UpLight
 from tiegraph.pipeline.files import load_npz, load_scene, read_mask, reading, save_npz
 from tiegraph.pipeline.preview import preview_path, read_preview
 from tiegraph.project.run import Run
-from tiegraph.scene.filecache import cached_by_file
 from tiegraph.scene.matches import PreviewMatches
 from tiegraph.scene.pairs import Pairs
+from tiegraph.scene.regular import cached_by_file
 from tiegraph.scene.scene import Scene
 
 _CHUNK = 2000  # previews, after which what was matched is kept: a second to some ten of work

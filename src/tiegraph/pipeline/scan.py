@@ -15,7 +15,7 @@ from tiegraph.pipeline.videos import photographs
 from tiegraph.project.inputs import FOLLOW
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, write_atomic
-from tiegraph.scan.calibration import start_cameras
+from tiegraph.scan.cameras import start_cameras
 from tiegraph.scan.priors.startmodel import read_start
 from tiegraph.scan.scan import ScanInputs, build_scene, prepare_image, probe_image
 from tiegraph.scan.settings import ScanSettings

@@ -14,8 +14,8 @@ from tiegraph.pipeline.files import (
 )
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome
-from tiegraph.scan.priors.poses import images_by_name
 from tiegraph.scan.priors.startmodel import read_start
+from tiegraph.scan.priors.trajectory import images_by_name
 from tiegraph.scene.colmapmodel import image_poses, tracks
 from tiegraph.sfm.mapper import Source, reconstruct
 from tiegraph.sfm.shape import SHAPE

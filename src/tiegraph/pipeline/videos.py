@@ -178,7 +178,7 @@ def _look(item: tuple[Recording, str], settings: ScanSettings, tuning: Tuning) -
         check_film(recording)
     except OSError:
         return _Video(recording, folder)
-    with open_film(recording, tuning.pictures) as opened:
+    with open_film(recording) as opened:
         frame = next(opened.frames(), None)
         if frame is None:
             return _Video(recording, folder)
@@ -279,7 +279,7 @@ def _share_clock(videos: list[_Video], group: Sequence[int]) -> None:
 
 
 def _curve(video: _Video, tuning: Tuning) -> MotionCurve:
-    with open_film(video.recording, tuning.pictures) as opened:
+    with open_film(video.recording) as opened:
         return motion_curve(opened.frames(), tuning.motion)
 
 
@@ -290,7 +290,7 @@ def _offset(curves: tuple[MotionCurve, MotionCurve], tuning: OffsetTuning) -> Of
 def _take(job: _Job, per_second: float, tuning: PicturesTuning) -> Pictures:
     video = job.video
     if job.numbers is None:
-        choice = sharpest(per_second, tuning)
+        choice = sharpest(per_second)
     else:
         choice = nearest(job.numbers, job.stamps_s, tuning.nearest_steps / video.fps)
     return take_pictures(video.recording, job.target, choice, video.clock, tuning)

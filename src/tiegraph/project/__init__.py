@@ -27,7 +27,7 @@ With Dask (``daskpool``) the workers that are there at the start do the run, aft
 run folder and images under the same paths). Each makes one item at a time, and its threads go to the libraries. A
 lost worker ends the run with an error, and the next run continues it. Workers stop between two items when the run has
 gone, and a run begins only when they are free. What a worker keeps of files is keyed by the file's stamp
-(``scene.filecache``).
+(``scene.regular``).
 
 What native libraries print to standard error goes to the log (``libraries_to``).
 """

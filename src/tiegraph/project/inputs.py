@@ -17,8 +17,8 @@ from tiegraph.project.stages import digest
 from tiegraph.project.stamps import Stamps
 from tiegraph.scene.bags import is_bag, source_of, split_topics
 from tiegraph.scene.images import searched
+from tiegraph.scene.namedposes import find_start
 from tiegraph.scene.regular import names_file, regular
-from tiegraph.scene.startplace import find_start
 
 FOLLOW = Path("auto")
 """A trajectory that is made by odometry from the survey's own images."""

@@ -12,8 +12,8 @@ from markupsafe import Markup
 from scipy.spatial import cKDTree
 
 from tiegraph.geometry import transforms
+from tiegraph.geometry.align import PlacementError
 from tiegraph.geometry.gravity import levelled
-from tiegraph.geometry.placement import PlacementError
 from tiegraph.report import formatting, plan, viewer
 from tiegraph.report.cloudview import brightened, by_height, inliers, standard_views, with_scale_bar
 from tiegraph.report.runfolder import RunFolder

@@ -9,7 +9,7 @@ order of a quaternion is that of the format or told by the path, never guessed (
 
 Cameras that write into one folder are told apart by the ends of the file names (``bands``): the folder of a sensor is
 then a pattern, ``*_GRE``, and XMP rig relatives give their orientations. The calibration of a single camera is an
-input, ``--camera`` (``calibration``). Control points are points and marks, in one table, two tables, or two files.
+input, ``--camera`` (``cameras``). Control points are points and marks, in one table, two tables, or two files.
 
 A position far from the rest is one behind a gap in the sorted distances (``geometry.geodesy.far_from_rest``). A CRS
 whose lengths are off by more than 1 % at the positions is refused.

@@ -26,7 +26,7 @@ from tiegraph.scan.folders import (
     words,
 )
 from tiegraph.scan.rigfiles.rigfaults import contradictions
-from tiegraph.scan.rigfiles.rigfile import parse_rig_file, read_rig_file
+from tiegraph.scan.rigfiles.rigfile import read_rig_file
 from tiegraph.scan.rigfiles.rigspec import RigSpec, SensorSpec, preset, preset_sizes
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import FoldersTuning, Tuning
@@ -70,6 +70,16 @@ class Report:
 
 
 @dataclass(frozen=True)
+class ImageFiles:
+    """Images, or the views that files are cut into: their names, what a look at the files found, and the files;
+    parallel."""
+
+    names: Sequence[str]
+    probes: Sequence[Probe]
+    files: Sequence[str]
+
+
+@dataclass(frozen=True)
 class Usable:
     """The usable images: their numbers, names and what their probes say; parallel."""
 
@@ -98,40 +108,37 @@ def assign(
 
     Raises InputError for a rig that is wrong or does not fit.
     """
-    if rig is not None and text is not None:
-        specs = parse_rig_file(Path(rig), text, tuning.rig)
-        return _assign_by_file(Path(rig), specs, usable, settings, report, tuning)
-    cameras = preset_sizes(rig, tuning.rig) if rig else ()
+    cameras = preset_sizes(rig, tuning.rig) if rig and text is None else ()
+    if rig is not None and not cameras:
+        return _assign_by_file(Path(rig), read_rig_file(rig, tuning.rig, text), usable, settings, report, tuning)
     exif, sizes = usable.facts()
     kind = usable.layout(settings)
     layout = band_layout(usable.names, exif, kind, tuning.frames) or guess_layout(
         usable.names, exif, sizes, kind, tuning.folders, cameras
     )
-    if layout.folders == ("",) and not layout.loose and kind == "auto" and len(_lenses(usable)) > 1:
+    if layout.folders == ("",) and not layout.order.loose and kind == "auto" and len(_lenses(usable)) > 1:
         layout = replace(layout, order=Order(True, "loose photographs: taken with different lenses"))
     if rig is None:
-        report.notes.append(f"layout guessed: {layout.note}")
+        report.notes.append(f"layout guessed: {layout.order.why}")
         spec = with_rig_tags(_guessed_rig(layout), layout, exif, report.notes)
         if len(layout.folders) > 1 and not spec.nominal:
             report.notes.append(
                 f"no rig given: how the {len(layout.folders)} cameras stand to each other is unknown and has to come "
                 "from the images; --rig takes a file or ladybug5, ring:N, stereo"
             )
-    elif cameras:
-        spec = preset(rig, layout.folders, tuning.rig)
-        report.notes.append(f"layout guessed: {layout.note}; rig preset {rig}: nominal axes and centres")
     else:
-        return _assign_by_file(Path(rig), read_rig_file(rig, tuning.rig), usable, settings, report, tuning)
+        spec = preset(rig, layout.folders, tuning.rig)
+        report.notes.append(f"layout guessed: {layout.order.why}; rig preset {rig}: nominal axes and centres")
     index = {s.folder: k for k, s in enumerate(spec.sensors)}
     shots = tuple(
-        _shot(image, name, (0, index[place.folder]), place, layout.loose)
+        _shot(image, name, (0, index[place.folder]), place, layout.order.loose)
         for image, name, place in zip(usable.images, usable.names, layout.places)
         if place is not None
     )
     strays = [name for name, place in zip(usable.names, layout.places) if place is None]
     report.drop(strays, f"outside the camera folders ({some(layout.folders)})")
-    if layout.loose or (kind == "video" and layout.folders == ("",)):
-        return _by_camera(spec, shots, usable, report, loose=layout.loose)
+    if layout.order.loose or (kind == "video" and layout.folders == ("",)):
+        return _by_camera(spec, shots, usable, report, loose=layout.order.loose)
     return Survey(specs=(spec,), shots=shots, loose=False, guessed=layout.order.guessed)
 
 

@@ -9,7 +9,7 @@ without such a partner is cut into views all round its axis.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import PurePosixPath
 
 import numpy as np
@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from tiegraph.errors import InputError
 from tiegraph.geometry.transforms import rigid
-from tiegraph.scan.assign import Report, Shot, Survey
+from tiegraph.scan.assign import ImageFiles, Report, Shot, Survey
 from tiegraph.scan.rigfiles.rigspec import orient
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import LensViewsTuning, PanoramaTuning
@@ -26,15 +26,6 @@ from tiegraph.scene.fisheye import is_fisheye, seen_half_deg
 from tiegraph.scene.images import Probe
 from tiegraph.scene.rig import LensView, Rig, Sensor, SensorPair, Source
 from tiegraph.text import some
-
-
-@dataclass(frozen=True)
-class ImageFiles:
-    """The images of a survey: their names, what a look at the files found, and the files; parallel."""
-
-    names: Sequence[str]
-    probes: Sequence[Probe]
-    files: Sequence[str]
 
 
 def with_lit_circle(sensor: Sensor, probes: Sequence[Probe], tuning: LensViewsTuning) -> Sensor:
@@ -52,7 +43,7 @@ def with_lit_circle(sensor: Sensor, probes: Sequence[Probe], tuning: LensViewsTu
             continue
         inside = [c for c in probe.circles if left < c[0] < probe.width - right and top < c[1] < probe.height - bottom]
         found += inside[:1]
-    if len(found) <= tuning.most * len(probes):
+    if 2 * len(found) <= len(probes):
         return sensor
     x, y, radius = (float(v) for v in np.median(found, axis=0))
     return replace(sensor, source=replace(source, circle_px=(x - left, y - top, radius * (1 - tuning.rim))))
@@ -72,7 +63,7 @@ def into_views(
     for r, rig in enumerate(rigs):
         sensors: list[Sensor] = []
         for k, sensor in enumerate(rig.sensors):
-            views = _views(sensor, _cut_of(rig, k, tuning, level)) if cut[r, k] == "" else [sensor]
+            views = _views(sensor, *_turns(rig, k, tuning, level)) if cut[r, k] == "" else [sensor]
             places[r, k] = list(range(len(sensors), len(sensors) + len(views)))
             sensors += views
         made.append(_rig_of_views(rig, tuple(sensors)))
@@ -145,24 +136,18 @@ def _say(
 _FRONT = "front"
 
 
-@dataclass(frozen=True)
-class _Cut:
-    """Which views a lens is cut into: view_from_lens (3, 3) by name, and what they see across and down."""
-
-    turns: dict[str, np.ndarray]
-    hfov_deg: float
-    vfov_deg: float
-
-
-def _cut_of(rig: Rig, sensor: int, tuning: LensViewsTuning, level: PanoramaTuning) -> _Cut:
+def _turns(
+    rig: Rig, sensor: int, tuning: LensViewsTuning, level: PanoramaTuning
+) -> tuple[dict[str, np.ndarray], tuple[float, float]]:
+    """Which views a lens is cut into: view_from_lens (3, 3) by name, and what they see across and down, degrees."""
     upright = _upright(rig, sensor, tuning)
     if upright is None:
         off = tuning.reach_deg - tuning.fov_deg / 2
         ways = {_FRONT: (0.0, 0.0), "right": (off, 0.0), "left": (-off, 0.0), "up": (0.0, off), "down": (0.0, -off)}
-        return _Cut({n: orient(*way, 0).T for n, way in ways.items()}, tuning.fov_deg, tuning.fov_deg)
+        return {n: orient(*way, 0).T for n, way in ways.items()}, (tuning.fov_deg, tuning.fov_deg)
     off = tuning.reach_deg - level.hfov_deg / 2
     turns = {n: orient(yaw, 0, 0).T @ upright for n, yaw in ((_FRONT, 0.0), ("right", off), ("left", -off))}
-    return _Cut(turns, level.hfov_deg, level.vfov_deg)
+    return turns, (level.hfov_deg, level.vfov_deg)
 
 
 def _upright(rig: Rig, sensor: int, tuning: LensViewsTuning) -> np.ndarray | None:
@@ -178,16 +163,16 @@ def _upright(rig: Rig, sensor: int, tuning: LensViewsTuning) -> np.ndarray | Non
     return None
 
 
-def _views(sensor: Sensor, cut: _Cut) -> list[Sensor]:
+def _views(sensor: Sensor, turns: dict[str, np.ndarray], fov_deg: tuple[float, float]) -> list[Sensor]:
     """The views of a lens at the resolution of its middle."""
     lens, source = sensor.camera, sensor.source or Source()
     assert lens is not None
     focal = lens.mean_focal_length()
-    width, height = (2 * round(focal * np.tan(np.radians(v / 2))) for v in (cut.hfov_deg, cut.vfov_deg))
+    width, height = (2 * round(focal * np.tan(np.radians(v / 2))) for v in fov_deg)
     camera = pycolmap.Camera(model="SIMPLE_PINHOLE", width=width, height=height, params=[focal, width / 2, height / 2])
     camera.has_prior_focal_length = True
     out = []
-    for name, view_from_lens in cut.turns.items():
+    for name, view_from_lens in turns.items():
         view = LensView(sensor.name, lens, tuple(float(v) for v in view_from_lens.ravel()))
         pose = sensor.sensor_from_rig
         made = replace(
@@ -195,10 +180,11 @@ def _views(sensor: Sensor, cut: _Cut) -> list[Sensor]:
             name=f"{sensor.name}-{name}",
             folder=str(PurePosixPath(sensor.folder) / name),
             camera=camera,
+            camera_sigma_px=None,
             source=replace(source, camera=camera, view=view),
+            sensor_from_rig=None if pose is None else rigid(view_from_lens, np.zeros(3)) @ pose,
         )
-        turned = None if pose is None else rigid(view_from_lens, np.zeros(3)) @ pose
-        out.append(replace(made, camera_sigma_px=None, sensor_from_rig=turned))
+        out.append(made)
     return out
 
 

@@ -52,16 +52,6 @@ class Layout:
     folders: tuple[str, ...]
     order: Order
 
-    @property
-    def loose(self) -> bool:
-        """Whether these are loose photographs."""
-        return self.order.loose
-
-    @property
-    def note(self) -> str:
-        """How the tree was read, for people."""
-        return self.order.why
-
 
 def is_camera(folder: str) -> bool:
     """Whether a folder is named like a camera's."""

@@ -2,6 +2,7 @@
 
 import os
 import shutil
+from copy import copy
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -16,11 +17,10 @@ from tiegraph.scan.settings import ScanSettings
 from tiegraph.scene.atomic import replacing
 from tiegraph.scene.decoding import Levels, Opened, eight_bit, opened, turned
 from tiegraph.scene.exif import Taken, exif_of, orientation_in
-from tiegraph.scene.filecache import cached_by_file
 from tiegraph.scene.fisheye import frozen, render_lens_view
 from tiegraph.scene.panorama import render_view, sphere_of
-from tiegraph.scene.regular import real_path, regular
-from tiegraph.scene.rig import Sensor, Source, camera_from_dict, camera_to_dict
+from tiegraph.scene.regular import cached_by_file, real_path, regular
+from tiegraph.scene.rig import Sensor, Source
 
 # Formats that OpenCV and COLMAP both read by themselves.
 LINKED_FORMATS = {"JPEG": (".jpg", ".jpeg"), "MPO": (".jpg", ".jpeg"), "PNG": (".png",), "TIFF": (".tif", ".tiff"),
@@ -48,14 +48,9 @@ def prepare_image(source: Path, target: Path, sensor: Sensor, settings: ScanSett
 
 def crop_camera(camera: pycolmap.Camera, left: int, top: int, right: int, bottom: int) -> pycolmap.Camera:
     """Camera of an image with so many pixels cut off."""
-    data = camera_to_dict(camera) or {}
-    data["width"] -= left + right
-    data["height"] -= top + bottom
-    cx, cy = camera.principal_point_idxs()
-    data["params"][cx] -= left
-    data["params"][cy] -= top
-    out = camera_from_dict(data)
-    assert out is not None
+    out = copy(camera)
+    out.width, out.height = camera.width - left - right, camera.height - top - bottom
+    out.principal_point_x, out.principal_point_y = camera.principal_point_x - left, camera.principal_point_y - top
     return out
 
 

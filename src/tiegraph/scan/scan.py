@@ -8,13 +8,11 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 
-from tiegraph.scan.assign import Report, Shot, Survey, Usable, assign, need_two, usable_images, zoomed
-from tiegraph.scan.calibration import with_camera, with_start_cameras
-from tiegraph.scan.cameras import FileFacts, calibrate
-from tiegraph.scan.fisheye import ImageFiles, into_views, with_lit_circle
+from tiegraph.scan.assign import ImageFiles, Report, Shot, Survey, Usable, assign, need_two, usable_images, zoomed
+from tiegraph.scan.cameras import FileFacts, calibrate, with_camera, with_start_cameras
+from tiegraph.scan.fisheye import into_views, with_lit_circle
 from tiegraph.scan.folders import natural
 from tiegraph.scan.frames import into_frames
-from tiegraph.scan.perspective import perspective_views
 from tiegraph.scan.prepare import KEPT_SUFFIXES, prepare_image
 from tiegraph.scan.priors.positions import Frames
 from tiegraph.scan.priors.priors import Followed, estimate_priors
@@ -22,10 +20,9 @@ from tiegraph.scan.priors.startmodel import StartModel, must_be_whole
 from tiegraph.scan.priors.times import FrameRow
 from tiegraph.scan.rigfiles.rigspec import RigSpec
 from tiegraph.scan.settings import ScanSettings
+from tiegraph.scan.sharedfiles import perspective_views, two_lenses
 from tiegraph.scan.tuning import Tuning
-from tiegraph.scan.twolenses import two_lenses
 from tiegraph.scene.decoding import EIGHT_BIT
-from tiegraph.scene.exif import Exif
 from tiegraph.scene.hanging import wide_first
 from tiegraph.scene.images import IMAGES_FOLDER, Probe, find_images, probe_image
 from tiegraph.scene.names import clean, shortened
@@ -79,7 +76,7 @@ def build_scene(
     rigs, survey, views = into_views(rigs, survey, pictures, settings, report, tuning.lens_views, tuning.panorama)
     if inputs.start is not None:
         must_be_whole(inputs.start, views.names is pictures.names)
-    return _scene(inputs, _Named.of(survey, views), rigs, survey, settings, report, tuning)
+    return _scene(inputs, views, rigs, survey, settings, report, tuning)
 
 
 def _assigned(
@@ -92,14 +89,14 @@ def _assigned(
     )
     if views is None:
         return assign(inputs.rig, usable, settings, report, tuning, inputs.rig_text), pictures, True
-    return views.survey, ImageFiles(views.names, views.probes, views.files), False
+    return *views, False
 
 
 def _with_cameras(
     inputs: ScanInputs, survey: Survey, pictures: ImageFiles, whole: bool, report: Report, tuning: Tuning
 ) -> Survey:
     """The survey with the cameras that the user, a start model or a bag gave."""
-    sizes = {k: _facts(shots, pictures.probes, survey.loose, tuning).size for k, shots in _sensors(survey).items()}
+    sizes = {k: _facts(shots, pictures.probes, survey.loose).size for k, shots in _sensors(survey).items()}
     survey = with_camera(survey, sizes, inputs.camera, report.notes, tuning.rig)
     if inputs.start is not None:
         must_be_whole(inputs.start, whole)
@@ -163,31 +160,29 @@ def _rigs(
         for k in present:
             sensor = spec.sensors[k]
             renumber[r, k] = len(rigs), len(sensors)
-            facts = _facts(groups[r, k], probes, survey.loose, tuning)
+            facts = _facts(groups[r, k], probes, survey.loose)
             camera, source, how = calibrate(sensor, facts, spec.file, settings, tuning.rig.camera)
             hows.setdefault(how, []).append(sensor.name)
-            pose = _sensor_from_rig(spec, k, present[0])
             made = Sensor(
                 name=sensor.name,
                 camera=camera,
-                sensor_from_rig=pose,
+                sensor_from_rig=_sensor_from_rig(spec, k, present[0]),
                 role=sensor.role,
                 folder=sensor.folder or "",
                 source=source,
+                sigma_deg=sensor.sigma_deg,
+                sigma_m=sensor.sigma_m,
+                camera_sigma_px=sensor.camera_sigma_px,
             )
-            made = with_lit_circle(made, [probes[s.image] for s in groups[r, k]], tuning.lens_views)
-            made = replace(made, sigma_deg=sensor.sigma_deg, sigma_m=sensor.sigma_m)
-            sensors.append(replace(made, camera_sigma_px=sensor.camera_sigma_px))
-        pairs = tuple(p for p in spec.pairs if set(p.sensors) <= {s.name for s in sensors})
-        arm = _antenna(spec, present[0])
+            sensors.append(with_lit_circle(made, [probes[s.image] for s in groups[r, k]], tuning.lens_views))
         rigs.append(
             Rig(
                 name=spec.name,
                 sensors=tuple(sensors),
                 fixed=spec.fixed,
                 nominal=spec.nominal,
-                antenna_m=arm,
-                pairs=pairs,
+                antenna_m=_antenna(spec, present[0]),
+                pairs=tuple(p for p in spec.pairs if set(p.sensors) <= {s.name for s in sensors}),
                 synchronised=spec.synchronised,
             )
         )
@@ -199,7 +194,7 @@ def _rigs(
     return tuple(rigs), replace(survey, specs=kept, shots=shots)
 
 
-def _facts(shots: list[Shot], probes: Sequence[Probe], loose: bool, tuning: Tuning) -> FileFacts:
+def _facts(shots: list[Shot], probes: Sequence[Probe], loose: bool) -> FileFacts:
     upright = _upright(shots, probes, loose)
     of = [probes[s.image] for s in shots]
     focal = [p.exif.focal_px for p in of if np.isfinite(p.exif.focal_px)]
@@ -211,7 +206,7 @@ def _facts(shots: list[Shot], probes: Sequence[Probe], loose: bool, tuning: Tuni
         upright=upright,
         levels=(min(low for low, _ in deep), max(high for _, high in deep)) if deep else EIGHT_BIT,
         loose=loose,
-        radius_px=float(np.median(radii)) if len(radii) > tuning.lens_views.most * len(of) else float("nan"),
+        radius_px=float(np.median(radii)) if 2 * len(radii) > len(of) else float("nan"),
     )
 
 
@@ -233,53 +228,35 @@ def _antenna(spec: RigSpec, reference: int) -> tuple[float, float, float] | None
 # --- the scene ------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class _Named:
-    """Order of the shots by their names in the scene, those names, and each one's file and EXIF; parallel."""
-
-    order: tuple[int, ...]
-    names: tuple[str, ...]
-    files: tuple[str, ...]
-    exif: tuple[Exif, ...]
-    renamed: int
-
-    @staticmethod
-    def of(survey: Survey, pictures: ImageFiles) -> "_Named":
-        names, probes, files = pictures.names, pictures.probes, pictures.files
-        given = [names[s.image] for s in survey.shots]
-        safe = safe_names(given)
-        order = sorted(range(len(safe)), key=lambda k: safe[k])
-        renamed = sum(a != b for a, b in zip(given, safe))
-        images = [survey.shots[k].image for k in order]
-        of, exif = tuple(files[i] for i in images), tuple(probes[i].exif for i in images)
-        return _Named(order=tuple(order), names=tuple(safe[k] for k in order), files=of, exif=exif, renamed=renamed)
-
-
 def _scene(
-    inputs: ScanInputs, named: _Named, rigs: tuple[Rig, ...], survey: Survey, settings: ScanSettings, report: Report,
-    tuning: Tuning,
+    inputs: ScanInputs, pictures: ImageFiles, rigs: tuple[Rig, ...], survey: Survey, settings: ScanSettings,
+    report: Report, tuning: Tuning,
 ) -> Scene:  # fmt: skip
-    shots, sources = [survey.shots[k] for k in named.order], named.files
+    given = [pictures.names[s.image] for s in survey.shots]
+    safe = safe_names(given)
+    order = sorted(range(len(safe)), key=lambda k: safe[k])
+    shots, names = [survey.shots[k] for k in order], tuple(safe[k] for k in order)
+    sources = tuple(pictures.files[s.image] for s in shots)
+    exif = tuple(pictures.probes[s.image].exif for s in shots)
     sequences = tuple(sorted({s.sequence for s in shots} - {""}, key=natural))
     rows = _frame_rows(shots, sequences)
     sensors = tuple(s.sensor for s in shots)
     frames = Frames(
-        rows=rows, sequences=sequences, names=sources, exif=named.exif, rigs=rigs, specs=survey.specs, sensors=sensors
+        rows=rows, sequences=sequences, names=sources, exif=exif, rigs=rigs, specs=survey.specs, sensors=sensors
     )
     priors = estimate_priors(frames, inputs.gnss, inputs.start or inputs.trajectory, inputs.times, settings, tuning)
     rows, priors_order = _in_time_order(rows, priors.time_s, report)
-    _say_incomplete(rows, rigs, report)
+    if missing := sum(len(r.images) < len(rigs[r.rig].sensors) for r in rows):
+        report.notes.append(f"{missing} of {len(rows)} frames lack the image of some camera")
     frame = np.zeros(len(shots), int)
     for k, row in enumerate(rows):
         frame[list(row.images)] = k
-    if named.renamed:
-        report.notes.append(
-            f"{named.renamed} images renamed (blanks, #, long names or formats that COLMAP does not take)"
-        )
-    exposure = np.array([e.exposure for e in named.exif], float)
+    if renamed := sum(a != b for a, b in zip(given, safe)):
+        report.notes.append(f"{renamed} images renamed (blanks, #, long names or formats that COLMAP does not take)")
+    exposure = np.array([e.exposure for e in exif], float)
     return Scene(
         rigs=rigs,
-        names=named.names,
+        names=names,
         frame=frame,
         sensor=np.array([s.sensor for s in shots]),
         rig=np.array([r.rig for r in rows]),
@@ -296,7 +273,7 @@ def _scene(
         dropped=tuple(sorted(report.dropped, key=lambda d: d.name)),
         notes=(*report.notes, *priors.notes),
         guessed=sequences if survey.guessed and not inputs.tells_order() else (),
-        sources=() if named.names == sources else sources,
+        sources=() if names == sources else sources,
         exposure=exposure if np.isfinite(exposure).any() else None,
     )
 
@@ -360,9 +337,3 @@ def _steps(rows: Sequence[FrameRow]) -> np.ndarray:
         out[k] = seen[row.sequence]
         seen[row.sequence] += 1
     return out
-
-
-def _say_incomplete(rows: Sequence[FrameRow], rigs: Sequence[Rig], report: Report) -> None:
-    missing = sum(len(r.images) < len(rigs[r.rig].sensors) for r in rows)
-    if missing:
-        report.notes.append(f"{missing} of {len(rows)} frames lack the image of some camera")

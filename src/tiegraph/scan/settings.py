@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field, field_validator
 
 from tiegraph.geometry.geodesy import utm_by_name
-from tiegraph.scene.gnss import HEIGHTS_M
+from tiegraph.scene.gnss.fixes import HEIGHTS_M
 from tiegraph.settings import Section
 from tiegraph.text import composed
 

@@ -72,8 +72,6 @@ class CameraTuning(Section):
     """How far out distortion lets the edge of an image look, times what a straight lens does."""
     round_trip: float = Field(0.01, gt=0)
     """Of the image's longer side: by so much may a pixel miss itself by way of its ray."""
-    fisheye_lines: int = Field(8, gt=0)
-    """Such lines of a fisheye image; those of a perspective one go to its corners and the middles of its sides."""
     fisheye_middle: float = Field(0.5, gt=0, le=1)
     """Share of the shorter side of a fisheye image that is looked at: its circle may end before the edge."""
 
@@ -90,11 +88,9 @@ class RigTuning(Section):
 
 
 class PanoramaTuning(Section):
-    """The views of panoramas (`perspective.py`): like the side cameras of a Ladybug, seen by the same offsets and
+    """The views of panoramas (`sharedfiles.py`): like the side cameras of a Ladybug, seen by the same offsets and
     sections as such a rig; and one up. What is below is the tripod, the operator or the platform."""
 
-    most: float = Field(0.5, ge=0, lt=1)
-    """A survey is one of panoramas if more than this share of the images are some."""
     around: int = Field(5, gt=0)
     """Level views of a panorama."""
     hfov_deg: float = Field(80.0, gt=0, lt=180)
@@ -115,8 +111,6 @@ class LensViewsTuning(Section):
     camera are as wide and high as a panorama's: one ahead, two to the sides as far as the reach."""
     reach_deg: float = Field(88.0, gt=0, lt=90)
     """Off the axis, how far views reach: at 90 degrees COLMAP's lenses end, and the last pixels would be black."""
-    most: float = Field(0.5, ge=0, lt=1)
-    """The circle of a lens is believed if more than this share of its images show one."""
     nominal_sigma: float = Field(0.05, gt=0)
     """Of the focal length of a lens of a 360 camera that nobody calibrated, a share ..."""
     factory_sigma: float = Field(0.01, gt=0)
@@ -136,10 +130,6 @@ class PicturesTuning(Section):
 
     least_decoded: float = Field(0.95, ge=0, le=1)
     """Of the frames that a video says it has; the count in some headers is an estimate. Fewer are said."""
-    sharp_px: int = Field(480, gt=0)
-    """Width at which sharpness is compared."""
-    rate_frames: int = Field(50, gt=1)
-    """Messages of an image topic of a bag, from its start, whose stamps tell its rate."""
     creation_apart_s: float = Field(2.0, ge=0)
     """Creation times of two videos of a rig, in whole seconds each, that contradict their offset by more are said."""
     nearest_steps: float = Field(0.75, gt=0)
@@ -166,10 +156,6 @@ class MotionTuning(Section):
     """Width at which pictures are compared: KITTI's two cameras agree best there (of 320, 640 and 1241)."""
     most_s: float = Field(300.0, gt=0)
     """Of a video, from its start; clocks of cameras drift by 10 to 50 us a second, 15 ms in this time at most."""
-    rounds: int = Field(5, gt=0)
-    """Of the reweighted least squares."""
-    noise_px: float = Field(0.02, gt=0)
-    """Residual below which flow is as good as exact."""
 
 
 class OffsetTuning(Section):
@@ -179,10 +165,6 @@ class OffsetTuning(Section):
     """Frames of a video whose motion can tell."""
     least_s: float = Field(2.0, gt=0)
     """Seconds that two videos must share at an offset that is tried."""
-    coarse_s: float = Field(0.1, gt=0)
-    """Steps of the search over all offsets."""
-    candidates: int = Field(8, ge=2)
-    """Of that search, looked at in steps of a frame."""
     noise_px: float = Field(0.02, gt=0)
     """Sigma of the measured motion a step."""
     apart_steps: float = Field(4.0, gt=0)
@@ -192,10 +174,6 @@ class OffsetTuning(Section):
     the best has up to 1.6 times the next (curves of 20 s); KITTI's 5 s of a straight road have 3.7."""
     smoothing: float = Field(0.01, ge=0)
     """Steps; what interpolation between frames may add to the error (synthetic curves: 0.007)."""
-    near_steps: float = Field(0.6, gt=0)
-    """About the best offset, where a parabola is fitted to the likelihood."""
-    blocks: int = Field(8, ge=4)
-    """Of time, of the jackknife."""
     most_sigma: float = Field(0.5, gt=0)
     """Steps; an offset that is worse known could as well be that of the next frame."""
 
@@ -229,16 +207,8 @@ class TrajectoryTuning(Section):
     """Frames with a position that a trajectory needs to be laid on them."""
     least_extent_sigmas: float = Field(3.0, ge=0)
     """How far these must spread, in median sigmas of a position."""
-    scale_rounds: int = Field(10, gt=0)
-    """Of the scale, which converges linearly, by the ratio of the lever arm to the length of the track."""
-    fit_rounds: int = Field(20, gt=0)
-    """Of the reweighted least squares in each of them."""
     least_baselines: int = Field(3, gt=0)
     """Pairs of images of one frame with a known baseline that tell the unit of a start model."""
-    same_start_m: float = Field(1e-3, ge=0)
-    """First poses of trajectories that are nearer are one: each trajectory has a world of its own ..."""
-    same_start_deg: float = Field(0.1, ge=0)
-    """... if they are turned by less, too."""
 
 
 class Tuning(Section):

@@ -23,6 +23,10 @@ from tiegraph.scene.matches import PreviewMatches
 from tiegraph.scene.scene import Scene, between_neighbours
 from tiegraph.scene.tuning import BlocksTuning
 
+# Of the inverse iterations for the second eigenvector; the next eigenvalues of a long path lie close together, so that
+# some vectors iterate together.
+_ITERATIONS, _VECTORS = 12, 4
+
 
 class Links(Protocol):
     """What ties two images i, j (T,), however it was found: so many matches."""
@@ -137,7 +141,9 @@ def _symmetric(a: np.ndarray, b: np.ndarray, value: np.ndarray, n: int) -> csr_a
 def _cut(graph: csr_array, size: np.ndarray, own: int, tuning: BlocksTuning) -> np.ndarray:
     """(F,) part of every frame; none has more than ``own`` images, unless one frame has."""
     label = np.zeros(len(size), int)
-    todo = [np.flatnonzero(piece) for piece in _pieces(graph)]
+    row, column = graph.tocoo().coords
+    piece = parts(row, column, len(size))
+    todo = [np.flatnonzero(piece == k) for k in range(piece.max() + 1)]
     done: list[np.ndarray] = []
     while todo:
         frames = todo.pop()
@@ -152,20 +158,12 @@ def _cut(graph: csr_array, size: np.ndarray, own: int, tuning: BlocksTuning) -> 
     return label
 
 
-def _pieces(graph: csr_array) -> list[np.ndarray]:
-    """(F,) bool of each connected piece."""
-    coo = graph.tocoo()
-    row, column = coo.coords
-    label = parts(row, column, graph.shape[0])
-    return [label == k for k in range(label.max() + 1)]
-
-
 def _first_side(
     graph: csr_array, size: np.ndarray, blocks: tuple[int, int], own: int, tuning: BlocksTuning
 ) -> np.ndarray:
     """(F,) bool: the side for the first of so many ``blocks``, (some, all), cut where least is cut."""
     share, total = blocks[0] / blocks[1], float(size.sum())
-    order = np.argsort(_second_vector(graph, tuning), kind="stable")
+    order = np.argsort(_second_vector(graph), kind="stable")
     place = np.empty(len(order), int)
     place[order] = np.arange(len(order))
     coo = graph.tocoo()
@@ -182,15 +180,15 @@ def _first_side(
     return place <= np.argmin(np.where(allowed, cost, np.inf))
 
 
-def _second_vector(graph: csr_array, tuning: BlocksTuning) -> np.ndarray:
+def _second_vector(graph: csr_array) -> np.ndarray:
     """(F,) second eigenvector of the normalised Laplacian over the root of the degrees: neighbours have near values."""
     degree = np.asarray(graph.sum(axis=1)).ravel()
     root = np.sqrt(np.maximum(degree, 1e-12))
     normal = diags_array(1 / root) @ graph @ diags_array(1 / root)
     solve = splu((diags_array(np.full(len(root), 1.0 + 1e-9)) - normal).tocsc()).solve
     first = root / np.linalg.norm(root)
-    block = np.random.default_rng(0).normal(size=(len(root), tuning.vectors))
-    for _ in range(tuning.iterations):
+    block = np.random.default_rng(0).normal(size=(len(root), _VECTORS))
+    for _ in range(_ITERATIONS):
         block = solve(block)
         block -= np.outer(first, first @ block)
         block = np.linalg.qr(block)[0]

@@ -4,11 +4,18 @@ import bisect
 import re
 from collections.abc import Sequence
 from datetime import datetime, timezone
+from functools import lru_cache
 
 import numpy as np
 
 from tiegraph.errors import InputError
-from tiegraph.scene.columnwords import UNIT_M
+
+UNIT_M = {
+    "m": 1.0, "metre": 1.0, "metres": 1.0, "meter": 1.0, "meters": 1.0, "km": 1e3, "cm": 1e-2, "mm": 1e-3, "ft": 0.3048,
+    "feet": 0.3048, "foot": 0.3048, "ftus": 1200 / 3937, "us-ft": 1200 / 3937, "us ft": 1200 / 3937,
+    "us survey feet": 1200 / 3937,
+}  # fmt: skip
+UNIT_S = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "msec": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}
 
 # A half of the Earth, degrees, minutes, seconds, a half: "N35.5", "35 deg 41' 22.2\" N", "35°41'22.2\"".
 _ANGLE = re.compile(
@@ -95,6 +102,20 @@ def parse_time(text: str) -> float:
         return float("nan")
     stamp = stamp if stamp.tzinfo else stamp.replace(tzinfo=timezone.utc)
     return stamp.timestamp() + (float(f"0.{digits[0]}") if digits else 0.0)
+
+
+@lru_cache(maxsize=64)
+def seconds_of(text: str, form: str) -> float:
+    """Seconds since 1970 of a date, UTC, in a form of ``strptime``; NaN if it is none."""
+    try:
+        return datetime.strptime(text, form).replace(tzinfo=timezone.utc).timestamp()
+    except ValueError:
+        return float("nan")
+
+
+def date_text(time_s: float) -> str:
+    """A time (seconds since 1970, UTC) as people read it."""
+    return f"{datetime.fromtimestamp(time_s, timezone.utc):%Y-%m-%d %H:%M:%S}"
 
 
 def out_of_order(times: np.ndarray) -> np.ndarray:

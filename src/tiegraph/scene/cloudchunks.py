@@ -5,6 +5,7 @@ extra dimensions of 32 bits, colours by the first.
 """
 
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
@@ -16,8 +17,7 @@ import pyproj
 
 from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import ENU, Origin, check_vertical, parse_crs
-from tiegraph.scene.atomic import replacing
-from tiegraph.scene.cloudfile import las_header, ply_parts, refuse_cut_las, shift_of, undate
+from tiegraph.scene.cloudfile import las_header, ply_parts, refuse_cut_las, shift_of, write_records
 from tiegraph.scene.regular import regular
 from tiegraph.scene.results import Cloud
 from tiegraph.scene.sorting import Columns
@@ -137,21 +137,18 @@ def las_crs(path: Path) -> str | None:
     return name
 
 
-class _reading:
+@contextmanager
+def _reading(path: Path) -> Iterator[None]:
     """What libraries raise for a damaged file is an InputError that names it."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-
-    def __enter__(self) -> None:
-        return None
-
-    def __exit__(self, kind: type | None, error: BaseException | None, trace: object) -> None:
-        if isinstance(error, Exception) and not isinstance(error, InputError):
-            why = str(error).partition("\n")[0]  # libE57 writes a page
-            raise InputError(
-                f"{self._path}: not a readable point cloud: {why}; is it cut short? Copy or export it again"
-            ) from None
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:
+        why = str(error).partition("\n")[0]  # libE57 writes a page
+        raise InputError(
+            f"{path}: not a readable point cloud: {why}; is it cut short? Copy or export it again"
+        ) from None
 
 
 def _checked(path: Path, read: Callable[[Path], Iterator[Points]]) -> Iterator[Points]:
@@ -223,14 +220,7 @@ def write_measured(parts: Iterable[Measured], path: Path, origin: Origin | None,
         return 0
     cloud = replace(Cloud.empty(origin), xyz_m=first.xyz)
     header, _ = las_header(cloud, spacing, extra=[(name, "f4") for name in first.columns])
-    count = 0
-    with replacing(path) as temporary:
-        with laspy.open(temporary, mode="w", header=header, do_compress=path.suffix.lower() == ".laz") as out:
-            for part in chain([first], rest):
-                out.write_points(_records(part, header, shift_of(origin)))
-                count += len(part.xyz)
-        undate(temporary)
-    return count
+    return write_records((_records(part, header, shift_of(origin)) for part in chain([first], rest)), header, path)
 
 
 def _records(part: Measured, header: laspy.LasHeader, shift: np.ndarray) -> laspy.ScaleAwarePointRecord:

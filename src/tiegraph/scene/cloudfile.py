@@ -82,13 +82,21 @@ def write_las(clouds: Cloud | Iterable[Cloud], path: Path, spacing: float | None
     """
     parts, first = _parts(clouds)
     header, notes = las_header(first, spacing)
+    chunks = (p.where(slice(k, k + _CHUNK)) for p in chain([first], parts) for k in range(0, len(p), _CHUNK))  # type: ignore[arg-type]
+    write_records((las_points(chunk, header) for chunk in chunks), header, path)
+    return notes
+
+
+def write_records(records: Iterable[laspy.ScaleAwarePointRecord], header: laspy.LasHeader, path: Path) -> int:
+    """Write point records one after another, and how many points they are."""
+    count = 0
     with replacing(path) as temporary:
         with laspy.open(temporary, mode="w", header=header, do_compress=path.suffix.lower() == ".laz") as out:
-            for part in chain([first], parts):
-                for start in range(0, len(part), _CHUNK):
-                    out.write_points(las_points(part.where(slice(start, start + _CHUNK)), header))  # type: ignore[arg-type]
+            for record in records:
+                out.write_points(record)
+                count += len(record)
         undate(temporary)
-    return notes
+    return count
 
 
 def undate(path: Path) -> None:

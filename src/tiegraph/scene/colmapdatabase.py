@@ -161,17 +161,12 @@ def write_features(path: Path, batch: Sequence[Features]) -> None:
 
 
 def feature_counts(path: Path) -> dict[int, int]:
-    """Number of features by scene index, of the images whose key points and descriptors are both in and agree."""
+    """Number of features (also 0) by scene index, of the images whose key points and descriptors are in and agree."""
     with reading(path) as cursor:
         rows = cursor.execute(
             "SELECT k.image_id - 1, k.rows FROM keypoints k JOIN descriptors d USING (image_id) WHERE k.rows = d.rows"
         )
         return dict(rows.fetchall())
-
-
-def images_with_features(path: Path) -> set[int]:
-    """Scene indices of the images whose features are in (also those with none found)."""
-    return set(feature_counts(path))
 
 
 def lost_features(path: Path, scene: Scene, wanted: Iterable[int]) -> list[tuple[str, str]]:

@@ -1,8 +1,6 @@
-"""COLMAP's models: read from files of any origin (a damaged one is an error, never a hang), written, and turned into
-arrays by the scene's images and sensors; ids in its database.
+"""COLMAP's models: read from files of any origin (a damaged one is an error, never a hang), written, turned into arrays
+by the scene's images and sensors; ids in its database. And several models of one world in one model.
 """
-
-from __future__ import annotations
 
 import shutil
 import struct
@@ -10,9 +8,10 @@ from collections.abc import Callable, Iterator, Sequence
 from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pycolmap
 
 from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
@@ -23,9 +22,6 @@ from tiegraph.scene.regular import regular
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 from tiegraph.text import one_line
-
-if TYPE_CHECKING:
-    import pycolmap
 
 # COLMAP: pair_id = 2147483647 * smaller image_id + larger image_id (colmap/util/types.h, kMaxNumImages).
 MAX_IMAGES = 2147483647
@@ -40,8 +36,6 @@ def is_model(folder: Path) -> bool:
 
 def read_model(folder: Path | str) -> Any:
     """The ``pycolmap.Reconstruction`` of a model folder. Raises InputError naming what is damaged."""
-    import pycolmap
-
     folder = Path(folder)
     for name, end_of in _RECORDS.items():
         _check(folder / f"{name}.bin", end_of)
@@ -61,8 +55,6 @@ def read_model(folder: Path | str) -> Any:
 def _read_text(folder: Path) -> Any:
     """The model of text files as other programs write them: names with blanks, which pycolmap would end at the first,
     images without a line for points, of which it would take every second one alone, and no points at all."""
-    import pycolmap
-
     if not (folder / "cameras.txt").exists():
         raise InputError(f"{folder}: no cameras.txt; a model has cameras.txt, images.txt and, if any, points3D.txt")
     cameras = (folder / "cameras.txt").read_text("utf-8-sig", "replace").split("\n")
@@ -152,8 +144,6 @@ def _camera(data: bytes, at: int) -> int:
 
 def _parameters() -> dict[int, int]:
     """Number of parameters of each camera model by its id."""
-    import pycolmap
-
     if not _COUNTS:
         for value in pycolmap.CameraModelId.__members__.values():
             if int(value) >= 0:
@@ -203,8 +193,6 @@ def rigid3d(target_from_source: np.ndarray) -> pycolmap.Rigid3d:
 
 def rigids3d(target_from_source: np.ndarray) -> list[pycolmap.Rigid3d]:
     """COLMAP rigid transforms of (N, 4, 4)."""
-    import pycolmap
-
     quaternions = transforms.quaternion_xyzw(target_from_source[:, :3, :3])
     places = np.asarray(target_from_source[:, :3, 3], float)
     return [pycolmap.Rigid3d(pycolmap.Rotation3d(q), t) for q, t in zip(quaternions, places)]
@@ -214,8 +202,6 @@ def add_rig(
     model: pycolmap.Reconstruction, cameras: Sequence[pycolmap.Camera], sensor_from_rig: Sequence[pycolmap.Rigid3d]
 ) -> None:
     """Give a model its rig 1: camera k has the id k + 1, the first is the reference."""
-    import pycolmap
-
     rig = pycolmap.Rig(rig_id=1)
     for number, camera in enumerate(cameras):
         own = deepcopy(camera)
@@ -230,8 +216,6 @@ def add_rig(
 
 def sim3d(similarity: Similarity) -> pycolmap.Sim3d:
     """COLMAP's form of a similarity."""
-    import pycolmap
-
     rotation = pycolmap.Rotation3d(transforms.quaternion_xyzw(similarity.rotation))
     return pycolmap.Sim3d(similarity.scale, rotation, np.asarray(similarity.translation, float))
 
@@ -280,8 +264,6 @@ def tracks(reconstruction: pycolmap.Reconstruction, scene: Scene) -> tuple[np.nd
 
 def model_rigs(reconstruction: pycolmap.Reconstruction, scene: Scene) -> tuple[Rig, ...]:
     """The scene's rigs with the cameras and extrinsics of a model (its units); what it does not hold stays as given."""
-    import pycolmap
-
     out, key = [], 0
     for index, rig in enumerate(scene.rigs):
         sensors = [
@@ -300,3 +282,80 @@ def model_rigs(reconstruction: pycolmap.Reconstruction, scene: Scene) -> tuple[R
 
 def _get(table: Any, key: int, otherwise: Any) -> Any:
     return table[key] if key in table else otherwise
+
+
+def merged(models: Sequence[pycolmap.Reconstruction]) -> pycolmap.Reconstruction:
+    """One model of the registered images of all, which must stand in one frame and unit; ids of cameras, rigs, frames
+    and images of the first model stay.
+
+    Models that were adjusted apart calibrated their cameras and rigs apart: each brings its own, under ids of its own.
+    An image that an earlier model has is left out of a later one, and so are points that then lack two images.
+    """
+    out = pycolmap.Reconstruction()
+    for model in models:
+        _add(out, model)
+    return out
+
+
+def _add(out: pycolmap.Reconstruction, model: pycolmap.Reconstruction) -> None:
+    there = {out.image(k).name for k in out.images}
+    new = [k for k in sorted(model.reg_image_ids()) if model.image(k).name not in there]
+    if not new:
+        return
+    ids = {k: k if k not in out.images else max(max(out.images), max(model.images)) + 1 + n for n, k in enumerate(new)}
+    cameras = {k: k + max(out.cameras, default=0) for k in model.cameras}
+    _add_rigs(out, model, cameras)
+    _add_frames(out, model, cameras, ids)
+    _add_points(out, model, ids)
+
+
+def _add_rigs(out: pycolmap.Reconstruction, model: pycolmap.Reconstruction, cameras: dict[int, int]) -> None:
+    for old, new in cameras.items():
+        fields = model.camera(old).todict()
+        out.add_camera(pycolmap.Camera(**{**fields, "camera_id": new}))
+    first = max(out.rigs, default=0)
+    for number, rig in sorted(model.rigs.items()):
+        copy = pycolmap.Rig(rig_id=first + number)
+        copy.add_ref_sensor(_sensor(rig.ref_sensor_id, cameras))
+        for sensor, pose in rig.non_ref_sensors.items():
+            copy.add_sensor(_sensor(sensor, cameras), pose)
+        out.add_rig(copy)
+
+
+def _add_frames(
+    out: pycolmap.Reconstruction, model: pycolmap.Reconstruction, cameras: dict[int, int], ids: dict[int, int]
+) -> None:
+    rigs = max(out.rigs) - max(model.rigs)
+    taken = max([*out.frames, *model.frames])
+    for number in sorted({model.image(k).frame_id for k in ids}):
+        old = model.frame(number)
+        taken += number in out.frames
+        frame = pycolmap.Frame(frame_id=taken if number in out.frames else number, rig_id=old.rig_id + rigs)
+        images = [model.image(d.id) for d in old.data_ids if d.id in ids]
+        for image in images:
+            sensor = _sensor(image.data_id.sensor_id, cameras)
+            frame.add_data_id(pycolmap.data_t(sensor, ids[image.image_id]))
+        frame.rig_from_world = old.rig_from_world
+        out.add_frame(frame)
+        for image in images:
+            copy = pycolmap.Image(
+                name=image.name, camera_id=cameras[image.camera_id], image_id=ids[image.image_id],
+                keypoints=[p.xy for p in image.points2D],
+            )  # fmt: skip
+            copy.frame_id = frame.frame_id
+            out.add_image(copy)
+        out.register_frame(frame.frame_id)
+
+
+def _add_points(out: pycolmap.Reconstruction, model: pycolmap.Reconstruction, ids: dict[int, int]) -> None:
+    for _, point in sorted(model.points3D.items()):
+        track = [e for e in point.track.elements if e.image_id in ids]
+        if len(track) < 2:
+            continue
+        elements = [pycolmap.TrackElement(ids[e.image_id], e.point2D_idx) for e in track]
+        number = out.add_point3D(point.xyz, pycolmap.Track(elements), point.color)
+        out.points3D[number].error = point.error
+
+
+def _sensor(sensor: pycolmap.sensor_t, cameras: dict[int, int]) -> pycolmap.sensor_t:
+    return pycolmap.sensor_t(sensor.type, cameras[sensor.id])

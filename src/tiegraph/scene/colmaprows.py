@@ -33,11 +33,11 @@ DATABASE_BYTES = 1 << 20  # of the tables and indices of an empty database and o
 _IMAGE_BYTES = 4096  # of an image's rows, its frame's and its prior's, in file and log, generously
 
 
-def create_database(path: Path, scene: Scene, with_rig: bool = True) -> None:
+def create_database(path: Path, scene: Scene) -> None:
     """Write a new database with the cameras, rigs, frames, images and position priors of a scene.
 
-    ``with_rig=False``: no two images share a frame. With a rig, those of unknown extrinsics stand alone (see above).
-    The file appears whole or not at all. Raises InputError for a sensor without a camera or a full disk.
+    Sensors of unknown extrinsics stand alone (see above). The file appears whole or not at all. Raises InputError for a
+    sensor without a camera or a full disk.
     """
     for sensor in scene.all_sensors:
         if sensor.camera is None:
@@ -46,8 +46,16 @@ def create_database(path: Path, scene: Scene, with_rig: bool = True) -> None:
         with replacing(path) as temporary:
             limits.need_room(path, DATABASE_BYTES + _IMAGE_BYTES * len(scene))  # COLMAP would end the process
             with writing(temporary) as database:
-                _write_rigs(database, scene, with_rig)
-                _write_images(database, scene, with_rig)
+                for key, sensor in enumerate(scene.all_sensors):
+                    database.write_camera(_camera(sensor.camera, key + 1), use_camera_id=True)
+                keys = (scene.sensor_key + 1).tolist()
+                images = {
+                    k: pycolmap.Image(name=name, camera_id=keys[k], image_id=k + 1)
+                    for k, name in enumerate(scene.names)
+                }
+                for image in images.values():
+                    database.write_image(image, use_image_id=True)
+                _write_frames(database, scene, images, dict(enumerate(scene.rigs)))
                 for prior in position_priors(scene):
                     database.write_pose_prior(prior, use_pose_prior_id=True)
             remove(path)
@@ -57,40 +65,11 @@ def create_database(path: Path, scene: Scene, with_rig: bool = True) -> None:
         raise explained(path, error) from error
 
 
-def _write_rigs(database: pycolmap.Database, scene: Scene, with_rig: bool) -> None:
-    key = 0
-    for index, rig in enumerate(scene.rigs):
-        row = pycolmap.Rig(rig_id=index + 1)
-        row.add_ref_sensor(_sensor_id(key))
-        alone = []
-        for place, sensor in enumerate(rig.sensors):
-            camera = copy(sensor.camera)
-            assert camera is not None  # checked by create_database
-            camera.camera_id = key + 1
-            database.write_camera(camera, use_camera_id=True)
-            if place > 0 and with_rig and sensor.sensor_from_rig is not None:
-                row.add_sensor(_sensor_id(key), pycolmap.Rigid3d(np.asarray(sensor.sensor_from_rig, float)[:3]))
-            elif place > 0:
-                alone.append(pycolmap.Rig(rig_id=len(scene.rigs) + key + 1))
-                alone[-1].add_ref_sensor(_sensor_id(key))
-            key += 1
-        for each in (row, *alone):
-            database.write_rig(each, use_rig_id=True)
-
-
-def _write_images(database: pycolmap.Database, scene: Scene, with_rig: bool) -> None:
-    keys = scene.sensor_key
-    frame_id, rig_id = scene.frame.astype(int) + 1, scene.rig[scene.frame].astype(int) + 1
-    for k, name in enumerate(scene.names):
-        image = pycolmap.Image(name=name, camera_id=int(keys[k]) + 1, image_id=k + 1)
-        database.write_image(image, use_image_id=True)
-        if scene.sensor[k] > 0 and not (with_rig and scene.sensor_of(k).sensor_from_rig is not None):
-            frame_id[k], rig_id[k] = scene.frames + k + 1, len(scene.rigs) + keys[k] + 1
-    for members in _groups(frame_id):
-        frame = pycolmap.Frame(frame_id=int(frame_id[members[0]]), rig_id=int(rig_id[members[0]]))
-        for k in members:
-            frame.add_data_id(pycolmap.data_t(_sensor_id(int(keys[k])), int(k) + 1))
-        database.write_frame(frame, use_frame_id=True)
+def _camera(given: pycolmap.Camera | None, camera_id: int) -> pycolmap.Camera:
+    camera = copy(given)
+    assert camera is not None  # checked before
+    camera.camera_id = camera_id
+    return camera
 
 
 def _groups(label: np.ndarray) -> list[np.ndarray]:
@@ -172,10 +151,8 @@ def write_working_copy(
 def _update_cameras(database: pycolmap.Database, scene: Scene, images: dict[int, pycolmap.Image]) -> None:
     """The scene's cameras: what the previews found of a guessed focal length is a better start than the guess."""
     for k, camera_id in {int(scene.sensor_key[k]): image.camera_id for k, image in images.items()}.items():
-        camera = copy(scene.all_sensors[k].camera)
-        if camera is not None:
-            camera.camera_id = camera_id
-            database.update_camera(camera)
+        if scene.all_sensors[k].camera is not None:
+            database.update_camera(_camera(scene.all_sensors[k].camera, camera_id))
 
 
 def _write_frames(
@@ -186,7 +163,7 @@ def _write_frames(
     first_key = np.cumsum([0] + [len(r.sensors) for r in scene.rigs])
     bound: set[int] = set()
     for index, rig in with_rig.items():
-        known = [s for s, sensor in enumerate(rig.sensors) if sensor.sensor_from_rig is not None]
+        known = [s for s, sensor in enumerate(rig.sensors) if not s or sensor.sensor_from_rig is not None]
         cameras = {s: camera_of[key] for s in known if (key := int(first_key[index]) + s) in camera_of}
         if cameras:
             database.write_rig(_colmap_rig(index + 1, rig, cameras), use_rig_id=True)
@@ -214,7 +191,7 @@ def _colmap_rig(rig_id: int, rig: Rig, cameras: dict[int, int]) -> pycolmap.Rig:
     row = pycolmap.Rig(rig_id=rig_id)
     first, *others = sorted(cameras)
     row.add_ref_sensor(_sensor_id(cameras[first] - 1))
-    reference = np.asarray(rig.sensors[first].sensor_from_rig)
+    reference = np.asarray(rig.sensors[first].sensor_from_rig) if first else np.eye(4)
     for s in others:
         extrinsics = np.asarray(rig.sensors[s].sensor_from_rig)
         row.add_sensor(_sensor_id(cameras[s] - 1), rigid3d(extrinsics @ np.linalg.inv(reference)))

@@ -9,7 +9,7 @@ from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import (
     ENU,
     Origin,
-    crs_transformer,
+    geodetic_from_crs,
     geodetic_from_world,
     make_origin,
     middle,
@@ -17,7 +17,7 @@ from tiegraph.geometry.geodesy import (
     world_from_geodetic,
 )
 from tiegraph.scene.gcp import FileMark, GcpFile
-from tiegraph.scene.gnss import HEIGHTS_M, beyond
+from tiegraph.scene.gnss.fixes import HEIGHTS_M, beyond
 from tiegraph.scene.markpixels import AS_IS, EDGE_PX, Copy, file_camera, in_file, lies_in, prepared_pixel, within
 from tiegraph.scene.names import found_by, lookup_of
 from tiegraph.scene.scene import Scene
@@ -160,20 +160,22 @@ def _marks_of(
     orientation: Mapping[int, int] | None,
 ) -> Marks:
     """The marks of some names: those of the file, and targets found in images where the file marks none."""
-    rows = {name: k for k, name in enumerate(names)}
-    turned, nothing = orientation or {}, ([], np.zeros(0, int), np.zeros((0, 2)))
-    marks, images, pixels = _marks_in(file, scene, notes, turned) if file.marks else nothing
-    own = [k for k, m in enumerate(marks) if m.name in rows]
-    taken = {(marks[k].name, int(images[k])) for k in own}
-    more = [m for m in found if m.name in rows and (m.name, m.image) not in taken]
+    turned = orientation or {}
+    given = _marks_in(file, scene, notes, turned) if file.marks else []
+    own = [(mark, image, xy) for mark, image, xy in given if mark.name in names]
+    taken = {(mark.name, image) for mark, image, _ in own}
+    more = [m for m in found if m.name in names and (m.name, m.image) not in taken]
+    rows = [(names.index(m.name), k, xy, m.line, np.nan, m.xy, turned.get(k, 1)) for m, k, xy in own]
+    rows += [(names.index(m.name), m.image, m.xy, 0, m.sigma_px, (np.nan, np.nan), 1) for m in more]
+    point, image, xy, line, sigma, file_px, upright = zip(*rows) if rows else ((),) * 7
     return Marks(
-        point=np.array([rows[n] for n in [*(marks[k].name for k in own), *(m.name for m in more)]], int),
-        image=np.array([*images[own], *(m.image for m in more)], int),
-        xy_px=np.array([*pixels[own], *(m.xy for m in more)], float).reshape(-1, 2),
-        line=np.array([*(marks[k].line for k in own), *(0 for _ in more)], int),
-        sigma_px=np.array([*(np.nan for _ in own), *(m.sigma_px for m in more)], float),
-        file_px=np.array([*(marks[k].xy for k in own), *((np.nan, np.nan) for _ in more)], float).reshape(-1, 2),
-        orientation=np.array([*(turned.get(int(images[k]), 1) for k in own), *(1 for _ in more)], int),
+        point=np.array(point, int),
+        image=np.array(image, int),
+        xy_px=np.array(xy, float).reshape(-1, 2),
+        line=np.array(line, int),
+        sigma_px=np.array(sigma, float),
+        file_px=np.array(file_px, float).reshape(-1, 2),
+        orientation=np.array(upright, int),
     )
 
 
@@ -206,15 +208,15 @@ def _images(file: GcpFile, scene: Scene, notes: list[str]) -> tuple[np.ndarray, 
 
 def _marks_in(
     file: GcpFile, scene: Scene, notes: list[str], turned: Mapping[int, int]
-) -> tuple[list[FileMark], np.ndarray, np.ndarray]:
-    """Marks that are in the survey's prepared images: the marks, their images' scene indices (M,), pixels (M, 2)."""
+) -> list[tuple[FileMark, int, tuple[float, float]]]:
+    """Marks that are in the survey's prepared images, each with its image's scene index and its pixel there."""
     image, keep = _images(file, scene, notes)
     inside = _check_inside(file, dict(zip(keep, image.tolist())), scene, turned)
     if not inside:
         notes.append(
             f"{file.of_marks.name}: marks lie outside their images; made in larger or turned ones, rays will tell"
         )
-    marks, images, pixels, cut = [], [], [], []
+    marks, cut = [], []
     first: dict[tuple[str, int], FileMark] = {}
     for index, mark in zip(image.tolist(), (file.marks[k] for k in keep)):
         known = first.setdefault((mark.name, index), mark)
@@ -230,15 +232,13 @@ def _marks_in(
         if inside and not lies_in(xy, sensor):
             cut.append(mark)
             continue
-        marks.append(mark)
-        images.append(index)
-        pixels.append(xy)
+        marks.append((mark, index, xy))
     if cut:
         notes.append(
             f"{file.of_marks.name}, line {cut[0].line}: {len(cut)} marks lie where the images were cropped or "
             f"undistorted away, the first of point {cut[0].name!r} in {cut[0].image!r}; left out"
         )
-    return marks, np.array(images, int), np.array(pixels, float).reshape(-1, 2)
+    return marks
 
 
 def _check_inside(file: GcpFile, images: Mapping[int, int], scene: Scene, turned: Mapping[int, int]) -> bool:
@@ -313,15 +313,14 @@ def _geodetic(xyz: np.ndarray, crs: str, file: GcpFile) -> np.ndarray:
         if file.crs == "EPSG:4979":
             return xyz
         xyz = xyz[:, [1, 0, 2]]
-    x, y, z = xyz.T
-    out = np.stack(crs_transformer(crs).transform(x, y, z, direction="INVERSE"), axis=-1)
+    out = geodetic_from_crs(xyz, crs)
     bad = np.flatnonzero(~np.isfinite(out).all(axis=1))
     if len(bad):
         point = file.points[bad[0]]
         raise InputError(
             f"{file.path}, line {point.line}: {point.xyz} lies outside {crs}: wrong CRS or exchanged axes?"
         )
-    return out[:, [1, 0, 2]]
+    return out
 
 
 def surveyed_world(file: GcpFile, origin: Origin) -> np.ndarray:

@@ -60,13 +60,12 @@ class _Spill:
 
     def nodes(self) -> Iterator[tuple[np.ndarray, bytes]]:
         """(key, records) of each node, coarse ones first."""
-        order = np.lexsort(self.keys.T[::-1])
-        keys = self.keys[order]
-        # Where a run of equal rows begins
-        begin = np.flatnonzero(np.r_[True, (np.diff(keys, axis=0) != 0).any(axis=1)][: len(keys)])
-        for first, last in zip(begin, np.r_[begin[1:], len(keys)]):
+        node = row_numbers(self.keys.T) if len(self.keys) else np.zeros(0, int)
+        order = order_of(node)
+        begin = run_starts(node[order])
+        for first, last in zip(begin, np.r_[begin[1:], len(order)]):
             runs = [self.rows[self.start[r] : self.start[r] + self.count[r]].tobytes() for r in order[first:last]]
-            yield keys[first], b"".join(runs)
+            yield self.keys[order[first]], b"".join(runs)
 
 
 def write_copc(

@@ -2,7 +2,7 @@
 
 import re
 from dataclasses import dataclass
-from datetime import datetime, timedelta, timezone
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -10,8 +10,8 @@ import numpy as np
 from PIL import Image
 
 from tiegraph.geometry.geodesy import crs_transformer
-from tiegraph.scene import exif as tags
-from tiegraph.scene.gnss import SIGMA_RANGE_M
+from tiegraph.scene.cells import seconds_of
+from tiegraph.scene.gnss.fixes import SIGMA_RANGE_M
 from tiegraph.scene.xmp import NAN, Place, RigTags, ratio, read_place, read_rig_tags, xmp_text, xmp_value
 
 # Tags of the EXIF 2.32 standard (CIPA DC-008).
@@ -237,11 +237,8 @@ def _time(base: dict, detail: dict) -> tuple[float, bool]:
             continue
         ahead = _ZONE.fullmatch(_text(zone)) or _ZONE.fullmatch(found[8] or "")
         hours, minutes = (int(f"{ahead[1]}{ahead[k]}") for k in (2, 3)) if ahead and ahead[1] else (0, 0)
-        year, month, day, hour, minute, second = (int(v) for v in found.groups()[:6])
-        try:
-            local = datetime(year, month, day, hour, minute, second, tzinfo=timezone.utc)
-            seconds = (local - timedelta(hours=hours, minutes=minutes)).timestamp()
-        except (ValueError, OverflowError):  # the 31st of a short month; the first day of the year 1
+        seconds = seconds_of("".join(found.groups()[:6]), "%Y%m%d%H%M%S") - 3600 * hours - 60 * minutes
+        if np.isnan(seconds):  # the 31st of a short month
             continue
         part = found[7] or (f".{_text(fraction)}" if _text(fraction).isdigit() else ".0")
         return seconds + float(part), ahead is not None
@@ -253,11 +250,11 @@ def _zone(gps: dict, time_s: float) -> float:
     day, clock = re.fullmatch(r"(\d{4})\D(\d\d)\D(\d\d)", _text(gps.get(29))), gps.get(7)
     if day is None or not isinstance(clock, tuple) or len(clock) != 3:
         return NAN
-    try:
-        midnight = datetime(int(day[1]), int(day[2]), int(day[3]), tzinfo=timezone.utc).timestamp()
-    except ValueError:
-        return NAN
-    ahead = time_s - midnight - sum(_number(v) * 60 ** (2 - k) for k, v in enumerate(clock))
+    ahead = (
+        time_s
+        - seconds_of("".join(day.groups()), "%Y%m%d")
+        - sum(_number(v) * 60 ** (2 - k) for k, v in enumerate(clock))
+    )
     zone = round(ahead / 900) * 900.0 if abs(ahead) < 15 * 3600 else NAN
     return zone if abs(ahead - zone) <= _CLOCK_OFF_S else NAN
 
@@ -284,12 +281,12 @@ def _positive(value: Any) -> float:
 class Taken:
     """When (seconds since 1970) and where a picture was taken; NaN = unknown."""
 
-    time_s: float = tags.NAN
+    time_s: float = NAN
     utc: bool = False  # else in the camera's own clock
-    lat_deg: float = tags.NAN
-    lon_deg: float = tags.NAN
-    height_m: float = tags.NAN
-    sigma_m: float = tags.NAN
+    lat_deg: float = NAN
+    lon_deg: float = NAN
+    height_m: float = NAN
+    sigma_m: float = NAN
 
 
 def exif_of(taken: Taken) -> Image.Exif:
@@ -297,13 +294,13 @@ def exif_of(taken: Taken) -> Image.Exif:
     block = Image.Exif()
     if np.isfinite(taken.time_s):
         when = datetime(1970, 1, 1) + timedelta(microseconds=round(taken.time_s * 1e6))
-        detail = block.get_ifd(tags.EXIF_IFD)
-        detail[tags.TIME_ORIGINAL] = f"{when:%Y:%m:%d %H:%M:%S}"
-        detail[tags.SUBSEC_ORIGINAL] = f"{when.microsecond:06d}"
+        detail = block.get_ifd(EXIF_IFD)
+        detail[TIME_ORIGINAL] = f"{when:%Y:%m:%d %H:%M:%S}"
+        detail[SUBSEC_ORIGINAL] = f"{when.microsecond:06d}"
         if taken.utc:
-            detail[tags.OFFSET_ORIGINAL] = "+00:00"
+            detail[OFFSET_ORIGINAL] = "+00:00"
     if np.isfinite(taken.lat_deg) and np.isfinite(taken.lon_deg):
-        _write_place(block.get_ifd(tags.GPS_IFD), taken)
+        _write_place(block.get_ifd(GPS_IFD), taken)
     return block
 
 

@@ -11,6 +11,8 @@ from tiegraph.geometry.rays import unit_rays
 from tiegraph.scene.rig import Circle, LensView, Sensor
 from tiegraph.scene.tuning import FisheyeTuning
 
+_RAYS, _STEP_PX, _BLUR_PX = 240, 0.5, 0.8  # along rays from the middle, in steps, the end of what is lit is sought
+
 
 def image_circles(image: Image.Image, tuning: FisheyeTuning) -> tuple[Circle, ...]:
     """The circles that lenses light in a decoded image: one, two side by side of equal size, or () in any other."""
@@ -61,15 +63,15 @@ def lit_circle(brightness: np.ndarray, tuning: FisheyeTuning) -> Circle | None:
     is taken and laid on these again: a dark tree ends before its lens does, and a flare beyond.
     """
     height, width = brightness.shape
-    ends = _ends(cv2.GaussianBlur(brightness.astype(np.float32), (0, 0), tuning.blur_sigma_px), tuning)
+    ends = _ends(cv2.GaussianBlur(brightness.astype(np.float32), (0, 0), _BLUR_PX), tuning)
     play = tuning.play_px
     inside = np.all((ends > play) & (ends < (width - play, height - play)), axis=1)
     on = np.zeros(len(ends), bool)
-    for k in range(tuning.rays):
-        three = (k + np.arange(3) * (tuning.rays // 4)) % tuning.rays
+    for k in range(_RAYS):
+        three = (k + np.arange(3) * (_RAYS // 4)) % _RAYS
         if inside[three].all() and (close := inside & _close(ends, _fit(ends[three]), tuning)).sum() > on.sum():
             on = close
-    if on.sum() < tuning.least_share * tuning.rays:
+    if on.sum() < tuning.least_share * _RAYS:
         return None
     x, y, radius = _fit(ends[on])
     shorter = min(height, width)
@@ -86,15 +88,15 @@ def _close(points: np.ndarray, circle: Circle, tuning: FisheyeTuning) -> np.ndar
 def _ends(brightness: np.ndarray, tuning: FisheyeTuning) -> np.ndarray:
     """(K, 2) the outermost place on each ray from the middle that is not dark; the middle where all of a ray is."""
     height, width = brightness.shape
-    angle = np.arange(tuning.rays) * 2 * np.pi / tuning.rays
-    reach = np.arange(0.0, np.hypot(height, width) / 2, tuning.step_px)
+    angle = np.arange(_RAYS) * 2 * np.pi / _RAYS
+    reach = np.arange(0.0, np.hypot(height, width) / 2, _STEP_PX)
     x = width / 2 + np.outer(np.cos(angle), reach)
     y = height / 2 + np.outer(np.sin(angle), reach)
     seen = cv2.remap(brightness, (x - 0.5).astype(np.float32), (y - 0.5).astype(np.float32), cv2.INTER_LINEAR)
     inside = (x > 0) & (x < width) & (y > 0) & (y < height)
     lit = (seen > tuning.dark_grey) & inside
     last = np.where(lit.any(axis=1), lit.shape[1] - 1 - lit[:, ::-1].argmax(axis=1), 0)
-    rows = np.arange(tuning.rays)
+    rows = np.arange(_RAYS)
     return np.stack([x[rows, last], y[rows, last]], axis=1)
 
 

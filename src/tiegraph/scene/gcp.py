@@ -12,23 +12,18 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tiegraph.errors import InputError
-from tiegraph.scene.bycontent import is_file
-from tiegraph.scene.bycontent import points as points_by_content
 from tiegraph.scene.cells import length_m, says_value
-from tiegraph.scene.columnwords import SIGMAS, known_words
+from tiegraph.scene.columnwords import SIGMAS, is_file, known_words
+from tiegraph.scene.columnwords import points as points_by_content
 from tiegraph.scene.crsline import coordinates_of, crs_above, exchanged, parse_crs_line, say_axes, units_of
 from tiegraph.scene.table import Table, table_of
 from tiegraph.scene.targets import BAR_FORM, FORM, FileBar, Target, count_of, names_bars, read_bars, target_of
 from tiegraph.scene.textfile import decoded, delimiter_of_rows, filled_lines, header_words, split_cells, whole_file
 from tiegraph.scene.tuning import ControlTuning
-
-if TYPE_CHECKING:
-    pass
 
 MAX_SIGMA_M = 100.0  # no survey of a point is worse: another unit, or a typing error
 _CHECK = ("check", "checkpoint", "check_point", "checkpoints", "cp", "chk")

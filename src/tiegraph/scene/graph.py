@@ -223,15 +223,11 @@ def component_notes(pairs: Pairs, scene: Scene) -> tuple[str, ...]:
     several = np.flatnonzero(size > 1)
     if len(several) > 1:
         named = [f"{size[k]} images with {scene.names[int(np.argmax(labels == k))]}" for k in several]
-        held = "; the frames of the rig hold them together" if _frames_connected(pairs, scene) else ""
+        kept = pairs.kept()  # every image stands for its frame
+        whole = not parts(scene.frame[kept.i], scene.frame[kept.j], scene.frames).any()
+        held = "; the frames of the rig hold them together" if whole else ""
         notes.append(f"the pairs fall into {len(several)} components: {some(named, 10)}{held}")
     return tuple(notes)
-
-
-def _frames_connected(pairs: Pairs, scene: Scene) -> bool:
-    """Whether all frames are one component, every image standing for its frame."""
-    kept = pairs.kept()
-    return int(parts(scene.frame[kept.i], scene.frame[kept.j], scene.frames).max(initial=0)) == 0
 
 
 def unite(first: np.ndarray, links: Iterable[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:

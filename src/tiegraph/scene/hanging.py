@@ -9,21 +9,16 @@ of the others follows from its pose and the rig.
 network sees them, and writes the whole survey to ``whole.json``. ``georef`` hangs them on the model again.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
+import pycolmap
 
 from tiegraph.errors import InputError
 from tiegraph.scene.colmapmodel import rigid3d
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
-
-if TYPE_CHECKING:
-    import pycolmap
 
 WIDE = "wide"
 
@@ -92,8 +87,6 @@ def _check(rig: Rig) -> None:
 def with_hanging(model: pycolmap.Reconstruction, whole: Scene) -> pycolmap.Reconstruction:
     """A metric model of the images that carry, with those that hang on their frames: as the rig places them, without
     observations. Ids of the model's cameras, images and frames stay; those of its points are new."""
-    import pycolmap
-
     out, cameras = pycolmap.Reconstruction(), {}
     for camera in model.cameras.values():
         out.add_camera(camera)
@@ -123,8 +116,6 @@ def _add_images(
     cameras: dict[tuple[int, int], pycolmap.Camera],
 ) -> None:
     """The frames of a model with all their images; ``cameras``: by rig and sensor those of the images that hang."""
-    import pycolmap
-
     carry, free = carries(whole), max(model.images) + 1
     for number, old in model.frames.items():
         frame = pycolmap.Frame(frame_id=number, rig_id=old.rig_id)

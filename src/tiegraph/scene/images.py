@@ -35,12 +35,8 @@ from tiegraph.scene.xmp import xmp_text
 SUFFIXES = (".jpg", ".jpeg", ".jpe", ".jfif", ".png", ".tif", ".tiff", ".bmp", ".webp", ".ppm", ".pgm", ".mpo", ".insp",
             ".jp2", ".j2k", ".avif", ".heic", ".heif", ".hif", *RAW, ".jxl", ".gif")  # fmt: skip
 UNREADABLE = (".jxl", ".gif")  # found, and refused by name, so that they are not missed silently
-OF_CAMERAS = (
-    ".heic",
-    ".heif",
-    ".hif",
-    *RAW,
-)  # formats of cameras alone, which keep a JPEG beside or are exported as one
+# Formats of cameras alone, which keep a JPEG beside or are exported as one
+OF_CAMERAS = (".heic", ".heif", ".hif", *RAW)
 IMAGES_FOLDER = "images"
 _IGNORED = ("thumbs.db", "desktop.ini", "__macosx")
 # Folders of network storage and of systems, with thumbnails and what was thrown away.

@@ -17,6 +17,10 @@ from tiegraph.scene.graph import forest, parts
 from tiegraph.scene.sorting import evenly
 from tiegraph.scene.tuning import JoiningTuning
 
+_ASKED = 40  # shared images, evenly spread, whose turns are tried for the one most agree with
+_REFITS = 3  # of scale and shift to the images that agree
+_ROUNDS = 10  # of the rotations of all blocks
+
 
 @dataclass(frozen=True)
 class Poses:
@@ -73,7 +77,7 @@ def join_models(models: Sequence[Poses], tuning: JoiningTuning) -> JoinResult:
     size = np.bincount(part, [len(m.images) for m in models])
     rank = np.empty(len(size), int)
     rank[np.argsort(-size, kind="stable")] = np.arange(len(size))
-    return JoinResult(_adjusted(good, len(models), tuning.rounds), rank[part], joins)
+    return JoinResult(_adjusted(good, len(models)), rank[part], joins)
 
 
 def moved(cam_from_model: np.ndarray, world_from_model: Similarity) -> np.ndarray:
@@ -96,7 +100,7 @@ def join(a: int, b: int, first: Poses, second: Poses, tuning: JoiningTuning) -> 
     limit = tuning.shift * second.range_
     scale, shift = _start(x_turned, y, same, (first.range_, second.range_), tuning)
     agree = same & (np.linalg.norm(scale * x_turned + shift - y, axis=1) < limit)
-    for _ in range(tuning.refits):
+    for _ in range(_REFITS):
         if agree.sum() < tuning.shared:
             break
         scale, shift = _fitted(x_turned[agree], y[agree], scale, limit)
@@ -115,7 +119,7 @@ def join(a: int, b: int, first: Poses, second: Poses, tuning: JoiningTuning) -> 
 
 def _mean_turn(turns: np.ndarray, tuning: JoiningTuning) -> tuple[np.ndarray, np.ndarray]:
     """Mean of the rotations (K, 3, 3) that agree with the one most agree with, and which (K,) do."""
-    some = turns[evenly(len(turns), tuning.asked)]
+    some = turns[evenly(len(turns), _ASKED)]
     near = transforms.angle_deg(some[:, None], turns[None]) < tuning.turn_deg
     same = near[np.argmax(near.sum(axis=1))]
     mean = Rotation.from_matrix(turns[same]).mean().as_matrix()
@@ -131,7 +135,7 @@ def _start(
     No median over all: where a model has one of two passes in a wrong place, half the distances are wrong.
     """
     of = np.flatnonzero(same)
-    asked = of[evenly(len(of), tuning.asked)]
+    asked = of[evenly(len(of), _ASKED)]
     i, j = (asked[k] for k in np.triu_indices(len(asked), 1))
     dx, dy = np.linalg.norm(x[i] - x[j], axis=1), np.linalg.norm(y[i] - y[j], axis=1)
     long = dx >= np.median(dx) if len(dx) else np.zeros(0, bool)
@@ -179,7 +183,7 @@ def _along_tree(tree: list[Join], models: int) -> list[Similarity]:
     at: list[Similarity | None] = [None] * models
     beside: list[list[tuple[int, Similarity]]] = [[] for _ in range(models)]
     for x in tree:
-        beside[x.a].append((x.b, _inverse(x.b_from_a)))  # a_from_b
+        beside[x.a].append((x.b, x.b_from_a.inverse()))  # a_from_b
         beside[x.b].append((x.a, x.b_from_a))
     for root in range(models):
         if at[root] is not None:
@@ -190,12 +194,12 @@ def _along_tree(tree: list[Join], models: int) -> list[Similarity]:
             here = todo.pop()
             for there, here_from_there in beside[here]:
                 if at[there] is None:
-                    at[there] = _after(at[here], here_from_there)  # type: ignore[arg-type]
+                    at[there] = at[here] @ here_from_there  # type: ignore[operator]
                     todo.append(there)
     return at  # type: ignore[return-value]
 
 
-def _adjusted(joins: list[Join], models: int, rounds: int) -> tuple[Similarity, ...]:
+def _adjusted(joins: list[Join], models: int) -> tuple[Similarity, ...]:
     """world_from each model by all joins."""
     i, j = (np.array([getattr(x, n) for x in joins], int) for n in ("a", "b"))
     weight = np.array([x.agree for x in joins], float)
@@ -208,7 +212,7 @@ def _adjusted(joins: list[Join], models: int, rounds: int) -> tuple[Similarity, 
     scale = np.exp(log_scale)
     turn = np.stack([s.rotation for s in start])
     measured = np.stack([x.b_from_a.rotation for x in joins])
-    for _ in range(rounds):
+    for _ in range(_ROUNDS):
         # world_from_a = world_from_b b_from_a; what is missing, as a rotation vector in the world.
         missing = Rotation.from_matrix(turn[j] @ measured @ np.swapaxes(turn[i], 1, 2)).as_rotvec()
         turn = Rotation.from_rotvec(solve(missing)).as_matrix() @ turn
@@ -230,14 +234,3 @@ class _Solver:
 
     def __call__(self, given: np.ndarray) -> np.ndarray:
         return self._inverse[:, : len(given)] @ (self._weight[:, None] * given)
-
-
-def _inverse(s: Similarity) -> Similarity:
-    back = s.rotation.T
-    return Similarity(1 / s.scale, back, -back @ s.translation / s.scale)
-
-
-def _after(c_from_b: Similarity, b_from_a: Similarity) -> Similarity:
-    """c_from_a."""
-    shift = c_from_b.scale * c_from_b.rotation @ b_from_a.translation + c_from_b.translation
-    return Similarity(c_from_b.scale * b_from_a.scale, c_from_b.rotation @ b_from_a.rotation, shift)

@@ -9,8 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import pycolmap
 
-from tiegraph.scene.rays import on_plane
-from tiegraph.scene.rig import Sensor, Source
+from tiegraph.scene.rig import Sensor, Source, on_plane
 
 EDGE_PX = 1.0  # a mark may lie this far off its image: programs count from the pixel's centre or corner
 

@@ -9,10 +9,11 @@ import numpy as np
 
 from tiegraph.scene.graph import blocks, unite
 from tiegraph.scene.pairs import pair_key
+from tiegraph.scene.sorting import Arrays, freeze
 
 
 @dataclass(frozen=True)
-class PreviewMatches:
+class PreviewMatches(Arrays):
     """Preview matches of T image pairs i < j, sorted and unique, read-only.
 
     ``matches`` (M, 2) u2: feature of image i, feature of image j (rows of the two images' previews), inliers of one
@@ -26,11 +27,7 @@ class PreviewMatches:
     matches: np.ndarray  # (M, 2) u2
 
     def __post_init__(self) -> None:
-        dtypes = {"i": np.int32, "j": np.int32, "start": np.int64, "matches": np.uint16}
-        for name, dtype in dtypes.items():
-            column = np.array(getattr(self, name), dtype=dtype)
-            column.setflags(write=False)
-            object.__setattr__(self, name, column)
+        freeze(self, {"i": np.int32, "j": np.int32, "start": np.int64, "matches": np.uint16})
         key = pair_key(self.i, self.j)
         if np.any(self.i >= self.j) or np.any(np.diff(key) <= 0) or len(self.start) != len(self.i) + 1:
             raise ValueError("ties must have i < j and be sorted and unique: build them with PreviewMatches.make")
@@ -116,18 +113,9 @@ class PreviewMatches:
         count = np.append(self.counts(), 0)[row]
         return np.where(row >= 0, count, np.nan).astype(np.float32)
 
-    def to_npz(self) -> dict[str, np.ndarray]:
-        """Columns for ``np.savez``."""
-        return {"i": self.i, "j": self.j, "start": self.start, "matches": self.matches}
-
-    @staticmethod
-    def from_npz(data: dict[str, np.ndarray]) -> PreviewMatches:
-        """Inverse of ``to_npz``; other entries are ignored."""
-        return PreviewMatches(**{n: data[n] for n in ("i", "j", "start", "matches")})
-
 
 @dataclass(frozen=True)
-class Visibility:
+class Visibility(Arrays):
     """Points each image sees: those of image k are ``point[start[k]:start[k + 1]]``, increasing."""
 
     start: np.ndarray  # (N + 1,)
@@ -138,12 +126,3 @@ class Visibility:
     def of(self, image: int) -> np.ndarray:
         """Points of an image."""
         return self.point[self.start[image] : self.start[image + 1]]
-
-    def to_npz(self) -> dict[str, np.ndarray]:
-        """Columns for ``np.savez``."""
-        return {"start": self.start, "point": self.point, "xyz": self.xyz, "centre": self.centre}
-
-    @staticmethod
-    def from_npz(data: dict[str, np.ndarray]) -> Visibility:
-        """Inverse of ``to_npz``."""
-        return Visibility(**{n: data[n] for n in ("start", "point", "xyz", "centre")})

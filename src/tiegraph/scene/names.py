@@ -42,15 +42,17 @@ def lookup_of(named: Iterable[tuple[str, int]]) -> dict[str, int]:
     """What a name in a file of the user's is of, for ``found_by``: names of images, their file names and stems where
     these are of one, and all of them in any case, as Windows takes names, where that is of one."""
     full = dict(named)
-    short: dict[str, set[int]] = {}
-    for name, what in full.items():
-        for key in (PurePosixPath(name).name, PurePosixPath(name).stem):
-            short.setdefault(key, set()).add(what)
-    out = {key: next(iter(found)) for key, found in short.items() if len(found) == 1} | full
-    lower: dict[str, set[int]] = {}
-    for key, what in out.items():
-        lower.setdefault(f"{_ANY_CASE}{key.lower()}", set()).add(what)
-    return {key: next(iter(found)) for key, found in lower.items() if len(found) == 1} | out
+    ends = ((key, k) for n, k in full.items() for key in (PurePosixPath(n).name, PurePosixPath(n).stem))
+    out = _of_one(ends) | full
+    return _of_one((f"{_ANY_CASE}{key.lower()}", k) for key, k in out.items()) | out
+
+
+def _of_one(named: Iterable[tuple[str, int]]) -> dict[str, int]:
+    """What is of one only, by name."""
+    found: dict[str, set[int]] = {}
+    for name, what in named:
+        found.setdefault(name, set()).add(what)
+    return {name: whats.pop() for name, whats in found.items() if len(whats) == 1}
 
 
 def found_by(lookup: Mapping[str, int], name: str) -> int | None:

@@ -14,7 +14,7 @@ import numpy as np
 from tiegraph.errors import InputError
 from tiegraph.scene.names import plain_name
 from tiegraph.scene.scene import Scene
-from tiegraph.scene.sorting import Columns
+from tiegraph.scene.sorting import Arrays, Columns, freeze
 from tiegraph.scene.textfile import decoded, delimiter_of_rows, filled_lines, split_cells, whole_file
 from tiegraph.text import csv_text
 
@@ -48,7 +48,7 @@ def pair_key(i: np.ndarray, j: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Pairs(Columns):
+class Pairs(Columns, Arrays):
     """P pairs of images i < j, sorted and unique; columns (P,), read-only.
 
     ``source`` is a bit set over SOURCES, ``dropped`` an index into REASONS (0 = kept), ``score`` the preview matches
@@ -70,11 +70,11 @@ class Pairs(Columns):
     inliers: np.ndarray
 
     def __post_init__(self) -> None:
-        dtypes = {"i": np.int32, "j": np.int32, "source": np.uint8, "dropped": np.uint8, "inliers": np.int32}
-        for name in self.columns():
-            column = np.array(getattr(self, name), dtype=dtypes.get(name, np.float32))
-            column.setflags(write=False)
-            object.__setattr__(self, name, column)
+        numbers = dict.fromkeys(NUMBERS, np.float32)
+        freeze(
+            self,
+            {"i": np.int32, "j": np.int32, "source": np.uint8, "dropped": np.uint8, "inliers": np.int32, **numbers},
+        )
         if np.any(self.i >= self.j) or np.any(np.diff(self.key) <= 0):
             raise ValueError("pairs must have i < j and be sorted and unique: build them with Pairs.make")
 
@@ -185,15 +185,6 @@ class Pairs(Columns):
             for i, j, source, dropped, inliers, *numbers in zip(*(c[first : first + _LINES].tolist() for c in columns)):
                 by = "+".join(s for k, s in enumerate(SOURCES) if source >> k & 1)
                 yield [names[i], names[j], by, REASONS[dropped], *map(_number, numbers), inliers]
-
-    def to_npz(self) -> dict[str, np.ndarray]:
-        """Columns for ``np.savez``."""
-        return {n: getattr(self, n) for n in self.columns()}
-
-    @staticmethod
-    def from_npz(data: dict[str, np.ndarray]) -> Pairs:
-        """Inverse of ``to_npz``; other entries are ignored."""
-        return Pairs(**{n: data[n] for n in Pairs.columns()})
 
 
 def source_bit(source: str) -> int:

@@ -22,6 +22,7 @@ _TAGS = ("FullPanoWidthPixels", "FullPanoHeightPixels", "CroppedAreaImageWidthPi
 _ROUNDED_PX = 2  # by which sizes in tags may contradict each other
 # Black is what software fills in where it has no picture, with JPEG's noise, in all pixels of a row but this share.
 _BLACK_GREY, _LIT = 24, 0.01
+_LOOK_PX, _BESIDE = 512, 9  # width at which poles and seam are looked at, columns beside the seam that tell its steps
 
 
 Box = tuple[int, int, int, int]
@@ -114,10 +115,10 @@ def is_equirectangular(image: Image.Image, tuning: PanoramaTuning) -> bool:
     """
     if image.width != 2 * image.height or image.width < tuning.min_width_px:
         return False
-    size = tuning.look_px, tuning.look_px // 2
+    size = _LOOK_PX, _LOOK_PX // 2
     grey = np.asarray(image.convert("L").resize(size, Image.Resampling.BOX), float)
     poles = max(grey[0].std(), grey[-1].std())
-    borders = grey[:, : tuning.beside], grey[:, -tuning.beside :]
+    borders = grey[:, :_BESIDE], grey[:, -_BESIDE:]
     beside = np.abs(np.diff(borders[0], axis=1)).mean() + np.abs(np.diff(borders[1], axis=1)).mean()
     seam = np.abs(grey[:, 0] - grey[:, -1]).mean()
     step = max(beside / 2, tuning.least_step_grey)

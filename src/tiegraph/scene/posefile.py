@@ -19,11 +19,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tiegraph.errors import InputError
-from tiegraph.geometry.transforms import rigid
+from tiegraph.geometry.transforms import are_rotations, rigid
 from tiegraph.scene.cells import number, out_of_order
 from tiegraph.scene.columnwords import without_unit
 from tiegraph.scene.table import read_table
-from tiegraph.scene.timecolumns import Times, times_in, times_of
+from tiegraph.scene.times import Times, times_in, times_of
 
 FORMS = "a TUM file: t x y z qx qy qz qw"
 _TUM, _KITTI, _EUROC = 8, 12, 17  # columns
@@ -35,8 +35,10 @@ _HEADERS = "'# time x y z qx qy qz qw' or '# time x y z qw qx qy qz'"
 _NANOSECONDS = 1e17  # times since 1970 above this are in nanoseconds
 _FAR_M = 1e8  # ECEF and grid coordinates are smaller
 _EXTENT_M = 1e6  # of a survey
+_PLAY = 1e-2  # by so much may the length of a quaternion, or R R^T, miss 1
 _MOVED = 1e-9  # poses that differ less are the same
 W_LAST, W_FIRST = (0, 1, 2, 3), (1, 2, 3, 0)  # columns of x, y, z, w
+_WORDS = ("first", "last")
 _STEPS, _MOVE = 8, 0.1  # moves needed to see which way a body drives, and the least one in median moves
 _BETTER, _UNSTEADY = 0.25, 0.01  # how much steadier the other order must be, and how unsteady this one
 _NOWHERE_M = 1e12  # products of larger numbers overflow
@@ -46,13 +48,18 @@ _ABOUT, _ASKEW = 0.9, 0.5  # |cosine| of turns about the normal of a plane, and 
 
 
 @dataclass(frozen=True)
-class PoseFile:
+class Trajectory:
     """Poses in time order: time_s (T,), NaN where the file has none; poses (T, 4, 4); what to say of the file."""
 
     time_s: np.ndarray
     poses: np.ndarray
     notes: tuple[str, ...] = ()
+    names: tuple[str, ...] = ()  # the image of each pose, which then is its camera's, in no order; else ()
+    metric: bool = True  # lengths are metres
     period_s: float = 0.0  # times count within a day or a GPS week that nothing names; 0 = from an epoch
+
+    def __len__(self) -> int:
+        return len(self.time_s)
 
 
 @dataclass(frozen=True)
@@ -72,7 +79,7 @@ class _Rows:
         return InputError(f"{self.path}, line {self.lines[row]}: {message}")
 
 
-def read_poses(path: Path) -> PoseFile:
+def read_poses(path: Path) -> Trajectory:
     """Read a file of poses.
 
     Rows are sorted by time; of rows of one time the first stays, and both is said. Raises InputError with the line for
@@ -84,14 +91,14 @@ def read_poses(path: Path) -> PoseFile:
         poses = _kitti(rows)
         _check_places(rows, poses[:, :3, 3])
         _check_moves(rows, poses)
-        return PoseFile(np.full(len(poses), np.nan), poses, rows.notes)
+        return Trajectory(np.full(len(poses), np.nan), poses, rows.notes)
     columns, said = _columns(rows)
     table = rows.numbers[:, columns]
     found = _checked(rows, rows.times.seconds, table, (*rows.notes, *said))
     return replace(found, period_s=rows.times.period_s)
 
 
-def checked_poses(path: Path, time_s: np.ndarray, xyz: np.ndarray, quaternion_xyzw: np.ndarray) -> PoseFile:
+def checked_poses(path: Path, time_s: np.ndarray, xyz: np.ndarray, quaternion_xyzw: np.ndarray) -> Trajectory:
     """Poses of a file without text as ``read_poses`` gives them, by their columns (T, ...); lines are their numbers."""
     table = np.column_stack([time_s, xyz, quaternion_xyzw])
     rows = _Rows(path, table, lines=list(range(1, len(table) + 1)), times=Times(time_s, {}))
@@ -103,21 +110,21 @@ def checked_poses(path: Path, time_s: np.ndarray, xyz: np.ndarray, quaternion_xy
     return _checked(rows, time_s, table)
 
 
-def _checked(rows: _Rows, time_s: np.ndarray, table: np.ndarray, said: tuple[str, ...] = ()) -> PoseFile:
+def _checked(rows: _Rows, time_s: np.ndarray, table: np.ndarray, said: tuple[str, ...] = ()) -> Trajectory:
     """Poses of (T, 8) columns of _FIELDS in time order. Raises InputError for what no trajectory can be."""
     bad = np.flatnonzero(~np.isfinite(time_s))
     if len(bad):
         raise rows.fail(bad[0], f"the time {table[bad[0], 0]:g} is none: seconds, or nanoseconds since 1970")
     with np.errstate(over="ignore"):
         length = np.linalg.norm(table[:, 4:], axis=1)
-    bad = np.flatnonzero(~(np.abs(length - 1) <= 1e-2))
+    bad = np.flatnonzero(~(np.abs(length - 1) <= _PLAY))
     if len(bad):
         raise rows.fail(bad[0], f"the quaternion qx qy qz qw has length {length[bad[0]]:.3g}, not 1")
     _check_places(rows, table[:, 1:4])
     poses = rigid(Rotation.from_quat(table[:, 4:]).as_matrix(), table[:, 1:4])
     _check_moves(rows, poses)
     keep, notes = _in_time(rows, time_s)
-    return PoseFile(time_s[keep], poses[keep], (*said, *notes))
+    return Trajectory(time_s[keep], poses[keep], (*said, *notes))
 
 
 # --- text -----------------------------------------------------------------------------------------------------------
@@ -221,9 +228,7 @@ def _columns(rows: _Rows) -> tuple[tuple[int, ...], tuple[str, ...]]:
 def _kitti(rows: _Rows) -> np.ndarray:
     matrices = rows.numbers.reshape(-1, 3, 4)
     turns = matrices[:, :, :3]
-    with np.errstate(over="ignore", invalid="ignore"):
-        off = np.abs(turns @ np.swapaxes(turns, 1, 2) - np.eye(3)).max(axis=(1, 2))
-        bad = np.flatnonzero(~(off <= 1e-2) | (np.linalg.det(turns) < 0))
+    bad = np.flatnonzero(~are_rotations(turns, _PLAY))
     if len(bad):
         raise rows.fail(bad[0], "columns 1-3, 5-7, 9-11 are not a rotation")
     return rigid(Rotation.from_matrix(turns).as_matrix(), matrices[:, :, 3])
@@ -273,7 +278,7 @@ class Order:
 
 def order_of_start(position: np.ndarray, quaternion: np.ndarray) -> Order:
     """What the first position (3,) and quaternion (4,) say: most odometry begins at zero without a turn."""
-    for is_first, unit, words in ((True, "1 0 0 0", ("first", "last")), (False, "0 0 0 1", ("last", "first"))):
+    for is_first, unit, words in ((True, "1 0 0 0", _WORDS), (False, "0 0 0 1", _WORDS[::-1])):
         if not position.any() and np.allclose(quaternion, np.array(unit.split(), float), atol=1e-6):
             why = f"the first pose is at zero with {unit}, no turn with w {words[0]} but half a turn with w {words[1]}"
             return Order(first=is_first, why=why, sure=True)
@@ -285,22 +290,18 @@ def order_of(position: np.ndarray, quaternion: np.ndarray) -> Order:
     no_places = not np.abs(position).max(initial=0.0) < _NOWHERE_M
     if no_places or not ((np.abs(quaternion) <= 2).all() and (np.abs(quaternion).max(axis=1) > 0.1).all()):
         return Order()  # who reads them says so
-    last, first = (_unsteady(position, quaternion[:, list(o)]) for o in (W_LAST, W_FIRST))
-    for is_first, this, other, words in (
-        (True, first, last, ("first", "last")),
-        (False, last, first, ("last", "first")),
-    ):
-        if other > _UNSTEADY and this < _BETTER * other:
-            why = f"with w {words[0]} the body moves in one direction of its own, with w {words[1]} it does not"
-            return Order(first=is_first, why=why, sure=True)
-    last, first = (_about_normal(position, quaternion[:, list(o)]) for o in (W_LAST, W_FIRST))
-    for is_first, this, other, words in (
-        (True, first, last, ("first", "last")),
-        (False, last, first, ("last", "first")),
-    ):
-        if this > _ABOUT and other < _ASKEW:
-            why = f"with w {words[0]} the body turns about the normal of its path, with w {words[1]} it does not"
-            return Order(first=is_first, why=why)
+    tests = (
+        (_unsteady, lambda this, other: other > _UNSTEADY and this < _BETTER * other, True,
+         "the body moves in one direction of its own"),
+        (_about_normal, lambda this, other: this > _ABOUT and other < _ASKEW, False,
+         "the body turns about the normal of its path"),
+    )  # fmt: skip
+    for measure, speaks, sure, what in tests:
+        last, first = (measure(position, quaternion[:, list(o)]) for o in (W_LAST, W_FIRST))
+        for is_first, this, other, words in ((True, first, last, _WORDS), (False, last, first, _WORDS[::-1])):
+            if speaks(this, other):
+                why = f"with w {words[0]} {what}, with w {words[1]} it does not"
+                return Order(first=is_first, why=why, sure=sure)
     return Order()
 
 

@@ -16,6 +16,7 @@ from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import RegisteredTuning
 
 BY_RIG = "placed by the rig"  # what the others are called in tables
+_ASKED = 100  # points of an image that are looked at; of more, some that are spread evenly
 LEFT_OUT = "left out: "  # how the reason of an image begins that stood at a wrong place
 
 
@@ -56,7 +57,7 @@ def agreeing_points(model: Any, tuning: RegisteredTuning) -> dict[str, int]:
 
 def _agreeing(model: Any, image: Any, tuning: RegisteredTuning) -> int:
     rows = image.get_observation_point2D_idxs()
-    asked = [image.point2D(rows[k]) for k in np.linspace(0, len(rows) - 1, min(len(rows), tuning.asked)).astype(int)]
+    asked = [image.point2D(rows[k]) for k in np.linspace(0, len(rows) - 1, min(len(rows), _ASKED)).astype(int)]
     if not asked:
         return 0
     pose = image.cam_from_world().matrix()

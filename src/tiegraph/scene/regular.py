@@ -1,9 +1,16 @@
-"""What may be opened: files. A named pipe waits for ever for its writer, and ``/dev/zero`` never ends."""
+"""What may be opened: files. A named pipe waits for ever for its writer, and ``/dev/zero`` never ends.
+
+And what was read of a file, kept in memory for as long as the file stays the same: a cache by path alone gives old data
+where a process outlives a run, in the workers of Dask, in a notebook.
+"""
 
 import errno
+import functools
 import os
 import stat
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 _KINDS = (
     (stat.S_ISDIR, "a folder"),
@@ -43,3 +50,33 @@ def regular(path: Path, most_bytes: int | None = MOST_BYTES) -> Path:
         size, most = (f"{n / 2**30:.3g} GiB" for n in (info.st_size, most_bytes))
         raise OSError(errno.EFBIG, f"{size}, more than the {most} that such a file may have", str(path))
     return path
+
+
+def cached_by_file(maxsize: int, file: Callable[..., Any] | None = None) -> Callable[[Callable], Any]:
+    """``functools.lru_cache`` for functions that read a file.
+
+    ``file`` gives the file's path from the arguments (default: it is the first of them). A file that was replaced or
+    changed (number, size or time) is read again. ``cache_clear()`` of the function forgets all.
+    """
+
+    def decorate(function: Callable) -> Any:
+        @functools.lru_cache(maxsize)
+        def kept(_stamp: tuple[int, ...] | None, *args: Any) -> Any:
+            return function(*args)
+
+        @functools.wraps(function)
+        def call(*args: Any) -> Any:
+            return kept(_stamp_of(args[0] if file is None else file(*args)), *args)
+
+        call.cache_clear = kept.cache_clear  # type: ignore[attr-defined]
+        return call
+
+    return decorate
+
+
+def _stamp_of(path: Any) -> tuple[int, ...] | None:
+    try:
+        info = os.stat(path)
+    except OSError:
+        return None  # the function says what is wrong
+    return info.st_dev, info.st_ino, info.st_size, info.st_mtime_ns

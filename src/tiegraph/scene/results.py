@@ -1,4 +1,4 @@
-"""What the later stages make: depth maps, clouds, trajectories, metrics, and their files.
+"""What the later stages make: depth maps, clouds, metrics, and their files.
 
 Depth maps are compressed .npz: depth (f4), sigma as a share of the depth (f2), views (u1), normal (i1).
 """
@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import zipfile
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,23 +22,6 @@ from tiegraph.scene.sorting import Columns
 from tiegraph.text import finite
 
 _KEPT_BITS = 15  # of the mantissa: 3e-5 of the depth, far below any sigma; the rest is noise that does not compress
-
-
-@dataclass(frozen=True)
-class Trajectory:
-    """T poses in time order: time_s (T,), world_from_rig (T, 4, 4), sigma_m (T,) NaN = unknown."""
-
-    time_s: np.ndarray
-    world_from_rig: np.ndarray
-    sigma_m: np.ndarray
-    origin: Origin | None = None
-    notes: tuple[str, ...] = ()  # what to say of the file it came from
-    names: tuple[str, ...] = ()  # the image of each pose, which then is its camera's, in no order; else ()
-    metric: bool = True  # lengths are metres
-    period_s: float = 0.0  # times count within a day or a GPS week that nothing names; 0 = from an epoch
-
-    def __len__(self) -> int:
-        return len(self.time_s)
 
 
 @dataclass(frozen=True)
@@ -78,12 +61,6 @@ class Cloud(Columns):
         """The points and their normals by a rigid motion (4, 4)."""
         normal = (self.normal @ pose[:3, :3].T).astype(np.float32)
         return replace(self, xyz_m=transforms.apply(pose, self.xyz_m), normal=normal)
-
-    @staticmethod
-    def concatenate(clouds: list[Cloud]) -> Cloud:
-        """All points of several clouds; the origin of the first."""
-        columns = {f.name: np.concatenate([getattr(c, f.name) for c in clouds]) for f in fields(Cloud)[:-1]}
-        return Cloud(**columns, origin=clouds[0].origin)
 
     @staticmethod
     def empty(origin: Origin | None = None) -> Cloud:

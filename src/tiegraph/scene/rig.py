@@ -1,9 +1,13 @@
-"""Sensors and rigs: a lone camera is a rig of one, loose photographs are a rig of one shot many times."""
+"""Sensors and rigs: a lone camera is a rig of one, loose photographs are a rig of one shot many times. And what a pixel
+of a camera looks at: the only place where COLMAP's cameras are asked for it.
+"""
 
 from dataclasses import dataclass
 
 import numpy as np
 import pycolmap
+
+from tiegraph.geometry.rays import unit_rays
 
 ROLES = ("side", "up", "wide")
 
@@ -21,10 +25,6 @@ class LensView:
     lens: pycolmap.Camera
     rotation: tuple[float, ...]
 
-    def view_from_lens(self) -> np.ndarray:
-        """Rotation (3, 3)."""
-        return np.reshape(self.rotation, (3, 3))
-
 
 @dataclass(frozen=True)
 class Source:
@@ -33,10 +33,7 @@ class Source:
     camera: pycolmap.Camera | None = None  # camera of the file before cropping and undistortion; None = not known
     crop_px: tuple[int, int, int, int] = (0, 0, 0, 0)  # cut off left, top, right, bottom
     upright: bool = True  # turn by the EXIF orientation; False: keep the sensor's own rows and columns
-    levels: tuple[float, float] = (
-        0,
-        255,
-    )  # of a deeper file: what becomes 0 and 255, in all images alike
+    levels: tuple[float, float] = (0, 255)  # of a deeper file: what becomes 0 and 255, in all images alike
     panorama: tuple[float, ...] = ()  # of a view of an equirectangular panorama: view_from_panorama (3, 3), row by row
     view: LensView | None = None  # the file, cropped, is a fisheye image; the image is a view of it
     circle_px: Circle | None = None  # what the lens lights of the cropped file; None = all of it
@@ -154,29 +151,26 @@ def camera_from_dict(data: dict | None) -> pycolmap.Camera | None:
     return camera
 
 
+_RIG = ("name", "fixed", "nominal", "antenna_m", "synchronised")  # fields that JSON holds as they are
+
+
 def rig_to_dict(rig: Rig) -> dict:
     """JSON-ready form of a rig."""
-    return {
-        "name": rig.name,
-        "fixed": rig.fixed,
-        "nominal": rig.nominal,
-        "antenna_m": rig.antenna_m,
-        "synchronised": rig.synchronised,
-        "pairs": [{"sensors": list(p.sensors), **{k: getattr(p, k) for k in PAIR_KEYS}} for p in rig.pairs],
-        "sensors": [
-            {
-                "name": s.name,
-                "folder": s.folder,
-                "role": s.role,
-                "source": _source_to_dict(s.source),
-                "camera": camera_to_dict(s.camera),
-                "sensor_from_rig": None if s.sensor_from_rig is None else s.sensor_from_rig.tolist(),
-                "sigma": [s.sigma_deg, s.sigma_m],
-                **({} if s.camera_sigma_px is None else {"camera_sigma_px": s.camera_sigma_px}),
-            }
-            for s in rig.sensors
-        ],
-    }
+    pairs = [{"sensors": list(p.sensors), **{k: getattr(p, k) for k in PAIR_KEYS}} for p in rig.pairs]
+    sensors = [
+        {
+            "name": s.name,
+            "folder": s.folder,
+            "role": s.role,
+            "source": _source_to_dict(s.source),
+            "camera": camera_to_dict(s.camera),
+            "sensor_from_rig": None if s.sensor_from_rig is None else s.sensor_from_rig.tolist(),
+            "sigma": [s.sigma_deg, s.sigma_m],
+            **({} if s.camera_sigma_px is None else {"camera_sigma_px": s.camera_sigma_px}),
+        }
+        for s in rig.sensors
+    ]
+    return {**{name: getattr(rig, name) for name in _RIG}, "pairs": pairs, "sensors": sensors}
 
 
 def rig_from_dict(data: dict) -> Rig:
@@ -195,18 +189,11 @@ def rig_from_dict(data: dict) -> Rig:
         )
         for s in data["sensors"]
     )
-    antenna = None if data["antenna_m"] is None else tuple(data["antenna_m"])
+    said: dict = {"synchronised": False, **data}  # older files say nothing of it
+    given = {name: said[name] for name in _RIG}
+    given["antenna_m"] = None if given["antenna_m"] is None else tuple(given["antenna_m"])
     pairs = tuple(SensorPair(tuple(p["sensors"]), **{k: p[k] for k in PAIR_KEYS}) for p in data.get("pairs", ()))
-    told = data.get("synchronised", False)
-    return Rig(
-        name=data["name"],
-        sensors=sensors,
-        fixed=data["fixed"],
-        nominal=data["nominal"],
-        antenna_m=antenna,
-        pairs=pairs,
-        synchronised=told,
-    )
+    return Rig(**given, sensors=sensors, pairs=pairs)
 
 
 def _source_to_dict(source: Source | None) -> dict | None:
@@ -238,3 +225,29 @@ def _source_from_dict(data: dict | None) -> Source | None:
         circle_px=None if circle is None else tuple(circle),
         part=data.get("part"),
     )
+
+
+def on_plane(camera: pycolmap.Camera, xy: np.ndarray) -> np.ndarray:
+    """(K, 2) places on the plane z = 1 of the camera's frame of pixels (K, 2); NaN where its lens has no inverse.
+
+    Of pixels 90 degrees off the axis of a fisheye lens and more, which have none, COLMAP gives places far inside.
+    """
+    xy = np.asarray(xy, float)
+    plane = np.asarray(camera.cam_from_img(xy), float)
+    if "FISHEYE" in camera.model.name and len(plane):
+        back = np.asarray(camera.img_from_cam(np.column_stack([plane, np.ones(len(plane))])), float)
+        plane[~(np.abs(back - xy).max(axis=1) < _SAME_PX)] = np.nan
+    return plane
+
+
+_SAME_PX = 0.5  # between a pixel and the way there and back
+
+
+def pixel_rays(camera: pycolmap.Camera, xy: np.ndarray) -> np.ndarray:
+    """(K, 3) unit rays of pixels (K, 2) in the camera's frame; NaN where its lens has no inverse."""
+    return unit_rays(on_plane(camera, xy))
+
+
+def rays_or_axis(camera: pycolmap.Camera, xy: np.ndarray) -> np.ndarray:
+    """As ``pixel_rays``, with the optical axis where the lens has no inverse."""
+    return unit_rays(np.nan_to_num(on_plane(camera, xy)))

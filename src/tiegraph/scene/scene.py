@@ -10,12 +10,7 @@ import numpy as np
 from tiegraph.geometry.geodesy import Origin
 from tiegraph.scene.names import check_name
 from tiegraph.scene.rig import Rig, Sensor, rig_from_dict, rig_to_dict
-
-
-def _frozen(array: np.ndarray, dtype: Any) -> np.ndarray:
-    out = np.array(array, dtype=dtype)
-    out.setflags(write=False)
-    return out
+from tiegraph.scene.sorting import freeze
 
 
 @dataclass(frozen=True)
@@ -55,10 +50,7 @@ class Scene:
     exposure: np.ndarray | None = None  # (N,) f8: time in s x ISO / (f-number squared) by EXIF, NaN = unknown
 
     def __post_init__(self) -> None:
-        for name, dtype in _COLUMNS.items():
-            object.__setattr__(self, name, _frozen(getattr(self, name), dtype))
-        if self.exposure is not None:
-            object.__setattr__(self, "exposure", _frozen(self.exposure, np.float64))
+        freeze(self, _COLUMNS if self.exposure is None else {**_COLUMNS, "exposure": np.float64})
 
     def __len__(self) -> int:
         return len(self.names)

@@ -1,5 +1,8 @@
 """How Ceres solves the linear systems of an adjustment, and on how many threads."""
 
+from collections.abc import Mapping
+from typing import Any
+
 import pycolmap
 
 # COLMAP leaves the sparse factorisation for an iterative solver at 1000 images, rig or not. What is factorised are the
@@ -22,18 +25,24 @@ def options_of(
     changes by less than ``tolerance`` of itself, with Cauchy's loss of scale ``robust_px``, where these are given;
     ``refine_...``: what is adjusted that COLMAP would hold, or the other way round."""
     options = pycolmap.BundleAdjustmentOptions(print_summary=False, **refine)
-    ceres = options.ceres
     if robust_px is not None:
-        ceres.loss_function_type = pycolmap.LossFunctionType.CAUCHY
-        ceres.loss_function_scale = robust_px
-    solver = ceres.solver_options
-    solver.max_num_iterations = iterations
-    if tolerance is not None:
-        solver.function_tolerance = tolerance
-    ceres.solver_options = solver
-    options.ceres = ceres
+        _change(options, loss_function_type=pycolmap.LossFunctionType.CAUCHY, loss_function_scale=robust_px)
+    limits = {} if tolerance is None else {"function_tolerance": tolerance}
+    _change(options, {"max_num_iterations": iterations, **limits})
     repeatable(options)
     return options
+
+
+def _change(options: pycolmap.BundleAdjustmentOptions, solver: Mapping[str, Any] | None = None, **ceres: Any) -> None:
+    """Set options of Ceres and of its solver; what pycolmap gives of them are copies."""
+    own = options.ceres
+    inner = own.solver_options
+    for name, value in (solver or {}).items():
+        setattr(inner, name, value)
+    own.solver_options = inner
+    for name, value in ceres.items():
+        setattr(own, name, value)
+    options.ceres = own
 
 
 def all_images(model: pycolmap.Reconstruction) -> pycolmap.BundleAdjustmentConfig:
@@ -48,26 +57,16 @@ def factorised(options: pycolmap.BundleAdjustmentOptions, frames: int, images: i
     """Let an adjustment of so many frames and images be solved by sparse factorisation, unless it is too large, and
     always with the same sums."""
     if frames <= MOST_FRAMES:
-        ceres = options.ceres
-        ceres.max_num_images_direct_sparse_cpu_solver = max(ceres.max_num_images_direct_sparse_cpu_solver, images)
-        options.ceres = ceres
+        most = max(options.ceres.max_num_images_direct_sparse_cpu_solver, images)
+        _change(options, max_num_images_direct_sparse_cpu_solver=most)
     repeatable(options)
 
 
 def repeatable(options: pycolmap.BundleAdjustmentOptions) -> None:
     """Let an adjustment give the same bits each time, and on a machine with a GPU those of one without."""
-    ceres = options.ceres
-    ceres.use_gpu = False
-    solver = ceres.solver_options
-    solver.num_threads = THREADS
-    ceres.solver_options = solver
-    options.ceres = ceres
+    _change(options, {"num_threads": THREADS}, use_gpu=False)
 
 
 def undamped(options: pycolmap.BundleAdjustmentOptions) -> None:
     """Let an adjustment of a model that was adjusted before begin with whole steps: few do, however long it is."""
-    ceres = options.ceres
-    solver = ceres.solver_options
-    solver.initial_trust_region_radius = NEAR_RADIUS
-    ceres.solver_options = solver
-    options.ceres = ceres
+    _change(options, {"initial_trust_region_radius": NEAR_RADIUS})

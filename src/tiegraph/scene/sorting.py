@@ -1,11 +1,26 @@
 """Many numbers: tables of columns, sorting of points by voxel, tile or node, even samples."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
+A = TypeVar("A", bound="Arrays")
 T = TypeVar("T", bound="Columns")
+
+
+class Arrays:
+    """Base of dataclasses whose fields are arrays, which a .npz holds by their names."""
+
+    def to_npz(self) -> dict[str, np.ndarray]:
+        """Columns for ``np.savez``."""
+        return {f.name: getattr(self, f.name) for f in fields(self)}  # type: ignore[arg-type]
+
+    @classmethod
+    def from_npz(cls: type[A], data: Mapping[str, np.ndarray]) -> A:
+        """Inverse of ``to_npz``; other entries are ignored."""
+        return cls(**{f.name: data[f.name] for f in fields(cls)})  # type: ignore[arg-type]
 
 
 class Columns:
@@ -18,6 +33,21 @@ class Columns:
         """The rows of a mask or index array."""
         named = {f.name: getattr(self, f.name) for f in fields(self)}  # type: ignore[arg-type]
         return replace(self, **{n: v[rows] for n, v in named.items() if isinstance(v, np.ndarray)})  # type: ignore
+
+    @classmethod
+    def concatenate(cls: type[T], parts: Sequence[T]) -> T:
+        """The rows of several tables (one at least), one after another; what is no column is that of the first."""
+        first = parts[0]
+        names = [n for n, v in vars(first).items() if isinstance(v, np.ndarray)]
+        return replace(first, **{n: np.concatenate([getattr(p, n) for p in parts]) for n in names})  # type: ignore
+
+
+def freeze(table: object, dtypes: Mapping[str, Any]) -> None:
+    """Make fields of a frozen dataclass read-only columns of some types."""
+    for name, dtype in dtypes.items():
+        column = np.array(getattr(table, name), dtype=dtype)
+        column.setflags(write=False)
+        object.__setattr__(table, name, column)
 
 
 def run_starts(numbers: np.ndarray) -> np.ndarray:

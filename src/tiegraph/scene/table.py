@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from tiegraph.errors import InputError
-from tiegraph.scene.cells import comma_marks, degrees, length_m, number, plain
-from tiegraph.scene.columnwords import ROLES, UNIT_M, UNIT_S, known_words, speaks_of, without_unit
+from tiegraph.scene.cells import UNIT_M, UNIT_S, comma_marks, degrees, length_m, number, plain
+from tiegraph.scene.columnwords import ROLES, known_words, speaks_of, without_unit
 from tiegraph.scene.textfile import (
     column_names,
     decoded,

@@ -13,14 +13,10 @@ class PanoramaTuning(Section):
 
     min_width_px: int = Field(1024, gt=0)
     """Smaller panoramas have views of less than 290 px."""
-    look_px: int = Field(512, gt=1)
-    """Width at which poles and seam are looked at."""
     pole_grey: float = Field(6.0, gt=0)
     """Grey levels by which a row that is one point of the sphere may vary (JPEG noise), and the image must."""
     seam: float = Field(3.0, gt=0)
     """Step over the seam, in steps between the columns beside it."""
-    beside: int = Field(9, gt=1)
-    """Columns at either border that tell these steps."""
     least_step_grey: float = Field(0.5, gt=0)
     """Such a step at least: a clear sky has none."""
 
@@ -36,12 +32,6 @@ class FisheyeTuning(Section):
     """Of the shorter side: squares in the corners that must be dark. A circle as wide as the image leaves 0.1."""
     dark_grey: float = Field(24.0, ge=0, le=255)
     """Brightest channel of what no light falls on, with JPEG's noise; kerry_park's surround has 0 .. 12."""
-    blur_sigma_px: float = Field(0.8, gt=0)
-    """Blur before the end of what is lit is sought."""
-    rays: int = Field(240, gt=3)
-    """From the middle, along which it is sought ..."""
-    step_px: float = Field(0.5, gt=0)
-    """... in such steps."""
     play_px: float = Field(1.5, gt=0)
     """By which a place may lie off the circle: a pixel and its blur; of those so near the border none is used ..."""
     play: float = Field(0.01, ge=0)
@@ -117,8 +107,6 @@ class RegisteredTuning(Section):
     """Points that an image must see where they should be: fewer may agree by chance."""
     agree_px: float = Field(4.0, gt=0)
     """Between a point's projection and where it is seen; COLMAP's own limit of an observation."""
-    asked: int = Field(100, gt=0)
-    """Points of an image that are looked at; of more, some that are spread evenly."""
 
 
 class BlocksTuning(Section):
@@ -148,10 +136,6 @@ class BlocksTuning(Section):
     """Of a part: a cut may be so far from where it would halve it, to be where ties are few."""
     order: float = Field(0.05, gt=0)
     """Of the mean link: what the order of a pass alone links its frames with."""
-    iterations: int = Field(12, gt=0)
-    """Inverse iterations for the second eigenvector."""
-    vectors: int = Field(4, gt=0)
-    """That iterate together: the next eigenvalues of a long path lie close together."""
 
 
 class JoiningTuning(Section):
@@ -167,12 +151,6 @@ class JoiningTuning(Section):
     """Likewise, as a share of the distance to what the images see."""
     drift: float = Field(0.1, gt=0)
     """Of the survey's extent, by which the places of a join may differ along a chain of others."""
-    asked: int = Field(40, gt=0)
-    """Shared images, evenly spread, whose turns are tried for the one most agree with."""
-    refits: int = Field(3, ge=0)
-    """Of scale and shift to the images that agree."""
-    rounds: int = Field(10, gt=0)
-    """Of the rotations of all blocks."""
 
 
 class Tuning(Section):

@@ -14,6 +14,7 @@ from fractions import Fraction
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from tiegraph.scene.cells import number
 
@@ -95,11 +96,7 @@ def ratio(text: str) -> float:
 def relative_rotation(relatives_deg: tuple[float, ...]) -> np.ndarray:
     """(3, 3) reference_from_camera of RigRelatives: Rx(omega) Ry(phi) Rz(kappa), both frames x right, y down, z forward
     (as MicaSense's own library lays its bands on each other)."""
-    x, y, z = np.radians(relatives_deg)
-    rx = np.array([[1, 0, 0], [0, np.cos(x), -np.sin(x)], [0, np.sin(x), np.cos(x)]])
-    ry = np.array([[np.cos(y), 0, np.sin(y)], [0, 1, 0], [-np.sin(y), 0, np.cos(y)]])
-    rz = np.array([[np.cos(z), -np.sin(z), 0], [np.sin(z), np.cos(z), 0], [0, 0, 1]])
-    return rx @ ry @ rz
+    return Rotation.from_euler("XYZ", relatives_deg, degrees=True).as_matrix()
 
 
 def xmp_text(image: Any) -> str:

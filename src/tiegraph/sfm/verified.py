@@ -13,7 +13,7 @@ from tiegraph.geometry import transforms
 from tiegraph.geometry.rays import cross
 from tiegraph.scene.colmapdatabase import Rows, image_ids
 from tiegraph.scene.colmapmodel import matrix, registered_images
-from tiegraph.scene.rays import rays_or_axis
+from tiegraph.scene.rig import rays_or_axis
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.tuning.placement import AgreementTuning
 

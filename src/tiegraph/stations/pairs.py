@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import rms_length, robust_sigma
-from tiegraph.geometry.coarse.consistent import motions
+from tiegraph.geometry.coarse import motions
 from tiegraph.stations.station import Level, Station, engine
 from tiegraph.stations.tuning import PairTuning, SightTuning, Tuning
 

@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from tiegraph.errors import EngineMissing
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import robust_sigma
-from tiegraph.geometry.coarse.shape import Shape, normals, shape_of, side_for, thinned
+from tiegraph.geometry.coarse import Shape, normals, shape_of, side_for, thinned
 from tiegraph.stations.tuning import SpacingTuning, Tuning
 
 _UPWARDS = np.array([0.36, 0.48, 0.8])  # walls have a side too

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from tiegraph.geometry.align import robust_sigma
-from tiegraph.scene.rays import on_plane
+from tiegraph.scene.rig import on_plane
 from tiegraph.scene.targets import CENTRE, Target, dictionary, refined
 from tiegraph.targets.tuning import Tuning
 

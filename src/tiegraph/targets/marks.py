@@ -9,7 +9,7 @@ import pycolmap
 
 from tiegraph.geometry import transforms
 from tiegraph.scene.control import TargetMark
-from tiegraph.scene.rays import on_plane
+from tiegraph.scene.rig import on_plane
 from tiegraph.scene.targets import Target, count_of, families
 from tiegraph.targets.detect import Seen, centre_of
 from tiegraph.targets.tuning import Tuning

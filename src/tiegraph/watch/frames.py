@@ -9,8 +9,7 @@ import pycolmap
 from tiegraph.geometry import transforms
 from tiegraph.geometry.rays import normal_matrices
 from tiegraph.scene.matches import PreviewMatches
-from tiegraph.scene.rays import pixel_rays
-from tiegraph.scene.rig import Rig
+from tiegraph.scene.rig import Rig, pixel_rays
 from tiegraph.scene.scene import Scene
 from tiegraph.watch.tuning import FramesTuning
 

@@ -11,9 +11,8 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from tiegraph.evaluate.tuning import RegistrationTuning
-from tiegraph.geometry.align import Similarity, robust_sigma
-from tiegraph.geometry.coarse.consistent import Start, start_of
-from tiegraph.geometry.placement import PlacementError
+from tiegraph.geometry.align import PlacementError, Similarity, robust_sigma
+from tiegraph.geometry.coarse import Start, start_of
 from tiegraph.scene.cloudchunks import PointSource
 
 _PARTS, _CELLS = 10, 20  # of the jackknife: each a tenth of the cells, of which the survey's length has so many

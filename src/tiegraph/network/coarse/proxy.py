@@ -9,7 +9,7 @@ import pycolmap
 from tiegraph.geometry import transforms
 from tiegraph.geometry.rays import unit_rays
 from tiegraph.network.tuning.coarse import CoarseTuning, ProxyTuning
-from tiegraph.scene.rays import on_plane
+from tiegraph.scene.rig import on_plane
 
 
 @dataclass(frozen=True)

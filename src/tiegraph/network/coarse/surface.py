@@ -13,7 +13,7 @@ from tiegraph.geometry import transforms
 from tiegraph.network.coarse.model import CoarseModel
 from tiegraph.network.tuning.coarse import TracksTuning
 from tiegraph.scene.matches import PreviewMatches
-from tiegraph.scene.rays import pixel_rays
+from tiegraph.scene.rig import pixel_rays
 
 
 def with_surface(

@@ -2,7 +2,7 @@
 
 import re
 from dataclasses import dataclass, field, replace
-from pathlib import Path, PurePosixPath
+from pathlib import PurePosixPath
 
 import numpy as np
 
@@ -14,9 +14,18 @@ from tiegraph.scan.rigfiles.rigspec import AXES, RigSpec
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import PositionsTuning
 from tiegraph.scene.exif import Exif
-from tiegraph.scene.gnss import Gnss, at_times, beyond, far_rows, moved_within, on_clock_of, stuck_note, without_far
-from tiegraph.scene.gpstime import DAY_S, GPS_EPOCH_S
+from tiegraph.scene.gnss.fixes import (
+    Gnss,
+    at_times,
+    beyond,
+    far_rows,
+    moved_within,
+    on_clock_of,
+    stuck_note,
+    without_far,
+)
 from tiegraph.scene.rig import Rig
+from tiegraph.scene.times import DAY_S, GPS_EPOCH_S
 from tiegraph.text import some
 
 _NAMED = 3  # frames without a position that are named
@@ -33,8 +42,8 @@ class Frames:
     names: tuple[str, ...]  # file names of the images
     exif: tuple[Exif, ...]
     rigs: tuple[Rig, ...]
-    specs: tuple[RigSpec | None, ...]  # rig file or preset of each rig
-    sensors: tuple[int, ...] = ()  # of its rig, of each image
+    specs: tuple[RigSpec, ...]  # rig file or preset of each rig
+    sensors: tuple[int, ...]  # of its rig, of each image
 
     def sequence(self) -> np.ndarray:
         """(F,) pass of each frame."""
@@ -59,7 +68,6 @@ def from_gnss(
     priors: Priors,
     frames: Frames,
     gnss: Gnss,
-    path: Path,
     settings: ScanSettings,
     notes: list[str],
     tuning: PositionsTuning,
@@ -68,18 +76,18 @@ def from_gnss(
 
     Raises InputError if no row fits a frame, or the CRS of the settings does not fit the positions.
     """
-    gnss = on_clock_of(gnss, priors.time_s)
+    gnss, path = on_clock_of(gnss, priors.time_s), gnss.path
     if gnss.names:
-        gnss = without_far(_known(gnss, frames, path), path, tuning.gnss.most_far)
+        gnss = without_far(_known(gnss, frames), tuning.gnss.most_far)
     notes.extend(gnss.notes)
     near = np.ones(len(gnss.time_s), bool)
     if not gnss.names:
-        near = _overlap(gnss, priors.time_s, path, settings)
+        near = _overlap(gnss, priors.time_s, settings)
     origin = _origin(gnss.lat_lon_height[near], settings, notes)
     cut = np.zeros((len(frames.rows), 3))
     world = world_from_geodetic(gnss.lat_lon_height, origin)
     if gnss.names:
-        position, sigma, heading = _by_image(frames, gnss, world, path, notes, tuning.apart_m)
+        position, sigma, heading = _by_image(frames, gnss, world, notes, tuning.apart_m)
     else:
         position, sigma, heading = at_times(gnss, world, priors.time_s, settings.max_gap_s)
         moved = replace(gnss, sigma_m=moved_within(gnss.time_s, world, priors.step_s))
@@ -144,7 +152,8 @@ def _origin(lat_lon_height: np.ndarray, settings: ScanSettings, notes: list[str]
     return origin
 
 
-def _overlap(gnss: Gnss, time_s: np.ndarray, path: Path, settings: ScanSettings) -> np.ndarray:
+def _overlap(gnss: Gnss, time_s: np.ndarray, settings: ScanSettings) -> np.ndarray:
+    path = gnss.path
     if np.isnan(time_s).all():
         raise InputError(
             f"{path}: its rows have times, but the frames have none (no EXIF, no times in the names). Give --times "
@@ -192,9 +201,9 @@ def _clock(gnss: Gnss, time_s: np.ndarray) -> str:
     return ""
 
 
-def _known(gnss: Gnss, frames: Frames, path: Path) -> Gnss:
+def _known(gnss: Gnss, frames: Frames) -> Gnss:
     """The rows of a file by image whose images are here. Raises InputError if there are none."""
-    gnss = _by_number(gnss, frames, path)
+    gnss = _by_number(gnss, frames)
     keep = np.array([k is not None for k in frames_of_names(gnss.names, frames.rows, frames.names)], bool)
     if keep.all():
         return gnss
@@ -202,16 +211,16 @@ def _known(gnss: Gnss, frames: Frames, path: Path) -> Gnss:
     why = absent(gnss.names[first], frames.names)
     if not keep.any():
         raise InputError(
-            f"{path}: none of its images is here: {gnss.names[first]} (line {gnss.line[first]}) ...; {why}"
+            f"{gnss.path}: none of its images is here: {gnss.names[first]} (line {gnss.line[first]}) ...; {why}"
         )
     note = (
-        f"{path.name}: {(~keep).sum()} rows name images that are not here, such as {gnss.names[first]} "
+        f"{gnss.path.name}: {(~keep).sum()} rows name images that are not here, such as {gnss.names[first]} "
         f"(line {gnss.line[first]}); {why}"
     )
-    return gnss.only(np.flatnonzero(keep), [*gnss.notes, note])
+    return gnss.only(np.flatnonzero(keep), note)
 
 
-def _by_number(gnss: Gnss, frames: Frames, path: Path) -> Gnss:
+def _by_number(gnss: Gnss, frames: Frames) -> Gnss:
     """Rows named "#12" by the image of that number. Raises InputError where images of several frames have it."""
     if not gnss.names[0].startswith("#"):
         return gnss
@@ -224,14 +233,14 @@ def _by_number(gnss: Gnss, frames: Frames, path: Path) -> Gnss:
         if len(found.get(name, ())) > 1:
             one, other = list(found[name].values())[:2]
             raise InputError(
-                f"{path}, line {line}: image {name[1:]} may be {one} or {other}: give the images of one flight, or a "
-                "table with columns image, lat, lon, height"
+                f"{gnss.path}, line {line}: image {name[1:]} may be {one} or {other}: give the images of one flight, "
+                "or a table with columns image, lat, lon, height"
             )
     return replace(gnss, names=tuple(next(iter(found.get(n, {0: n}).values())) for n in gnss.names))
 
 
 def _by_image(
-    frames: Frames, gnss: Gnss, world: np.ndarray, path: Path, notes: list[str], apart_m: float
+    frames: Frames, gnss: Gnss, world: np.ndarray, notes: list[str], apart_m: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     rows: dict[int, list[int]] = {}
     for k, frame in enumerate(frames_of_names(gnss.names, frames.rows, frames.names)):
@@ -251,7 +260,7 @@ def _by_image(
         off = np.linalg.norm(world[mine] - np.median(world[mine], axis=0), axis=1)
         odd, other = mine[-1 - int(np.argmax(np.round(off[::-1], 6)))], mine[int(np.argmin(np.round(off, 6)))]
         notes.append(
-            f"{path.name}, line {gnss.line[odd]}: {gnss.names[odd]} lies {wide:.1f} m from "
+            f"{gnss.path.name}, line {gnss.line[odd]}: {gnss.names[odd]} lies {wide:.1f} m from "
             f"{gnss.names[other]} of the same frame, as in {len(apart)} frames; their median is taken: do these "
             "images belong together?"
         )
@@ -269,10 +278,10 @@ def _rotations(frames: Frames, heading_deg: np.ndarray) -> np.ndarray:
     return out
 
 
-def body_of(spec: RigSpec | None) -> tuple[np.ndarray, str]:
+def body_of(spec: RigSpec) -> tuple[np.ndarray, str]:
     """rig_from_body (4, 4) and the axes of a rig's body; those of its first camera where the rig names no body."""
-    pose = None if spec is None else spec.rig_from_body()
-    return (np.eye(4), "camera") if spec is None or pose is None else (pose, spec.axes)
+    pose = spec.rig_from_body()
+    return (np.eye(4), "camera") if pose is None else (pose, spec.axes)
 
 
 _NEAR_NOUGHT_M = 5.0  # of a height: where another is so near to 0 metres, 0 may be one

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import datetime, timezone
 from pathlib import Path
 
 import numpy as np
@@ -11,19 +10,23 @@ from tiegraph.errors import InputError
 from tiegraph.geometry.align import Similarity, rms_length, robust_umeyama
 from tiegraph.geometry.geodesy import ENU, parse_crs
 from tiegraph.geometry.transforms import interpolate, rigid, skew
-from tiegraph.scan.priors.poses import poses_by_image
 from tiegraph.scan.priors.positions import Frames, Priors, body_of, from_exif, from_gnss
 from tiegraph.scan.priors.startmodel import StartModel
 from tiegraph.scan.priors.times import exif_times, name_times, read_times
-from tiegraph.scan.priors.trajectory import read_trajectory, same_start, trajectory_files
+from tiegraph.scan.priors.trajectory import of_images, poses_by_image, read_trajectory, same_start, trajectory_files
 from tiegraph.scan.rigfiles.rigspec import AXES
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import TimesTuning, TrajectoryTuning, Tuning
 from tiegraph.scene.bags import source_of
+from tiegraph.scene.cells import date_text
 from tiegraph.scene.exif import Exif
-from tiegraph.scene.gnss import read_gnss, step_of
-from tiegraph.scene.gpstime import laid_on
-from tiegraph.scene.results import Trajectory
+from tiegraph.scene.gnss import read_gnss
+from tiegraph.scene.gnss.fixes import step_of
+from tiegraph.scene.posefile import Trajectory
+from tiegraph.scene.times import laid_on
+
+_SCALE_ROUNDS = 10  # it converges linearly, by the ratio of the lever arm to the length of the track
+_FIT_ROUNDS = 20  # of the reweighted least squares in each of them
 
 
 @dataclass(frozen=True)
@@ -79,7 +82,7 @@ def estimate_priors(
     priors = Priors(time_s, np.full((count, 4, 4), np.nan), np.full((count, 3), np.nan), step_s=step)
     if gnss is not None:
         rows = read_gnss(gnss, tuning.positions.gnss, settings.heights_m)
-        priors = from_gnss(priors, frames, rows, source_of(Path(gnss)), settings, notes, tuning.positions)
+        priors = from_gnss(priors, frames, rows, settings, notes, tuning.positions)
     else:
         priors = from_exif(priors, frames, settings, notes, tuning.positions)
     if priors.origin is None and settings.crs.lower() != "auto":
@@ -147,10 +150,8 @@ def _unless_one(time_s: np.ndarray, where: str, notes: list[str]) -> np.ndarray:
     known = time_s[np.isfinite(time_s)]
     if len(known) < 2 or np.ptp(known) > 0:
         return time_s
-    when = datetime.fromtimestamp(known[0], timezone.utc).strftime("%Y-%m-%d %H:%M:%S")
-    notes.append(
-        f"{where}: all {len(known)} frames with a time have the same, {when}: not used; give --times if times matter"
-    )
+    same = f"all {len(known)} frames with a time have the same, {date_text(known[0])}"
+    notes.append(f"{where}: {same}: not used; give --times if times matter")
     return np.full(len(time_s), np.nan)
 
 
@@ -179,7 +180,7 @@ def _paths(
     if by_image is not None:
         notes.append(f"{by_image[0].name}: its unit is taken for metres; give it by --start if nothing says that it is")
         return _by_image(by_image[1], by_image[0], frames, notes, tuning)
-    own_worlds = len(files) > 1 and same_start([t for _, t in files.values()], tuning)
+    own_worlds = len(files) > 1 and same_start([t for _, t in files.values()])
     poses, group = np.full((len(frames.rows), 4, 4), np.nan), np.full(len(frames.rows), -1)
     for sequence, (path, trajectory) in files.items():
         rows = np.arange(len(group)) if sequence < 0 else np.flatnonzero(frames.sequence() == sequence)
@@ -197,9 +198,7 @@ def _paths(
     for k, row in enumerate(frames.rows):  # the file's poses are those of the body
         poses[k] = poses[k] @ np.linalg.inv(body_of(frames.specs[row.rig])[0])
     group[np.isnan(poses[:, 0, 0])] = -1
-    named = next(
-        (s for s in frames.specs if s is not None and s.rig_from_body() is not None and not s.body_is_reference), None
-    )
+    named = next((s for s in frames.specs if s.rig_from_body() is not None and not s.body_is_reference), None)
     what = (
         f"the body frame of {Path(named.file).name}"
         if named
@@ -227,8 +226,6 @@ def _by_image(
 
 
 def _of_start(frames: Frames, start: StartModel, notes: list[str], tuning: TrajectoryTuning) -> _Paths:
-    unknown = np.full(len(start.poses), np.nan)
-    trajectory = Trajectory(unknown, np.array(list(start.poses.values())), unknown, names=tuple(start.poses))
     without = f", {start.unposed} of its images have no pose" if start.unposed else ""
     named = f"{start.path.parent.name}/{start.path.name}"  # sparse/0
     notes.append(
@@ -236,7 +233,7 @@ def _of_start(frames: Frames, start: StartModel, notes: list[str], tuning: Traje
         "images; its unit and its place are not taken over"
     )
     notes += start.notes
-    return _by_image(trajectory, start.path, frames, notes, tuning, started=True)
+    return _by_image(of_images(start.poses), start.path, frames, notes, tuning, started=True)
 
 
 def _of_odometry(frames: Frames, followed: Followed) -> _Paths:
@@ -253,7 +250,7 @@ def _frame_poses(
 ) -> np.ndarray:
     timed = np.isfinite(trajectory.time_s).all()
     if timed and np.isfinite(time_s[rows]).any():
-        poses = interpolate(trajectory.time_s, trajectory.world_from_rig, time_s[rows], settings.max_gap_s)
+        poses = interpolate(trajectory.time_s, trajectory.poses, time_s[rows], settings.max_gap_s)
         if np.isnan(poses[:, 0, 0]).all():
             raise InputError(
                 f"{path}: times {trajectory.time_s[0]:.2f} ... {trajectory.time_s[-1]:.2f} s do not overlap the "
@@ -262,7 +259,7 @@ def _frame_poses(
         return poses
     in_order = len(np.unique(frames.sequence()[rows])) == 1
     if in_order and len(rows) == len(trajectory):
-        return trajectory.world_from_rig
+        return trajectory.poses
     remedy = "give --times with a table image,time" if timed else "give one line a frame, or a TUM file and --times"
     raise InputError(
         f"{path}: {len(trajectory)} poses for {len(rows)} frames, and nothing says which belongs to which: {remedy}"
@@ -349,8 +346,8 @@ def _lay_on_gnss(
     if np.ptp(target[good, :2], axis=0).max() < tuning.least_extent_sigmas * np.median(sigma[good, 0]):
         return None
     scale = 1.0
-    for _ in range(tuning.scale_rounds):  # the lever arm is in metres, the odometry need not be
-        fit, rms_m = _fit_level((centre + arm / scale)[good], target[good], sigma[good], tuning.fit_rounds)
+    for _ in range(_SCALE_ROUNDS):  # the lever arm is in metres, the odometry need not be
+        fit, rms_m = _fit_level((centre + arm / scale)[good], target[good], sigma[good])
         scale = fit.scale
     return _Laid(
         rotation=fit.rotation @ level @ poses[:, :3, :3],
@@ -368,11 +365,11 @@ def _turn_to_z(up: np.ndarray) -> np.ndarray:
     return np.eye(3) + x + x @ x / (1 + up[2])
 
 
-def _fit_level(path: np.ndarray, target: np.ndarray, sigma: np.ndarray, rounds: int) -> tuple[Similarity, float]:
+def _fit_level(path: np.ndarray, target: np.ndarray, sigma: np.ndarray) -> tuple[Similarity, float]:
     """Turn about z, scale and shift by reweighted least squares (Cauchy weights, residuals over sigma), and the rms."""
     source, goal = path[:, 0] + 1j * path[:, 1], target[:, 0] + 1j * target[:, 1]
     weight = 1 / sigma[:, 0] ** 2
-    for _ in range(rounds):
+    for _ in range(_FIT_ROUNDS):
         s0, g0 = np.average(source, weights=weight), np.average(goal, weights=weight)
         a = np.sum(weight * np.conj(source - s0) * (goal - g0)) / np.sum(weight * np.abs(source - s0) ** 2)
         residual = np.abs(goal - g0 - a * (source - s0))

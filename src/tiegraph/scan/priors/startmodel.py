@@ -18,8 +18,8 @@ whose world may be any. Cameras are called by labels, which are file names, most
 import math
 import re
 from collections import Counter
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,14 +28,22 @@ from scipy.spatial.transform import Rotation
 
 from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
-from tiegraph.scan.rigfiles.cameraforeign import agisoft, opensfm_cameras
+from tiegraph.scan.rigfiles.camerafile import agisoft, opensfm_cameras
 from tiegraph.scan.rigfiles.cameraread import NUMBER, FoundCamera, numbers
-from tiegraph.scan.rigfiles.rigreader import is_number
+from tiegraph.scan.rigfiles.rigfaults import is_number
 from tiegraph.scene.colmapmodel import is_model, read_model
-from tiegraph.scene.namedposes import check_poses, checked_pose, poses_of_model, poses_of_transforms, read_json
+from tiegraph.scene.namedposes import (
+    ACCEPTED,
+    called,
+    check_poses,
+    checked_pose,
+    find_start,
+    poses_of_model,
+    poses_of_transforms,
+    read_json,
+)
 from tiegraph.scene.regular import regular
-from tiegraph.scene.startplace import ACCEPTED, called, find_start
-from tiegraph.scene.xmltree import Element, parse_xml
+from tiegraph.scene.textfile import Element, parse_xml
 
 
 @dataclass(frozen=True)
@@ -44,11 +52,11 @@ class StartModel:
     its images without a pose, and what to say of it."""
 
     path: Path
-    program: str
     poses: dict[str, np.ndarray]
+    program: str = ""
     cameras: dict[str, FoundCamera] = field(default_factory=dict)
     unposed: int = 0
-    notes: tuple[str, ...] = ()
+    notes: Sequence[str] = ()
 
     def cameras_of(self) -> str:
         """Whose its cameras are, in words: those that a bag has come without poses."""
@@ -60,20 +68,13 @@ def read_start(path: Path) -> StartModel:
     program, place = find_start(Path(path))
     found = _READERS[program](place)
     check_poses(found.poses, place)
-    return StartModel(
-        path=place,
-        program=program,
-        poses=found.poses,
-        cameras=found.cameras,
-        unposed=found.unposed,
-        notes=tuple(f"{called(place)}: {note}" for note in found.notes),
-    )
+    return replace(found, program=program, notes=tuple(f"{called(place)}: {note}" for note in found.notes))
 
 
 # --- COLMAP ---------------------------------------------------------------------------------------------------------
 
 
-def _colmap(folder: Path) -> "Found":
+def _colmap(folder: Path) -> StartModel:
     model = read_model(folder)
     cameras = {
         key: FoundCamera(
@@ -88,8 +89,9 @@ def _colmap(folder: Path) -> "Found":
     beside = [p for p in folder.parent.iterdir() if p != folder and p.name.isdigit() and is_model(p)]
     notes = [f"the largest of {len(beside) + 1} models there"] if beside and folder.name.isdigit() else []
     poses = poses_of_model(model)
-    return Found(
-        poses=poses,
+    return StartModel(
+        folder,
+        poses,
         cameras={i.name: cameras[i.camera_id] for i in sorted(model.images.values(), key=lambda i: i.name)},
         unposed=len(model.images) - len(poses),
         notes=notes,
@@ -99,7 +101,7 @@ def _colmap(folder: Path) -> "Found":
 # --- nerfstudio -----------------------------------------------------------------------------------------------------
 
 
-def _transforms(path: Path) -> "Found":
+def _transforms(path: Path) -> StartModel:
     data = read_json(path, ACCEPTED)
     poses = poses_of_transforms(data, path)
     cameras: dict[str, FoundCamera] = {}
@@ -113,7 +115,7 @@ def _transforms(path: Path) -> "Found":
             break
         if camera is not None:
             cameras[frame["file_path"]] = camera
-    return Found(poses=poses, cameras=cameras, notes=notes)
+    return StartModel(path, poses, cameras=cameras, notes=notes)
 
 
 _LENS = frozenset({"fl_x", "fl_y", "cx", "cy", "w", "h", "k1", "camera_angle_x"})
@@ -151,23 +153,10 @@ def must_be_whole(start: StartModel, whole: bool) -> None:
         )
 
 
-# --- models of OpenSfM and Metashape ---------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Found:
-    """What a file has: poses (4, 4) world_from_camera and cameras by image, its images without pose, what to say."""
-
-    poses: dict[str, np.ndarray]
-    cameras: dict[str, FoundCamera]
-    unposed: int = 0
-    notes: list[str] = field(default_factory=list)
-
-
 # --- OpenSfM ---------------------------------------------------------------------------------------------------------
 
 
-def opensfm_model(path: Path) -> Found:
+def opensfm_model(path: Path) -> StartModel:
     """The largest reconstruction of a reconstruction.json. Raises InputError, naming file and shot."""
     data = read_json(path, "a reconstruction.json of OpenSfM or ODM")
     parts = [p for p in (data if isinstance(data, list) else [data]) if isinstance(p, dict)]
@@ -184,7 +173,7 @@ def opensfm_model(path: Path) -> Found:
     known, said = _lenses(part.get("cameras"), path)
     poses = {name: _shot(row, f"{path}, shot {name}") for name, row in shots.items()}
     cameras = {n: known[str(row.get("camera"))] for n, row in shots.items() if str(row.get("camera")) in known}
-    return Found(poses=poses, cameras=cameras, unposed=others, notes=[*notes, *said])
+    return StartModel(path, poses, cameras=cameras, unposed=others, notes=[*notes, *said])
 
 
 def _lenses(table: Any, path: Path) -> tuple[dict[str, FoundCamera], list[str]]:
@@ -199,11 +188,8 @@ def _shot(row: Any, where: str) -> np.ndarray:
     """world_from_camera (4, 4)."""
     columns = []
     for key in ("rotation", "translation"):
-        try:
-            vector = np.array(row[key] if isinstance(row, dict) else None, float)
-        except (KeyError, TypeError, ValueError):
-            vector = np.zeros(0)
-        if vector.shape != (3,) or not np.isfinite(vector).all():
+        vector = transforms.finite_array(row.get(key) if isinstance(row, dict) else None, (3,))
+        if vector is None:
             raise InputError(f"{where}: {key} is no list of three numbers: remove that shot")
         columns.append(vector)
     turn, shift = columns
@@ -213,7 +199,7 @@ def _shot(row: Any, where: str) -> np.ndarray:
 # --- Metashape -------------------------------------------------------------------------------------------------------
 
 
-def metashape(path: Path) -> Found:
+def metashape(path: Path) -> StartModel:
     """The largest component of the largest chunk of a camera export. Raises InputError, naming file and line."""
     try:
         raw = regular(path).read_bytes()
@@ -247,7 +233,7 @@ def metashape(path: Path) -> Found:
             poses[label] = _transform(camera, f"{where}: transform of {label!r:.80}")
             if camera.given.get("sensor_id") in lens_of:
                 lenses[label] = lens_of[camera.given["sensor_id"]]
-    return Found(poses=poses, cameras=lenses, unposed=len(cameras) - len(poses), notes=[*notes, *said])
+    return StartModel(path, poses, cameras=lenses, unposed=len(cameras) - len(poses), notes=[*notes, *said])
 
 
 def _transform(camera: Element, where: str) -> np.ndarray:
@@ -275,7 +261,7 @@ def _sensors(raw: bytes, chunk: int, path: Path) -> tuple[dict[str, FoundCamera]
     return out, said
 
 
-_READERS: dict[str, Callable[[Path], Found]] = {
+_READERS: dict[str, Callable[[Path], StartModel]] = {
     "COLMAP": _colmap,
     "OpenSfM": opensfm_model,
     "nerfstudio": _transforms,

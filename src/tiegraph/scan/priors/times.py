@@ -4,7 +4,6 @@ import os
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import datetime, timezone
 from pathlib import Path, PurePosixPath
 
 import numpy as np
@@ -13,12 +12,12 @@ from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import apart
 from tiegraph.scan.folders import LONE_PASS
 from tiegraph.scan.tuning import TimesTuning
-from tiegraph.scene.bycontent import times as times_by_content
-from tiegraph.scene.cells import in_seconds
+from tiegraph.scene.cells import in_seconds, seconds_of
+from tiegraph.scene.columnwords import times as times_by_content
 from tiegraph.scene.exif import Exif
 from tiegraph.scene.names import found_by, lookup_of, plain_name
 from tiegraph.scene.table import Table, read_table
-from tiegraph.scene.timecolumns import Times, times_of
+from tiegraph.scene.times import Times, times_of
 
 _UNIX_NAME = re.compile(r"(?:^|\D)(\d{10}(?:[._]\d{1,9})?|\d{13}|\d{16}|\d{19})$")
 _DATE_NAME = re.compile(r"(?:^|\D)((?:19|20)\d{6})[_\-T ]?(\d{6})(\d{0,6})(?:\D|$)")
@@ -241,9 +240,5 @@ def time_in_name(stem: str) -> float:
             return seconds
     match = _DATE_NAME.search(stem)
     if match:
-        try:
-            stamp = datetime.strptime(match[1] + match[2], "%Y%m%d%H%M%S").replace(tzinfo=timezone.utc)
-        except ValueError:
-            return float("nan")
-        return stamp.timestamp() + (float(f"0.{match[3]}") if match[3] else 0.0)
+        return seconds_of(match[1] + match[2], "%Y%m%d%H%M%S") + float(f"0.{match[3] or 0}")
     return float("nan")

@@ -1,26 +1,31 @@
-"""Trajectories of visual odometry, SLAM or an INS: which file is of which pass, reading and writing them."""
+"""Trajectories of visual odometry, SLAM or an INS: which file is of which pass, reading and writing them; and poses of
+images, by their names, as poses of the frames' rigs.
+"""
 
-from collections.abc import Iterator, Sequence
-from itertools import islice
-from pathlib import Path
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from itertools import combinations, islice
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
 
 from tiegraph.errors import InputError
-from tiegraph.geometry.transforms import angle_deg, quaternion_xyzw
+from tiegraph.geometry.transforms import angle_deg, centre, quaternion_xyzw, rigid
 from tiegraph.scan.folders import words
+from tiegraph.scan.priors.positions import Frames
+from tiegraph.scan.priors.times import absent
 from tiegraph.scan.tuning import TrajectoryTuning
 from tiegraph.scene.bags import Bag, Topic, is_bag, open_bag, split_topics, stamp_ns
-from tiegraph.scene.namedposes import has_named_poses, read_named_poses
-from tiegraph.scene.names import clean
-from tiegraph.scene.posefile import PoseFile, checked_poses, read_poses
-from tiegraph.scene.results import Trajectory
+from tiegraph.scene.namedposes import called, has_named_poses, read_named_poses
+from tiegraph.scene.names import clean, plain_name
+from tiegraph.scene.posefile import Trajectory, checked_poses, read_poses
 from tiegraph.text import composed
 
 _PATH = "nav_msgs/Path"
 KINDS = ("nav_msgs/Odometry", "geometry_msgs/PoseStamped", "geometry_msgs/PoseWithCovarianceStamped", _PATH)
 _HEAD_LINES = 10
+_SAME_M, _SAME_DEG = 1e-3, 0.1  # between poses that are one
 _SUFFIXES = ((".tum",), (".txt", ".kitti"), (".csv",))  # the first kind that a folder has
 
 
@@ -32,14 +37,15 @@ def read_trajectory(path: Path) -> Trajectory:
     number of columns, text, and values that are none or make no sense.
     """
     if has_named_poses(path):
-        named = read_named_poses(path)
-        unknown = np.full(len(named), np.nan)
-        return Trajectory(unknown, np.array(list(named.values())), unknown, names=tuple(named))
-    found = read_bag_poses(path) if is_bag(path) else read_poses(path)
-    unknown = np.full(len(found.poses), np.nan)
-    return Trajectory(
-        found.time_s, found.poses, unknown, notes=found.notes, metric=not _says_free(path), period_s=found.period_s
-    )
+        return of_images(read_named_poses(path))
+    if is_bag(path):
+        return read_bag_poses(path)
+    return replace(read_poses(path), metric=not _says_free(path))
+
+
+def of_images(poses: Mapping[str, np.ndarray]) -> Trajectory:
+    """Poses (4, 4) by image name as a trajectory without times."""
+    return Trajectory(np.full(len(poses), np.nan), np.array(list(poses.values())), names=tuple(poses))
 
 
 FREE_UNIT = "# unit: free (a single camera tells no scale)"
@@ -47,8 +53,6 @@ FREE_UNIT = "# unit: free (a single camera tells no scale)"
 
 
 def _says_free(path: Path) -> bool:
-    if is_bag(path):
-        return False
     with path.open(errors="replace") as stream:
         return FREE_UNIT in (line.rstrip() for line in islice(stream, _HEAD_LINES))
 
@@ -104,17 +108,16 @@ def _for_pass(name: str, files: Sequence[Path]) -> Path | None:
     return exact[0] if len(exact) == 1 else None
 
 
-def same_start(trajectories: Sequence[Trajectory], tuning: TrajectoryTuning) -> bool:
+def same_start(trajectories: Sequence[Trajectory]) -> bool:
     """Whether trajectories all begin at the same pose: each then has a world of its own, as odometry starts at zero."""
-    first = [t.world_from_rig[0] for t in trajectories]
+    first = [t.poses[0] for t in trajectories]
     return all(
-        np.linalg.norm(p[:3, 3] - first[0][:3, 3]) < tuning.same_start_m
-        and angle_deg(p[:3, :3], first[0][:3, :3]) < tuning.same_start_deg
+        np.linalg.norm(p[:3, 3] - first[0][:3, 3]) < _SAME_M and angle_deg(p[:3, :3], first[0][:3, :3]) < _SAME_DEG
         for p in first[1:]
     )
 
 
-def read_bag_poses(path: Path) -> PoseFile:
+def read_bag_poses(path: Path) -> Trajectory:
     """The poses of a bag's only topic of such, or of the one behind the path (``topics.split_topics``).
 
     A path that is sent again and again is read as it was last. Raises InputError for several topics, none, a damaged
@@ -131,7 +134,7 @@ def read_bag_poses(path: Path) -> PoseFile:
     said = f"{bag_path.name}: poses of {topic}: {' and '.join(sorted(frames)[:2])}"
     table = np.array([[float(v) for v in row] for row in rows]).reshape(-1, 8)
     found = checked_poses(bag_path, table[:, 0] * 1e-9, table[:, 1:4], table[:, 4:])
-    return PoseFile(found.time_s, found.poses, (said, *found.notes))
+    return replace(found, notes=(said, *found.notes))
 
 
 def _poses(bag: Bag, topic: Topic) -> Iterator[tuple[Any, int, str]]:
@@ -148,3 +151,107 @@ def _poses(bag: Bag, topic: Topic) -> Iterator[tuple[Any, int, str]]:
         message, received_ns = last
         for pose in message.poses:
             yield pose.pose, stamp_ns(pose.header, received_ns), clean(f"the body in {message.header.frame_id!r}")
+
+
+def poses_by_image(
+    trajectory: Trajectory, path: Path, frames: Frames, notes: list[str], tuning: TrajectoryTuning, metric: bool = True
+) -> np.ndarray:
+    """world_from_rig (F, 4, 4) of the frames by the poses of their images; NaN where none has one.
+
+    Of several images of a frame the rig's reference camera counts, else the first whose place on the rig is known. A
+    world that is not ``metric`` is stretched to the lengths of the rigs, where frames with several images tell. What is
+    not used is in the notes. Raises InputError if no name is that of an image here, or a name may be of several.
+    """
+    found = images_by_name(trajectory.names, path, frames.names)
+    pose_of = {k: trajectory.poses[row] for k, row in found.items()}
+    strange = sorted(set(range(len(trajectory))) - set(found.values()))
+    if strange:
+        name = trajectory.names[strange[0]]
+        count, why = f"{len(strange)} of {len(trajectory)} poses", absent(name, frames.names)
+        notes.append(f"{called(path)}: {count} are of images that are not here, such as {name}; {why}")
+    if not metric:
+        unit = _metres_per_unit(pose_of, frames, tuning.least_baselines)
+        if unit is not None:
+            pose_of = {k: rigid(p[:3, :3], unit * p[:3, 3]) for k, p in pose_of.items()}
+            notes.append(f"{called(path)}: its unit is {unit:.4g} m by the distances between the rig's cameras")
+    out = np.full((len(frames.rows), 4, 4), np.nan)
+    for k, row in enumerate(frames.rows):
+        for image in sorted(row.images, key=lambda i: frames.sensors[i]):
+            on_rig = _on_rig(frames, k, image)
+            if image in pose_of and on_rig is not None:
+                out[k] = pose_of[image] @ on_rig
+                break
+    missing = int(np.isnan(out[:, 0, 0]).sum())
+    lacking = f"; {missing} of {len(out)} frames have none" if missing else ""
+    notes.append(f"{called(path)}: the trajectory is taken as poses of {len(pose_of)} images by their names{lacking}")
+    return out
+
+
+def _on_rig(frames: Frames, frame: int, image: int) -> np.ndarray | None:
+    """sensor_from_rig (4, 4) of an image of a frame, None = unknown."""
+    sensor = frames.sensors[image]
+    return np.eye(4) if sensor == 0 else frames.rigs[frames.rows[frame].rig].sensors[sensor].sensor_from_rig
+
+
+def _metres_per_unit(pose_of: dict[int, np.ndarray], frames: Frames, least: int) -> float | None:
+    """Size of a world's unit by the rigs' baselines between images of one frame; None with fewer than ``least``."""
+    ratios = []
+    for k, row in enumerate(frames.rows):
+        known = [(i, on_rig) for i in row.images if i in pose_of and (on_rig := _on_rig(frames, k, i)) is not None]
+        for (a, of_a), (b, of_b) in combinations(known, 2):
+            apart = float(np.linalg.norm(pose_of[a][:3, 3] - pose_of[b][:3, 3]))
+            baseline = float(np.linalg.norm(centre(of_a) - centre(of_b)))
+            if apart > 0 and baseline > 0:
+                ratios.append(baseline / apart)
+    return float(np.median(ratios)) if len(ratios) >= least else None
+
+
+def images_by_name(given: Sequence[str], path: Path, names: Sequence[str]) -> dict[int, int]:
+    """Row of ``given`` for each image of ``names`` that one is of: by the full path below the image folder, else by the
+    end of it, with or without the file's suffix.
+
+    As many first folders are left away of all, as few as do: where the image folder lies in one of the names, it lies
+    in the others. Raises InputError, naming them, where a name may be of several images or two may be of one, and if
+    none is here.
+    """
+    number = _numbers(names)
+    hits = [
+        next(((left, number[end]) for left, end in enumerate(_ends(name)) if end in number), None) for name in given
+    ]
+    level = min((hit[0] for hit in hits if hit is not None), default=None)
+    if level is None:
+        first = given[0]
+        raise InputError(f"{path}: none of its {len(given)} images is here: {first} ...; {absent(first, names)}")
+    found: dict[int, int] = {}
+    for row, hit in enumerate(hits):
+        if hit is None or hit[0] > level:
+            continue
+        name, images = given[row], hit[1]
+        if len(images) > 1:
+            both = " or ".join(names[k] for k in images[:2])
+            raise InputError(
+                f"{path}: {name} may be {both} ({len(images)} images end so): it must name images with their folders"
+            )
+        other = given[found.setdefault(images[0], row)]
+        if other != name:
+            raise InputError(
+                f"{path}: {other} and {name} may both be {names[images[0]]}: give the folder above as that of the "
+                "images, so that folders tell them apart"
+            )
+    return found
+
+
+def _numbers(names: Sequence[str]) -> dict[str, tuple[int, ...]]:
+    """Images by their names, by the ends of their paths, and by these without their suffix; a full name is of one."""
+    found: dict[str, tuple[int, ...]] = {}
+    for k, name in enumerate(names):
+        for end in _ends(name):
+            for key in {end, str(PurePosixPath(end).with_suffix(""))}:
+                found[key] = (*found.get(key, ()), k)
+    return {**found, **{name: (k,) for k, name in enumerate(names)}}
+
+
+def _ends(name: str) -> list[str]:
+    """A path, and what is left of it without its first folders."""
+    parts = [p for p in plain_name(name).split("/") if p not in ("", "..")]
+    return ["/".join(parts[k:]) for k in range(len(parts))]

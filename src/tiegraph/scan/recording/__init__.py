@@ -12,11 +12,16 @@ wheel for Python 3.13. What is needed of both formats is a table, so it is read 
 used.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
+from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scene.bags import shown
+from tiegraph.scene.exif import Taken
 from tiegraph.scene.names import clean
+from tiegraph.scene.sorting import Columns
 
 
 @dataclass(frozen=True)
@@ -34,3 +39,68 @@ class Recording:
         if self.topic is not None:
             return shown(self.file, self.topic)
         return clean(self.file.name) + ("" if self.track is None else f", track {self.track + 1}")
+
+
+# 2000 ... 2100: times outside are those of clocks that were never set (0 = 1904, 1970).
+RECORDED_RANGE_S = (946684800.0, 4102444800.0)
+_MOST_HEIGHT_M = 100_000.0  # above or below the sea: other numbers are no heights
+
+
+@dataclass(frozen=True)
+class Readings(Columns):
+    """What a receiver wrote, row by row; NaN = not said. All (N,) but ``lat_lon_height`` (N, 3), degrees and metres."""
+
+    stamp_s: np.ndarray  # on the video's clock
+    time_s: np.ndarray  # seconds since 1970, UTC
+    lat_lon_height: np.ndarray
+    fix: np.ndarray  # 0 = none, 2 = without height, 3
+    dop: np.ndarray  # dilution of precision
+
+
+@dataclass(frozen=True)
+class Fixes:
+    """Where the receiver was at stamps of the video, increasing; height NaN = not known."""
+
+    stamp_s: np.ndarray  # (R,)
+    lat_lon_height: np.ndarray  # (R, 3) degrees, m
+    max_gap_s: float
+
+    def place(self, stamp_s: float) -> Taken:
+        """Where the frame with a stamp was taken: on the line between the fixes about it, if they are not too far
+        apart in time."""
+        after = int(np.searchsorted(self.stamp_s, stamp_s, side="right"))
+        if after == 0 or (after == len(self.stamp_s) and stamp_s > self.stamp_s[-1]):
+            return Taken()
+        after = min(after, len(self.stamp_s) - 1)
+        begin, end = self.stamp_s[after - 1 : after + 1] if after else (stamp_s, stamp_s)
+        if end - begin > self.max_gap_s:
+            return Taken()
+        one, other = self.lat_lon_height[max(after - 1, 0)], self.lat_lon_height[after]
+        share = (stamp_s - begin) / (end - begin) if end > begin else 0.0
+        step = other - one
+        step[1] = (step[1] + 180) % 360 - 180  # the shorter way round
+        lat, lon, height = (float(v) for v in one + share * step)
+        return Taken(lat_deg=lat, lon_deg=(lon + 180) % 360 - 180, height_m=height)
+
+
+def believed(readings: Readings, tuning: PicturesTuning) -> tuple[Readings, str]:
+    """Those with a fix and a DOP that is not too large, in order of their stamps; and how many were left out, why."""
+    lat, lon, height = readings.lat_lon_height.T
+    no_fix = (readings.fix < 2) | ((lat == 0) & (lon == 0))
+    on_earth = (np.abs(lat) <= 90) & (np.abs(lon) <= 180) & ~(np.abs(height) > _MOST_HEIGHT_M)
+    nowhere = ~no_fix & ~on_earth
+    poor = ~no_fix & on_earth & (readings.dop > tuning.most_dop)
+    reasons = {
+        "without a fix": no_fix,
+        f"with a DOP above {tuning.most_dop:g}": poor,
+        "not on the Earth": nowhere,
+    }
+    words = ", ".join(f"{rows.sum()} {why}" for why, rows in reasons.items() if rows.any())
+    good = readings.where(~(no_fix | nowhere | poor))
+    good = good.where(np.argsort(good.stamp_s, kind="stable"))
+    level = good.lat_lon_height.copy()
+    level[good.fix == 2, 2] = np.nan
+    first, last = RECORDED_RANGE_S
+    time = np.where((good.time_s >= first) & (good.time_s <= last), good.time_s, np.nan)
+    kept = replace(good, time_s=time, lat_lon_height=level)
+    return kept, f"{len(kept)} of {len(readings)} fixes used" + (f" ({words} left out)" if words else "")

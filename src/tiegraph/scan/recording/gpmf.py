@@ -15,18 +15,19 @@ up to four bytes. Entries nest; a reader here asks for one level at a time, so d
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
 
-from tiegraph.scan.recording.fixes import Fixes, Readings, believed
+from tiegraph.scan.recording import Fixes, Readings, believed
 from tiegraph.scan.recording.tracks import BrokenTrack, Samples, samples, tracks
 from tiegraph.scan.tuning import PicturesTuning
-from tiegraph.scene.gpstime import DAY_S
+from tiegraph.scene.cells import date_text, seconds_of
 from tiegraph.scene.regular import regular
+from tiegraph.scene.times import DAY_S
 
 _NUMBERS = {
     "b": ">i1", "B": ">u1", "s": ">i2", "S": ">u2", "l": ">i4", "L": ">u4", "j": ">i8", "J": ">u8", "f": ">f4",
@@ -39,7 +40,6 @@ _MOST_SHOWN = 40  # letters
 _MOST_ROW = 255  # one byte says the length of a row
 _FORMAT = b"gpmd"
 _EPOCH_S = datetime(2000, 1, 1, tzinfo=timezone.utc).timestamp()
-_UTC = re.compile(r"(\d\d)(\d\d)(\d\d)(\d\d)(\d\d)(\d\d)\.(\d{3})")
 _GPS5, _GPS9 = 5, 9  # numbers a row
 
 
@@ -107,21 +107,6 @@ class Telemetry:
     note: str
 
 
-@dataclass
-class _Found:
-    """Readings by kind, payloads that could not be read, the first of these's reason, and heights above the sea."""
-
-    readings: dict[str, list[Readings]] = field(default_factory=lambda: {"GPS5": [], "GPS9": []})
-    payloads: int = 0
-    broken: int = 0
-    why: str = ""
-    above_sea: bool = False
-
-    def blame(self, why: str) -> None:
-        self.broken += 1
-        self.why = self.why or why
-
-
 def read_gpmf(video: Path, max_gap_s: float, tuning: PicturesTuning) -> Telemetry | None:
     """The telemetry of a GoPro's video; None of a file without such a track. A damaged one is said, never raised."""
     try:
@@ -129,41 +114,44 @@ def read_gpmf(video: Path, max_gap_s: float, tuning: PicturesTuning) -> Telemetr
             track = next((t for t in tracks(file) if t.format == _FORMAT), None)
             if track is None:
                 return None
-            found = _read(file, samples(file, track))
+            table = samples(file, track)
+            found, above_sea, broken = _read(file, table)
     except (BrokenTrack, OSError) as error:
         return Telemetry(None, np.nan, f"its GPMF track cannot be read ({error}): no times or positions from it")
-    return _judge(found, max_gap_s, tuning)
+    damaged = f"{len(broken)} of its {len(table.size)} GPMF payloads cannot be read ({broken[0]})" if broken else ""
+    kind = "GPS9" if found["GPS9"] else "GPS5"
+    if not any(len(p) for p in found[kind]):
+        return Telemetry(None, np.nan, "; ".join(filter(None, ["its GPMF track has no fixes of a receiver", damaged])))
+    kept, words = believed(Readings.concatenate(found[kind]), tuning)
+    where = "above the sea" if above_sea else "above the ellipsoid"
+    start, begins = _start(kept, tuning)
+    said = [begins, f"positions from its GPMF track ({kind}): {words}, heights {where}", damaged]
+    fixes = Fixes(kept.stamp_s, kept.lat_lon_height, max_gap_s) if len(kept) else None
+    return Telemetry(fixes, start, "; ".join(filter(None, said)))
 
 
-def _read(file: BinaryIO, table: Samples) -> _Found:
-    found = _Found(payloads=len(table.size))
-    end = file.seek(0, 2)
+def _read(file: BinaryIO, table: Samples) -> tuple[dict[str, list[Readings]], bool, list[str]]:
+    """Readings by kind, whether heights are above the sea, and why payloads that cannot be read cannot."""
+    found: dict[str, list[Readings]] = {"GPS5": [], "GPS9": []}
+    end, above_sea, broken = file.seek(0, 2), False, []
     if table.size.sum() > end:
         raise BrokenTrack(f"its {len(table.size)} payloads are larger together than the file")
     for offset, size, begin, length in zip(table.offset, table.size, table.begin_s, table.length_s):
         if offset < 0 or offset + size > end:
-            found.blame("a payload lies behind the end of the file: is it cut off?")
+            broken.append("a payload lies behind the end of the file: is it cut off?")
             continue
         file.seek(int(offset))
         try:
-            _add(found, file.read(int(size)), float(begin), float(length))
+            for stream in _streams(file.read(int(size))):
+                for kind, read in (("GPS5", _gps5), ("GPS9", _gps9)):
+                    if kind in stream:
+                        readings = read(stream)
+                        stamps = begin + length * np.arange(len(readings)) / max(len(readings), 1)
+                        found[kind].append(replace(readings, stamp_s=stamps))
+                        above_sea = stream["GPSA"].text() == "MSLV" if "GPSA" in stream else above_sea
         except BrokenTrack as error:
-            found.blame(str(error))
-    return found
-
-
-def _add(found: _Found, payload: bytes, begin_s: float, length_s: float) -> None:
-    for stream in _streams(payload):
-        for kind, read in (("GPS5", _gps5), ("GPS9", _gps9)):
-            if kind not in stream:
-                continue
-            readings = read(stream)
-            stamps = begin_s + length_s * np.arange(len(readings)) / max(len(readings), 1)
-            found.readings[kind].append(
-                Readings(stamps, readings.time_s, readings.lat_lon_height, fix=readings.fix, dop=readings.dop)
-            )
-            if "GPSA" in stream:
-                found.above_sea = stream["GPSA"].text() == "MSLV"
+            broken.append(str(error))
+    return found, above_sea, broken
 
 
 def _streams(payload: bytes) -> Iterator[_Stream]:
@@ -207,44 +195,17 @@ def _first(stream: _Stream, key: str) -> float:
 
 
 def _utc(text: str) -> float:
-    found = _UTC.fullmatch(text)
-    if found is None:
-        return float("nan")
-    year, month, day, hour, minute, second, ms = (int(v) for v in found.groups())
-    try:
-        return datetime(2000 + year, month, day, hour, minute, second, 1000 * ms, timezone.utc).timestamp()
-    except ValueError:  # or second 60, a leap second
-        return float("nan")
+    return seconds_of(f"20{text}", "%Y%m%d%H%M%S.%f")  # NaN of second 60, a leap second, too
 
 
-def _judge(found: _Found, max_gap_s: float, tuning: PicturesTuning) -> Telemetry:
-    kind = "GPS9" if found.readings["GPS9"] else "GPS5"
-    parts = found.readings[kind]
-    damaged = (
-        f"{found.broken} of its {found.payloads} GPMF payloads cannot be read ({found.why})" if found.broken else ""
-    )
-    if not any(len(p) for p in parts):
-        return Telemetry(None, np.nan, "; ".join(filter(None, ["its GPMF track has no fixes of a receiver", damaged])))
-    kept, words = believed(_joined(parts), tuning)
-    where = "above the sea" if found.above_sea else "above the ellipsoid"
-    said = [f"positions from its GPMF track ({kind}): {words}, heights {where}", damaged]
+def _start(kept: Readings, tuning: PicturesTuning) -> tuple[float, str]:
+    """When the video began by the times of its receiver (s since 1970, UTC), and in words; NaN if they are none."""
     late = (kept.time_s - kept.stamp_s)[np.isfinite(kept.time_s)]
-    start = float("nan")
-    if len(late):
-        start = float(np.median(late))
-        spread = float(np.median(np.abs(late - start)))
-        when = datetime.fromtimestamp(start, timezone.utc).strftime("%Y-%m-%d %H:%M:%S.%f")[:-3]
-        doubt = f", in which they contradict each other by {spread:.1f} s" if spread > tuning.receiver_apart_s else ""
-        said.insert(0, f"begins at {when} UTC by {len(late)} times of its receiver{doubt}")
-    fixes = Fixes(kept.stamp_s, kept.lat_lon_height, max_gap_s) if len(kept) else None
-    return Telemetry(fixes, start, "; ".join(filter(None, said)))
-
-
-def _joined(parts: list[Readings]) -> Readings:
-    return Readings(
-        stamp_s=np.concatenate([p.stamp_s for p in parts]),
-        time_s=np.concatenate([p.time_s for p in parts]),
-        lat_lon_height=np.concatenate([p.lat_lon_height for p in parts]),
-        fix=np.concatenate([p.fix for p in parts]),
-        dop=np.concatenate([p.dop for p in parts]),
-    )
+    if not len(late):
+        return float("nan"), ""
+    start = float(np.median(late))
+    spread = float(np.median(np.abs(late - start)))
+    second, part = divmod(round(1e6 * start), 10**6)
+    doubt = f", in which they contradict each other by {spread:.1f} s" if spread > tuning.receiver_apart_s else ""
+    when = f"{date_text(second)}.{part // 1000:03d} UTC"
+    return start, f"begins at {when} by {len(late)} times of its receiver{doubt}"

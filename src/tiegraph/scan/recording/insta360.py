@@ -23,7 +23,7 @@ from typing import BinaryIO
 
 import numpy as np
 
-from tiegraph.scan.recording.fixes import Readings
+from tiegraph.scan.recording import Readings
 from tiegraph.scan.recording.tracks import BrokenTrack
 from tiegraph.scene.regular import regular
 

@@ -49,7 +49,12 @@ def tracks(file: BinaryIO) -> list[Track]:
     headers = boxes(file, b"moov", 0, file.seek(0, 2))
     spans = [span for header in headers for span in boxes(file, b"trak", *header)]
     return [
-        Track(span, _four(file, span, _KIND, 8), _four(file, span, _FORMAT, 12), shown=_shown(file, span))
+        Track(
+            span,
+            kind=_bytes(file, span, _KIND, 8, 4),
+            format=_bytes(file, span, _FORMAT, 12, 4),
+            shown=_bytes(file, span, (b"tkhd",), -8, 8),  # 8.3.2
+        )
         for span in spans
     ]
 
@@ -59,21 +64,13 @@ _TABLES = (b"mdia", b"minf", b"stbl")
 _FORMAT = (*_TABLES, b"stsd")
 
 
-def _four(file: BinaryIO, span: tuple[int, int], path: Sequence[bytes], skip: int) -> bytes:
+def _bytes(file: BinaryIO, span: tuple[int, int], path: Sequence[bytes], at: int, count: int) -> bytes:
+    """So many bytes at a place of a box, from its end if that is below 0; none if the box is shorter."""
     found = _inside(file, span, path)
-    if found is None or found[1] - found[0] < skip + 4:
+    if found is None or found[1] - found[0] < max(at, 0) + count:
         return b""
-    file.seek(found[0] + skip)
-    return file.read(4)
-
-
-def _shown(file: BinaryIO, span: tuple[int, int]) -> bytes:
-    """The last 8 bytes of the track's header (8.3.2)."""
-    found = _inside(file, span, (b"tkhd",))
-    if found is None or found[1] - found[0] < 8:
-        return b""
-    file.seek(found[1] - 8)
-    return file.read(8)
+    file.seek(found[at < 0] + at)
+    return file.read(count)
 
 
 def _inside(file: BinaryIO, span: tuple[int, int], path: Sequence[bytes]) -> tuple[int, int] | None:

@@ -1,58 +1,74 @@
 """Files of cameras: one table of the formats that are known, by what stands in them and not by their names.
 
-COLMAP's own are here (cameras.txt, cameras.bin); those of other programs, and their conventions, in ``camerayaml``
-(OpenCV, ROS, Kalibr) and ``cameraforeign`` (OpenSfM, Agisoft). What a camera model of COLMAP cannot say exactly is
-refused.
+What a camera model of COLMAP cannot say exactly is refused, with the term that does not fit. OpenCV, ROS and Kalibr are
+read in ``cameraread``.
+
+**OpenSfM** (``camera_models.json``, ``reconstruction.json``; ``camera_distortions_functions.h``): lengths are parts of
+the longer side, the principal point is told from the middle of the image, as pixel = size/2 + longer side * (x + c).
+perspective, radial, simple_radial = RADIAL (two focal lengths: OPENCV), brown = FULL_OPENCV, fisheye = RADIAL_FISHEYE,
+fisheye_opencv = OPENCV_FISHEYE, fisheye62 without k5, k6 = THIN_PRISM_FISHEYE; p1 and p2 are as OpenCV's.
+
+**Agisoft** Metashape, PhotoScan from 1.2 and Lens (manual, appendix "Camera models"; XML of a calibration, or the
+``sensor`` of a camera file): u = w/2 + cx + x' (f + b1) + y' b2, v = h/2 + cy + y' f, pixels from the corner of the
+first one (whose centre is 0.5, 0.5), as COLMAP's. x' has p1 (r2 + 2 x2) + 2 p2 xy: p1 and p2 change places against
+OpenCV. frame = FULL_OPENCV, which has no k4 of this kind, no b2, no p3 and p4. fisheye is the same of theta instead of
+tan theta, so k4 fits: OPENCV_FISHEYE, with p1 or p2 THIN_PRISM_FISHEYE. Older files (fx, fy, skew; cx, cy from the
+corner) are read without p1 and p2, whose order changed between the versions.
+
+**Kalibr's** camchain.yaml is a whole rig, too: ``T_cn_cnm1`` of camera n takes points of camera n-1 into camera n
+(wiki, "yaml formats": "always with respect to the last camera in the chain"), metres; the first camera has none and is
+the reference. A sensor is called as its camera (cam0, ...), and so is its folder. What is said of an IMU
+(``T_cam_imu``, ``timeshift_cam_imu``) is no part of a rig of cameras.
 """
 
+import json
 import re
 import struct
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pycolmap
 
 from tiegraph.errors import InputError
-from tiegraph.scan.rigfiles.cameraforeign import agisoft, is_agisoft, is_opensfm, opensfm
-from tiegraph.scan.rigfiles.cameraread import NUMBER, FoundCamera
-from tiegraph.scan.rigfiles.camerayaml import is_kalibr, is_opencv, kalibr, opencv
-from tiegraph.scan.rigfiles.rigfaults import MAX_SIDE_PX, lens_fault
-from tiegraph.scan.rigfiles.rigreader import nearest
-from tiegraph.scan.tuning import CameraTuning
+from tiegraph.geometry.transforms import are_rotations, invert
+from tiegraph.scan.rigfiles.cameraread import (
+    NUMBER,
+    FoundCamera,
+    exactly,
+    is_kalibr,
+    is_opencv,
+    kalibr,
+    kalibr_blocks,
+    matrix_of,
+    opencv,
+    size_of,
+    zero,
+)
+from tiegraph.scan.rigfiles.rigfaults import MAX_SIDE_PX, MODELS, count_fault, faults, is_number, lens_fault, nearest
+from tiegraph.scan.rigfiles.rigspec import UNIT, RigSpec, SensorSpec
+from tiegraph.scan.tuning import CameraTuning, RigTuning
 from tiegraph.scene.regular import regular
-from tiegraph.scene.textfile import text_lines
+from tiegraph.scene.textfile import text_lines, utf8_text
 
 PROGRAMS = (
     "COLMAP's cameras.txt or cameras.bin, OpenCV's or ROS's YAML or XML, Kalibr's camchain.yaml, OpenSfM's "
     "camera_models.json, Agisoft's XML"
 )
-MODELS = tuple(m for m in pycolmap.CameraModelId.__members__ if m not in ("INVALID", "EQUIRECTANGULAR"))
 _ROW = re.compile(rf"(?m)^[ \t]*\d+[ \t]+(?:{'|'.join(MODELS)})[ \t]")
-
-
-@dataclass(frozen=True)
-class Format:
-    """One line of the table."""
-
-    name: str
-    mine: Callable[[str], bool]  # whether a text is of this format
-    read: Callable[[str, str], list[FoundCamera]]  # text and where it is from -> its cameras
 
 
 def read_camera_file(path: Path, where: str) -> list[FoundCamera]:
     """The cameras of a file; ``where``: what errors call it. Raises InputError naming what is wrong."""
-    try:
-        data = regular(path).read_bytes()
-        if path.suffix.lower() == ".bin":
-            return cameras_bin(data, where)
-        content = data.decode("utf-8-sig").replace("\r\n", "\n")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{where}: cannot be read as text in UTF-8 ({error}); known are {PROGRAMS}") from None
-    known = next((f for f in FORMATS if f.mine(content)), None)
-    found = [] if known is None else known.read(content, where)
+    known = f"; known are {PROGRAMS}"
+    if path.suffix.lower() == ".bin":
+        return cameras_bin(path, where)
+    content = utf8_text(path, where, known)
+    read = next((read for told, read in FORMATS.values() if told(content)), None)
+    found = [] if read is None else read(content, where)
     if not found:
-        raise InputError(f"{where}: no calibration that is known; known are {PROGRAMS}")
+        raise InputError(f"{where}: no calibration that is known{known}")
     for camera in found:
         check_count(camera.model, camera.params, camera.where)
     return found
@@ -89,9 +105,8 @@ def in_words(words: list[str], where: str, remedy: str) -> FoundCamera:
 
 def check_count(model: str, params: tuple[float, ...], where: str) -> None:
     """Raise InputError for a wrong number of parameters."""
-    info = pycolmap.Camera.create_from_model_name(0, model, 1.0, 1, 1)
-    if len(params) != len(info.params):
-        raise InputError(f"{where}: {model} has {len(info.params)} parameters ({info.params_info}), got {len(params)}")
+    if wrong := count_fault(model, params):
+        raise InputError(f"{where}: {wrong}")
 
 
 def _cameras_txt(content: str, where: str) -> list[FoundCamera]:
@@ -108,11 +123,12 @@ def _cameras_txt(content: str, where: str) -> list[FoundCamera]:
     return found
 
 
-def cameras_bin(data: bytes, where: str) -> list[FoundCamera]:
+def cameras_bin(path: Path, where: str) -> list[FoundCamera]:
     """COLMAP's cameras.bin: count u64; id u32, model i32, width u64, height u64, parameters f64. Raises InputError."""
     names = {int(v): n for n, v in pycolmap.CameraModelId.__members__.items() if n in MODELS}
     found, at = [], 8
     try:
+        data = regular(path).read_bytes()
         for _ in range(struct.unpack_from("<Q", data)[0]):
             camera, model, width, height = struct.unpack_from("<IiQQ", data, at)
             name = names[model]
@@ -121,6 +137,8 @@ def cameras_bin(data: bytes, where: str) -> list[FoundCamera]:
             at += 24 + 8 * count
             size = (width, height)
             found.append(FoundCamera(model=name, params=params, size=size, where=where, name=str(camera)))
+    except OSError as error:
+        raise InputError(f"{where}: cannot be read ({error})") from None
     except (struct.error, KeyError, OverflowError):
         raise InputError(f"{where}: no cameras.bin of COLMAP, or cut off; export the model again") from None
     if at != len(data) or not found:
@@ -128,10 +146,210 @@ def cameras_bin(data: bytes, where: str) -> list[FoundCamera]:
     return found
 
 
-FORMATS = (
-    Format("Kalibr's camchain.yaml", is_kalibr, kalibr),
-    Format("OpenSfM's camera_models.json", is_opensfm, opensfm),
-    Format("Agisoft's XML", is_agisoft, agisoft),
-    Format("OpenCV's or ROS's YAML or XML", is_opencv, opencv),
-    Format("COLMAP's cameras.txt", lambda content: bool(_ROW.search(content)), _cameras_txt),
-)
+_CHAIN = "T_cn_cnm1"
+
+
+def kalibr_rig(path: Path, content: str, name: str, tuning: RigTuning) -> RigSpec:
+    """The rig of a camchain.yaml, called ``name``. Raises InputError naming camera and key."""
+    blocks, pose, sensors = kalibr_blocks(content), np.eye(4), []
+    if not blocks:
+        raise InputError(f"{path}: no camera (cam0: with camera_model and intrinsics) in it: is it a camchain.yaml?")
+    for number, (camera, found) in enumerate(zip(blocks, kalibr(content, str(path)))):
+        check_count(found.model, found.params, found.where)
+        check_lens(found, tuning.camera)
+        if number:
+            pose = pose @ invert(_link(blocks[camera], f"{path}, {camera}"))
+        sensors.append(
+            SensorSpec(
+                name=camera,
+                body_from_sensor=pose,
+                model=found.model,
+                size=found.size,
+                params=found.params,
+                number=number,
+                at=found.where,
+            )
+        )
+    rig = RigSpec(name, tuple(sensors), file=str(path), body_is_reference=True)
+    for fault in faults(rig, tuning):
+        raise InputError(f"{path}: {fault.message}")
+    return rig
+
+
+def _link(block: str, where: str) -> np.ndarray:
+    """(4, 4) from the camera before to this one."""
+    given = matrix_of(block, _CHAIN)
+    if not given:
+        raise InputError(
+            f"{where}: no {_CHAIN}: where it is in the rig is not said. Calibrate the cameras together, or give "
+            "a rig.toml"
+        )
+    matrix = np.array(exactly(given, 16, f"{where}: {_CHAIN}")).reshape(4, 4)
+    good = np.isfinite(matrix).all() and np.array_equal(matrix[3], [0, 0, 0, 1])
+    if not good or not are_rotations(matrix[:3, :3], UNIT):
+        raise InputError(f"{where}: {_CHAIN} is no rotation and place (4 rows of 4, the last 0, 0, 0, 1)")
+    return matrix
+
+
+# --- OpenSfM ----------------------------------------------------------------------------------------------------------
+
+
+def is_opensfm(content: str) -> bool:
+    """Whether a text is a camera_models.json or reconstruction.json."""
+    return content.lstrip()[:1] in ("{", "[") and '"projection_type"' in content
+
+
+def opensfm(content: str, where: str) -> list[FoundCamera]:
+    """The cameras of OpenSfM. Raises InputError."""
+    try:
+        data = json.loads(content)
+    except (json.JSONDecodeError, RecursionError) as error:
+        raise InputError(f"{where}: not valid JSON: {error}") from None
+    parts = data if isinstance(data, list) else [data]
+    return opensfm_cameras([p.get("cameras", p) for p in parts if isinstance(p, dict)], where)
+
+
+def opensfm_cameras(tables: list[Any], where: str) -> list[FoundCamera]:
+    """The cameras of tables name -> camera. Raises InputError."""
+    found = {name: row for table in tables if isinstance(table, dict) for name, row in table.items()}
+    if not found or not all(isinstance(row, dict) for row in found.values()):
+        raise InputError(f'{where}: cameras of OpenSfM are {{"name": {{"projection_type": ..., "width": ...}}}}')
+    return [_opensfm(name, row, where if len(found) == 1 else f"{where}, {name}") for name, row in found.items()]
+
+
+def _opensfm(name: str, row: dict[str, Any], where: str) -> FoundCamera:
+    kind = str(row.get("projection_type", "perspective"))
+    wrong = next((k for k, v in row.items() if k != "projection_type" and not is_number(v)), None)
+    if wrong is not None:
+        raise InputError(f"{where}: {wrong} = {row[wrong]!r:.99}: expected a finite number")
+    value = {k: float(v) for k, v in row.items() if k != "projection_type"}
+    if min(value.get("width", 0), value.get("height", 0)) < 1:
+        raise InputError(f"{where}: width and height are missing, and lengths are parts of the longer side; add them")
+    size = size_of((value["width"], value["height"]))
+    assert size is not None
+    focal = value.get("focal", value.get("focal_x", 0.0)), value.get("focal", value.get("focal_y", 0.0))
+    if min(focal) <= 0:
+        raise InputError(f"{where}: no focal length (focal, or focal_x and focal_y)")
+    longer = max(size)
+    middle = tuple(s / 2 + longer * value.get(c, 0.0) for s, c in zip(size, ("c_x", "c_y")))
+    model, params = _opensfm_lens(kind, (longer * focal[0], longer * focal[1]), middle, value, where)
+    return FoundCamera(model=model, params=params, size=size, where=where, name=name)
+
+
+def _opensfm_lens(
+    kind: str, focal: tuple[float, float], middle: tuple[float, ...], value: dict[str, float], where: str
+) -> tuple[str, tuple[float, ...]]:
+    """COLMAP's model and parameters."""
+
+    def k(*names: str) -> tuple[float, ...]:
+        return tuple(value.get(n, 0.0) for n in names)
+
+    one = focal[0] == focal[1]
+    wide = (*focal, *middle)
+    if kind in ("perspective", "radial", "simple_radial") and one:
+        return "RADIAL", (focal[0], *middle, *k("k1", "k2"))
+    if kind in ("radial", "simple_radial"):
+        return "OPENCV", (*wide, *k("k1", "k2"), 0.0, 0.0)
+    if kind == "brown" and not value.get("k3"):
+        return "OPENCV", (*wide, *k("k1", "k2", "p1", "p2"))
+    if kind == "brown":
+        return "FULL_OPENCV", (*wide, *k("k1", "k2", "p1", "p2", "k3"), 0.0, 0.0, 0.0)
+    if kind == "fisheye":
+        return "RADIAL_FISHEYE", (focal[0], *middle, *k("k1", "k2"))
+    if kind == "fisheye_opencv":
+        return "OPENCV_FISHEYE", (*wide, *k("k1", "k2", "k3", "k4"))
+    if kind == "fisheye62":
+        zero(value, ("k5", "k6"), where, "calibrate as fisheye_opencv")
+        return "THIN_PRISM_FISHEYE", (*wide, *k("k1", "k2", "p1", "p2", "k3", "k4"), 0.0, 0.0)
+    raise InputError(
+        f"{where}: projection_type {kind}: read are perspective, simple_radial, radial, brown, fisheye, fisheye_opencv "
+        "and fisheye62 without k5, k6; calibrate with one of these (panoramas: --rig panorama)"
+    )
+
+
+# --- Agisoft ----------------------------------------------------------------------------------------------------------
+
+
+_TERMS = (
+    "width", "height", "f", "fx", "fy", "cx", "cy", "skew", "b1", "b2", "k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4",
+)  # fmt: skip
+
+
+def is_agisoft(content: str) -> bool:
+    """Whether a text is a calibration or a camera file of Metashape, PhotoScan or Lens."""
+    return bool(re.search(r"<calibration\b", content) and re.search(r"<fx?>", content))
+
+
+def agisoft(content: str, where: str) -> list[FoundCamera]:
+    """The cameras of Agisoft's XML; of each sensor the adjusted one where there is one. Raises InputError."""
+    sensors = re.findall(r"<sensor\b([^>]*)>(.*?)</sensor>", content, re.DOTALL) or [("", content)]
+    found = []
+    for head, text in sensors:
+        blocks = re.findall(r"<calibration\b([^>]*)>(.*?)</calibration>", text, re.DOTALL)
+        blocks = [b for b in blocks if re.search(r"<fx?>", b[1])]
+        if not blocks:  # a sensor without images has no calibration
+            continue
+        block = next((b for b in blocks if "adjusted" in b[0]), blocks[0])
+        label = re.search(r'label="([^"]*)"', head)
+        found.append(_agisoft(label[1] if label else "", block[0], block[1], where))
+    return found
+
+
+def _agisoft(name: str, head: str, text: str, where: str) -> FoundCamera:
+    value = _values(text, where)
+    kind = re.search(r"<projection>\s*(\w+)", text) or re.search(r'type="(\w+)"', head)
+    place = re.search(r'<resolution width="(\d+)" height="(\d+)"', text)
+    width, height = map(float, place.groups()) if place else (value.get("width", 0.0), value.get("height", 0.0))
+    if min(width, height) < 1:
+        raise InputError(f"{where}: width and height are missing, from whose middle cx and cy are told; add them")
+    remedy = "optimise or calibrate without it, then export again"
+    zero(value, ("b2", "skew", "p3", "p4"), where, remedy)
+    if "fx" in value:
+        zero(value, ("p1", "p2"), f"{where}: a file of an old version (fx, fy)", "export it with Metashape")
+        focal = value["fx"], value.get("fy", value["fx"])
+        middle = value.get("cx", width / 2), value.get("cy", height / 2)
+    else:
+        if "f" not in value:
+            raise InputError(f"{where}: no focal length (f); export the calibration again")
+        focal = value["f"] + value.get("b1", 0.0), value["f"]
+        middle = width / 2 + value.get("cx", 0.0), height / 2 + value.get("cy", 0.0)
+    model, params = _agisoft_lens(kind[1] if kind else "frame", (*focal, *middle), value, where, remedy)
+    return FoundCamera(model=model, params=params, size=size_of((width, height)), where=where, name=name)
+
+
+def _values(text: str, where: str) -> dict[str, float]:
+    """The numbers of the elements that are known. Raises InputError for one that is none."""
+    out = {}
+    for name, content in re.findall(r"<(\w+)>([^<]*)</\1>", text):
+        if name not in _TERMS:
+            continue
+        if not re.fullmatch(NUMBER, content.strip()):
+            raise InputError(f"{where}: {name} = {content.strip()!r:.99}: expected a number")
+        out[name] = float(content)
+    return out
+
+
+def _agisoft_lens(
+    kind: str, wide: tuple[float, ...], value: dict[str, float], where: str, remedy: str
+) -> tuple[str, tuple[float, ...]]:
+    k1, k2, k3, k4, p1, p2 = (value.get(n, 0.0) for n in ("k1", "k2", "k3", "k4", "p1", "p2"))
+    if kind in ("fisheye", "equidistant_fisheye"):
+        if p1 or p2:
+            return "THIN_PRISM_FISHEYE", (*wide, k1, k2, p2, p1, k3, k4, 0.0, 0.0)
+        return "OPENCV_FISHEYE", (*wide, k1, k2, k3, k4)
+    if kind != "frame":
+        raise InputError(f"{where}: a camera of type {kind}: read are frame and fisheye; export undistorted images")
+    zero(value, ("k4",), where, remedy)
+    if k3:
+        return "FULL_OPENCV", (*wide, k1, k2, p2, p1, k3, 0.0, 0.0, 0.0)
+    return "OPENCV", (*wide, k1, k2, p2, p1)
+
+
+FORMATS: dict[str, tuple[Callable[[str], bool], Callable[[str, str], list[FoundCamera]]]] = {
+    "Kalibr's camchain.yaml": (is_kalibr, kalibr),
+    "OpenSfM's camera_models.json": (is_opensfm, opensfm),
+    "Agisoft's XML": (is_agisoft, agisoft),
+    "OpenCV's or ROS's YAML or XML": (is_opencv, opencv),
+    "COLMAP's cameras.txt": (lambda content: bool(_ROW.search(content)), _cameras_txt),
+}
+"""Of each format what says of a text whether it is one, and what reads its cameras (text, where it is from)."""

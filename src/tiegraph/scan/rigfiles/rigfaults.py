@@ -1,25 +1,126 @@
-"""What no rig can be, however good the form of its file: sizes, sigmas and lenses that make no sense."""
+"""What is wrong with a rig: keys and values of its file that are none, and sizes, sigmas and lenses of no rig."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+import difflib
+import re
+import sys
+from collections.abc import Iterator, Sequence
 from math import dist
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 import pycolmap
 
-from tiegraph.scan.rigfiles.rigspec import RigSpec
+from tiegraph.errors import InputError
+from tiegraph.geometry.transforms import from_quaternion_wxyz
+from tiegraph.scan.rigfiles.rigspec import UNIT, RigSpec
 from tiegraph.scan.tuning import CameraTuning, RigTuning
-from tiegraph.scene.rays import on_plane
-from tiegraph.scene.rig import PAIR_KEYS, SensorPair
+from tiegraph.scene.rig import PAIR_KEYS, SensorPair, on_plane
 
 MAX_SIDE_PX = 100_000  # of an image that a rig file may name
+MODELS = tuple(m for m in pycolmap.CameraModelId.__members__ if m not in ("INVALID", "EQUIRECTANGULAR"))
 SIGMA_M, SIGMA_DEG = (1e-6, 100.0), (1e-6, 180.0)  # sigmas of lengths and angles, from and to
+_FISHEYE_LINES = 8  # of a fisheye image; those of a perspective one go to its corners and the middles of its sides
 _STEPS = 24  # along a line from the middle to the edge
 _EDGE = 0.95  # share of that line that is looked at: calibrations may fold in the last corner pixels
 
+# --- keys and values --------------------------------------------------------------------------------------------------
 
-@dataclass(frozen=True)
-class Fault:
+
+class Part:
+    """A table of a rig file, or the file itself: its keys and values, checked by what names file, line and key."""
+
+    def __init__(self, path: Path, lines: Sequence[str], span: tuple[int, int] | None, data: dict[str, Any]) -> None:
+        """``span``: lines [first, last) of the table, None = of the file."""
+        self.path, self.data, self._lines, self._span = path, data, lines, span
+
+    def within(self, data: dict[str, Any]) -> "Part":
+        """A table within this one, whose lines are not told apart from its own."""
+        return Part(self.path, self._lines, self._span, data)
+
+    def fail(self, key: str, message: str) -> InputError:
+        """The error of a key, with file and line."""
+        return InputError(f"{self.at(key)}: {message}")
+
+    def at(self, key: str) -> str:
+        """File and line of a key, else of the table."""
+        first, last = self._span or (0, len(self._lines))
+        pattern = re.compile(rf'(^|[\s{{,"]){re.escape(key)}"?\s*[=:]|^\s*\[+\s*{re.escape(key)}\s*\]')
+        found = (k for k in range(first, last) if pattern.search(self._lines[k].split("#", 1)[0]))
+        line = next(found, first if self._span and first < last else -1) + 1
+        return f"{self.path}{f', line {line}' if line else ''}"
+
+    def known(self, valid: tuple[str, ...], where: str) -> None:
+        """Raise InputError for a key that is not valid, with a near match."""
+        for key in self.data:
+            if key not in valid:
+                hint = nearest(key, valid, 0.6)
+                raise self.fail(key, f"unknown key {key!r} in {where}{hint} (valid: {', '.join(valid)})")
+
+    def numbers(self, key: str, count: int = 0) -> tuple[float, ...] | None:
+        """A list of finite numbers, so many if a count is given; None if the key is not there."""
+        value = self.data.get(key)
+        if value is None:
+            return None
+        good = isinstance(value, list) and all(is_number(v) for v in value)
+        if not good or (count and len(value) != count):
+            many = f"{count} " if count else ""
+            raise self.fail(key, f"{key} = {value!r:.99}: expected a list of {many}finite numbers")
+        return tuple(float(v) for v in value)
+
+    def positive(self, key: str) -> float | None:
+        """A finite number that is 0 or more; None if the key is not there."""
+        value = self.data.get(key)
+        if value is not None and (not is_number(value) or value < 0):
+            raise self.fail(key, f"{key} = {value!r:.99}: expected a finite number, 0 or more")
+        return None if value is None else float(value)
+
+    def choice(self, key: str, valid: tuple[Any, ...]) -> Any:
+        """One of the valid values, the first if the key is not there."""
+        value = self.data.get(key, valid[0])
+        if value not in valid or isinstance(value, bool) != isinstance(valid[0], bool):
+            words = ", ".join(str(v).lower() if isinstance(v, bool) else str(v) for v in valid)
+            raise self.fail(key, f"{key} = {value!r}: valid are {words}{nearest(value, valid)}")
+        return value
+
+    def model(self, key: str, params: tuple[float, ...] | None) -> str | None:
+        """A COLMAP camera model's name, with the right number of parameters; None if the key is not there."""
+        value = self.data.get(key)
+        if value is None:
+            return None
+        if value not in MODELS:
+            raise self.fail(key, f"unknown camera model {value!r}{nearest(value, MODELS)} (COLMAP's names)")
+        if params is not None and (wrong := count_fault(value, params)):
+            raise self.fail(key, wrong)
+        return str(value)
+
+    def quaternion(self, key: str) -> np.ndarray | None:
+        """Rotation (3, 3) of a unit quaternion, w first; None if the key is not there."""
+        q = self.numbers(key, 4)
+        if q is None:
+            return None
+        if abs(np.linalg.norm(q) - 1) > UNIT:
+            raise self.fail(key, f"{key}: the quaternion has length {np.linalg.norm(q):.4g}, not 1")
+        return from_quaternion_wxyz(np.array(q), np.zeros(3))[:3, :3]
+
+
+def is_number(value: Any) -> bool:
+    """Whether a value of a file is a finite number that a float can hold."""
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        return False
+    return abs(value) < sys.float_info.max
+
+
+def nearest(value: Any, valid: tuple[Any, ...], cutoff: float = 0.5) -> str:
+    """A hint at the valid word nearest to a wrong one, "" if none is near."""
+    near = difflib.get_close_matches(str(value), [str(v) for v in valid], n=1, cutoff=cutoff)
+    return f"; perhaps you meant {near[0]!r}?" if near else ""
+
+
+# --- geometry ---------------------------------------------------------------------------------------------------------
+
+
+class Fault(NamedTuple):
     """What is wrong: the key at fault in the ``number``-th sensor or pair, and the sentence."""
 
     table: str  # "sensors", "pairs" or "" = the rig itself
@@ -30,31 +131,26 @@ class Fault:
 
 def faults(spec: RigSpec, tuning: RigTuning) -> Iterator[Fault]:
     """Everything that is wrong with the geometry of a rig, worst first."""
-    yield from _far_apart(spec, tuning.max_rig_m)
+    for table, number, key, said in _far_apart(spec, tuning.max_rig_m):
+        yield Fault(table=table, number=number, key=key, message=said)
     for number, sensor in enumerate(spec.sensors):
         for key, value, (_, most) in (
             ("sigma_m", sensor.sigma_m, SIGMA_M),
             ("sigma_deg", sensor.sigma_deg, SIGMA_DEG),
         ):
             if value is not None and value > most:
-                yield Fault(
-                    table="sensors",
-                    number=number,
-                    key=key,
-                    message=f"{key} = {value:g}: {most:g} at most; leave it away if unknown",
-                )
+                said = f"{key} = {value:g}: {most:g} at most; leave it away if unknown"
+                yield Fault(table="sensors", number=number, key=key, message=said)
     seen: dict[frozenset[str], int] = {}
     for number, pair in enumerate(spec.pairs):
-        yield from _pair(pair, number, tuning)
+        wrong = list(_pair(pair, tuning))
         first = seen.setdefault(frozenset(pair.sensors), number)
         if first != number:
-            both = " - ".join(pair.sensors)
-            yield Fault(
-                table="pairs",
-                number=number,
-                key="sensors",
-                message=f"pair {both} is given twice (pair {first + 1}): join the two",
+            wrong.append(
+                ("sensors", f"pair {' - '.join(pair.sensors)} is given twice (pair {first + 1}): join the two")
             )
+        for key, said in wrong:
+            yield Fault(table="pairs", number=number, key=key, message=said)
 
 
 def contradictions(spec: RigSpec, tuning: RigTuning) -> list[str]:
@@ -65,25 +161,21 @@ def contradictions(spec: RigSpec, tuning: RigTuning) -> list[str]:
         if spec.nominal or not set(pair.sensors) <= set(places):
             continue
         a, b = (places[n] for n in pair.sensors)
-        baseline = float(np.linalg.norm(a[:3, 3] - b[:3, 3]))
-        cosine = float(a[:3, 2] @ b[:3, 2])
-        axis = float(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
+        axis = float(np.degrees(np.arccos(np.clip(a[:3, 2] @ b[:3, 2], -1, 1))))
         said = (
-            (pair.baseline_m, pair.baseline_sigma_m, baseline, "m apart"),
+            (pair.baseline_m, pair.baseline_sigma_m, dist(a[:3, 3], b[:3, 3]), "m apart"),
             (pair.axis_deg, pair.axis_sigma_deg, axis, "degrees between the axes"),
         )
-        for value, sigma, found, unit in said:
-            if value is None or sigma is None:
-                continue
-            if abs(value - found) > tuning.contradiction_sigmas * sigma:
-                out.append(
-                    f"pair {' - '.join(pair.sensors)}: {value:g} {unit} with sigma {sigma:g}, but the sensors' own "
-                    f"poses say {found:.4g}: check which is right"
-                )
+        out += [
+            f"pair {' - '.join(pair.sensors)}: {value:g} {unit} with sigma {sigma:g}, but the sensors' own poses say "
+            f"{found:.4g}: check which is right"
+            for value, sigma, found, unit in said
+            if value is not None and sigma is not None and abs(value - found) > tuning.contradiction_sigmas * sigma
+        ]
     return out
 
 
-def _far_apart(spec: RigSpec, most_m: float) -> Iterator[Fault]:
+def _far_apart(spec: RigSpec, most_m: float) -> Iterator[tuple[str, int, str, str]]:
     placed = [(k, s.body_from_sensor) for k, s in enumerate(spec.sensors) if s.body_from_sensor is not None]
     remedy = f"more than {most_m:g} m: are these millimetres?"
     for n, (k, pose) in enumerate(placed):
@@ -91,39 +183,31 @@ def _far_apart(spec: RigSpec, most_m: float) -> Iterator[Fault]:
             away = dist(pose[:3, 3], other[:3, 3])
             if not away <= most_m:
                 names = f"{spec.sensors[k].name!r} is {away:g} m from {spec.sensors[j].name!r}"
-                yield Fault(table="sensors", number=k, key="position_m", message=f"sensor {names}, {remedy}")
+                yield "sensors", k, "position_m", f"sensor {names}, {remedy}"
     if spec.antenna_m is not None and placed:
-        nearest = min(dist(spec.antenna_m, pose[:3, 3]) for _, pose in placed)
-        if not nearest <= most_m:
-            yield Fault(
-                table="",
-                number=0,
-                key="antenna_m",
-                message=f"antenna_m: {nearest:g} m from the nearest camera, {remedy}",
-            )
+        near = min(dist(spec.antenna_m, pose[:3, 3]) for _, pose in placed)
+        if not near <= most_m:
+            yield "", 0, "antenna_m", f"antenna_m: {near:g} m from the nearest camera, {remedy}"
 
 
-def _pair(pair: SensorPair, number: int, tuning: RigTuning) -> Iterator[Fault]:
-    values = {key: getattr(pair, key) for key in PAIR_KEYS}
-    if all(v is None for v in values.values()):
-        yield Fault(
-            table="pairs", number=number, key="sensors", message=f"the pair says nothing: give {', '.join(PAIR_KEYS)}"
-        )
-    limits = {
-        "baseline_m": (0.0, tuning.max_rig_m),
-        "baseline_sigma_m": SIGMA_M,
-        "axis_deg": (0.0, 180.0),
-        "axis_sigma_deg": SIGMA_DEG,
-    }
-    for key, (least, most) in limits.items():
-        value = values[key]
+def _pair(pair: SensorPair, tuning: RigTuning) -> Iterator[tuple[str, str]]:
+    """Keys of a pair that are at fault, and why."""
+    if all(getattr(pair, key) is None for key in PAIR_KEYS):
+        yield "sensors", f"the pair says nothing: give {', '.join(PAIR_KEYS)}"
+    for key, (least, most) in zip(PAIR_KEYS, ((0.0, tuning.max_rig_m), SIGMA_M, (0.0, 180.0), SIGMA_DEG)):
+        value = getattr(pair, key)
         if value is not None and not least <= value <= most:
-            yield Fault(
-                table="pairs", number=number, key=key, message=f"{key} = {value:g}: expected {least:g} to {most:g}"
-            )
+            yield key, f"{key} = {value:g}: expected {least:g} to {most:g}"
 
 
 # --- lenses ---------------------------------------------------------------------------------------------------------
+
+
+def count_fault(model: str, params: Sequence[float]) -> str:
+    """What is wrong with the number of parameters of a camera model, "" if nothing."""
+    info = pycolmap.Camera.create_from_model_name(0, model, 1.0, 1, 1)
+    said = f"{model} has {len(info.params)} parameters ({info.params_info}), got {len(params)}"
+    return "" if len(params) == len(info.params) else said
 
 
 def lens_fault(camera: pycolmap.Camera, tuning: CameraTuning) -> str:
@@ -200,7 +284,7 @@ def _ends(camera: pycolmap.Camera, middle: np.ndarray, fisheye: bool, tuning: Ca
     """(E, 2) ends of lines from the middle: the edge of the image, or the circle surely seen by a fisheye lens."""
     width, height = camera.width, camera.height
     if fisheye:
-        turn = np.radians(360.0 / tuning.fisheye_lines * np.arange(tuning.fisheye_lines))
+        turn = 2 * np.pi / _FISHEYE_LINES * np.arange(_FISHEYE_LINES)
         return middle + tuning.fisheye_middle * min(width, height) / 2 * np.stack([np.cos(turn), np.sin(turn)], axis=1)
     x, y = middle
     return np.array([[0, 0], [x, 0], [width, 0], [0, y], [width, y], [0, height], [x, height], [width, height]], float)

@@ -1,4 +1,4 @@
-"""Rig files: tiegraph's rig.toml, COLMAP's rig_config.json and Kalibr's camchain.yaml (``rigkalibr``), read.
+"""Rig files: tiegraph's rig.toml, COLMAP's rig_config.json and Kalibr's camchain.yaml (``camerafile``), read.
 
 rig.toml::
 
@@ -45,22 +45,20 @@ import re
 import sys
 from itertools import islice
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import pycolmap
 
 from tiegraph.errors import InputError
-from tiegraph.geometry.transforms import invert, rigid
-from tiegraph.scan.rigfiles.camerafile import check_lens, read_camera_file
+from tiegraph.geometry.transforms import are_rotations, finite_array, invert, rigid
+from tiegraph.scan.rigfiles.camerafile import check_lens, kalibr_rig, read_camera_file
 from tiegraph.scan.rigfiles.cameraread import only_one
-from tiegraph.scan.rigfiles.rigfaults import MAX_SIDE_PX, faults, lens_fault
-from tiegraph.scan.rigfiles.rigkalibr import kalibr_rig
-from tiegraph.scan.rigfiles.rigreader import Reader, is_number
+from tiegraph.scan.rigfiles.rigfaults import MAX_SIDE_PX, Part, faults, is_number, lens_fault
 from tiegraph.scan.rigfiles.rigspec import AXES, PRESET_WORDS, UNIT, RigSpec, SensorSpec, orient
 from tiegraph.scan.tuning import RigTuning
-from tiegraph.scene.regular import regular
 from tiegraph.scene.rig import PAIR_KEYS, ROLES, SensorPair
+from tiegraph.scene.textfile import text_lines, utf8_text
 from tiegraph.text import composed
 
 if sys.version_info >= (3, 11):
@@ -84,20 +82,20 @@ _TURNS = ("yaw_pitch_roll_deg", "body_from_sensor_wxyz", "body_from_sensor")
 _MAX_FOCAL_PX = 1e6  # that a rig file may name
 
 
-def read_rig_file(path: Path | str, tuning: RigTuning) -> tuple[RigSpec, ...]:
-    """Rigs of a rig.toml or Kalibr's camchain.yaml (one) or a COLMAP rig_config.json (one or more).
+def read_rig_file(path: Path | str, tuning: RigTuning, text: str | None = None) -> tuple[RigSpec, ...]:
+    """Rigs of a rig.toml or Kalibr's camchain.yaml (one) or a COLMAP rig_config.json (one or more); of the ``text`` of
+    a rig.toml, where that comes from ``path``, a run folder.
 
     Raises InputError with file, line and key for what is missing, unknown, misspelt or of the wrong kind.
     """
     path = Path(path)
+    if text is not None:
+        return parse_rig_file(path, text, tuning)
     if not path.exists():
         raise InputError(f"--rig {path}: no such file, and no preset: {PRESET_WORDS}")
     if path.is_dir():
         raise InputError(f"--rig {path}: a folder, not a file, and no run folder of tiegraph: give one of these")
-    try:
-        text = composed(regular(path).read_text(encoding="utf-8-sig"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read as text in UTF-8 ({error})") from None
+    text = composed(utf8_text(path, str(path)))
     if path.suffix.lower() in _KALIBR:
         return (kalibr_rig(path, text, RIG_NAME, tuning),)
     return parse_rig_file(path, text, tuning, path.suffix.lower() == ".json")
@@ -105,229 +103,232 @@ def read_rig_file(path: Path | str, tuning: RigTuning) -> tuple[RigSpec, ...]:
 
 def parse_rig_file(path: Path, text: str, tuning: RigTuning, colmap: bool = False) -> tuple[RigSpec, ...]:
     """The rigs of the text of a rig.toml or rig_config.json that comes from ``path``. Raises InputError, naming it."""
-    reader = _ColmapReader(path, text, tuning) if colmap else _TomlReader(path, text, tuning)
     try:
+        reader = _ColmapReader(path, text) if colmap else _TomlReader(path, text, tuning)
         rigs = reader.rigs()
     except RecursionError:
         raise InputError(f"{path}: too many brackets within brackets to be a rig file") from None
     for rig in rigs:
         for fault in faults(rig, tuning):
-            raise reader.fault(fault, rig)
+            number = rig.sensors[fault.number].number if fault.table == "sensors" else fault.number
+            key = "cam_from_rig_translation" if colmap and fault.key == "position_m" else fault.key
+            raise reader.part(fault.table, number).fail(key, fault.message)
     return rigs
 
 
 def camera_table(path: Path, text: str, tuning: RigTuning) -> SensorSpec:
     """The camera of a rig.toml with one sensor, or with a table [camera] alone. Raises InputError."""
     reader = _TomlReader(path, text, tuning)
-    try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{path}: not a valid TOML file: {error}") from None
-    if data.get("sensors"):
-        sensors = reader.rig().sensors
-        if len(sensors) > 1:
-            raise InputError(f"--camera {path}: a rig of {len(sensors)} sensors; give it by --rig")
-        found = sensors[0]
+    if reader.data.get("sensors"):
+        (rig,) = reader.rigs()
+        if len(rig.sensors) > 1:
+            raise InputError(f"--camera {path}: a rig of {len(rig.sensors)} sensors; give it by --rig")
+        found = rig.sensors[0]
     else:
-        reader.known(data, ("camera", "name"), "a camera's file")
-        camera = reader.camera(data.get("camera", {}), "[camera]", "", 0)
-        found = SensorSpec("camera", **camera)
+        reader.part().known(("camera", "name"), "a camera's file")
+        found = SensorSpec("camera", **reader.shared_camera())
     if not found.at:
         raise InputError(f"--camera {path}: no params, focal_px or hfov_deg in a table [camera]")
     return found
 
 
-_SENSORS_TABLE = r"\s*\[\[\s*sensors\s*\]\]"
-_PAIRS_TABLE = r"\s*\[\[\s*pairs\s*\]\]"
+class _TomlReader:
+    def __init__(self, path: Path, text: str, tuning: RigTuning) -> None:
+        """Raises InputError for what is no TOML."""
+        self.path, self.lines, self.tuning = path, text_lines(text), tuning.camera
+        try:
+            self.data = tomllib.loads("\n".join(self.lines))
+        except tomllib.TOMLDecodeError as error:
+            raise InputError(f"{path}: not a valid TOML file: {error}") from None
 
+    def part(self, table: str = "", number: int = 0, data: Any = None) -> Part:
+        """The ``number``-th table of a name, with its ``data``; "" = the file.
 
-class _TomlReader(Reader):
-    tables: ClassVar[dict[str, str]] = {"sensors": _SENSORS_TABLE, "pairs": _PAIRS_TABLE}
+        A table ends at the next header that is no table within it ([sensors.camera] is within [[sensors]]).
+        """
+        if not table:
+            return Part(self.path, self.lines, None, self.data)
+        heads = [k for k, text in enumerate(self.lines) if re.match(rf"\s*\[+\s*{table}\s*\]", text)]
+        first = heads[number] if number < len(heads) else len(self.lines)
+        ends = (
+            k
+            for k in range(first + 1, len(self.lines))
+            if re.match(rf"\s*\[+\s*(?!{table}\s*\.)[A-Za-z_]", self.lines[k])
+        )
+        return Part(self.path, self.lines, (first, next(ends, len(self.lines))), data)
 
     def rigs(self) -> tuple[RigSpec, ...]:
-        return (self.rig(),)
-
-    def rig(self) -> RigSpec:
-        try:
-            data = tomllib.loads("\n".join(self.lines))
-        except tomllib.TOMLDecodeError as error:
-            raise InputError(f"{self.path}: not a valid TOML file: {error}") from None
-        self.known(data, _RIG_KEYS, "the rig")
-        axes = self.choice(data, "axes", tuple(AXES))
-        shared = self.camera(data.get("camera", {}), "[camera]", "", 0)
+        data, whole = self.data, self.part()
+        whole.known(_RIG_KEYS, "the rig")
+        axes = whole.choice("axes", tuple(AXES))
+        shared = self.shared_camera()
         tables = data.get("sensors", [])
         if not isinstance(tables, list) or not tables or not all(isinstance(t, dict) for t in tables):
-            raise self.fail("sensors", "the rig needs at least one [[sensors]] table with a name")
+            raise whole.fail("sensors", "the rig needs at least one [[sensors]] table with a name")
         sensors = tuple(self.sensor(t, k, axes, shared) for k, t in enumerate(tables))
         for key, values in (("name", [s.name for s in sensors]), ("folder", [s.folder or s.name for s in sensors])):
             twice = next((k for k, v in enumerate(values) if v in values[:k]), None)
             if twice is not None:
-                raise self.fail(key, f"two sensors have the {key} {values[twice]!r}", _SENSORS_TABLE, twice)
-        return RigSpec(
+                raise self.part("sensors", twice).fail(key, f"two sensors have the {key} {values[twice]!r}")
+        rig = RigSpec(
             name=str(data.get("name", RIG_NAME)),
             sensors=sensors,
-            fixed=self.choice(data, "fixed", (False, True)),
-            nominal=self.choice(data, "nominal", (False, True)),
-            synchronised=self.choice(data, "synchronised", (False, True)),
-            antenna_m=self.numbers(data, "antenna_m", (3,)),  # type: ignore[arg-type]
+            fixed=whole.choice("fixed", (False, True)),
+            nominal=whole.choice("nominal", (False, True)),
+            synchronised=whole.choice("synchronised", (False, True)),
+            antenna_m=whole.numbers("antenna_m", 3),  # type: ignore[arg-type]
             axes=axes,
             pairs=self.pairs(data.get("pairs", []), [s.name for s in sensors]),
             file=str(self.path),
         )
+        return (rig,)
 
     def sensor(self, data: dict, number: int, axes: str, shared: dict) -> SensorSpec:
-        at = (_SENSORS_TABLE, number)
+        part = self.part("sensors", number, data)
         where = f"sensor {data.get('name', number + 1)!r}"
-        self.known(data, _SENSOR_KEYS, where, *at)
+        part.known(_SENSOR_KEYS, where)
         if not isinstance(data.get("name"), str) or not data["name"]:
-            raise self.fail("name", f"{where} needs a name", *at)
+            raise part.fail("name", f"{where} needs a name")
         folder = data.get("folder")
         if folder is not None and not isinstance(folder, str):
-            raise self.fail("folder", f"folder = {folder!r}: expected text", *at)
-        camera = self.camera(data["camera"], where, *at) if "camera" in data else shared
-        crop = self.numbers(data, "crop_px", (4,), *at)
+            raise part.fail("folder", f"folder = {folder!r}: expected text")
+        camera = self.camera(part, data["camera"], where) if "camera" in data else shared
+        crop = part.numbers("crop_px", 4)
         if crop is not None and (min(crop) < 0 or any(c != int(c) for c in crop)):
-            raise self.fail("crop_px", f"crop_px = {list(crop)}: expected whole pixels, none below 0", *at)
+            raise part.fail("crop_px", f"crop_px = {list(crop)}: expected whole pixels, none below 0")
         return SensorSpec(
             name=data["name"],
             folder=None if folder is None else folder.strip("/"),
-            role=self.choice(data, "role", ROLES, *at),
-            body_from_sensor=self.pose(data, axes, *at),
+            role=part.choice("role", ROLES),
+            body_from_sensor=_pose(part, axes),
             crop_px=None if crop is None else tuple(int(c) for c in crop),  # type: ignore[arg-type]
-            sigma_deg=self.positive(data, "sigma_deg", *at),
-            sigma_m=self.positive(data, "sigma_m", *at),
+            sigma_deg=part.positive("sigma_deg"),
+            sigma_m=part.positive("sigma_m"),
             number=number,
             **camera,
         )
 
     def pairs(self, tables: Any, names: list[str]) -> tuple[SensorPair, ...]:
         if not isinstance(tables, list) or not all(isinstance(t, dict) for t in tables):
-            raise self.fail("pairs", "pairs: expected [[pairs]] tables")
+            raise self.part().fail("pairs", "pairs: expected [[pairs]] tables")
         out = []
         for number, data in enumerate(tables):
-            at = (_PAIRS_TABLE, number)
-            self.known(data, ("sensors", *PAIR_KEYS), f"pair {number + 1}", *at)
+            part = self.part("pairs", number, data)
+            part.known(("sensors", *PAIR_KEYS), f"pair {number + 1}")
             both = data.get("sensors")
             good = isinstance(both, list) and len(both) == 2 and all(b in names for b in both)
             if not good or both[0] == both[1]:
-                raise self.fail("sensors", f"sensors = {both!r}: expected two of {', '.join(names)}", *at)
-            values = {key: self.positive(data, key, *at) for key in PAIR_KEYS}
+                raise part.fail("sensors", f"sensors = {both!r}: expected two of {', '.join(names)}")
+            values = {key: part.positive(key) for key in PAIR_KEYS}
             for value, sigma in (PAIR_KEYS[:2], PAIR_KEYS[2:]):
                 if (values[value] is None) != (values[sigma] is None):
-                    raise self.fail(value, f"pair {both[0]} - {both[1]}: {value} and {sigma} belong together", *at)
+                    raise part.fail(value, f"pair {both[0]} - {both[1]}: {value} and {sigma} belong together")
             out.append(SensorPair((both[0], both[1]), **values))
         return tuple(out)
 
-    def positive(self, data: dict, key: str, table: str, number: int) -> float | None:
-        value = data.get(key)
-        if value is None:
-            return None
-        if not is_number(value) or value < 0:
-            raise self.fail(key, f"{key} = {value!r:.99}: expected a finite number, 0 or more", table, number)
-        return float(value)
+    def shared_camera(self) -> dict[str, Any]:
+        """The table [camera], as fields of a sensor."""
+        return self.camera(self.part("camera"), self.data.get("camera", {}), "[camera]")
 
-    def pose(self, data: dict, axes: str, table: str, number: int) -> np.ndarray | None:
-        turns = [t for t in _TURNS if t in data]
-        if len(turns) > 1:
-            raise self.fail(turns[1], f"give one of {', '.join(_TURNS)}, not {' and '.join(turns)}", table, number)
-        position = self.numbers(data, "position_m", (3,), table, number)
-        if not turns:
-            if position is None:
-                return None
-            raise self.fail(
-                "position_m", f"position_m needs an orientation too: one of {', '.join(_TURNS)}", table, number
-            )
-        if turns[0] == "body_from_sensor":
-            return self.matrix(data, position, table, number)
-        values = self.numbers(data, turns[0], (3,) if turns[0].startswith("yaw") else (4,), table, number)
-        assert values is not None
-        if len(values) == 3 and max(map(abs, values)) > 360.0:
-            raise self.fail(turns[0], f"{turns[0]} = {list(values)}: expected degrees, 360 at most", table, number)
-        rotation = orient(*values, axes) if len(values) == 3 else self.quaternion(values, turns[0], table, number)
-        return rigid(rotation, np.array(position or (0.0, 0.0, 0.0)))
-
-    def matrix(self, data: dict, position: tuple[float, ...] | None, table: str, number: int) -> np.ndarray:
-        key = "body_from_sensor"
-        try:
-            matrix = np.array(data[key], float)
-        except (TypeError, ValueError, OverflowError):
-            matrix = np.zeros(0)
-        if matrix.shape not in ((3, 3), (3, 4), (4, 4)) or not np.isfinite(matrix).all():
-            raise self.fail(key, f"{key}: expected 3 rows of 3 or 4 finite numbers", table, number)
-        if len(matrix) == 4 and not np.array_equal(matrix[3], [0, 0, 0, 1]):
-            raise self.fail(key, f"{key}: the fourth row must be 0, 0, 0, 1", table, number)
-        rotation = matrix[:3, :3]
-        if not np.allclose(rotation @ rotation.T, np.eye(3), atol=UNIT) or np.linalg.det(rotation) < 0:
-            raise self.fail(
-                key, f"{key}: not a rotation (rows of length 1, at right angles, right-handed)", table, number
-            )
-        if matrix.shape == (3, 3):
-            return rigid(rotation, np.array(position or (0.0, 0.0, 0.0)))
-        if position is not None:
-            raise self.fail("position_m", f"position_m is already in the last column of {key}", table, number)
-        return rigid(rotation, matrix[:3, 3])
-
-    def camera(self, data: Any, where: str, table: str, number: int) -> dict:
-        at, can = (table or r"\s*\[\s*camera\s*\]", number), self.tuning.camera
+    def camera(self, table: Part, data: Any, where: str) -> dict[str, Any]:
+        """Fields of a sensor by its camera, whose keys stand in a table of the file."""
         if not isinstance(data, dict):
-            raise self.fail("camera", f"camera of {where}: expected a table such as {{hfov_deg = 90}}", *at)
-        self.known(data, _CAMERA_KEYS, f"the camera of {where}", *at)
+            raise table.fail("camera", f"camera of {where}: expected a table such as {{hfov_deg = 90}}")
+        part = table.within(data)
+        part.known(_CAMERA_KEYS, f"the camera of {where}")
         if "file" in data:
-            return self.other_program(data, where, *at)
-        params, size = self.numbers(data, "params", (), *at), self.numbers(data, "size", (2,), *at)
+            return self.other_program(part, where)
+        params, size = part.numbers("params"), part.numbers("size", 2)
         given = [k for k in ("params", "focal_px", "hfov_deg") if k in data]
         if len(given) > 1:
-            raise self.fail(given[1], f"camera of {where}: give one of {', '.join(given)}", *at)
+            raise part.fail(given[1], f"camera of {where}: give one of {', '.join(given)}")
         if params is not None and "model" not in data:
-            raise self.fail("params", f"camera of {where}: params need a model, for example OPENCV", *at)
-        model = self.model(data["model"], params, *at) if "model" in data else None
+            raise part.fail("params", f"camera of {where}: params need a model, for example OPENCV")
+        model = part.model("model", params)
         for key, most in (("focal_px", _MAX_FOCAL_PX), ("hfov_deg", 360.0)):
             value = data.get(key, 1.0)
             if not is_number(value) or not 0 < value <= most:
-                raise self.fail(key, f"{key} = {value!r:.99}: expected a number above 0, at most {most:g}", *at)
+                raise part.fail(key, f"{key} = {value!r:.99}: expected a number above 0, at most {most:g}")
         if size is not None and (any(v != int(v) for v in size) or not 1 <= min(size) <= max(size) <= MAX_SIDE_PX):
-            raise self.fail("size", f"size = {data['size']!r}: expected width and height in whole pixels", *at)
+            raise part.fail("size", f"size = {data['size']!r}: expected width and height in whole pixels")
         if size is not None and params is not None and model is not None:
             lens = pycolmap.Camera(model=model, width=int(size[0]), height=int(size[1]), params=params)
-            if wrong := lens_fault(lens, can):
-                raise self.fail("params", f"camera of {where}: {wrong}", *at)
+            if wrong := lens_fault(lens, self.tuning):
+                raise part.fail("params", f"camera of {where}: {wrong}")
         return {
-            "at": self.at(given[0], *at) if given else "",
+            "at": part.at(given[0]) if given else "",
             "model": model,
             "size": None if size is None else (int(size[0]), int(size[1])),
             "params": params,
             "focal_px": data.get("focal_px"),
             "hfov_deg": data.get("hfov_deg"),
-            "camera_sigma_px": self.positive(data, "sigma_px", *at) or None,
+            "camera_sigma_px": part.positive("sigma_px") or None,
         }
 
-    def other_program(self, data: dict, where: str, table: str, number: int) -> dict:
+    def other_program(self, part: Part, where: str) -> dict[str, Any]:
         """The camera of a file of another program, its path from the folder of this one."""
-        if len(data) > 1 or not isinstance(data["file"], str):
-            raise self.fail(
-                "file", f"camera of {where}: file = the path of a calibration, and no other key", table, number
-            )
-        at = f"{self.at('file', table, number)}: {data['file']}"
-        found = only_one(read_camera_file(self.path.parent / data["file"], at), at)
-        check_lens(found, self.tuning.camera)
-        given = {"at": found.where, "model": found.model, "size": found.size, "params": found.params}
-        return {**given, "focal_px": None, "hfov_deg": None}
+        name = part.data["file"]
+        if len(part.data) > 1 or not isinstance(name, str):
+            raise part.fail("file", f"camera of {where}: file = the path of a calibration, and no other key")
+        at = f"{part.at('file')}: {name}"
+        found = only_one(read_camera_file(self.path.parent / name, at), at)
+        check_lens(found, self.tuning)
+        return {"at": found.where, "model": found.model, "size": found.size, "params": found.params}
 
 
-_CAMERA_TABLE = "cameras"
+def _pose(part: Part, axes: str) -> np.ndarray | None:
+    """body_from_sensor (4, 4) of a table of a sensor; None where it says nothing."""
+    turns = [t for t in _TURNS if t in part.data]
+    if len(turns) > 1:
+        raise part.fail(turns[1], f"give one of {', '.join(_TURNS)}, not {' and '.join(turns)}")
+    position = part.numbers("position_m", 3)
+    if not turns:
+        if position is not None:
+            raise part.fail("position_m", f"position_m needs an orientation too: one of {', '.join(_TURNS)}")
+        return None
+    place = np.array(position or (0.0, 0.0, 0.0))
+    if turns[0] == "body_from_sensor":
+        matrix = _matrix(part)
+        if matrix.shape == (3, 3):
+            return rigid(matrix, place)
+        if position is not None:
+            raise part.fail("position_m", "position_m is already in the last column of body_from_sensor")
+        return rigid(matrix[:3, :3], matrix[:3, 3])
+    if turns[0] == "body_from_sensor_wxyz":
+        return rigid(np.asarray(part.quaternion(turns[0])), place)
+    angles = part.numbers(turns[0], 3)
+    assert angles is not None
+    if max(map(abs, angles)) > 360.0:
+        raise part.fail(turns[0], f"{turns[0]} = {list(angles)}: expected degrees, 360 at most")
+    yaw, pitch, roll = angles
+    return rigid(orient(yaw, pitch, roll, axes), place)
 
 
-class _ColmapReader(Reader):
-    tables: ClassVar[dict[str, str]] = {"sensors": _CAMERA_TABLE}
-    words: ClassVar[dict[str, str]] = {"position_m": "cam_from_rig_translation"}
+def _matrix(part: Part) -> np.ndarray:
+    """(3, 3), (3, 4) or (4, 4) of body_from_sensor."""
+    key = "body_from_sensor"
+    matrix = finite_array(part.data[key], (3, 3), (3, 4), (4, 4))
+    if matrix is None:
+        raise part.fail(key, f"{key}: expected 3 rows of 3 or 4 finite numbers")
+    if len(matrix) == 4 and not np.array_equal(matrix[3], [0, 0, 0, 1]):
+        raise part.fail(key, f"{key}: the fourth row must be 0, 0, 0, 1")
+    if not are_rotations(matrix[:3, :3], UNIT):
+        raise part.fail(key, f"{key}: not a rotation (rows of length 1, at right angles, right-handed)")
+    return matrix
 
-    def span(self, table: str, number: int) -> tuple[int, int]:
-        """Lines of the ``number``-th camera: cameras are the objects that hold no other."""
+
+class _ColmapReader:
+    def __init__(self, path: Path, text: str) -> None:
+        self.path, self.lines = path, text_lines(text)
+
+    def part(self, table: str = "", number: int = 0, data: Any = None) -> Part:
+        """The ``number``-th camera, with its ``data``: cameras are the objects that hold no other; "" = the file."""
         text = "\n".join(self.lines)
-        found = next(islice(re.finditer(r"\{[^{}]*\}", text), number, None), None)
+        found = next(islice(re.finditer(r"\{[^{}]*\}", text), number, None), None) if table else None
         if found is None:
-            return 0, 0
-        return text.count("\n", 0, found.start()), text.count("\n", 0, found.end()) + 1
+            return Part(self.path, self.lines, (0, 0) if table else None, data)
+        span = text.count("\n", 0, found.start()), text.count("\n", 0, found.end()) + 1
+        return Part(self.path, self.lines, span, data)
 
     def rigs(self) -> tuple[RigSpec, ...]:
         try:
@@ -338,62 +339,55 @@ class _ColmapReader(Reader):
             raise InputError(f'{self.path}: COLMAP rig files are a list of rigs: [{{"cameras": [...]}}]')
         lists = [r.get("cameras") for r in data]
         for number, cameras in enumerate(lists):
-            self.known(data[number], ("cameras",), f"rig {number + 1}")
+            whole = self.part(data=data[number])
+            whole.known(("cameras",), f"rig {number + 1}")
             if not isinstance(cameras, list) or not cameras or not all(isinstance(c, dict) for c in cameras):
-                raise self.fail("cameras", f"rig {number + 1} needs a list of cameras")
+                raise whole.fail("cameras", f"rig {number + 1} needs a list of cameras")
         given = [c.get("image_prefix") for cameras in lists for c in cameras]
         prefixes = [p.strip("/") if isinstance(p, str) else None for p in given]
         twice = next((k for k, p in enumerate(prefixes) if p is not None and p in prefixes[:k]), None)
         if twice is not None:
             message = f"two cameras have the image_prefix {prefixes[twice]!r}, the same folder: give each its own"
-            raise self.fail("image_prefix", message, _CAMERA_TABLE, twice)
+            raise self.part("sensors", twice).fail("image_prefix", message)
         before = np.cumsum([0, *map(len, lists)])
         return tuple(self.rig(cameras, k, len(data), int(before[k])) for k, cameras in enumerate(lists))
 
     def rig(self, cameras: list[dict], number: int, count: int, before: int) -> RigSpec:
         references = [k for k, c in enumerate(cameras) if c.get("ref_sensor") is True]
         if len(references) != 1:
-            raise self.fail(
-                "ref_sensor", f"rig {number + 1}: exactly one camera must have ref_sensor, got {len(references)}"
-            )
+            message = f"rig {number + 1}: exactly one camera must have ref_sensor, got {len(references)}"
+            raise self.part().fail("ref_sensor", message)
         order = references + [k for k in range(len(cameras)) if k not in references]
         sensors = tuple(self.sensor(cameras[k], before + k) for k in order)
         name = RIG_NAME if count == 1 else f"{RIG_NAME} {number + 1}"
         return RigSpec(name, sensors, file=str(self.path), body_is_reference=True)
 
     def sensor(self, data: dict, number: int) -> SensorSpec:
-        at = (_CAMERA_TABLE, number)
-        self.known(data, _COLMAP_KEYS, f"camera {number + 1}", *at)
+        part = self.part("sensors", number, data)
+        part.known(_COLMAP_KEYS, f"camera {number + 1}")
         prefix = data.get("image_prefix")
         if not isinstance(prefix, str):
-            raise self.fail("image_prefix", f"camera {number + 1} needs an image_prefix", *at)
-        params = self.numbers(data, "camera_params", (), *at)
-        model = data.get("camera_model_name")
-        if (model is None) != (params is None):
-            raise self.fail("camera_params", f"{prefix}: camera_model_name and camera_params belong together", *at)
+            raise part.fail("image_prefix", f"camera {number + 1} needs an image_prefix")
+        params = part.numbers("camera_params")
+        if (data.get("camera_model_name") is None) != (params is None):
+            raise part.fail("camera_params", f"{prefix}: camera_model_name and camera_params belong together")
         folder = prefix.strip("/")
         return SensorSpec(
             name=folder or "camera",
             folder=folder if prefix.endswith("/") or not folder else f"{folder}*",  # it may begin the names of files
-            body_from_sensor=self.pose(data, number),
-            model=None if model is None else self.model(model, params, *at, "camera_model_name"),
+            body_from_sensor=self.pose(part),
+            model=part.model("camera_model_name", params),
             params=params,
             number=number,
-            at=self.at("camera_params", *at) if params is not None else "",
+            at=part.at("camera_params") if params is not None else "",
         )
 
-    def pose(self, data: dict, number: int) -> np.ndarray | None:
-        at = (_CAMERA_TABLE, number)
-        q = self.numbers(data, "cam_from_rig_rotation", (4,), *at)
-        t = self.numbers(data, "cam_from_rig_translation", (3,), *at)
-        if data.get("ref_sensor"):
-            if q is not None or t is not None:
-                raise self.fail(
-                    "cam_from_rig_rotation", "the reference sensor is the rig frame: leave its pose away", *at
-                )
+    def pose(self, part: Part) -> np.ndarray | None:
+        turn, place = part.quaternion("cam_from_rig_rotation"), part.numbers("cam_from_rig_translation", 3)
+        if part.data.get("ref_sensor"):
+            if turn is not None or place is not None:
+                raise part.fail("cam_from_rig_rotation", "the reference sensor is the rig frame: leave its pose away")
             return np.eye(4)
-        if q is None and t is None:
-            return None
-        if q is None or t is None:
-            raise self.fail("image_prefix", "cam_from_rig_rotation and cam_from_rig_translation belong together", *at)
-        return invert(rigid(self.quaternion(q, "cam_from_rig_rotation", *at), np.array(t)))
+        if (turn is None) != (place is None):
+            raise part.fail("image_prefix", "cam_from_rig_rotation and cam_from_rig_translation belong together")
+        return None if turn is None or place is None else invert(rigid(turn, np.array(place)))

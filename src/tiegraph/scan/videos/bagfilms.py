@@ -8,7 +8,6 @@ folder of the pictures is called as what stands before ``image``: left.
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from datetime import datetime, timezone
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -18,15 +17,14 @@ import numpy as np
 
 from tiegraph.errors import InputError
 from tiegraph.scan.folders import is_camera
-from tiegraph.scan.recording import Recording
-from tiegraph.scan.recording.fixes import RECORDED_RANGE_S
+from tiegraph.scan.recording import RECORDED_RANGE_S, Recording
 from tiegraph.scan.rigfiles.camerafile import check_lens
-from tiegraph.scan.rigfiles.cameraread import FoundCamera
-from tiegraph.scan.rigfiles.camerayaml import opencv
+from tiegraph.scan.rigfiles.cameraread import FoundCamera, opencv
 from tiegraph.scan.tuning import CameraTuning, PicturesTuning
 from tiegraph.scan.videos.videotime import VideoClock
 from tiegraph.scene.bags import METADATA, SUFFIXES, Bag, Topic, in_full, is_bag, of_topic, open_bag, shown, stamp_ns
-from tiegraph.scene.gnss.navsat import KINDS as FIXES
+from tiegraph.scene.cells import date_text
+from tiegraph.scene.gnss.solutions import KINDS as FIXES
 from tiegraph.scene.images import files_below
 
 KINDS = ("sensor_msgs/Image", "sensor_msgs/CompressedImage")
@@ -51,6 +49,7 @@ _ENCODINGS: dict[str, tuple[int, int | None]] = {
 }
 _INFO = "sensor_msgs/CameraInfo"
 _COMPRESSED = "/compressed"
+_RATE_FRAMES = 50  # messages of a topic, from its start, whose stamps tell its rate
 _IMAGE = re.compile(r"image(_\w+)?")
 
 
@@ -77,7 +76,9 @@ def bag_films(bag_path: Path, folder: str, asked: Sequence[str]) -> tuple[list[t
         cameras: dict[str, list[Topic]] = {}
         for topic in found:
             source = topic.name.removesuffix(_COMPRESSED)
-            why = f"as {source} is" if source != topic.name and source in names else _why_not(bag, topic)
+            why = (
+                f"as {source} is" if source != topic.name and source in names else unread(next(bag.messages(topic))[0])
+            )
             if why:
                 notes.append(f"{shown(bag_path, topic.name)}: left out: {why}")
             else:
@@ -102,11 +103,6 @@ def fixes_notes(bag_path: Path) -> list[str]:
     return [f"{bag_path.name} has positions, {t}: --gnss {of_topic(bag_path, t.name)} takes them" for t in found]
 
 
-def _why_not(bag: Bag, topic: Topic) -> str:
-    message, _ = next(bag.messages(topic))
-    return unread(message)
-
-
 def _source(topic: str) -> list[str]:
     """The parts of a topic's name without that of its compression."""
     return [p for p in topic.removesuffix(_COMPRESSED).split("/") if p]
@@ -120,17 +116,17 @@ def _camera_name(topic: str) -> str:
 
 
 @contextmanager
-def open_topic(bag_path: Path, topic: str, tuning: PicturesTuning) -> "Iterator[BagFilm]":
+def open_topic(bag_path: Path, topic: str) -> "Iterator[BagFilm]":
     """An image topic of a bag. Raises what ``open_bag`` raises, and InputError if the topic is none of images."""
     with open_bag(bag_path) as bag:
-        yield BagFilm(bag, bag.only(KINDS, (topic,)), tuning)
+        yield BagFilm(bag, bag.only(KINDS, (topic,)))
 
 
 class BagFilm:
     """An opened image topic: its frames as those of an ``OpenVideo``, and what is wrong with them."""
 
-    def __init__(self, bag: Bag, topic: Topic, tuning: PicturesTuning) -> None:
-        self._bag, self._topic, self._tuning = bag, topic, tuning
+    def __init__(self, bag: Bag, topic: Topic) -> None:
+        self._bag, self._topic = bag, topic
         self.count = self.late = 0
         first, received_ns = next(bag.messages(topic))
         self._start_ns = stamp_ns(first.header, received_ns)
@@ -141,7 +137,7 @@ class BagFilm:
     @property
     def fps(self) -> float:
         """Frames a second, by the stamps of the first messages."""
-        first = islice(self._bag.messages(self._topic), self._tuning.rate_frames)
+        first = islice(self._bag.messages(self._topic), _RATE_FRAMES)
         steps = np.diff([stamp_ns(m.header, t) for m, t in first]) * 1e-9
         return float(1 / np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
 
@@ -169,7 +165,7 @@ class BagFilm:
         start_s, name = self._start_ns * 1e-9, shown(self._bag.path, self._topic.name)
         low, high = RECORDED_RANGE_S
         dated = low <= start_s <= high
-        when = f"{datetime.fromtimestamp(start_s, timezone.utc):%Y-%m-%d %H:%M:%S} UTC" if dated else f"{start_s:.3f} s"
+        when = f"{date_text(start_s)} UTC" if dated else f"{start_s:.3f} s"
         late = f"which it was received {(self._received_ns - self._start_ns) * 1e-9:.3f} s after"
         by = f"the stamp of its first message, {late}" if self._stamped else "its receipt: its headers have no stamps"
         return VideoClock(

@@ -1,8 +1,9 @@
 """Videos as image sequences: the sharpest picture of each stretch of time, numbered in order, each with its time.
 
 Videos of 360 cameras before stitching: Insta360's .insv, an MP4 by another name. Three kinds are about. One video shows
-both lenses side by side: its pictures are told by their two circles (``twolenses``). Two files of one shot, ..._00_...
-and ..._10_..., or two video tracks of one file, have a lens each: their pictures become the two cameras of a rig.
+both lenses side by side: its pictures are told by their two circles (``sharedfiles``). Two files of one shot,
+..._00_... and ..._10_..., or two video tracks of one file, have a lens each: their pictures become the two cameras of a
+rig.
 """
 
 import json
@@ -29,6 +30,7 @@ from tiegraph.scene.regular import real_path, regular
 
 SUFFIXES = (".mp4", ".mov", ".avi", ".mkv", ".m4v", ".mts", ".webm", ".insv")
 _TAKEN = ".taken.json"  # hidden: no image
+_SHARP_PX = 480  # width at which sharpness is compared
 _SAME_S = 1e-6  # by so much are stamps rounded
 
 Frame = tuple[float, np.ndarray]  # stamp in s since the start of the recording, BGR picture
@@ -111,13 +113,13 @@ def check_film(recording: Recording) -> None:
 
 
 @contextmanager
-def open_film(recording: Recording, tuning: PicturesTuning) -> Iterator[OpenVideo | BagFilm]:
+def open_film(recording: Recording) -> Iterator[OpenVideo | BagFilm]:
     """A video, one track of it, or the topic of a bag. Raises InputError for a bag that is damaged."""
     if recording.topic is None:
         with _open_video(recording) as video:
             yield video
     else:
-        with open_topic(recording.file, recording.topic, tuning) as topic:
+        with open_topic(recording.file, recording.topic) as topic:
             yield topic
 
 
@@ -173,7 +175,7 @@ def take_pictures(
     except OSError as error:
         return Pictures(said=f"{name} is no video: {error.strerror}")
     numbers, stamps = [], []
-    with replacing(folder) as partial, open_film(recording, tuning) as opened:
+    with replacing(folder) as partial, open_film(recording) as opened:
         partial.mkdir()
         for number, (stamp, picture) in choice.pick(opened.frames()):
             write_pixels(partial / f"{folder.name}_{number:06d}.jpg", picture[..., ::-1], clock.taken(stamp))
@@ -190,7 +192,7 @@ def _said(name: str, words: str, count: int, opened: OpenVideo | BagFilm, tuning
     return f"{name}: {count} pictures, {words}{opened.doubts(tuning)}"
 
 
-def sharpest(per_second: float, tuning: PicturesTuning) -> Choice:
+def sharpest(per_second: float) -> Choice:
     """The sharpest frame of each 1/``per_second`` s.
 
     Sharpness is the variance of the Laplacian of the reduced grey picture: it only compares neighbours in time.
@@ -204,7 +206,7 @@ def sharpest(per_second: float, tuning: PicturesTuning) -> Choice:
             if now != stretch and best is not None:
                 yield number, best[1]
                 best, number = None, number + 1
-            stretch, sharp = now, _sharpness(frame[1], tuning.sharp_px)
+            stretch, sharp = now, _sharpness(frame[1])
             if best is None or sharp > best[0]:
                 best = sharp, frame
         if best is not None:
@@ -233,8 +235,8 @@ def nearest(numbers: Sequence[int], stamps_s: Sequence[float], most_s: float) ->
     return Choice(choose, "those nearest in time to the pictures of the rig's first camera")
 
 
-def _sharpness(picture: np.ndarray, width_px: int) -> float:
-    scale = min(1.0, width_px / picture.shape[1])
+def _sharpness(picture: np.ndarray) -> float:
+    scale = min(1.0, _SHARP_PX / picture.shape[1])
     small = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     return float(cv2.Laplacian(cv2.cvtColor(small, cv2.COLOR_BGR2GRAY), cv2.CV_32F).var())
 

@@ -21,14 +21,19 @@ import scipy
 from tiegraph.errors import InputError
 from tiegraph.geometry.align import robust_sigma
 from tiegraph.scan.assign import Report, Usable, assign
-from tiegraph.scan.perspective import PRESET
 from tiegraph.scan.settings import ScanSettings, video_offsets
+from tiegraph.scan.sharedfiles import PRESET
 from tiegraph.scan.tuning import MotionTuning, OffsetTuning, Tuning
 from tiegraph.scene.images import Probe
 
 # Resolution of the search, not decisions:
+_COARSE_S = 0.1  # steps of the search over all offsets ...
+_CANDIDATES = 8  # ... and offsets of it that are looked at in steps of a frame
 _PHASES = 4  # grids between two steps
 _FINE = 12  # offsets tried between two steps
+_NEAR_STEPS = 0.6  # about the best offset, where a parabola is fitted to the likelihood
+_BLOCKS = 8  # of time, of the jackknife
+_ROUNDS, _EXACT_PX = 5, 0.02  # of the reweighted least squares; residual below which flow is as good as exact
 CHANNELS = 4
 
 
@@ -53,17 +58,17 @@ def find_offset(first: MotionCurve, second: MotionCurve, tuning: OffsetTuning) -
     if few < tuning.least_frames:
         return Offset(refused=f"{few} frames are too few")
     step = max(first.step_s(), second.step_s())
-    coarse = _Pair(first, second, max(step, tuning.coarse_s), tuning)
+    coarse = _Pair(first, second, max(step, _COARSE_S), tuning)
     fine = _Pair(first, second, step, tuning)
     rough, refused = _stands_out(fine, _candidates(coarse, tuning), coarse.step_s, tuning)
     if refused:
         return Offset(refused=refused)
     sums = _BlockSums(fine, rough, 1.5 * coarse.step_s, tuning)
-    every = np.ones(tuning.blocks, bool)
-    early = np.arange(tuning.blocks) < tuning.blocks // 2
+    every = np.ones(_BLOCKS, bool)
+    early = np.arange(_BLOCKS) < _BLOCKS // 2
     best, apart = sums.peak(every), sums.peak(early) - sums.peak(~early)
-    left_out = np.array([sums.peak(np.arange(tuning.blocks) != k) for k in range(tuning.blocks)])
-    jackknife = float(np.sqrt((tuning.blocks - 1) * np.mean((left_out - left_out.mean()) ** 2)))
+    left_out = np.array([sums.peak(np.arange(_BLOCKS) != k) for k in range(_BLOCKS)])
+    jackknife = float(np.sqrt((_BLOCKS - 1) * np.mean((left_out - left_out.mean()) ** 2)))
     sigma = float(np.hypot(max(jackknife, abs(apart) / 2), tuning.smoothing * step))
     if sigma > tuning.most_sigma * step:
         return Offset(refused=f"its motion says {best:+.3f} s, but its halves differ by {abs(apart):.3f} s")
@@ -77,7 +82,7 @@ def _candidates(pair: _Pair, tuning: OffsetTuning) -> list[float]:
     likelihood = np.array([pair.likelihood(o) for o in offsets])
     found: list[float] = []
     for k in np.argsort(-likelihood, kind="stable"):
-        if len(found) == tuning.candidates:
+        if len(found) == _CANDIDATES:
             break
         if all(abs(offsets[k] - f) > tuning.apart_steps * pair.step_s for f in found):
             found.append(float(offsets[k]))
@@ -163,16 +168,16 @@ class _BlockSums:
         fine = pair.step_s / _FINE
         count = int(np.ceil(reach_s / fine))
         self._change = fine * np.arange(-count, count + 1)
-        self._rough_s, self._near_s, self._noise_px = rough_s, tuning.near_steps * pair.step_s, tuning.noise_px
+        self._rough_s, self._near_s, self._noise_px = rough_s, _NEAR_STEPS * pair.step_s, tuning.noise_px
         begin, end = pair.shared(rough_s)
         at = np.arange(begin + reach_s, end - reach_s - pair.step_s, pair.step_s)
-        block = np.arange(max(len(at) - 2, 0)) * tuning.blocks // max(len(at) - 2, 1)
-        self._sums = np.zeros((len(self._change), tuning.blocks, 2 * CHANNELS, 2 * CHANNELS))
-        self._count = np.bincount(block, minlength=tuning.blocks)
+        block = np.arange(max(len(at) - 2, 0)) * _BLOCKS // max(len(at) - 2, 1)
+        self._sums = np.zeros((len(self._change), _BLOCKS, 2 * CHANNELS, 2 * CHANNELS))
+        self._count = np.bincount(block, minlength=_BLOCKS)
         for phase in pair.step_s * np.arange(_PHASES) / _PHASES:
             for k, change in enumerate(self._change):
                 moved = pair.moved(at + phase + change / 2, at + phase - rough_s - change / 2)
-                for b in range(tuning.blocks):
+                for b in range(_BLOCKS):
                     self._sums[k, b] += moved[block == b].T @ moved[block == b] / _PHASES
 
     def peak(self, blocks: np.ndarray) -> float:
@@ -203,7 +208,7 @@ def films_together(
     ``rig`` and ``text`` as for ``assign``. Films of panoramas are no cameras of a rig. Raises InputError for a rig that
     does not fit.
     """
-    around = sum(f.width == 2 * f.height for f in films) > tuning.panorama.most * len(films)
+    around = 2 * sum(f.width == 2 * f.height for f in films) > len(films)
     if (rig or "").strip().lower() == PRESET or (rig is None and around):
         return [(k,) for k in range(len(films))]
     names = [f"{f.folder}/{PurePosixPath(f.folder).name}_{0:06d}.jpg" for f in films]
@@ -264,14 +269,14 @@ def motion_curve(frames: Iterable[tuple[float, np.ndarray]], tuning: MotionTunin
         grey = small if small.ndim == 2 else cv2.cvtColor(small, cv2.COLOR_BGR2GRAY)
         step = np.zeros(CHANNELS)
         if before is not None:
-            step = _global_motion(flow.calc(before, grey, np.zeros(0, np.float32))[2::4, 2::4], tuning)
+            step = _global_motion(flow.calc(before, grey, np.zeros(0, np.float32))[2::4, 2::4])
         stamps.append(stamp)
         moved.append(step)
         before = grey
     return MotionCurve(np.array(stamps, float), np.cumsum(np.reshape(moved, (-1, CHANNELS)), axis=0))
 
 
-def _global_motion(flow_px: np.ndarray, tuning: MotionTuning) -> np.ndarray:
+def _global_motion(flow_px: np.ndarray) -> np.ndarray:
     """(4,) similarity that fits a flow field (h, w, 2) best, by reweighted least squares (Cauchy weights)."""
     height, width = flow_px.shape[:2]
     y, x = (np.ravel(v) for v in np.mgrid[0:height, 0:width])
@@ -280,10 +285,10 @@ def _global_motion(flow_px: np.ndarray, tuning: MotionTuning) -> np.ndarray:
     design = np.vstack([np.stack([one, none, x, -y], axis=1), np.stack([none, one, y, x], axis=1)])
     measured = np.concatenate([flow_px[..., 0].ravel(), flow_px[..., 1].ravel()])
     weight = np.ones(len(measured))
-    for _ in range(tuning.rounds):
+    for _ in range(_ROUNDS):
         normal = design.T @ (weight[:, None] * design)
         motion = np.linalg.solve(normal, design.T @ (weight * measured))
         residual = np.abs(measured - design @ motion)
-        scale = max(robust_sigma(residual), tuning.noise_px)
+        scale = max(robust_sigma(residual), _EXACT_PX)
         weight = 1 / (1 + (residual / scale) ** 2)
     return motion

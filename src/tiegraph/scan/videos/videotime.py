@@ -3,34 +3,27 @@ receiver in the file, by its container, or from its own start."""
 
 import re
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
-from tiegraph.scan.recording.fixes import RECORDED_RANGE_S, Fixes, Readings, believed
+from tiegraph.scan.recording import RECORDED_RANGE_S, Fixes, Readings, believed
 from tiegraph.scan.recording.gpmf import Telemetry, read_gpmf
 from tiegraph.scan.recording.insta360 import read_trailer
 from tiegraph.scan.recording.tracks import BrokenTrack, boxes
 from tiegraph.scan.settings import ScanSettings, VideoOffsets, video_offsets
 from tiegraph.scan.tuning import PicturesTuning
+from tiegraph.scene.cells import date_text, seconds_of
 from tiegraph.scene.exif import Taken
-from tiegraph.scene.gpstime import DAY_S
 from tiegraph.scene.names import clean
 from tiegraph.scene.regular import regular
+from tiegraph.scene.times import DAY_S
 
 _MP4_EPOCH_S = datetime(1904, 1, 1, tzinfo=timezone.utc).timestamp()  # ISO/IEC 14496-12, 8.2.2
 _QUARTER_S = 900.0  # time zones are whole quarters of an hour ...
 _ZONES_S = (-12 * 3600.0, 14 * 3600.0)  # ... in this range
-
-
-class Places(Protocol):
-    """Where the frames of a video were taken."""
-
-    def place(self, stamp_s: float) -> Taken:
-        """The place of the frame with a stamp; without one if nothing says it."""
 
 
 @dataclass(frozen=True)
@@ -41,30 +34,13 @@ class VideoClock:
     known: bool = False
     utc: bool = False
     shared: bool = False  # with others: the stamps of messages, of which the start is one
-    places: Places | None = None
+    places: "Fixes | Subtitles | None" = None
     note: str = ""
 
     def taken(self, stamp_s: float) -> Taken:
         """When and where the frame with a stamp was taken."""
         place = self.places.place(stamp_s) if self.places is not None else Taken()
-        return Taken(
-            time_s=self.start_s + stamp_s,
-            utc=self.utc,
-            lat_deg=place.lat_deg,
-            lon_deg=place.lon_deg,
-            height_m=place.height_m,
-            sigma_m=place.sigma_m,
-        )
-
-
-@dataclass(frozen=True)
-class _Container:
-    """What the header of a file says: when the recording began (s since 1970), whether it does, and its length (s)."""
-
-    start_s: float
-    known: bool
-    length_s: float
-    said: str
+        return replace(place, time_s=self.start_s + stamp_s, utc=self.utc)
 
 
 def video_clock(video: Path, settings: ScanSettings, tuning: PicturesTuning) -> VideoClock:
@@ -77,58 +53,44 @@ def video_clock(video: Path, settings: ScanSettings, tuning: PicturesTuning) -> 
     if subtitles is not None and np.isfinite(subtitles.start_s):
         start = subtitles.start_s + told.all_s
         return VideoClock(start_s=start, known=True, places=subtitles, note="; ".join(notes))
-    container = _container(video, told.from_end)
+    clock, length_s = _container(video, told)
     telemetry = None if subtitles is not None else read_gpmf(video, settings.max_gap_s, tuning)
     if telemetry is not None:
-        found = _by_telemetry(telemetry, container, told, tuning)
-    elif subtitles is not None:
-        found = _by_container(container, told)
-    else:
-        found = _by_trailer(video, container, told, settings.max_gap_s, tuning)
-    notes.append(f"{name}: {found.note}")
-    places = subtitles or found.places
-    return VideoClock(found.start_s, found.known, found.utc, places=places, note="; ".join(notes))
+        clock = _by_telemetry(telemetry, clock, told.all_s, tuning)
+    elif subtitles is None:
+        clock = _by_trailer(video, clock, length_s, settings.max_gap_s, tuning)
+    notes.append(f"{name}: {clock.note}")
+    return replace(clock, places=subtitles or clock.places, note="; ".join(notes))
 
 
-def _by_container(container: _Container, told: VideoOffsets) -> VideoClock:
-    known = container.known or told.all_s != 0
-    return VideoClock(container.start_s + told.all_s, known, utc=container.known, note=container.said)
-
-
-def _by_telemetry(
-    telemetry: Telemetry, container: _Container, told: VideoOffsets, tuning: PicturesTuning
-) -> VideoClock:
-    """The clock of a video whose fixes stand on its own clock."""
+def _by_telemetry(telemetry: Telemetry, clock: VideoClock, all_s: float, tuning: PicturesTuning) -> VideoClock:
+    """The clock of a video whose fixes stand on its own clock; ``clock``: of its container, ``all_s`` later."""
     if np.isnan(telemetry.start_s):
-        clock = _by_container(container, told)
-        return VideoClock(
-            clock.start_s, clock.known, clock.utc, places=telemetry.fixes, note=f"{clock.note}; {telemetry.note}"
-        )
-    note, apart = telemetry.note, abs(container.start_s - telemetry.start_s) / DAY_S
-    if container.known and apart > tuning.creation_days:
+        return replace(clock, places=telemetry.fixes, note=f"{clock.note}; {telemetry.note}")
+    note, apart = telemetry.note, abs(clock.start_s - all_s - telemetry.start_s) / DAY_S
+    if clock.utc and apart > tuning.creation_days:
         note += f"; its creation time is {apart:.0f} days from that and not used: set the camera's clock"
-    return VideoClock(telemetry.start_s + told.all_s, known=True, utc=True, places=telemetry.fixes, note=note)
+    return VideoClock(telemetry.start_s + all_s, known=True, utc=True, places=telemetry.fixes, note=note)
 
 
 def _by_trailer(
-    video: Path, container: _Container, told: VideoOffsets, max_gap_s: float, tuning: PicturesTuning
+    video: Path, clock: VideoClock, length_s: float, max_gap_s: float, tuning: PicturesTuning
 ) -> VideoClock:
     """The clock of a video whose fixes, if it has some, have times in UTC and no stamps."""
-    clock = _by_container(container, told)
     try:
         readings = read_trailer(video)
     except (BrokenTrack, OSError) as error:
-        note = f"{clock.note}; its Insta360 trailer cannot be read ({error}): no positions from it"
-        return VideoClock(clock.start_s, clock.known, clock.utc, note=note)
+        said = f"its Insta360 trailer cannot be read ({error}): no positions from it"
+        return replace(clock, note=f"{clock.note}; {said}")
     if readings is None:
         return clock
     kept, words = believed(readings, tuning)
     kept = kept.where(np.argsort(kept.time_s, kind="stable")[: int(np.isfinite(kept.time_s).sum())])
     said = f"positions from its Insta360 trailer: {words}"
-    zone_s = _zone(kept, clock, container.length_s, tuning)
+    zone_s = _zone(kept, clock, length_s, tuning)
     if not len(kept) or zone_s is None:
         why = "" if not len(kept) else ", but their times are not those of the recording (--scan.video-offset SECONDS)"
-        return VideoClock(clock.start_s, clock.known, clock.utc, note=f"{clock.note}; {said}{why}: none used")
+        return replace(clock, note=f"{clock.note}; {said}{why}: none used")
     if zone_s:
         said += f"; its creation time is local, {-zone_s / 3600:+g} h from UTC by these fixes: times are UTC"
     start = clock.start_s + zone_s
@@ -150,18 +112,17 @@ def _zone(fixes: Readings, clock: VideoClock, length_s: float, tuning: PicturesT
     return zone if fits else None
 
 
-def _container(video: Path, from_end: bool) -> _Container:
-    created = _created(video)
-    if created is None or not RECORDED_RANGE_S[0] <= created[0] <= RECORDED_RANGE_S[1]:
+def _container(video: Path, told: VideoOffsets) -> tuple[VideoClock, float]:
+    """The clock that the header of a file has, and the length of the recording (s)."""
+    time_s, length_s = _created(video) or (0.0, 0.0)
+    if not RECORDED_RANGE_S[0] <= time_s <= RECORDED_RANGE_S[1]:
         remedy = "--scan.video-offset says when it began (seconds since 1970)"
         said = f"it does not say when it was recorded: its times count from its start; {remedy}"
-        return _Container(0.0, known=False, length_s=created[1] if created else 0.0, said=said)
-    time_s, length_s = created
-    start = time_s - (length_s if from_end else 0.0)
-    when = datetime.fromtimestamp(start, timezone.utc).strftime("%Y-%m-%d %H:%M:%S")
+        return VideoClock(told.all_s, known=told.all_s != 0, note=said), length_s
+    start = time_s - (length_s if told.from_end else 0.0)
     doubt = "which has whole seconds and may be local or that of its end (--scan.video-offset SECONDS, or end)"
-    said = f"begins at {when} UTC by the creation time in it, {doubt}"
-    return _Container(start, known=True, length_s=length_s, said=said)
+    said = f"begins at {date_text(start)} UTC by the creation time in it, {doubt}"
+    return VideoClock(start + told.all_s, known=True, utc=True, note=said), length_s
 
 
 def _created(video: Path) -> tuple[float, float] | None:
@@ -222,8 +183,7 @@ class Subtitles:
         rows = f"{name}: {placed} of {len(self.stamp_s)} rows have a position"
         if np.isnan(self.start_s):
             return [f"{rows}, none a date"]
-        when = datetime.fromtimestamp(self.start_s, timezone.utc).strftime("%Y-%m-%d %H:%M:%S")
-        return [f"{rows}; the video begins at {when} in the drone's own clock and zone"]
+        return [f"{rows}; the video begins at {date_text(self.start_s)} in the drone's own clock and zone"]
 
 
 def subtitles_of(video: Path) -> Path | None:
@@ -266,11 +226,7 @@ def _date(row: str) -> float:
     found = _DATE.search(row)
     if found is None:
         return float("nan")
-    try:
-        stamp = datetime(*(int(v) for v in found.groups()[:6]), tzinfo=timezone.utc)  # type: ignore[arg-type,misc]
-    except ValueError:
-        return float("nan")
-    return stamp.timestamp() + float(f"0.{found[7] or ''}{found[8] or ''}0")
+    return seconds_of("".join(found.groups()[:6]), "%Y%m%d%H%M%S") + float(f"0.{found[7] or ''}{found[8] or ''}0")
 
 
 def _place(row: str) -> tuple[tuple[float, float, float], int]:

@@ -1,7 +1,7 @@
 """Positions of a receiver from the files people have: one table of formats, one form of what they say.
 
 A format is told by what stands in the file, never by its suffix: a ``.txt`` may be NMEA, ODM's geo.txt or a CSV. Each
-has a reader that returns its rows (``fixes.Fixes``); which of them can be used is asked of all formats alike
+has a reader that returns its rows (``fixes.Gnss``); which of them can be used is asked of all formats alike
 (``fixes.judged``).
 
 Sentences of NMEA and tracks of GPX are read here and not by pynmeagps and gpxpy: what is wrong in a file is told with
@@ -9,7 +9,7 @@ its line, which these do not know, and one damaged sentence ends no log. The tes
 
 Times become seconds since 1970, UTC, where the format says what they are: GPS time loses its leap seconds, seconds of a
 GPS week need the week. Where a file names no day or week (NMEA without RMC and ZDA, SBET), its rows are laid on the day
-or week of the frames (``rows.on_clock_of``). A CSV's column ``time`` is of the clock of the frames, whatever that is.
+or week of the frames (``fixes.on_clock_of``). A CSV's column ``time`` is of the clock of the frames, whatever that is.
 
 Heights are above the ellipsoid. NMEA's are above the geoid and carry the undulation, which is added; formats that have
 heights above the sea and no undulation (GPX, KML, RTKLIB's geodetic heights) are taken as they are, and that is said.
@@ -20,37 +20,22 @@ from collections.abc import Callable
 from pathlib import Path
 
 from tiegraph.scene.bags import is_bag
-from tiegraph.scene.gnss import columns, mrk, navsat, nmea, rtklib, sbet, xmltracks
-from tiegraph.scene.gnss.fixes import HEIGHTS_M, SIGMA_RANGE_M, Fixes, beyond, judged
-from tiegraph.scene.gnss.rows import (
-    Gnss,
-    at_times,
-    far_rows,
-    moved_within,
-    on_clock_of,
-    step_of,
-    stuck_note,
-    without_far,
-)
+from tiegraph.scene.gnss import columns, solutions, tracks
+from tiegraph.scene.gnss.fixes import HEIGHTS_M, Gnss, judged
 from tiegraph.scene.textfile import whole_file
 from tiegraph.scene.tuning import GnssTuning
-
-__all__ = [
-    "FORMATS", "HEIGHTS_M", "SIGMA_RANGE_M", "Gnss", "at_times", "beyond", "far_rows", "moved_within", "on_clock_of",
-    "read_gnss", "step_of", "stuck_note", "without_far",
-]  # fmt: skip
 
 _HEAD = 1 << 16  # bytes that tell a format
 
 
-FORMATS: dict[str, tuple[Callable[[str, bytes], bool], Callable[[Path, bytes], Fixes]]] = {
-    "GPX": (xmltracks.is_gpx, xmltracks.read_gpx),
-    "KML": (xmltracks.is_kml, xmltracks.read_kml),
-    "SBET": (sbet.is_sbet, sbet.read_sbet),
-    "RTKLIB": (rtklib.is_rtklib, rtklib.read_rtklib),
-    "DJI MRK": (mrk.is_mrk, mrk.read_mrk),
+FORMATS: dict[str, tuple[Callable[[str, bytes], bool], Callable[[Path, bytes], Gnss]]] = {
+    "GPX": (tracks.is_gpx, tracks.read_gpx),
+    "KML": (tracks.is_kml, tracks.read_kml),
+    "SBET": (solutions.is_sbet, solutions.read_sbet),
+    "RTKLIB": (solutions.is_rtklib, solutions.read_rtklib),
+    "DJI MRK": (solutions.is_mrk, solutions.read_mrk),
     "ODM geo.txt": (columns.is_geotxt, columns.read_geotxt),
-    "NMEA 0183": (nmea.is_nmea, nmea.read_nmea),
+    "NMEA 0183": (tracks.is_nmea, tracks.read_nmea),
     "CSV": (lambda text, raw: True, columns.read_columns),
 }
 """Of each format what says of the first bytes of a file, as text and as bytes, whether it is one, and what reads it.
@@ -65,7 +50,7 @@ def read_gnss(path: Path, tuning: GnssTuning, heights_m: tuple[float, float] = H
     what cannot be read, is damaged, or has no usable row.
     """
     if is_bag(Path(path)):
-        return judged(navsat.read_navsat(Path(path)), tuning, heights_m)
+        return judged(solutions.read_navsat(Path(path)), tuning, heights_m)
     raw = whole_file(Path(path), "GNSS file")
     utf16 = raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     head = raw[:_HEAD].decode("utf-16" if utf16 else "utf-8-sig", errors="replace")

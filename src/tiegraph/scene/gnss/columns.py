@@ -9,14 +9,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tiegraph.errors import InputError
-from tiegraph.geometry.geodesy import crs_transformer
-from tiegraph.scene.bycontent import geotxt, is_file, positions
-from tiegraph.scene.columnwords import SIGMAS
+from tiegraph.geometry.geodesy import geodetic_from_crs
+from tiegraph.scene.columnwords import SIGMAS, geotxt, is_file, positions
 from tiegraph.scene.crsline import crs_above, parse_crs_line, say_axes, units_of
-from tiegraph.scene.gnss.fixes import EMPTY, SIGMA_RANGE_M, Fixes, above_ellipsoid
+from tiegraph.scene.gnss.fixes import EMPTY, SIGMA_RANGE_M, Gnss, above_ellipsoid
 from tiegraph.scene.table import Table, table_of
 from tiegraph.scene.textfile import decoded, filled_lines
-from tiegraph.scene.timecolumns import times_of
+from tiegraph.scene.times import times_of
 
 if TYPE_CHECKING:
     import pyproj
@@ -29,11 +28,11 @@ _LEVEL_DEG = 20.0  # a body tilted by more has no heading that a table of yaw, p
 _EXAMPLE = "image,lat,lon,height"
 
 
-def read_columns(path: Path, raw: bytes) -> Fixes:
+def read_columns(path: Path, raw: bytes) -> Gnss:
     """Rows of a table with the columns time (or image), lat, lon, height, and if there: sigma or sigma_h and sigma_v,
     heading. Below a line ``# crs: EPSG:n`` places may be east, north, height of that grid.
 
-    Times are as ``scene.timecolumns`` reads them, lengths in the unit of their header. Raises InputError naming the
+    Times are as ``scene.times`` reads them, lengths in the unit of their header. Raises InputError naming the
     columns found if one is missing, and for angles in radians.
     """
     text, doubts = decoded(path, raw, "GNSS file")
@@ -48,7 +47,7 @@ def is_geotxt(text: str, raw: bytes) -> bool:
     return bool(_CRS.match(first))
 
 
-def read_geotxt(path: Path, raw: bytes) -> Fixes:
+def read_geotxt(path: Path, raw: bytes) -> Gnss:
     """Rows of ODM's geo.txt: first line the CRS, then image x y [z] [yaw pitch roll] [sigma_h sigma_v] [more].
 
     Raises InputError for an unknown CRS, a place outside it, no rows, and for a list of control points.
@@ -64,7 +63,7 @@ def read_geotxt(path: Path, raw: bytes) -> Fixes:
     return _fixes(table_of(path, "GNSS file", lines, "image x y z", geotxt, doubts), crs)
 
 
-def _fixes(table: Table, crs: pyproj.CRS | None) -> Fixes:
+def _fixes(table: Table, crs: pyproj.CRS | None) -> Gnss:
     image, notes = _image(table), list(table.notes)
     times = times_of(table) if image is None else None
     llh, used = _places(table, crs, [] if image is not None or times is not None else ["time (or image)"], notes)
@@ -79,7 +78,7 @@ def _fixes(table: Table, crs: pyproj.CRS | None) -> Fixes:
             return table.cell(row, times.column if times else None)
         return table.cell(row, _worst(table, row) if what == "accuracy" else columns[what])
 
-    return Fixes(
+    return Gnss(
         path=table.path,
         line=[line for line, _ in table.rows],
         lat_lon_height=llh,
@@ -129,8 +128,8 @@ def _geodetic(crs: pyproj.CRS, xyz: np.ndarray, table: Table) -> np.ndarray:
     Raises InputError, with the line, for a place outside the CRS.
     """
     x, y, z = xyz.T
-    lon, lat, height = crs_transformer(crs.srs).transform(x, y, np.nan_to_num(z), direction="INVERSE")
-    bad = np.flatnonzero(np.isfinite(x + y) & ~(np.isfinite(lat) & np.isfinite(lon)))
+    out = geodetic_from_crs(np.stack([x, y, np.nan_to_num(z)], axis=1), crs.srs)
+    bad = np.flatnonzero(np.isfinite(x + y) & ~np.isfinite(out[:, :2]).all(axis=1))
     if crs.is_geographic:
         bad = np.flatnonzero((np.abs(y) > 90) | (np.abs(x) > 360))
     if len(bad):
@@ -140,7 +139,8 @@ def _geodetic(crs: pyproj.CRS, xyz: np.ndarray, table: Table) -> np.ndarray:
             f"{table.where(k)}: x {x[k]:.10g}, y {y[k]:.10g} lies outside {crs.name}: {swapped}another CRS? "
             "Correct the line that names it"
         )
-    return np.stack([lat, lon, np.where(np.isnan(z), np.nan, height)], axis=1)
+    out[np.isnan(z), 2] = np.nan
+    return out
 
 
 def _image(table: Table) -> int | None:

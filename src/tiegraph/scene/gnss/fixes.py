@@ -1,14 +1,17 @@
-"""Rows as a file gives them, and which of them can be used: the same questions for every format."""
+"""Positions of a receiver: which rows of a file can be used, and what they are among each other, for every format."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from tiegraph.errors import InputError
-from tiegraph.scene.gnss.rows import Gnss, in_time_order, one_place_an_image, stuck_note, without_leaps
+from tiegraph.geometry.geodesy import far_from_rest
+from tiegraph.geometry.transforms import interpolate, rigid
+from tiegraph.scene.cells import out_of_order
 from tiegraph.scene.table import some_lines
+from tiegraph.scene.times import DATED_S, laid_on
 from tiegraph.scene.tuning import GnssTuning
 
 # What a row cannot mean:
@@ -21,63 +24,58 @@ _Faults = list[tuple[str, np.ndarray]]  # what makes rows useless, and (R,) whic
 
 
 @dataclass(frozen=True)
-class Fixes:
-    """R rows of a file, not judged yet; NaN = not given or no number."""
+class Gnss:
+    """G rows of a file as its reader gives them; ``judged``: those that can be used, in time order if they have times.
+
+    NaN = not given or no number. Not interpolated.
+    """
 
     path: Path
-    line: Sequence[int]
-    lat_lon_height: np.ndarray  # (R, 3) degrees, degrees, metres above the ellipsoid
-    time_s: np.ndarray  # (R,); NaN if the rows are by image
-    names: Sequence[str] = ()
-    sigma_m: np.ndarray | None = None  # (R, 3) east, north, up
-    heading_deg: np.ndarray | None = None  # (R,)
+    line: Sequence[int]  # of the file each row stands in; in a binary one, its record
+    lat_lon_height: np.ndarray  # (G, 3) degrees, degrees, metres above the ellipsoid
+    time_s: np.ndarray  # (G,) f8; NaN if the rows are by image
+    names: Sequence[str] = ()  # image names, "#12" for the image with that number, or empty
+    sigma_m: np.ndarray = field(default_factory=lambda: np.full(3, np.nan))  # (G, 3) east, north, up
+    heading_deg: np.ndarray = field(default_factory=lambda: np.array(np.nan))  # (G,) of the body, clockwise from north
     notes: Sequence[str] = ()
-    period_s: float = 0.0  # as of ``Gnss``
+    period_s: float = 0.0  # times count within a day (UTC) or a GPS week that nothing names; 0 = from an epoch
     text: Callable[[int, str], str] | None = None  # what stands in a row for "latitude", "time" ...; else the number
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "sigma_m", np.broadcast_to(self.sigma_m, (len(self.line), 3)))
+        object.__setattr__(self, "heading_deg", np.broadcast_to(self.heading_deg, len(self.line)))
 
-def judged(fixes: Fixes, tuning: GnssTuning, heights_m: tuple[float, float] = HEIGHTS_M) -> Gnss:
+    def only(self, keep: np.ndarray, *notes: str) -> "Gnss":
+        """Some rows (K,), with further notes."""
+        names, line = (tuple(c[k] for k in keep.tolist()) if c else () for c in (self.names, self.line))
+        columns = {n: getattr(self, n)[keep] for n in ("lat_lon_height", "time_s", "sigma_m", "heading_deg")}
+        return replace(self, names=names, line=line, notes=(*self.notes, *notes), text=None, **columns)
+
+
+def judged(raw: Gnss, tuning: GnssTuning, heights_m: tuple[float, float] = HEIGHTS_M) -> Gnss:
     """The usable rows in order; the others are noted with their lines.
 
     Left out are rows that are empty, out of range (heights: of ``heights_m``), without any accuracy, or so far from the
     rest that nothing moves so fast. Raises InputError for positions in radians, an image at two places, one time for
     all rows, and if no row is usable.
     """
-    path, llh, count = Path(fixes.path), fixes.lat_lon_height, len(fixes.line)
-    sigma = np.full((count, 3), np.nan) if fixes.sigma_m is None else fixes.sigma_m
-    faults = _faults(llh, sigma, heights_m)
-    if not fixes.names:
-        faults.append(("time", ~np.isfinite(fixes.time_s)))
+    name, llh, count = raw.path.name, raw.lat_lon_height, len(raw.line)
+    faults = _faults(llh, raw.sigma_m, heights_m)
+    if not raw.names:
+        faults.append(("time", ~np.isfinite(raw.time_s)))
     good = ~np.any([bad for _, bad in faults], axis=0)
     if not good.any():
-        what = "position in range" if fixes.names else "time and a position in range"
-        raise InputError(f"{path}: none of {count} rows has a {what}: {_first(fixes, faults, heights_m)}{_hint(llh)}")
-    _refuse_radians(fixes, np.flatnonzero(good).tolist())
-    notes = list(fixes.notes)
-    if not good.all():
-        lines = some_lines([fixes.line[k] for k in np.flatnonzero(~good).tolist()])
-        notes.append(
-            f"{path.name}: {(~good).sum()} of {len(good)} rows left out, empty or out of range ({lines}): "
-            f"{_first(fixes, faults, heights_m)}"
-        )
-    rows = np.flatnonzero(good).tolist()
-    sigma = np.where(sigma >= SIGMA_RANGE_M[0], sigma, np.nan)
+        what = "position in range" if raw.names else "time and a position in range"
+        raise InputError(f"{raw.path}: none of {count} rows has a {what}: {_first(raw, faults, heights_m)}{_hint(llh)}")
+    lines = some_lines([raw.line[k] for k in np.flatnonzero(~good).tolist()])
+    out = f"{name}: {(~good).sum()} of {count} rows left out, empty or out of range ({lines})"
+    made = raw.only(np.flatnonzero(good), *([] if good.all() else [f"{out}: {_first(raw, faults, heights_m)}"]))
+    _refuse_radians(made)
+    sigma = np.where(made.sigma_m >= SIGMA_RANGE_M[0], made.sigma_m, np.nan)
     sigma[:, 2] = np.where(np.isnan(sigma[:, 2]), tuning.vertical * np.fmax(sigma[:, 0], sigma[:, 1]), sigma[:, 2])
-    raw = Gnss(
-        names=tuple(fixes.names[k] for k in rows) if fixes.names else (),
-        time_s=fixes.time_s[rows],
-        lat_lon_height=llh[rows],
-        sigma_m=sigma[rows],
-        heading_deg=(np.full(count, np.nan) if fixes.heading_deg is None else fixes.heading_deg)[rows],
-        notes=tuple(notes),
-        line=tuple(int(fixes.line[k]) for k in rows),
-        period_s=fixes.period_s,
-    )
-    if raw.names:
-        made = one_place_an_image(raw, path)
-    else:
-        made = without_leaps(in_time_order(raw, path), path, tuning.max_speed_m_s)
-    stuck = stuck_note(made.lat_lon_height, path.name, tuning.stuck)
+    made = replace(made, sigma_m=sigma)
+    made = one_place_an_image(made) if made.names else without_leaps(in_time_order(made), tuning.max_speed_m_s)
+    stuck = stuck_note(made.lat_lon_height, name, tuning.stuck)
     return replace(made, notes=(*made.notes, stuck)) if stuck else made
 
 
@@ -109,16 +107,15 @@ def _faults(llh: np.ndarray, sigma: np.ndarray, heights_m: tuple[float, float]) 
     ]
 
 
-def _text(fixes: Fixes, row: int, what: str) -> str:
+def _text(fixes: Gnss, row: int, what: str) -> str:
     if fixes.text is not None:
         return fixes.text(row, what)
     if what in _ANGLES:
         return f"{fixes.lat_lon_height[row, _ANGLES.index(what)]:.10g}"
-    value = fixes.time_s[row] if what == "time" or fixes.sigma_m is None else np.nanmax(fixes.sigma_m[row])
-    return f"{value:.10g}"
+    return f"{fixes.time_s[row] if what == 'time' else np.nanmax(fixes.sigma_m[row]):.10g}"
 
 
-def _first(fixes: Fixes, faults: _Faults, heights_m: tuple[float, float]) -> str:
+def _first(fixes: Gnss, faults: _Faults, heights_m: tuple[float, float]) -> str:
     """The first cell at fault that is not empty, in words; else the first empty one."""
     found = [(k, what) for what, bad in faults for k in np.flatnonzero(bad).tolist()]
     filled = [f for f in found if f[1] != _NO_FIX and _text(fixes, *f).lower() not in EMPTY]
@@ -142,11 +139,165 @@ def _hint(llh: np.ndarray) -> str:
     return "; lat looks like 1e-7 degrees: write degrees" if 1e5 < lat <= 9e8 else ""
 
 
-def _refuse_radians(fixes: Fixes, good: list[int]) -> None:
+def _refuse_radians(fixes: Gnss) -> None:
     # No land lies within this range of degrees about 0, 0 (Gulf of Guinea).
-    llh = fixes.lat_lon_height[good]
+    llh = fixes.lat_lon_height
     if len(llh) > 1 and np.all(np.abs(llh[:, 0]) <= np.pi / 2) and np.all(np.abs(llh[:, 1]) <= np.pi):
         raise InputError(
-            f"{fixes.path}, line {fixes.line[good[0]]}: lat {llh[0, 0]:g}, lon {llh[0, 1]:g}: all positions lie in the "
+            f"{fixes.path}, line {fixes.line[0]}: lat {llh[0, 0]:g}, lon {llh[0, 1]:g}: all positions lie in the "
             "open sea about 0, 0, as radians do: write degrees"
         )
+
+
+# --- rows among each other ------------------------------------------------------------------------------------------
+
+
+def in_time_order(gnss: Gnss) -> Gnss:
+    """Rows sorted by time, the first of each time, and what to say of that. Raises InputError for one time for all."""
+    notes, name = [], gnss.path.name
+    order = np.argsort(gnss.time_s, kind="stable")
+    odd = out_of_order(gnss.time_s)
+    if len(odd):
+        k = int(odd[0])
+        beside, where = (k - 1, "after") if k else (1, "before")
+        notes.append(
+            f"{name}, line {gnss.line[k]}: rows are not in time order and were sorted "
+            f"({gnss.time_s[k]:.2f} s {where} {gnss.time_s[beside]:.2f} s)"
+        )
+    twin = np.concatenate([[False], np.diff(gnss.time_s[order]) <= 1e-9])
+    keep = order[~twin]
+    if len(keep) < len(order):
+        again = int(order[np.flatnonzero(twin)[0]])
+        if len(keep) == 1:
+            raise InputError(
+                f"{gnss.path}, line {gnss.line[again]}: all {len(order)} rows have the time {gnss.time_s[again]:.2f} "
+                "s: give the time of each row, or a table with a column image"
+            )
+        notes.append(
+            f"{name}: {twin.sum()} rows with the time of another row left out, such as line {gnss.line[again]} "
+            f"({gnss.time_s[again]:.2f} s)"
+        )
+    return gnss.only(keep, *notes)
+
+
+def without_leaps(gnss: Gnss, max_speed_m_s: float) -> Gnss:
+    """Without stretches of rows far from the rest that nothing could reach in the time between."""
+    far, away = far_from_rest(gnss.lat_lon_height)
+    if not far.any():
+        return gnss
+    edge = np.flatnonzero(np.diff(far.astype(int)) != 0)  # between rows edge and edge + 1
+    fast = np.abs(np.diff(away)) > max_speed_m_s * np.diff(gnss.time_s)
+    for first, last in zip([0, *(edge + 1)], [*edge, len(far) - 1]):
+        reached = (first > 0 and not fast[first - 1]) or (last < len(far) - 1 and not fast[last])
+        far[first : last + 1] &= not reached
+    if not far.any():
+        return gnss
+    row = int(np.flatnonzero(far)[0])
+    note = _say_far(f"{gnss.path.name}, line {gnss.line[row]}", gnss.lat_lon_height[row], away[row])
+    note += f", and nothing moves so fast: {far.sum()} of {len(far)} rows "
+    if 2 * far.sum() >= len(far):
+        return replace(gnss, notes=(*gnss.notes, note + "do so, and which are right nothing tells: correct the file"))
+    return gnss.only(np.flatnonzero(~far), note + "are left out; correct the file, or remove them")
+
+
+def _say_far(where: str, place: np.ndarray, away_m: float) -> str:
+    return f"{where}: lat {place[0]:.6f}, lon {place[1]:.6f} lies {away_m / 1000:.0f} km from most of the others"
+
+
+def far_rows(lat_lon_height: np.ndarray, where: Sequence[str], most: float) -> tuple[np.ndarray, str]:
+    """(N,) which of some positions (N, 3) without times not to use, as they are far from the rest, and what to say.
+
+    ``where`` names each position. They are used, though said, if they are more than a share of ``most`` (of two, one):
+    which are right is then not clear.
+    """
+    far, away = far_from_rest(lat_lon_height)
+    if not far.any():
+        return far, ""
+    row = int(np.flatnonzero(far)[0])
+    note = _say_far(where[row], lat_lon_height[row], away[row])
+    if far.sum() > max(1, most * len(far)) or len(far) < 3:
+        note += f", as {far.sum()} of {len(far)} positions do: are these two surveys? Split them, or mend the positions"
+        return np.zeros(len(far), bool), note
+    return far, note + f": {far.sum()} of {len(far)} positions are not used; mend or remove them"
+
+
+def one_place_an_image(gnss: Gnss) -> Gnss:
+    """A file by image without rows that say the same again. Raises InputError for an image at two places."""
+    first: dict[str, int] = {}
+    again = []
+    for k, name in enumerate(gnss.names):
+        other = first.setdefault(name, k)
+        if other == k:
+            continue
+        if not np.allclose(gnss.lat_lon_height[k], gnss.lat_lon_height[other], rtol=0, atol=(1e-8, 1e-8, 1e-3)):
+            raise InputError(
+                f"{gnss.path}, line {gnss.line[k]}: image {name!r} has another place than in line {gnss.line[other]}: "
+                "leave the right one"
+            )
+        again.append(k)
+    if not again:
+        return gnss
+    image = f"{gnss.path.name}, line {gnss.line[again[0]]}: image {gnss.names[again[0]]!r}"
+    note = f"{image} stands there twice, at one place; {len(again)} rows left out"
+    return gnss.only(np.setdiff1d(np.arange(len(gnss.names)), again), note)
+
+
+def without_far(gnss: Gnss, most: float) -> Gnss:
+    """A file by image without positions that stand far apart from the others, as ``far_rows`` says."""
+    far, note = far_rows(gnss.lat_lon_height, [f"{gnss.path.name}, line {n}" for n in gnss.line], most)
+    return gnss.only(np.flatnonzero(~far), note) if note else gnss
+
+
+def stuck_note(lat_lon_height: np.ndarray, where: str, least: int) -> str:
+    """What to say if some positions (N, 3), the ``least`` number of them, are one and the same; else ""."""
+    if len(lat_lon_height) < least or np.ptp(lat_lon_height, axis=0).max() > 0:
+        return ""
+    lat, lon, height = lat_lon_height[0]
+    return (
+        f"{where}: all {len(lat_lon_height)} positions are lat {lat:.6f}, lon {lon:.6f}, height {height:g} m, and tell "
+        "neither scale nor direction: was there a fix?"
+    )
+
+
+def on_clock_of(gnss: Gnss, time_s: np.ndarray) -> Gnss:
+    """Rows on the clock of frames (F,), as ``gpstime.laid_on`` says."""
+    if gnss.names:
+        return gnss
+    moved, note = laid_on(gnss.time_s, gnss.period_s, time_s)
+    dated = gnss.period_s and moved is not gnss.time_s and np.median(moved) >= DATED_S
+    said = replace(gnss, time_s=moved, period_s=0.0 if dated else gnss.period_s)
+    return replace(said, notes=(*gnss.notes, note)) if note else said
+
+
+def step_of(time_s: np.ndarray) -> float:
+    """1 s for dates of frames (F,) of which none has a fraction of a second, as EXIF without SubSecTime; else 0."""
+    known = time_s[np.isfinite(time_s)]
+    return float(len(np.unique(known)) > 2 and known.min() >= DATED_S and np.all(known == np.round(known)))
+
+
+def moved_within(time_s: np.ndarray, world_m: np.ndarray, step_s: float) -> np.ndarray:
+    """(G, 3) metres, root mean square, that rows (G, 3) move within a time that was cut to ``step_s``."""
+    if not step_s or len(time_s) < 2:
+        return np.zeros_like(world_m)
+    return np.abs(np.gradient(world_m, time_s, axis=0)) * step_s / np.sqrt(3)
+
+
+def at_times(gnss: Gnss, world_m: np.ndarray, time_s: np.ndarray, max_gap_s: float) -> tuple[np.ndarray, ...]:
+    """Positions (F, 3), sigmas (F, 3) and headings (F,) at times (F,); NaN outside and across gaps over ``max_gap_s``.
+
+    ``world_m`` (G, 3) are the rows in the world. Sigmas are the larger of the two neighbours'.
+    """
+    heading = np.radians(np.where(np.isnan(gnss.heading_deg), 0.0, gnss.heading_deg))
+    cos, sin, zero, one = np.cos(heading), np.sin(heading), np.zeros_like(heading), np.ones_like(heading)
+    turn = np.stack([np.stack(r, -1) for r in ((cos, -sin, zero), (sin, cos, zero), (zero, zero, one))], axis=1)
+    moved = interpolate(gnss.time_s, rigid(turn, world_m), time_s, max_gap_s)
+    there = np.isfinite(moved[:, 0, 3])
+    right = np.clip(
+        np.searchsorted(gnss.time_s, np.where(there, time_s, gnss.time_s[0]) - 1e-6), 0, len(gnss.time_s) - 1
+    )
+    exact = np.abs(gnss.time_s[right] - time_s) < 1e-6
+    left = np.where(exact, right, np.maximum(right - 1, 0))
+    sigma = np.fmax(gnss.sigma_m[left], gnss.sigma_m[right])
+    known = np.isfinite(gnss.heading_deg[left]) & np.isfinite(gnss.heading_deg[right]) & there
+    bearing = np.where(known, np.degrees(np.arctan2(moved[:, 1, 0], moved[:, 0, 0])) % 360, np.nan)
+    return moved[:, :3, 3], np.where(there[:, None], sigma, np.nan), bearing

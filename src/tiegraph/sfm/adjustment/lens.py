@@ -14,7 +14,7 @@ import numpy as np
 import pyceres
 import pycolmap
 
-from tiegraph.scene.rays import on_plane
+from tiegraph.scene.rig import on_plane
 from tiegraph.sfm.tuning import AdjustTuning, LensTuning
 
 UNDISTORTED = ("SIMPLE_PINHOLE", "PINHOLE")  # calibrations that say nothing of distortion

@@ -15,7 +15,7 @@ import pycolmap
 
 from tiegraph.geometry import transforms
 from tiegraph.geometry.rays import cross, off_plane
-from tiegraph.scene.rays import rays_or_axis
+from tiegraph.scene.rig import rays_or_axis
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.tuning.start import ScaleTuning
 from tiegraph.sfm.verified import VerifiedMatches

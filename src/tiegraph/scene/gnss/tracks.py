@@ -1,22 +1,29 @@
-"""Sentences of a receiver (NMEA 0183): GGA has place and time of day, RMC or ZDA the date, GST the standard deviations.
+"""Tracks that receivers and telephones write: sentences of NMEA 0183, GPX, KML.
 
-Other sentences, and the binary messages that receivers write between them, are passed over; damaged sentences are told
-by their checksums and said.
+**NMEA**: GGA has place and time of day, RMC or ZDA the date, GST the standard deviations. Other sentences, and the
+binary messages that receivers write between them, are passed over; damaged sentences are told by their checksums and
+said.
+
+**GPX** tracks, **KML** tracks (gx:Track) and KML placemarks named as images, packed (KMZ) or not. Heights of both are
+above the sea by their specifications, in GPX with the undulation (geoidheight) where a program writes it. Times are
+UTC.
 """
 
+import io
 import re
+import zipfile
+import zlib
 from collections import Counter
-from dataclasses import dataclass, field
-from datetime import datetime, timezone
-from functools import lru_cache
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from tiegraph.errors import InputError
-from tiegraph.scene.cells import number
-from tiegraph.scene.gnss.fixes import Fixes, above_ellipsoid
-from tiegraph.scene.gpstime import DAY_S, going_on
+from tiegraph.scene.cells import number, parse_time, seconds_of
+from tiegraph.scene.gnss.fixes import Gnss, above_ellipsoid
+from tiegraph.scene.textfile import parse_xml
+from tiegraph.scene.times import DAY_S, going_on
 
 _TOLD = re.compile(rb"(?m)^[^<\r\n]{0,64}\$[A-Z]{2}(?:GGA|RMC|ZDA|GST|GNS|GLL|GSA|GSV|VTG),")
 _SENTENCE = re.compile(rb"\$([A-Z]{2}(GGA|RMC|ZDA|GST),[^$*]*)(\*[0-9A-Fa-f]{2})?\s*$")
@@ -66,7 +73,7 @@ class _Log:
 
     def date(self, time: str, day: str) -> None:
         """``day`` as ddmmyyyy; what is none counts as not there."""
-        second, midnight = _second(time), _midnight(day)
+        second, midnight = _second(time), seconds_of(day, "%d%m%Y")
         if second == second and midnight == midnight:
             self.dates.append((len(self.rows), second, midnight))
 
@@ -76,7 +83,7 @@ def is_nmea(text: str, raw: bytes) -> bool:
     return bool(_TOLD.search(raw))
 
 
-def read_nmea(path: Path, raw: bytes) -> Fixes:
+def read_nmea(path: Path, raw: bytes) -> Gnss:
     """The GGA sentences of a log; heights are above the ellipsoid by the undulation that they give.
 
     Without RMC and ZDA times are those of the day. Raises InputError for no GGA, none that is whole, and heights that
@@ -110,7 +117,7 @@ def read_nmea(path: Path, raw: bytes) -> Fixes:
     dated = bool(log.dates)
     if not dated:
         notes.append(f"{path.name}: no RMC or ZDA gives a date: its times of day (UTC) are those of the frames' day")
-    return Fixes(
+    return Gnss(
         path=path,
         line=[n for n, _ in log.rows],
         lat_lon_height=llh,
@@ -130,7 +137,8 @@ def _read(raw: bytes) -> _Log:
     for n, match in found:
         cells = match[1].decode("ascii", errors="replace").split(",")
         least = {b"GGA": 13, b"RMC": 10, b"ZDA": 5, b"GST": 9}[match[2]]
-        if len(cells) < least or (summed and not (match[3] and _sum(match[1]) == int(match[3][1:], 16))):
+        checksum = np.bitwise_xor.reduce(np.frombuffer(match[1], np.uint8))
+        if len(cells) < least or (summed and not (match[3] and checksum == int(match[3][1:], 16))):
             log.damaged.append((n, match[0].decode("ascii", errors="replace").strip()))
         elif match[2] == b"GGA":
             log.gga(n, cells)
@@ -148,22 +156,9 @@ def _read(raw: bytes) -> _Log:
     return log
 
 
-@lru_cache(maxsize=64)
-def _midnight(day: str) -> float:
-    """Seconds since 1970 at the start of ddmmyyyy."""
-    try:
-        return datetime.strptime(day, "%d%m%Y").replace(tzinfo=timezone.utc).timestamp()
-    except ValueError:
-        return _NAN
-
-
 def _four_digits(day: str) -> str:
     """ddmmyyyy of ddmmyy."""
     return day[:4] + ("19" if day[4:] >= "80" else "20") + day[4:]
-
-
-def _sum(body: bytes) -> int:
-    return int(np.bitwise_xor.reduce(np.frombuffer(body, np.uint8)))
 
 
 def _said(path: Path, log: _Log) -> list[str]:
@@ -206,3 +201,112 @@ def _second(text: str) -> float:
     """Second of the day of hhmmss.ss."""
     found = re.fullmatch(r"(\d\d)(\d\d)(\d\d(?:\.\d*)?)", text)
     return int(found[1]) * 3600 + int(found[2]) * 60 + float(found[3]) if found else _NAN
+
+
+_MOST_BYTES = 1 << 29  # bound of memory: of a KMZ's document
+_IMAGE = re.compile(r"(?i)\.(jpe?g|png|tiff?|dng|bmp|webp|heic|insp)$")
+
+
+def is_gpx(text: str, raw: bytes) -> bool:
+    """Whether the first bytes of a file are those of GPX."""
+    return text.lstrip().startswith("<") and bool(re.search(r"<(?:\w+:)?gpx[\s>]", text))
+
+
+def is_kml(text: str, raw: bytes) -> bool:
+    """Whether the first bytes of a file are those of KML, or of a KMZ."""
+    return _is_kmz(raw) or (text.lstrip().startswith("<") and bool(re.search(r"<(?:\w+:)?kml[\s>]", text)))
+
+
+def _is_kmz(raw: bytes) -> bool:
+    return raw.startswith(b"PK\x03\x04")  # a ZIP archive; no other format here is one
+
+
+def _unpacked(path: Path, raw: bytes) -> bytes:
+    """The KML document of a KMZ: doc.kml, else the first (OGC 12-007r2, C.2). Raises InputError."""
+    try:
+        with zipfile.ZipFile(io.BytesIO(raw)) as archive:
+            inside = [f for f in archive.infolist() if f.filename.lower().endswith(".kml")]
+            first = min(inside, key=lambda f: f.filename.lower() != "doc.kml", default=None)
+            if first is not None and first.file_size <= _MOST_BYTES:
+                return archive.read(first)
+    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, OSError) as error:
+        raise InputError(
+            f"{path}: a KMZ or another ZIP archive that is cut off or damaged ({error}): export it again"
+        ) from None
+    why = "no KML in it" if first is None else f"{first.filename} has {first.file_size / 2**30:.3g} GiB unpacked"
+    raise InputError(f"{path}: a ZIP archive, but no KMZ ({why}): give a KMZ or one of the formats of positions")
+
+
+def read_gpx(path: Path, raw: bytes) -> Gnss:
+    """Track points of GPX 1.0 and 1.1 with their times. Raises InputError for damaged XML and for no timed points."""
+    root = parse_xml(path, raw)
+    points = list(root.all("trkpt"))
+    if not points:
+        others = sum(1 for n in ("rtept", "wpt") for _ in root.all(n))
+        raise InputError(
+            f"{path}: no track points (trkpt), {others} of routes and waypoints; export the recorded track"
+        )
+    if not any(p.said("time") for p in points):
+        raise InputError(
+            f"{path}, line {points[0].line}: no track point has a time, so nothing says which image was taken there: "
+            "export the track with times"
+        )
+    above_sea, undulation = (np.array([number(p.said(n)) for p in points]) for n in ("ele", "geoidheight"))
+    height, notes = above_ellipsoid(path, above_sea, undulation)
+    return Gnss(
+        path=path,
+        line=[p.line for p in points],
+        lat_lon_height=np.column_stack(
+            [*([number(p.given.get(n, "")) for p in points] for n in ("lat", "lon")), height]
+        ),
+        time_s=np.array([parse_time(p.said("time")) for p in points]),
+        notes=notes,
+    )
+
+
+def read_kml(path: Path, raw: bytes) -> Gnss:
+    """Rows of gx:Track (when, coord), or placemarks of points that are named as images or have a TimeStamp.
+
+    Raises InputError for damaged XML or KMZ, heights above the ground, a track of other times than places, and for
+    nothing of the kind.
+    """
+    root = parse_xml(path, _unpacked(path, raw) if _is_kmz(raw) else raw)
+    for mode in root.all("altitudeMode"):
+        if mode.text.strip() == "relativeToGround":
+            raise InputError(
+                f"{path}, line {mode.line}: heights above the ground (relativeToGround) place nothing: export absolute "
+                "altitudes"
+            )
+    whens, places = [], []
+    for track in root.all("Track"):
+        mine = [c for c in track.children if c.name == "when"], [c for c in track.children if c.name == "coord"]
+        if len(mine[0]) != len(mine[1]):
+            raise InputError(
+                f"{path}, line {track.line}: a gx:Track of {len(mine[0])} times and {len(mine[1])} places: is the "
+                "file cut off? Export it again"
+            )
+        whens += mine[0]
+        places += mine[1]
+    if places:
+        times = np.array([parse_time(w.text.strip()) for w in whens])
+        return _kml_fixes(path, [p.line for p in places], [p.text.split() for p in places], times)
+    marks = [(m, p) for m in root.all("Placemark") for p in m.all("Point")]
+    named = [(m.said("name"), p) for m, p in marks if _IMAGE.search(m.said("name"))]
+    if named:
+        where = [p.said("coordinates").split(",") for _, p in named]
+        found = _kml_fixes(path, [p.line for _, p in named], where, np.full(len(named), _NAN))
+        return replace(found, names=[n for n, _ in named])
+    timed = [(s, p) for m, p in marks for s in m.all("TimeStamp")]
+    if not timed:
+        raise InputError(
+            f"{path}: no gx:Track and no points named as images or with a TimeStamp ({len(marks)} points without); "
+            "a line alone has no times: export the track as GPX, or as KML with times"
+        )
+    times = np.array([parse_time(s.said("when")) for s, _ in timed])
+    return _kml_fixes(path, [p.line for _, p in timed], [p.said("coordinates").split(",") for _, p in timed], times)
+
+
+def _kml_fixes(path: Path, line: list[int], lon_lat_height: list[list[str]], time_s: np.ndarray) -> Gnss:
+    lon, lat, above_sea = np.array([[number(v) for v in [*cells, "", "", ""][:3]] for cells in lon_lat_height]).T
+    height, notes = above_ellipsoid(path, above_sea, np.full(len(line), _NAN))
+    return Gnss(path=path, line=line, lat_lon_height=np.stack([lat, lon, height], axis=1), time_s=time_s, notes=notes)
