@@ -30,8 +30,8 @@ a model's rig in the others' points would add no pair of images: of the matches 
 eighth has a point on one side only, and every pair that has such has others too (`canal`, `canal_demo`, KITTI).
 
 **Sigma** (``positionerrors``). The last fit weighs the believed positions by the errors that their residuals show
-(white, slow, common to all). The covariance of the block is that of the placement and, once adjusted, of the shape. What all positions of a receiver share counts with a part of
-the stated sigma. An upward direction that the positions refute is not used. A note says what holds the scale where the
+(white, slow, common to all). The covariance of the block is that of the placement and, once adjusted, of the shape.
+What all positions of a receiver share counts with a part of the stated sigma. An upward direction that the positions refute is not used. A note says what holds the scale where the
 rig does, and what checks it. ``world.json`` keeps the covariance of the placement (``accuracy``), which ``cloud``
 carries to its points. Heights are ellipsoidal unless the CRS is a compound one. A compound CRS whose geoid grid PROJ
 does not have is refused, because PROJ would silently leave the heights as they are. Grid coordinates have the scale of
