@@ -31,9 +31,9 @@ eighth has a point on one side only, and every pair that has such has others too
 
 **Sigma** (``positionerrors``). The last fit weighs the believed positions by the errors that their residuals show
 (white, slow, common to all). The covariance of the block is that of the placement and, once adjusted, of the shape.
-What all positions of a receiver share counts with a part of the stated sigma. An upward direction that the positions refute is not used. A note says what holds the scale where the
-rig does, and what checks it. ``world.json`` keeps the covariance of the placement (``accuracy``), which ``cloud``
-carries to its points. Heights are ellipsoidal unless the CRS is a compound one. A compound CRS whose geoid grid PROJ
-does not have is refused, because PROJ would silently leave the heights as they are. Grid coordinates have the scale of
-the grid: the report says so.
+What all positions of a receiver share counts with a part of the stated sigma. An upward direction that the positions
+refute is not used. A note says what holds the scale where the rig does, and what checks it. ``world.json`` keeps the
+covariance of the placement (``accuracy``), which ``cloud`` carries to its points. Heights are ellipsoidal unless the
+CRS is a compound one. A compound CRS whose geoid grid PROJ does not have is refused, because PROJ would silently leave
+the heights as they are. Grid coordinates have the scale of the grid: the report says so.
 """
