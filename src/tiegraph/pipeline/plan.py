@@ -19,11 +19,11 @@ from tiegraph.plan.tables import Table, comparison, frames_apart
 from tiegraph.plan.tuning import ErrorTuning
 from tiegraph.project.stages import save_json, write_atomic
 from tiegraph.project.verbtunings import VerbTunings
+from tiegraph.report.cloudview import viewer_data, viewer_script
 from tiegraph.report.html import environment
-from tiegraph.report.plan import Track, frame_positions
+from tiegraph.report.maps import Track, frame_positions
 from tiegraph.report.runfolder import read_run
 from tiegraph.report.summary import metric_values
-from tiegraph.report.viewer import viewer_data, viewer_script
 from tiegraph.scan.cameras import FileFacts, calibrate
 from tiegraph.scan.rigfiles.rigfile import read_rig_file
 from tiegraph.scan.rigfiles.rigspec import AXES, RigSpec, SensorSpec, preset, preset_sizes

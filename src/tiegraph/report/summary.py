@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from tiegraph.report import accuracy, formatting
+from tiegraph.report.charts import is_matched, tied
 from tiegraph.report.formatting import Table, is_number
 from tiegraph.report.runfolder import STAGES, RunFolder
 from tiegraph.report.tables import about, contradictions, section_name
@@ -25,14 +26,6 @@ class Verdict:
     sentences: tuple[str, ...]
     warnings: tuple[str, ...]
     contradictions: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class Tile:
-    """A number at the top."""
-
-    value: str
-    label: str
 
 
 def verdict(run: RunFolder) -> Verdict:
@@ -183,28 +176,26 @@ def what_was_done(run: RunFolder) -> list[str]:
     return out
 
 
-def tiles(run: RunFolder) -> list[Tile]:
-    """The numbers at the top."""
-    out = [Tile(*t) for t in accuracy.tiles(run.accuracy)] if run.accuracy is not None else []
+def tiles(run: RunFolder) -> list[tuple[str, str]]:
+    """(number, label) of what stands at the top."""
+    out: list[tuple[str, str]] = [*accuracy.tiles(run.accuracy)] if run.accuracy is not None else []
     if run.scene is not None:
         n = len(run.scene)
         used = f"{int(run.model.registered.sum())} / {n}" if run.model is not None else formatting.count(n)
-        out.append(Tile(used, t("registered images") if run.model is not None else t("images")))
+        out.append((used, t("registered images") if run.model is not None else t("images")))
     if run.pairs is not None:
-        kept = run.pairs.kept()
-        matched = bool(np.any(kept.inliers >= 0))
-        amount = int(np.sum(kept.inliers > 0)) if matched else len(kept)
-        out.append(Tile(formatting.count(amount), t("verified pairs") if matched else t("pairs to match")))
+        label = t("verified pairs") if is_matched(run.pairs) else t("pairs to match")
+        out.append((formatting.count(len(tied(run.pairs))), label))
     if run.model is not None:
-        out.append(Tile(formatting.count(run.model.figures.points), t("sparse points")))
+        out.append((formatting.count(run.model.figures.points), t("sparse points")))
         if run.model.figures.reprojection_px > 0:
             error = formatting.number(run.model.figures.reprojection_px, 2)
-            out.append(Tile(f"{error} px", t("mean reprojection error")))
+            out.append((f"{error} px", t("mean reprojection error")))
     if run.cloud is not None:
-        out.append(Tile(formatting.count(run.cloud.count), t("points in the cloud")))
+        out.append((formatting.count(run.cloud.count), t("points in the cloud")))
     total = sum(r.get("seconds") or 0 for r in run.receipts.values())
     if total:
-        out.append(Tile(formatting.seconds(total), t("computing time")))
+        out.append((formatting.seconds(total), t("computing time")))
     return out
 
 
