@@ -169,8 +169,8 @@ def cloud_to_cloud(
     """Compare cloud 0 with the reference, cloud 1, both in one frame and in metres.
 
     With cameras, completeness counts the reference within ``criteria.range_m`` of one of them. Definitions: MEANING.
-    Memory is that of a tile and 7 bytes a judged point; their places lie in a file. Raises ValueError when either side is empty, none of the
-    reference is in range, or no point of the cloud is where the reference observed.
+    Memory is that of a tile and 7 bytes a judged point; their places lie in a file. Raises ValueError when either side
+    is empty, none of the reference is in range, or no point of the cloud is where the reference observed.
     """
     for which, what in enumerate(("cloud", "reference")):
         if not clouds.count(which):
@@ -300,8 +300,8 @@ def _grouped(
     cloud: np.ndarray, reference: np.ndarray, criteria: Criteria, group: int, names: Sequence[str]
 ) -> dict[str, Shares]:
     """Shares by group (0 band, 1 section); none of what has no points. One group alone is the whole."""
-    sides = cloud, reference
-    found = {n: _shares(*(s[s["group"][:, group] == k] for s in sides), criteria) for k, n in enumerate(names)}
+    own, back = (side["group"][:, group] for side in (cloud, reference))
+    found = {n: _shares(cloud[own == k], reference[back == k], criteria) for k, n in enumerate(names)}
     found = {n: s for n, s in found.items() if s.points or s.reference_points}
     return found if len(found) > 1 else {}
 
