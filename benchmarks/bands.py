@@ -29,7 +29,7 @@ from tiegraph.evaluate.accuracy import in_layers, pose_figures
 from tiegraph.evaluate.trajectory import evaluate_trajectory
 from tiegraph.geometry import transforms
 from tiegraph.pipeline.files import checked, load_model, world_origin
-from tiegraph.pipeline.predicted import stated
+from tiegraph.pipeline.georef import stated
 from tiegraph.project.run import Run
 
 _ROOT = Path(__file__).resolve().parents[1]

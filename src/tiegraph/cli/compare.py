@@ -9,7 +9,7 @@ import tyro
 from tiegraph.api import open_project
 from tiegraph.cli.options import options_of
 from tiegraph.cli.output import say, show_table
-from tiegraph.pipeline.epochs import EpochOptions, compare_epochs
+from tiegraph.pipeline.clouds import EpochOptions, compare_epochs
 from tiegraph.pipeline.passes import compare_passes
 from tiegraph.project.folder import check_format
 from tiegraph.project.progress import Reporter

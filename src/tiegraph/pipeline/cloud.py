@@ -11,7 +11,7 @@ from tiegraph.cloud.fuse import Maps, fuse
 from tiegraph.evaluate.accuracy import in_layers
 from tiegraph.pipeline.dense import coloured, depth_path, plan_of, read_depth
 from tiegraph.pipeline.files import load_json, placement_error, world_origin
-from tiegraph.pipeline.predicted import stated
+from tiegraph.pipeline.georef import stated
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome
 from tiegraph.scene.accuracy import LAYERS

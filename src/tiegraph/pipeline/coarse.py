@@ -22,8 +22,7 @@ from tiegraph.network.coarse.search import Coarse, Search, worth_a_model
 from tiegraph.network.coarse.surface import with_surface
 from tiegraph.network.passes import MatchCache
 from tiegraph.pipeline.files import load_npz, load_scene, pairs_of, reading, save_npz, ties_of
-from tiegraph.pipeline.preview import read_preview
-from tiegraph.pipeline.previews import Matcher
+from tiegraph.pipeline.preview import Matcher, read_preview
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, write_atomic
 from tiegraph.scene.atomic import remove

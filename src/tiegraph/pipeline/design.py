@@ -17,7 +17,7 @@ from tiegraph.features.sift import most_features
 from tiegraph.network.plots import map_png, weak_pairs
 from tiegraph.papers.fuse2014 import two_view
 from tiegraph.pipeline.files import checked, load_npz, load_scene, pairs_of, reading, save_npz, ties_of, visibility_of
-from tiegraph.pipeline.previews import preview_of, previews_of, with_previews
+from tiegraph.pipeline.preview import preview_of, previews_of, with_previews
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, write_atomic
 from tiegraph.scene.filecache import cached_by_file

@@ -25,8 +25,8 @@ from tiegraph.evaluate.clouds.nearest import Cameras
 from tiegraph.evaluate.clouds.passes import PassAgreement, by_section, near_places
 from tiegraph.evaluate.clouds.picture import difference_map
 from tiegraph.geometry.transforms import centre
+from tiegraph.pipeline.clouds import Pair, differences_of, m3c2_of
 from tiegraph.pipeline.dense import depth_path, read_depth
-from tiegraph.pipeline.epochs import Pair, differences_of, m3c2_of
 from tiegraph.pipeline.evaluate import PASSES, measured
 from tiegraph.pipeline.files import checked, load_model, world_origin
 from tiegraph.project.run import Run

@@ -19,11 +19,17 @@ from tiegraph.pipeline import STAGES
 from tiegraph.pipeline.files import load_npz, save_npz
 from tiegraph.pipeline.foundrig import rig_of_run
 from tiegraph.pipeline.inputs import check_given
-from tiegraph.pipeline.preview import preview_path
-from tiegraph.pipeline.previews import preview_of
-from tiegraph.pipeline.watch.model import CoarseModels, Modelled, rigs_of
-from tiegraph.pipeline.watch.shown import shown_scene, shown_surface
-from tiegraph.pipeline.watch.ties import make_preview, matched, neighbours, resect_previews
+from tiegraph.pipeline.preview import preview_of, preview_path
+from tiegraph.pipeline.watch.model import (
+    CoarseModels,
+    Modelled,
+    make_preview,
+    matched,
+    neighbours,
+    resect_previews,
+    shown_scene,
+    shown_surface,
+)
 from tiegraph.project.folder import working_in
 from tiegraph.project.run import Run, check_run
 from tiegraph.project.stages import write_atomic
@@ -270,11 +276,11 @@ class Watched:
 
     def _take_model(self, made: Modelled) -> None:
         scene = self._models.scene
-        self._remember(scene, PreviewMatches.from_npz(made.ties))
+        self._remember(scene, made.ties)
         if made.poses is None:
             return
         self.poses = {n: made.poses[k] for k, n in enumerate(scene.names) if np.isfinite(made.poses[k]).all()}
-        self._rigs, self._tried = rigs_of(made), {}
+        self._rigs, self._tried = made.rigs, {}
         self._models.of = frozenset(self.poses)
         said = f"model of {len(self.poses)} of {len(scene)} images in {self._models.seconds:.0f} s"
         if made.surface is not None and len(made.surface):
