@@ -19,6 +19,7 @@ from tiegraph.pipeline import STAGES
 from tiegraph.pipeline.files import load_npz, save_npz
 from tiegraph.pipeline.foundrig import rig_of_run
 from tiegraph.pipeline.inputs import check_given
+from tiegraph.pipeline.pages import WatchServer
 from tiegraph.pipeline.preview import preview_of, preview_path
 from tiegraph.pipeline.watch.model import (
     CoarseModels,
@@ -42,7 +43,7 @@ from tiegraph.scene.scene import Scene
 from tiegraph.watch.arrivals import Arrivals
 from tiegraph.watch.frames import Known, place_frames
 from tiegraph.watch.tuning import Tuning
-from tiegraph.watch.view import PageServer, page
+from tiegraph.watch.view import page
 
 KEPT, PAGE = "watch.npz", "watch.html"
 _BATCH = 8  # images of a step: a folder that is full already shows its first poses soon
@@ -61,13 +62,13 @@ def watch(run: Run, port: int, tuning: Tuning) -> None:
     check_run(STAGES, run)
     check_given(STAGES, run)
     cv2.setNumThreads(1)  # the second core is for the model
-    server = PageServer(port)
+    server = WatchServer(port)
     try:
         with working_in(run.folder):
             watched = Watched(run, tuning)
             server.show(watched.state())
-            run.reporter.say(f"watching {run.inputs.images}: {server.address} shows what arrives; Ctrl-C ends it")
-            run.reporter.event("watching", page=server.address, folder=str(run.inputs.images))
+            run.reporter.say(f"watching {run.inputs.images}: {server.url} shows what arrives; Ctrl-C ends it")
+            run.reporter.event("watching", page=server.url, folder=str(run.inputs.images))
             try:
                 while True:
                     if watched.step(time.monotonic()):
