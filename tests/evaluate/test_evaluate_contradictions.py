@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from clouds_world import tiled
 from tiegraph.evaluate.accuracy import Predicted, cloud_figure, pose_figures
 from tiegraph.evaluate.clouds.nearest import cloud_to_cloud, criteria_of
-from tiegraph.evaluate.contradictions import against_cloud, against_poses
+from tiegraph.evaluate.survey import against_cloud, against_poses
 from tiegraph.evaluate.trajectory import PoseMatch, evaluate_trajectory
 from tiegraph.evaluate.tuning import Tuning
 from tiegraph.geometry import transforms

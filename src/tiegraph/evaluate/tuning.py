@@ -106,7 +106,7 @@ class PassesTuning(Section):
 
 
 class JudgeTuning(Section):
-    """References against what was predicted (`contradictions.py`)."""
+    """References against what was predicted (`survey.py`)."""
 
     beyond_sigmas: float = Field(3.0, gt=0)
     """An error beyond so many of its predicted sigmas contradicts."""

@@ -15,7 +15,7 @@ from tiegraph.features.sift import most_features
 from tiegraph.geometry import transforms
 from tiegraph.pipeline.files import load_npz
 from tiegraph.plan.accuracy import Shape
-from tiegraph.plan.effort import Effort, effort
+from tiegraph.plan.figures import Effort, effort
 from tiegraph.plan.network import MountedCamera, model_figures
 from tiegraph.plan.planner import Plan, Rigged, make_plan
 from tiegraph.plan.request import CameraRequest, PlanRequest

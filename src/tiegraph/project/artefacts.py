@@ -12,8 +12,9 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path, PurePosixPath
 
 from tiegraph.errors import InputError, UnreadableArtefact
-from tiegraph.project.ledger import (
+from tiegraph.project.receipts import (
     Ledger,
+    Receipts,
     covered,
     digest_of,
     files_below,
@@ -23,7 +24,6 @@ from tiegraph.project.ledger import (
     take_away,
     trouble,
 )
-from tiegraph.project.receipts import Receipts
 from tiegraph.project.stages import Outcome, Stage
 from tiegraph.scene.atomic import JOURNAL, is_temporary, remove
 from tiegraph.text import some

@@ -15,12 +15,11 @@ from tiegraph.errors import ChildDied, EngineMissing, InputError, Reconstruction
 from tiegraph.limits import explained
 from tiegraph.project.artefacts import DIED, LOST, OTHER_KEY, Artefacts
 from tiegraph.project.folder import LOG, check_folder, check_inputs, working_in
-from tiegraph.project.inputs import Inputs
+from tiegraph.project.inputs import Inputs, Stamps
 from tiegraph.project.pool import LocalPool, Place, check_pool, map_items, open_pool
 from tiegraph.project.progress import Elsewhere, Meter, Reporter
 from tiegraph.project.receipts import Receipts, software
 from tiegraph.project.stages import Stage, engines, key_parts, needed, stage_keys
-from tiegraph.project.stamps import Stamps
 from tiegraph.scene.bags import source_of
 
 log = logging.getLogger("tiegraph")

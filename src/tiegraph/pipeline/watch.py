@@ -1,4 +1,10 @@
-"""Glue of watch: one step after another, files that have arrived become previews, ties and poses."""
+"""Glue of watch: one step after another, files that have arrived become previews, ties and poses; the page shows what
+is known.
+
+``watchmodel`` makes previews and matches them as the stages preview and candidates do, and the coarse model in a child,
+one at a time. What is kept in the run folder are previews, ties and the page as it was last: a second run goes on from
+there.
+"""
 
 import json
 import logging
@@ -21,7 +27,7 @@ from tiegraph.pipeline.foundrig import rig_of_run
 from tiegraph.pipeline.inputs import check_given
 from tiegraph.pipeline.pages import WatchServer
 from tiegraph.pipeline.preview import preview_of, preview_path
-from tiegraph.pipeline.watch.model import (
+from tiegraph.pipeline.watchmodel import (
     CoarseModels,
     Modelled,
     make_preview,

@@ -1,4 +1,5 @@
-"""Glue of watch: the coarse model of what has arrived, made in a process of its own, and the surface it shows."""
+"""Glue of watch: previews, ties and poses of what has arrived, its coarse model, made in a process of its own, and what
+the page shows of them."""
 
 import logging
 import threading
