@@ -10,7 +10,7 @@ of paper 001 (section c) is brute force without masks. The constants that the pa
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -117,9 +117,7 @@ def _vote_constant(
     empty = score_matrix(p, q, every, allowed, tuning.offsets.scores)
     rows = evenly(len(p), settings.sample_frames)
     shape = (*allowed.shape, len(rows), len(empty.columns))
-    scores = ScoreMatrix(
-        p=p, q=q, rows=rows, columns=empty.columns, allowed=allowed, inliers=np.full(shape, np.nan, np.float32)
-    )
+    scores = replace(empty, rows=rows, inliers=np.full(shape, np.nan, np.float32))
     c, d = np.ogrid[: shape[0], : shape[1]]
     wanted = np.broadcast_to((c < d) if p is q else np.ones((1, 1), bool), allowed.shape)[:, :, None, None]
     notes: tuple[str, ...] = ()
@@ -130,7 +128,7 @@ def _vote_constant(
         allowed = facing(scores, excess, settings, tuning.rig)
         said = commonview.in_words(scores, excess, tuning.rig)
         notes = (said,) if said else ()
-        scores = ScoreMatrix(p=p, q=q, rows=rows, columns=scores.columns, allowed=allowed, inliers=scores.inliers)
+        scores = replace(scores, allowed=allowed)
     return _measured_oblong(scores, wanted, cache), notes
 
 
@@ -139,9 +137,7 @@ def _measured_oblong(scores: ScoreMatrix, nodes: np.ndarray, cache: MatchCache) 
     nodes = np.broadcast_to(nodes, scores.inliers.shape) & scores.exists() & np.isnan(scores.inliers)
     inliers = scores.inliers.copy()
     inliers[nodes] = cache.measure(*scores.images(nodes))
-    return ScoreMatrix(
-        p=scores.p, q=scores.q, rows=scores.rows, columns=scores.columns, allowed=scores.allowed, inliers=inliers
-    )
+    return replace(scores, inliers=inliers)
 
 
 def _backwards_by_votes(scores: ScoreMatrix, min_matches: int, tuning: Tuning) -> bool:

@@ -80,10 +80,6 @@ def _said(run: Run, sigmas: dict[str, float]) -> str:
 def _mapper(run: Run) -> Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[Any]]:
     def apply(function: Callable[[Any], Any], items: Sequence[Any]) -> Iterable[Any]:
         run.reporter.total(len(items))
-        return run.map(_call, list(items), function)
+        return run.map(function, items)
 
     return apply
-
-
-def _call(item: Any, function: Callable[[Any], Any]) -> Any:
-    return function(item)

@@ -158,7 +158,7 @@ def up_light(run: Run, scene: Scene) -> UpLight:
     papers.plug_in(papers.LIGHTS, way, LIGHTS)
     if way in LIGHTS:
         return LIGHTS[way](scene, run.path("images"), run.map)
-    grey, sky = np.array(run.map(_light_of, list(scene.names), run.folder)).reshape(-1, 2).T
+    grey, sky = np.array(run.map(_light_of, scene.names, run.folder)).reshape(-1, 2).T
     return UpLight(grey, sky, scene.exposure)
 
 

@@ -50,7 +50,7 @@ def refine(run: Run) -> Outcome:
     todo = [(n, known.get(n)) for n in scene.names if not mask_path(run.path(FINAL), n).exists()]
     run.reporter.total(len(scene), len(scene) - len(todo))
     run.map(_final_item, todo, run.folder, run.settings.tuning.masks)
-    used = np.array(run.map(_used, list(scene.names), run.folder))  # (N, 2): before, now
+    used = np.array(run.map(_used, scene.names, run.folder))  # (N, 2): before, now
     changed = int((used[:, 0] != used[:, 1]).sum())
     counts = {"images": len(scene), "changed": changed, "used_percent": round(float(100 * used[:, 1].mean()), 1)}
     return Outcome(counts, notes=notes, tables=_tables(run, scene))

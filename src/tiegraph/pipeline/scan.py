@@ -58,7 +58,7 @@ def scan(run: Run) -> Outcome:
     todo: dict[str, list[tuple[str, Sensor]]] = {}  # a panorama is read once for all its views
     for k, name in enumerate(scene.names):
         todo.setdefault(file_of[scene.source_name(k)], []).append((name, scene.sensor_of(k)))
-    run.map(_prepare_item, list(todo.items()), root, run.path("images"), settings)
+    run.map(_prepare_item, todo.items(), root, run.path("images"), settings)
     if given.trajectory == FOLLOW:
         found_path, said = followed(run, scene)
         scene = build_scene(replace(inputs, trajectory=found_path), names, probes, settings, tuning)

@@ -62,7 +62,7 @@ def stations(
         try:
             with reporter.stage("join"):
                 ready, unfit = prepared(shots, tuning)
-                joined = join(ready, tuning, partial(_told, reporter))
+                joined = join(ready, tuning, lambda done, most: reporter.total(most, done))
         except ValueError as error:
             raise ReconstructionError(f"{error}: nothing is written; stations must share surface with shape, 30 % at "
                                       "least") from None  # fmt: skip
@@ -223,10 +223,6 @@ def _points(
 
 
 # --- what is told ----------------------------------------------------------------------------------------------------
-
-
-def _told(reporter: Reporter, done: int, most: int) -> None:
-    reporter.total(most, done)
 
 
 def _frame(origin: Origin | None, options: StationOptions, ready: Sequence[Station], joined: Joined) -> str:

@@ -56,7 +56,6 @@ _BATCH = 8  # images of a step: a folder that is full already shows its first po
 _RECENT = 100  # images of the median time
 
 log = logging.getLogger(__name__)
-_DRAWN_TIES = 4000  # on the page at most, the strongest
 
 
 def watch(run: Run, port: int, tuning: Tuning) -> None:
@@ -313,7 +312,7 @@ class Watched:
         else:
             least = self.run.settings.candidates.min_matches
             poses = self._known(scene).poses
-            out |= shown_scene(scene, self.ties(scene), poses, self._models, least=least, drawn=_DRAWN_TIES)
+            out |= shown_scene(scene, self.ties(scene), poses, self._models, least)
             broken = {**{d.name: d.reason for d in scene.dropped}, **broken}
             out["notes"] = list(scene.notes)
         out["broken"] = [[name, why] for name, why in sorted(broken.items())]

@@ -203,17 +203,18 @@ class CoarseModels:
         return made
 
 
+_DRAWN_TIES = 4000  # on the page at most, the strongest
 _PLACES = 20  # listed: more than anybody goes to again
 
 
 def shown_scene(
-    scene: Scene, ties: PreviewMatches, poses: np.ndarray, models: CoarseModels, least: int, drawn: int
+    scene: Scene, ties: PreviewMatches, poses: np.ndarray, models: CoarseModels, least: int
 ) -> dict[str, Any]:
-    """Path, ties, images without ties and surface for the page; ``least`` matches of a tie, ``drawn`` ties at most."""
+    """Path, ties, images without ties and surface for the page; ``least`` matches of a tie."""
     plan, scale = plan_from_world(poses, scene)
     places = transforms.apply(plan, transforms.centre(poses))
     by_model = np.array([name in models.of for name in scene.names], bool)
-    out = path_and_ties(scene, ties, places, by_model, least, drawn)
+    out = path_and_ties(scene, ties, places, by_model, least, _DRAWN_TIES)
     images = len(scene)
     out["counts"] = {
         "images": images, "tied": images - len(out["untied"]), "posed": int(np.isfinite(places[:, 0]).sum()),

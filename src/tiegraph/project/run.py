@@ -2,7 +2,7 @@
 
 import logging
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager, suppress
 from datetime import datetime, timezone
@@ -83,11 +83,12 @@ class Run:
             self._executor, self._workers = open_pool(self._pool_spec, place=place)
         return self._executor
 
-    def map(self, function: Callable[..., Any], items: Sequence[Any], *args: Any) -> list[Any]:
+    def map(self, function: Callable[..., Any], items: Iterable[Any], *args: Any) -> list[Any]:
         """``[function(item, *args) for item in items]`` over the pool."""
-        if not items:
+        asked = list(items)
+        if not asked:
             return []
-        return map_items(self.open(), self._workers, function, items, args, self.reporter.advance)
+        return map_items(self.open(), self._workers, function, asked, args, self.reporter.advance)
 
     def map_untold(self, function: Callable[..., Any], items: Sequence[Any], *args: Any) -> list[Any]:
         """``map`` of which the progress hears nothing: the caller tells it."""
