@@ -104,12 +104,11 @@ def _sweep(
 ) -> tuple[tuple[tuple[str, tuple[Station, ...]], ...], list[str]]:
     """Stations by the distances, for each base and overlap; advice."""
     images, said, groups = request.images, [], []
-    motion = images.motion()
     bases, overlaps = numbers("base", images.base), numbers("overlap", images.overlap)
     for base, overlap in product(bases, overlaps):
         wanted = images.wanted(base, overlap)
-        made = [station(lens, d, wanted, motion, tuning.station) for d in images.distances()]
-        said += [text for one in made for text in advice(one, lens, wanted, motion)]
+        made = [station(lens, d, wanted, tuning.station) for d in images.distances()]
+        said += [text for one in made for text in advice(one, lens, wanted)]
         name = f"base {base:g} m, " if len(bases) > 1 and base else ""
         name += f"overlap {100 * overlap:g} %, " if len(overlaps) > 1 and overlap is not None else ""
         groups.append((name, tuple(made)))

@@ -83,7 +83,7 @@ def judge_cloud(
         clouds = tile_clouds(cloud, reference, scratch, tuning.cloud)
         criteria = criteria_of(clouds, tuning.cloud, question.distances_m, question.gsd_m, question.range_m)
         cylinders = cylinders_of(clouds, tuning.m3c2)
-        nearest = cloud_to_cloud(clouds, criteria, tuning.cloud, scratch, cameras)
+        nearest = cloud_to_cloud(clouds, criteria, scratch, cameras)
     except InputError:
         raise  # names its file
     except ValueError as error:

@@ -164,7 +164,7 @@ class CloudComparison:
 
 
 def cloud_to_cloud(
-    clouds: TiledClouds, criteria: Criteria, tuning: CloudTuning, scratch: Path, cameras: Cameras | None = None
+    clouds: TiledClouds, criteria: Criteria, scratch: Path, cameras: Cameras | None = None
 ) -> CloudComparison:
     """Compare cloud 0 with the reference, cloud 1, both in one frame and in metres.
 
@@ -176,13 +176,12 @@ def cloud_to_cloud(
         if not clouds.count(which):
             raise ValueError(f"the {what} has no points to compare")
     path = scratch / "judged.points"
-    judge = _Judge(clouds=clouds, criteria=criteria, tuning=tuning, cameras=cameras)
     found: tuple[list[np.ndarray], list[np.ndarray]] = ([], [])
     with open(path, "wb") as out:
         for tile in range(len(clouds)):
-            xyz, own = judge.cloud(tile)
+            xyz, own = _cloud_rows(clouds, tile, criteria, cameras)
             found[0].append(own)
-            found[1].append(judge.reference(tile))
+            found[1].append(_reference_rows(clouds, tile, criteria, cameras))
             judged = own["counts"]
             rows = np.zeros(int(judged.sum()), _JUDGED)
             rows["xyz"], distance = xyz[judged], own["distance_m"][judged]
@@ -204,42 +203,35 @@ def cloud_to_cloud(
     )
 
 
-@dataclass(frozen=True)
-class _Judge:
-    """Judges the points of either side in a tile."""
+def _cloud_rows(
+    clouds: TiledClouds, tile: int, criteria: Criteria, cameras: Cameras | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Points (N, 3) of the cloud in a tile that are judged, and their rows (N,): one counts where the reference
+    observed."""
+    xyz = thinned(clouds, 0, tile, criteria.voxel_m)
+    other = clouds.around(1, tile, criteria.reach_m).xyz
+    low, high = (corner[1][2] for corner in (clouds.low, clouds.high))
+    inside = (xyz[:, 2] >= low - criteria.observed_m) & (xyz[:, 2] <= high + criteria.observed_m)
+    inside &= nearest(xyz[:, :2], other[:, :2], criteria.observed_m) <= criteria.observed_m
+    _, group = _groups(xyz, cameras)
+    return xyz, _rows(nearest(xyz, other, criteria.reach_m), group, inside)
 
-    clouds: TiledClouds
-    criteria: Criteria
-    tuning: CloudTuning
-    cameras: Cameras | None
 
-    def cloud(self, tile: int) -> tuple[np.ndarray, np.ndarray]:
-        """Points (N, 3) that are judged, and their rows (N,): a point counts where the reference observed."""
-        criteria, clouds = self.criteria, self.clouds
-        xyz = thinned(clouds, 0, tile, criteria.voxel_m)
-        other = clouds.around(1, tile, criteria.reach_m).xyz
-        low, high = (corner[1][2] for corner in (clouds.low, clouds.high))
-        inside = (xyz[:, 2] >= low - criteria.observed_m) & (xyz[:, 2] <= high + criteria.observed_m)
-        inside &= nearest(xyz[:, :2], other[:, :2], criteria.observed_m) <= criteria.observed_m
-        _, group = self._groups(xyz)
-        return xyz, _rows(nearest(xyz, other, criteria.reach_m), group, inside)
+def _reference_rows(clouds: TiledClouds, tile: int, criteria: Criteria, cameras: Cameras | None) -> np.ndarray:
+    """Rows (N,) of the reference's points in a tile: one counts near a camera."""
+    xyz = thinned(clouds, 1, tile, criteria.voxel_m)
+    other = clouds.around(0, tile, criteria.reach_m).xyz
+    away, group = _groups(xyz, cameras)
+    counts = away <= (np.inf if criteria.range_m is None else criteria.range_m)
+    return _rows(nearest(xyz, other, criteria.reach_m), group, counts)
 
-    def reference(self, tile: int) -> np.ndarray:
-        """Rows (N,) of the reference's points: one counts near a camera."""
-        criteria = self.criteria
-        xyz = thinned(self.clouds, 1, tile, criteria.voxel_m)
-        other = self.clouds.around(0, tile, criteria.reach_m).xyz
-        away, group = self._groups(xyz)
-        counts = away <= (np.inf if criteria.range_m is None else criteria.range_m)
-        return _rows(nearest(xyz, other, criteria.reach_m), group, counts)
 
-    def _groups(self, xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Distance (N,) to the nearest camera, and the numbers (N, 2) of band and section."""
-        if self.cameras is None:
-            return np.zeros(len(xyz)), np.zeros((len(xyz), 2), np.uint8)
-        away, near = cKDTree(self.cameras.centres).query(xyz)
-        section = self.cameras.section_numbers()[near]
-        return away, np.stack([np.searchsorted(_BANDS_M, away), section], axis=1).astype(np.uint8)
+def _groups(xyz: np.ndarray, cameras: Cameras | None) -> tuple[np.ndarray, np.ndarray]:
+    """Distance (N,) to the nearest camera, and the numbers (N, 2) of band and section."""
+    if cameras is None:
+        return np.zeros(len(xyz)), np.zeros((len(xyz), 2), np.uint8)
+    away, near = cKDTree(cameras.centres).query(xyz)
+    return away, np.stack([np.searchsorted(_BANDS_M, away), cameras.section_numbers()[near]], axis=1).astype(np.uint8)
 
 
 def thinned(clouds: TiledClouds, which: int, tile: int, voxel_m: float) -> np.ndarray:
