@@ -54,7 +54,7 @@ def measure(name: str, dataset: Dataset, folder: Path) -> dict[str, Any]:
     truth = {n: transforms.invert(np.asarray(p)) for n, p in full.items()}
     poses = reference.ReferencePoses(truth, {}, dataset.images)
     match, _ = reference.match_poses(poses, model, scene, tuning.trajectory.max_gap_s)
-    origin = world_origin(run) if own.world["placed"] else None
+    origin = world_origin(run.folder) if own.world["placed"] else None
     same = origin is not None and dataset.truth_origin is not None
     if origin is not None and dataset.truth_origin is not None:
         match = reference.poses_to_world(match, dataset.truth_origin, origin)

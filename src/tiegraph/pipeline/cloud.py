@@ -32,7 +32,7 @@ def cloud(run: Run) -> Outcome:
     colours = coloured(plans, run.path("images"), run.settings.dense, run.settings.tuning.dense.views)
     maps = Maps(partial(read_depth, folder=run.folder), colours)
     settings, tuning = run.settings.cloud, run.settings.tuning.cloud
-    fused = fuse(sorted(plans), maps, scratch, settings, tuning, world_origin(run), _mapper(run))
+    fused = fuse(sorted(plans), maps, scratch, settings, tuning, world_origin(run.folder), _mapper(run))
     sigmas = _sigmas(run, fused.clouds())
     said = _said(run, sigmas)
     notes = [*write_copc(fused.clouds, run.path("cloud.copc.laz"), fused.voxel, scratch, said)]
@@ -54,7 +54,7 @@ def _passes(run: Run, scratch: Path, voxel_m: float) -> list[str]:
 def _sigmas(run: Run, parts: Iterable[Cloud]) -> dict[str, float]:
     """Median of the points' sigma, and median and 90th percentile of that in the world, where the model is placed: of
     the matching, of the cameras inside the model and of the placement together."""
-    error, own, world = placement_error(run), [], []
+    error, own, world = placement_error(run.folder), [], []
     inside = (load_json(run.path("world.json")).get("model_sigma") or {}).get("median", 0.0)
     for part in parts:
         some = part.where(np.arange(0, len(part), _EVERY))

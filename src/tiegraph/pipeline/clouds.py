@@ -20,7 +20,7 @@ from tiegraph.evaluate.tuning import RegistrationTuning, Tuning
 from tiegraph.geometry.geodesy import ENU, Origin
 from tiegraph.geometry.placement import PlacementError
 from tiegraph.pipeline.evaluate import measured, write_judgement
-from tiegraph.pipeline.files import load_json, load_model
+from tiegraph.pipeline.files import load_model, placement_error, world_origin, world_unit
 from tiegraph.project.folder import SETTINGS, check_format
 from tiegraph.project.settings import read_settings
 from tiegraph.project.stages import save_json, write_atomic
@@ -191,18 +191,11 @@ def _read(folder: Path) -> _Epoch:
     path = folder / "cloud.laz"
     if not path.exists():
         raise InputError(f"{folder}: it has no cloud.laz: run it to the stage cloud ({command('cloud', folder)})")
-    world = load_json(folder / "world.json")
-    if world["scale_source"] == "none":
+    if world_unit(folder) != "m":
         raise InputError(f"{folder}: nothing told its scale, so differences have no unit: give positions or a rig")
-    origin = None if world.get("origin") is None else Origin.from_dict(world["origin"])
-    error = world.get("placement_error")
-    shift = _shift(origin)
-    return _Epoch(
-        folder=folder,
-        cloud=open_cloud(path).moved(lambda xyz: xyz - shift),
-        origin=origin,
-        error=None if error is None else PlacementError.from_dict(error),
-    )
+    origin = world_origin(folder)
+    cloud = open_cloud(path).moved(lambda xyz: xyz - _shift(origin))
+    return _Epoch(folder=folder, cloud=cloud, origin=origin, error=placement_error(folder))
 
 
 def _shift(origin: Origin | None) -> np.ndarray:

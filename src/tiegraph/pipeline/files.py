@@ -181,18 +181,18 @@ def read_mask(folder: Path, name: str) -> np.ndarray:
 # --- how the model lies in the world, read from what georef wrote ----------------------------------------------------
 
 
-def world_origin(run: Run) -> Origin | None:
+def world_origin(folder: Path) -> Origin | None:
     """Where the world is on the Earth: by the scene's positions, or by control points alone."""
-    data = load_json(run.path("world.json")).get("origin")
+    data = load_json(folder / "world.json").get("origin")
     return None if data is None else Origin.from_dict(data)
 
 
-def world_unit(run: Run) -> str:
+def world_unit(folder: Path) -> str:
     """Unit of lengths in the world: m, or "units" where nothing told the scale."""
-    return "units" if load_json(run.path("world.json"))["scale_source"] == "none" else "m"
+    return "units" if load_json(folder / "world.json")["scale_source"] == "none" else "m"
 
 
-def placement_error(run: Run) -> PlacementError | None:
+def placement_error(folder: Path) -> PlacementError | None:
     """How well the placement is known; None = not placed."""
-    data = load_json(run.path("world.json")).get("placement_error")
+    data = load_json(folder / "world.json").get("placement_error")
     return None if data is None else PlacementError.from_dict(data)

@@ -210,7 +210,7 @@ def _predicted(run: Run, world: dict, points: Mapping[str, float]) -> Predicted:
     if not sigma and world["scale_source"] != "none":  # not placed: the rig alone says how large it is
         rows = world.get("evidence", {}).get("rows", [])
         scale = next((row[3] for row in rows if row[0] == "scale"), np.nan)
-    model, error = load_model(run.path("sparse", "world")), placement_error(run)
+    model, error = load_model(run.path("sparse", "world")), placement_error(run.folder)
     centres = model_centres(model)
     return Predicted(
         inside_m=float(np.hypot(half, most) / np.sqrt(2)),

@@ -20,7 +20,6 @@ from tiegraph.evaluate.trajectory import PoseMatch, evaluate_trajectory
 from tiegraph.evaluate.tuning import Tuning as EvaluateTuning
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity
-from tiegraph.geometry.geodesy import Origin
 from tiegraph.lidar.adjust import adjusted
 from tiegraph.lidar.handeye import Given, HandEye, Poses, hand_eye, lidar_from_run, rig_in_lidar_world, settled
 from tiegraph.lidar.odometry import MapCloud, before_pose, odometry
@@ -29,7 +28,7 @@ from tiegraph.lidar.scans import Reading, Recording, deskew, open_scans, velocit
 from tiegraph.lidar.settings import LidarSettings
 from tiegraph.lidar.tables import Column, hand_eye_table, survey_table
 from tiegraph.lidar.tuning import Tuning
-from tiegraph.pipeline.files import load_json, load_model, load_scene, reading
+from tiegraph.pipeline.files import load_json, load_model, load_scene, reading, world_origin
 from tiegraph.project.folder import check_format
 from tiegraph.project.progress import Reporter
 from tiegraph.project.receipts import Receipts
@@ -97,11 +96,11 @@ class SurveyRun:
 
 
 def _cloud(folder: Path) -> Cloud | None:
-    path, origin = folder / "cloud.laz", load_json(folder / "world.json").get("origin")
+    path = folder / "cloud.laz"
     if not path.exists():
         return None
     with reading(path):
-        return read_cloud(path, None if origin is None else Origin.from_dict(origin))
+        return read_cloud(path, world_origin(folder))
 
 
 def _seconds(folder: Path) -> dict[str, float]:

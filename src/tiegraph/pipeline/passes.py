@@ -126,14 +126,14 @@ def _pair(
         folder = scratch / str(len(clouds))
         folder.mkdir()
         tuning = run.settings.tuning.cloud
-        fused = fuse(sorted(one.images), maps, folder, settings, tuning, world_origin(run), mapper)
+        fused = fuse(sorted(one.images), maps, folder, settings, tuning, world_origin(run.folder), mapper)
         clouds.append(PointSource(f"pass {one.name}", partial(_parts, fused)))
     sections = [int(scene.section[scene.frame[scene.image_index[n]]]) for n in passes[0].images]
     return Pair(
         first=clouds[0],
         second=clouds[1],
         cameras=Cameras(passes[0].centres, tuple(f"{s}" if s >= 0 else "(none)" for s in sections)),
-        origin=world_origin(run),
+        origin=world_origin(run.folder),
         held=f"in one model, pass {passes[1].name} minus pass {passes[0].name}: what both share is not told",
     )
 

@@ -101,7 +101,7 @@ def _lines(
     lines = {name: lines_of(view, up.direction, water, tuning) for name, view in views.items()}
     if water is None:
         return lines, ("no sky below the horizon; no water level was found, so the water stays as it was learnt",)
-    unit = world_unit(run)
+    unit = world_unit(run.folder)
     return lines, (
         f"water {water.depth:.3g} {unit} below the cameras (middle half of {water.rays} rays: +-{water.spread:.2g}), "
         "out to the banks of the model; no sky below the horizon",

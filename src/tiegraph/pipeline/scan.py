@@ -30,8 +30,7 @@ from tiegraph.text import acts, composed
 def scan(run: Run) -> Outcome:
     """Open every image once, sort them into rigs, frames and passes, and lay the usable ones below images/."""
     given, settings, tuning = run.inputs, run.settings.scan, run.settings.tuning.scan
-    taken = photographs(run)
-    root = taken.folder
+    root, said_of_images, cameras = photographs(run)
     files, passed_over = search_images(root)
     names = clean_names(files)  # from here on: only their opening needs the names that the file system has
     run.reporter.total(2 * len(names))
@@ -47,7 +46,7 @@ def scan(run: Run) -> Outcome:
         start=None if given.start is None else read_start(given.start),
         times=given.times,
         video=root != source_of(given.images),
-        cameras=start_cameras(root, taken.cameras, names),
+        cameras=start_cameras(root, cameras, names),
     )
     scene = build_scene(inputs, names, probes, settings, tuning)
     carrying(scene)
@@ -76,7 +75,7 @@ def scan(run: Run) -> Outcome:
         {**counts, "cameras": len(whole.all_sensors), "positions": _placed(scene.world_from_rig), **hanging},
         dropped=tuple((d.name, d.reason) for d in scene.dropped),
         notes=(
-            *taken.notes,
+            *said_of_images,
             *(() if known is None else known.said),
             *_unreadable_names(names, files),
             *passed_over,
