@@ -9,14 +9,14 @@ from typing import Any, Literal
 import numpy as np
 
 from tiegraph.errors import InputError
-from tiegraph.evaluate.clouds.judge import Question, judge_cloud
+from tiegraph.evaluate.clouds.judge import Question, judge_cloud, told_of
 from tiegraph.evaluate.clouds.m3c2 import Changes, Differences, Sigma, changes, cylinders_of, m3c2_tiled
 from tiegraph.evaluate.clouds.nearest import Cameras, meeting
 from tiegraph.evaluate.clouds.picture import difference_map
 from tiegraph.evaluate.clouds.register import Registration, registered
 from tiegraph.evaluate.clouds.tiles import tile_clouds
 from tiegraph.evaluate.reference import to_world
-from tiegraph.evaluate.tuning import RegistrationTuning, Tuning
+from tiegraph.evaluate.tuning import Tuning
 from tiegraph.geometry.geodesy import ENU, Origin
 from tiegraph.geometry.placement import PlacementError
 from tiegraph.pipeline.evaluate import measured, write_judgement
@@ -145,7 +145,8 @@ def compare_epochs(folders: tuple[Path, Path], out: Path, options: EpochOptions)
         held = "as the surveys stand on the Earth, with both their sigmas"
         pair = Pair(**common, second=other, held=held, sigma=_placed(first, second))
     else:
-        fitted = _registered(first, other, options.coarse, tuning.registration)
+        with told_of(other.name):
+            fitted = registered(other, first.cloud, tuning.registration, False, options.coarse)
         moved, along = other.moved(fitted.fit), fitted.sigma_along
         held = "by ICP from a start by their shapes" if options.coarse else "by ICP"
         pair = Pair(**common, second=moved, held=held, sigma=along, fitted=fitted)
@@ -176,13 +177,9 @@ def m3c2_of(
     """The second cloud minus the first, at about ``most`` core points; ``scratch`` is an empty folder. Raises
     InputError if they do not meet."""
     clouds = tile_clouds(pair.first, pair.second, scratch, tuning.cloud)
-    try:
+    with told_of(pair.second.name):
         meeting(clouds)
         cylinders = cylinders_of(clouds, tuning.m3c2, depth_m)
-    except InputError:
-        raise  # names its file
-    except ValueError as error:
-        raise InputError(f"{pair.second.name}: {error}") from None
     return m3c2_tiled(clouds, cylinders, tuning.m3c2, pair.cameras, pair.sigma, most)
 
 
@@ -214,15 +211,6 @@ def _in_world_of(first: _Epoch, second: _Epoch, options: EpochOptions) -> PointS
     if a is None or b is None or a == b:
         return second.cloud
     return second.cloud.moved(lambda xyz: to_world(xyz, b, a))
-
-
-def _registered(first: _Epoch, other: PointSource, coarse: bool, tuning: RegistrationTuning) -> Registration:
-    try:
-        return registered(other, first.cloud, tuning, False, coarse)
-    except InputError:
-        raise  # names its file
-    except ValueError as error:
-        raise InputError(f"{other.name}: {error}") from None
 
 
 def _placed(first: _Epoch, second: _Epoch) -> Sigma:

@@ -57,8 +57,10 @@ def verdict(run: RunFolder) -> Verdict:
         "poor": t("A large part of the survey is missing"),
     }[level]
     of_world = georeference_sentences(run.world or {})
-    said_of_model = (_registered_sentence(run, registered, total), _world_sentence(run), *of_world)
-    sentences = (*_accuracy_sentences(run), *said_of_model)
+    known = accuracy.sentences(run.accuracy) if run.accuracy is not None else []
+    if run.accuracy is None and run.done("georef"):
+        known = [t("How good it is has not been evaluated yet.")]
+    sentences = (*known, _registered_sentence(run, registered, total), _world_sentence(run), *of_world)
     return Verdict(
         level=level,
         headline=headline,
@@ -150,12 +152,6 @@ def crs_text(crs: Any, origin: Any = None) -> str:
         return f"{crs} ({pyproj.CRS.from_user_input(crs).name})"
     except Exception:
         return str(crs)
-
-
-def _accuracy_sentences(run: RunFolder) -> list[str]:
-    if run.accuracy is not None:
-        return [*accuracy.sentences(run.accuracy)]
-    return [t("How good it is has not been evaluated yet.")] if run.done("georef") else []
 
 
 def what_was_done(run: RunFolder) -> list[str]:
