@@ -12,8 +12,7 @@ from tiegraph.evaluate.accuracy import Hold, Predicted, Stated
 from tiegraph.geometry.align import rms_length
 from tiegraph.geometry.geodesy import world_from_geodetic
 from tiegraph.pipeline.files import checked, load_json, load_model, load_npz, placement_error, refused_pairs, whole
-from tiegraph.pipeline.inputs import control_file, orientations
-from tiegraph.pipeline.targets import target_marks
+from tiegraph.pipeline.inputs import control_file, orientations, target_marks
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, save_json
 from tiegraph.scene import evidence

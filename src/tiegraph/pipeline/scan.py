@@ -8,9 +8,8 @@ import numpy as np
 
 from tiegraph.odometry.cameras import cameras_of
 from tiegraph.pipeline.foundrig import rig_of_run
-from tiegraph.pipeline.inputs import check_against, control_file
+from tiegraph.pipeline.inputs import check_against, control_file, target_marks
 from tiegraph.pipeline.odometry import followed
-from tiegraph.pipeline.targets import target_marks
 from tiegraph.pipeline.videos import photographs
 from tiegraph.project.inputs import FOLLOW
 from tiegraph.project.run import Run

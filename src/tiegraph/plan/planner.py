@@ -12,12 +12,11 @@ from tiegraph.errors import InputError
 from tiegraph.plan.accuracy import ControlPoints, Propagate, Receiver
 from tiegraph.plan.figures import Effort, Lens, Station, advice, effort, station
 from tiegraph.plan.network import MountedCamera, Ties
-from tiegraph.plan.path import Course, make_path
+from tiegraph.plan.path import Anchor, Course, make_path, read_anchor, waypoint_csv, waypoint_geojson, waypoint_kml
 from tiegraph.plan.places import PathPlan, plan_path
 from tiegraph.plan.request import PlanRequest, numbers
 from tiegraph.plan.tables import station_csv
 from tiegraph.plan.tuning import Tuning
-from tiegraph.plan.waypoints import Anchor, read_anchor, waypoint_csv, waypoint_geojson, waypoint_kml
 from tiegraph.scene.figures import png
 from tiegraph.scene.sorting import evenly
 
