@@ -325,7 +325,7 @@ def _axis_scale(est: np.ndarray, ref: np.ndarray, axis: int, metric: bool, tunin
         return _left(est, ref * np.where(np.arange(3) == axis, 10**log, 1.0), metric)
 
     start = min(np.linspace(-tuning.axis_decades, tuning.axis_decades, tuning.axis_starts), key=left)
-    reach = tuning.axis_bracket_decades
+    reach = 2.4 * tuning.axis_decades / (tuning.axis_starts - 1)  # a little more than between two starts
     best = scipy.optimize.minimize_scalar(left, bounds=(start - reach, start + reach), method="bounded")
     return float(best.fun), float(10**best.x)
 

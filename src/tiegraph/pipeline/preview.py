@@ -11,7 +11,7 @@ from tiegraph.features.preview import Preview, PreviewMatch, extract_preview, ma
 from tiegraph.features.settings import PreviewSettings
 from tiegraph.features.tuning import PreviewTuning, Tuning
 from tiegraph.network.sections.light import LIGHTS, UpLight
-from tiegraph.pipeline.files import load_npz, load_scene, read_image, read_mask, reading, save_npz, scanned
+from tiegraph.pipeline.files import load_as, load_scene, read_image, read_mask, save_npz, scanned
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome
 from tiegraph.scene.filecache import cached_by_file
@@ -34,9 +34,7 @@ def preview_path(folder: Path, name: str) -> Path:
 
 def read_preview(folder: Path, name: str) -> Preview:
     """The preview of an image. Raises UnreadableArtefact."""
-    path = preview_path(folder, name)
-    with reading(path):
-        return Preview.from_npz(load_npz(path))
+    return load_as(preview_path(folder, name), Preview.from_npz)
 
 
 def _preview_item(name: str, folder: Path, settings: PreviewSettings, tuning: Tuning) -> None:
@@ -93,8 +91,7 @@ class Matcher:
         self._chunks, self._asked = 0, 0
         self._before: dict[tuple[int, int], PreviewMatch] = {}
         for path in sorted(self._folder.glob("*.npz")):
-            with reading(path):
-                self._before.update(_from_arrays(load_npz(path)))
+            self._before.update(load_as(path, _from_arrays))
             self._chunks = int(path.stem)
 
     def __call__(self, pairs: np.ndarray) -> list[PreviewMatch]:

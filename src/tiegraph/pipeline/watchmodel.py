@@ -112,12 +112,14 @@ class Modelled:
     places: tuple[WeakPlace, ...] = ()
 
 
-def make_model(run: Run, scene: Scene, ties: PreviewMatches, tuning: ModelTuning) -> Modelled:
+def make_model(
+    folder: Path, settings: Settings, scene: Scene, ties: PreviewMatches, tuning: ModelTuning, send: object
+) -> Modelled:
     """Match look-alikes, leave out ties that stand alone as those of walls alike do, map the best, look at the surface.
 
     Runs in a child process (``run_in_child``).
     """
-    settings = run.settings
+    run = Run(folder, Inputs(folder), settings, "serial")
     ties = _with_look_alikes(run, scene, ties, tuning)
     least, network = settings.candidates.min_matches, settings.tuning.network
     count = ties.counts()
@@ -134,12 +136,6 @@ def make_model(run: Run, scene: Scene, ties: PreviewMatches, tuning: ModelTuning
     surface = surface_map(model.visibility(network.coarse), focal, settings.tuning.design.surface)
     places = weak_places(surface, settings.tuning.design.surface)
     return Modelled(ties, model.cam_from_world, rigs=model.rigs, surface=surface, places=places)
-
-
-def _in_child(
-    folder: Path, settings: Settings, scene: Scene, ties: PreviewMatches, tuning: ModelTuning, send: object
-) -> Modelled:
-    return make_model(Run(folder, Inputs(folder), settings, "serial"), scene, ties, tuning)
 
 
 def _with_look_alikes(run: Run, scene: Scene, ties: PreviewMatches, tuning: ModelTuning) -> PreviewMatches:
@@ -187,7 +183,7 @@ class CoarseModels:
         began, run = time.monotonic(), self._run
         asked = run.folder, run.settings, self.scene, ties, tuning
         try:
-            self._result = run_in_child(_in_child, *asked, log=run.log, task="coarse model")
+            self._result = run_in_child(make_model, *asked, log=run.log, task="coarse model")
         except TiegraphError as error:  # the next is tried with more images
             log.warning("%s", error)
         self.seconds = time.monotonic() - began

@@ -2,7 +2,7 @@
 
 import json
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -306,17 +306,22 @@ def _sparse_points(model: Any) -> PointSample:
     )
 
 
+def some_of(reader: Any, most: int) -> Iterator[Any]:
+    """Every n-th point of an open LAS or LAZ file, chunk by chunk, at most about ``most``."""
+    step = max(1, -(-reader.header.point_count // most))
+    for chunk in reader.chunk_iterator(1_000_000):
+        yield chunk[::step]
+
+
 def read_cloud_sample(path: Path, most: int) -> CloudSample:
     """Every n-th point of a LAS or LAZ file, at most ``most``, in the file's coordinates."""
     parts: dict[str, list[np.ndarray]] = {n: [] for n in ("xyz", "rgb", "sigma", "views")}
     with laspy.open(path) as reader:
         count = reader.header.point_count
-        step = max(1, -(-count // most))
         names = list(reader.header.point_format.dimension_names)
         sigma = next((n for n in names if "sigma" in n.lower()), None)
         views = next((n for n in names if "view" in n.lower() and "angle" not in n.lower()), None)
-        for chunk in reader.chunk_iterator(1_000_000):
-            part = chunk[::step]
+        for part in some_of(reader, most):
             parts["xyz"].append(np.column_stack([part.x, part.y, part.z]))
             parts["rgb"].append(_colours(part) if "red" in names else np.full((len(part), 3), 160, np.uint8))
             parts["sigma"].append(np.asarray(part[sigma], float) if sigma else np.full(len(part), np.nan))

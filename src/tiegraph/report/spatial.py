@@ -16,7 +16,7 @@ from tiegraph.geometry.gravity import levelled
 from tiegraph.geometry.placement import PlacementError
 from tiegraph.report import cloudview, formatting, maps
 from tiegraph.report.cloudview import Scale, brightened, by_height, inliers, standard_views, with_scale_bar
-from tiegraph.report.runfolder import RunFolder
+from tiegraph.report.runfolder import RunFolder, some_of
 from tiegraph.report.settings import ReportSettings
 from tiegraph.report.tables import receipt_notes, receipt_tables, section_name
 from tiegraph.report.texts import t
@@ -213,9 +213,7 @@ def _measured(path: Path, shift: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Points (K, 3) of the world and their ``distance_m`` (K,), every n-th of a large file."""
     parts = [(np.zeros((0, 3)), np.zeros(0))]
     with laspy.open(path) as reader:
-        step = max(1, -(-reader.header.point_count // _MOST))
-        for chunk in reader.chunk_iterator(_MOST):
-            part = chunk[::step]
+        for part in some_of(reader, _MOST):
             parts.append((np.column_stack([part.x, part.y, part.z]) - shift, np.asarray(part["distance_m"], float)))
     xyz, values = (np.concatenate(column) for column in zip(*parts))
     known = np.isfinite(values)

@@ -212,23 +212,18 @@ def registered_tables(run: RunFolder) -> list[Table]:
     names = np.array(labels).reshape(-1, 2)
     rows = []
     for camera in [*cameras, None]:
-        row: list[Any] = [camera if camera is not None else t("all cameras")]
+        own = names[:, 1] == camera if camera is not None else np.ones(len(scene), bool)
+        row = [camera if camera is not None else t("all cameras")]
         for track in [*passes, None] if len(passes) > 1 else [None]:
-            of = np.ones(len(scene), bool)
-            of &= names[:, 1] == camera if camera is not None else True
-            of &= names[:, 0] == track if track is not None else True
-            figures = int(registered[of].sum()), int(of.sum())
-            row.append(t("{} of {}", *figures) if of.any() else formatting.NONE)
-        rows.append(row)
-    for row, camera in zip(rows, [*cameras, None]):
-        of = run.model.by_rig & (names[:, 1] == camera if camera is not None else True)
-        row.append(formatting.count(int(of.sum())))
+            of = own & (names[:, 0] == track if track is not None else True)
+            row.append(t("{} of {}", int(registered[of].sum()), int(of.sum())) if of.any() else formatting.NONE)
+        rows.append((*row, formatting.count(int(run.model.by_rig[own].sum()))))
     columns = [t("camera"), *([p or t("(loose)") for p in passes] if len(passes) > 1 else []), t("all images")]
     columns.append(said(BY_RIG))
     out = [
         Table(
             columns=tuple(columns),
-            rows=tuple(map(tuple, rows)),
+            rows=tuple(rows),
             numeric=(False, *[True] * (len(columns) - 1)),
             title=t("Registered images"),
         )
