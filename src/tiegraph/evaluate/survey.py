@@ -1,4 +1,7 @@
-"""Everything the evaluate stage states about a run: from a model, a cloud and references to metrics.json."""
+"""Everything the evaluate stage states about a run: from a model, a cloud and references to metrics.json.
+
+An error of a reference far beyond its predicted sigma contradicts; what would explain it is said.
+"""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace

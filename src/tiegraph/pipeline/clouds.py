@@ -1,4 +1,6 @@
-"""Glue of comparisons of clouds outside the table of stages: two files, and two epochs (``epochs``)."""
+"""Glue of comparisons of clouds outside the table of stages: two files, and two surveys of one place
+(`compare --epochs`): what has changed between them, beyond what both are known to.
+"""
 
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -1,4 +1,5 @@
-"""Glue of georef: the model into the world, with everything that was measured there."""
+"""Glue of georef: the model into the world, with everything that was measured there; and what a run then says of its
+own accuracy."""
 
 from collections.abc import Mapping
 from dataclasses import replace

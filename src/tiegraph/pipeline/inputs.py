@@ -2,7 +2,7 @@
 
 Refused before anything is made or stored: what cannot be meant, in a table, a rig, a pose file, a position or a CRS,
 with file, line, value and remedy. What is only doubtful is a note. What only the images can tell is checked at
-``scan``.
+``scan``. Coded targets of a control point file are looked for in the images.
 """
 
 from collections.abc import Sequence

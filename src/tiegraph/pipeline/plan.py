@@ -1,4 +1,6 @@
-"""Glue of the planner: cameras as `scan` reads them, the covariance of `sparse`, the viewer of `report`; files."""
+"""Glue of the planner: cameras as `scan` reads them, the covariance of `sparse`, the viewer of `report`; files.
+And what a run will need before it begins.
+"""
 
 import json
 import shutil

@@ -1,4 +1,4 @@
-"""Glue of preview: SIFT of the reduced images."""
+"""Glue of preview: SIFT of the reduced images; and their matches, for the stages candidates, coarse and design."""
 
 from collections.abc import Callable
 from pathlib import Path

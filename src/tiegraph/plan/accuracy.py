@@ -1,4 +1,5 @@
-"""What a planned network is expected to know: positions and points, in shape and in the world, by place on the path.
+"""What a planned network is expected to know: positions and points, in shape and in the world, by place on the path;
+and what ties it to the world: positions of a receiver, with outages, and control points.
 
 The covariance comes from a function that is handed in: that of the stage ``sparse``, run on the synthetic network. The
 world is universal kriging: the shape's covariance C is free of any similarity, the similarity is unknown, and fixes

@@ -1,4 +1,7 @@
-"""Static views of a point cloud: a z-buffer in NumPy with eye-dome lighting (Boucheny 2009), top and two obliques."""
+"""Views of a point cloud. Static ones: a z-buffer in NumPy with eye-dome lighting (Boucheny 2009), top and two
+obliques.
+The interactive one: a thinned cloud, the cameras' paths and images, packed for viewer.js.
+"""
 
 import base64
 from collections.abc import Sequence

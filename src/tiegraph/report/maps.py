@@ -1,4 +1,6 @@
-"""Maps: where the cameras went over the cloud from above, with scale bar and north; overlap; error ellipses."""
+"""Maps: where the cameras went over the cloud from above, which frames are missing, with scale bar and north; overlap;
+error ellipses.
+"""
 
 import math
 from collections.abc import Sequence

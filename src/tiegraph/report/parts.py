@@ -1,4 +1,6 @@
-"""The part of the report on which images tie to which: pictures in the order a reader asks, one sentence each."""
+"""Parts of the engineer's page: which images tie to which (pictures in the order a reader asks, one sentence each);
+references; the rig, its cameras as adjusted and along the run; time and memory, settings, versions.
+"""
 
 import csv
 import re
@@ -122,6 +124,9 @@ def _sentence(note: str) -> str:
     return text if text.endswith((".", "!", "?")) else f"{text}."
 
 
+# --- references -----------------------------------------------------------------------------------------------------
+
+
 PASSES = "one pass against the other, M3C2"  # a table that stands where it is said how sure one can be
 
 
@@ -214,6 +219,9 @@ def metric_text(name: str) -> str:
     return text.replace(" m translation", " m, translation").replace(" m rotation", " m, rotation")
 
 
+# --- the rig --------------------------------------------------------------------------------------------------------
+
+
 FILE = ("sparse", "0", "rig_diagnostics.csv")
 CAPTION = (
     "Every camera placed by the points that the other cameras made, against its place in the rig, frame by frame. A "
@@ -287,6 +295,9 @@ def _series(
         frames = np.array([r["frame"] for r in own])
         out.append((camera, frames, worst, 2 * float(np.median([r[sigma] for r in own]))))
     return out
+
+
+# --- time and memory, settings, versions ----------------------------------------------------------------------------
 
 
 def effort(run: RunFolder) -> dict[str, Any]:

@@ -1,4 +1,8 @@
-"""Charts of the engineer's part: time and memory, pairs by step, ties, residuals, the rig, the lens, a reference."""
+"""Charts as SVG inside the page: text is the page's text (language, size, light and dark), and a phone can read it.
+
+A chart is 420 units wide with text of 12, so that on a screen of 390 px it is as large as the small print around it.
+Colours are variables of the style sheet. First what charts are drawn with, then the charts of the engineer's part.
+"""
 
 import math
 from collections.abc import Iterable, Sequence

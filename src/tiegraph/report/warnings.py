@@ -1,4 +1,6 @@
-"""What a user should look at before using the products, in sentences."""
+"""What a user should look at before using the products, in sentences; and every image, whether it is used, and if not
+why.
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
