@@ -28,6 +28,7 @@ from tiegraph.project.settings import read_settings
 from tiegraph.project.stages import save_json, write_atomic
 from tiegraph.scene.atomic import must_be_new, replacing, scratch_folder
 from tiegraph.scene.cloudchunks import PointSource, open_cloud, write_measured
+from tiegraph.scene.cloudfile import shift_of
 from tiegraph.scene.colmapmodel import model_centres
 from tiegraph.scene.results import metrics_to_dict
 from tiegraph.text import command, csv_text
@@ -166,7 +167,7 @@ def differences_of(pair: Pair, out: Path, tuning: Tuning, depth_m: float | None)
         changed = changes(found, tuning.changes)
         result = _result(found, changed, pair)
         save_json(folder / "changes.json", result)
-        table = changed.table(_shift(pair.origin), len(changed.listed))
+        table = changed.table(shift_of(pair.origin), len(changed.listed))
         write_atomic(folder / "changes.csv", csv_text(table["columns"], table["rows"]))
         write_atomic(folder / "changes.png", difference_map(found, "second minus first", only_significant=True))
         write_measured([measured(found)], folder / "changes.laz", pair.origin, found.cylinders.cores_m)
@@ -193,12 +194,8 @@ def _read(folder: Path) -> _Epoch:
     if world_unit(folder) != "m":
         raise InputError(f"{folder}: nothing told its scale, so differences have no unit: give positions or a rig")
     origin = world_origin(folder)
-    cloud = open_cloud(path).moved(lambda xyz: xyz - _shift(origin))
+    cloud = open_cloud(path).moved(lambda xyz: xyz - shift_of(origin))
     return _Epoch(folder=folder, cloud=cloud, origin=origin, error=placement_error(folder))
-
-
-def _shift(origin: Origin | None) -> np.ndarray:
-    return np.zeros(3) if origin is None else np.asarray(origin.shift_m)
 
 
 def _in_world_of(first: _Epoch, second: _Epoch, options: EpochOptions) -> PointSource:
@@ -236,7 +233,7 @@ def _result(found: Differences, changed: Changes, pair: Pair) -> dict[str, Any]:
     return {
         "differences": {k: float(f"{v:.6g}") for k, v in found.summary().items()},
         "areas_and_volumes": {k: float(f"{v:.6g}") for k, v in changed.totals().items()},
-        "changes": changed.table(_shift(pair.origin), _LISTED),
+        "changes": changed.table(shift_of(pair.origin), _LISTED),
         "cylinders": asdict(found.cylinders),
         "registration": None if pair.fitted is None else pair.fitted.table(),
         "crs": None if pair.origin is None else pair.origin.crs,

@@ -16,7 +16,7 @@ from tiegraph.errors import InputError
 from tiegraph.evaluate.clouds.judge import CloudJudgement, Question, judge_cloud
 from tiegraph.evaluate.clouds.nearest import Cameras
 from tiegraph.evaluate.reference import frame_parts, model_poses
-from tiegraph.evaluate.trajectory import PoseMatch, evaluate_trajectory
+from tiegraph.evaluate.trajectory import PoseMatch, evaluate_trajectory, path_length
 from tiegraph.evaluate.tuning import Tuning as EvaluateTuning
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity
@@ -136,7 +136,7 @@ def lidar(
         "seconds": time.monotonic() - start,
         "start_s": path.time_s[0],
         "end_s": path.time_s[-1],
-        "path_m": _length(path.poses),
+        "path_m": float(path_length(path.poses[:, :3, 3])[-1]),
         "map_points": len(cloud),
         "notes": notes,
         "tables": {},
@@ -235,13 +235,9 @@ def _map(
     return cloud, lost
 
 
-def _length(poses: np.ndarray) -> float:
-    return float(np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1).sum())
-
-
 def _against_given(poses: np.ndarray, given: np.ndarray, tuning: EvaluateTuning) -> dict[str, Any]:
     """The odometry against the poses that the scans came with: drift at the end in the frame of the first scan."""
-    length = _length(given)
+    length = float(path_length(given[:, :3, 3])[-1])
     moved = transforms.invert(poses[0]) @ poses[-1]
     true = transforms.invert(given[0]) @ given[-1]
     end = float(np.linalg.norm(moved[:3, 3] - true[:3, 3]))
