@@ -29,7 +29,7 @@ from tiegraph.evaluate.accuracy import in_layers, pose_figures
 from tiegraph.evaluate.trajectory import evaluate_trajectory
 from tiegraph.geometry import transforms
 from tiegraph.pipeline.files import checked, load_model, world_origin
-from tiegraph.pipeline.predicted import stated
+from tiegraph.pipeline.georef import stated
 from tiegraph.project.run import Run
 
 _ROOT = Path(__file__).resolve().parents[1]
@@ -54,7 +54,7 @@ def measure(name: str, dataset: Dataset, folder: Path) -> dict[str, Any]:
     truth = {n: transforms.invert(np.asarray(p)) for n, p in full.items()}
     poses = reference.ReferencePoses(truth, {}, dataset.images)
     match, _ = reference.match_poses(poses, model, scene, tuning.trajectory.max_gap_s)
-    origin = world_origin(run) if own.world["placed"] else None
+    origin = world_origin(run.folder) if own.world["placed"] else None
     same = origin is not None and dataset.truth_origin is not None
     if origin is not None and dataset.truth_origin is not None:
         match = reference.poses_to_world(match, dataset.truth_origin, origin)

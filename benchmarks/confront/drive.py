@@ -91,7 +91,7 @@ def _new_positions(out: Path, clean: Path) -> None:
 
 
 def _enter(out: Path, stage: Any, ledger: dict, receipts: tuple[Any, Any], key: str) -> None:
-    from tiegraph.project.ledger import digest_of, recorded
+    from tiegraph.project.receipts import digest_of, recorded
 
     mine, theirs = receipts
     receipt = theirs.read(stage.name)

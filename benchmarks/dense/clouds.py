@@ -157,7 +157,7 @@ def judged(cloud: Cloud, points: np.ndarray, fit: Similarity | None, cameras: np
     with tempfile.TemporaryDirectory() as scratch:
         tiled = tile_clouds(own, points_of(points), Path(scratch), _JUDGED)
         criteria = criteria_of(tiled, _JUDGED, _DISTANCES_M, range_m=_RANGE_M)
-        found = cloud_to_cloud(tiled, criteria, _JUDGED, Path(scratch), views).whole
+        found = cloud_to_cloud(tiled, criteria, Path(scratch), views).whole
     rows = {
         f"{d:g} m": [round(100 * x, 1) for x in (a, c, f)]
         for d, a, c, f in zip(_DISTANCES_M, found.accuracy, found.completeness, found.fscore, strict=True)

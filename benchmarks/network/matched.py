@@ -16,7 +16,7 @@ from tiegraph.features.settings import PreviewSettings
 from tiegraph.features.tuning import PreviewTuning
 from tiegraph.pipeline.design import with_accuracy
 from tiegraph.pipeline.files import trusted_poses
-from tiegraph.pipeline.previews import with_previews
+from tiegraph.pipeline.preview import with_previews
 from tiegraph.scene.colmapdatabase import pair_ids, reading
 from tiegraph.scene.matches import PreviewMatches, Visibility
 from tiegraph.scene.pairs import Pairs

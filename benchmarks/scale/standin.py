@@ -24,7 +24,7 @@ from tiegraph.network.coarse.model import CoarseModel
 from tiegraph.network.coarse.search import Coarse
 from tiegraph.pipeline import candidates as candidates_glue
 from tiegraph.pipeline import coarse as coarse_glue
-from tiegraph.pipeline import previews as previews_glue
+from tiegraph.pipeline import preview as previews_glue
 from tiegraph.project.run import Run
 from tiegraph.scene.matches import PreviewMatches, Visibility
 from tiegraph.scene.rig import Rig

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 from tiegraph.errors import InputError, ReconstructionError, SettingsError, choose
 from tiegraph.pipeline import SHOTS, STAGES, foundrig
-from tiegraph.pipeline.forecast import Forecast, forecast
 from tiegraph.pipeline.inputs import check_given
 from tiegraph.project import settings as project_settings
 from tiegraph.project.folder import SETTINGS, check_format, names_run, write_settings
@@ -29,6 +28,7 @@ from tiegraph.scene.scene import Scene
 if TYPE_CHECKING:  # the drawing of figures loads as slowly as all else together
     from tiegraph.design.coverage import Coverage
     from tiegraph.design.surface import CoveredSurface
+    from tiegraph.pipeline.plan import Forecast
 
 _NAMED = ("rig", "camera")  # each a file, or words
 _PATHS = ("gnss", "trajectory", "start", "times")
@@ -76,6 +76,8 @@ class Project:
 
     def forecast(self) -> Forecast | None:
         """What a run will need of disk and CPU time; None for videos and bags. Nothing is written."""
+        from tiegraph.pipeline.plan import forecast  # loads the engines
+
         return forecast(self.as_run())
 
     def status(self) -> list[tuple[str, str, dict]]:

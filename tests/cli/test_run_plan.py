@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tiegraph.cli.main import main
-from tiegraph.pipeline import forecast
+from tiegraph.pipeline import plan as forecast
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from clouds_world import tiled
 from tiegraph.evaluate.accuracy import Predicted, cloud_figure, pose_figures
 from tiegraph.evaluate.clouds.nearest import cloud_to_cloud, criteria_of
-from tiegraph.evaluate.contradictions import against_cloud, against_poses
+from tiegraph.evaluate.survey import against_cloud, against_poses
 from tiegraph.evaluate.trajectory import PoseMatch, evaluate_trajectory
 from tiegraph.evaluate.tuning import Tuning
 from tiegraph.geometry import transforms
@@ -88,7 +88,7 @@ def test_a_shift_on_the_earth_is_said_apart() -> None:
 def test_a_cloud_farther_than_predicted(tmp_path) -> None:
     def said(cloud: np.ndarray) -> Figure:
         clouds = tiled(cloud, wall, tmp_path)
-        found = cloud_to_cloud(clouds, criteria_of(clouds, TUNING.cloud, (0.02, 0.2)), TUNING.cloud, tmp_path)
+        found = cloud_to_cloud(clouds, criteria_of(clouds, TUNING.cloud, (0.02, 0.2)), tmp_path)
         return cloud_figure(found, 3.0, SIGMA, True)
 
     rng = np.random.default_rng(0)

@@ -19,7 +19,7 @@ TUNING = CloudTuning()
 def judged(cloud, reference, folder: Path, distances=(), tile_points=2_000_000, **more) -> CloudComparison:
     clouds = tiled(cloud, reference, folder, tile_points)
     cameras, range_m = more.get("cameras"), more.get("range_m")
-    return cloud_to_cloud(clouds, criteria_of(clouds, TUNING, distances, range_m=range_m), TUNING, folder, cameras)
+    return cloud_to_cloud(clouds, criteria_of(clouds, TUNING, distances, range_m=range_m), folder, cameras)
 
 
 def by_hand(cloud: np.ndarray, reference: np.ndarray, found: CloudComparison) -> tuple[list, list, float, float]:
@@ -106,7 +106,7 @@ def test_ghosts_are_where_the_reference_observed_only(tmp_path: Path) -> None:
 def test_what_cannot_be_compared_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="reference has no points"):
         clouds = tiled(quay(100), np.zeros((0, 3)), tmp_path)
-        cloud_to_cloud(clouds, criteria_of(clouds, TUNING), TUNING, tmp_path)
+        cloud_to_cloud(clouds, criteria_of(clouds, TUNING), tmp_path)
     with pytest.raises(ValueError, match=r"from \(0.0.* and the other \(from \(1000.0.* do not meet.* one CRS"):
         judged(quay(500), quay(500) + 1000, tmp_path, (0.1,))
 

@@ -14,10 +14,10 @@ from scipy.spatial.transform import Rotation
 
 from tiegraph.errors import InputError
 from tiegraph.evaluate import reference
-from tiegraph.evaluate.backprojection import View
+from tiegraph.evaluate.backprojection import View, pinhole_views
 from tiegraph.evaluate.reference import ModelPoses, ReferencePoses
 from tiegraph.evaluate.settings import EvaluateSettings
-from tiegraph.evaluate.survey import Products, evaluate_survey, pinhole_views
+from tiegraph.evaluate.survey import Products, evaluate_survey
 from tiegraph.evaluate.tuning import Tuning
 from tiegraph.geometry import geodesy, transforms
 from tiegraph.geometry.geodesy import Origin

@@ -11,7 +11,7 @@ from lidar.lidar_world import START_S, turns, world_from_lidar
 from tiegraph.geometry import transforms
 from tiegraph.lidar.handeye import Given, Poses
 from tiegraph.lidar.tuning import Tuning
-from tiegraph.pipeline.lidarrun import SurveyRun, calibrated, compared
+from tiegraph.pipeline.lidar import SurveyRun, calibrated, compared
 from tiegraph.project.verbtunings import VerbTunings
 from tiegraph.scene.results import Cloud
 

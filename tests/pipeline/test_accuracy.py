@@ -9,8 +9,7 @@ from tiegraph.features.preview import Preview
 from tiegraph.features.settings import PreviewSettings
 from tiegraph.features.tuning import PreviewTuning
 from tiegraph.pipeline.design import with_accuracy
-from tiegraph.pipeline.preview import preview_path
-from tiegraph.pipeline.previews import with_previews
+from tiegraph.pipeline.preview import preview_path, with_previews
 from tiegraph.scene.matches import PreviewMatches
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.rig import Rig, Sensor

@@ -8,8 +8,9 @@ import pytest
 from blocks_world import Mapper, place, survey, ties_of
 from tiegraph.features.preview import PreviewMatch
 from tiegraph.network.coarse.assembled import Assembled
-from tiegraph.pipeline import coarse, previews
-from tiegraph.pipeline.previews import Matcher
+from tiegraph.pipeline import coarse
+from tiegraph.pipeline import preview as previews
+from tiegraph.pipeline.preview import Matcher
 from tiegraph.project.progress import Reporter
 from tiegraph.project.settings import Settings
 

@@ -429,8 +429,7 @@ def test_a_folder_that_cannot_be_meant_stores_nothing(
 
 
 def test_a_calibration_that_a_rig_file_names_counts_among_the_inputs(tmp_path: Path) -> None:
-    from tiegraph.project.inputs import Inputs
-    from tiegraph.project.stamps import Stamps
+    from tiegraph.project.inputs import Inputs, Stamps
 
     (tmp_path / "images").mkdir()
     (tmp_path / "rig.toml").write_text('[[sensors]]\nname = "a"\ncamera = {file = "left.yaml"}\n')

@@ -15,7 +15,7 @@ from clouds_world import ground
 from tiegraph.cli.main import main
 from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import Origin
-from tiegraph.pipeline.epochs import EpochOptions, compare_epochs
+from tiegraph.pipeline.clouds import EpochOptions, compare_epochs
 from tiegraph.pipeline.evaluate import evaluate
 from tiegraph.pipeline.passes import compare_passes
 from tiegraph.project.run import Run

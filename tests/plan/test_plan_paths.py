@@ -10,14 +10,12 @@ import pytest
 from tiegraph.errors import InputError, SettingsError
 from tiegraph.geometry.transforms import skew
 from tiegraph.pipeline.plan import _propagate
-from tiegraph.plan.accuracy import Fix, Known, Shape, _world
+from tiegraph.plan.accuracy import ControlPoints, Fix, Known, Receiver, Shape, _world
 from tiegraph.plan.network import MountedCamera, Network, Ties, _hit, make_network
-from tiegraph.plan.path import SHAPES, Course, Path, make_path
+from tiegraph.plan.path import SHAPES, Course, Path, make_path, read_anchor
 from tiegraph.plan.places import PathPlan, plan_path
 from tiegraph.plan.planner import Rigged
 from tiegraph.plan.tuning import Tuning
-from tiegraph.plan.waypoints import read_anchor
-from tiegraph.plan.world import ControlPoints, Receiver
 from tiegraph.sfm.tuning import Tuning as SfmTuning
 
 TUNING = Tuning()

@@ -13,7 +13,7 @@ import pytest
 from report.fake_survey_run import make_run
 from tiegraph.cli.main import main
 from tiegraph.pipeline.report import report
-from tiegraph.plan.effort import effort
+from tiegraph.plan.figures import effort
 from tiegraph.plan.tuning import Tuning
 from tiegraph.report.settings import ReportSettings
 

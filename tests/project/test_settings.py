@@ -6,9 +6,9 @@ from tiegraph.api import open_project
 from tiegraph.errors import InputError, SettingsError
 from tiegraph.pipeline import STAGES
 from tiegraph.project.folder import SETTINGS
+from tiegraph.project.inputs import Stamps
 from tiegraph.project.settings import PRESETS, Settings, changed, merged, preset, read_file, sections
 from tiegraph.project.stages import stage_keys
-from tiegraph.project.stamps import Stamps
 
 
 def test_every_preset_is_valid_and_changes_what_it_says():

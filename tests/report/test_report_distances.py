@@ -9,8 +9,8 @@ from fake_survey_run import make_run
 
 from accuracy_marks import check, unmarked
 from tiegraph.geometry.geodesy import Origin
-from tiegraph.report.evaluation import PASSES
 from tiegraph.report.html import write_report
+from tiegraph.report.parts import PASSES
 from tiegraph.report.runfolder import RunFolder, read_run
 from tiegraph.report.settings import ReportSettings
 from tiegraph.report.spatial import distance_scales, section_scale

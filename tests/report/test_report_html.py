@@ -13,11 +13,10 @@ from scipy.spatial.transform import Rotation
 
 from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
-from tiegraph.report import charts, formatting, summary, viewer
-from tiegraph.report.evaluation import metric_text
+from tiegraph.report import charts, cloudview, formatting, summary
 from tiegraph.report.html import environment, write_report
-from tiegraph.report.networkpart import network_part
-from tiegraph.report.plan import frame_positions, tracks
+from tiegraph.report.maps import frame_positions, tracks
+from tiegraph.report.parts import metric_text, network_part
 from tiegraph.report.runfolder import read_run
 from tiegraph.report.settings import ReportSettings
 from tiegraph.report.spatial import scenery
@@ -87,7 +86,7 @@ def test_the_viewer_gets_the_points_it_can_unpack(full: Path, page: str) -> None
     shown = np.frombuffer(base64.b64decode(sigma["values"]), np.uint8)
     assert sigma["name"] == "sigma of a point" and 0.002 < sigma["low"] < sigma["high"] < 0.1 and len(shown) == 2000
     assert len(data["images"]) == 54 and data["images"][0]["picture"].startswith("data:image/jpeg")
-    assert "webgl" in viewer.viewer_script()
+    assert "webgl" in cloudview.viewer_script()
 
 
 def run_shift(folder: Path) -> list[float]:

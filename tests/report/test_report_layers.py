@@ -16,11 +16,11 @@ from tiegraph.errors import EngineMissing, InputError
 from tiegraph.report import formatting, html, pdf, spatial, texts
 from tiegraph.report.formatting import without_folders
 from tiegraph.report.html import environment, write_report
-from tiegraph.report.images import ABSENT, HANGING, LEFT_OUT, REGISTERED, image_rows
 from tiegraph.report.reportjson import schema
 from tiegraph.report.runfolder import read_run
 from tiegraph.report.settings import ReportSettings
 from tiegraph.report.tables import about
+from tiegraph.report.warnings import ABSENT, HANGING, LEFT_OUT, REGISTERED, image_rows
 from tiegraph.scene.hanging import WIDE, carrying
 from tiegraph.scene.scene import Scene
 
@@ -164,7 +164,7 @@ def test_every_text_of_the_page_is_in_the_table(japanese: str, monkeypatch: pyte
     calls = environment().parse(template).find_all(nodes.Call)
     asked = {c.args[0].value for c in calls if getattr(c.node, "name", "") == "t" and hasattr(c.args[0], "value")}
     assert len(asked) > 60 and asked <= set(known)
-    assert {text for row in html.words() for text in row} <= set(known)
+    assert {text for row in html._WORDS.items() for text in row} <= set(known)
     for english, form in known.items():
         assert english.count("{}") == len(set(re.findall(r"\{\d?\}", form))) or english.count("{}") == form.count("{}")
     with texts.language("ja"):

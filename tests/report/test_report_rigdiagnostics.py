@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from types import SimpleNamespace
 
-from tiegraph.report.rigdiagnostics import rig_diagnostics
+from tiegraph.report.parts import rig_diagnostics
 from tiegraph.sfm.rig.resections import COLUMNS
 
 

@@ -10,7 +10,7 @@ from scan_worlds import exif_of, picture, scan
 from tiegraph.network.passes import find_passes
 from tiegraph.network.sections.sections import find_sections
 from tiegraph.network.tuning import SectionsTuning
-from tiegraph.pipeline.previews import up_light
+from tiegraph.pipeline.preview import up_light
 from tiegraph.project.settings import Settings
 
 FRAMES, BRIDGE, GREY, SKY = 16, range(6, 11), 118.0, 0.5

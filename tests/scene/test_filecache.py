@@ -4,7 +4,8 @@ import os
 
 import pytest
 
-from tiegraph.pipeline import design, previews
+from tiegraph.pipeline import design
+from tiegraph.pipeline import preview as previews
 from tiegraph.scene.regular import cached_by_file
 
 

@@ -15,7 +15,7 @@ from targets.targets_world import EAST, NORTH, PLACES, survey
 from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
 from tiegraph.pipeline.mark import ChangedMeanwhile, Marking, open_marking
-from tiegraph.pipeline.markserver import MarkServer
+from tiegraph.pipeline.pages import MarkServer
 from tiegraph.scene.gcp import read_gcps
 from tiegraph.scene.tuning import ControlTuning
 

@@ -9,7 +9,7 @@ import pytest
 
 from boat_world import photos
 from tiegraph.geometry import transforms
-from tiegraph.pipeline.watch.ties import resect_previews
+from tiegraph.pipeline.watchmodel import resect_previews
 from tiegraph.scene.matches import PreviewMatches
 from tiegraph.watch.frames import Known, place_frames
 from tiegraph.watch.tuning import FramesTuning

@@ -14,7 +14,7 @@ from tiegraph.api import open_project
 from tiegraph.cli.main import main
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import umeyama
-from tiegraph.pipeline.watch.loop import KEPT, PAGE, Watched
+from tiegraph.pipeline.watch import KEPT, PAGE, Watched
 from tiegraph.project.progress import Reporter
 from tiegraph.project.run import Run
 from tiegraph.scan.rigfiles.rigspec import write_rig_toml

@@ -8,33 +8,34 @@ import urllib.request
 import pytest
 
 from tiegraph.errors import InputError
-from tiegraph.watch.view import PageServer, page
+from tiegraph.pipeline.pages import WatchServer
+from tiegraph.watch.view import page
 
 
 @pytest.fixture
 def server():
-    served = PageServer(0)
+    served = WatchServer(0)
     yield served
     served.close()
 
 
 def test_the_page_and_its_state_are_served_on_the_loopback(server):
-    assert re.fullmatch(r"http://127\.0\.0\.1:\d+/", server.address)
-    assert urllib.request.urlopen(server.address).read() == page(None)
+    assert re.fullmatch(r"http://127\.0\.0\.1:\d+/", server.url)
+    assert urllib.request.urlopen(server.url).read() == page(None)
     server.show({"counts": {"images": 3}})
-    assert json.load(urllib.request.urlopen(server.address + "state.json")) == {"counts": {"images": 3}}
-    for path, host in (("log.txt", None), ("../watch.npz", None), ("", "elsewhere.example")):
-        request = urllib.request.Request(server.address + path, headers={} if host is None else {"Host": host})
-        with pytest.raises(urllib.error.HTTPError, match="404"):
+    assert json.load(urllib.request.urlopen(server.url + "state.json")) == {"counts": {"images": 3}}
+    for path, host, said in (("log.txt", None, "404"), ("../watch.npz", None, "404"), ("", "elsewhere.example", "403")):
+        request = urllib.request.Request(server.url + path, headers={} if host is None else {"Host": host})
+        with pytest.raises(urllib.error.HTTPError, match=said):
             urllib.request.urlopen(request)
 
 
 def test_a_port_that_is_taken_is_said(server):
-    port = int(server.address.rsplit(":", 1)[1].strip("/"))
+    port = int(server.url.rsplit(":", 1)[1].strip("/"))
     with pytest.raises(InputError, match=rf"--port {port}.*another, or 0"):
-        PageServer(port)
+        WatchServer(port)
     with pytest.raises(InputError, match="--port 99999999"):
-        PageServer(99999999)
+        WatchServer(99999999)
 
 
 def test_a_page_that_is_kept_holds_its_state_and_nothing_from_elsewhere():

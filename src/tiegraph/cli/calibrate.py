@@ -11,7 +11,7 @@ from tiegraph.calibrate.settings import CalibrateSettings
 from tiegraph.cli.options import Talk, options_of
 from tiegraph.errors import SettingsError
 from tiegraph.pipeline.calibrate import calibrate as calibrate_images
-from tiegraph.pipeline.selfcalibration import self_calibration
+from tiegraph.pipeline.calibrate import self_calibration
 from tiegraph.project.verbtunings import read_tunings
 
 

@@ -9,7 +9,7 @@ import tyro
 from tiegraph.api import open_project
 from tiegraph.cli.options import options_of
 from tiegraph.cli.output import say, show_table
-from tiegraph.pipeline.epochs import EpochOptions, compare_epochs
+from tiegraph.pipeline.clouds import EpochOptions, compare_epochs
 from tiegraph.pipeline.passes import compare_passes
 from tiegraph.project.folder import check_format
 from tiegraph.project.progress import Reporter
@@ -109,14 +109,10 @@ def _baseline(arguments: list[str]) -> int:
     project = open_project(None, asked.run, pool=asked.pool)
     result = project.baseline(asked.baseline, asked.sample, asked.out, Reporter("quiet" if asked.quiet else "auto"))
     for part in ("figures", "stages", "sections"):
-        show_table(result[part]["columns"], [[_figure(v) for v in row] for row in result[part]["rows"]], part)
+        show_table(result[part]["columns"], result[part]["rows"], part, ".4g")
     for text in (*result["speed_up"], *result["notes"]):
         say(text)
     return 0
-
-
-def _figure(value: Any) -> str:
-    return "" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 def _say(result: dict[str, Any], out: Path) -> None:
@@ -124,13 +120,9 @@ def _say(result: dict[str, Any], out: Path) -> None:
         for name, value in result[part].items():
             say(f"{name.replace('_', ' '):<24} {value:g}")
     if result["registration"] is not None:
-        show_table(result["registration"]["columns"], _texts(result["registration"]["rows"]), "registration")
-    rows = result["changes"]["rows"]
-    show_table(result["changes"]["columns"], _texts(rows[:_SHOWN]), "changes, the largest")
+        show_table(result["registration"]["columns"], result["registration"]["rows"], "registration", ".2f")
+    changes = result["changes"]
+    show_table(changes["columns"], changes["rows"][:_SHOWN], "changes, the largest", ".2f")
     for note in result["notes"]:
         say(note)
     say(f"written: {out}")
-
-
-def _texts(rows: list[list]) -> list[list[str]]:
-    return [["" if v is None else f"{v:.2f}" if isinstance(v, float) else str(v) for v in row] for row in rows]

@@ -85,7 +85,6 @@ def _show(result: dict[str, Any]) -> None:
         value = "-" if metric["value"] is None else f"{metric['value']:.4g}"
         say(f"{metric['name']:<24} {value} {metric['unit']}")
     for name, content in result["tables"].items():
-        rows = [[f"{v:.3g}" if isinstance(v, float) else "" if v is None else v for v in r] for r in content["rows"]]
-        show_table(content["columns"], rows, name)
+        show_table(content["columns"], content["rows"], name, ".3g")
     for note in result["notes"]:
         say(note)

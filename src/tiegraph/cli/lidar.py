@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
 import tyro
 
 from tiegraph.cli.options import Talk, options_of
@@ -46,14 +45,8 @@ def _show(made: dict[str, Any], out: Path, settings: LidarSettings) -> None:
     for note in [*made["notes"], *made.get("run_notes", [])]:
         say(f"  {note}")
     for name, table in made["tables"].items():
-        show_table(table["columns"], [[_cell(v) for v in row] for row in table["rows"]], name)
+        show_table(table["columns"], table["rows"], name, ".6g")
     say(f"written: {out}")
     if settings.run is not None:
         given = "--evaluate.reference", out / RIG, "--evaluate.reference-cloud", out / MAP
         say(f"into the report: {command('report', settings.run, *given)}")
-
-
-def _cell(value: Any) -> str:
-    if isinstance(value, float):
-        return "" if not np.isfinite(value) else f"{value:.6g}"
-    return str(value)

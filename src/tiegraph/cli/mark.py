@@ -10,7 +10,6 @@ import tyro
 from tiegraph.api import open_project
 from tiegraph.cli.options import options_of
 from tiegraph.cli.output import say
-from tiegraph.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -35,16 +34,13 @@ def main(arguments: list[str]) -> int:
     """`tiegraph mark`."""
     options = options_of(_Mark, "tiegraph mark", arguments)
     from tiegraph.pipeline.mark import open_marking  # loads the engines
-    from tiegraph.pipeline.markserver import MarkServer
+    from tiegraph.pipeline.pages import MarkServer
 
     project = open_project(None, options.folder)
     given = options.points or project.settings.georef.gcp
     target = options.out or (Path("gcp_list.txt") if given is None else given.with_name("gcp_list.txt"))
     session = open_marking(project.as_run(), options.points, target)
-    try:
-        server = MarkServer(session, options.port)
-    except (OSError, OverflowError) as error:
-        raise InputError(f"--port {options.port}: cannot be opened ({error}); 0 takes any that is free") from None
+    server = MarkServer(session, options.port)
     say(f"{len(session.file.points)} points; marks go to {target}")
     say(f"{server.url}  (ends with Ctrl-C)")
     if options.browser:

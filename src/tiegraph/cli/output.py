@@ -1,5 +1,6 @@
 """What the verbs print: standard output and error that may be closed, full, or unable to show a letter."""
 
+import math
 import os
 import sys
 from collections.abc import Iterable, Sequence
@@ -53,12 +54,20 @@ def complain(text: str) -> None:
         pass
 
 
-def show_table(columns: Sequence[str], rows: Iterable[Sequence[object]], title: str | None = None) -> None:
-    """A table on standard output."""
+def show_table(
+    columns: Sequence[str], rows: Iterable[Sequence[object]], title: str | None = None, form: str = ""
+) -> None:
+    """A table on standard output; numbers with a fraction by ``form``, nothing for None and what is not finite."""
     from rich.console import Console
     from rich.table import Table
 
     table = Table(*map(one_line, columns), title=title and one_line(title), box=None, title_justify="left")
     for row in rows:
-        table.add_row(*("" if cell is None else one_line(str(cell)) for cell in row))
+        table.add_row(*(one_line(_cell(value, form)) for value in row))
     Console(markup=False, highlight=False, emoji=False).print(table)
+
+
+def _cell(value: object, form: str) -> str:
+    if isinstance(value, float):
+        return format(value, form) if math.isfinite(value) else ""
+    return "" if value is None else str(value)

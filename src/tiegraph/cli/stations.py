@@ -8,7 +8,6 @@ import tyro
 
 from tiegraph.cli.options import Talk, options_of
 from tiegraph.cli.output import say, show_table
-from tiegraph.pipeline.stations import StationOptions
 from tiegraph.pipeline.stations import stations as join_stations
 from tiegraph.project.verbtunings import read_tunings
 
@@ -34,8 +33,8 @@ def main(arguments: list[str]) -> int:
     """`tiegraph stations`."""
     options = options_of(_Stations, "tiegraph stations", arguments)
     reporter = options.reporter()
-    asked = StationOptions(options.poses, options.voxel_m, read_tunings(options.tuning))
-    made = join_stations(options.shots, options.out, asked, reporter)
+    tunings = read_tunings(options.tuning)
+    made = join_stations(options.shots, options.out, options.poses, options.voxel_m, reporter, tunings)
     joined = [c for c in made["clouds"] if c["joined"]]
     reporter.event("stations", out=options.out, joined=len(joined), clouds=len(made["clouds"]))
     if not options.json and not options.quiet:

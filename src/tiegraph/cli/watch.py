@@ -8,7 +8,7 @@ import tyro
 
 from tiegraph.api import open_project
 from tiegraph.cli.options import Talk, options_of
-from tiegraph.pipeline.watch.loop import watch
+from tiegraph.pipeline.watch import watch
 from tiegraph.project.verbtunings import read_tunings
 from tiegraph.scene.regular import real_path
 

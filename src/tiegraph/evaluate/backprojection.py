@@ -2,11 +2,13 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from tiegraph.geometry import transforms
-from tiegraph.scene.results import Cloud, DepthMap, Metric
+from tiegraph.scene.colmapmodel import matrix
+from tiegraph.scene.results import Metric
 
 MEANING = (
     "Back-projection error (paper 000, eq. 4-6): each point of the dense cloud is projected into the images, its "
@@ -27,22 +29,15 @@ class View:
     width: int
     height: int
 
-    @staticmethod
-    def of(depth: DepthMap) -> "View":
-        """The image of a depth map."""
-        height, width = depth.depth_m.shape
-        return View(name=depth.image, K=depth.K, cam_from_world=depth.cam_from_world, width=width, height=height)
-
 
 @dataclass(frozen=True)
 class Backprojection:
-    """Result over all images: rmse_m (eq. 6), points N counted over all images, the error that rounding alone predicts,
-    and (image, points, rmse_m) per image."""
+    """Result over all images: rmse_m (eq. 6), points N counted over all images, the error that rounding alone
+    predicts."""
 
     rmse_m: float
     points: int
     rounding_m: float
-    images: tuple[tuple[str, int, float], ...]
 
     def metrics(self) -> list[Metric]:
         """The figures of merit."""
@@ -81,31 +76,31 @@ def round_trip(points: np.ndarray, view: View) -> tuple[np.ndarray, np.ndarray]:
     return points[seen] - transforms.apply(world_from_cam, x_est), x_cam[seen, 2]
 
 
-def backprojection_rmse(
-    points: np.ndarray | Cloud, views: Iterable[View | DepthMap], points_tried: int
-) -> Backprojection:
+def backprojection_rmse(points: np.ndarray, views: Iterable[View], points_tried: int) -> Backprojection:
     """Back-projection RMSE of a cloud (N, 3) over images (paper 000, eq. 6): sqrt(1/N sum |X_true - R^T(X_est - t)|^2).
 
     See MEANING. N counts every point once for each image that shows it; of a large cloud every n-th point is tried in
     an image, about ``points_tried``, other ones in the next. NaN when no image shows a point.
     """
-    xyz = np.asarray(points.xyz_m if isinstance(points, Cloud) else points, float).reshape(-1, 3)
-    rows: list[tuple[str, int, float]] = []
-    squares = rounding = 0.0
-    count = 0
-    step = max(1, len(xyz) // points_tried)
-    for turn, item in enumerate(views):
-        view = View.of(item) if isinstance(item, DepthMap) else item
-        difference, z = round_trip(xyz[turn % step :: step], view)
-        if not len(z):
-            rows.append((view.name, 0, float("nan")))
-            continue
-        square = float(np.sum(difference**2))
-        focal = float(np.sqrt(view.K[0, 0] * view.K[1, 1]))
-        squares, count = squares + square, count + len(z)
-        rounding += float(z @ z) * (_ROUNDING_PX / focal) ** 2
-        rows.append((view.name, len(z), float(np.sqrt(square / len(z)))))
-    if not count:
-        return Backprojection(rmse_m=float("nan"), points=0, rounding_m=float("nan"), images=tuple(rows))
-    rmse, expected = (float(np.sqrt(s / count)) for s in (squares, rounding))
-    return Backprojection(rmse_m=rmse, points=count, rounding_m=expected, images=tuple(rows))
+    squares, rounding, count = 0.0, 0.0, 0
+    step = max(1, len(points) // points_tried)
+    for turn, view in enumerate(views):
+        difference, z = round_trip(points[turn % step :: step], view)
+        squares, count = squares + float(np.sum(difference**2)), count + len(z)
+        rounding += float(z @ z) * _ROUNDING_PX**2 / (view.K[0, 0] * view.K[1, 1])
+    rmse, expected = (float(np.sqrt(s / count)) if count else float("nan") for s in (squares, rounding))
+    return Backprojection(rmse_m=rmse, points=count, rounding_m=expected)
+
+
+def pinhole_views(reconstruction: Any) -> list[View]:
+    """The images of a ``pycolmap.Reconstruction`` that have a pose, by name, as pinholes without distortion.
+
+    The round trip needs only K and the pose; leaving the distortion out shifts which points fall into the frame.
+    """
+    views = []
+    for image in reconstruction.images.values():
+        if image.has_pose:
+            camera, pose = reconstruction.cameras[image.camera_id], matrix(image.cam_from_world())
+            size = {"width": camera.width, "height": camera.height}
+            views.append(View(name=image.name, K=camera.calibration_matrix(), cam_from_world=pose, **size))
+    return sorted(views, key=lambda v: v.name)

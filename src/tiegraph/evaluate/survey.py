@@ -1,28 +1,38 @@
-"""Everything the evaluate stage states about a run: from a model, a cloud and references to metrics.json."""
+"""Everything the evaluate stage states about a run: from a model, a cloud and references to metrics.json.
 
+An error of a reference far beyond its predicted sigma contradicts; what would explain it is said.
+"""
+
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy
 
 from tiegraph.errors import InputError
 from tiegraph.evaluate import backprojection, reference
 from tiegraph.evaluate.accuracy import Predicted, Stated, answered, cloud_figure, in_layers, passes_figure, pose_figures
-from tiegraph.evaluate.backprojection import View, backprojection_rmse
+from tiegraph.evaluate.backprojection import backprojection_rmse, pinhole_views
 from tiegraph.evaluate.clouds.judge import CloudJudgement, Question, judge_cloud
 from tiegraph.evaluate.clouds.nearest import Cameras
 from tiegraph.evaluate.clouds.passes import PassAgreement
-from tiegraph.evaluate.contradictions import against_cloud, against_poses
 from tiegraph.evaluate.reference import ModelPoses
 from tiegraph.evaluate.settings import EvaluateSettings
-from tiegraph.evaluate.trajectory import TrajectoryError, evaluate_trajectory, registered_metrics, registered_table
-from tiegraph.evaluate.tuning import Tuning
-from tiegraph.geometry.align import Similarity
+from tiegraph.evaluate.trajectory import (
+    PoseMatch,
+    TrajectoryError,
+    evaluate_trajectory,
+    registered_metrics,
+    registered_table,
+)
+from tiegraph.evaluate.tuning import JudgeTuning, Tuning
+from tiegraph.geometry.align import Similarity, rms_length, umeyama
 from tiegraph.geometry.geodesy import ENU, Origin
 from tiegraph.scene.accuracy import Figure
 from tiegraph.scene.cloudchunks import PointSource, open_cloud
-from tiegraph.scene.colmapmodel import matrix
+from tiegraph.scene.evidence import RARELY, fits_better
 from tiegraph.scene.registered import Registration
 from tiegraph.scene.results import Metric, metrics_to_dict
 from tiegraph.scene.scene import Scene
@@ -63,17 +73,6 @@ class Evaluation:
     alignment: Similarity | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class _Work:
-    scene: Scene
-    model: ModelPoses
-    settings: EvaluateSettings
-    tuning: Tuning
-    origin: Origin | None
-    predicted: Predicted
-    found: _Findings
-
-
 def evaluate_survey(
     scene: Scene,
     made: Products,
@@ -89,15 +88,6 @@ def evaluate_survey(
     """
     found, cloud, stated = _Findings(), made.cloud, stated or Stated()
     model = reference.model_poses(made.model, scene)
-    work = _Work(
-        scene=scene,
-        model=model,
-        settings=settings,
-        tuning=tuning,
-        origin=made.origin,
-        predicted=stated.predicted,
-        found=found,
-    )
     found.metrics.extend(registered_metrics(made.images))
     found.tables.update(registered_table(made.images, scene.image_label(), scene.section[scene.frame]))
     if cloud is not None:
@@ -105,11 +95,19 @@ def evaluate_survey(
         result = backprojection_rmse(cloud.sample(_SAMPLE), pinhole_views(made.model), tuning.points_tried)
         found.metrics.extend(result.metrics())
         found.notes.append(backprojection.MEANING)
-    share = float(made.images.registered.mean()) if len(scene) else 0.0
-    trajectory = None if settings.reference is None else _trajectory(work, settings.reference, share)
-    judged = alignment = None
+    trajectory = judged = alignment = None
+    if settings.reference is not None:
+        trajectory = _trajectory(found, scene, made, model, settings, tuning, stated.predicted)
     if settings.reference_cloud is not None and cloud is not None:
-        judged, alignment = _cloud(work, made, settings.reference_cloud, trajectory)
+        alignment, how = _alignment(settings, trajectory, tuning.unscaled_share)
+        truth, how = _truth(settings.reference_cloud, settings, made.origin, alignment, how)
+        judged = _judged(scene, made, model, truth, settings, tuning, alignment)
+        figure = cloud_figure(judged.nearest, _reach(judged), stated.predicted, alignment is not None)
+        found.metrics.extend(judged.metrics())
+        found.tables.update(judged.tables())
+        found.figures.append(figure)
+        found.contradictions += against_cloud(figure, tuning.judge)
+        found.notes.append(f"Reference cloud {settings.reference_cloud.name}, {how}. {judged.notes()}")
     if passes is not None:
         found.metrics.extend(passes.metrics())
         found.tables.update(passes.tables())
@@ -124,47 +122,35 @@ def evaluate_survey(
     return Evaluation(said, judged, alignment)
 
 
-def pinhole_views(reconstruction: Any) -> list[View]:
-    """The images with a pose as pinholes without distortion, when no depth maps are there.
-
-    The round trip needs only K and the pose; leaving the distortion out shifts which points fall into the frame.
-    """
-    views = []
-    for image in reconstruction.images.values():
-        if image.has_pose:
-            camera = reconstruction.cameras[image.camera_id]
-            views.append(
-                View(
-                    name=image.name,
-                    K=camera.calibration_matrix(),
-                    cam_from_world=matrix(image.cam_from_world()),
-                    width=camera.width,
-                    height=camera.height,
-                )
-            )
-    return sorted(views, key=lambda v: v.name)
-
-
-def _trajectory(work: _Work, path: Path, registered: float) -> TrajectoryError:
-    """Reference poses against the model's, of which that share of the images is registered."""
-    settings, tuning, origin, found = work.settings, work.tuning, work.origin, work.found
+def _trajectory(
+    found: _Findings,
+    scene: Scene,
+    made: Products,
+    model: ModelPoses,
+    settings: EvaluateSettings,
+    tuning: Tuning,
+    predicted: Predicted,
+) -> TrajectoryError:
+    """Reference poses against the model's."""
+    assert settings.reference is not None
+    path, origin, metric = settings.reference, made.origin, predicted.metric
     poses = reference.read_reference_poses(path)
-    match, said = reference.match_poses(poses, work.model, work.scene, tuning.trajectory.max_gap_s)
+    match, said = reference.match_poses(poses, model, scene, tuning.trajectory.max_gap_s)
     comparable = settings.reference_origin is not None and origin is not None
     if settings.reference_origin is not None and origin is not None:
         match = reference.poses_to_world(match, reference.enu_origin(settings.reference_origin), origin)
     try:
         distances = tuning.trajectory.relative_m
-        known = work.predicted.metric
-        result = evaluate_trajectory(match, distances, tuning.trajectory, same_frame=comparable, metric=known)
+        result = evaluate_trajectory(match, distances, tuning.trajectory, same_frame=comparable, metric=metric)
     except np.linalg.LinAlgError as error:
         raise InputError(f"{path}: the poses cannot be aligned: {error}") from None
     found.metrics.extend(result.metrics())
     found.tables.update(result.tables())
     found.notes.append(f"Reference poses {path.name}: {said}.")
-    figures, metric = pose_figures(match, result, work.predicted, tuning.trajectory), work.predicted.metric
+    figures = pose_figures(match, result, predicted, tuning.trajectory)
     found.figures += figures
-    found.contradictions += against_poses(match, figures, metric, tuning.judge, _step_s(work.scene), registered)
+    registered = float(made.images.registered.mean()) if len(scene) else 0.0
+    found.contradictions += against_poses(match, figures, metric, tuning.judge, _step_s(scene), registered)
     if not metric:
         found.notes.append("Nothing told the model's scale: the reference does, and no error of it is stated.")
     if comparable:
@@ -182,14 +168,11 @@ def _step_s(scene: Scene) -> float:
     return float(np.median(step)) if len(step) else float("nan")
 
 
-def _cloud(
-    work: _Work, made: Products, path: Path, trajectory: TrajectoryError | None
-) -> tuple[CloudJudgement, Similarity | None]:
-    """A reference cloud against the run's, and the alignment of that."""
-    settings, tuning, origin, found, cloud = work.settings, work.tuning, work.origin, work.found, made.cloud
-    assert cloud is not None and made.scratch is not None
+def _truth(
+    path: Path, settings: EvaluateSettings, origin: Origin | None, alignment: Similarity | None, how: str
+) -> tuple[PointSource, str]:
+    """A reference cloud in the run's world, and how it is compared."""
     truth = open_cloud(path)
-    alignment, how = _alignment(settings, trajectory, tuning.unscaled_share)
     source = _origin_of(settings, truth.crs)
     if source is None and alignment is None and origin is not None and origin.crs != ENU:
         source, taken = _origin_of(settings, origin.crs), f"no CRS in its header, so taken to be in {origin.crs}"
@@ -198,25 +181,31 @@ def _cloud(
         how = f"{how}; {truth.note}"
     if source is not None and origin is not None:
         truth = truth.moved(lambda xyz: reference.to_world(xyz, source, origin))
-    placed, scene = work.model.placed, work.scene
-    section = scene.section[scene.frame][placed]
-    own, cameras = cloud, Cameras(work.model.centres(), tuple(f"{s}" if s >= 0 else "(none)" for s in section))
+    return truth, how
+
+
+def _judged(
+    scene: Scene,
+    made: Products,
+    model: ModelPoses,
+    truth: PointSource,
+    settings: EvaluateSettings,
+    tuning: Tuning,
+    alignment: Similarity | None,
+) -> CloudJudgement:
+    """The run's cloud by a reference cloud in its world."""
+    assert made.cloud is not None and made.scratch is not None
+    section = scene.section[scene.frame][model.placed]
+    own, cameras = made.cloud, Cameras(model.centres(), tuple(f"{s}" if s >= 0 else "(none)" for s in section))
     if alignment is not None:
         own, cameras = own.moved(alignment), Cameras(alignment(cameras.centres), cameras.section)
     question = Question(distances_m=settings.distances_m, gsd_m=made.gsd_m, cameras=cameras, range_m=settings.range_m)
     try:
-        result = judge_cloud(own, truth, made.scratch, question, tuning)
+        return judge_cloud(own, truth, made.scratch, question, tuning)
     except InputError as error:
-        shift = () if origin is None or alignment is not None or not any(origin.shift_m) else origin.shift_m
+        shift = () if made.origin is None or alignment is not None else made.origin.shift_m
         less = " (of all coordinates the run's shift was taken off: " + ", ".join(f"{v:.10g}" for v in shift) + ")"
-        raise InputError(f"{error}{less if shift else ''}") from None
-    found.metrics.extend(result.metrics())
-    found.tables.update(result.tables())
-    figure = cloud_figure(result.nearest, _reach(result), work.predicted, alignment is not None)
-    found.figures.append(figure)
-    found.contradictions += against_cloud(figure, tuning.judge)
-    found.notes.append(f"Reference cloud {path.name}, {how}. {result.notes()}")
-    return result, alignment
+        raise InputError(f"{error}{less if any(shift) else ''}") from None
 
 
 def _reach(result: CloudJudgement) -> float:
@@ -246,3 +235,127 @@ def _alignment(
         how = f"the model's scale differs by {100 * off:.0f} %, so it was scaled too, by a similarity over the poses"
         return trajectory.sim3.alignment, how
     return trajectory.sim3.alignment, "after a similarity alignment by the matched poses"
+
+
+# --- references against what was predicted -------------------------------------------------------------------------
+
+
+_AXES = "xyz"
+
+
+def against_poses(
+    match: PoseMatch,
+    figures: Sequence[Figure],
+    metric: bool,
+    tuning: JudgeTuning,
+    step_s: float = float("nan"),
+    registered: float = 1.0,
+) -> list[str]:
+    """Sentences about reference poses (K) that the model contradicts by ``figures`` (``accuracy.pose_figures``).
+
+    ``metric``: the model's own scale is known; ``step_s``: the frames' interval, to say a lag in seconds;
+    ``registered``: share of the images that are.
+    """
+    by_key = {f.key: f for f in figures}
+    whole, placed = by_key["shape.whole"], by_key.get("world.reference_poses")
+    if beyond(whole, tuning):
+        why = (
+            _explained(match, metric, tuning, step_s, registered >= tuning.whole)
+            or "one of the two is wrong by more than it says"
+        )
+        return [f"the reference poses and the model differ by {_said(whole, metric)}: {why}"]
+    if placed is not None and beyond(placed, tuning):
+        east, north, up = np.mean(match.estimate[:, :3, 3] - match.reference[:, :3, 3], axis=0)
+        return [
+            f"the reference poses and the model differ by {_said(placed, True)} on the Earth, though their shapes "
+            "agree: "
+            f"the model stands {east:+.2f} m east, {north:+.2f} m north, {up:+.2f} m up of it: another datum or origin?"
+        ]
+    return []
+
+
+def against_cloud(figure: Figure, tuning: JudgeTuning) -> list[str]:
+    """Sentences about a reference cloud that the cloud contradicts: half its points are farther than predicted."""
+    if not beyond(figure, tuning):
+        return []
+    return [
+        f"the reference cloud and the cloud differ by {_said(figure, True)} (median): "
+        "another frame or datum, or a place that has changed"
+    ]
+
+
+def beyond(figure: Figure, tuning: JudgeTuning) -> bool:
+    """Whether what was measured contradicts what was predicted; never where one of them is not known."""
+    return figure.measured > tuning.beyond_sigmas * figure.predicted
+
+
+def _said(figure: Figure, metric: bool) -> str:
+    values = (_m(v) if metric else f"{v:.3g} units" for v in (figure.measured, figure.predicted))
+    return ", predicted ".join(values)
+
+
+def _explained(match: PoseMatch, metric: bool, tuning: JudgeTuning, step_s: float, whole: bool) -> str:
+    """What of the reference would explain the difference better than chance does, in words; "" if nothing does."""
+    est, ref = match.estimate[:, :3, 3], match.reference[:, :3, 3]
+    actual, free = _left(est, ref, metric), 3 * min(len(est), tuning.counted) - 7  # unknowns of a similarity
+    if metric and fits_better(actual, _left(est, ref, False), free):
+        return f"the reference is {umeyama(est, ref).scale:.4g} times as large as the model, {RARELY}"
+    left, why = min(_hypotheses(match, metric, tuning, step_s, whole))
+    return f"{why}, {RARELY}" if fits_better(actual, left, free) else ""
+
+
+def _hypotheses(
+    match: PoseMatch, metric: bool, tuning: JudgeTuning, step_s: float, whole: bool
+) -> Iterator[tuple[float, str]]:
+    """(error left, what it would be) of a mirror image of a ``whole`` model, an axis of another scale, and a lag."""
+    est, ref = match.estimate[:, :3, 3], match.reference[:, :3, 3]
+    if whole:
+        yield (
+            _left(est, -ref, metric),
+            "the reference is a mirror image: one of its axes is negated, or two are exchanged",
+        )
+    for axis in range(3):
+        left, factor = _axis_scale(est, ref, axis, metric, tuning)
+        text = f"the reference's {_AXES[axis]} axis differs in scale, it is {1 / factor:.3g} times that of the others"
+        yield left, text
+    yield _lag(match, metric, tuning.lag_rounds, step_s)
+
+
+def _axis_scale(est: np.ndarray, ref: np.ndarray, axis: int, metric: bool, tuning: JudgeTuning) -> tuple[float, float]:
+    """Error left and factor that an axis of the reference is to be multiplied by to agree best."""
+
+    def left(log: float) -> float:
+        return _left(est, ref * np.where(np.arange(3) == axis, 10**log, 1.0), metric)
+
+    start = min(np.linspace(-tuning.axis_decades, tuning.axis_decades, tuning.axis_starts), key=left)
+    reach = 2.4 * tuning.axis_decades / (tuning.axis_starts - 1)  # a little more than between two starts
+    best = scipy.optimize.minimize_scalar(left, bounds=(start - reach, start + reach), method="bounded")
+    return float(best.fun), float(10**best.x)
+
+
+def _lag(match: PoseMatch, metric: bool, rounds: int, step_s: float) -> tuple[float, str]:
+    """Error left with the reference moved along its own way by one number of frames."""
+    est, ref = match.estimate[:, :3, 3], match.reference[:, :3, 3]
+    speed = np.zeros_like(ref)
+    for rows in match.sequences():
+        if len(rows) > 2:
+            at = match.order[rows].astype(float)
+            speed[rows] = np.gradient(ref[rows], np.maximum.accumulate(at + 1e-9 * np.arange(len(at))), axis=0)
+    frames = 0.0
+    for _ in range(rounds):
+        fit = umeyama(est, ref + frames * speed, with_scale=not metric)
+        off = fit(est) - ref
+        frames = float(np.sum(off * speed) / max(np.sum(speed**2), 1e-12))
+    said = f"{frames:+.2f} frames" + (f" ({frames * step_s:+.3f} s)" if np.isfinite(step_s) else "")
+    return _left(est, ref + frames * speed, metric), f"the reference's times are off by {said}"
+
+
+def _left(est: np.ndarray, ref: np.ndarray, metric: bool) -> float:
+    """Root mean square distance after the best alignment."""
+    return rms_length(umeyama(est, ref, with_scale=not metric)(est) - ref)
+
+
+def _m(value: float) -> str:
+    if value >= 1000:
+        return f"{value:.0f} m"
+    return f"{value:.3g} m" if value >= 0.01 else f"{1000 * value:.2g} mm"

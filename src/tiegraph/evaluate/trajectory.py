@@ -96,31 +96,23 @@ class TrajectoryError:
 
     def metrics(self) -> list[Metric]:
         """The figures of merit."""
-        out = [
-            Metric(name="ate_sim3_rmse", value=self.sim3.rmse_m, unit="m", better="low"),
-            Metric(name="ate_sim3_median", value=self.sim3.median_m, unit="m", better="low"),
-            Metric(name="ate_sim3_max", value=self.sim3.max_m, unit="m", better="low"),
-        ]
-        if self.metric:
-            out.append(Metric(name="ate_se3_rmse", value=self.se3.rmse_m, unit="m", better="low"))
+        ate, metres = self.sim3, {"ate_se3_rmse": self.se3.rmse_m} if self.metric else {}
+        metres = {"ate_sim3_rmse": ate.rmse_m, "ate_sim3_median": ate.median_m, "ate_sim3_max": ate.max_m, **metres}
         if self.absolute is not None:
-            out.append(Metric(name="absolute_rmse", value=self.absolute.rmse_m, unit="m", better="low"))
+            metres["absolute_rmse"] = self.absolute.rmse_m
+        low = [(name, value, "m") for name, value in metres.items()]
         if self.metric:
-            off = abs(self.sim3.alignment.scale - 1) * 100
-            out.append(Metric(name="scale_error", value=off, unit="%", better="low"))
+            low.append(("scale_error", abs(ate.alignment.scale - 1) * 100, "%"))
+        after = [("yaw_drift", self.yaw_drift_deg_per_100m, "deg/100 m")]
+        for r in (r for r in self.relative if r.count):
+            after.append((f"rpe_{r.distance_m:g}m_translation", r.translation_m, "m"))
+            after.append((f"rpe_{r.distance_m:g}m_rotation", r.rotation_deg, "deg"))
         near = f"images_within_{self.within_m:g}m"
-        out.append(Metric(name=near, value=100 * self.within, unit="%", better="high", target=100.0))
-        if np.isfinite(self.yaw_drift_deg_per_100m):
-            out.append(Metric(name="yaw_drift", value=self.yaw_drift_deg_per_100m, unit="deg/100 m", better="low"))
-        for r in self.relative:
-            if r.count:
-                out.append(
-                    Metric(name=f"rpe_{r.distance_m:g}m_translation", value=r.translation_m, unit="m", better="low")
-                )
-                out.append(
-                    Metric(name=f"rpe_{r.distance_m:g}m_rotation", value=r.rotation_deg, unit="deg", better="low")
-                )
-        return out
+        return [
+            *(Metric(name=name, value=value, unit=unit, better="low") for name, value, unit in low),
+            Metric(name=near, value=100 * self.within, unit="%", better="high", target=100.0),
+            *(Metric(name=name, value=v, unit=unit, better="low") for name, v, unit in after if np.isfinite(v)),
+        ]
 
     def tables(self) -> dict[str, dict]:
         """Tables for metrics.json."""

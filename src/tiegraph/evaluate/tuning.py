@@ -106,7 +106,7 @@ class PassesTuning(Section):
 
 
 class JudgeTuning(Section):
-    """References against what was predicted (`contradictions.py`)."""
+    """References against what was predicted (`survey.py`)."""
 
     beyond_sigmas: float = Field(3.0, gt=0)
     """An error beyond so many of its predicted sigmas contradicts."""
@@ -118,8 +118,6 @@ class JudgeTuning(Section):
     """By which an axis may differ in scale."""
     axis_starts: int = Field(33, gt=1)
     """Scales of an axis tried over these decades, up and down."""
-    axis_bracket_decades: float = Field(0.3, gt=0)
-    """On both sides of the best start, where the scale is sought: a little more than between two starts."""
     lag_rounds: int = Field(3, gt=0)
     """Rounds of alignment and lag in turn."""
 

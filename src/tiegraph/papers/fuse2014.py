@@ -11,12 +11,12 @@ import cv2
 import numpy as np
 import pycolmap
 from scipy.sparse import coo_array, csr_array
-from scipy.sparse.csgraph import breadth_first_order, maximum_flow
+from scipy.sparse.csgraph import breadth_first_order
 
 from tiegraph.design.design import DesignResult
 from tiegraph.geometry import transforms
 from tiegraph.scene.colmapmodel import rigid3d
-from tiegraph.scene.graph import forest, parts
+from tiegraph.scene.graph import cheapest_cut, forest, parts
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.rig import on_plane
 from tiegraph.scene.scene import Scene
@@ -130,11 +130,7 @@ def _minimum_cut(pairs: Pairs, kept: np.ndarray, capacity: np.ndarray, nodes: np
     graph = csr_array((graph.data.astype(np.int32), graph.indices, graph.indptr), shape=(n, n))
     if n - 1 not in breadth_first_order(graph, 0, return_predecessors=False):
         return np.zeros(len(pairs), bool)  # apart already
-    left = csr_array(graph - maximum_flow(graph, 0, n - 1, method="dinic").flow)
-    left.data = (left.data > 0).astype(np.int8)
-    left.eliminate_zeros()
-    near = np.zeros(n, bool)
-    near[breadth_first_order(left, 0, return_predecessors=False)] = True
+    near = cheapest_cut(graph, 0, n - 1)
     out = np.zeros(len(pairs), bool)
     out[np.flatnonzero(rows)[near[a] != near[b]]] = True
     return out

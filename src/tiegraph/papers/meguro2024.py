@@ -10,7 +10,7 @@ of paper 001 (section c) is brute force without masks. The constants that the pa
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -94,13 +94,13 @@ def constant_offsets(p: Pass, q: Pass, cache: MatchCache, settings: CandidatesSe
         if not len(offsets):
             continue
         best[c, d] = offsets[np.argmax(votes)]
-        voted[c, d] = _supported(scores, _At(*cameras, int(best[c, d])), backwards, settings.min_matches, tuning)
+        voted[c, d] = _supported(scores, cameras, int(best[c, d]), backwards, settings.min_matches, tuning)
     seen = np.isfinite(scores.inliers)
     why = np.where(voted, REASONS.index("offset"), REASONS.index("votes"))
     code = np.broadcast_to(why[:, :, None, None], seen.shape)
     looked_at = Pairs.make(*scores.images(seen), "offsets", score=scores.inliers[seen], dropped=code[seen])
     blocks = [
-        _around(scores, _At(int(c), int(d), int(best[c, d])), backwards, cache, settings) for c, d in np.argwhere(voted)
+        _around(scores, (c, d), int(best[c, d]), backwards, cache, settings) for c, d in np.argwhere(voted).tolist()
     ]
     for block in blocks:
         # Where both know a pair, the range decides: "offset" holds only outside of it.
@@ -117,9 +117,7 @@ def _vote_constant(
     empty = score_matrix(p, q, every, allowed, tuning.offsets.scores)
     rows = evenly(len(p), settings.sample_frames)
     shape = (*allowed.shape, len(rows), len(empty.columns))
-    scores = ScoreMatrix(
-        p=p, q=q, rows=rows, columns=empty.columns, allowed=allowed, inliers=np.full(shape, np.nan, np.float32)
-    )
+    scores = replace(empty, rows=rows, inliers=np.full(shape, np.nan, np.float32))
     c, d = np.ogrid[: shape[0], : shape[1]]
     wanted = np.broadcast_to((c < d) if p is q else np.ones((1, 1), bool), allowed.shape)[:, :, None, None]
     notes: tuple[str, ...] = ()
@@ -130,7 +128,7 @@ def _vote_constant(
         allowed = facing(scores, excess, settings, tuning.rig)
         said = commonview.in_words(scores, excess, tuning.rig)
         notes = (said,) if said else ()
-        scores = ScoreMatrix(p=p, q=q, rows=rows, columns=scores.columns, allowed=allowed, inliers=scores.inliers)
+        scores = replace(scores, allowed=allowed)
     return _measured_oblong(scores, wanted, cache), notes
 
 
@@ -139,9 +137,7 @@ def _measured_oblong(scores: ScoreMatrix, nodes: np.ndarray, cache: MatchCache) 
     nodes = np.broadcast_to(nodes, scores.inliers.shape) & scores.exists() & np.isnan(scores.inliers)
     inliers = scores.inliers.copy()
     inliers[nodes] = cache.measure(*scores.images(nodes))
-    return ScoreMatrix(
-        p=scores.p, q=scores.q, rows=scores.rows, columns=scores.columns, allowed=scores.allowed, inliers=inliers
-    )
+    return replace(scores, inliers=inliers)
 
 
 def _backwards_by_votes(scores: ScoreMatrix, min_matches: int, tuning: Tuning) -> bool:
@@ -154,30 +150,29 @@ def _backwards_by_votes(scores: ScoreMatrix, min_matches: int, tuning: Tuning) -
     return height[1] > height[0]
 
 
-@dataclass(frozen=True)
-class _At:
-    """A camera of each pass and the best offset of their frames."""
-
-    a: int
-    b: int
-    best: int
-
-
-def _supported(scores: ScoreMatrix, at: _At, backwards: bool, min_matches: int, tuning: Tuning) -> bool:
-    """Whether the best offset has enough matches on average, over enough sampled frames."""
-    c, d, best = at.a, at.b, at.best
+def _supported(
+    scores: ScoreMatrix, cameras: tuple[int, int], best: int, backwards: bool, min_matches: int, tuning: Tuning
+) -> bool:
+    """Whether the best offset of a camera of each pass has enough matches on average, over enough sampled frames."""
     m, n = np.meshgrid(scores.rows, scores.columns, indexing="ij")
     step = int(np.max(np.diff(scores.columns), initial=1))
-    inliers = scores.inliers[c, d]
+    inliers = scores.inliers[cameras]
     near = (np.abs((n + m if backwards else n - m) - best) <= step) & np.isfinite(inliers)
     count = np.clip(inliers[near], tuning.counts.floor * min_matches, tuning.counts.ceiling * min_matches)
     frames = int(near.any(axis=1).sum())
     return frames >= tuning.offsets.constant.least_frames and float(count.mean()) >= min_matches
 
 
-def _around(scores: ScoreMatrix, at: _At, backwards: bool, cache: MatchCache, settings: CandidatesSettings) -> Pairs:
+def _around(
+    scores: ScoreMatrix,
+    cameras: tuple[int, int],
+    best: int,
+    backwards: bool,
+    cache: MatchCache,
+    settings: CandidatesSettings,
+) -> Pairs:
     """All frames of a camera pair within the range around its offset; of these the best by preview if so set."""
-    c, d, best = at.a, at.b, at.best
+    c, d = cameras
     p, q = scores.p, scores.q
     m, r = np.meshgrid(np.arange(len(p)), np.arange(-settings.offset_range, settings.offset_range + 1), indexing="ij")
     n = best + r - m if backwards else best + r + m

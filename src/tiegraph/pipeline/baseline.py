@@ -17,6 +17,7 @@ from tiegraph.project.artefacts import LOST
 from tiegraph.project.folder import check_format
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Stage, needed, save_json
+from tiegraph.report.maps import frame_positions
 from tiegraph.scene.atomic import remove
 from tiegraph.scene.bags import source_of
 from tiegraph.scene.colmapmodel import registered_images
@@ -72,7 +73,8 @@ def lay_out(run: Run, sample: int, out: Path) -> Block:
     least = 3 * max(1, len(scene) // max(scene.frames, 1))
     if sample < least:
         raise InputError(f"--sample {sample}: give at least {least} images, three frames of this survey")
-    taken = stretch(scene, _frame_centres(run, scene), sample)
+    centres = model_poses(load_model(run.path("sparse", "world")), scene).world_from_camera[:, :3, 3]
+    taken = stretch(scene, frame_positions(scene, centres), sample)
     part = scene.only(taken)
     block = Block(folder=out, run=run, scene=part, whole=len(part) == len(scene))
     said = {"format": 1, "survey": str(run.folder), "images": [part.source_name(k) for k in range(len(part))]}
@@ -85,16 +87,6 @@ def lay_out(run: Run, sample: int, out: Path) -> Block:
     out.mkdir(parents=True, exist_ok=True)
     save_json(path, said)
     return block
-
-
-def _frame_centres(run: Run, scene: Scene) -> np.ndarray:
-    """(F, 3) mean place of the images of each frame in the run's world, NaN = none has a pose."""
-    centres = model_poses(load_model(run.path("sparse", "world")), scene).world_from_camera[:, :3, 3]
-    out = np.full((scene.frames, 3), np.nan)
-    there = np.isfinite(centres).all(axis=1)
-    for frame in np.unique(scene.frame[there]):
-        out[frame] = centres[there & (scene.frame == frame)].mean(axis=0)
-    return out
 
 
 def _link(root: Path, block: Block) -> None:

@@ -1,4 +1,5 @@
-"""Glue of pattern calibration: from a folder of images of a board to a rig file, with what is to be said of it.
+"""Glue of pattern calibration: from a folder of images of a board to a rig file, with what is to be said of it; and of
+`tiegraph calibrate --from OUT`: the calibration that a run found, beside one of a board.
 
 There is no run folder: what is made are a rig.toml and, beside it, a folder with the same for other programs and a
 summary. Neither may be there before.
@@ -11,10 +12,12 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import pycolmap
 
 from tiegraph.calibrate.adjust import Adjusted, adjust_robustly
 from tiegraph.calibrate.board import Board, read_board
 from tiegraph.calibrate.detect import Corners, detect
+from tiegraph.calibrate.difference import Calibration, Difference, differences
 from tiegraph.calibrate.judge import Verdict, judge, relative_focal_sigma
 from tiegraph.calibrate.observations import CameraImages, Observations, View, check_count, check_one_camera, check_views
 from tiegraph.calibrate.settings import CalibrateSettings
@@ -30,6 +33,7 @@ from tiegraph.calibrate.summary import (
 )
 from tiegraph.calibrate.tuning import BoardTuning, JudgeTuning
 from tiegraph.errors import InputError
+from tiegraph.pipeline.foundrig import rig_file
 from tiegraph.project.pool import map_items, open_pool
 from tiegraph.project.progress import Reporter
 from tiegraph.project.stages import write_atomic
@@ -39,7 +43,8 @@ from tiegraph.scan.folders import guess_layout
 from tiegraph.scan.frames import match_frames
 from tiegraph.scan.rigfiles.camerafile import MODELS
 from tiegraph.scan.rigfiles.rigfaults import nearest
-from tiegraph.scan.rigfiles.rigspec import rig_config, rig_toml
+from tiegraph.scan.rigfiles.rigfile import parse_rig_file, read_rig_file
+from tiegraph.scan.rigfiles.rigspec import RigSpec, SensorSpec, rig_config, rig_toml
 from tiegraph.scan.tuning import Tuning as ScanTuning
 from tiegraph.scene.atomic import must_be_new
 from tiegraph.scene.decoding import Levels, eight_bit, opened, turned
@@ -68,21 +73,30 @@ def calibrate(
     """
     reporter, tunings = reporter or Reporter("quiet"), tunings or VerbTunings()
     tuning = tunings.calibrate
-    made = Outputs.beside(out)
+    folder = _folder_beside(out)
     pattern = read_board(board)
-    survey = _read_folder(images, settings, pool, reporter, tunings)
-    check_wide(settings.wide, [c.name for c in survey.cameras])
-    seen = _detect(survey, pattern, tuning.board, pool, reporter)
-    unread = _without_board(survey, seen)
+    cameras, files, found = _read_folder(images, settings, pool, reporter, tunings)
+    check_wide(settings.wide, [c.name for c in cameras])
+    with reporter.stage("corners"):
+        reporter.total(len(files))
+        corners = _map(pool, reporter, _corners, files, pattern, tuning.board)
+    views = (
+        View(camera=f.camera, instant=f.instant, name=f.name, corners=numbers, xy=xy)
+        for f, (numbers, xy) in zip(files, corners)
+        if len(numbers)
+    )
+    seen = Observations(pattern, cameras, tuple(views))
+    unread = _without_board(files, seen)
     check_views(seen, tuning.start)
     done = adjust_robustly(seen, start(seen, tuning), tuning.adjust, settings.board_sigma)
     verdict = judge(done, tuning)
     constants = [f"constants changed: {tunings.changed()}"] if tunings.changed() else []
-    notes = (board, *constants, *survey.notes, *unread)
-    _write(made, done, verdict, notes, _rig(done, verdict, settings.wide), tuning.judge)
+    notes = (board, *constants, *found, *unread)
+    _write(out, done, verdict, notes, _rig(done, verdict, settings.wide), tuning.judge)
     left_out = (f"left out: {name}: {why}" for name, why in done.left_out)
-    scale = () if len(survey.cameras) == 1 else (lengths(done),)
-    for text in (*unread, *left_out, *verdict.advice, *scale, *made.said()):
+    scale = () if len(cameras) == 1 else (lengths(done),)
+    written = f"written: {out}", f"summary: {folder / 'summary.md'}"
+    for text in (*unread, *left_out, *verdict.advice, *scale, *written):
         reporter.say(text)
     return verdict
 
@@ -102,17 +116,10 @@ class _File:
     levels: Levels
 
 
-@dataclass(frozen=True)
-class _Survey:
-    cameras: tuple[CameraImages, ...]
-    files: tuple[_File, ...]
-    notes: tuple[str, ...]
-
-
 def _read_folder(
     images: Path, settings: CalibrateSettings, pool: str, reporter: Reporter, tunings: VerbTunings
-) -> _Survey:
-    """Cameras, instants and files below a folder, in the layouts that ``scan`` reads."""
+) -> tuple[tuple[CameraImages, ...], tuple[_File, ...], tuple[str, ...]]:
+    """Cameras and files below a folder, in the layouts that ``scan`` reads, and notes."""
     tuning, report = tunings.scan, Report()
     found, passed_over = search_images(images)
     names = clean_names(found)
@@ -152,7 +159,7 @@ def _read_folder(
         for k in own
     )
     dropped = (f"{d.name}: {d.reason}" for d in report.dropped)
-    return _Survey(cameras, files, (*passed_over, *report.notes, *dropped))
+    return cameras, files, (*passed_over, *report.notes, *dropped)
 
 
 def _one_size(folder: str, names: Sequence[str], probes: Sequence[Probe], upright: bool) -> tuple[int, int]:
@@ -231,25 +238,12 @@ def _map(pool: str, reporter: Reporter, function: object, items: Sequence, *args
 # --- the corners ----------------------------------------------------------------------------------------------------
 
 
-def _detect(survey: _Survey, board: Board, tuning: BoardTuning, pool: str, reporter: Reporter) -> Observations:
-    """The board's corners in all images."""
-    with reporter.stage("corners"):
-        reporter.total(len(survey.files))
-        found = _map(pool, reporter, _corners, survey.files, board, tuning)
-    views = tuple(
-        View(camera=f.camera, instant=f.instant, name=f.name, corners=numbers, xy=xy)
-        for f, (numbers, xy) in zip(survey.files, found)
-        if len(numbers)
-    )
-    return Observations(board, survey.cameras, views)
-
-
-def _without_board(survey: _Survey, seen: Observations) -> list[str]:
+def _without_board(files: Sequence[_File], seen: Observations) -> list[str]:
     """Of each camera the images in which no board was found."""
     views = {view.name for view in seen.views}
     out = []
-    for number, camera in enumerate(survey.cameras):
-        names = [f.name for f in survey.files if f.camera == number and f.name not in views]
+    for number, camera in enumerate(seen.cameras):
+        names = [f.name for f in files if f.camera == number and f.name not in views]
         if names:
             out.append(f"{camera.name}: no board in {len(names)} of {camera.count} images: {', '.join(names)}")
     return out
@@ -266,30 +260,19 @@ def _corners(file: _File, board: Board, tuning: BoardTuning) -> Corners:
 # --- what is written ------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Outputs:
-    """The rig.toml and the folder beside it."""
-
-    rig: Path
-    folder: Path
-
-    @classmethod
-    def beside(cls, out: Path) -> "Outputs":
-        """Raises InputError if one of them is there, or ``out`` is no TOML file."""
-        if out.suffix.lower() != ".toml":
-            raise InputError(f"-o {out}: the rig is written as TOML: give a name that ends in .toml")
-        made = cls(out, out.with_name(out.stem + _FOLDER))
-        for path in (made.rig, made.folder):
-            must_be_new(out, path)
-        return made
-
-    def said(self) -> tuple[str, str]:
-        """What was made, for people."""
-        return f"written: {self.rig}", f"summary: {self.folder / 'summary.md'}"
+def _folder_beside(out: Path) -> Path:
+    """The folder beside a rig file. Raises InputError if one of them is there, or ``out`` is no TOML file."""
+    if out.suffix.lower() != ".toml":
+        raise InputError(f"-o {out}: the rig is written as TOML: give a name that ends in .toml")
+    folder = out.with_name(out.stem + _FOLDER)
+    for path in (out, folder):
+        must_be_new(out, path)
+    return folder
 
 
-def _write(made: Outputs, done: Adjusted, verdict: Verdict, said: Sequence[str], rig: Rig, tuning: JudgeTuning) -> None:
+def _write(out: Path, done: Adjusted, verdict: Verdict, said: Sequence[str], rig: Rig, tuning: JudgeTuning) -> None:
     board, *notes = said
+    folder = out.with_name(out.stem + _FOLDER)
     names = [c.name for c in done.seen.cameras]
     files = [f"camera{k}" for k in range(len(names))]  # folders may have several levels
     for k, stem in enumerate(files):
@@ -297,20 +280,20 @@ def _write(made: Outputs, done: Adjusted, verdict: Verdict, said: Sequence[str],
         if text is None:
             notes.append(f"no OpenCV YAML of {names[k]}: OpenCV has no model {done.state.cameras[k].model.name}")
         else:
-            write_atomic(made.folder / f"{stem}.yaml", text)
-        write_atomic(made.folder / f"{stem}_residuals.png", residual_picture(done, k, tuning))
+            write_atomic(folder / f"{stem}.yaml", text)
+        write_atomic(folder / f"{stem}_residuals.png", residual_picture(done, k, tuning))
     chain = kalibr_yaml(done.state.cameras, done.state.sensor_from_rig)
     if chain is None:
         notes.append("no camchain.yaml: Kalibr has no such camera model")
     else:
-        write_atomic(made.folder / "camchain.yaml", chain)
+        write_atomic(folder / "camchain.yaml", chain)
     pictures = {name: f"{stem}_residuals.png" for name, stem in zip(names, files)}
-    write_atomic(made.folder / "correlations.csv", correlation_csv(verdict.precision, names))
-    write_atomic(made.folder / "rig_config.json", rig_config([rig]))
-    write_atomic(made.folder / "summary.md", summary(done, verdict, board, notes, pictures))
+    write_atomic(folder / "correlations.csv", correlation_csv(verdict.precision, names))
+    write_atomic(folder / "rig_config.json", rig_config([rig]))
+    write_atomic(folder / "summary.md", summary(done, verdict, board, notes, pictures))
     comment = f"Calibrated by tiegraph with the board {one_line(board)}: {len(done.seen.views)} views, sigma of a " \
               f"corner {done.sigma_px:.3f} px.\nLengths come from the size of its squares."  # fmt: skip
-    write_atomic(made.rig, rig_toml(rig, comment))
+    write_atomic(out, rig_toml(rig, comment))
 
 
 def check_wide(wide: Sequence[str], cameras: Sequence[str]) -> None:
@@ -340,3 +323,76 @@ def _rig(done: Adjusted, verdict: Verdict, wide: Sequence[str]) -> Rig:
             )
         )
     return Rig("rig" if len(sensors) > 1 else "camera", tuple(sensors), synchronised=len(sensors) > 1)
+
+
+# --- the calibration that a run found ------------------------------------------------------------------------------
+
+
+def self_calibration(
+    folder: Path,
+    out: Path,
+    against: Path | None = None,
+    reporter: Reporter | None = None,
+    tunings: VerbTunings | None = None,
+) -> tuple[Difference, ...]:
+    """Write the rig of a run folder as ``out``; how it differs from the rig file ``against``, camera by camera.
+
+    Raises InputError as ``foundrig.rig_file`` does, for a rig file that cannot be read, has several rigs or other
+    cameras, and for outputs that are there.
+    """
+    reporter, tunings = reporter or Reporter("quiet"), tunings or VerbTunings()
+    tuning = tunings.scan.rig
+    _folder_beside(out)
+    other = None if against is None else _only(against, read_rig_file(against, tuning))
+    found = rig_file(folder)
+    said = [f"the run says: {text}" for text in found.said]
+    rows: tuple[Difference, ...] = ()
+    if other is not None:
+        (own,) = parse_rig_file(folder, found.text, tuning)
+        rows = differences(*([_calibration(s) for s in rig.sensors] for rig in (other, own)))
+        said += [sentence(row, tunings.calibrate.judge) for row in rows]
+    write_atomic(out, found.text)
+    for text in (*said, f"written: {out}"):
+        reporter.say(text)
+    return rows
+
+
+def sentence(row: Difference, tuning: JudgeTuning) -> str:
+    """What the calibrations of a camera have in common, in words."""
+    parts = []
+    if np.isfinite(row.focal):
+        parts.append(f"focal length {100 * row.focal:+.3f} %{_sigmas(row.focal_sigmas)}")
+        parts.append(f"lens {row.lens_px:.2f} px otherwise (RMS)")
+    if np.isfinite(row.turn_deg):
+        parts.append(f"turned by {row.turn_deg:.3f} deg{_sigmas(row.turn_sigmas)}")
+        parts.append(f"moved by {1000 * row.place_m:.1f} mm{_sigmas(row.place_sigmas)}")
+    worst = row.worst_sigmas()
+    if np.isfinite(worst):
+        parts.append("they agree" if worst <= tuning.agree_sigmas else "they contradict each other")
+    return f"{row.name}, against the board: {', '.join(parts) or 'nothing to compare'}"
+
+
+def _sigmas(value: float) -> str:
+    return f" ({value:.1f} sigmas)" if np.isfinite(value) else ""
+
+
+def _only(path: Path, rigs: tuple[RigSpec, ...]) -> RigSpec:
+    if len(rigs) != 1:
+        raise InputError(f"--against {path}: {len(rigs)} rigs in it, and a run's rig is compared with one")
+    return rigs[0]
+
+
+def _calibration(sensor: SensorSpec) -> Calibration:
+    camera = None
+    if sensor.model is not None and sensor.params is not None and sensor.size is not None:
+        width, height = sensor.size
+        camera = pycolmap.Camera(model=sensor.model, width=width, height=height, params=list(sensor.params))
+    pose = sensor.body_from_sensor
+    return Calibration(
+        name=sensor.name,
+        camera=camera,
+        sensor_from_rig=None if pose is None else np.linalg.inv(pose),
+        focal_sigma_px=sensor.camera_sigma_px,
+        sigma_deg=sensor.sigma_deg,
+        sigma_m=sensor.sigma_m,
+    )

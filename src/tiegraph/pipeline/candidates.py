@@ -13,8 +13,7 @@ from tiegraph.network.offsets.curves import curves_csv
 from tiegraph.network.offsets.offsets import OFFSETS
 from tiegraph.network.passes import MatchCache
 from tiegraph.pipeline.files import save_npz, scanned
-from tiegraph.pipeline.preview import read_preview
-from tiegraph.pipeline.previews import Matcher
+from tiegraph.pipeline.preview import Matcher, read_preview
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, write_atomic
 from tiegraph.scene.scene import Scene

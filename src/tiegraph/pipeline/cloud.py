@@ -11,7 +11,7 @@ from tiegraph.cloud.fuse import Maps, fuse
 from tiegraph.evaluate.accuracy import in_layers
 from tiegraph.pipeline.dense import coloured, depth_path, plan_of, read_depth
 from tiegraph.pipeline.files import load_json, placement_error, world_origin
-from tiegraph.pipeline.predicted import stated
+from tiegraph.pipeline.georef import stated
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome
 from tiegraph.scene.accuracy import LAYERS
@@ -32,7 +32,7 @@ def cloud(run: Run) -> Outcome:
     colours = coloured(plans, run.path("images"), run.settings.dense, run.settings.tuning.dense.views)
     maps = Maps(partial(read_depth, folder=run.folder), colours)
     settings, tuning = run.settings.cloud, run.settings.tuning.cloud
-    fused = fuse(sorted(plans), maps, scratch, settings, tuning, world_origin(run), _mapper(run))
+    fused = fuse(sorted(plans), maps, scratch, settings, tuning, world_origin(run.folder), _mapper(run))
     sigmas = _sigmas(run, fused.clouds())
     said = _said(run, sigmas)
     notes = [*write_copc(fused.clouds, run.path("cloud.copc.laz"), fused.voxel, scratch, said)]
@@ -54,7 +54,7 @@ def _passes(run: Run, scratch: Path, voxel_m: float) -> list[str]:
 def _sigmas(run: Run, parts: Iterable[Cloud]) -> dict[str, float]:
     """Median of the points' sigma, and median and 90th percentile of that in the world, where the model is placed: of
     the matching, of the cameras inside the model and of the placement together."""
-    error, own, world = placement_error(run), [], []
+    error, own, world = placement_error(run.folder), [], []
     inside = (load_json(run.path("world.json")).get("model_sigma") or {}).get("median", 0.0)
     for part in parts:
         some = part.where(np.arange(0, len(part), _EVERY))
@@ -80,10 +80,6 @@ def _said(run: Run, sigmas: dict[str, float]) -> str:
 def _mapper(run: Run) -> Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[Any]]:
     def apply(function: Callable[[Any], Any], items: Sequence[Any]) -> Iterable[Any]:
         run.reporter.total(len(items))
-        return run.map(_call, list(items), function)
+        return run.map(function, items)
 
     return apply
-
-
-def _call(item: Any, function: Callable[[Any], Any]) -> Any:
-    return function(item)

@@ -1,22 +1,37 @@
-"""Glue of comparisons of clouds outside the table of stages: two files, and two epochs (``epochs``)."""
+"""Glue of comparisons of clouds outside the table of stages: two files, and two surveys of one place
+(`compare --epochs`): what has changed between them, beyond what both are known to.
+"""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from tiegraph.errors import InputError
-from tiegraph.evaluate.clouds.judge import Question, judge_cloud
+from tiegraph.evaluate.clouds.judge import Question, judge_cloud, told_of
+from tiegraph.evaluate.clouds.m3c2 import Changes, Differences, Sigma, changes, cylinders_of, m3c2_tiled
+from tiegraph.evaluate.clouds.nearest import Cameras, meeting
+from tiegraph.evaluate.clouds.picture import difference_map
+from tiegraph.evaluate.clouds.register import Registration, registered
+from tiegraph.evaluate.clouds.tiles import tile_clouds
 from tiegraph.evaluate.reference import to_world
 from tiegraph.evaluate.tuning import Tuning
+from tiegraph.geometry.align import PlacementError
 from tiegraph.geometry.geodesy import ENU, Origin
-from tiegraph.pipeline.evaluate import write_judgement
-from tiegraph.project.stages import save_json
+from tiegraph.pipeline.evaluate import measured, write_judgement
+from tiegraph.pipeline.files import load_model, placement_error, world_origin, world_unit
+from tiegraph.project.folder import SETTINGS, check_format
+from tiegraph.project.settings import read_settings
+from tiegraph.project.stages import save_json, write_atomic
 from tiegraph.scene.atomic import must_be_new, replacing, scratch_folder
-from tiegraph.scene.cloudchunks import PointSource, open_cloud
+from tiegraph.scene.cloudchunks import PointSource, open_cloud, write_measured
+from tiegraph.scene.cloudfile import shift_of
+from tiegraph.scene.colmapmodel import model_centres
 from tiegraph.scene.results import metrics_to_dict
+from tiegraph.text import command, csv_text
 
 
 def evaluate_clouds(files: tuple[Path, Path], out: Path | None, question: Question, tuning: Tuning) -> dict[str, Any]:
@@ -74,3 +89,157 @@ def new_folder(out: Path | None) -> Iterator[Path | None]:
     with replacing(out) as folder:
         folder.mkdir()
         yield folder
+
+
+# --- two surveys of one place --------------------------------------------------------------------------------------
+
+
+_LISTED = 50  # changes in the table, the largest first
+
+
+@dataclass(frozen=True)
+class EpochOptions:
+    """How two epochs are compared."""
+
+    register: Literal["none", "rigid"] = "none"
+    """Lay the second cloud on the first by ICP instead of trusting both places on the Earth; most of the surface must
+    have stayed. Its sigma then takes the place of the surveys' own."""
+    coarse: bool = False
+    """The second cloud is far off or turned: start the registration by the shapes of both."""
+    depth_m: float | None = None
+    """Largest difference that is looked for, to either side (default: by the spacing of the clouds)."""
+
+
+@dataclass(frozen=True)
+class _Epoch:
+    """A run: its cloud in its own world, where that is, and how well it is known."""
+
+    folder: Path
+    cloud: PointSource
+    origin: Origin | None
+    error: PlacementError | None
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two clouds in one world, what holds them together and, in words, how; ``cameras`` are the first's."""
+
+    first: PointSource
+    second: PointSource
+    cameras: Cameras
+    origin: Origin | None
+    held: str
+    sigma: Sigma | None = None
+    fitted: Registration | None = None
+
+
+def compare_epochs(folders: tuple[Path, Path], out: Path, options: EpochOptions) -> dict[str, Any]:
+    """Compare the clouds of two runs; writes changes.json, changes.csv, changes.png and changes.laz into a new folder.
+
+    The constants are those of the first run (``[tuning.evaluate]``). Raises InputError for runs without a cloud, or
+    that are not known to stand in one world, for clouds that do not meet, and for a coarse start of no registration.
+    """
+    refuse_coarse_alone(options.register, options.coarse, "--register rigid")
+    tuning = read_settings(folders[0] / SETTINGS).tuning.evaluate
+    first, second = (_read(folder) for folder in folders)
+    other = _in_world_of(first, second, options)
+    common: dict[str, Any] = {"first": first.cloud, "cameras": _cameras(first), "origin": first.origin}
+    if options.register == "none":
+        held = "as the surveys stand on the Earth, with both their sigmas"
+        pair = Pair(**common, second=other, held=held, sigma=_placed(first, second))
+    else:
+        with told_of(other.name):
+            fitted = registered(other, first.cloud, tuning.registration, False, options.coarse)
+        moved, along = other.moved(fitted.fit), fitted.sigma_along
+        held = "by ICP from a start by their shapes" if options.coarse else "by ICP"
+        pair = Pair(**common, second=moved, held=held, sigma=along, fitted=fitted)
+    return differences_of(pair, out, tuning, options.depth_m)
+
+
+def differences_of(pair: Pair, out: Path, tuning: Tuning, depth_m: float | None) -> dict[str, Any]:
+    """What changed from the first cloud to the second, written into a new folder.
+
+    Raises InputError if they do not meet, or the folder is there.
+    """
+    with new_folder(out) as folder, scratch_folder(folder) as scratch:
+        assert folder is not None
+        found = m3c2_of(pair, scratch, tuning, depth_m)
+        changed = changes(found, tuning.changes)
+        result = _result(found, changed, pair)
+        save_json(folder / "changes.json", result)
+        table = changed.table(shift_of(pair.origin), len(changed.listed))
+        write_atomic(folder / "changes.csv", csv_text(table["columns"], table["rows"]))
+        write_atomic(folder / "changes.png", difference_map(found, "second minus first", only_significant=True))
+        write_measured([measured(found)], folder / "changes.laz", pair.origin, found.cylinders.cores_m)
+    return result
+
+
+def m3c2_of(
+    pair: Pair, scratch: Path, tuning: Tuning, depth_m: float | None = None, most: int | None = None
+) -> Differences:
+    """The second cloud minus the first, at about ``most`` core points; ``scratch`` is an empty folder. Raises
+    InputError if they do not meet."""
+    clouds = tile_clouds(pair.first, pair.second, scratch, tuning.cloud)
+    with told_of(pair.second.name):
+        meeting(clouds)
+        cylinders = cylinders_of(clouds, tuning.m3c2, depth_m)
+    return m3c2_tiled(clouds, cylinders, tuning.m3c2, pair.cameras, pair.sigma, most)
+
+
+def _read(folder: Path) -> _Epoch:
+    check_format(folder)
+    path = folder / "cloud.laz"
+    if not path.exists():
+        raise InputError(f"{folder}: it has no cloud.laz: run it to the stage cloud ({command('cloud', folder)})")
+    if world_unit(folder) != "m":
+        raise InputError(f"{folder}: nothing told its scale, so differences have no unit: give positions or a rig")
+    origin = world_origin(folder)
+    cloud = open_cloud(path).moved(lambda xyz: xyz - shift_of(origin))
+    return _Epoch(folder=folder, cloud=cloud, origin=origin, error=placement_error(folder))
+
+
+def _in_world_of(first: _Epoch, second: _Epoch, options: EpochOptions) -> PointSource:
+    """The second cloud in the first's world."""
+    for epoch in (first, second):
+        if options.register == "none" and (epoch.origin is None or epoch.error is None):
+            raise InputError(
+                f"{epoch.folder}: its place on the Earth is not known, so it cannot be held against another epoch: "
+                "give positions or control points, or --register rigid to lay the clouds on each other"
+            )
+    a, b = first.origin, second.origin
+    if a is None or b is None or a == b:
+        return second.cloud
+    return second.cloud.moved(lambda xyz: to_world(xyz, b, a))
+
+
+def _placed(first: _Epoch, second: _Epoch) -> Sigma:
+    """What both places on the Earth leave open along a normal; both surveys are taken to err by themselves."""
+
+    def sigma(xyz: np.ndarray, normal: np.ndarray) -> np.ndarray:
+        assert first.error is not None and second.error is not None and first.origin and second.origin
+        there = xyz if first.origin == second.origin else to_world(xyz, first.origin, second.origin)
+        variance = first.error.sigma(xyz) ** 2 + second.error.sigma(there) ** 2
+        return np.asarray(np.sqrt(np.sum(variance * normal**2, axis=1)))
+
+    return sigma
+
+
+def _cameras(epoch: _Epoch) -> Cameras:
+    centres = model_centres(load_model(epoch.folder / "sparse" / "world"))
+    return Cameras(centres, ("",) * len(centres))
+
+
+def _result(found: Differences, changed: Changes, pair: Pair) -> dict[str, Any]:
+    return {
+        "differences": {k: float(f"{v:.6g}") for k, v in found.summary().items()},
+        "areas_and_volumes": {k: float(f"{v:.6g}") for k, v in changed.totals().items()},
+        "changes": changed.table(shift_of(pair.origin), _LISTED),
+        "cylinders": asdict(found.cylinders),
+        "registration": None if pair.fitted is None else pair.fitted.table(),
+        "crs": None if pair.origin is None else pair.origin.crs,
+        "notes": [
+            f"Second minus first along the first's normal, towards its cameras; compared {pair.held}. Significant: "
+            "larger than the level of detection at 95 %, so about 5 % of what stayed is too; a change is listed where "
+            "enough significant points of one sign stand together. Differences beyond the cylinders are not found."
+        ],
+    }

@@ -21,9 +21,8 @@ from tiegraph.network.coarse.model import CoarseModel
 from tiegraph.network.coarse.search import Coarse, Search, worth_a_model
 from tiegraph.network.coarse.surface import with_surface
 from tiegraph.network.passes import MatchCache
-from tiegraph.pipeline.files import load_npz, load_scene, pairs_of, reading, save_npz, ties_of
-from tiegraph.pipeline.preview import read_preview
-from tiegraph.pipeline.previews import Matcher
+from tiegraph.pipeline.files import load_as, load_scene, pairs_of, save_npz, ties_of
+from tiegraph.pipeline.preview import Matcher, read_preview
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, write_atomic
 from tiegraph.scene.atomic import remove
@@ -117,9 +116,7 @@ class _Mapper:
         part, inside = (self._scene, ties) if whole else block.part_of(self._scene, ties)
         kept = self._run.path("coarse/blocks", f"{_key(block, inside)}.npz")
         if kept.exists():
-            with reading(kept):
-                data = load_npz(kept)
-                return CoarseModel.from_npz(data) if data else None
+            return load_as(kept, lambda data: CoarseModel.from_npz(data) if data else None)
         model = coarse_model(self._run, part, inside) if len(inside) else None
         save_npz(kept, **({} if model is None else model.to_npz()))
         return model

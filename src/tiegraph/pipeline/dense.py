@@ -113,12 +113,8 @@ def _first_item(name: str, folder: Path, plans: dict[str, ImagePlan], settings: 
 def _confirm_item(
     name: str, folder: Path, plans: dict[str, ImagePlan], settings: DenseSettings, tuning: Tuning
 ) -> None:
-    def load(other: str) -> DepthMap | None:
-        path = depth_path(folder, other, FIRST)
-        return load_map(path) if path.exists() else None
-
-    first = load(name)
-    assert first is not None
+    load = partial(_known_map, folder=folder, step=FIRST)
+    first = load_map(depth_path(folder, name, FIRST))
     confirmed, counts = confirmed_map(plans[name], first, load, settings, tuning)
     write_atomic(_counts_path(folder, name), json.dumps(asdict(counts)))
     save_depth(confirmed, depth_path(folder, name))
@@ -155,12 +151,7 @@ def hand_over(run: Run, target: Path) -> int:
     holds something."""
     if target.exists() and (not target.is_dir() or any(target.iterdir())):
         raise InputError(f"{target} is there and not empty: give a new folder for the workspace")
-
-    def load(name: str) -> DepthMap | None:
-        path = depth_path(run.folder, name)
-        return load_map(path) if path.exists() else None
-
-    model = load_model(run.path("sparse", "world"))
+    model, load = load_model(run.path("sparse", "world")), partial(_known_map, folder=run.folder)
     try:
         settings, tuning = run.settings.dense, run.settings.tuning.dense.views
         return write_workspace(target, model, run.path("images"), load, settings, tuning)
@@ -185,3 +176,8 @@ def _colours(
 def read_depth(name: str, folder: Path) -> DepthMap:
     """The finished depth map of an image."""
     return load_map(depth_path(folder, name))
+
+
+def _known_map(name: str, folder: Path, step: str = "") -> DepthMap | None:
+    path = depth_path(folder, name, step)
+    return load_map(path) if path.exists() else None

@@ -2,7 +2,6 @@
 
 import csv
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,7 @@ from tiegraph.features.sift import most_features
 from tiegraph.network.plots import map_png, weak_pairs
 from tiegraph.papers.fuse2014 import two_view
 from tiegraph.pipeline.files import checked, load_npz, load_scene, pairs_of, reading, save_npz, ties_of, visibility_of
-from tiegraph.pipeline.previews import preview_of, previews_of, with_previews
+from tiegraph.pipeline.preview import preview_of, previews_of, with_previews
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, write_atomic
 from tiegraph.scene.matches import PreviewMatches
@@ -160,16 +159,12 @@ def with_accuracy(
         return pairs
     matches = np.where(row >= 0, ties.counts()[row], 0)
     usable = np.flatnonzero((pairs.dropped == 0) & (matches >= tuning.min_points))
-    items = [_TwoViews(int(pairs.i[k]), int(pairs.j[k]), ties.of(int(row[k]))) for k in usable]
+    items = [((int(pairs.i[k]), int(pairs.j[k])), ties.of(int(row[k]))) for k in usable]
     found: list[tuple[float, float] | None] = run_map(_two_view_item, items, folder, tuning)
     sigma, ratio = np.array(pairs.sigma_m), np.array(pairs.h_over_b)
     frame_i, frame_j = scene.frame[pairs.i], scene.frame[pairs.j]
-    apart = np.where(
-        scene.sequence[frame_i] == scene.sequence[frame_j],
-        np.abs(scene.sequence_index[frame_i] - scene.sequence_index[frame_j]),
-        1,
-    )
-    base = np.maximum(apart, 1)
+    apart = np.abs(scene.sequence_index[frame_i] - scene.sequence_index[frame_j])
+    base = np.where(scene.sequence[frame_i] == scene.sequence[frame_j], np.maximum(apart, 1), 1)
     for k, one in zip(usable, found):
         if one is not None:
             sigma[k] = one[0] * base[k]
@@ -178,24 +173,17 @@ def with_accuracy(
     return pairs.with_(sigma_m=sigma, h_over_b=ratio)
 
 
-@dataclass(frozen=True)
-class _TwoViews:
-    """Two images of the scene and their matches (M, 2)."""
-
-    i: int
-    j: int
-    match: np.ndarray
-
-
-def _two_view_item(item: _TwoViews, folder: Path, tuning: TwoViewTuning) -> tuple[float, float] | None:
-    i, j, match = item.i, item.j, item.match
+def _two_view_item(
+    item: tuple[tuple[int, int], np.ndarray], folder: Path, tuning: TwoViewTuning
+) -> tuple[float, float] | None:
+    """Of two images of the scene and their matches (M, 2)."""
+    images, match = item
     scene = _checked(folder)
-    a, b = preview_of(folder, scene.names[i]), preview_of(folder, scene.names[j])
-    cameras = [scene.sensor_of(k).camera for k in (i, j)]
-    if cameras[0] is None or cameras[1] is None:
+    a, b = (preview_of(folder, scene.names[k]) for k in images)
+    one, other = (scene.sensor_of(k).camera for k in images)
+    if one is None or other is None:
         return None
-    pixel = 1.0 / min(a.scale, b.scale)
-    return two_view(a.xy[match[:, 0]], b.xy[match[:, 1]], cameras[0], cameras[1], tuning, pixel)
+    return two_view(a.xy[match[:, 0]], b.xy[match[:, 1]], one, other, tuning, 1.0 / min(a.scale, b.scale))
 
 
 @cached_by_file(2, lambda folder: folder / "network" / "scene.json")

@@ -18,7 +18,7 @@ from tiegraph.geometry.align import Similarity
 from tiegraph.geometry.geodesy import Origin
 from tiegraph.masks.compare import compare
 from tiegraph.pipeline.files import FINAL, checked, load_json, load_model, reading, world_origin
-from tiegraph.pipeline.predicted import stated
+from tiegraph.pipeline.georef import stated
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, save_json, write_atomic
 from tiegraph.scene.atomic import remove
@@ -36,7 +36,7 @@ def evaluate(run: Run) -> Outcome:
     """Figures of merit of the masks, the model and the cloud, against references where they are given."""
     scene, settings = checked(run), run.settings.evaluate
     model = load_model(run.path("sparse", "world"))
-    origin = world_origin(run)
+    origin = world_origin(run.folder)
     receipt, cloud = run.receipts.read("cloud"), None
     counts = receipt.get("counts") or {}
     if receipt.get("made") and counts.get("points"):  # else the images gave none
@@ -84,7 +84,7 @@ def evaluate_poses(run: Run, reference: Path, origin: tuple[float, float, float]
     scene, model, tuning = checked(run), load_model(world), run.settings.tuning
     settings = EvaluateSettings(reference=reference, reference_origin=origin)
     images = registration(model, scene, tuning.scene.registered)
-    placed = world_origin(run) if load_json(run.path("world.json"))["placed"] else None
+    placed = world_origin(run.folder) if load_json(run.path("world.json"))["placed"] else None
     made = Products(model=model, images=images, cloud=None, origin=placed)
     return evaluate_survey(scene, made, settings, tuning.evaluate, stated(run, {})).metrics
 

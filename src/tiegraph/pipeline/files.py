@@ -5,10 +5,10 @@ import io
 import json
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import cv2
 import numpy as np
@@ -26,6 +26,8 @@ from tiegraph.scene.matches import PreviewMatches, Visibility
 from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.results import DepthMap, load_depth
 from tiegraph.scene.scene import Scene
+
+T = TypeVar("T")
 
 _OURS = (errno.EMFILE, errno.ENFILE, errno.ENOMEM)  # the machine's limits say nothing of a file
 
@@ -49,6 +51,12 @@ def load_npz(path: Path) -> dict[str, np.ndarray]:
     """The arrays of an NPZ file. Raises UnreadableArtefact."""
     with reading(path), np.load(path) as data:
         return dict(data)
+
+
+def load_as(path: Path, make: Callable[[dict[str, np.ndarray]], T]) -> T:
+    """What ``make`` makes of the arrays of an NPZ file. Raises UnreadableArtefact."""
+    with reading(path):
+        return make(load_npz(path))
 
 
 def load_json(path: Path) -> Any:
@@ -93,8 +101,7 @@ def checked(run: Run) -> Scene:
 
 def pairs_of(run: Run, name: str) -> Pairs:
     """The pair table of ``candidates.npz``, ``coarse.npz``, ``network.npz``, ``pairs.npz`` or ``match.npz``."""
-    with reading(run.path(name)):
-        return Pairs.from_npz(load_npz(run.path(name)))
+    return load_as(run.path(name), Pairs.from_npz)
 
 
 def refused_pairs(run: Run) -> tuple[tuple[int, int], ...]:
@@ -106,9 +113,7 @@ def refused_pairs(run: Run) -> tuple[tuple[int, int], ...]:
 
 def ties_of(run: Run, stage: str = "coarse") -> PreviewMatches:
     """The preview matches that ``candidates`` saw, or that ``coarse`` has added to them."""
-    path = run.path(stage, "matches.npz")
-    with reading(path):
-        return PreviewMatches.from_npz(load_npz(path))
+    return load_as(run.path(stage, "matches.npz"), PreviewMatches.from_npz)
 
 
 def trusted_poses(folder: Path) -> tuple[np.ndarray, np.ndarray] | None:
@@ -125,10 +130,7 @@ def trusted_poses(folder: Path) -> tuple[np.ndarray, np.ndarray] | None:
 def visibility_of(run: Run) -> Visibility | None:
     """What each image sees of the surface by all tracks of the coarse model, if there is one."""
     path = run.path("coarse", "visibility.npz")
-    if not path.exists():
-        return None
-    with reading(path):
-        return Visibility.from_npz(load_npz(path))
+    return load_as(path, Visibility.from_npz) if path.exists() else None
 
 
 def save_npz(path: Path, **arrays: Any) -> None:
@@ -181,18 +183,18 @@ def read_mask(folder: Path, name: str) -> np.ndarray:
 # --- how the model lies in the world, read from what georef wrote ----------------------------------------------------
 
 
-def world_origin(run: Run) -> Origin | None:
+def world_origin(folder: Path) -> Origin | None:
     """Where the world is on the Earth: by the scene's positions, or by control points alone."""
-    data = load_json(run.path("world.json")).get("origin")
+    data = load_json(folder / "world.json").get("origin")
     return None if data is None else Origin.from_dict(data)
 
 
-def world_unit(run: Run) -> str:
+def world_unit(folder: Path) -> str:
     """Unit of lengths in the world: m, or "units" where nothing told the scale."""
-    return "units" if load_json(run.path("world.json"))["scale_source"] == "none" else "m"
+    return "units" if load_json(folder / "world.json")["scale_source"] == "none" else "m"
 
 
-def placement_error(run: Run) -> PlacementError | None:
+def placement_error(folder: Path) -> PlacementError | None:
     """How well the placement is known; None = not placed."""
-    data = load_json(run.path("world.json")).get("placement_error")
+    data = load_json(folder / "world.json").get("placement_error")
     return None if data is None else PlacementError.from_dict(data)

@@ -1,5 +1,7 @@
-"""Glue of georef: the model into the world, with everything that was measured there."""
+"""Glue of georef: the model into the world, with everything that was measured there; and what a run then says of its
+own accuracy."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -7,14 +9,16 @@ import numpy as np
 
 from tiegraph.child import run_in_child
 from tiegraph.errors import ChildDied, InputError, UnreadableArtefact
+from tiegraph.evaluate.accuracy import Hold, Predicted, Stated
+from tiegraph.geometry.align import rms_length
 from tiegraph.geometry.geodesy import world_from_geodetic
-from tiegraph.pipeline.files import checked, load_json, load_model, load_npz, refused_pairs, whole
-from tiegraph.pipeline.inputs import control_file, orientations
-from tiegraph.pipeline.targets import target_marks
+from tiegraph.pipeline.files import checked, load_json, load_model, load_npz, placement_error, refused_pairs, whole
+from tiegraph.pipeline.inputs import control_file, orientations, target_marks
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, save_json
 from tiegraph.scene import evidence
 from tiegraph.scene.atomic import claim, remove
+from tiegraph.scene.colmapmodel import model_centres
 from tiegraph.scene.control import locate, locate_bars
 from tiegraph.scene.gnss import read_gnss
 from tiegraph.scene.gnss.fixes import moved_within, on_clock_of, step_of
@@ -185,3 +189,64 @@ def _mounting(receipt: dict, placed: Georeference) -> dict[str, dict]:
     rows = [[row[0], *(round(scale * v, 5) for v in row[1:5]), round(row[5], 4)] for row in found["rows"]]
     columns = ["camera", "x m", "y m", "z m", "sigma m", "sigma of the turn deg"]
     return {"lever arms of the cameras, in the frame of the first": {"columns": columns, "rows": rows}}
+
+
+# --- what a run says of its own accuracy before anything measures it -----------------------------------------------
+
+
+_SOURCES = {"gnss": "GNSS positions", "exif": "the images' GPS positions", "trajectory": "the trajectory's positions"}
+
+
+def stated(run: Run, points: Mapping[str, float]) -> Stated:
+    """All of it; ``points``: what the cloud's receipt counts of the sigmas of its points."""
+    world = load_json(run.path("world.json"))
+    predicted = _predicted(run, world, points)
+    return Stated(predicted=predicted, hold=_hold(run, world), world=world, rig=_rig(run))
+
+
+def _predicted(run: Run, world: dict, points: Mapping[str, float]) -> Predicted:
+    sigma, inside = world.get("sigma") or {}, world.get("model_sigma") or {}
+    half, most = inside.get("median", np.nan), inside.get("p90", np.nan)
+    scale = sigma.get("scale", np.nan)
+    if not sigma and world["scale_source"] != "none":  # not placed: the rig alone says how large it is
+        rows = world.get("evidence", {}).get("rows", [])
+        scale = next((row[3] for row in rows if row[0] == "scale"), np.nan)
+    model, error = load_model(run.path("sparse", "world")), placement_error(run.folder)
+    centres = model_centres(model)
+    return Predicted(
+        inside_m=float(np.hypot(half, most) / np.sqrt(2)),
+        scale=float(scale),
+        spread_m=rms_length(centres - centres.mean(axis=0)),
+        placed_m=np.nan if error is None else rms_length(error.sigma(centres)),
+        point_m=points.get("sigma_median_m", np.nan),
+        world_m=points.get("world_sigma_median_m", np.nan),
+        world_90_m=points.get("world_sigma_p90_m", np.nan),
+        between=np.array(world.get("between_frames") or []).reshape(-1, 2),
+    )
+
+
+def _hold(run: Run, world: dict) -> Hold:
+    """What holds the model in the world."""
+    scene = checked(run)
+    if not world["placed"]:
+        return Hold(frames=scene.frames)
+    rows = [row["frame"] for row in world["frames"] if row["inlier"]]
+    source, stated_m = _SOURCES.get(scene.prior, "positions"), scene.position_sigma_m[rows]
+    if scene.prior == "gnss" and np.isfinite(stated_m).any():
+        source += " of RTK quality" if np.nanmedian(stated_m) <= run.settings.tuning.evaluate.carrier_m else ""
+    without = np.setdiff1d(np.arange(scene.frames), rows)
+    covered = covered_frames(run, scene)
+    under = 0 if covered is None else int(covered[without].sum())
+    found = [row["role"] for row in world["control"] if row["off_m"] is not None and not row["why_not"]]
+    points = {"control": found.count("gcp"), "checks": found.count("check")}
+    return Hold(source=source, positions=len(rows), frames=scene.frames, covered=under, **points)
+
+
+def _rig(run: Run) -> tuple[float, float]:
+    """Scatter of the cameras about their places in the rig and its expected value, metres, middle of the cameras."""
+    table = run.receipts.read("sparse").get("tables", {}).get("rig diagnostics")
+    if not table or not table["rows"]:
+        return np.nan, np.nan
+    at = [table["columns"].index(name) for name in ("scatter m", "expected m")]
+    scatter, expected = (float(np.median([row[k] for row in table["rows"]])) for k in at)
+    return scatter, expected

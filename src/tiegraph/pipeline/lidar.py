@@ -5,45 +5,109 @@ What is made stands in a folder of its own; ``evaluate`` takes rig and map.laz f
 
 import os
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from tiegraph.errors import InputError
-from tiegraph.evaluate.trajectory import PoseMatch, evaluate_trajectory
+from tiegraph.evaluate.clouds.judge import CloudJudgement, Question, judge_cloud
+from tiegraph.evaluate.clouds.nearest import Cameras
+from tiegraph.evaluate.reference import frame_parts, model_poses
+from tiegraph.evaluate.trajectory import PoseMatch, evaluate_trajectory, path_length
 from tiegraph.evaluate.tuning import Tuning as EvaluateTuning
 from tiegraph.geometry import transforms
+from tiegraph.geometry.align import Similarity
 from tiegraph.lidar.adjust import adjusted
-from tiegraph.lidar.handeye import Given, Poses, rig_in_lidar_world
+from tiegraph.lidar.handeye import Given, HandEye, Poses, hand_eye, lidar_from_run, rig_in_lidar_world, settled
 from tiegraph.lidar.odometry import MapCloud, before_pose, odometry
+from tiegraph.lidar.pointtie import tie_by_points
 from tiegraph.lidar.scans import Reading, Recording, deskew, open_scans, velocities
 from tiegraph.lidar.settings import LidarSettings
+from tiegraph.lidar.tables import Column, hand_eye_table, survey_table
 from tiegraph.lidar.tuning import Tuning
-from tiegraph.pipeline.files import load_json
-from tiegraph.pipeline.lidarrun import SurveyRun, calibrated, compared
+from tiegraph.pipeline.files import load_json, load_model, load_scene, reading, world_origin
+from tiegraph.project.folder import check_format
 from tiegraph.project.progress import Reporter
+from tiegraph.project.receipts import Receipts
 from tiegraph.project.stages import save_json
 from tiegraph.project.verbtunings import VerbTunings
 from tiegraph.scan.priors.trajectory import write_tum
-from tiegraph.scene.cloudfile import write_cloud
+from tiegraph.scene.atomic import scratch_folder
+from tiegraph.scene.cloudchunks import Points, PointSource
+from tiegraph.scene.cloudfile import read_cloud, write_cloud
+from tiegraph.scene.registered import registration
 from tiegraph.scene.results import Cloud
-from tiegraph.text import finite
+from tiegraph.scene.scene import Scene
+from tiegraph.scene.tuning import RegisteredTuning
+from tiegraph.text import command, finite
 
 TRAJECTORY, MAP, RIG, SUMMARY = "trajectory.tum", "map.laz", "rig", "lidar.json"
 _RPE_M = (1.0, 10.0, 100.0)
+_SURE = 3  # images that a point is seen in: of two, a wrong match is not noticed
+_STAGES = {  # rows of paper 001's tables 1 and 5, and the stages they add up
+    "Mask processing": ("masks", "refine"),
+    "SfM": ("preview", "candidates", "coarse", "network", "design", "features", "match", "filter", "sparse", "georef"),
+    "MVS": ("dense", "cloud"),
+}
 
 
 @dataclass(frozen=True)
-class LidarPath:
-    """The LiDAR's own result: times (T,) and world_from_lidar (T, 4, 4), its map, and what to say."""
+class SurveyRun:
+    """What of a run is compared: its frames with a pose and a time, sorted by time, and their numbers; which of its
+    images (N,) are registered; points (M, 3) of its model; its cloud, if it has one; seconds of paper 001's rows."""
 
-    time_s: np.ndarray
-    poses: np.ndarray
-    map: Cloud
-    seconds: float
-    notes: tuple[str, ...]
+    scene: Scene
+    rig: Poses
+    frame: np.ndarray
+    used: np.ndarray
+    points: np.ndarray
+    cloud: Cloud | None
+    seconds: dict[str, float]
+
+    @classmethod
+    def read(cls, folder: Path, tuning: RegisteredTuning) -> "SurveyRun":
+        """Raises InputError for a folder without a model in the world, and for a run without times."""
+        check_format(folder)
+        world = folder / "sparse" / "world"
+        if not (world / "cameras.bin").exists():
+            raise InputError(f"--run {folder}: there is no model in {world}: run `{command('georef', folder)}` first")
+        scene = load_scene(folder / "network" / "scene.json")
+        model = load_model(world)
+        rigs = model_poses(model, scene).world_from_rig
+        placed = np.isfinite(rigs[:, 0, 0])
+        timed = np.flatnonzero(placed & np.isfinite(scene.time_s))
+        if not len(timed):
+            raise InputError(
+                f"--run {folder}: none of its {int(placed.sum())} placed frames has a time: run it with --times"
+            )
+        frame = timed[np.argsort(scene.time_s[timed], kind="stable")]
+        return cls(
+            scene=scene,
+            rig=Poses(scene.time_s[frame], rigs[frame], scene.sequence[frame]),
+            frame=frame,
+            used=registration(model, scene, tuning).registered,
+            points=np.array([p.xyz for p in model.points3D.values() if p.track.length() >= _SURE]).reshape(-1, 3),
+            cloud=_cloud(folder),
+            seconds=_seconds(folder),
+        )
+
+
+def _cloud(folder: Path) -> Cloud | None:
+    path = folder / "cloud.laz"
+    if not path.exists():
+        return None
+    with reading(path):
+        return read_cloud(path, world_origin(folder))
+
+
+def _seconds(folder: Path) -> dict[str, float]:
+    receipts = Receipts(folder)
+    told = {row: [receipts.read(s).get("seconds") for s in names] for row, names in _STAGES.items()}
+    out = {row: float(sum(t for t in found if t)) for row, found in told.items() if any(found)}
+    return {**out, "Overall processing": sum(out.values())}
 
 
 def lidar(
@@ -65,15 +129,16 @@ def lidar(
     given = _given(settings)
     how = Reading(columns=settings.columns, times=settings.times, rate_hz=settings.rate_hz, poses=settings.poses)
     recording = open_scans(scans, how, tuning.scan)
-    path = _trajectory(recording, settings, tuning, reporter)
+    start = time.monotonic()
+    path, cloud, notes = _trajectory(recording, settings, tuning, reporter)
     summary: dict[str, Any] = {
         "scans": len(path.poses),
-        "seconds": path.seconds,
+        "seconds": time.monotonic() - start,
         "start_s": path.time_s[0],
         "end_s": path.time_s[-1],
-        "path_m": _length(path.poses),
-        "map_points": len(path.map),
-        "notes": list(path.notes),
+        "path_m": float(path_length(path.poses[:, :3, 3])[-1]),
+        "map_points": len(cloud),
+        "notes": notes,
         "tables": {},
         "tuning": tunings.changed(),
     }
@@ -82,14 +147,14 @@ def lidar(
     found = None
     if beside is not None:
         with reporter.stage("hand-eye"):
-            found = calibrated(beside, _poses(path), path.map, given, tuning)
-        told = compared(beside, _poses(path), path.map, found, tunings)
+            found = calibrated(beside, path, cloud, given, tuning)
+        told = compared(beside, path, cloud, found, tunings)
         summary = {**summary, **told, "tables": {**summary["tables"], **told["tables"]}}
     out.mkdir(parents=True, exist_ok=True)
     write_tum(out / TRAJECTORY, path.time_s, path.poses)
-    write_cloud(path.map, out / MAP, settings.voxel_m)
+    write_cloud(cloud, out / MAP, settings.voxel_m)
     if beside is not None and found is not None:
-        _write_rig(out / RIG, beside, rig_in_lidar_world(_poses(path), beside.rig.time_s, found))
+        _write_rig(out / RIG, beside, rig_in_lidar_world(path, beside.rig.time_s, found))
     save_json(out / SUMMARY, finite(summary))
     return summary
 
@@ -119,9 +184,11 @@ def _given(settings: LidarSettings) -> Given:
 # --- the LiDAR alone -------------------------------------------------------------------------------------------------
 
 
-def _trajectory(recording: Recording, settings: LidarSettings, tuning: Tuning, reporter: Reporter) -> LidarPath:
-    """The scans are gone through twice: for the poses, and for the map by the final ones."""
-    start = time.monotonic()
+def _trajectory(
+    recording: Recording, settings: LidarSettings, tuning: Tuning, reporter: Reporter
+) -> tuple[Poses, Cloud, list[str]]:
+    """The LiDAR's path, its map and what to say. The scans are gone through twice: for the poses, and for the map by
+    the final ones."""
     times = []
     with reporter.stage("odometry"):
         reporter.total(2 * (recording.count or 0))
@@ -145,13 +212,7 @@ def _trajectory(recording: Recording, settings: LidarSettings, tuning: Tuning, r
                      f"{time_s[gaps[0]]:.3f} s: the motion across them was taken as constant")  # fmt: skip
     if cloud.voxel_m > settings.voxel_m:
         notes.append(f"the map's voxels grew to {cloud.voxel_m:.3g} m, to keep within memory")
-    return LidarPath(
-        time_s=time_s,
-        poses=poses,
-        map=cloud.cloud(),
-        seconds=time.monotonic() - start,
-        notes=tuple(notes),
-    )
+    return Poses(time_s, poses, np.zeros(len(poses), int)), cloud.cloud(), notes
 
 
 def _map(
@@ -174,17 +235,9 @@ def _map(
     return cloud, lost
 
 
-def _poses(path: LidarPath) -> Poses:
-    return Poses(path.time_s, path.poses, np.zeros(len(path.poses), int))
-
-
-def _length(poses: np.ndarray) -> float:
-    return float(np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1).sum())
-
-
 def _against_given(poses: np.ndarray, given: np.ndarray, tuning: EvaluateTuning) -> dict[str, Any]:
     """The odometry against the poses that the scans came with: drift at the end in the frame of the first scan."""
-    length = _length(given)
+    length = float(path_length(given[:, :3, 3])[-1])
     moved = transforms.invert(poses[0]) @ poses[-1]
     true = transforms.invert(given[0]) @ given[-1]
     end = float(np.linalg.norm(moved[:3, 3] - true[:3, 3]))
@@ -200,3 +253,123 @@ def _against_given(poses: np.ndarray, given: np.ndarray, tuning: EvaluateTuning)
         match = PoseMatch(estimate=poses, reference=given, group=group, order=np.arange(len(poses)))
         rows.append(["ATE after SE3 [m]", evaluate_trajectory(match, _RPE_M, tuning.trajectory).se3.rmse_m])
     return {"columns": ["LiDAR odometry", "against the given poses"], "rows": rows}
+
+
+# --- a run beside the LiDAR ----------------------------------------------------------------------------------------
+
+
+def calibrated(run: SurveyRun, lidar: Poses, reference: Cloud, given: Given, tuning: Tuning) -> HandEye:
+    """The LiDAR on the rig: by the two trajectories, then by the points that both sides have of one surface."""
+    found = hand_eye(run.rig, lidar, given, tuning.hand_eye)
+    if given.rig_from_lidar is not None:
+        return found
+    by_lidar = rig_in_lidar_world(lidar, run.rig.time_s, found)
+    inside = np.isfinite(by_lidar[:, 0, 0])
+    start = lidar_from_run(run.rig.where(inside), by_lidar[inside], found.scale)
+    tie = tie_by_points(run.points, reference.xyz_m, start, tuning.tie)
+    return found if tie is None else settled(run.rig, lidar, found, tie, tuning.hand_eye)
+
+
+def compared(run: SurveyRun, lidar: Poses, reference: Cloud, found: HandEye, tunings: VerbTunings) -> dict[str, Any]:
+    """What lidar.json says of a run: tables, hand-eye calibration, notes."""
+    by_lidar = rig_in_lidar_world(lidar, run.rig.time_s, found)
+    inside = np.flatnonzero(np.isfinite(by_lidar[:, 0, 0]))
+    rig, frame, by_lidar = run.rig.where(inside), run.frame[inside], by_lidar[inside]
+    world = found.tie.lidar_from_run if found.tie else lidar_from_run(rig, by_lidar, found.scale)
+    estimate = rig.poses.copy()
+    estimate[:, :3, 3] = world(rig.poses[:, :3, 3])
+    estimate[:, :3, :3] = world.rotation @ rig.poses[:, :3, :3]
+    match = PoseMatch(
+        estimate=estimate,
+        reference=by_lidar,
+        group=rig.group,
+        order=np.arange(len(frame)),
+        parts=frame_parts(run.scene, frame),
+    )
+    error = evaluate_trajectory(match, _RPE_M, tunings.evaluate.trajectory)
+    judged = _Judged(run, world, reference, match, run.scene.section[frame], tunings.evaluate)
+    whole = replace(judged.column("all", None), seconds=run.seconds)
+    sections = np.unique(run.scene.section[run.scene.section >= 0])
+    columns = [whole, *(judged.column(f"section {s}", int(s)) for s in sections if len(sections) > 1)]
+    tables = {"hand-eye": hand_eye_table(found), "survey": survey_table(columns), **error.tables(), **judged.tables}
+    notes = [f"left open by the motion, and not to be used: {what}" for what in found.left_open]
+    if found.fit.turn_rms_deg > tunings.lidar.hand_eye.unlike_deg:
+        off = f"the turns of rig and LiDAR differ by {found.fit.turn_rms_deg:.2g} degrees RMS"
+        notes.insert(0, f"{off}: are these one survey, and are the times right? Trust nothing below until then")
+    if found.tie is not None:
+        tied = (
+            f"{found.tie.points} points of the run within {1000 * found.tie.rms_m:.0f} mm RMS of the LiDAR's surfaces"
+        )
+        notes.append(f"the LiDAR's place on the rig by {tied}; by the motion alone it would be known worse")
+    if run.cloud is None:
+        notes.append("the run has no cloud.laz: trajectories only were compared")
+    return {
+        "hand_eye": {
+            "rig_from_lidar": found.rig_from_lidar,
+            "clock_s": found.clock_s,
+            "scale": found.scale,
+            "place_sigma_m": found.place_sigma_m,
+            "turn_sigma_deg": found.turn_sigma_deg,
+            "clock_sigma_s": found.clock_sigma_s,
+            "scale_sigma": found.scale_sigma,
+            "frames": int(found.fit.frames.sum()),
+            "turn_rms_deg": found.fit.turn_rms_deg,
+            "step_rms_m": found.fit.step_rms_m,
+            "left_open": found.left_open,
+            "tied_points": 0 if found.tie is None else found.tie.points,
+        },
+        "lidar_from_run": world.matrix,
+        "metrics": {m.name: m.value for m in error.metrics()},
+        "tables": tables,
+        "run_notes": notes,
+    }
+
+
+class _Judged:
+    """The whole survey or a section of it beside the LiDAR."""
+
+    def __init__(
+        self,
+        run: SurveyRun,
+        world: Similarity,
+        reference: Cloud,
+        match: PoseMatch,
+        sections: np.ndarray,
+        tuning: EvaluateTuning,
+    ) -> None:
+        self.run, self.world, self.match, self.sections, self.tuning = run, world, match, sections, tuning
+        centres, section = world(run.rig.poses[:, :3, 3]), run.scene.section[run.frame]
+        xyz = np.zeros((0, 3)) if run.cloud is None else world(run.cloud.xyz_m)
+        nearest = cKDTree(centres)
+        self.of_point = section[nearest.query(xyz)[1]]
+        cameras = Cameras(centres, tuple(map(str, section)))
+        self.cloud = None if run.cloud is None else _judged(xyz, reference, cameras, tuning)
+        self.of_core = None if self.cloud is None else section[nearest.query(self.cloud.differences.xyz)[1]]
+        self.tables: dict[str, Any] = {} if self.cloud is None else self.cloud.tables()
+
+    def column(self, name: str, section: int | None) -> Column:
+        scene = self.run.scene
+        images = np.ones(len(scene), bool) if section is None else scene.section[scene.frame] == section
+        rows = np.flatnonzero(np.ones(len(self.match), bool) if section is None else self.sections == section)
+        out = Column(name, int(images.sum()), int(self.run.used[images].sum()), frames=len(rows))
+        if len(rows) >= 3:
+            error = evaluate_trajectory(self.match.where(rows), _RPE_M, self.tuning.trajectory)
+            out = replace(out, rmse_m=error.se3.rmse_m, scale=error.sim3.alignment.scale * self.world.scale)
+        if self.cloud is not None:
+            nearest, differences = self.cloud.nearest, self.cloud.differences
+            judged = nearest.whole if section is None else nearest.sections.get(str(section))
+            points = len(self.of_point) if section is None else int(np.sum(self.of_point == section))
+            cores = np.arange(len(differences)) if section is None else np.flatnonzero(self.of_core == section)
+            along = differences.where(cores).summary()
+            out = replace(out, points=points, surface_m=(along.get("median m", np.nan), along.get("spread m", np.nan)))
+            if judged is not None:
+                out = replace(out, cloud_m=(judged.median_m, judged.p90_m))
+        return out
+
+
+def _judged(xyz: np.ndarray, reference: Cloud, cameras: Cameras, tuning: EvaluateTuning) -> CloudJudgement:
+    """The run's cloud (N, 3) by the LiDAR's map, both in the LiDAR's world."""
+    own = PointSource("the run's cloud", lambda: iter([Points(xyz, np.full(len(xyz), np.nan))]))
+    truth = PointSource("the LiDAR's map", lambda: iter([Points(reference.xyz_m, reference.sigma_m)]))
+    with scratch_folder() as scratch:
+        return judge_cloud(own, truth, scratch, Question(cameras=cameras), tuning)

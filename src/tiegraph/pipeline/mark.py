@@ -184,7 +184,7 @@ def open_marking(run: Run, points: Path | None, target: Path) -> Marking:
     file = read_points(given, tuning)
     scene = checked(run) if run.path("network", "scene.json").exists() else scanned(run)
     world = run.path("world.json")
-    origin = world_origin(run) if world.exists() else None
+    origin = world_origin(run.folder) if world.exists() else None
     placed = origin is not None and bool(load_json(world).get("placed"))
     crs = file.crs or (origin.crs if origin is not None else scene.origin.crs if scene.origin is not None else None)
     if crs is None:

@@ -1,6 +1,6 @@
 """Glue of masks: from images to the pixels that are worth a feature."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -31,12 +31,12 @@ def masks(run: Run) -> Outcome:
     run.path("classes").mkdir(parents=True, exist_ok=True)
     prepared: dict[int, Any] = {}
     if any(not mask_path(run.folder, n).exists() for n in scene.names):
-        prepared = _source(source).prepare(_cameras(scene, run.path("images")), settings, tuning, _apply(run))
+        prepared = _source(source).prepare(_cameras(scene, run.path("images")), settings, tuning, run.map)
     keyed = {n: (int(scene.sensor_key[k]), scene.mask_name(k)) for k, n in enumerate(scene.names)}
     seen = {k: lit(s, tuning.fisheye_half_deg) for k, s in enumerate(scene.all_sensors)}
     how = _How(folder=run.folder, source=source, settings=settings, tuning=tuning, lit=seen)
     run.make_missing(_mask_item, scene.names, lambda n: mask_path(run.folder, n), how, prepared, keyed)
-    shares = np.array(run.map(_shares, list(scene.names), run.folder))  # (N, classes)
+    shares = np.array(run.map(_shares, scene.names, run.folder))  # (N, classes)
     flagged = _flagged(run, scene)
     left_out = {n: why for n, why in flagged.items() if why.split(":")[0] in _LEFT_OUT[settings.leave_out]}
     for name in left_out:
@@ -93,13 +93,6 @@ def _cameras(scene: Scene, folder: Path) -> dict[int, Camera]:
     return found
 
 
-def _apply(run: Run) -> Callable[[Callable, Sequence], list]:
-    def apply(function: Callable, items: Sequence) -> list:
-        return run.map(function, list(items))
-
-    return apply
-
-
 @dataclass(frozen=True)
 class _How:
     """What the masks of all images share."""
@@ -142,7 +135,7 @@ def _flagged(run: Run, scene: Scene) -> dict[str, str]:
     found, tuning = {}, run.settings.tuning.masks
     for camera in _cameras(scene, Path()).values():
         names = [p.as_posix() for p in camera.images]
-        quality = run.map(_quality, list(zip(names, [None, *names[:-1]])), run.folder, tuning)
+        quality = run.map(_quality, zip(names, [None, *names[:-1]]), run.folder, tuning)
         found.update({n: why for n, why in zip(names, flags(quality, tuning.quality)) if why})
     return dict(sorted(found.items()))
 

@@ -2,7 +2,7 @@
 
 from tiegraph.network.network import join_network, with_bases
 from tiegraph.pipeline.files import load_npz, load_scene, pairs_of, save_npz, ties_of, visibility_of
-from tiegraph.pipeline.previews import up_light
+from tiegraph.pipeline.preview import up_light
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, save_json, write_atomic
 

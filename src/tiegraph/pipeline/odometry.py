@@ -22,6 +22,7 @@ from tiegraph.scan.rigfiles.rigfile import parse_rig_file, read_rig_file
 from tiegraph.scene.decoding import read_pixels
 from tiegraph.scene.regular import names_file
 from tiegraph.scene.scene import Scene
+from tiegraph.text import csv_text
 
 _COLUMNS = (
     "image", "time", "segment", "keyframe", "x", "y", "z", "qx", "qy", "qz", "qw",
@@ -53,18 +54,20 @@ def odometry(run: Run, out: Path) -> tuple[Made, ...]:
     """
     scene = scanned(run)
     cameras, rig_from_body = cameras_of(scene.rigs), _rig_from_body(run)
-    passes = _passes(scene)
-    targets = {name: target for name, target in zip(passes, _targets(out, list(passes)))}
-    made = []
-    for name, frames in passes.items():
+    passes, made = _passes(scene), []
+    targets = _files(out, list(passes))
+    for path in (p for target in targets for p in (target, target.with_suffix(".csv"))):
+        if path.exists():
+            raise InputError(f"{path} is there already: give another -o, or remove it")
+    for (name, frames), target in zip(passes.items(), targets):
         started = time.perf_counter()
         with run.reporter.stage("odometry"):
-            path, said = _follow(run, scene, cameras, frames)
-        if path.main() < 0:
+            found, said = _follow(run, scene, cameras, frames)
+        if found.main() < 0:
             raise ReconstructionError(f"{name or 'the images'}: {_NO_POSE}. {'; '.join(said)}")
         rate = len(frames) / (time.perf_counter() - started)
-        _write(targets[name], scene, frames, path, rig_from_body)
-        made.append(Made(targets[name], tuple(_said(name, scene, frames, path, rate) + said), rate))
+        _write(target, scene, frames, found, rig_from_body)
+        made.append(Made(target, tuple(_said(name, scene, frames, found, rate) + said), rate))
     return tuple(made)
 
 
@@ -86,26 +89,16 @@ def followed(run: Run, scene: Scene) -> tuple[Followed, tuple[str, ...]]:
             continue
         metric &= path.metric
         _write(target, scene, frames, path, body)
-        pose_of = dict(
-            zip(frames.tolist(), np.where((path.segment == main)[:, None, None], path.world_from_rig, np.nan))
-        )
-        for k in np.flatnonzero(np.isin(scene.frame, frames)):
-            if np.isfinite(pose_of[int(scene.frame[k])]).all():
-                poses[scene.source_name(int(k))] = pose_of[int(scene.frame[k])]
+        own = path.segment == main
+        pose_of = dict(zip(frames[own].tolist(), path.world_from_rig[own]))
+        for k in np.flatnonzero(np.isin(scene.frame, frames[own])).tolist():
+            poses[scene.source_name(k)] = pose_of[int(scene.frame[k])]
         notes += [f"odometry: {text}" for text in (*_told(name, scene, frames, path), *said)]
     return Followed(poses, metric), tuple(notes)
 
 
-def _targets(out: Path, names: Sequence[str]) -> list[Path]:
-    """The TUM file of each pass. Raises InputError if one is there."""
-    targets = _files(out, names)
-    for path in (p for t in targets for p in (t, t.with_suffix(".csv"))):
-        if path.exists():
-            raise InputError(f"{path} is there already: give another -o, or remove it")
-    return targets
-
-
 def _files(out: Path, names: Sequence[str]) -> list[Path]:
+    """The TUM file of each pass."""
     if len(names) == 1:
         return [out if out.suffix else out.with_suffix(".tum")]
     slugs = (name.lower().replace("/", "_").replace(" ", "_") for name in names)
@@ -172,26 +165,26 @@ def _write(tum: Path, scene: Scene, frames: np.ndarray, path: OdometryPath, rig_
     timed = np.isfinite(scene.time_s[frames]).all()
     times = scene.time_s[frames] if timed else np.arange(len(frames), dtype=float)
     head = [
-        "# visual odometry of tiegraph; poses of the rig's body, or of its first camera (x right, y down, z forward)"
+        "# visual odometry of tiegraph; poses of the rig's body, or of its first camera (x right, y down, z forward)",
+        *([] if path.metric else [FREE_UNIT]),
+        *([] if timed else ["# the images have no times: numbers of the frames stand for them"]),
     ]
-    head += [] if path.metric else [FREE_UNIT]
-    head += [] if timed else ["# the images have no times: numbers of the frames stand for them"]
     rows: list[str] = []
-    table: list[str] = [",".join(_COLUMNS)]
+    table: list[list[str]] = []
     place, turn = path.sigmas()
     for k, frame in enumerate(frames.tolist()):
         start = [scene.source_name(int(np.flatnonzero(scene.frame == frame)[0])), f"{times[k]:.6f}"]
         if path.segment[k] < 0:
-            table.append(",".join([*start, "", "0", *[""] * 13]))
+            table.append([*start, "", "0", *[""] * 13])
             continue
         numbers = [f"{v:.9f}" for v in (*poses[k, :3, 3], *quaternion_xyzw(poses[k, :3, :3]))]
         sigmas = [f"{v:.3g}" for v in (*place[k], *turn[k])]
-        table.append(",".join([*start, str(path.segment[k]), str(int(path.keyframe[k])), *numbers, *sigmas]))
+        table.append([*start, str(path.segment[k]), str(int(path.keyframe[k])), *numbers, *sigmas])
         if path.segment[k] == path.main():
             rows.append(" ".join([f"{times[k]:.6f}", *numbers]))
     tum.parent.mkdir(parents=True, exist_ok=True)
     write_atomic(tum, "\n".join([*head, "# time x y z qx qy qz qw", *rows]) + "\n")
-    write_atomic(tum.with_suffix(".csv"), "\n".join(table) + "\n")
+    write_atomic(tum.with_suffix(".csv"), csv_text(_COLUMNS, table))
 
 
 def _said(name: str, scene: Scene, frames: np.ndarray, path: OdometryPath, rate: float) -> list[str]:

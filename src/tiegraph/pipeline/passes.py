@@ -25,8 +25,8 @@ from tiegraph.evaluate.clouds.nearest import Cameras
 from tiegraph.evaluate.clouds.passes import PassAgreement, by_section, near_places
 from tiegraph.evaluate.clouds.picture import difference_map
 from tiegraph.geometry.transforms import centre
+from tiegraph.pipeline.clouds import Pair, differences_of, m3c2_of
 from tiegraph.pipeline.dense import depth_path, read_depth
-from tiegraph.pipeline.epochs import Pair, differences_of, m3c2_of
 from tiegraph.pipeline.evaluate import PASSES, measured
 from tiegraph.pipeline.files import checked, load_model, world_origin
 from tiegraph.project.run import Run
@@ -126,14 +126,14 @@ def _pair(
         folder = scratch / str(len(clouds))
         folder.mkdir()
         tuning = run.settings.tuning.cloud
-        fused = fuse(sorted(one.images), maps, folder, settings, tuning, world_origin(run), mapper)
+        fused = fuse(sorted(one.images), maps, folder, settings, tuning, world_origin(run.folder), mapper)
         clouds.append(PointSource(f"pass {one.name}", partial(_parts, fused)))
     sections = [int(scene.section[scene.frame[scene.image_index[n]]]) for n in passes[0].images]
     return Pair(
         first=clouds[0],
         second=clouds[1],
         cameras=Cameras(passes[0].centres, tuple(f"{s}" if s >= 0 else "(none)" for s in sections)),
-        origin=world_origin(run),
+        origin=world_origin(run.folder),
         held=f"in one model, pass {passes[1].name} minus pass {passes[0].name}: what both share is not told",
     )
 

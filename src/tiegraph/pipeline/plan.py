@@ -1,6 +1,10 @@
-"""Glue of the planner: cameras as `scan` reads them, the covariance of `sparse`, the viewer of `report`; files."""
+"""Glue of the planner: cameras as `scan` reads them, the covariance of `sparse`, the viewer of `report`; files.
+And what a run will need before it begins.
+"""
 
 import json
+import shutil
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -9,29 +13,35 @@ import pycolmap
 
 from tiegraph.errors import InputError
 from tiegraph.features.settings import FeaturesSettings
+from tiegraph.features.sift import most_features
 from tiegraph.geometry import transforms
 from tiegraph.pipeline.files import load_npz
 from tiegraph.plan.accuracy import Shape
+from tiegraph.plan.figures import Effort, effort
 from tiegraph.plan.network import MountedCamera, model_figures
 from tiegraph.plan.planner import Plan, Rigged, make_plan
 from tiegraph.plan.request import CameraRequest, PlanRequest
 from tiegraph.plan.tables import Table, comparison, frames_apart
-from tiegraph.plan.tuning import ErrorTuning
+from tiegraph.plan.tuning import EffortTuning, ErrorTuning
+from tiegraph.project.run import Run
 from tiegraph.project.stages import save_json, write_atomic
 from tiegraph.project.verbtunings import VerbTunings
+from tiegraph.report.cloudview import viewer_data, viewer_script
 from tiegraph.report.html import environment
-from tiegraph.report.plan import Track, frame_positions
+from tiegraph.report.maps import Track, frame_positions
 from tiegraph.report.runfolder import read_run
 from tiegraph.report.summary import metric_values
-from tiegraph.report.viewer import viewer_data, viewer_script
 from tiegraph.scan.cameras import FileFacts, calibrate
 from tiegraph.scan.rigfiles.rigfile import read_rig_file
 from tiegraph.scan.rigfiles.rigspec import AXES, RigSpec, SensorSpec, preset, preset_sizes
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import Tuning as ScanTuning
+from tiegraph.scan.videos.video import find_videos
 from tiegraph.scene.atomic import must_be_new
+from tiegraph.scene.bags import is_bag, source_of
 from tiegraph.scene.colmapmodel import read_model
 from tiegraph.scene.decoding import EIGHT_BIT
+from tiegraph.scene.images import find_images, probe_image
 from tiegraph.scene.rig import Rig, Sensor, calibrated
 from tiegraph.sfm.adjustment.adjust import free_cameras
 from tiegraph.sfm.covariance import planned_sigma
@@ -212,3 +222,69 @@ def _page(made: Plan) -> str:
     packed = json.dumps(data).replace("<", "\\u003c")
     page = environment().get_template("planned.html.jinja")
     return page.render(data=packed, script=viewer_script(), lines=(*made.path.worst, *made.advice))
+
+
+# --- what a run will need before it begins -------------------------------------------------------------------------
+
+
+_PROBED = 40  # images whose size stands for all
+_GB = 1e9
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """What a survey costs, and the disk of its run folder: bytes that are there already, and that are free."""
+
+    cost: Effort
+    there_bytes: int
+    free_bytes: int
+
+    def enough(self) -> bool:
+        """Whether the disk has room for it."""
+        # What is still to be written, with what is only there for a while
+        return max(self.cost.run_bytes + self.cost.scratch_bytes - self.there_bytes, 0.0) < self.free_bytes
+
+    def lines(self, folder: Path) -> list[str]:
+        """For people."""
+        cost = self.cost
+        cpu = (cost.sparse_cpu_s / 3600, cost.dense_cpu_s / 3600)
+        verdict = "enough" if self.enough() else "NOT ENOUGH: give -o on another disk, or stop before dense by --until"
+        return [
+            f"images: {cost.images}",
+            f"disk: about {_gb(cost.model_bytes)} to georef, {_gb(cost.dense_bytes)} more with depth maps and cloud "
+            f"(0.7 to 2.1 times what five sets took), and {_gb(cost.scratch_bytes)} for a while during sparse; "
+            f"{_gb(self.there_bytes)} are there, {_gb(self.free_bytes)} free at {folder}: {verdict}",
+            f"CPU time: about {cpu[0]:.2g} h to georef, {cpu[1]:.2g} h more with depth maps and cloud, of one core of "
+            "an AMD EPYC (the larger part runs on all cores)",
+        ]
+
+
+def forecast(run: Run) -> Forecast | None:
+    """The cost of a run by the sizes of some of its images; None where they are frames of videos or bags, which only
+    `scan` counts. Nothing is written. Raises InputError for folders without images."""
+    source = source_of(run.inputs.images)
+    if is_bag(source) or find_videos(source):
+        return None
+    names = find_images(source)
+    some = names[:: max(len(names) // _PROBED, 1)]
+    probes = [probe_image(source / name, run.settings.tuning.scene.images) for name in some]
+    sizes = [(p.width, p.height) for p in probes if not p.reason]
+    if not sizes:
+        return None
+    megapixels = np.prod(sizes, axis=1) / 1e6
+    settings = run.settings
+    most = most_features(megapixels, settings.features.max_features, settings.tuning.features.sift)
+    tuning = EffortTuning(features_px=settings.features.max_image_size, dense_px=settings.dense.max_image_size)
+    count = len(names)
+    cost = effort((sizes * (count // len(sizes) + 1))[:count], 1, 0.0, None, float(most.mean()), tuning)
+    where = next(p for p in (run.folder, *run.folder.parents) if p.exists())
+    return Forecast(cost, _size(run.folder), shutil.disk_usage(where).free)
+
+
+def _size(folder: Path) -> int:
+    files = (p for p in folder.rglob("*") if p.is_file() and not p.is_symlink()) if folder.is_dir() else ()
+    return sum(p.stat().st_size for p in files)
+
+
+def _gb(size: float) -> str:
+    return f"{size / _GB:.2g} GB"

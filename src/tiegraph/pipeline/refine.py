@@ -50,7 +50,7 @@ def refine(run: Run) -> Outcome:
     todo = [(n, known.get(n)) for n in scene.names if not mask_path(run.path(FINAL), n).exists()]
     run.reporter.total(len(scene), len(scene) - len(todo))
     run.map(_final_item, todo, run.folder, run.settings.tuning.masks)
-    used = np.array(run.map(_used, list(scene.names), run.folder))  # (N, 2): before, now
+    used = np.array(run.map(_used, scene.names, run.folder))  # (N, 2): before, now
     changed = int((used[:, 0] != used[:, 1]).sum())
     counts = {"images": len(scene), "changed": changed, "used_percent": round(float(100 * used[:, 1].mean()), 1)}
     return Outcome(counts, notes=notes, tables=_tables(run, scene))
@@ -101,7 +101,7 @@ def _lines(
     lines = {name: lines_of(view, up.direction, water, tuning) for name, view in views.items()}
     if water is None:
         return lines, ("no sky below the horizon; no water level was found, so the water stays as it was learnt",)
-    unit = world_unit(run)
+    unit = world_unit(run.folder)
     return lines, (
         f"water {water.depth:.3g} {unit} below the cameras (middle half of {water.rays} rays: +-{water.spread:.2g}), "
         "out to the banks of the model; no sky below the horizon",

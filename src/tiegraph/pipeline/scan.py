@@ -8,9 +8,8 @@ import numpy as np
 
 from tiegraph.odometry.cameras import cameras_of
 from tiegraph.pipeline.foundrig import rig_of_run
-from tiegraph.pipeline.inputs import check_against, control_file
+from tiegraph.pipeline.inputs import check_against, control_file, target_marks
 from tiegraph.pipeline.odometry import followed
-from tiegraph.pipeline.targets import target_marks
 from tiegraph.pipeline.videos import photographs
 from tiegraph.project.inputs import FOLLOW
 from tiegraph.project.run import Run
@@ -30,8 +29,7 @@ from tiegraph.text import acts, composed
 def scan(run: Run) -> Outcome:
     """Open every image once, sort them into rigs, frames and passes, and lay the usable ones below images/."""
     given, settings, tuning = run.inputs, run.settings.scan, run.settings.tuning.scan
-    taken = photographs(run)
-    root = taken.folder
+    root, said_of_images, cameras = photographs(run)
     files, passed_over = search_images(root)
     names = clean_names(files)  # from here on: only their opening needs the names that the file system has
     run.reporter.total(2 * len(names))
@@ -47,7 +45,7 @@ def scan(run: Run) -> Outcome:
         start=None if given.start is None else read_start(given.start),
         times=given.times,
         video=root != source_of(given.images),
-        cameras=start_cameras(root, taken.cameras, names),
+        cameras=start_cameras(root, cameras, names),
     )
     scene = build_scene(inputs, names, probes, settings, tuning)
     carrying(scene)
@@ -58,7 +56,7 @@ def scan(run: Run) -> Outcome:
     todo: dict[str, list[tuple[str, Sensor]]] = {}  # a panorama is read once for all its views
     for k, name in enumerate(scene.names):
         todo.setdefault(file_of[scene.source_name(k)], []).append((name, scene.sensor_of(k)))
-    run.map(_prepare_item, list(todo.items()), root, run.path("images"), settings)
+    run.map(_prepare_item, todo.items(), root, run.path("images"), settings)
     if given.trajectory == FOLLOW:
         found_path, said = followed(run, scene)
         scene = build_scene(replace(inputs, trajectory=found_path), names, probes, settings, tuning)
@@ -76,7 +74,7 @@ def scan(run: Run) -> Outcome:
         {**counts, "cameras": len(whole.all_sensors), "positions": _placed(scene.world_from_rig), **hanging},
         dropped=tuple((d.name, d.reason) for d in scene.dropped),
         notes=(
-            *taken.notes,
+            *said_of_images,
             *(() if known is None else known.said),
             *_unreadable_names(names, files),
             *passed_over,

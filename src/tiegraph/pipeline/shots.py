@@ -133,7 +133,7 @@ def posed_shots(run: Run, folder: Path) -> tuple[list[Path], str]:
     model = load_model(run.path("sparse", "world"))
     poses = np.where(carries(scene)[:, None, None], image_poses(model, scene), np.nan)
     unit, said = 1.0, ""
-    if world_unit(run) != "m":
+    if world_unit(run.folder) != "m":
         found = _scale_by_shots(run, scene, model, poses)
         if found is None:
             raise InputError(
@@ -156,7 +156,7 @@ def posed_shots(run: Run, folder: Path) -> tuple[list[Path], str]:
 
 def _write(run: Run, folder: Path, poses: dict[int, np.ndarray], scene: Scene) -> list[Path]:
     """The clouds of the frames that have a pose."""
-    origin, written = world_origin(run), []
+    origin, written = world_origin(run.folder), []
     for frame, pose in poses.items():
         if not np.isfinite(pose).all():
             continue

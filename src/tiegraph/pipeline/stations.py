@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -32,37 +32,33 @@ ENDINGS = (".ply", ".las", ".laz")
 CLOUD, POSES, SUMMARY = "cloud.laz", "stations.tum", "stations.json"
 
 
-@dataclass(frozen=True)
-class StationOptions:
-    """What may be said beside the clouds: a TUM file of prior poses, the spacing of the cloud (0 = by the shots), and
-    other constants than the default ones."""
-
-    poses: Path | None = None
-    voxel_m: float = 0.0
-    tuning: VerbTunings = VerbTunings()
-
-
 def stations(
-    sources: Sequence[Path], out: Path, options: StationOptions, reporter: Reporter | None = None
+    sources: Sequence[Path],
+    out: Path,
+    poses: Path | None = None,
+    voxel_m: float = 0.0,
+    reporter: Reporter | None = None,
+    tunings: VerbTunings | None = None,
 ) -> dict[str, Any]:
     """Join clouds of shots and write poses, one cloud and stations.json to the new folder ``out``; the content of the
-    latter.
+    latter. ``poses``: a TUM file of prior ones; ``voxel_m``: the spacing of the cloud, 0 = by the shots.
 
     Raises InputError for clouds and poses that cannot be used; ReconstructionError if nothing joins.
     """
-    reporter, tuning = reporter or Reporter("quiet"), options.tuning.stations
-    if not 0 <= options.voxel_m < np.inf:
-        raise InputError(f"--voxel-m {options.voxel_m:g}: give metres above 0, or 0 for the spacing of the shots")
+    reporter, tunings = reporter or Reporter("quiet"), tunings or VerbTunings()
+    tuning = tunings.stations
+    if not 0 <= voxel_m < np.inf:
+        raise InputError(f"--voxel-m {voxel_m:g}: give metres above 0, or 0 for the spacing of the shots")
     files = cloud_files(sources)
     with new_folder(out) as folder:
         assert folder is not None
         with reporter.stage("read"):
             shots, origin, spacing_m = _read(files, tuning)
-            shots = shots if options.poses is None else _with_poses(shots, options.poses)
+            shots = shots if poses is None else _with_poses(shots, poses)
         try:
             with reporter.stage("join"):
                 ready, unfit = prepared(shots, tuning)
-                joined = join(ready, tuning, partial(_told, reporter))
+                joined = join(ready, tuning, lambda done, most: reporter.total(most, done))
         except ValueError as error:
             raise ReconstructionError(f"{error}: nothing is written; stations must share surface with shape, 30 % at "
                                       "least") from None  # fmt: skip
@@ -70,15 +66,15 @@ def stations(
         with reporter.stage("merge"), scratch_folder(folder) as scratch:
             path = {s.name: p for s, p in zip(ready, joined.poses) if np.isfinite(p).all()}
             known = {file.stem: file for file in files}
-            voxel = options.voxel_m or spacing_m
-            merged = _merged(known, path, voxel, _noise(ready, joined), scratch, options.tuning)
+            voxel = voxel_m or spacing_m
+            merged = _merged(known, path, voxel, _noise(ready, joined), scratch, tunings)
             notes = write_cloud((replace(c, origin=origin) for c in merged.clouds()), folder / CLOUD, voxel)
         result = {
             **told,
-            "frame": _frame(origin, options, ready, joined),
+            "frame": _frame(origin, poses, ready, joined),
             "voxel_m": voxel,
             "cloud": merged.counts,
-            "tuning": options.tuning.changed(),
+            "tuning": tunings.changed(),
         }
         result["notes"] = list(notes)
         numbers = pose_numbers([s.name for s in ready])
@@ -225,15 +221,11 @@ def _points(
 # --- what is told ----------------------------------------------------------------------------------------------------
 
 
-def _told(reporter: Reporter, done: int, most: int) -> None:
-    reporter.total(most, done)
-
-
-def _frame(origin: Origin | None, options: StationOptions, ready: Sequence[Station], joined: Joined) -> str:
+def _frame(origin: Origin | None, prior: Path | None, ready: Sequence[Station], joined: Joined) -> str:
     if origin is not None:
         return f"the world: {_called(origin)}"
-    if options.poses is not None:
-        return f"the world of {options.poses.name}"
+    if prior is not None:
+        return f"the world of {prior.name}"
     here = np.flatnonzero(np.isfinite(joined.poses[:, 0, 0]))
     return f"that of {ready[here[0]].name}"
 

@@ -1,8 +1,8 @@
 """Glue of scan for videos and the image topics of bags: their clocks, the offsets between those of a rig, and their
 pictures."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -70,17 +70,9 @@ class _Job:
     stamps_s: tuple[float, ...] = ()
 
 
-@dataclass(frozen=True)
-class Photographs:
-    """A folder of images, what to say of where they come from, and cameras by the folder below it that they are of."""
-
-    folder: Path
-    notes: tuple[str, ...] = ()
-    cameras: Mapping[str, FoundCamera] = field(default_factory=dict)
-
-
-def photographs(run: Run) -> Photographs:
-    """The folder of images: the user's own, or of the pictures taken from the videos and bags in it.
+def photographs(run: Run) -> tuple[Path, tuple[str, ...], dict[str, FoundCamera]]:
+    """The folder of images, the user's own or of the pictures taken from the videos and bags in it; notes on where they
+    come from; and cameras by the folder below it that they are of.
 
     Raises InputError where videos of a rig do not tell when each began, where fewer than two pictures come of all, and
     for bags as ``bag_films`` does.
@@ -91,11 +83,11 @@ def photographs(run: Run) -> Photographs:
     if asked and not bags:
         raise InputError(f"{run.inputs.images}: no bag there that could have topics")
     if not found and not bags:
-        return Photographs(images)
+        return images, (), {}
     if has_images(images):
         what = "videos and bags" if bags else "videos"
         note = f"{len(found) + len(bags)} {what} beside the images are left out: give them in a folder of their own"
-        return Photographs(images, (note,))
+        return images, (note,), {}
     settings, tuning = run.settings.scan, run.settings.tuning.scan
     folder = run.path("images") / ".video"
     items, left_out = _films(found, bags, images, asked)
@@ -122,11 +114,8 @@ def photographs(run: Run) -> Photographs:
         raise InputError(f"{images}: at least 2 pictures are needed: {'; '.join(notes)}")
     clocks = list(dict.fromkeys(v.clock.note for v in videos if v.width))  # of several tracks, once
     late = _at_once([(videos[g[0]], p) for g, p in zip(groups, taken) if p.stamps_s], tuning.pictures.creation_apart_s)
-    return Photographs(
-        folder,
-        tuple(filter(None, left_out + notes + clocks + _unknown_starts(videos, groups) + late)),
-        {v.folder: v.camera for v in videos if v.camera is not None},
-    )
+    said = filter(None, left_out + notes + clocks + _unknown_starts(videos, groups) + late)
+    return folder, tuple(said), {v.folder: v.camera for v in videos if v.camera is not None}
 
 
 def _films(

@@ -1,11 +1,11 @@
-"""One camera before a surface, in closed form (paper 004, equations 1 and 2, table 1)."""
+"""One camera before a surface, in closed form (paper 004, equations 1 and 2, table 1), and what a survey costs."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 from tiegraph.errors import InputError
-from tiegraph.plan.tuning import StationTuning
+from tiegraph.plan.tuning import EffortTuning, StationTuning
 
 
 @dataclass(frozen=True)
@@ -16,33 +16,6 @@ class Lens:
     focal_px: float
     size: tuple[int, int]
     along: int = 0
-
-
-@dataclass(frozen=True)
-class Motion:
-    """How the camera moves: speed m/s, frames a second, exposure s; None = not said."""
-
-    speed_m_s: float | None = None
-    rate_hz: float | None = None
-    exposure_s: float | None = None
-
-    def __post_init__(self) -> None:
-        for name, value in (("speed", self.speed_m_s), ("rate", self.rate_hz), ("exposure", self.exposure_s)):
-            if value is not None and not (np.isfinite(value) and value > 0):
-                raise InputError(f"--{name} {value:g}: give a number above zero, or leave it away")
-        for name, value, other in (("speed", self.speed_m_s, "rate"), ("rate", self.rate_hz, "speed")):
-            missing = self.rate_hz if name == "speed" else self.speed_m_s
-            if value is not None and missing is None:
-                raise InputError(f"--{name} {value:g} without --{other}: both together say how far frames are apart")
-        if self.exposure_s is not None and self.speed_m_s is None:
-            raise InputError(f"--exposure {self.exposure_s:g} without --speed: a camera at rest does not blur")
-
-    @property
-    def base_m(self) -> float | None:
-        """Way between two frames."""
-        if self.speed_m_s is None or self.rate_hz is None:
-            return None
-        return self.speed_m_s / self.rate_hz
 
 
 @dataclass(frozen=True)
@@ -78,20 +51,40 @@ class Station:
 
 @dataclass(frozen=True)
 class Wanted:
-    """What is asked of the images: base (m) or overlap (0 to 1) along the motion, precision of a depth (m; None = not
-    said) and the sigma of a disparity (px)."""
+    """What is asked of the images, and how they are taken; None = not said. Base (m) or overlap (0 to 1) along the
+    motion, precision of a depth (m), sigma of a disparity (px); speed of the camera (m/s), frames a second, exposure
+    (s)."""
 
     base_m: float | None = None
     overlap: float | None = None
     precision_m: float | None = None
     match_px: float = 0.3
+    speed_m_s: float | None = None
+    rate_hz: float | None = None
+    exposure_s: float | None = None
 
     def __post_init__(self) -> None:
-        for name, value in (("base", self.base_m), ("precision", self.precision_m), ("match-px", self.match_px)):
+        for name in ("base_m", "precision_m", "match_px", "speed_m_s", "rate_hz", "exposure_s"):
+            value, option = getattr(self, name), _OPTIONS.get(name, name.rpartition("_")[0])
             if value is not None and not (np.isfinite(value) and value > 0):
-                raise InputError(f"--{name} {value:g}: give a number above zero")
+                raise InputError(f"--{option} {value:g}: give a number above zero, or leave it away")
         if self.overlap is not None:
             check_overlap("overlap", self.overlap)
+        for name, value, other in (("speed", self.speed_m_s, "rate"), ("rate", self.rate_hz, "speed")):
+            if value is not None and None in (self.speed_m_s, self.rate_hz):
+                raise InputError(f"--{name} {value:g} without --{other}: both together say how far frames are apart")
+        if self.exposure_s is not None and self.speed_m_s is None:
+            raise InputError(f"--exposure {self.exposure_s:g} without --speed: a camera at rest does not blur")
+
+    @property
+    def step_m(self) -> float | None:
+        """Way between two images: the base, else by speed and rate."""
+        if self.base_m is not None or self.speed_m_s is None or self.rate_hz is None:
+            return self.base_m
+        return self.speed_m_s / self.rate_hz
+
+
+_OPTIONS = {"match_px": "match-px", "speed_m_s": "speed"}
 
 
 def check_overlap(name: str, value: float) -> None:
@@ -102,7 +95,7 @@ def check_overlap(name: str, value: float) -> None:
         )
 
 
-def station(lens: Lens, distance_m: float, wanted: Wanted, motion: Motion, tuning: StationTuning) -> Station:
+def station(lens: Lens, distance_m: float, wanted: Wanted, tuning: StationTuning) -> Station:
     """The figures of one distance. The base is that which is given, else way between two frames, else by the overlap.
 
     Raises InputError for a distance that is none, and where nothing says how far frames are apart.
@@ -112,7 +105,7 @@ def station(lens: Lens, distance_m: float, wanted: Wanted, motion: Motion, tunin
     gsd = distance_m / lens.focal_px
     width, height = (gsd * side for side in lens.size)
     along = (width, height)[lens.along]
-    base = wanted.base_m or motion.base_m
+    base = wanted.step_m
     if base is None:
         if wanted.overlap is None:
             raise InputError("nothing says how far images are apart: give --overlap, --base, or --speed and --rate")
@@ -123,10 +116,10 @@ def station(lens: Lens, distance_m: float, wanted: Wanted, motion: Motion, tunin
     farthest = None
     if wanted.precision_m is not None:
         farthest = float(np.sqrt(wanted.precision_m * lens.focal_px * base / wanted.match_px))
-    limit = None if motion.speed_m_s is None else tuning.blur_px * gsd / motion.speed_m_s
+    limit = None if wanted.speed_m_s is None else tuning.blur_px * gsd / wanted.speed_m_s
     blur = None
-    if motion.exposure_s is not None and motion.speed_m_s is not None:
-        blur = motion.speed_m_s * motion.exposure_s / gsd
+    if wanted.exposure_s is not None and wanted.speed_m_s is not None:
+        blur = wanted.speed_m_s * wanted.exposure_s / gsd
     return Station(
         distance_m=distance_m,
         gsd_m=gsd,
@@ -149,7 +142,7 @@ def rays_gain(rays: int) -> float:
     return float(np.sqrt(6 / (rays * (rays**2 - 1))))
 
 
-def advice(made: Station, lens: Lens, wanted: Wanted, motion: Motion) -> list[str]:
+def advice(made: Station, lens: Lens, wanted: Wanted) -> list[str]:
     """What must change for what is wanted, each with the figure that would do."""
     out = []
     where = f"at {made.distance_m:g} m"
@@ -165,17 +158,17 @@ def advice(made: Station, lens: Lens, wanted: Wanted, motion: Motion) -> list[st
             f"{where} two rays give {_mm(made.precision_m[0])} for the {_mm(wanted.precision_m)} wanted: {more}, "
             f"{instead}, or a distance of {made.farthest_m:.3g} m"
         )
-    if wanted.overlap is not None and made.overlap < wanted.overlap and motion.speed_m_s and motion.rate_hz:
+    if wanted.overlap is not None and made.overlap < wanted.overlap and wanted.speed_m_s and wanted.rate_hz:
         base = (1 - wanted.overlap) * made.footprint_m[lens.along]
         if wanted.base_m is None:
             out.append(
-                f"{where} {motion.speed_m_s:g} m/s at {motion.rate_hz:g} frames/s overlap by "
-                f"{100 * made.overlap:.0f} %: for {100 * wanted.overlap:.0f} % go {base * motion.rate_hz:.3g} m/s "
-                f"or take {motion.speed_m_s / base:.3g} frames/s"
+                f"{where} {wanted.speed_m_s:g} m/s at {wanted.rate_hz:g} frames/s overlap by "
+                f"{100 * made.overlap:.0f} %: for {100 * wanted.overlap:.0f} % go {base * wanted.rate_hz:.3g} m/s "
+                f"or take {wanted.speed_m_s / base:.3g} frames/s"
             )
-    if made.blur_px is not None and made.exposure_s is not None and made.exposure_s < (motion.exposure_s or 0):
+    if made.blur_px is not None and made.exposure_s is not None and made.exposure_s < (wanted.exposure_s or 0):
         out.append(
-            f"{where} {1000 * (motion.exposure_s or 0):g} ms blur by {made.blur_px:.2g} px: expose "
+            f"{where} {1000 * (wanted.exposure_s or 0):g} ms blur by {made.blur_px:.2g} px: expose "
             f"{1000 * made.exposure_s:.2g} ms at most"
         )
     return out
@@ -183,3 +176,63 @@ def advice(made: Station, lens: Lens, wanted: Wanted, motion: Motion) -> list[st
 
 def _mm(value: float) -> str:
     return f"{1000 * value:.3g} mm"
+
+
+# --- what a survey costs -------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Effort:
+    """Of a whole survey; ``site_s``: on the way at the given speed, None = no speed was given."""
+
+    images: int
+    way_m: float
+    site_s: float | None
+    image_bytes: float
+    model_bytes: float  # of the run folder up to georef
+    dense_bytes: float  # depth maps and cloud on top
+    scratch_bytes: float  # while sparse works
+    sparse_cpu_s: float  # from the images to the georeferenced model, one core
+    dense_cpu_s: float  # depth maps and cloud on top
+
+    @property
+    def run_bytes(self) -> float:
+        """Of the run folder in the end."""
+        return self.model_bytes + self.dense_bytes
+
+    def row(self) -> dict[str, float | None]:
+        """JSON-ready."""
+        return {**self.__dict__, "run_bytes": self.run_bytes}
+
+
+def effort(
+    sizes: list[tuple[int, int]],
+    frames: int,
+    way_m: float,
+    speed_m_s: float | None,
+    most_features: float,
+    tuning: EffortTuning,
+) -> Effort:
+    """Cost of so many frames of cameras of these sizes (width, height), pixels, which keep so many features at most."""
+    images, pixels = frames * len(sizes), frames * _pixels(sizes)
+    matched = frames * _pixels(sizes, tuning.dense_px)
+    each = (min(tuning.features_a_megapixel * w * h / 1e6, most_features) for w, h in sizes)
+    features = frames * sum(each)
+    return Effort(
+        images=images,
+        way_m=way_m,
+        site_s=None if speed_m_s is None else way_m / speed_m_s,
+        image_bytes=tuning.image_bytes * pixels,
+        model_bytes=tuning.room_bytes * images + tuning.feature_bytes * features,
+        dense_bytes=tuning.dense_bytes * matched,
+        scratch_bytes=tuning.copied_bytes * features,
+        sparse_cpu_s=tuning.start_s
+        + tuning.image_s * images
+        + tuning.megapixel_s * frames * _pixels(sizes, tuning.features_px) / 1e6,
+        dense_cpu_s=tuning.dense_megapixel_s * matched / 1e6,
+    )
+
+
+def _pixels(sizes: list[tuple[int, int]], most_px: float = np.inf) -> float:
+    """Of all images together, each reduced to a longer side of ``most_px``."""
+    return sum(width * height * min(1.0, most_px / max(width, height)) ** 2 for width, height in sizes)

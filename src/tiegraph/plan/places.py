@@ -4,11 +4,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tiegraph.plan.accuracy import Expected, Known, Propagate, Shape, expected, propagate
+from tiegraph.plan.accuracy import (
+    ControlPoints,
+    Expected,
+    Known,
+    Propagate,
+    Receiver,
+    Shape,
+    control_point,
+    expected,
+    known_of,
+    propagate,
+)
 from tiegraph.plan.network import MountedCamera, Network, Ties, make_network
 from tiegraph.plan.path import Path
 from tiegraph.plan.tuning import Tuning
-from tiegraph.plan.world import ControlPoints, Receiver, control_point, known_of
 from tiegraph.text import finite
 
 _WORST = 3  # places of the largest sigmas that are named

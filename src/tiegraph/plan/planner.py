@@ -9,17 +9,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from tiegraph.errors import InputError
-from tiegraph.plan.accuracy import Propagate
-from tiegraph.plan.effort import Effort, effort
-from tiegraph.plan.figures import Lens, Station, advice, station
+from tiegraph.plan.accuracy import ControlPoints, Propagate, Receiver
+from tiegraph.plan.figures import Effort, Lens, Station, advice, effort, station
 from tiegraph.plan.network import MountedCamera, Ties
-from tiegraph.plan.path import Course, make_path
+from tiegraph.plan.path import Anchor, Course, make_path, read_anchor, waypoint_csv, waypoint_geojson, waypoint_kml
 from tiegraph.plan.places import PathPlan, plan_path
 from tiegraph.plan.request import PlanRequest, numbers
 from tiegraph.plan.tables import station_csv
 from tiegraph.plan.tuning import Tuning
-from tiegraph.plan.waypoints import Anchor, read_anchor, waypoint_csv, waypoint_geojson, waypoint_kml
-from tiegraph.plan.world import ControlPoints, Receiver
 from tiegraph.scene.figures import png
 from tiegraph.scene.sorting import evenly
 
@@ -106,12 +103,11 @@ def _sweep(
 ) -> tuple[tuple[tuple[str, tuple[Station, ...]], ...], list[str]]:
     """Stations by the distances, for each base and overlap; advice."""
     images, said, groups = request.images, [], []
-    motion = images.motion()
     bases, overlaps = numbers("base", images.base), numbers("overlap", images.overlap)
     for base, overlap in product(bases, overlaps):
         wanted = images.wanted(base, overlap)
-        made = [station(lens, d, wanted, motion, tuning.station) for d in images.distances()]
-        said += [text for one in made for text in advice(one, lens, wanted, motion)]
+        made = [station(lens, d, wanted, tuning.station) for d in images.distances()]
+        said += [text for one in made for text in advice(one, lens, wanted)]
         name = f"base {base:g} m, " if len(bases) > 1 and base else ""
         name += f"overlap {100 * overlap:g} %, " if len(overlaps) > 1 and overlap is not None else ""
         groups.append((name, tuple(made)))

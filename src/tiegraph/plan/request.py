@@ -1,14 +1,14 @@
 """What a user says of a survey: the options of `tiegraph plan`, in groups, and what they mean."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
 from tiegraph.errors import InputError
-from tiegraph.plan.figures import Motion, Wanted, check_overlap
+from tiegraph.plan.figures import Wanted, check_overlap
 from tiegraph.plan.tuning import ErrorTuning
 
 
@@ -96,16 +96,19 @@ class ImageRequest:
     exposure: float | None = None
     """Milliseconds."""
 
-    def motion(self) -> Motion:
-        """How the camera moves. Raises InputError for values that are none."""
-        return Motion(self.speed, self.rate, None if self.exposure is None else self.exposure / 1000)
-
     def wanted(self, base: float | None, overlap: float | None) -> Wanted:
-        """What is asked of one station of a sweep."""
-        if base is None and overlap is None and self.motion().base_m is None:
-            overlap = _OVERLAP
+        """What is asked of one station of a sweep. Raises InputError for values that are none."""
         check_overlap("sidelap", self.sidelap)
-        return Wanted(base, overlap, self.precision, match_px=self.match_px)
+        asked = Wanted(
+            base_m=base,
+            overlap=overlap,
+            precision_m=self.precision,
+            match_px=self.match_px,
+            speed_m_s=self.speed,
+            rate_hz=self.rate,
+            exposure_s=None if self.exposure is None else self.exposure / 1000,
+        )
+        return asked if overlap is not None or asked.step_m is not None else replace(asked, overlap=_OVERLAP)
 
     def distances(self) -> list[float]:
         """Distances of the sweep. Raises InputError without any."""

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from tiegraph.errors import InputError
-from tiegraph.plan.effort import Effort
-from tiegraph.plan.figures import Station
+from tiegraph.plan.figures import Effort, Station
 from tiegraph.plan.places import PathPlan
 
 # What is compared: name, key in the plan and in what was reached, factor to the unit that is shown.

@@ -6,7 +6,7 @@ from tiegraph.settings import Section
 
 
 class EffortTuning(Section):
-    """What a survey costs (`effort.py`): CPU seconds of one core of an AMD EPYC, as benchmarks/results has them."""
+    """What a survey costs (`figures.py`): CPU seconds of one core of an AMD EPYC, as benchmarks/results has them."""
 
     start_s: float = Field(5.0, ge=0)
     """Of a run."""
@@ -107,7 +107,7 @@ class PathTuning(Section):
 
 
 class WorldTuning(Section):
-    """The placement in the world (`world.py`)."""
+    """The placement in the world (`accuracy.py`)."""
 
     mark_px: float = Field(0.5, gt=0)
     """Of a control point marked in an image."""

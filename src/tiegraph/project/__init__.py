@@ -9,7 +9,7 @@ same key the finished items stay: every file is written whole or not at all, and
 name; only missing ones are made. With another key the listed files are removed first. ``features`` and ``match``
 share one SQLite database; ``match`` clears its own tables.
 
-**Only our own files are touched** (``folder``, ``ledger``, ``artefacts``). A run folder is new, empty, or marked by a
+**Only our own files are touched** (``folder``, ``receipts``, ``artefacts``). A run folder is new, empty, or marked by a
 run (``receipts/folder.json``). Inputs never lie where outputs go, and the run folder never lies among the images:
 both are refused at the start. Before a file appears, its name goes to the journal ``receipts/made.txt``
 (``scene.atomic``: ``replacing`` does so by itself, what a library writes is claimed), so that after a kill at any

@@ -12,8 +12,9 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path, PurePosixPath
 
 from tiegraph.errors import InputError, UnreadableArtefact
-from tiegraph.project.ledger import (
+from tiegraph.project.receipts import (
     Ledger,
+    Receipts,
     covered,
     digest_of,
     files_below,
@@ -23,7 +24,6 @@ from tiegraph.project.ledger import (
     take_away,
     trouble,
 )
-from tiegraph.project.receipts import Receipts
 from tiegraph.project.stages import Outcome, Stage
 from tiegraph.scene.atomic import JOURNAL, is_temporary, remove
 from tiegraph.text import some
@@ -105,15 +105,13 @@ class Artefacts:
         """Whether the files of a stage were removed by ``let_go``."""
         return bool(self.receipts.read(stage.name).get(_LET_GO))
 
-    def strangers(self, stage: Stage) -> list[str]:
-        """Files where a stage's artefacts go that it did not make."""
-        ledger = self.receipts.files(stage.name)
-        return [] if ledger is None else self._strangers(stage, self._there(stage), ledger)
-
     def refuse(self, stage: Stage) -> None:
-        """Raise InputError if there are strangers."""
-        found = self.strangers(stage)
-        if found:
+        """Raise InputError for files where a stage's artefacts go that it did not make."""
+        ledger = self.receipts.files(stage.name)
+        if ledger is None:  # damaged: what is there is put aside
+            return
+        there = (n for n in self._there(stage) if n not in ledger)
+        if found := [n for n in there if not covered(n, stage.scratch) and not is_temporary(n)]:
             raise InputError(
                 f"{self.folder}: {some(found, _SHOWN)} lie where stage {stage.name} writes its results, and no receipt "
                 "says that tiegraph made them: move them elsewhere, or give another -o folder"
@@ -206,9 +204,6 @@ class Artefacts:
         """Artefacts of other stages inside this one's."""
         mine = _tops(stage)
         return [t for s in self._stages if s is not stage for t in _tops(s) if covered(t, mine) and t not in mine]
-
-    def _strangers(self, stage: Stage, names: Iterable[str], ledger: Ledger) -> list[str]:
-        return [n for n in names if n not in ledger and not covered(n, stage.scratch) and not is_temporary(n)]
 
     def _differences(self, stage: Stage, thorough: bool) -> Iterable[tuple[str, str]]:
         shared = {n for s in self._stages if self._changed(s) for n in s.changes}

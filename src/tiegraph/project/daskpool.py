@@ -1,6 +1,6 @@
 """Items on the workers of a Dask cluster, as an ``Executor``.
 
-Each worker is looked at before it is given items (``daskcluster``): the same versions, the same folders. It makes one
+Each worker is looked at before it is given items (``daskworker``): the same versions, the same folders. It makes one
 item at a time, whatever its number of threads; these go to the libraries. What a worker was making that is lost (a
 chunk of items) is given to another; the run ends only where none is left, or where a chunk has ended several. Workers
 that come later, started again by Dask or by a queue, take part from the next stage on. Workers outlive a run, so they
@@ -25,8 +25,7 @@ import psutil
 
 from tiegraph.errors import EngineMissing, InputError, SettingsError, TiegraphError
 from tiegraph.project import daskworker
-from tiegraph.project.daskcluster import FREE_S, Quiet, connect, other_versions, unfit, visible
-from tiegraph.project.daskworker import GOES_ON
+from tiegraph.project.daskworker import FREE_S, GOES_ON, Quiet, connect, other_versions, unfit, visible
 from tiegraph.project.pool import Place
 from tiegraph.project.progress import Elsewhere
 from tiegraph.project.receipts import software

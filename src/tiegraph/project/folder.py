@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import TextIO
 
 from tiegraph.errors import InputError
-from tiegraph.project.ledger import covered
 from tiegraph.project.progress import LogFormatter
+from tiegraph.project.receipts import covered
 from tiegraph.project.stages import digest, read_object, write_atomic
 from tiegraph.scene.atomic import MARK, TEMPORARIES, is_temporary, sweep
 from tiegraph.scene.regular import real_path

@@ -141,7 +141,7 @@ def map_items(
     other items wrote stays. Raises ProcessLost if a worker was ended from outside. Ctrl-C ends the workers at once.
     """
     # What is the same for all chunks may be large; an executor over a network sends it once (``share``).
-    call = getattr(executor, "share", _as_it_is)((function, args))
+    call = getattr(executor, "share", lambda data: data)((function, args))
     size = max(1, -(-len(items) // (workers * _TASKS_PER_WORKER)))
     chunks = [items[k : k + size] for k in range(0, len(items), size)]
     futures: dict[Future, int] = {}
@@ -211,10 +211,6 @@ def _why_lost(executor: Executor, error: BrokenProcessPool) -> str:
         f"a worker process ended by itself ({how}), most likely a fault in a native library: run the same command "
         "again, finished work is kept; with --pool serial it shows which item does it"
     )
-
-
-def _as_it_is(data: Any) -> Any:
-    return data
 
 
 def _run_chunk(call: tuple[Callable[..., Any], tuple], chunk: Sequence[Any]) -> list[Any]:

@@ -2,7 +2,7 @@
 
 import logging
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager, suppress
 from datetime import datetime, timezone
@@ -15,12 +15,11 @@ from tiegraph.errors import ChildDied, EngineMissing, InputError, Reconstruction
 from tiegraph.limits import explained
 from tiegraph.project.artefacts import DIED, LOST, OTHER_KEY, Artefacts
 from tiegraph.project.folder import LOG, check_folder, check_inputs, working_in
-from tiegraph.project.inputs import Inputs
+from tiegraph.project.inputs import Inputs, Stamps
 from tiegraph.project.pool import LocalPool, Place, check_pool, map_items, open_pool
 from tiegraph.project.progress import Elsewhere, Meter, Reporter
 from tiegraph.project.receipts import Receipts, software
 from tiegraph.project.stages import Stage, engines, key_parts, needed, stage_keys
-from tiegraph.project.stamps import Stamps
 from tiegraph.scene.bags import source_of
 
 log = logging.getLogger("tiegraph")
@@ -84,11 +83,12 @@ class Run:
             self._executor, self._workers = open_pool(self._pool_spec, place=place)
         return self._executor
 
-    def map(self, function: Callable[..., Any], items: Sequence[Any], *args: Any) -> list[Any]:
+    def map(self, function: Callable[..., Any], items: Iterable[Any], *args: Any) -> list[Any]:
         """``[function(item, *args) for item in items]`` over the pool."""
-        if not items:
+        asked = list(items)
+        if not asked:
             return []
-        return map_items(self.open(), self._workers, function, items, args, self.reporter.advance)
+        return map_items(self.open(), self._workers, function, asked, args, self.reporter.advance)
 
     def map_untold(self, function: Callable[..., Any], items: Sequence[Any], *args: Any) -> list[Any]:
         """``map`` of which the progress hears nothing: the caller tells it."""

@@ -200,8 +200,7 @@ def _remedy(name: str) -> str:
     if own:
         section, _, key = own.partition(".")
         return f"it is the setting {key} of [{section}]"
-    near = difflib.get_close_matches(name, RUN_KEYS, n=1)
-    return f"perhaps you meant {near[0]!r}?" if near else f"known are {', '.join(RUN_KEYS)}"
+    return _meant(name, RUN_KEYS, "?")
 
 
 def without(stored: dict[str, Any], keys: Iterable[str]) -> dict[str, Any]:
@@ -268,9 +267,13 @@ def explain(error: Any, root: type[Section]) -> str:
     fields: Any = root
     for part in where[:-1]:
         fields = fields.model_fields[part].annotation
-    near = difflib.get_close_matches(where[-1], list(fields.model_fields), n=1)
-    hint = f"perhaps you meant {near[0]!r}" if near else f"known are {', '.join(fields.model_fields)}"
-    return f"unknown setting {name!r}: {hint}"
+    return f"unknown setting {name!r}: {_meant(where[-1], fields.model_fields)}"
+
+
+def _meant(name: str, known: Iterable[str], mark: str = "") -> str:
+    """What a wrong name may have been meant to be, else what there is."""
+    near = difflib.get_close_matches(name, list(known), n=1)
+    return f"perhaps you meant {near[0]!r}{mark}" if near else f"known are {', '.join(known)}"
 
 
 # What each named way of working changes; those of the papers are put in when they are asked for.

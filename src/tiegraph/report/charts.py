@@ -6,9 +6,9 @@ import numpy as np
 from markupsafe import Markup
 
 from tiegraph.report import formatting
-from tiegraph.report.svg.charts import LIGHT, USED, bars, histogram, matrix
+from tiegraph.report.svg import LIGHT, USED, bars, histogram, matrix
 from tiegraph.report.texts import said, t
-from tiegraph.report.thumbnails import png_alpha
+from tiegraph.report.thumbnails import png, rgb_of
 from tiegraph.scene.pairs import AFTER_MATCHING, REASON_LOOKS, REASONS, Pairs
 from tiegraph.scene.scene import Scene
 
@@ -20,33 +20,46 @@ _NAMED_BLOCKS = 16
 
 def looked_at(pairs: Pairs, scene: Scene) -> Markup:
     """Every pair that was looked at, by image and image, in the colour of why it was dropped."""
-    order, _, _ = image_order(scene)
-    size = min(len(scene), _MATRIX_PX)
-    cells = np.full((size, size), np.nan)
-    _fill(cells, _place(pairs, order, size), -pairs.dropped.astype(float))  # kept (0) wins
-    colours = np.array([_rgb(REASON_LOOKS[r][1]) for r in REASONS])
-    picture = _picture(np.where(np.isnan(cells), -1, -cells).astype(int), colours)
-    key = [(said(REASON_LOOKS[REASONS[k]][0]), REASON_LOOKS[REASONS[k]][1]) for k in np.unique(pairs.dropped)]
+    looks = [REASON_LOOKS[reason] for reason in REASONS]
+    key = [(said(looks[k][0]), looks[k][1]) for k in np.unique(pairs.dropped)]
     label = t("Looked at: {} pairs", formatting.count(len(pairs)))
+    picture = _picture(pairs, -pairs.dropped.astype(int), scene, [colour for _, colour in looks])
     return matrix(picture, *_blocks(scene), key, label)
 
 
 def holding(pairs: Pairs, scene: Scene) -> Markup:
     """The pairs that hold, by their verified matches; before the matching, those to be matched."""
-    order, _, _ = image_order(scene)
-    size = min(len(scene), _MATRIX_PX)
-    kept = pairs.kept()
-    matched = bool(np.any(pairs.inliers >= 0))
-    kept = kept.where(kept.inliers > 0) if matched else kept
-    value = kept.inliers.astype(float) if matched else np.full(len(kept), float(_MATCHES[-1][0]))
-    cells = np.full((size, size), np.nan)
-    _fill(cells, _place(kept, order, size), value)
-    steps = np.searchsorted([low for low, _ in _MATCHES], np.nan_to_num(cells), side="right") - 1
-    picture = _picture(steps, np.array([_rgb(colour) for _, colour in _MATCHES]))
-    key = [(t("from {} matches", low), colour) for low, colour in _MATCHES] if matched else []
+    matched, kept = is_matched(pairs), tied(pairs)
     count = formatting.count(len(kept))
-    label = t("Verified: {} pairs", count) if matched else t("To be matched: {} pairs", count)
+    step = np.full(len(kept), len(_MATCHES) - 1)
+    key, label = [], t("To be matched: {} pairs", count)
+    if matched:
+        step = np.searchsorted([low for low, _ in _MATCHES], kept.inliers, side="right") - 1
+        key, label = [(t("from {} matches", low), colour) for low, colour in _MATCHES], t("Verified: {} pairs", count)
+    picture = _picture(kept, step, scene, [colour for _, colour in _MATCHES])
     return matrix(picture, *_blocks(scene), key, label)
+
+
+def is_matched(pairs: Pairs) -> bool:
+    """Whether the pairs were matched at full resolution."""
+    return bool(np.any(pairs.inliers >= 0))
+
+
+def tied(pairs: Pairs) -> Pairs:
+    """The verified pairs; before the matching, those to be matched."""
+    kept = pairs.kept()
+    return kept.where(kept.inliers > 0) if is_matched(pairs) else kept
+
+
+def _picture(pairs: Pairs, rank: np.ndarray, scene: Scene, colours: Sequence[str]) -> str:
+    """The matrix of the images, pairs of rank k or -k in colour k; of those on one pixel the highest rank is seen."""
+    place, _, _ = image_order(scene)
+    size, rising = min(len(scene), _MATRIX_PX), np.argsort(rank, kind="stable")
+    row, column = (place[ends[rising]] * size // max(len(scene), 1) for ends in (pairs.i, pairs.j))
+    rgba = np.zeros((size, size, 4), np.uint8)
+    shown = np.array([[*rgb_of(c), 255] for c in colours], np.uint8)[np.abs(rank[rising])]
+    rgba[row, column] = rgba[column, row] = shown
+    return png(rgba)
 
 
 def _blocks(scene: Scene) -> tuple[list[tuple[float, str]], list[float]]:
@@ -55,18 +68,6 @@ def _blocks(scene: Scene) -> tuple[list[tuple[float, str]], list[float]]:
     n = max(len(scene), 1)
     every = -(-len(names) // _NAMED_BLOCKS)
     return [((m + 0.5) / n, name) for m, name in names[::every]], [e / n for e in edges]
-
-
-def _rgb(colour: str) -> list[int]:
-    return [int(colour[k : k + 2], 16) for k in (1, 3, 5)]
-
-
-def _picture(classes: np.ndarray, colours: np.ndarray) -> str:
-    """(H, W) classes, -1 = nothing, in their colours (C, 3)."""
-    rgba = np.zeros((*classes.shape, 4), np.uint8)
-    there = classes >= 0
-    rgba[there, :3], rgba[there, 3] = colours[classes[there]], 255
-    return png_alpha(rgba)
 
 
 def image_order(scene: Scene) -> tuple[np.ndarray, list[tuple[float, str]], list[int]]:
@@ -82,16 +83,6 @@ def image_order(scene: Scene) -> tuple[np.ndarray, list[tuple[float, str]], list
     return rank, ticks, starts[1:-1]
 
 
-def _place(pairs: Pairs, order: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
-    return order[pairs.i] * size // max(len(order), 1), order[pairs.j] * size // max(len(order), 1)
-
-
-def _fill(values: np.ndarray, place: tuple[np.ndarray, np.ndarray], column: np.ndarray) -> None:
-    rising = np.argsort(column, kind="stable")  # the largest is written last
-    row, col = place[0][rising], place[1][rising]
-    values[row, col] = values[col, row] = column[rising]
-
-
 def funnel_rows(pairs: Pairs, network: Pairs | None) -> list[tuple[str, int, str]]:
     """(what, pairs, colour) from all candidates to the verified ones, in the order of the filters."""
     funnel = pairs.funnel()
@@ -101,14 +92,12 @@ def funnel_rows(pairs: Pairs, network: Pairs | None) -> list[tuple[str, int, str
     if network is not None and len(network) > len(pairs):
         rows.append(("dropped: in the network", len(network) - len(pairs), DROPPED))
     rows += [(f"dropped: {REASON_LOOKS[k][0]}", v, REASON_LOOKS[k][1]) for k, v in gone.items()]
-    matched = bool(np.any(pairs.inliers >= 0))
-    if not matched:
+    if not is_matched(pairs):
         return [*rows, ("pairs to match", funnel["used"], USED)]
     lost = sum(funnel.get(reason, 0) for reason in AFTER_MATCHING)
-    verified = int(np.sum((pairs.dropped == 0) & (pairs.inliers > 0)))
     rows.append(("matched at full resolution", funnel["used"] + lost, USED))
     rows += [(f"dropped: {REASON_LOOKS[k][0]}", funnel[k], REASON_LOOKS[k][1]) for k in AFTER_MATCHING if k in funnel]
-    return [*rows, ("verified", verified, VERIFIED)]
+    return [*rows, ("verified", len(tied(pairs)), VERIFIED)]
 
 
 def is_loss(name: str) -> bool:
@@ -149,7 +138,4 @@ def degrees(pairs: Pairs, images: int, few: int) -> Markup:
 
 def ties(pairs: Pairs, images: int) -> np.ndarray:
     """(N,) verified, or else planned, pairs of each image."""
-    kept = pairs.kept()
-    if np.any(pairs.inliers >= 0):
-        kept = kept.where(kept.inliers > 0)
-    return kept.degree(images)
+    return tied(pairs).degree(images)

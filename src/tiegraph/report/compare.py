@@ -203,19 +203,29 @@ def ratio(values: Sequence[float]) -> str:
     return f"{formatting.number(values[0] / values[1], 2)} x"
 
 
+def _tables(comparison: Comparison) -> list[formatting.Table]:
+    """The blocks as text; of two runs with a column of ratios."""
+    two = ["ratio"] if len(comparison.names) == 2 else []
+    columns = ("", *comparison.names, *two)
+    numeric = (False, *[True] * (len(columns) - 1))
+    out = []
+    for block in comparison.blocks:
+        rows = ((name, *map(block.text, values), *([ratio(values)] if two else [])) for name, values in block.rows)
+        out.append(formatting.Table(columns=columns, rows=tuple(rows), numeric=numeric, title=block.title))
+    return out
+
+
 def to_text(comparison: Comparison) -> str:
     """Tables for a terminal, plain text."""
     out = io.StringIO()
     width = max(80, 44 + 18 * len(comparison.names))
     console = Console(file=out, width=width, force_terminal=False, highlight=False, markup=False, emoji=False)
-    two = len(comparison.names) == 2
-    for block in comparison.blocks:
-        table = RichTable(title=block.title, box=box.SIMPLE_HEAD, title_justify="left", pad_edge=False)
-        table.add_column("")
-        for name in (*comparison.names, *(["ratio"] if two else [])):
+    for made in _tables(comparison):
+        table = RichTable("", title=made.title, box=box.SIMPLE_HEAD, title_justify="left", pad_edge=False)
+        for name in made.columns[1:]:
             table.add_column(name, justify="right", overflow="fold")
-        for name, values in block.rows:
-            table.add_row(name, *(block.text(v) for v in values), *([ratio(values)] if two else []))
+        for row in made.rows:
+            table.add_row(*row)
         console.print(table)
     for note in comparison.notes:
         console.print(f"Note: {note}")
@@ -226,15 +236,5 @@ def to_html(comparison: Comparison) -> str:
     """One self-contained page."""
     from tiegraph.report.html import environment
 
-    two = len(comparison.names) == 2
-    tables = []
-    for block in comparison.blocks:
-        columns = ("", *comparison.names, *(("ratio",) if two else ()))
-        rows = [(n.strip(), *(block.text(v) for v in vs), *((ratio(vs),) if two else ())) for n, vs in block.rows]
-        tables.append(
-            formatting.Table(
-                columns=columns, rows=tuple(rows), numeric=(False, *[True] * (len(columns) - 1)), title=block.title
-            )
-        )
     template = environment().get_template("compare.html.jinja")
-    return template.render(names=comparison.names, tables=tables, notes=comparison.notes)
+    return template.render(names=comparison.names, tables=_tables(comparison), notes=comparison.notes)

@@ -9,16 +9,13 @@ import jinja2
 import numpy as np
 from markupsafe import Markup
 
-from tiegraph.report import accuracy, formatting, images, spatial, summary, warnings
+from tiegraph.report import accuracy, formatting, spatial, summary, warnings
 from tiegraph.report.client import client_page
-from tiegraph.report.effort import effort
-from tiegraph.report.evaluation import evaluation, passes_part
-from tiegraph.report.networkpart import network_part
+from tiegraph.report.parts import effort, evaluation, network_part, passes_part, rig_diagnostics, rig_table
 from tiegraph.report.reportjson import json_text
-from tiegraph.report.rigdiagnostics import rig_diagnostics, rig_table
 from tiegraph.report.runfolder import RunFolder, read_run
 from tiegraph.report.settings import ReportSettings
-from tiegraph.report.svg.charts import arrows, residuals
+from tiegraph.report.svg import arrows, residuals
 from tiegraph.report.tables import evidence_table, receipt_notes, receipt_tables
 from tiegraph.report.texts import current, language, said, t
 from tiegraph.report.thumbnails import CLASSES, mask_share, thumbnail
@@ -187,22 +184,22 @@ def _scan(run: RunFolder) -> dict[str, Any]:
 
 def _images(run: RunFolder) -> dict[str, Any]:
     """Every image: those that are not used or give no depth map, then the others."""
-    rows = images.image_rows(run)
+    rows = warnings.image_rows(run)
     shown = rows[:_IMAGES_SHOWN]
     odd, used = ([row for row in shown if bool(row.reason) == wanted] for wanted in (True, False))
-    counts = [(name, formatting.count(n)) for name, n in images.counts(rows)]
+    counts = [(name, formatting.count(n)) for name, n in warnings.counts(rows)]
     more = max(0, len(rows) - _IMAGES_SHOWN)
     tables = {"odd": _image_table(run, odd), "used": _image_table(run, used)}
     return {"there": bool(rows), "counts": counts, "more": more, **tables}
 
 
-def _image_table(run: RunFolder, rows: list[images.ImageRow]) -> formatting.Table | None:
+def _image_table(run: RunFolder, rows: list[warnings.ImageRow]) -> formatting.Table | None:
     unit = "m" if run.metric else t("units")
     body = [
         (
             row.name,
             said(row.state),
-            images.reason_text(row),
+            warnings.reason_text(row),
             *(formatting.count(n) for n in (row.points, row.ties)),
             formatting.length(row.gsd, unit) if np.isfinite(row.gsd) else formatting.NONE,
         )
@@ -335,11 +332,6 @@ def _space(run: RunFolder, seen: spatial.Scenery | None, settings: ReportSetting
     return out | {"views": spatial.views(run, seen), **spatial.viewer_part(run, seen, settings)}
 
 
-def words() -> list[tuple[str, str]]:
-    """(word, meaning) in English."""
-    return list(_WORDS.items())
-
-
 def glossary() -> list[tuple[str, str]]:
     """(word, meaning) in the language of the page."""
-    return [(t(word), t(meaning)) for word, meaning in words()]
+    return [(t(word), t(meaning)) for word, meaning in _WORDS.items()]

@@ -8,7 +8,7 @@ from typing import Any
 
 from markupsafe import escape
 
-from tiegraph.report import formatting, images, spatial, summary
+from tiegraph.report import formatting, spatial, summary, warnings
 from tiegraph.report.client import deliverables, middle, times, worst
 from tiegraph.report.runfolder import STAGES, RunFolder
 from tiegraph.report.settings import ReportSettings
@@ -54,7 +54,7 @@ def content(run: RunFolder, settings: ReportSettings) -> dict[str, Any]:
         ],
         "images": [
             {"name": r.name, "state": r.state, "reason": r.reason, "points": r.points, "ties": r.ties, "gsd": r.gsd}
-            for r in images.image_rows(run)
+            for r in warnings.image_rows(run)
         ],
     }
 

@@ -2,7 +2,7 @@
 
 import json
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -27,6 +27,8 @@ from tiegraph.scene.tuning import Tuning as SceneTuning
 
 log = logging.getLogger(__name__)
 T = TypeVar("T")
+
+_POINTS = 200_000  # of a sparse model that are read
 
 STAGES = (
     "scan", "masks", "preview", "candidates", "coarse", "network", "design", "features", "match", "filter", "sparse",
@@ -60,7 +62,7 @@ class Model:
     world_from_camera: np.ndarray  # (N, 4, 4)
     images: Registration  # which are registered, which only their rig places
     figures: ModelFigures
-    cameras: dict[int, dict]  # scene sensor_key -> {"model", "size", "focal_px", "params", "names"}
+    cameras: dict[int, dict]  # scene sensor_key -> {"model", "size", "focal_px"}
     sensor_from_rig: dict[int, np.ndarray]  # scene sensor_key -> (4, 4)
     sample: PointSample
     observed: Observed
@@ -277,14 +279,10 @@ def _model_facts(model: Any, scene: Scene, images: Registration, folder: str, ot
 
 
 def _camera_facts(camera: Any) -> dict:
-    info = camera.params_info
-    names = [n.strip() for n in str(info() if callable(info) else info).split(",")]
     return {
         "model": camera.model.name,
         "size": f"{camera.width}\u00a0×\u00a0{camera.height}",
         "focal_px": camera.mean_focal_length(),
-        "params": [float(p) for p in camera.params],
-        "names": names,
     }
 
 
@@ -298,9 +296,9 @@ def _extrinsics(model: Any, image: Any) -> np.ndarray | None:
     return matrix(rig.sensor_from_rig(sensor)) if rig.has_sensor_from_rig(sensor) else None
 
 
-def _sparse_points(model: Any, most: int = 200_000) -> PointSample:
+def _sparse_points(model: Any) -> PointSample:
     ids = list(model.point3D_ids())
-    ids = ids[:: max(1, -(-len(ids) // most))]
+    ids = ids[:: max(1, -(-len(ids) // _POINTS))]
     points = [model.points3D[k] for k in ids]
     return PointSample(
         xyz=np.array([p.xyz for p in points], float).reshape(-1, 3),
@@ -308,17 +306,22 @@ def _sparse_points(model: Any, most: int = 200_000) -> PointSample:
     )
 
 
+def some_of(reader: Any, most: int) -> Iterator[Any]:
+    """Every n-th point of an open LAS or LAZ file, chunk by chunk, at most about ``most``."""
+    step = max(1, -(-reader.header.point_count // most))
+    for chunk in reader.chunk_iterator(1_000_000):
+        yield chunk[::step]
+
+
 def read_cloud_sample(path: Path, most: int) -> CloudSample:
     """Every n-th point of a LAS or LAZ file, at most ``most``, in the file's coordinates."""
     parts: dict[str, list[np.ndarray]] = {n: [] for n in ("xyz", "rgb", "sigma", "views")}
     with laspy.open(path) as reader:
         count = reader.header.point_count
-        step = max(1, -(-count // most))
         names = list(reader.header.point_format.dimension_names)
         sigma = next((n for n in names if "sigma" in n.lower()), None)
         views = next((n for n in names if "view" in n.lower() and "angle" not in n.lower()), None)
-        for chunk in reader.chunk_iterator(1_000_000):
-            part = chunk[::step]
+        for part in some_of(reader, most):
             parts["xyz"].append(np.column_stack([part.x, part.y, part.z]))
             parts["rgb"].append(_colours(part) if "red" in names else np.full((len(part), 3), 160, np.uint8))
             parts["sigma"].append(np.asarray(part[sigma], float) if sigma else np.full(len(part), np.nan))

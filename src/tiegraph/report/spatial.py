@@ -14,15 +14,13 @@ from scipy.spatial import cKDTree
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import PlacementError
 from tiegraph.geometry.gravity import levelled
-from tiegraph.report import formatting, plan, viewer
-from tiegraph.report.cloudview import brightened, by_height, inliers, standard_views, with_scale_bar
-from tiegraph.report.runfolder import RunFolder
+from tiegraph.report import cloudview, formatting, maps
+from tiegraph.report.cloudview import Scale, brightened, by_height, inliers, standard_views, with_scale_bar
+from tiegraph.report.runfolder import RunFolder, some_of
 from tiegraph.report.settings import ReportSettings
-from tiegraph.report.svg import map as maps
 from tiegraph.report.tables import receipt_notes, receipt_tables, section_name
 from tiegraph.report.texts import t
-from tiegraph.report.thumbnails import jpeg, thumbnail
-from tiegraph.report.viewer import Scale
+from tiegraph.report.thumbnails import jpeg, rgb_of, thumbnail
 from tiegraph.scene.sorting import evenly
 from tiegraph.text import round_below
 
@@ -46,7 +44,7 @@ class Scenery:
     """What all maps and views are drawn from, upright: passes, given positions (K, 3), points (N, 3) with colours, and
     how many images see each (0 = not known)."""
 
-    tracks: list[plan.Track]
+    tracks: list[maps.Track]
     given: np.ndarray
     xyz: np.ndarray
     rgb: np.ndarray
@@ -69,10 +67,10 @@ def scenery(run: RunFolder) -> Scenery | None:
     if not run.world:
         upright = levelled(transforms.invert(run.model.world_from_camera), run.scene.frame)[:3, :3]
     placed = run.georeferenced or bool((run.world or {}).get("placed"))
-    found = plan.tracks(run.scene, plan.frame_positions(run.scene, run.model.centres @ upright.T))
+    found = maps.tracks(run.scene, maps.frame_positions(run.scene, run.model.centres @ upright.T))
     prior = run.scene.world_from_rig[:, :3, 3]
     if not placed:  # prior positions are in another frame than the model
-        found = [plan.Track(track.name, track.positions, track.missing[:0]) for track in found]
+        found = [maps.Track(track.name, track.positions, track.missing[:0]) for track in found]
     xyz, rgb = (run.cloud or run.model.sample).xyz, (run.cloud or run.model.sample).rgb
     return Scenery(
         tracks=found,
@@ -102,7 +100,7 @@ def overlap_map(seen: Scenery) -> Markup | None:
     place = seen.place
     middle, value = maps.median_cells(place, seen.xyz, seen.views, _CELLS)
     low = [k for k, _ in _OVERLAP]
-    colours = np.array([[int(c[k : k + 2], 16) for k in (1, 3, 5)] for _, c in _OVERLAP], np.uint8)
+    colours = np.array([rgb_of(c) for _, c in _OVERLAP], np.uint8)
     step = np.clip(np.searchsorted(low, value, side="right") - 1, 0, None)
     key = [(t("{} images", f"{a}–{b - 1}" if b - a > 1 else a), c) for (a, c), (b, _) in zip(_OVERLAP, _OVERLAP[1:])]
     key.append((t("{} and more", _OVERLAP[-1][0]), _OVERLAP[-1][1]))
@@ -142,13 +140,13 @@ def viewer_part(run: RunFolder, seen: Scenery, settings: ReportSettings) -> dict
     most, points = settings.viewer_points, len(seen.xyz)
     rows = np.sort(np.random.default_rng(0).permutation(points)[:most])
     extras = viewer_extras(run, seen, rows)
-    data = viewer.viewer_data(seen.xyz[rows], seen.rgb[rows], seen.tracks, most, seen.unit, extras)
+    data = cloudview.viewer_data(seen.xyz[rows], seen.rgb[rows], seen.tracks, most, seen.unit, extras)
     if data is None:
         return {"viewer": None, "viewer_script": ""}
-    return {"viewer": json.dumps(data).replace("<", "\\u003c"), "viewer_script": viewer.viewer_script()}
+    return {"viewer": json.dumps(data).replace("<", "\\u003c"), "viewer_script": cloudview.viewer_script()}
 
 
-def viewer_extras(run: RunFolder, seen: Scenery, rows: np.ndarray) -> viewer.ViewerExtras:
+def viewer_extras(run: RunFolder, seen: Scenery, rows: np.ndarray) -> cloudview.ViewerExtras:
     """Of some points: sigma, measured distances, section; coordinates of the CRS; and the images, an even part of them
     with a small picture."""
     assert run.scene is not None and run.model is not None
@@ -161,11 +159,11 @@ def viewer_extras(run: RunFolder, seen: Scenery, rows: np.ndarray) -> viewer.Vie
     scales = {}
     if run.cloud is not None:
         xyz = run.cloud.xyz[rows]
-        scales[t("sigma of a point")] = viewer.Scale(run.cloud.sigma_m[rows])
+        scales[t("sigma of a point")] = Scale(run.cloud.sigma_m[rows])
         scales |= {**distance_scales(run, xyz), **section_scale(run, xyz)}
     shift = (run.world or {}).get("shift_m") or (0.0, 0.0, 0.0)
     axes = ("E", "N", "H") if seen.north else ("x", "y", "z")
-    return viewer.ViewerExtras(scales=scales, offset=shift, axes=axes, images=shown, north=seen.north)
+    return cloudview.ViewerExtras(scales=scales, offset=shift, axes=axes, images=shown, north=seen.north)
 
 
 def cloud_facts(run: RunFolder) -> dict[str, Any] | None:
@@ -215,9 +213,7 @@ def _measured(path: Path, shift: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Points (K, 3) of the world and their ``distance_m`` (K,), every n-th of a large file."""
     parts = [(np.zeros((0, 3)), np.zeros(0))]
     with laspy.open(path) as reader:
-        step = max(1, -(-reader.header.point_count // _MOST))
-        for chunk in reader.chunk_iterator(_MOST):
-            part = chunk[::step]
+        for part in some_of(reader, _MOST):
             parts.append((np.column_stack([part.x, part.y, part.z]) - shift, np.asarray(part["distance_m"], float)))
     xyz, values = (np.concatenate(column) for column in zip(*parts))
     known = np.isfinite(values)

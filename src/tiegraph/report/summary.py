@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from tiegraph.report import accuracy, formatting
+from tiegraph.report.charts import is_matched, tied
 from tiegraph.report.formatting import Table, is_number
 from tiegraph.report.runfolder import STAGES, RunFolder
 from tiegraph.report.tables import about, contradictions, section_name
@@ -25,14 +26,6 @@ class Verdict:
     sentences: tuple[str, ...]
     warnings: tuple[str, ...]
     contradictions: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class Tile:
-    """A number at the top."""
-
-    value: str
-    label: str
 
 
 def verdict(run: RunFolder) -> Verdict:
@@ -64,8 +57,10 @@ def verdict(run: RunFolder) -> Verdict:
         "poor": t("A large part of the survey is missing"),
     }[level]
     of_world = georeference_sentences(run.world or {})
-    said_of_model = (_registered_sentence(run, registered, total), _world_sentence(run), *of_world)
-    sentences = (*_accuracy_sentences(run), *said_of_model)
+    known = accuracy.sentences(run.accuracy) if run.accuracy is not None else []
+    if run.accuracy is None and run.done("georef"):
+        known = [t("How good it is has not been evaluated yet.")]
+    sentences = (*known, _registered_sentence(run, registered, total), _world_sentence(run), *of_world)
     return Verdict(
         level=level,
         headline=headline,
@@ -159,12 +154,6 @@ def crs_text(crs: Any, origin: Any = None) -> str:
         return str(crs)
 
 
-def _accuracy_sentences(run: RunFolder) -> list[str]:
-    if run.accuracy is not None:
-        return [*accuracy.sentences(run.accuracy)]
-    return [t("How good it is has not been evaluated yet.")] if run.done("georef") else []
-
-
 def what_was_done(run: RunFolder) -> list[str]:
     """What was surveyed and what came of it, in one or two sentences."""
     if run.scene is None:
@@ -183,28 +172,26 @@ def what_was_done(run: RunFolder) -> list[str]:
     return out
 
 
-def tiles(run: RunFolder) -> list[Tile]:
-    """The numbers at the top."""
-    out = [Tile(*t) for t in accuracy.tiles(run.accuracy)] if run.accuracy is not None else []
+def tiles(run: RunFolder) -> list[tuple[str, str]]:
+    """(number, label) of what stands at the top."""
+    out: list[tuple[str, str]] = [*accuracy.tiles(run.accuracy)] if run.accuracy is not None else []
     if run.scene is not None:
         n = len(run.scene)
         used = f"{int(run.model.registered.sum())} / {n}" if run.model is not None else formatting.count(n)
-        out.append(Tile(used, t("registered images") if run.model is not None else t("images")))
+        out.append((used, t("registered images") if run.model is not None else t("images")))
     if run.pairs is not None:
-        kept = run.pairs.kept()
-        matched = bool(np.any(kept.inliers >= 0))
-        amount = int(np.sum(kept.inliers > 0)) if matched else len(kept)
-        out.append(Tile(formatting.count(amount), t("verified pairs") if matched else t("pairs to match")))
+        label = t("verified pairs") if is_matched(run.pairs) else t("pairs to match")
+        out.append((formatting.count(len(tied(run.pairs))), label))
     if run.model is not None:
-        out.append(Tile(formatting.count(run.model.figures.points), t("sparse points")))
+        out.append((formatting.count(run.model.figures.points), t("sparse points")))
         if run.model.figures.reprojection_px > 0:
             error = formatting.number(run.model.figures.reprojection_px, 2)
-            out.append(Tile(f"{error} px", t("mean reprojection error")))
+            out.append((f"{error} px", t("mean reprojection error")))
     if run.cloud is not None:
-        out.append(Tile(formatting.count(run.cloud.count), t("points in the cloud")))
+        out.append((formatting.count(run.cloud.count), t("points in the cloud")))
     total = sum(r.get("seconds") or 0 for r in run.receipts.values())
     if total:
-        out.append(Tile(formatting.seconds(total), t("computing time")))
+        out.append((formatting.seconds(total), t("computing time")))
     return out
 
 
@@ -225,23 +212,18 @@ def registered_tables(run: RunFolder) -> list[Table]:
     names = np.array(labels).reshape(-1, 2)
     rows = []
     for camera in [*cameras, None]:
-        row: list[Any] = [camera if camera is not None else t("all cameras")]
+        own = names[:, 1] == camera if camera is not None else np.ones(len(scene), bool)
+        row = [camera if camera is not None else t("all cameras")]
         for track in [*passes, None] if len(passes) > 1 else [None]:
-            of = np.ones(len(scene), bool)
-            of &= names[:, 1] == camera if camera is not None else True
-            of &= names[:, 0] == track if track is not None else True
-            figures = int(registered[of].sum()), int(of.sum())
-            row.append(t("{} of {}", *figures) if of.any() else formatting.NONE)
-        rows.append(row)
-    for row, camera in zip(rows, [*cameras, None]):
-        of = run.model.by_rig & (names[:, 1] == camera if camera is not None else True)
-        row.append(formatting.count(int(of.sum())))
+            of = own & (names[:, 0] == track if track is not None else True)
+            row.append(t("{} of {}", int(registered[of].sum()), int(of.sum())) if of.any() else formatting.NONE)
+        rows.append((*row, formatting.count(int(run.model.by_rig[own].sum()))))
     columns = [t("camera"), *([p or t("(loose)") for p in passes] if len(passes) > 1 else []), t("all images")]
     columns.append(said(BY_RIG))
     out = [
         Table(
             columns=tuple(columns),
-            rows=tuple(map(tuple, rows)),
+            rows=tuple(rows),
             numeric=(False, *[True] * (len(columns) - 1)),
             title=t("Registered images"),
         )

@@ -9,6 +9,7 @@ from markupsafe import Markup
 
 from tiegraph.scene.decoding import read_pixels
 
+_WIDTH_PX = 1400  # of a picture of a file
 _IGNORED_BGR = (60, 40, 210)  # red: what the mask takes out
 CLASSES = (  # by number, as the masks stage writes them: name, colour
     ("used", "#000000"),
@@ -25,36 +26,34 @@ def data_uri(data: bytes, kind: str) -> Markup:
 
 
 def png(rgb: np.ndarray) -> str:
-    """An (H, W, 3) or (H, W) u1 picture as a PNG data URI."""
-    return _encoded(rgb, ".png", "png", [cv2.IMWRITE_PNG_COMPRESSION, 9])
+    """An (H, W, 3) u1 picture, or one with alpha (H, W, 4), as a PNG data URI."""
+    return _encoded(rgb, ".png", [cv2.IMWRITE_PNG_COMPRESSION, 9])
 
 
-def png_alpha(rgba: np.ndarray) -> str:
-    """An (H, W, 4) u1 picture with alpha as a PNG data URI."""
-    bgra = rgba[..., [2, 1, 0, 3]]
-    data = cv2.imencode(".png", np.ascontiguousarray(bgra), [cv2.IMWRITE_PNG_COMPRESSION, 9])[1].tobytes()
-    return data_uri(data, "png")
-
-
-def jpeg(rgb: np.ndarray, quality: int = 82) -> str:
+def jpeg(rgb: np.ndarray) -> str:
     """An (H, W, 3) u1 picture as a JPEG data URI."""
-    return _encoded(rgb, ".jpg", "jpeg", [cv2.IMWRITE_JPEG_QUALITY, quality])
+    return _encoded(rgb, ".jpeg", [cv2.IMWRITE_JPEG_QUALITY, 82])
 
 
-def _encoded(rgb: np.ndarray, suffix: str, kind: str, options: list[int]) -> str:
-    bgr = rgb[..., ::-1] if rgb.ndim == 3 else rgb
-    return data_uri(cv2.imencode(suffix, np.ascontiguousarray(bgr), options)[1].tobytes(), kind)
+def _encoded(rgb: np.ndarray, suffix: str, options: list[int]) -> str:
+    bgr = rgb[..., [2, 1, 0, 3][: rgb.shape[2]]]
+    return data_uri(cv2.imencode(suffix, np.ascontiguousarray(bgr), options)[1].tobytes(), suffix[1:])
 
 
-def file_uri(path: Path, width: int = 1400) -> str | None:
-    """A picture file as a data URI, scaled down to ``width``; None if it cannot be read."""
+def rgb_of(colour: str) -> list[int]:
+    """Red, green and blue of a colour such as #2a78d6."""
+    return [int(colour[k : k + 2], 16) for k in (1, 3, 5)]
+
+
+def file_uri(path: Path) -> str | None:
+    """A picture file as a data URI, scaled down to a width of 1400; None if it cannot be read."""
     data = path.read_bytes() if path.exists() else b""
     image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR) if data else None
     if image is None:
         return None
-    if image.shape[1] <= width and path.suffix.lower() == ".png":
+    if image.shape[1] <= _WIDTH_PX and path.suffix.lower() == ".png":
         return data_uri(data, "png")
-    return png(_shrunk(image, width)[..., ::-1])
+    return png(_shrunk(image, _WIDTH_PX)[..., ::-1])
 
 
 def thumbnail(
@@ -79,7 +78,7 @@ def _colours(classes: Path | None, shape: tuple[int, ...]) -> np.ndarray:
     labels = None if classes is None else read_pixels(classes)
     if labels is None:
         return np.array(_IGNORED_BGR)
-    table = np.array([[int(c[k : k + 2], 16) for k in (5, 3, 1)] for _, c in CLASSES])
+    table = np.array([rgb_of(c)[::-1] for _, c in CLASSES])
     table[0] = _IGNORED_BGR  # used by its class, but left out
     small = cv2.resize(labels, (shape[1], shape[0]), interpolation=cv2.INTER_NEAREST)
     return table[np.minimum(small, len(table) - 1)]

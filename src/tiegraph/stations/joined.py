@@ -64,12 +64,13 @@ def join(
     The frame is that of the known poses, if there are some; else that of the first station of the largest part that
     hangs together. Raises ValueError if no two join and no pose is known.
     """
-    pairs = _uncontradicted(_first_pairs(stations, tuning, told), stations, tuning)
+    agreeing = _points_shown(stations), _close_m(stations, tuning), tuning.loops
+    pairs = contradicted(_first_pairs(stations, tuning, told), *agreeing)
     found = _adjusted_parts(pairs, len(stations), tuning)
     pairs, found = _grown(pairs, found, stations, tuning)
     # The pairs, of which those have a reason not to be believed that lay a shape that repeats on itself
     left = {ends: float(row[1]) for ends, row in _loops_m(found).items()}
-    pairs = taken_apart(pairs, left, _points_shown(stations), _close_m(stations, tuning), tuning.loops)
+    pairs = taken_apart(pairs, left, *agreeing)
     found = _adjusted_parts(pairs, len(stations), tuning)
     poses, left_out = _in_world(stations, found)
     loops = _loops_m(found)
@@ -83,11 +84,6 @@ def join(
     )
 
 
-def _uncontradicted(pairs: list[Pair], stations: Sequence[Station], tuning: Tuning) -> list[Pair]:
-    """The pairs, of which those have a reason not to be believed that loops of three contradict."""
-    return contradicted(pairs, _points_shown(stations), _close_m(stations, tuning), tuning.loops)
-
-
 def _grown(
     pairs: list[Pair], found: list[Part], stations: Sequence[Station], tuning: Tuning
 ) -> tuple[list[Pair], list[Part]]:
@@ -98,7 +94,7 @@ def _grown(
             break
         anew = {(p.first, p.second) for p in more}
         others = [p for p in pairs if (p.first, p.second) not in anew]
-        pairs = _uncontradicted(others + more, stations, tuning)
+        pairs = contradicted(others + more, _points_shown(stations), _close_m(stations, tuning), tuning.loops)
         found = _adjusted_parts(pairs, len(stations), tuning)
     return pairs, found
 
@@ -124,11 +120,7 @@ def _close_m(stations: Sequence[Station], tuning: Tuning) -> float:
 
 def _points_shown(stations: Sequence[Station]) -> list[np.ndarray]:
     """Some points (N, 3) of each station."""
-    return [_some(s.coarse.xyz) for s in stations]
-
-
-def _some(xyz: np.ndarray) -> np.ndarray:
-    return xyz[:: max(1, len(xyz) // _SHOWN)]
+    return [s.coarse.xyz[:: max(1, len(s.coarse.xyz) // _SHOWN)] for s in stations]
 
 
 # --- pairs -----------------------------------------------------------------------------------------------------------
@@ -172,7 +164,7 @@ def _by_poses(stations: Sequence[Station], i: int, j: int, start: np.ndarray, tu
 
 def _further(stations: Sequence[Station], pairs: Sequence[Pair], found: Sequence[Part], tuning: Tuning) -> list[Pair]:
     """Pairs that overlap by the adjusted poses and have not been believed yet, laid on each other from there."""
-    close = _close_m(stations, tuning)
+    close, points = _close_m(stations, tuning), _points_shown(stations)
     believed = {(p.first, p.second) for p in pairs if not p.why_not}
     out = []
     for part in found:
@@ -183,7 +175,7 @@ def _further(stations: Sequence[Station], pairs: Sequence[Pair], found: Sequence
             pair = _by_poses(stations, i, j, start, tuning)
             if pair is None or pair.why_not:
                 continue
-            if motion(pair.first_from_second @ transforms.invert(start), _some(stations[i].coarse.xyz)) <= close:
+            if motion(pair.first_from_second @ transforms.invert(start), points[i]) <= close:
                 out.append(pair)
     return out
 

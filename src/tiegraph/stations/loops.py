@@ -5,12 +5,11 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import rms_length
+from tiegraph.scene import graph
 from tiegraph.stations.pairs import Pair
 from tiegraph.stations.tuning import LoopTuning
 
@@ -84,8 +83,7 @@ def _rings(between: Sequence[tuple[int, int]], group: np.ndarray) -> dict[tuple[
 
     def hanging(ends: Sequence[tuple[int, int]]) -> np.ndarray:
         i, j = np.array([(group[a], group[b]) for a, b in ends], int).reshape(-1, 2).T
-        count = int(group.max()) + 1
-        return connected_components(coo_matrix((np.ones(len(i)), (i, j)), shape=(count, count)), directed=False)[1]
+        return graph.parts(i, j, int(group.max()) + 1)
 
     def closes(ends: tuple[int, int]) -> bool:
         rest = hanging([e for e in between if e != ends])
@@ -116,7 +114,7 @@ def _loops(
 def parts(count: int, pairs: Sequence[Pair]) -> np.ndarray:
     """(count,) the number of the part that each station hangs together with."""
     i, j = np.array([(p.first, p.second) for p in pairs if not p.why_not], int).reshape(-1, 2).T
-    return connected_components(coo_matrix((np.ones(len(i)), (i, j)), shape=(count, count)), directed=False)[1]
+    return graph.parts(i, j, count)
 
 
 # --- adjustment -------------------------------------------------------------------------------------------------------

@@ -36,7 +36,7 @@ class FramesTuning(Section):
 
 
 class ModelTuning(Section):
-    """The coarse model, made again and again (`pipeline/watch/model.py`)."""
+    """The coarse model, made again and again (`pipeline/watchmodel.py`)."""
 
     first: int = Field(8, ge=3)
     """Images that the first is made of."""

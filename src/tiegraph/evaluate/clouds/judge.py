@@ -1,5 +1,7 @@
 """A cloud judged by a reference: registration if asked, nearest distances, M3C2, and what to say of them."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -66,6 +68,17 @@ class CloudJudgement:
         )
 
 
+@contextmanager
+def told_of(name: str) -> Iterator[None]:
+    """What is wrong with clouds is an InputError that names one of them, if it does not name its file already."""
+    try:
+        yield
+    except InputError:
+        raise
+    except ValueError as error:
+        raise InputError(f"{name}: {error}") from None
+
+
 def judge_cloud(
     cloud: PointSource, reference: PointSource, scratch: Path, question: Question, tuning: Tuning
 ) -> CloudJudgement:
@@ -74,7 +87,7 @@ def judge_cloud(
     Raises InputError, naming the reference, for clouds that do not meet or cannot be registered as asked.
     """
     cameras, fitted = question.cameras, None
-    try:
+    with told_of(reference.name):
         if question.register != "none":
             scaled = question.register == "similarity"
             fitted = registered(cloud, reference, tuning.registration, scaled, question.coarse)
@@ -83,11 +96,7 @@ def judge_cloud(
         clouds = tile_clouds(cloud, reference, scratch, tuning.cloud)
         criteria = criteria_of(clouds, tuning.cloud, question.distances_m, question.gsd_m, question.range_m)
         cylinders = cylinders_of(clouds, tuning.m3c2)
-        nearest = cloud_to_cloud(clouds, criteria, tuning.cloud, scratch, cameras)
-    except InputError:
-        raise  # names its file
-    except ValueError as error:
-        raise InputError(f"{reference.name}: {error}") from None
+        nearest = cloud_to_cloud(clouds, criteria, scratch, cameras)
     clouds = clouds.exchanged()
     sigma = None if fitted is None else fitted.sigma_along
     differences = m3c2_tiled(clouds, cylinders, tuning.m3c2, cameras, sigma)

@@ -13,13 +13,12 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from tiegraph.evaluate.clouds.nearest import Cameras, thinned
 from tiegraph.evaluate.clouds.tiles import TiledClouds
 from tiegraph.evaluate.tuning import ChangesTuning, M3c2Tuning
+from tiegraph.scene import graph
 from tiegraph.scene.cloudchunks import Points
 from tiegraph.scene.sorting import Columns
 
@@ -315,7 +314,6 @@ def _pieces(xyz: np.ndarray, link: float) -> list[np.ndarray]:
     if not len(xyz):
         return []
     i, j = cKDTree(xyz).query_pairs(link, output_type="ndarray").T
-    joined = coo_matrix((np.ones(len(i), np.int8), (i, j)), shape=(len(xyz),) * 2)
-    label = connected_components(joined, directed=False)[1]
+    label = graph.parts(i, j, len(xyz))
     order = np.argsort(label, kind="stable")
     return np.split(order, np.flatnonzero(np.diff(label[order])) + 1)

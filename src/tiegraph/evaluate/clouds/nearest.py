@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
-from tiegraph.evaluate.clouds.tally import Judged, Tally
 from tiegraph.evaluate.clouds.tiles import TiledClouds
 from tiegraph.evaluate.tuning import CloudTuning
 from tiegraph.scene.results import Metric
@@ -16,6 +15,8 @@ from tiegraph.scene.sorting import row_numbers, run_starts
 _PART = 500_000  # points looked up at once
 _STEPS = np.array([1.0, 2.0, 5.0])
 _JUDGED = np.dtype([("xyz", "<f8", 3), ("distance_m", "<f4")])
+# Of a point: distance to the other cloud (inf: further than looked for), numbers of band and section, does it count?
+_ROW = np.dtype([("distance_m", "<f4"), ("group", "u1", 2), ("counts", "?")])
 MEANING = (
     "Of either cloud one point a voxel ({voxel_m:g} m) is judged, so that dense patches do not outweigh thin ones. "
     "Accuracy: share of the cloud's points nearer than the distance to the reference, among those where the reference "
@@ -163,80 +164,74 @@ class CloudComparison:
 
 
 def cloud_to_cloud(
-    clouds: TiledClouds, criteria: Criteria, tuning: CloudTuning, scratch: Path, cameras: Cameras | None = None
+    clouds: TiledClouds, criteria: Criteria, scratch: Path, cameras: Cameras | None = None
 ) -> CloudComparison:
     """Compare cloud 0 with the reference, cloud 1, both in one frame and in metres.
 
     With cameras, completeness counts the reference within ``criteria.range_m`` of one of them. Definitions: MEANING.
-    Memory is that of a tile; what was found lies in files. Raises ValueError when either side is empty, none of the
-    reference is in range, or no point of the cloud is where the reference observed.
+    Memory is that of a tile and 7 bytes a judged point; their places lie in a file. Raises ValueError when either side
+    is empty, none of the reference is in range, or no point of the cloud is where the reference observed.
     """
     for which, what in enumerate(("cloud", "reference")):
         if not clouds.count(which):
             raise ValueError(f"the {what} has no points to compare")
     path = scratch / "judged.points"
-    judge = _Judge(clouds=clouds, criteria=criteria, tuning=tuning, cameras=cameras)
-    sides = Tally(scratch / "cloud.judged"), Tally(scratch / "reference.judged")
-    with open(path, "wb") as out, open(sides[0].path, "wb") as own_out, open(sides[1].path, "wb") as reference_out:
+    found: tuple[list[np.ndarray], list[np.ndarray]] = ([], [])
+    with open(path, "wb") as out:
         for tile in range(len(clouds)):
-            (xyz, own), (_, reference) = judge.cloud(tile), judge.reference(tile)
-            own_out.write(own.tobytes())
-            reference_out.write(reference.tobytes())
-            judged = own.counts
+            xyz, own = _cloud_rows(clouds, tile, criteria, cameras)
+            found[0].append(own)
+            found[1].append(_reference_rows(clouds, tile, criteria, cameras))
+            judged = own["counts"]
             rows = np.zeros(int(judged.sum()), _JUDGED)
-            rows["xyz"], distance = xyz[judged], own.distance[judged]
+            rows["xyz"], distance = xyz[judged], own["distance_m"][judged]
             rows["distance_m"] = np.where(np.isfinite(distance), distance, np.nan)
             out.write(rows.tobytes())
-    if not sides[0].count()[0]:
+    cloud, reference = np.concatenate(found[0]), np.concatenate(found[1])
+    del found
+    if not cloud["counts"].any():
         raise ValueError(apart(clouds))
-    if not sides[1].count()[0]:
+    if not reference["counts"].any():
         raise ValueError(f"no reference point lies within {criteria.range_m:g} m of a camera: do both share a frame?")
-    groups = ((), ()) if cameras is None else (_band_names(), cameras.sections())
+    bands, sections = ((), ()) if cameras is None else (_band_names(), cameras.sections())
     return CloudComparison(
         criteria=criteria,
-        whole=_shares(*sides, criteria),
-        sections=_grouped(*sides, criteria, 1, groups[1]),
-        bands=_grouped(*sides, criteria, 0, groups[0]),
+        whole=_shares(cloud, reference, criteria),
+        sections=_grouped(cloud, reference, criteria, 1, sections),
+        bands=_grouped(cloud, reference, criteria, 0, bands),
         judged=path,
     )
 
 
-@dataclass(frozen=True)
-class _Judge:
-    """Judges the points of either side in a tile."""
+def _cloud_rows(
+    clouds: TiledClouds, tile: int, criteria: Criteria, cameras: Cameras | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Points (N, 3) of the cloud in a tile that are judged, and their rows (N,): one counts where the reference
+    observed."""
+    xyz = thinned(clouds, 0, tile, criteria.voxel_m)
+    other = clouds.around(1, tile, criteria.reach_m).xyz
+    low, high = (corner[1][2] for corner in (clouds.low, clouds.high))
+    inside = (xyz[:, 2] >= low - criteria.observed_m) & (xyz[:, 2] <= high + criteria.observed_m)
+    inside &= nearest(xyz[:, :2], other[:, :2], criteria.observed_m) <= criteria.observed_m
+    _, group = _groups(xyz, cameras)
+    return xyz, _rows(nearest(xyz, other, criteria.reach_m), group, inside)
 
-    clouds: TiledClouds
-    criteria: Criteria
-    tuning: CloudTuning
-    cameras: Cameras | None
 
-    def cloud(self, tile: int) -> tuple[np.ndarray, Judged]:
-        """Points (N, 3) that are judged, and what was found: a point counts where the reference observed."""
-        criteria, clouds = self.criteria, self.clouds
-        xyz = thinned(clouds, 0, tile, criteria.voxel_m)
-        other = clouds.around(1, tile, criteria.reach_m).xyz
-        low, high = (corner[1][2] for corner in (clouds.low, clouds.high))
-        inside = (xyz[:, 2] >= low - criteria.observed_m) & (xyz[:, 2] <= high + criteria.observed_m)
-        inside &= nearest(xyz[:, :2], other[:, :2], criteria.observed_m) <= criteria.observed_m
-        _, group = self._groups(xyz)
-        return xyz, Judged(nearest(xyz, other, criteria.reach_m).astype(np.float32), group, inside)
+def _reference_rows(clouds: TiledClouds, tile: int, criteria: Criteria, cameras: Cameras | None) -> np.ndarray:
+    """Rows (N,) of the reference's points in a tile: one counts near a camera."""
+    xyz = thinned(clouds, 1, tile, criteria.voxel_m)
+    other = clouds.around(0, tile, criteria.reach_m).xyz
+    away, group = _groups(xyz, cameras)
+    counts = away <= (np.inf if criteria.range_m is None else criteria.range_m)
+    return _rows(nearest(xyz, other, criteria.reach_m), group, counts)
 
-    def reference(self, tile: int) -> tuple[np.ndarray, Judged]:
-        """Points (N, 3) that are judged, and what was found: a point counts near a camera."""
-        criteria = self.criteria
-        xyz = thinned(self.clouds, 1, tile, criteria.voxel_m)
-        other = self.clouds.around(0, tile, criteria.reach_m).xyz
-        away, group = self._groups(xyz)
-        counts = away <= (np.inf if criteria.range_m is None else criteria.range_m)
-        return xyz, Judged(nearest(xyz, other, criteria.reach_m).astype(np.float32), group, counts)
 
-    def _groups(self, xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Distance (N,) to the nearest camera, and the numbers (N, 2) of band and section."""
-        if self.cameras is None:
-            return np.zeros(len(xyz)), np.zeros((len(xyz), 2), np.uint8)
-        away, near = cKDTree(self.cameras.centres).query(xyz)
-        section = self.cameras.section_numbers()[near]
-        return away, np.stack([np.searchsorted(_BANDS_M, away), section], axis=1).astype(np.uint8)
+def _groups(xyz: np.ndarray, cameras: Cameras | None) -> tuple[np.ndarray, np.ndarray]:
+    """Distance (N,) to the nearest camera, and the numbers (N, 2) of band and section."""
+    if cameras is None:
+        return np.zeros(len(xyz)), np.zeros((len(xyz), 2), np.uint8)
+    away, near = cKDTree(cameras.centres).query(xyz)
+    return away, np.stack([np.searchsorted(_BANDS_M, away), cameras.section_numbers()[near]], axis=1).astype(np.uint8)
 
 
 def thinned(clouds: TiledClouds, which: int, tile: int, voxel_m: float) -> np.ndarray:
@@ -265,24 +260,40 @@ def nearest(points: np.ndarray, target: np.ndarray, limit: float = np.inf) -> np
     return out
 
 
-def _shares(cloud: Tally, reference: Tally, criteria: Criteria) -> Shares:
-    (counted, total), (back, _) = cloud.count(), reference.count()
-    median, p90 = cloud.quantiles([0.5, 0.9])
+def _rows(distance: np.ndarray, group: np.ndarray, counts: np.ndarray) -> np.ndarray:
+    rows = np.zeros(len(distance), _ROW)
+    rows["distance_m"], rows["group"], rows["counts"] = distance, group, counts
+    return rows
+
+
+def _shares(cloud: np.ndarray, reference: np.ndarray, criteria: Criteria) -> Shares:
+    """Of the rows (N,), (M,) of both sides."""
+    own, back = (side["distance_m"][side["counts"]] for side in (cloud, reference))
+    with np.errstate(invalid="ignore"):  # between two distances that were not found
+        ends = np.quantile(own, np.array([0.5, 0.9])) if len(own) else np.full(2, np.nan)
+    median, p90 = np.where(np.isfinite(ends), ends, np.nan).tolist()
     return Shares(
-        points=counted,
-        reference_points=back,
-        outside=1 - counted / max(total, 1),
-        accuracy=tuple(cloud.below(criteria.distances_m).tolist()),
-        completeness=tuple(reference.below(criteria.distances_m).tolist()),
+        points=len(own),
+        reference_points=len(back),
+        outside=1 - len(own) / max(len(cloud), 1),
+        accuracy=tuple(_share(own < d) for d in criteria.distances_m),
+        completeness=tuple(_share(back < d) for d in criteria.distances_m),
         median_m=median,
         p90_m=p90,
-        ghosts=cloud.beyond(criteria.ghost_m),
+        ghosts=_share(own > criteria.ghost_m),
     )
 
 
-def _grouped(cloud: Tally, reference: Tally, criteria: Criteria, group: int, names: Sequence[str]) -> dict[str, Shares]:
-    """Shares by group; none of what has no points. One group alone is the whole."""
-    found = {n: _shares(cloud.where(group, k), reference.where(group, k), criteria) for k, n in enumerate(names)}
+def _share(which: np.ndarray) -> float:
+    return float(which.mean()) if len(which) else 0.0
+
+
+def _grouped(
+    cloud: np.ndarray, reference: np.ndarray, criteria: Criteria, group: int, names: Sequence[str]
+) -> dict[str, Shares]:
+    """Shares by group (0 band, 1 section); none of what has no points. One group alone is the whole."""
+    own, back = (side["group"][:, group] for side in (cloud, reference))
+    found = {n: _shares(cloud[own == k], reference[back == k], criteria) for k, n in enumerate(names)}
     found = {n: s for n, s in found.items() if s.points or s.reference_points}
     return found if len(found) > 1 else {}
 

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from tiegraph.evaluate.tuning import RegistrationTuning
 from tiegraph.geometry.align import PlacementError, Similarity, robust_sigma
-from tiegraph.geometry.coarse import Start, start_of
+from tiegraph.geometry.coarse import Start, normals, start_of
 from tiegraph.scene.cloudchunks import PointSource
 
 _PARTS, _CELLS = 10, 20  # of the jackknife: each a tenth of the cells, of which the survey's length has so many
@@ -83,7 +83,7 @@ def register(
     if start is not None:
         fit = Similarity(1.0, start.target_from_source[:3, :3], start.target_from_source[:3, 3])
     tree = cKDTree(reference)
-    normal = _normals(reference, tree, tuning.normal_neighbours)
+    normal = normals(reference, tuning.normal_neighbours)
     spacing = float(np.median(tree.query(reference[:: max(1, len(reference) // 5000)], k=2)[0][:, 1]))
     middle = np.median(fit(cloud), axis=0)
     extent = float(np.median(np.linalg.norm(fit(cloud) - middle, axis=1)))
@@ -172,13 +172,3 @@ def _moved(fit: Similarity, step: np.ndarray, middle: np.ndarray) -> Similarity:
     turn, scale = Rotation.from_rotvec(step[:3]).as_matrix(), float(np.exp(step[6]))
     shift = scale * turn @ (fit.translation - middle) + middle + step[3:6]
     return Similarity(scale * fit.scale, turn @ fit.rotation, shift)
-
-
-def _normals(xyz: np.ndarray, tree: cKDTree, neighbours: int) -> np.ndarray:
-    out = np.empty((len(xyz), 3))
-    for start in range(0, len(xyz), 50_000):
-        part = xyz[start : start + 50_000]
-        near = xyz[tree.query(part, k=min(neighbours, len(xyz)), workers=-1)[1]]
-        off = near - near.mean(axis=1, keepdims=True)
-        out[start : start + 50_000] = np.linalg.eigh(np.einsum("nki,nkj->nij", off, off))[1][:, :, 0]
-    return out

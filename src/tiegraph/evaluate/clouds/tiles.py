@@ -31,52 +31,50 @@ class _Grid:
         return np.asarray(at[:, 0] * self.shape[1] + at[:, 1])
 
 
-@dataclass(frozen=True)
-class _Rows:
-    """Rows (N, 4) x, y, z, sigma in a file; read and not mapped, for mapped pages count as memory of the process."""
-
-    path: Path
-
-    def parts(self, begin: int = 0, end: int | None = None) -> Iterator[np.ndarray]:
-        """Rows from ``begin`` to ``end`` (None: the last), part by part."""
-        last = self.path.stat().st_size // _ROW if end is None else end
-        for start in range(begin, last, _PART):
-            count = min(_PART, last - start)
-            yield np.fromfile(self.path, np.float64, 4 * count, offset=_ROW * start).reshape(-1, 4)
+def _rows(path: Path, begin: int = 0, end: int | None = None) -> Iterator[np.ndarray]:
+    """Rows (N, 4) x, y, z, sigma of a file from ``begin`` to ``end`` (None: the last), part by part; read and not
+    mapped, for mapped pages count as memory of the process."""
+    last = path.stat().st_size // _ROW if end is None else end
+    for start in range(begin, last, _PART):
+        count = min(_PART, last - start)
+        yield np.fromfile(path, np.float64, 4 * count, offset=_ROW * start).reshape(-1, 4)
 
 
 @dataclass(frozen=True)
 class _Laid:
-    """The rows of a cloud sorted by tile; those of tile t begin at ``start[t]``."""
+    """The rows of a cloud sorted by tile in a file; those of tile t begin at ``start[t]``."""
 
-    rows: _Rows
+    path: Path
     start: np.ndarray
 
-    def own(self, tile: int) -> np.ndarray:
-        return np.concatenate([np.zeros((0, 4)), *self.parts(tile)])
+    def rows(self, tile: int) -> Iterator[np.ndarray]:
+        return _rows(self.path, int(self.start[tile]), int(self.start[tile + 1]))
 
-    def parts(self, tile: int) -> Iterator[np.ndarray]:
-        return self.rows.parts(int(self.start[tile]), int(self.start[tile + 1]))
+    def own(self, tile: int) -> np.ndarray:
+        return np.concatenate([np.zeros((0, 4)), *self.rows(tile)])
 
 
 @dataclass(frozen=True)
 class TiledClouds:
     """Two clouds (0, 1) by tiles; ``bounds`` (T, 4) of the tiles: low x, low y, high x, high y."""
 
-    laid: tuple[_Laid, _Laid]
+    laid: list[_Laid]
     bounds: np.ndarray
-    low: tuple[np.ndarray, np.ndarray]  # corners (3,) of each
-    high: tuple[np.ndarray, np.ndarray]
-    spacing_m: tuple[float, float]  # median distance to the nearest of the same cloud
+    low: np.ndarray  # (2, 3) corners of each
+    high: np.ndarray
+    spacing_m: np.ndarray  # (2,) median distance to the nearest of the same cloud
 
     def __len__(self) -> int:
         return len(self.bounds)
 
     def exchanged(self) -> "TiledClouds":
         """The same with cloud 1 as cloud 0."""
-        (a, b), (low_a, low_b), (high_a, high_b), (one, two) = self.laid, self.low, self.high, self.spacing_m
         return TiledClouds(
-            laid=(b, a), bounds=self.bounds, low=(low_b, low_a), high=(high_b, high_a), spacing_m=(two, one)
+            laid=self.laid[::-1],
+            bounds=self.bounds,
+            low=self.low[::-1],
+            high=self.high[::-1],
+            spacing_m=self.spacing_m[::-1],
         )
 
     def count(self, which: int) -> int:
@@ -94,7 +92,7 @@ class TiledClouds:
         near = (self.bounds[:, :2] <= high).all(axis=1) & (self.bounds[:, 2:] >= low).all(axis=1)
         found = [np.zeros((0, 4))]
         for other in np.flatnonzero(near):
-            for part in self.laid[which].parts(int(other)) if other != tile else ():
+            for part in self.laid[which].rows(int(other)) if other != tile else ():
                 found.append(part[((part[:, :2] >= low) & (part[:, :2] <= high)).all(axis=1)])
         return _points(np.concatenate(found))
 
@@ -116,25 +114,18 @@ def tile_clouds(first: PointSource, second: PointSource, scratch: Path, tuning: 
     that cannot be read (``open_cloud``).
     """
     files = [scratch / "first.points", scratch / "second.points"]
-    extents = [_copied(source, file) for source, file in zip((first, second), files)]
-    low, high = [e[0] for e in extents], [e[1] for e in extents]
-    grid = _grid(np.minimum(*low), np.maximum(*high))
-    flat = [_Rows(file) for file in files]
-    counts = sum((_counts(rows, grid) for rows in flat), np.zeros(grid.shape, np.int64))
+    corners = np.array([_copied(source, file) for source, file in zip((first, second), files)])
+    low, high = corners[:, 0], corners[:, 1]
+    grid = _grid(low.min(axis=0), high.max(axis=0))
+    counts = sum((_counts(file, grid) for file in files), np.zeros(grid.shape, np.int64))
     boxes = list(_split(counts, (0, 0, *grid.shape), tuning.tile_points))
     tile_of = np.zeros(grid.shape, np.int64)
     for k, (x, y, to_x, to_y) in enumerate(boxes):
         tile_of[x:to_x, y:to_y] = k
-    laid = [_sorted(rows, grid, tile_of.ravel(), len(boxes)) for rows in flat]
+    laid = [_sorted(file, grid, tile_of.ravel(), len(boxes)) for file in files]
     bounds = np.tile(grid.low, 2) + np.array(boxes, float) * grid.edge
-    spacing = [_spacing(one, tuning) for one in laid]
-    return TiledClouds(
-        laid=(laid[0], laid[1]),
-        bounds=bounds,
-        low=(low[0], low[1]),
-        high=(high[0], high[1]),
-        spacing_m=(spacing[0], spacing[1]),
-    )
+    spacing = np.array([_spacing(one, tuning) for one in laid])
+    return TiledClouds(laid=laid, bounds=bounds, low=low, high=high, spacing_m=spacing)
 
 
 def _copied(source: PointSource, file: Path) -> tuple[np.ndarray, np.ndarray]:
@@ -154,9 +145,9 @@ def _grid(low: np.ndarray, high: np.ndarray) -> _Grid:
     return _Grid(low[:2], edge, (int(extent[0] / edge) + 1, int(extent[1] / edge) + 1))
 
 
-def _counts(rows: _Rows, grid: _Grid) -> np.ndarray:
+def _counts(file: Path, grid: _Grid) -> np.ndarray:
     out = np.zeros(grid.shape[0] * grid.shape[1], np.int64)
-    for part in rows.parts():
+    for part in _rows(file):
         out += np.bincount(grid.cells(part), minlength=len(out))
     return out.reshape(grid.shape)
 
@@ -176,15 +167,15 @@ def _split(counts: np.ndarray, box: tuple[int, ...], most: int) -> Iterator[tupl
         yield from _split(counts, part, most)
 
 
-def _sorted(rows: _Rows, grid: _Grid, tile_of: np.ndarray, tiles: int) -> _Laid:
+def _sorted(file: Path, grid: _Grid, tile_of: np.ndarray, tiles: int) -> _Laid:
     """The rows in a file sorted by tile; the other file goes."""
     size = np.zeros(tiles, np.int64)
-    for part in rows.parts():
+    for part in _rows(file):
         size += np.bincount(tile_of[grid.cells(part)], minlength=tiles)
     start = np.r_[0, np.cumsum(size)]
-    filled, target = start[:-1].copy(), rows.path.with_suffix(".tiles")
+    filled, target = start[:-1].copy(), file.with_suffix(".tiles")
     with open(target, "wb") as out:
-        for part in rows.parts():
+        for part in _rows(file):
             tile = tile_of[grid.cells(part)]
             order = order_of(tile)
             count = np.bincount(tile, minlength=tiles)
@@ -193,8 +184,8 @@ def _sorted(rows: _Rows, grid: _Grid, tile_of: np.ndarray, tiles: int) -> _Laid:
                 out.seek(_ROW * int(filled[t]))
                 out.write(part[order[at[t] : at[t] + count[t]]].tobytes())
             filled += count
-    rows.path.unlink()
-    return _Laid(_Rows(target), start)
+    file.unlink()
+    return _Laid(target, start)
 
 
 def _spacing(laid: _Laid, tuning: CloudTuning) -> float:

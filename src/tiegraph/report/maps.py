@@ -1,4 +1,6 @@
-"""Maps: where the cameras went over the cloud from above, with scale bar and north; overlap; error ellipses."""
+"""Maps: where the cameras went over the cloud from above, which frames are missing, with scale bar and north; overlap;
+error ellipses.
+"""
 
 import math
 from collections.abc import Sequence
@@ -7,11 +9,59 @@ from dataclasses import dataclass
 import numpy as np
 from markupsafe import Markup
 
-from tiegraph.report.plan import Track, extent
-from tiegraph.report.svg.drawing import WIDTH, dots, legend, line, pass_colour, svg, text
+from tiegraph.report.svg import WIDTH, dots, legend, line, pass_colour, svg, text
 from tiegraph.report.texts import t
-from tiegraph.report.thumbnails import png_alpha
+from tiegraph.report.thumbnails import png
+from tiegraph.scene.scene import Scene, between_neighbours
 from tiegraph.text import round_below
+
+
+@dataclass(frozen=True)
+class Track:
+    """A pass on the map: name, positions (T, 3) of its frames in order (NaN = not registered), and where the missing
+    ones probably are (M, 3)."""
+
+    name: str
+    positions: np.ndarray
+    missing: np.ndarray
+
+
+def frame_positions(scene: Scene, centres: np.ndarray) -> np.ndarray:
+    """(F, 3) mean of the registered projection centres (N, 3) of each frame, NaN where none is registered."""
+    seen = np.isfinite(centres).all(axis=1)
+    count = np.bincount(scene.frame[seen], minlength=scene.frames)
+    sums = [np.bincount(scene.frame[seen], weights=centres[seen, c], minlength=scene.frames) for c in range(3)]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.stack(sums, axis=1) / np.where(count > 0, count, np.nan)[:, None]
+
+
+def tracks(scene: Scene, positions: np.ndarray) -> list[Track]:
+    """The passes with the places of their missing frames, interpolated along the pass or taken from the prior."""
+    between = between_neighbours(positions, scene)
+    guess = np.where(np.isfinite(between), between, scene.world_from_rig[:, :3, 3])
+    out = []
+    for sequence in [*range(len(scene.sequences)), -1]:
+        frames = scene.in_order(scene.sequence == sequence)
+        if not len(frames):
+            continue
+        at = positions[frames]
+        missing = guess[frames][~np.isfinite(at[:, 0]) & np.isfinite(guess[frames, 0])]
+        out.append(Track(scene.sequences[sequence] if sequence >= 0 else "images", at, missing))
+    return out
+
+
+def _extent(tracks: Sequence[Track], gnss: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Lower left and upper right corner (2,) of the passes and their surroundings."""
+    points = np.concatenate([np.zeros((0, 3)), *(at for track in tracks for at in (track.positions, track.missing))])
+    points = points[:, :2]
+    points = points[np.isfinite(points[:, 0])]
+    if not len(points):
+        points = gnss[:, :2] if len(gnss) else np.zeros((1, 2))
+    low, high = points.min(axis=0), points.max(axis=0)
+    size = max(float(np.max(high - low)), 1e-6)
+    pad = 0.22 * size + np.maximum(0, 0.6 * size - (high - low)) / 2
+    return low - pad, high + pad
+
 
 _PIXELS = 560  # of the backdrop's width
 _SAMPLE, _STRAYS = 100_000, 0.03  # points that tell the extent of the surface; share of them that may lie beyond it
@@ -45,7 +95,7 @@ class Place:
 def place_of(tracks: Sequence[Track], gnss: np.ndarray, surface: np.ndarray, unit: str) -> Place:
     """What a map of these passes shows: them, their surroundings, and most of the surface (K, 2+) that they survey, as
     far as it is not far off; neither too tall nor too flat."""
-    low, high = extent(tracks, gnss)
+    low, high = _extent(tracks, gnss)
     if len(surface):
         most = np.quantile(surface[:: max(1, len(surface) // _SAMPLE), :2], [_STRAYS, 1 - _STRAYS], axis=0)
         reach, pad = _FAR * float(np.max(high - low)), _STRAYS * float(np.max(most[1] - most[0]))
@@ -102,7 +152,7 @@ def raster(place: Place, xy: np.ndarray, rgb: np.ndarray, pixels: int = _PIXELS)
     out = np.zeros((size[1], size[0], 4), np.uint8)
     out[row[inside], column[inside], :3] = rgb[inside]
     out[row[inside], column[inside], 3] = 255
-    return png_alpha(out)
+    return png(out)
 
 
 def median_cells(place: Place, xy: np.ndarray, values: np.ndarray, pixels: int) -> tuple[np.ndarray, np.ndarray]:

@@ -1,4 +1,5 @@
-"""The page of ``tiegraph mark``, served on the loopback: images of the survey by number, marks as JSON, nothing else.
+"""The pages of ``tiegraph mark`` (images of the survey by number, marks as JSON) and of ``tiegraph watch`` (what is
+known, as JSON), served on the loopback, and nothing else.
 
 Other sites that a browser has open must neither read nor write here: a request has to name this very server as its host
 (a name that is rebound to 127.0.0.1 does not), and what changes something has to be JSON from this very origin.
@@ -6,6 +7,7 @@ Other sites that a browser has open must neither read nor write here: a request 
 
 import json
 import threading
+from contextlib import suppress
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
@@ -15,25 +17,29 @@ from urllib.parse import parse_qs, urlsplit
 import cv2
 import numpy as np
 
-from tiegraph.errors import TiegraphError
+from tiegraph.errors import InputError, TiegraphError
 from tiegraph.pipeline.mark import ChangedMeanwhile, Marking
+from tiegraph.watch.view import page
 
 _MOST_BODY = 4096  # bytes of a mark
 _PATCH_PX, _MOST_PATCH_PX, _MOST_WIDTH_PX = 120, 2048, 2048
+_HTML = "text/html; charset=utf-8"
 _POLICY = (
     "default-src 'none'; img-src 'self'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; connect-src 'self'; "
     "frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
 )
 
 
-class MarkServer(ThreadingHTTPServer):
-    """Serves one session on 127.0.0.1; port 0 = any that is free."""
+class PageServer(ThreadingHTTPServer):
+    """Serves a page on 127.0.0.1; port 0 = any that is free. Raises InputError for a port that cannot be had."""
 
     daemon_threads = True
 
-    def __init__(self, session: Marking, port: int = 0) -> None:
-        super().__init__(("127.0.0.1", port), _Handler)
-        self.session, self.lock = session, threading.Lock()
+    def __init__(self, port: int, handler: type["_Handler"]) -> None:
+        try:
+            super().__init__(("127.0.0.1", port), handler)
+        except (OSError, OverflowError) as error:
+            raise InputError(f"--port {port}: cannot be had ({error}); give another, or 0 for any") from error
 
     @property
     def hosts(self) -> tuple[str, str]:
@@ -47,8 +53,89 @@ class MarkServer(ThreadingHTTPServer):
 
 
 class _Handler(BaseHTTPRequestHandler):
-    server: MarkServer
+    """What both pages answer alike."""
+
+    server: PageServer
     protocol_version = "HTTP/1.1"
+
+    def _allowed(self, changes: bool = False) -> bool:
+        hosts = self.server.hosts
+        good = self.headers.get("Host", "") in hosts
+        origin = self.headers.get("Origin")
+        if origin is not None or changes:
+            good &= origin in [f"http://{h}" for h in hosts]
+        if changes:
+            good &= self.headers.get("Content-Type", "").partition(";")[0] == "application/json"
+        if not good:
+            self.close_connection = True
+            self._refuse(HTTPStatus.FORBIDDEN, "asked from elsewhere")
+        return good
+
+    def _json(self, data: Any) -> None:
+        self._send(json.dumps(data, allow_nan=False).encode(), "application/json")
+
+    def _refuse(self, status: HTTPStatus, text: str) -> None:
+        self._send(json.dumps({"error": text}).encode(), "application/json", status)
+
+    def _send(self, body: bytes, kind: str, status: HTTPStatus = HTTPStatus.OK) -> None:
+        self.send_response(status)
+        for name, value in (
+            ("Content-Type", kind), ("Content-Length", str(len(body))), ("Cache-Control", "no-store"),
+            ("X-Content-Type-Options", "nosniff"), ("Content-Security-Policy", _POLICY), ("X-Frame-Options", "DENY"),
+        ):  # fmt: skip
+            self.send_header(name, value)
+        self.end_headers()
+        with suppress(ConnectionError):  # the browser has gone
+            self.wfile.write(body)
+
+    def log_message(self, format: str, *args: Any) -> None:
+        """Nothing: the terminal is the user's."""
+
+
+class WatchServer(PageServer):
+    """Serves the page of a folder that is watched, from now on until ``close``."""
+
+    def __init__(self, port: int) -> None:
+        super().__init__(port, _WatchHandler)
+        self.state = b"{}"
+        threading.Thread(target=self.serve_forever, daemon=True, name="watch-page").start()
+
+    def show(self, state: dict[str, Any]) -> None:
+        """What ``/state.json`` says from now on."""
+        self.state = json.dumps(state, separators=(",", ":")).encode()
+
+    def close(self) -> None:
+        """End it."""
+        self.shutdown()
+        self.server_close()
+
+
+class _WatchHandler(_Handler):
+    server: WatchServer
+
+    def do_GET(self) -> None:
+        """The page or the state."""
+        if not self._allowed():
+            return
+        asked = self.path.partition("?")[0]
+        if asked == "/":
+            self._send(page(None), _HTML)
+        elif asked == "/state.json":
+            self._send(self.server.state, "application/json")
+        else:
+            self._refuse(HTTPStatus.NOT_FOUND, "no such page")
+
+
+class MarkServer(PageServer):
+    """Serves one session of marking."""
+
+    def __init__(self, session: Marking, port: int = 0) -> None:
+        super().__init__(port, _MarkHandler)
+        self.session, self.lock = session, threading.Lock()
+
+
+class _MarkHandler(_Handler):
+    server: MarkServer
 
     def do_GET(self) -> None:
         """The page, the state, an image or a part of one."""
@@ -58,7 +145,7 @@ class _Handler(BaseHTTPRequestHandler):
         query = {name: values[-1] for name, values in parse_qs(asked.query).items()}
         try:
             if asked.path == "/":
-                self._send(files("tiegraph.targets").joinpath("mark.html").read_bytes(), "text/html; charset=utf-8")
+                self._send(files("tiegraph.targets").joinpath("mark.html").read_bytes(), _HTML)
             elif asked.path == "/state":
                 with self.server.lock:
                     self._json(self.server.session.state())
@@ -94,19 +181,6 @@ class _Handler(BaseHTTPRequestHandler):
         except (KeyError, TypeError, IndexError, ValueError, OverflowError, TiegraphError) as error:
             self._refuse(HTTPStatus.BAD_REQUEST, str(error))
 
-    def _allowed(self, changes: bool = False) -> bool:
-        hosts = self.server.hosts
-        good = self.headers.get("Host", "") in hosts
-        origin = self.headers.get("Origin")
-        if origin is not None or changes:
-            good &= origin in [f"http://{h}" for h in hosts]
-        if changes:
-            good &= self.headers.get("Content-Type", "").partition(";")[0] == "application/json"
-        if not good:
-            self.close_connection = True
-            self._refuse(HTTPStatus.FORBIDDEN, "asked from elsewhere")
-        return good
-
     def _pixels(self, query: dict[str, str]) -> np.ndarray:
         image = int(query["k"])
         if not 0 <= image < len(self.server.session.scene):
@@ -129,22 +203,3 @@ class _Handler(BaseHTTPRequestHandler):
         if y0 < y1 and x0 < x1:
             out[y0 - top : y1 - top, x0 - left : x1 - left] = pixels[y0:y1, x0:x1]
         return cv2.imencode(".png", out)[1].tobytes()
-
-    def _json(self, data: Any) -> None:
-        self._send(json.dumps(data, allow_nan=False).encode(), "application/json")
-
-    def _refuse(self, status: HTTPStatus, text: str) -> None:
-        self._send(json.dumps({"error": text}).encode(), "application/json", status)
-
-    def _send(self, body: bytes, kind: str, status: HTTPStatus = HTTPStatus.OK) -> None:
-        self.send_response(status)
-        for name, value in (
-            ("Content-Type", kind), ("Content-Length", str(len(body))), ("Cache-Control", "no-store"),
-            ("X-Content-Type-Options", "nosniff"), ("Content-Security-Policy", _POLICY), ("X-Frame-Options", "DENY"),
-        ):  # fmt: skip
-            self.send_header(name, value)
-        self.end_headers()
-        self.wfile.write(body)
-
-    def log_message(self, format: str, *args: Any) -> None:
-        """Nothing: the terminal is the user's."""

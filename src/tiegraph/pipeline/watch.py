@@ -1,4 +1,10 @@
-"""Glue of watch: one step after another, files that have arrived become previews, ties and poses."""
+"""Glue of watch: one step after another, files that have arrived become previews, ties and poses; the page shows what
+is known.
+
+``watchmodel`` makes previews and matches them as the stages preview and candidates do, and the coarse model in a child,
+one at a time. What is kept in the run folder are previews, ties and the page as it was last: a second run goes on from
+there.
+"""
 
 import json
 import logging
@@ -19,11 +25,18 @@ from tiegraph.pipeline import STAGES
 from tiegraph.pipeline.files import load_npz, save_npz
 from tiegraph.pipeline.foundrig import rig_of_run
 from tiegraph.pipeline.inputs import check_given
-from tiegraph.pipeline.preview import preview_path
-from tiegraph.pipeline.previews import preview_of
-from tiegraph.pipeline.watch.model import CoarseModels, Modelled, rigs_of
-from tiegraph.pipeline.watch.shown import shown_scene, shown_surface
-from tiegraph.pipeline.watch.ties import make_preview, matched, neighbours, resect_previews
+from tiegraph.pipeline.pages import WatchServer
+from tiegraph.pipeline.preview import preview_of, preview_path
+from tiegraph.pipeline.watchmodel import (
+    CoarseModels,
+    Modelled,
+    make_preview,
+    matched,
+    neighbours,
+    resect_previews,
+    shown_scene,
+    shown_surface,
+)
 from tiegraph.project.folder import working_in
 from tiegraph.project.run import Run, check_run
 from tiegraph.project.stages import write_atomic
@@ -36,14 +49,13 @@ from tiegraph.scene.scene import Scene
 from tiegraph.watch.arrivals import Arrivals
 from tiegraph.watch.frames import Known, place_frames
 from tiegraph.watch.tuning import Tuning
-from tiegraph.watch.view import PageServer, page
+from tiegraph.watch.view import page
 
 KEPT, PAGE = "watch.npz", "watch.html"
 _BATCH = 8  # images of a step: a folder that is full already shows its first poses soon
 _RECENT = 100  # images of the median time
 
 log = logging.getLogger(__name__)
-_DRAWN_TIES = 4000  # on the page at most, the strongest
 
 
 def watch(run: Run, port: int, tuning: Tuning) -> None:
@@ -55,13 +67,13 @@ def watch(run: Run, port: int, tuning: Tuning) -> None:
     check_run(STAGES, run)
     check_given(STAGES, run)
     cv2.setNumThreads(1)  # the second core is for the model
-    server = PageServer(port)
+    server = WatchServer(port)
     try:
         with working_in(run.folder):
             watched = Watched(run, tuning)
             server.show(watched.state())
-            run.reporter.say(f"watching {run.inputs.images}: {server.address} shows what arrives; Ctrl-C ends it")
-            run.reporter.event("watching", page=server.address, folder=str(run.inputs.images))
+            run.reporter.say(f"watching {run.inputs.images}: {server.url} shows what arrives; Ctrl-C ends it")
+            run.reporter.event("watching", page=server.url, folder=str(run.inputs.images))
             try:
                 while True:
                     if watched.step(time.monotonic()):
@@ -270,11 +282,11 @@ class Watched:
 
     def _take_model(self, made: Modelled) -> None:
         scene = self._models.scene
-        self._remember(scene, PreviewMatches.from_npz(made.ties))
+        self._remember(scene, made.ties)
         if made.poses is None:
             return
         self.poses = {n: made.poses[k] for k, n in enumerate(scene.names) if np.isfinite(made.poses[k]).all()}
-        self._rigs, self._tried = rigs_of(made), {}
+        self._rigs, self._tried = made.rigs, {}
         self._models.of = frozenset(self.poses)
         said = f"model of {len(self.poses)} of {len(scene)} images in {self._models.seconds:.0f} s"
         if made.surface is not None and len(made.surface):
@@ -300,7 +312,7 @@ class Watched:
         else:
             least = self.run.settings.candidates.min_matches
             poses = self._known(scene).poses
-            out |= shown_scene(scene, self.ties(scene), poses, self._models, least=least, drawn=_DRAWN_TIES)
+            out |= shown_scene(scene, self.ties(scene), poses, self._models, least)
             broken = {**{d.name: d.reason for d in scene.dropped}, **broken}
             out["notes"] = list(scene.notes)
         out["broken"] = [[name, why] for name, why in sorted(broken.items())]
