@@ -88,6 +88,43 @@ def test_an_upward_direction_that_the_positions_refute_is_not_used(turned_deg, w
     assert ("not used" in notes[0]) == (not used)
 
 
+@pytest.mark.parametrize(("stated_m", "held"), [(2.0, True), (0.05, False)])
+def test_passes_that_errors_turn_over_each_other_are_held_upright_where_these_may_be_so_large(stated_m, held) -> None:
+    """Of two passes 3 m apart one is 4 m too high: alone they lean by 50 degrees, and know it to a few."""
+    back = np.arange(40) >= 20
+    place = np.stack([2.0 * (np.arange(40) % 20), 3.0 * back, np.zeros(40)], axis=1)
+    pose = np.tile(np.eye(4), (40, 1, 1))
+    pose[:, :3, 3] = place
+    noise = 0.05 * np.random.default_rng(5).standard_normal(place.shape)
+    sigma, tuning = np.full((40, 3), stated_m), WorldTuning()
+    evidence = Evidence(
+        frame=np.arange(40),
+        pose=pose,
+        position=place + noise + np.outer(back, [0, 0, 4.0]),
+        sigma=sigma,
+        orientation=np.full((40, 3, 3), np.nan),
+        arm=LeverArm(np.zeros(3)),
+        log_scale=None,
+    )
+    time_s = np.arange(40.0) + 300 * back
+    rows = Stated(sigma=sigma, level=np.zeros(40, int), time_s=time_s, common=np.full(3, np.nan))
+    up, notes = Up(np.array([0.0, 0, 1]), 3.0, ring=True, tilt=True, cameras="the ring"), []
+    alone, upright = (
+        by_errors(evidence, u, fit_similarity(evidence, u, tuning.fit), rows, tuning.fit, tuning.noise)
+        for u in (None, up)
+    )
+    found = up_to_use(evidence, up, notes, tuning, replace(alone, error=_known(alone, 3.0)), upright)
+    assert (found is up) == held and ("holds it" in notes[0]) == held
+    lean = np.degrees(np.arccos((upright.similarity.rotation @ up.direction)[2]))
+    assert lean < 6 or not held
+
+
+def _known(fit, tilt_deg: float):
+    """Its error, the tilt stated to so many degrees."""
+    turn = np.radians(tilt_deg) ** 2 / 2
+    return replace(fit.error, covariance=np.diag([turn, turn, 1e-4, 0.1, 0.1, 0.1, 1e-4]))
+
+
 def test_where_no_position_is_believed_the_control_points_alone_tell() -> None:
     place = np.random.default_rng(4).uniform(-20, 20, (12, 3))
     pose = np.tile(np.eye(4), (12, 1, 1))

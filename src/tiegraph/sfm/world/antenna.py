@@ -106,13 +106,25 @@ def with_clock(tuning: WorldTuning, scene: Scene) -> WorldTuning:
     return tuning.model_copy(update={"fit": fit})
 
 
+def _worst(fit: Fit) -> float:
+    """Errors of the positions over what is stated of them, of the level where they are largest."""
+    return max((factor for _, factor, _ in fit.levels), default=1.0)
+
+
 def up_to_use(
-    evidence: Evidence, up: Up | None, notes: list[str], tuning: WorldTuning, alone: Fit | Similarity | None = None
+    evidence: Evidence,
+    up: Up | None,
+    notes: list[str],
+    tuning: WorldTuning,
+    alone: Fit | Similarity | None = None,
+    upright: Fit | None = None,
 ) -> Up | None:
     """The cameras' upward direction if the positions need it (a straight track leaves the roll about it open) and do
     not refute it: photographs straight down have tops that point anywhere.
 
-    ``alone``: the fit without it, or a similarity that is known to be about right.
+    ``alone``: the fit without it, or a similarity that is known to be about right; ``upright``: the best fit with it.
+    Of two passes a few metres apart metres of error turn one over the other, and where they have done so the sigma of
+    the turn is small: so it is refuted only where positions would be off by more with it than they may be.
     """
     if up is None or np.isfinite(evidence.orientation).all(axis=(1, 2)).any():
         return None
@@ -121,7 +133,15 @@ def up_to_use(
     tilt = alone.sigma["tilt_deg"] if up.tilt else alone.roll_sigma_deg
     known = known_to(tilt, RIGHT_ANGLE_DEG, f"{tilt:.1f} deg")
     off = leaning_deg(evidence, alone.similarity, up)
-    if off > LIMIT * np.hypot(tilt, up.sigma_deg):
+    apart = off > LIMIT * np.hypot(tilt, up.sigma_deg)
+    if apart and upright is not None and _worst(upright) <= tuning.statements.scatter * max(1.0, _worst(alone)):
+        notes.append(
+            f"the positions alone would have the model lean by {off:.0f} deg; the upward direction of {up.cameras} "
+            f"holds it, to about {up.sigma_deg:.0f} deg, for which they need be off by no more than "
+            f"{_worst(upright):.1f} times their sigmas"
+        )
+        return up
+    if apart:
         notes.append(
             f"the positions tell what is level ({known}): the upward direction of {up.cameras} is {off:.0f} deg off "
             "and not used"

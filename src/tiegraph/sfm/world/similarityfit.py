@@ -178,9 +178,12 @@ def fit_to_world(
     if arm.estimate is None and not moving and not _significant(fit, now.evidence):  # positions of the cameras by name
         now = believed(free.with_arm(estimate=False), now.fixes, model.up, now.fit.similarity, tuning)
         fit = by_errors(now.evidence, None, now.fit, rows, tuning.fit, tuning.noise)
-    up = up_to_use(now.evidence, model.up, notes, tuning, fit)
-    if up is not None:
-        fit = by_errors(now.evidence, up, now.fit, rows, tuning.fit, tuning.noise)
+    up = None
+    if model.up is not None:
+        start = fit_similarity(now.evidence, model.up, tuning.fit)
+        upright = by_errors(now.evidence, model.up, start, rows, tuning.fit, tuning.noise)
+        up = up_to_use(now.evidence, model.up, notes, tuning, fit, upright)
+        fit = fit if up is None else upright
     if not 0 < fit.sigma["scale"] < tuning.sources.any_scale:
         return NotPlaced(f"{fit.inlier.sum()} of {len(fit.inlier)} positions agree with it, and do not tell its size")
     notes += [arm_text(fit, now.evidence, tuning)] if now.evidence.arm.estimate else []

@@ -81,7 +81,8 @@ def statements(found: Georeference) -> list[Statement]:
         used = [SCALE] if source.name in weighed.scale_used else []
         if source.name in weighed.places_used:
             used += ["heading", "tilt towards north", "tilt towards east", "place east", "place north", "height"]
-        out += source.statements(result, weighed.at, used, placing.tuning.sources)
+        said = source.statements(result, weighed.at, used, placing.tuning.sources)
+        out += [s for s in said if placing.up is None or source.name == CONTROL or not s.quantity.startswith("tilt")]
     out += rig_statement(placing.model.scale, result, weighed.lengths_used and placing.evidence.log_scale is not None)
     out += rig_statement(placing.model.rig, result, False)
     out += up_statements(placing.model.up, result, placing.up is not None)
