@@ -12,7 +12,7 @@ from tiegraph.geometry.align import Similarity
 from tiegraph.geometry.gravity import Up
 from tiegraph.scene.evidence import LIMIT
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.tuning.world import WorldTuning
+from tiegraph.sfm.tuning.world import StatementTuning, WorldTuning
 from tiegraph.sfm.world.fit import Evidence, Fit, fit_similarity, leaning_deg
 from tiegraph.sfm.world.fixes import Fixes
 from tiegraph.sfm.world.positionerrors import HARDLY, factors
@@ -106,6 +106,12 @@ def with_clock(tuning: WorldTuning, scene: Scene) -> WorldTuning:
     return tuning.model_copy(update={"fit": fit})
 
 
+def _as_good(upright: Fit, alone: Fit, tuning: StatementTuning) -> bool:
+    """Whether as many positions agree with the one fit as with the other, with errors that they may have."""
+    few = upright.inlier.sum() < tuning.agreeing * alone.inlier.sum()
+    return not few and _worst(upright) <= tuning.scatter * max(1.0, _worst(alone))
+
+
 def _worst(fit: Fit) -> float:
     """Errors of the positions over what is stated of them, of the level where they are largest."""
     return max((factor for _, factor, _ in fit.levels), default=1.0)
@@ -134,7 +140,7 @@ def up_to_use(
     known = known_to(tilt, RIGHT_ANGLE_DEG, f"{tilt:.1f} deg")
     off = leaning_deg(evidence, alone.similarity, up)
     apart = off > LIMIT * np.hypot(tilt, up.sigma_deg)
-    if apart and upright is not None and _worst(upright) <= tuning.statements.scatter * max(1.0, _worst(alone)):
+    if apart and upright is not None and _as_good(upright, alone, tuning.statements):
         notes.append(
             f"the positions alone would have the model lean by {off:.0f} deg; the upward direction of {up.cameras} "
             f"holds it, to about {up.sigma_deg:.0f} deg, for which they need be off by no more than "
