@@ -18,7 +18,7 @@ from tiegraph.network.rig.commonview import direction, in_words, strangers, vote
 from tiegraph.network.scorematrix import score_matrix
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
-from tiegraph.papers.meguro2024 import _around, _At
+from tiegraph.papers.meguro2024 import _around
 from tiegraph.scene.pairs import REASONS
 
 TUNING = Tuning()
@@ -114,11 +114,11 @@ def test_of_the_partners_around_an_offset_the_best_ones_are_kept() -> None:
     settings = CandidatesSettings(offsets="constant", offset_range=4, min_matches=40)
     cache = MatchCache(world.match, len(world.scene))
     scores = score_matrix(p, q, 1, np.ones((5, 5), bool), TUNING.offsets.scores)
-    step, every = world.scene.sequence_index[world.scene.frame], _around(scores, _At(1, 3, 15), True, cache, settings)
+    step, every = world.scene.sequence_index[world.scene.frame], _around(scores, (1, 3), 15, True, cache, settings)
     assert set(step[every.i] + step[every.j] - 15) == set(range(-4, 5))
     for best in (1, 2):
         chosen = settings.model_copy(update={"offset_best": best})
-        pairs = _around(scores, _At(1, 3, 15), True, cache, chosen)
+        pairs = _around(scores, (1, 3), 15, True, cache, chosen)
         image, partner = np.where(np.isin(pairs.i, p.images[1]), (pairs.i, pairs.j), (pairs.j, pairs.i))
         assert len(np.unique(image)) == 16 and np.isin(partner, q.images[3]).all()
         for k in np.unique(image):

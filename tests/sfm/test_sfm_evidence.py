@@ -20,8 +20,9 @@ from tiegraph.sfm.world import georef
 from tiegraph.sfm.world.fixes import Measurements
 from tiegraph.sfm.world.georef import Georeference
 from tiegraph.sfm.world.marks import Target, without_blunders
+from tiegraph.sfm.world.placed import Model, SimilarityFit
 from tiegraph.sfm.world.scale import RigScale
-from tiegraph.sfm.world.similarityfit import Model, SimilarityFit, fit_to_world
+from tiegraph.sfm.world.similarityfit import fit_to_world
 from tiegraph.sfm.world.statements import with_statements
 
 COUNT = 40

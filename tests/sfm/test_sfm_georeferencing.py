@@ -23,7 +23,8 @@ from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.world.fixes import Measurements, PositionRows, make_fixes
 from tiegraph.sfm.world.georef import georeference
 from tiegraph.sfm.world.georeferencing import georeference_model
-from tiegraph.sfm.world.similarityfit import Model, NotPlaced, SimilarityFit, fit_to_world
+from tiegraph.sfm.world.placed import Model, NotPlaced, SimilarityFit
+from tiegraph.sfm.world.similarityfit import fit_to_world
 from tiegraph.sfm.world.worldadjust import ConstantParameters
 
 import pycolmap  # isort: skip

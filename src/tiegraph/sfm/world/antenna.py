@@ -140,7 +140,8 @@ def up_to_use(
     known = known_to(tilt, RIGHT_ANGLE_DEG, f"{tilt:.1f} deg")
     off = leaning_deg(evidence, alone.similarity, up)
     apart = off > LIMIT * np.hypot(tilt, up.sigma_deg)
-    if apart and upright is not None and _as_good(upright, alone, tuning.statements):
+    stands = upright is not None and leaning_deg(evidence, upright.similarity, up) < LIMIT * up.sigma_deg
+    if apart and upright is not None and stands and _as_good(upright, alone, tuning.statements):
         notes.append(
             f"the positions alone would have the model lean by {off:.0f} deg; the upward direction of {up.cameras} "
             f"holds it, to about {up.sigma_deg:.0f} deg, for which they need be off by no more than "

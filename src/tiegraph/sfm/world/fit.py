@@ -14,7 +14,7 @@ from tiegraph.geometry.gravity import Up, roll_by_upward, roll_to_upright, to_up
 from tiegraph.geometry.transforms import skew, turn_by_vector, vector_by_turn
 from tiegraph.sfm.tuning.world import FitTuning, NoiseTuning
 from tiegraph.sfm.world.positionerrors import Linear, PositionErrors, Stated
-from tiegraph.sfm.world.unknowns import Clock, FittedArm, LeverArm, LogScale
+from tiegraph.sfm.world.unknowns import Bend, Clock, FittedArm, LeverArm, LogScale
 
 _OPEN = 1e-6  # squared sine between an unknown and what residuals tell, beyond which it is open
 _STEPS = 3  # of linearising about the errors of the positions
@@ -27,8 +27,7 @@ class Evidence:
 
     A pose may be a weighted sum of frames' poses, and that of a control point has no rotation (zeros): its lever arm is
     nothing. ``frame`` (K,) -1 = control point; ``speed`` (K, 4, 4) derivative of the pose by time; ``orientation``
-    (K, 3, 3) world_from_rig, NaN = unknown; ``log_scale`` None = the rig says nothing of the scale; ``bend`` (K, 3, M)
-    what each of the modes of the model's shape moves the places by, model units.
+    (K, 3, 3) world_from_rig, NaN = unknown; ``log_scale`` None = the rig says nothing of the scale.
     """
 
     frame: np.ndarray
@@ -40,8 +39,7 @@ class Evidence:
     log_scale: LogScale | None
     speed: np.ndarray | None = None
     estimate_offset: bool = False
-    bend: np.ndarray | None = None
-    bent: np.ndarray | None = None  # (M,) coefficients of the modes by which the poses were moved already
+    bend: Bend | None = None
 
     def without_orientations(self) -> Evidence:
         """The same, nothing known of orientations."""
@@ -53,8 +51,9 @@ class Evidence:
 
     def where(self, mask: np.ndarray) -> Evidence:
         """The rows of a mask (K,)."""
-        columns = ("frame", "pose", "position", "sigma", "orientation", "speed", "bend")
-        return replace(self, **{n: getattr(self, n)[mask] for n in columns if getattr(self, n) is not None})
+        columns = ("frame", "pose", "position", "sigma", "orientation", "speed")
+        out = replace(self, **{n: getattr(self, n)[mask] for n in columns if getattr(self, n) is not None})
+        return out if out.bend is None else replace(out, bend=replace(out.bend, modes=out.bend.modes[mask]))
 
     def position_residuals(self, similarity: Similarity, antenna: np.ndarray, offset_s: float = 0.0) -> np.ndarray:
         """(K, 3) metres: antenna by the model minus the prior position, X + R l - p (ALGORITHMS section 4)."""
@@ -149,7 +148,7 @@ def by_errors(evidence: Evidence, up: Up | None, fit: Fit, rows: Stated, tuning:
     fit = replace(fit, arm=FittedArm(evidence.arm.place, fit.arm.covariance), clock=Clock(0.0, fit.clock.sigma_s))
     believed = dict.fromkeys((7, 8, 9), tuning.antenna_sigma_m) if evidence.arm.estimate else {}
     believed |= {7 + len(believed): tuning.offset_sigma_s} if evidence.estimate_offset else {}
-    modes = 0 if evidence.bend is None else evidence.bend.shape[2]
+    modes = 0 if evidence.bend is None else len(evidence.bend.done)
     for _ in range(_STEPS):
         problem = _Problem(evidence, up, fit.similarity, tuning)
         x = problem.at(fit)
@@ -181,10 +180,10 @@ def _linearised(problem: _Problem, x: np.ndarray, inlier: np.ndarray, rows: Stat
     known = every[3 * count :].T @ every[3 * count :]
     known[range(problem.size, len(known) - 1), range(problem.size, len(known) - 1)] += 1.0  # of modes
     known[at, at] = rows.common[common] ** -2
-    if problem.evidence.bent is not None:
-        own = slice(problem.size, problem.size + len(problem.evidence.bent))
-        known[own, -1] = known[-1, own] = problem.evidence.bent
-        known[-1, -1] += problem.evidence.bent @ problem.evidence.bent
+    if problem.evidence.bend is not None:
+        done = problem.evidence.bend.done
+        known[problem.size : problem.size + len(done), -1] = known[-1, problem.size : problem.size + len(done)] = done
+        known[-1, -1] += done @ done
     return Linear(rows=places[seen], stated=rows.where(seen), known=known)
 
 
@@ -239,9 +238,9 @@ class _Problem:
 
     def bend(self, x: np.ndarray) -> np.ndarray:
         """(K, 3, M) of the antenna's places by the modes of the model's shape, metres."""
-        similarity, modes = self.unpack(x)[0], self.evidence.bend
+        similarity, bend = self.unpack(x)[0], self.evidence.bend
         turn = similarity.scale * similarity.rotation
-        return np.zeros((len(self.evidence.pose), 3, 0)) if modes is None else np.einsum("ij,kjm->kim", turn, modes)
+        return np.zeros((len(self.evidence.pose), 3, 0)) if bend is None else np.einsum("ij,kjm->kim", turn, bend.modes)
 
     def others(self, x: np.ndarray, with_scale: bool = True) -> np.ndarray:
         similarity, _ = self.unpack(x)

@@ -22,8 +22,9 @@ from tiegraph.sfm.world.bars import BarsFound, bars_in
 from tiegraph.sfm.world.fit import Fit
 from tiegraph.sfm.world.fixes import Fixes, Measurements
 from tiegraph.sfm.world.marks import point_table, targets, without_blunders
+from tiegraph.sfm.world.placed import Model, NotPlaced, SimilarityFit
 from tiegraph.sfm.world.scale import RIG, rig_scale
-from tiegraph.sfm.world.similarityfit import Model, NotPlaced, SimilarityFit, fit_to_world
+from tiegraph.sfm.world.similarityfit import fit_to_world
 from tiegraph.sfm.world.sources import rig_statement, up_statements
 from tiegraph.text import known_to
 

@@ -35,7 +35,7 @@ from tiegraph.sfm.world.georef import (
 )
 from tiegraph.sfm.world.marks import Target, as_copy, by_chance, copy_of, marked, point_table, targets
 from tiegraph.sfm.world.oneworld import ByPositions, OneWorld, one_world
-from tiegraph.sfm.world.similarityfit import SimilarityFit
+from tiegraph.sfm.world.placed import SimilarityFit
 from tiegraph.sfm.world.statements import with_statements
 from tiegraph.sfm.world.worldadjust import ConstantParameters
 

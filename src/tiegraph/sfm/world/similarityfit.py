@@ -7,10 +7,8 @@ import numpy as np
 
 from tiegraph.geometry.align import Similarity, rms_length, umeyama
 from tiegraph.geometry.geodesy import datum_sigma_m
-from tiegraph.geometry.gravity import Up
 from tiegraph.scene.evidence import LIMIT, RARELY, fits_better
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.model import frame_poses
 from tiegraph.sfm.settings import GeorefSettings
 from tiegraph.sfm.tuning.world import FixTuning, WorldTuning
 from tiegraph.sfm.world.antenna import (
@@ -21,14 +19,12 @@ from tiegraph.sfm.world.antenna import (
     up_to_use,
     with_clock,
 )
-from tiegraph.sfm.world.bars import BarsFound
 from tiegraph.sfm.world.fit import Evidence, Fit, by_errors, fit_similarity
 from tiegraph.sfm.world.fixes import Fixes, Measurements, make_fixes
-from tiegraph.sfm.world.marks import Target
-from tiegraph.sfm.world.positionerrors import MEDIAN_CHI2_3, Stated, factors
-from tiegraph.sfm.world.scale import RigScale
+from tiegraph.sfm.world.placed import Model, NotPlaced, SimilarityFit
+from tiegraph.sfm.world.positionerrors import MEDIAN_CHI2_3, Stated
 from tiegraph.sfm.world.sources import POSITIONS
-from tiegraph.sfm.world.unknowns import LeverArm, LogScale
+from tiegraph.sfm.world.unknowns import Bend, LeverArm, LogScale
 from tiegraph.sfm.world.weighing import EvidenceWeights, Question, weigh
 
 
@@ -38,98 +34,6 @@ class _Arm:
 
     given: np.ndarray | None
     estimate: bool | None
-
-
-@dataclass(frozen=True)
-class Model:
-    """What of the model a placement needs."""
-
-    images: np.ndarray  # cam_from_world (N, 4, 4)
-    up: Up | None
-    scale: RigScale | None  # by known lengths: scale bars where there are some, else the rig's baselines
-    targets: list[Target]
-    names: tuple[str, ...] = ()  # of the images
-    bars: BarsFound | None = None
-    rig: RigScale | None = None  # by the rig, where bars hold the scale
-
-    def frames(self, scene: Scene, metres_per_unit: float | None = None) -> np.ndarray:
-        """world_from_rig (F, 4, 4), by the rig's scale if none is given."""
-        guess = 1.0 if self.scale is None else self.scale.metres_per_unit
-        return frame_poses(self.images, scene, metres_per_unit or guess)
-
-
-@dataclass(frozen=True)
-class SimilarityFit:
-    """All a placement rests on; rows of ``evidence`` are the fixes, then the control points."""
-
-    evidence: Evidence  # sigmas as believed
-    fixes: Fixes  # sigmas as stated, with doubt about outages and bridges
-    fit: Fit
-    up: Up | None  # used to hold the tilt
-    points: np.ndarray  # (C,) control points in the evidence: rows of the control file
-    notes: tuple[str, ...]
-    weighed: EvidenceWeights
-    model: Model
-    tuning: WorldTuning
-    rows: Stated  # the fixes as they are stated
-
-    def residuals(self) -> np.ndarray:
-        """(K, 3) metres, of the fixes."""
-        fit = self.fit
-        return self.evidence.position_residuals(fit.similarity, fit.arm.place, fit.clock.offset_s)[: len(self.fixes)]
-
-    def held_out(self, bends: bool) -> np.ndarray | None:
-        """(K, 3) metres, residuals of the fixes by the fit without those held out, and with what it tells of the
-        model's shape, or without; None without any, or with too few others."""
-        count, evidence = len(self.fixes), self.evidence if bends else replace(self.evidence, bend=None, bent=None)
-        held = np.append(self.fixes.held, np.zeros(len(evidence.frame) - count, bool))
-        seen = self.fit.inlier & ~held
-        if not held.any() or seen.sum() < self.tuning.similarity_fit.min_positions:
-            return None
-        fit = replace(self.fit, inlier=seen)
-        blind = replace(self, evidence=evidence, fit=fit).refitted()
-        off, (coefficients, _) = blind.residuals(), blind.fit.bent or (np.zeros(0), None)
-        turn = blind.fit.similarity.scale * blind.fit.similarity.rotation
-        return off if evidence.bend is None else off + evidence.bend[:count] @ coefficients @ turn.T
-
-    def refitted(self) -> "SimilarityFit":
-        """The same once its believed positions are fitted anew."""
-        tuning = self.tuning
-        return replace(self, fit=by_errors(self.evidence, self.up, self.fit, self.rows, tuning.fit, tuning.noise))
-
-    def of_bent(self, poses: np.ndarray, targets: np.ndarray, bent: np.ndarray) -> "SimilarityFit":
-        """The same of a model that its similarity has placed and that was bent since: ``poses`` (F, 4, 4) of the
-        scene's frames, places (C, 3) of the control points used, coefficients (M,) of the modes of its shape."""
-        there, evidence, tuning, count = self.fit.similarity, self.evidence, self.tuning, len(self.fixes)
-        pose, speed = self.fixes.blend(poses)
-        points = evidence.pose[count:].copy()
-        points[:, :3, 3] = targets
-        bend = None if evidence.bend is None else np.einsum("ij,kjm->kim", there.rotation, evidence.bend) * there.scale
-        length, up = evidence.log_scale, self.up
-        evidence = replace(
-            evidence,
-            pose=np.concatenate([pose, points]),
-            speed=np.concatenate([speed, np.zeros_like(points)]),
-            bend=bend,
-            bent=bent,
-            log_scale=length and replace(length, value=length.value - np.log(there.scale)),
-        )
-        start = replace(self.fit, similarity=Similarity(1.0, np.eye(3), np.zeros(3)))
-        up = up and replace(up, direction=there.rotation @ up.direction)
-        placed = replace(self, evidence=evidence, fit=start, up=up)
-        off = placed.residuals()
-        factor = factors(off / self.fixes.sigma, self.fixes.level, self.fixes.time_s, tuning.noise)
-        times = np.linalg.norm(off / self.fixes.stretched(factor).sigma, axis=1)
-        inlier = np.append(times < tuning.fit.inlier_sigmas * np.sqrt(3), self.fit.inlier[count:])
-        return replace(placed, fit=replace(start, inlier=inlier)).refitted()
-
-
-@dataclass(frozen=True)
-class NotPlaced:
-    """Why nothing places a model, and whether that contradicts it."""
-
-    why: str
-    contradicts: bool = False
 
 
 @dataclass(frozen=True)
@@ -288,7 +192,7 @@ def _evidence(frames: np.ndarray, fixes: Fixes, about: _Given, arm: _Arm) -> Evi
         arm=LeverArm(np.zeros(3) if arm.given is None else arm.given, arm.estimate is True),
         log_scale=LogScale(np.log(scale.metres_per_unit), scale.sigma) if scale is not None and scale.trusted else None,
         speed=speed,
-        bend=np.einsum("kn,knim->kim", fixes.weights, about.bend[fixes.frames]),
+        bend=Bend.of(np.einsum("kn,knim->kim", fixes.weights, about.bend[fixes.frames])),
     )
 
 
@@ -312,7 +216,7 @@ def _with_points(evidence: Evidence, about: _Given, metres: float) -> Evidence:
         position=np.concatenate([evidence.position, control.world_m[points]]),
         sigma=np.concatenate([evidence.sigma, sigma]),
         orientation=np.concatenate([evidence.orientation, np.full((len(points), 3, 3), np.nan)]),
-        bend=np.concatenate([evidence.bend, bend]),
+        bend=Bend.of(np.concatenate([evidence.bend.modes, bend])),
     )
 
 

@@ -1,4 +1,6 @@
-"""Of a placement beside place and turn: the rig's word on the scale, the receiver's antenna in the rig, its clock."""
+"""Of a placement beside place and turn: the scale by the rig, the antenna in it, the receiver's clock, the shape."""
+
+from __future__ import annotations
 
 from dataclasses import dataclass
 
@@ -35,3 +37,17 @@ class Clock:
 
     offset_s: float
     sigma_s: float
+
+
+@dataclass(frozen=True)
+class Bend:
+    """What each of the modes of a model's shape moves K places by, (K, 3, M) in units of the model, and coefficients
+    (M,) by which they were moved already."""
+
+    modes: np.ndarray
+    done: np.ndarray
+
+    @staticmethod
+    def of(modes: np.ndarray) -> Bend:
+        """Of places as the images have them."""
+        return Bend(modes, np.zeros(modes.shape[2]))
