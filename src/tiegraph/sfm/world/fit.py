@@ -149,10 +149,12 @@ def by_errors(evidence: Evidence, up: Up | None, fit: Fit, rows: Stated, tuning:
     believed = dict.fromkeys((7, 8, 9), tuning.antenna_sigma_m) if evidence.arm.estimate else {}
     believed |= {7 + len(believed): tuning.offset_sigma_s} if evidence.estimate_offset else {}
     modes = 0 if evidence.bend is None else len(evidence.bend.done)
+    sizes = None
     for _ in range(_STEPS):
         problem = _Problem(evidence, up, fit.similarity, tuning)
         x = problem.at(fit)
-        errors = PositionErrors(_linearised(problem, x, fit.inlier, rows, seen), noise)
+        errors = PositionErrors(_linearised(problem, x, fit.inlier, rows, seen), noise, sizes)
+        sizes = errors.sizes
         moved, covariance = errors.step(believed)
         rows = replace(rows, common=stated * max(1.0, errors.times_stated))  # an optimistic receiver is so in all
         size, held = problem.size, 0.0 if evidence.log_scale is None else evidence.log_scale.sigma**-2

@@ -24,6 +24,7 @@ MEDIAN_CHI2_3 = 2.366  # median of chi-square with three degrees of freedom
 _REACH = np.log(100.0)  # of the logarithms of sizes: beyond, positions are made and not measured, or of another survey
 HARDLY = 0.9  # of the sigma that is believed beforehand: what tells no more than that tells nothing
 _OPEN = 1e-10  # of what is known of an unknown: what nothing tells gets a huge sigma instead of a singular matrix
+_SAME = 1e-7  # of the likelihood's logarithm: a step that ends the search
 _MOST = 1 - 1e-9  # correlation of two positions of one instant
 
 
@@ -65,10 +66,13 @@ class Sizes:
 
 
 class PositionErrors:
-    """The likeliest sizes of the errors of some positions, and what they leave of the unknowns."""
+    """The likeliest sizes of the errors of some positions, and what they leave of the unknowns.
 
-    def __init__(self, linear: Linear, tuning: NoiseTuning) -> None:
-        self._linear, self._tuning = linear, tuning
+    ``near``: sizes of nearly the same positions, to be looked for from there.
+    """
+
+    def __init__(self, linear: Linear, tuning: NoiseTuning, near: Sizes | None = None) -> None:
+        self._linear, self._tuning, self._near = linear, tuning, near
         names, number, counts = np.unique(linear.stated.level, return_inverse=True, return_counts=True)
         few = counts < tuning.min_rows  # levels of a few positions share one size
         joined = np.where(few, few.argmax() if len(few) else 0, np.arange(len(names)))
@@ -85,8 +89,11 @@ class PositionErrors:
         """The likeliest after the residuals are seen."""
         levels = self._level.max(initial=-1) + 1
         start = np.log([*[np.sqrt(0.5)] * (2 * levels), self._tuning.slow_s])
-        bounds = np.stack([start - _REACH, start + _REACH], axis=1)
-        return self._of(minimize(self._unlikely, start, (start,), method="L-BFGS-B", bounds=bounds).x)
+        bounds, first = np.stack([start - _REACH, start + _REACH], axis=1), start
+        if self._near is not None:
+            first = np.clip(np.log([*self._near.white, *self._near.slow, self._near.lasts_s]), *bounds.T)
+        found = minimize(self._unlikely, first, (start,), method="L-BFGS-B", bounds=bounds, options={"ftol": _SAME})
+        return self._of(found.x)
 
     @property
     def times_stated(self) -> float:
