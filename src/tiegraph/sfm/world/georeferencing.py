@@ -50,7 +50,7 @@ def georeference_model(
     given: Measurements | None = None,
     held: ConstantParameters | None = None,
 ) -> tuple[Georeference, pycolmap.Reconstruction]:
-    """The georeference of a model, judged (``statements.py``), and the model in the world; see ``_grounded``."""
+    """The georeference of a model, judged (``statements.py``), and the model in the world; see ``_georeferenced``."""
     given, held = given or Measurements(), held or ConstantParameters()
     found, world = _georeferenced(model, scene, settings, tuning, given, held)
     points = _points(world, scene, given, tuning.world) if given.control is not None else []
@@ -84,29 +84,30 @@ def _georeferenced(
     good, why, blind = _check(placing)
     if not good and settings.adjust == "auto":
         return _with(first, _REFUSED.format(why)), world
-    placed, bent, left = _bent(world, placing, shape, scene, given, (held, settings.adjust == "yes"), tuning)
+    placed, bent = _bent(world, placing, shape, scene, given, (held, settings.adjust == "yes"), tuning)
     before, after = (m.compute_mean_reprojection_error() for m in (world, bent))
     if after > tuning.world.adjustment.worse_pixels * before and settings.adjust == "auto":
         text = f"the images fit worse with it ({before:.3f} -> {after:.3f} px)"
         return _with(first, _REFUSED.format(text)), world
     step = np.linalg.norm(_frames(bent, scene)[:, :3, 3] - _frames(world, scene)[:, :3, 3], axis=1)
-    note = "the model keeps the shape that its images give it: positions and points would hardly change it"
+    notes = ["the model keeps the shape that its images give it: positions and points would hardly change it"]
     if placed is not placing:
-        note = (
+        notes = [
             f"adjusted with the positions: frames moved by {np.nanmedian(step):.3f} m (at most {np.nanmax(step):.3f} m)"
-            f", reprojection {before:.3f} -> {after:.3f} px"
-        )
+            f", reprojection {before:.3f} -> {after:.3f} px",
+            f"check of this adjustment: {why}",
+        ]
     assert placed.fit.bent is not None
     adjusted = replace(
         first,
-        uncertainty=replace(first.uncertainty, shape=shape.told(left, placed.fit.bent[1])),
+        uncertainty=replace(first.uncertainty, shape=shape.told(*placed.fit.bent)),
         world_from_model=worldadjust.similarity_to(model, bent, first.world_from_model),
         residuals=residuals_of(placed, scene, blind),
         receiver=applied_receiver(placed.fit.arm.place, placed.fit.clock.offset_s),
         control=_control(first, bent, scene, given, tuning.world),
         adjusted=placed is not placing,
     )
-    return _with(_with(adjusted, note), f"check of this adjustment: {why}"), bent
+    return _with(adjusted, *notes), bent
 
 
 def _bent(
@@ -117,20 +118,18 @@ def _bent(
     given: Measurements,
     how: tuple[ConstantParameters, bool],
     tuning: Tuning,
-) -> tuple[SimilarityFit, pycolmap.Reconstruction, np.ndarray]:
-    """The fit to the model once it has the shape that its images and all else have together, that model in the world,
-    and what is left of the bend, (M,) coefficients of the modes of its shape. ``how``: what is held, and whether it is
-    adjusted even where that changes little.
+) -> tuple[SimilarityFit, pycolmap.Reconstruction]:
+    """The fit to the model once it has the shape that its images and all else have together, and that model in the
+    world. ``how``: what is held, and whether it is adjusted even where that changes little.
 
     The bend is linear in these, and control points are taken to move with the frames that see them: so once more.
     """
     held, always = how
     placed, bent, start = placing, world, _frames(world, scene)[:, :3, 3]
-    least, left = tuning.world.adjustment.least_bend * rms_length(shape.sigma[:, None]), np.zeros(len(shape.modes))
+    least = tuning.world.adjustment.least_bend * rms_length(shape.sigma[:, None])
     for _ in range(tuning.world.adjustment.rounds):
         assert placed.fit.bent is not None
-        left = placed.fit.bent[0]
-        step, sigma = shape.step(np.arange(scene.frames), left)
+        step, sigma = shape.step(np.arange(scene.frames), placed.fit.bent[0])
         if rms_length(step) < least and not (always and placed is placing):
             break
         bent = worldadjust.bent(bent, scene, (step, sigma), held, tuning)
@@ -140,7 +139,7 @@ def _bent(
         placed = placing.of_bent(poses, places.reshape(-1, 3)[placing.points], done)
     if placed is not placing:
         bent = moved(bent, placed.fit.similarity)
-    return placed, bent, left
+    return placed, bent
 
 
 def _shape(model: pycolmap.Reconstruction, scene: Scene, held: ConstantParameters, tuning: Tuning) -> Shape | None:
@@ -207,9 +206,9 @@ def as_marked(
     return replace(given, control=control, bars=bars), ()
 
 
-def _with(georeference: Georeference, note: str) -> Georeference:
+def _with(georeference: Georeference, *notes: str) -> Georeference:
     findings = georeference.findings
-    return replace(georeference, findings=replace(findings, notes=(*findings.notes, note)))
+    return replace(georeference, findings=replace(findings, notes=(*findings.notes, *notes)))
 
 
 def _points(model: pycolmap.Reconstruction, scene: Scene, given: Measurements, tuning: WorldTuning) -> list[Target]:

@@ -84,7 +84,8 @@ class SimilarityFit:
         there, evidence, tuning, count = self.fit.similarity, self.evidence, self.tuning, len(self.fixes)
         pose, speed = self.fixes.blend(poses)
         points = evidence.pose[count:].copy()
-        points[:, :3, 3] = targets
+        before = there(points[:, :3, 3])
+        points[:, :3, 3] = np.where(np.isfinite(targets), targets, before)  # rays that meet no more
         turn, bend = there.scale * there.rotation, evidence.bend
         length, up = evidence.log_scale, self.up
         evidence = replace(
