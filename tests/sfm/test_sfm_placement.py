@@ -17,7 +17,7 @@ from tiegraph.scene.colmapmodel import image_poses, matrix, rigid3d
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.placement.consistency import ConsistencyVotes, suspect_frames
 from tiegraph.sfm.placement.doubtful import Explained, MatchSource, PlacementCheck, explained, leave_out_doubtful
-from tiegraph.sfm.placement.parts import part_moves, placed_anew
+from tiegraph.sfm.placement.parts import part_moves, placed_anew, steps_of_parts
 from tiegraph.sfm.placement.rival import rivals, told
 from tiegraph.sfm.tuning.placement import PlacementTuning
 
@@ -136,7 +136,10 @@ def test_a_part_that_stands_wrong_moves_as_a_whole(world, tmp_path: Path, frames
     _shift(model, frames, (0.5, 0, 15), scale)
     off = _centres(model, scene)
     found = _explained(model, scene, tmp_path)
-    moves = part_moves(found, TUNING)
+    moves, steps = part_moves(found, TUNING), steps_of_parts(found, TUNING)
+    assert (
+        all(np.allclose(off[f] + steps[f], moves[f](off[f]), atol=1e-9) for f in moves) and steps.keys() == moves.keys()
+    )
     assert set(moves) == set(frames) or set(moves) == set(range(14)) - set(frames) and len(frames) == 7
     now = np.array([moves[f](off[f]) if f in moves else off[f] for f in range(14)])
     assert np.linalg.norm(umeyama(now, true)(now) - true, axis=1).max() < 0.02

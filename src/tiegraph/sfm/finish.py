@@ -18,6 +18,7 @@ from tiegraph.sfm.adjustment.rigpriors import nominal_geometry, rig_priors
 from tiegraph.sfm.covariance import Mounting, PositionSigma, position_sigma
 from tiegraph.sfm.placement import rival
 from tiegraph.sfm.placement.doubtful import PlacementCheck, explained, frame_ids, leave_out_doubtful, named
+from tiegraph.sfm.placement.parts import steps_of_parts
 from tiegraph.sfm.rig import cameramatches
 from tiegraph.sfm.rig.support import place_as_given, units_per_metre
 from tiegraph.sfm.rigcheck import Checked, FinishRequest, checked_rig
@@ -184,11 +185,17 @@ def _matches(checked: Checked, scene: Scene, request: FinishRequest) -> tuple[Fi
         return FinishResult(), {}
     try:
         found = explained(checked.model, scene, request.matched.read(scene), request.tuning.placement)
-        other = rival.rivals(found)
+        other, parts = rival.rivals(found), steps_of_parts(found, request.tuning.placement)
     except (RuntimeError, ValueError, np.linalg.LinAlgError) as error:
         return FinishResult([f"the matches could not be checked against the model: {error}"]), {}
     tables, said = {"matches explained, the frames with the least": found.table()}, rival.told(other, scene)
-    if lost := found.doubts.keys() - other.keys():
+    if parts:
+        away = float(np.median([np.linalg.norm(step) for step in parts.values()]))
+        said.append(
+            f"{len(parts)} frames stand together {away:.3g} units of the model from where their matches with others "
+            f"have them, and their sigmas cover both places ({named(parts.keys(), scene)})"
+        )
+    if lost := found.doubts.keys() - other.keys() - parts.keys():
         said.append(
             f"most matches of {len(lost)} frames contradict their place in the end: they may be off by more than is "
             f"stated ({named(lost, scene)})"
@@ -197,7 +204,8 @@ def _matches(checked: Checked, scene: Scene, request: FinishRequest) -> tuple[Fi
         between = cameramatches.camera_matches(found.verified, found.seen, scene, request.tuning.rig.camera_matches)
         tables |= {"matches between cameras": cameramatches.table(between, scene)} if between else {}
         said += cameramatches.sentence(between, scene)
-    steps = {k: r.step for f, r in other.items() for k in frame_ids(checked.model, scene, f)}
+    there = {f: r.step for f, r in other.items()} | parts
+    steps = {k: step for f, step in there.items() for k in frame_ids(checked.model, scene, f)}
     counts = {"matches_explained_percent": round(found.percent(), 1)}
     return FinishResult(tables=tables, contradictions=said, counts=counts), steps
 

@@ -57,6 +57,12 @@ def part_moves(found: Explained, tuning: PlacementTuning) -> dict[int, Similarit
         move[best] = fits[best].first_from_second
 
 
+def steps_of_parts(found: Explained, tuning: PlacementTuning) -> dict[int, np.ndarray]:
+    """By frame (scene index) of parts in doubt how far away (3,) their matches to the others have them, model units."""
+    first = {int(found.scene.frame[k]): transforms.centre(found.seen.cam_from_world[k]) for k in found.seen.cameras}
+    return {f: move(first[f][None])[0] - first[f] for f, move in part_moves(found, tuning).items()}
+
+
 def _alone(seen: ImageObservations, frames: tuple[int, ...]) -> ImageObservations:
     """The images of some frames, with the points that no others see."""
     inside = set(frames)
