@@ -59,7 +59,8 @@ def part_moves(found: Explained, tuning: PlacementTuning) -> dict[int, Similarit
 
 def steps_of_parts(found: Explained, tuning: PlacementTuning) -> dict[int, np.ndarray]:
     """By frame (scene index) of parts in doubt how far away (3,) their matches to the others have them, model units."""
-    first = {int(found.scene.frame[k]): transforms.centre(found.seen.cam_from_world[k]) for k in found.seen.cameras}
+    order = sorted(found.seen.cameras, key=lambda k: -int(found.scene.sensor[k]))  # the reference is written last
+    first = {int(found.scene.frame[k]): transforms.centre(found.seen.cam_from_world[k]) for k in order}
     return {f: move(first[f][None])[0] - first[f] for f, move in part_moves(found, tuning).items()}
 
 
