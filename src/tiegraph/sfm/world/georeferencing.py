@@ -12,6 +12,7 @@ from tiegraph.geometry.align import rms_length
 from tiegraph.scene.colmapmodel import image_poses, read_model
 from tiegraph.scene.evidence import CHANCE
 from tiegraph.scene.scene import Scene
+from tiegraph.scene.solver import MOST_FRAMES
 from tiegraph.sfm.adjustment.adjust import free_cameras
 from tiegraph.sfm.adjustment.rigpriors import nominal_geometry
 from tiegraph.sfm.covariance import position_sigma
@@ -79,7 +80,7 @@ def _georeferenced(
     if placing is None or settings.adjust == "no":
         return first, world
     if shape is None:
-        why = "its points do not tell how far it may be bent"
+        why = f"how far it may be bent is not known (few points, or more than {MOST_FRAMES} frames)"
         return _with(first, _REFUSED.format(why)), world
     good, why, blind = _check(placing)
     if not good and settings.adjust == "auto":
@@ -143,7 +144,10 @@ def _bent(
 
 
 def _shape(model: pycolmap.Reconstruction, scene: Scene, held: ConstantParameters, tuning: Tuning) -> Shape | None:
-    """By how much its images may bend a model of which that is not known yet; None where its points do not tell."""
+    """By how much its images may bend a model of which that is not known yet; None where its points do not tell, and of
+    models too large for it."""
+    if model.num_reg_frames() > MOST_FRAMES:
+        return None
     free, rigs = free_cameras(model, tuning.adjust) - set(held.cameras), set(model.rigs) - set(held.rigs)
     try:
         sigma = position_sigma(model, free, rigs, nominal=nominal_geometry(model, scene), tuning=tuning)
