@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import copy
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from moving_world import moving_world
+from scipy.spatial.transform import Rotation
 from sfm_worlds import make_world, true_frames
 
-from tiegraph.geometry.align import umeyama
+from tiegraph.geometry.align import Similarity, umeyama
 from tiegraph.scene.colmapmodel import image_poses
 from tiegraph.sfm.adjustment.adjust import _solve, final_adjustment
 from tiegraph.sfm.adjustment.jacobians import Layout, RigConstraint, RigConstraints, skew
@@ -94,6 +96,8 @@ def test_a_shape_is_told_as_far_as_its_frames_followed() -> None:
     step = np.einsum("m,mni->ni", best, modes)
     np.testing.assert_allclose(shape.coefficients(step), best, atol=1e-9)
     np.testing.assert_allclose(shape.step(count, best)[0], step, atol=1e-9)
+    quarter = Similarity(2.0, Rotation.from_euler("z", 90, degrees=True).as_matrix(), np.zeros(3))
+    np.testing.assert_allclose(replace(shape, turn=np.array([1.0, 2, 3])).moved(quarter).turn, [2, 1, 3], atol=1e-9)
     followed = shape.told(np.zeros(3), known)
     assert followed.sigma == pytest.approx(np.sqrt(0.01 * np.sum(modes**2, axis=(0, 2)) + 3e-4))
     stayed = shape.told(best, known)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pycolmap
@@ -26,7 +26,8 @@ class Shape:
 
     ``index`` (N,) the scene's frames, ascending; ``reference`` (N,) bool those that stand for these: of a relaxed rig,
     whose images are frames of their own, those of its first camera; ``place`` (N, 3); ``modes`` (M, N, 3) of unit
-    variance each; ``rest`` (N, 3); lengths in units of the model, along its axes.
+    variance each; ``rest`` (N, 3); lengths in units of the model, along its axes. ``turn`` (3,) rad: by how much the
+    frames may be turned against their places, median.
     """
 
     index: np.ndarray
@@ -34,6 +35,7 @@ class Shape:
     place: np.ndarray
     modes: np.ndarray
     rest: np.ndarray
+    turn: np.ndarray = field(default_factory=lambda: np.zeros(3))
 
     @staticmethod
     def of(model: pycolmap.Reconstruction, sigma: PositionSigma, scene: Scene) -> Shape | None:
@@ -48,7 +50,8 @@ class Shape:
         reference = (sensor == sensor.min()) | (len(np.unique(index)) == len(index))
         at = (3 * rows[:, None] + np.arange(3)).ravel()
         place = np.array([_centre(frames[k]) for k in rows])
-        return Shape._of(index, reference, place, sigma.covariance[np.ix_(at, at)])
+        shape = Shape._of(index, reference, place, sigma.covariance[np.ix_(at, at)])
+        return shape if sigma.turn is None else replace(shape, turn=np.median(sigma.turn, axis=0))
 
     @staticmethod
     def _of(index: np.ndarray, reference: np.ndarray, place: np.ndarray, covariance: np.ndarray) -> Shape:
@@ -102,7 +105,8 @@ class Shape:
         """The same in the world."""
         turn = similarity.scale * similarity.rotation
         modes, rest = self.modes @ turn.T, self.rest @ (turn**2).T
-        return replace(self, place=similarity(self.place), modes=modes, rest=rest)
+        own = np.sqrt(self.turn**2 @ (similarity.rotation**2).T)
+        return replace(self, place=similarity(self.place), modes=modes, rest=rest, turn=own)
 
     def told(self, left: np.ndarray, covariance: np.ndarray) -> Shape:
         """The same once something has told the coefficients of the modes to this covariance (M, M); what the frames

@@ -57,6 +57,10 @@ def with_statements(found: Georeference, scene: Scene, targets: list[Target]) ->
     sentences += _levels(found, bool(forms))
     sentences += _control(found, targets)
     error = known.error.widened_to(sigma) if known.error is not None else None
+    if known.shape is not None:  # what is stated of heading and tilt is that of the images, not of their places alone
+        turn = np.degrees(known.shape.turn)
+        sigma["yaw_deg"] = round(float(np.hypot(sigma["yaw_deg"], turn[2])), 6)
+        sigma["tilt_deg"] = round(float(np.hypot(sigma["tilt_deg"], np.hypot(*turn[:2]))), 6)
     found = _with_predicted(
         replace(found, uncertainty=replace(known, sigma=sigma, error=error)), model_sigma_m, targets
     )
