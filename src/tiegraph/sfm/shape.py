@@ -8,7 +8,7 @@ import numpy as np
 import pycolmap
 from scipy.spatial.distance import pdist, squareform
 
-from tiegraph.geometry.align import Similarity
+from tiegraph.geometry.align import Similarity, rms_length
 from tiegraph.geometry.transforms import motions
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.covariance import PositionSigma
@@ -39,7 +39,8 @@ class Shape:
 
     @staticmethod
     def of(model: pycolmap.Reconstruction, sigma: PositionSigma, scene: Scene) -> Shape | None:
-        """By the covariance of an adjustment; None without one."""
+        """By the covariance of an adjustment; None without one, and where it is as large as the whole: what is linear
+        about the places then tells nothing."""
         if sigma.covariance is None:
             return None
         number = {name: k for k, name in enumerate(scene.names)}
@@ -51,6 +52,8 @@ class Shape:
         at = (3 * rows[:, None] + np.arange(3)).ravel()
         place = np.array([_centre(frames[k]) for k in rows])
         shape = Shape._of(index, reference, place, sigma.covariance[np.ix_(at, at)])
+        if not rms_length(shape.sigma[:, None]) < rms_length(place - place.mean(axis=0)):
+            return None
         return shape if sigma.turn is None else replace(shape, turn=np.median(sigma.turn, axis=0))
 
     @staticmethod

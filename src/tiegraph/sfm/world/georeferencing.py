@@ -87,8 +87,10 @@ def _georeferenced(
         return _with(first, _REFUSED.format(why)), world
     placed, bent = _bent(world, placing, shape, scene, given, (held, settings.adjust == "yes"), tuning)
     before, after = (m.compute_mean_reprojection_error() for m in (world, bent))
-    if after > tuning.world.adjustment.worse_pixels * before and settings.adjust == "auto":
-        text = f"the images fit worse with it ({before:.3f} -> {after:.3f} px)"
+    lost = bent.num_points3D() < world.num_points3D() / 2
+    if lost or (after > tuning.world.adjustment.worse_pixels * before and settings.adjust == "auto"):
+        text = f"the images fit worse with it ({before:.3f} -> {after:.3f} px"
+        text += f", {bent.num_points3D()} of {world.num_points3D()} points left)" if lost else ")"
         return _with(first, _REFUSED.format(text)), world
     step = np.linalg.norm(_frames(bent, scene)[:, :3, 3] - _frames(world, scene)[:, :3, 3], axis=1)
     notes = ["the model keeps the shape that its images give it: positions and points would hardly change it"]

@@ -7,13 +7,15 @@ import numpy as np
 import pycolmap
 
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import Similarity, umeyama
+from tiegraph.geometry.align import Similarity, rms_length, umeyama
 from tiegraph.scene.colmapmodel import matrix
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjustment.adjust import adjusted_to
 from tiegraph.sfm.adjustment.constraints import PlacePrior
 from tiegraph.sfm.adjustment.rigpriors import relaxed_frames, rig_priors
 from tiegraph.sfm.tuning import Tuning
+
+_FIRM = 1e-6  # of the extent of the frames: a place held by less than that is no sum of squares that can be solved
 
 
 @dataclass(frozen=True)
@@ -35,7 +37,7 @@ def bent(
 ) -> pycolmap.Reconstruction:
     """A copy of a model whose frames of the scene have moved by ``steps`` (F, 3) and sigmas (F, 3) of these, in the
     world, and all else has followed them as the images have it."""
-    step, sigma = steps
+    step, sigma = steps[0], np.maximum(steps[1], _FIRM * _extent(world))
     places: dict[int, PlacePrior] = {}
     for index, name in enumerate(scene.names):
         image, frame = world.find_image_with_name(name), scene.frame[index]
@@ -48,6 +50,12 @@ def bent(
     known = rig_priors(world, scene, held.soft, tuning.rig.priors)
     known = replace(known, relative_poses=ties, places=tuple(places.values()))
     return adjusted_to(world, held.rigs, held.cameras, known, tuning=tuning.adjust)
+
+
+def _extent(model: pycolmap.Reconstruction) -> float:
+    """Root mean square distance of the images from their middle."""
+    centres = np.array([model.image(k).projection_center() for k in model.reg_image_ids()])
+    return rms_length(centres - centres.mean(axis=0))
 
 
 def similarity_to(before: pycolmap.Reconstruction, after: pycolmap.Reconstruction, first: Similarity) -> Similarity:
