@@ -3,7 +3,7 @@
 A camera that shares hardly a point with the others, the up camera of a boat, has its lever arm from a handful of
 tracks: on canal from 16 of them, with a sigma of 44 mm in a rig of 60 mm. What the other cameras' places have in
 common, a middle and a distance from it along their optical axes, is what is expected of it, with the spread that they
-have around it (empirical Bayes: Efron and Morris 1975). A robust loss lets go of it where a camera stands apart, and
+have around it (empirical Bayes: Efron and Morris 1975). A camera that stands apart counts little, and
 where the images tell the place they outweigh it.
 """
 

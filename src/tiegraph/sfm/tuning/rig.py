@@ -15,7 +15,7 @@ class LeverArmTuning(Section):
     inexact: float = Field(0.1, gt=0)
     """Sigma of the distances in a drawing, of these."""
     cauchy_sigmas: float = Field(2.0, gt=0)
-    """Scale of the robust loss, which lets go of a camera that stands apart."""
+    """Scale of the robust weight, by which a camera that stands apart counts little."""
 
 
 class RigPriorTuning(Section):

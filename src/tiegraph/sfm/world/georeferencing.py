@@ -68,9 +68,9 @@ def _georeferenced(
 ) -> tuple[Georeference, pycolmap.Reconstruction]:
     """The georeference of a model and the model in the world.
 
-    First the similarity of ``georeference``. Then a bundle adjustment with the positions and control points takes out
-    drift, which no similarity can; it is kept only if positions it did not know (every fifth) are met at least as well
-    as with the similarity, and the images no worse. What was decided, and why, is in the notes.
+    First similarity and shape in one block (``georeference``). Then a bundle adjustment brings the frames to where the
+    block has them, if they move at all; it is kept only if positions that the block did not know (every fifth) are met
+    at least as well as with the similarity, and the images no worse. What was decided, and why, is in the notes.
     """
     first = georeference(model, scene, settings, tuning.world, given)
     if first.placing is not None and given.shape is None and settings.adjust != "no":
