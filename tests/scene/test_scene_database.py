@@ -17,7 +17,7 @@ from features_world import FRAMES, features, filled_database, poses, rig, scene
 from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
 from tiegraph.scene import colmapdatabase as db
-from tiegraph.scene.colmaprows import create_database, position_priors
+from tiegraph.scene.colmaprows import create_database
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.rig import Rig, Sensor
 
@@ -64,16 +64,11 @@ def test_two_rigs_do_not_share_ids(tmp_path):
     assert cameras[:4] == [1, 2, 3, 4]
 
 
-def with_positions(rotation_known, sigma_m=0.05):
+def test_one_position_prior_a_frame_on_its_reference_image(tmp_path):
     world_from_rig = transforms.invert(poses())
     world_from_rig[0, :3, 3] = np.nan
-    if not rotation_known:
-        world_from_rig[:, :3, :3] = np.nan
-    return scene().with_(world_from_rig=world_from_rig, position_sigma_m=np.full((FRAMES, 3), sigma_m))
-
-
-def test_one_position_prior_a_frame_on_its_reference_image(tmp_path):
-    world = with_positions(rotation_known=False)
+    world_from_rig[:, :3, :3] = np.nan
+    world = scene().with_(world_from_rig=world_from_rig, position_sigma_m=np.full((FRAMES, 3), 0.05))
     create_database(tmp_path / "database.db", world)
     with opened(tmp_path / "database.db") as database:
         priors = {p.corr_data_id.id: p for p in database.read_all_pose_priors()}
@@ -81,19 +76,6 @@ def test_one_position_prior_a_frame_on_its_reference_image(tmp_path):
     np.testing.assert_allclose(priors[3].position, world.world_from_rig[1, :3, 3])
     np.testing.assert_allclose(priors[3].position_covariance, np.eye(3) * 0.05**2)
     assert priors[3].coordinate_system == pycolmap.PosePriorCoordinateSystem.CARTESIAN
-
-
-@pytest.mark.parametrize(("rotation_known", "sigma_m", "stands_in"), [(True, 0.05, 1), (False, 0.05, 0), (False, 1, 1)])
-def test_prior_without_reference_image(rotation_known, sigma_m, stands_in):
-    world = with_positions(rotation_known, sigma_m)
-    rest = [k for k in range(len(world)) if k != 2]  # the reference image of frame 1 is missing
-    names = tuple(world.names[k] for k in rest)
-    short = world.with_(names=names, frame=world.frame[rest], sensor=world.sensor[rest])
-    here = [p for p in position_priors(short) if p.pose_prior_id == 2]
-    assert len(here) == stands_in
-    if rotation_known:
-        centre = transforms.centre(rig().sensors[1].sensor_from_rig @ poses()[1])
-        np.testing.assert_allclose(here[0].position, centre, atol=1e-12)
 
 
 def test_sensor_without_a_camera_is_an_input_error(tmp_path):

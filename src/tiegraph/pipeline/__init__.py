@@ -48,7 +48,7 @@ _BESIDE_DATABASE = tuple(f"database.db{s}" for s in ("-wal", "-shm", "-journal")
 
 # fmt: off
 STAGES = (
-    _stage("scan", (), ("scene.json", "whole.json", "images", "odometry"), "image", version=10,
+    _stage("scan", (), ("scene.json", "whole.json", "images", "odometry"), "image", version=11,
            tuned=("scene", "odometry")),
     _stage("masks", ("scan",), ("masks", "classes", "masks.csv"), "image", version=11),
     _stage("preview", ("scan", "masks"), ("preview",), "image", version=2, tuned=("features",)),

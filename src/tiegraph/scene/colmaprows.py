@@ -21,7 +21,6 @@ import pycolmap
 
 from tiegraph import limits
 from tiegraph.errors import InputError
-from tiegraph.geometry import transforms
 from tiegraph.scene.atomic import remove, replacing
 from tiegraph.scene.colmapdatabase import copy_verified, explained
 from tiegraph.scene.colmapmodel import rigid3d
@@ -56,8 +55,7 @@ def create_database(path: Path, scene: Scene) -> None:
                 for image in images.values():
                     database.write_image(image, use_image_id=True)
                 _write_frames(database, scene, images, dict(enumerate(scene.rigs)))
-                for prior in position_priors(scene):
-                    database.write_pose_prior(prior, use_pose_prior_id=True)
+                _write_positions(database, scene, images, scene.world_from_rig[:, :3, 3], scene.position_sigma_m**2)
             remove(path)
     except InputError:
         raise
@@ -70,53 +68,6 @@ def _camera(given: pycolmap.Camera | None, camera_id: int) -> pycolmap.Camera:
     assert camera is not None  # checked before
     camera.camera_id = camera_id
     return camera
-
-
-def _groups(label: np.ndarray) -> list[np.ndarray]:
-    """Indices of equal labels, in the order of the labels."""
-    order = np.argsort(label, kind="stable")
-    return [g for g in np.split(order, np.flatnonzero(np.diff(label[order])) + 1) if len(g)]
-
-
-def position_priors(scene: Scene) -> list[pycolmap.PosePrior]:
-    """One position prior (camera centre, world metres) for each frame with a prior position, at most one a frame.
-
-    It belongs to the frame's reference image: one GNSS fix on six images would count six times in the adjustment. When
-    that image was left out, another stands in if its centre is known: by the full prior pose, or because it lies closer
-    to the rig's origin than the position's sigma. An unknown sigma stays NaN (COLMAP then takes its own).
-    """
-    priors = []
-    for members in _groups(scene.frame):
-        frame = int(scene.frame[members[0]])
-        if not np.isfinite(scene.world_from_rig[frame, :3, 3]).all():
-            continue
-        image, position_m = _prior_image(scene, frame, sorted(members.tolist(), key=lambda k: scene.sensor[k]))
-        if image is None:
-            continue
-        prior = pycolmap.PosePrior(pose_prior_id=frame + 1)
-        prior.corr_data_id = pycolmap.data_t(_sensor_id(int(scene.sensor_key[image])), image + 1)
-        prior.position = position_m
-        prior.position_covariance = np.diag(scene.position_sigma_m[frame] ** 2)
-        prior.coordinate_system = pycolmap.PosePriorCoordinateSystem.CARTESIAN
-        priors.append(prior)
-    return priors
-
-
-def _prior_image(scene: Scene, frame: int, members: list[int]) -> tuple[int | None, np.ndarray]:
-    world_from_rig = scene.world_from_rig[frame]
-    sigma_m = scene.position_sigma_m[frame]
-    for k in members:
-        if scene.sensor[k] == 0:
-            return k, world_from_rig[:3, 3]
-        sensor_from_rig = scene.sensor_of(k).sensor_from_rig
-        if sensor_from_rig is None:
-            continue
-        centre_m = transforms.centre(sensor_from_rig)
-        if np.isfinite(world_from_rig[:3, :3]).all():
-            return k, transforms.apply(world_from_rig, centre_m[None])[0]
-        if np.linalg.norm(centre_m) < np.nanmax(np.append(sigma_m, 0.0)):
-            return k, world_from_rig[:3, 3]
-    return None, world_from_rig[:3, 3]
 
 
 def write_working_copy(
@@ -142,17 +93,13 @@ def write_working_copy(
         # Images of the database by scene index; one whose name the scene does not have is left out of every frame
         found = {scene.image_index.get(image.name): image for image in database.read_all_images()}
         images = {index: image for index, image in sorted((k, i) for k, i in found.items() if k is not None)}
-        _update_cameras(database, scene, images)
+        # What the previews found of a guessed focal length is a better start than the guess.
+        for key, camera_id in {int(scene.sensor_key[k]): image.camera_id for k, image in images.items()}.items():
+            if scene.all_sensors[key].camera is not None:
+                database.update_camera(_camera(scene.all_sensors[key].camera, camera_id))
         _write_frames(database, scene, images, with_rig)
         if positions is not None:
             _write_positions(database, scene, images, *positions)
-
-
-def _update_cameras(database: pycolmap.Database, scene: Scene, images: dict[int, pycolmap.Image]) -> None:
-    """The scene's cameras: what the previews found of a guessed focal length is a better start than the guess."""
-    for k, camera_id in {int(scene.sensor_key[k]): image.camera_id for k, image in images.items()}.items():
-        if scene.all_sensors[k].camera is not None:
-            database.update_camera(_camera(scene.all_sensors[k].camera, camera_id))
 
 
 def _write_frames(
@@ -205,15 +152,14 @@ def _write_positions(
     positions: np.ndarray,
     variances: np.ndarray,
 ) -> None:
-    """Position priors on reference images."""
-    prior_id = 0
+    """The position priors of frames, each on its reference image: one GNSS fix on six images would count six times in
+    the adjustment. An unknown variance stays NaN: COLMAP then takes its own."""
     for k, image in images.items():
         frame = int(scene.frame[k])
         if scene.sensor[k] != 0 or not np.isfinite(positions[frame]).all():
             continue
-        prior_id += 1
         prior = pycolmap.PosePrior(
-            pose_prior_id=prior_id,
+            pose_prior_id=frame + 1,
             corr_data_id=image.data_id,
             position=positions[frame],
             position_covariance=np.diag(variances[frame]),

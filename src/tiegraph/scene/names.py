@@ -39,11 +39,17 @@ def plain_name(text: str) -> str:
 
 
 def lookup_of(named: Iterable[tuple[str, int]]) -> dict[str, int]:
-    """What a name in a file of the user's is of, for ``found_by``: names of images, their file names and stems where
-    these are of one, and all of them in any case, as Windows takes names, where that is of one."""
-    full = dict(named)
-    ends = ((key, k) for n, k in full.items() for key in (PurePosixPath(n).name, PurePosixPath(n).stem))
-    out = _of_one(ends) | full
+    """What a name in a file of the user's is of, for ``found_by``: names of images; the ends of their paths, with and
+    without suffix, where these are of one; and all of them in any case, as Windows takes names, where that is of one.
+    """
+    full = {name: (PurePosixPath(name), k) for name, k in named}
+    ends = (
+        (str(end), k)
+        for path, k in full.values()
+        for tail in (PurePosixPath(*path.parts[level:]) for level in range(len(path.parts)))
+        for end in (tail, tail.with_suffix(""))
+    )
+    out = _of_one(ends) | {name: k for name, (_, k) in full.items()}
     return _of_one((f"{_ANY_CASE}{key.lower()}", k) for key, k in out.items()) | out
 
 
@@ -59,6 +65,15 @@ def found_by(lookup: Mapping[str, int], name: str) -> int | None:
     """What a name is of, by a table that ``lookup_of`` made; None if it is of nothing here."""
     plain = plain_name(name)
     return lookup.get(plain, lookup.get(f"{_ANY_CASE}{plain.lower()}"))
+
+
+def all_found(given: Sequence[str], named: Iterable[tuple[str, int]]) -> tuple[int | None, ...]:
+    """What each given name is of, as ``found_by`` says. First folders that all have and none needs are left away."""
+    lookup = lookup_of(named)
+    parts = [[p for p in plain_name(name).split("/") if p not in ("", "..")] for name in given]
+    levels = range(len(os.path.commonprefix([p[:-1] for p in parts])) + 1)
+    tried = (tuple(found_by(lookup, "/".join(p[level:])) for p in parts) for level in levels)
+    return next((found for found in tried if set(found) != {None}), (None,) * len(given))
 
 
 def on_disk(folder: Path, name: str) -> Path | None:

@@ -3,15 +3,42 @@ of a camera looks at: the only place where COLMAP's cameras are asked for it.
 """
 
 from dataclasses import dataclass
+from functools import cache
+from typing import Annotated
 
 import numpy as np
 import pycolmap
+from pydantic import PlainSerializer, PlainValidator, TypeAdapter
 
 from tiegraph.geometry.rays import unit_rays
 
 ROLES = ("side", "up", "wide")
 
 
+def camera_to_dict(camera: pycolmap.Camera | None) -> dict | None:
+    """JSON-ready form of a COLMAP camera."""
+    if camera is None:
+        return None
+    return {
+        "model": camera.model.name,
+        "width": int(camera.width),
+        "height": int(camera.height),
+        "params": [float(p) for p in camera.params],
+        "prior_focal": bool(camera.has_prior_focal_length),
+    }
+
+
+def camera_from_dict(data: dict | None) -> pycolmap.Camera | None:
+    """Inverse of ``camera_to_dict``."""
+    if data is None:
+        return None
+    camera = pycolmap.Camera(model=data["model"], width=data["width"], height=data["height"], params=data["params"])
+    camera.has_prior_focal_length = data["prior_focal"]
+    return camera
+
+
+Camera = Annotated[pycolmap.Camera, PlainValidator(camera_from_dict), PlainSerializer(camera_to_dict)]
+Matrix = Annotated[np.ndarray, PlainValidator(np.array), PlainSerializer(np.ndarray.tolist)]
 Circle = tuple[float, float, float]
 """What a fisheye lens lights of an image: centre x, y and radius, pixels."""
 
@@ -22,7 +49,7 @@ class LensView:
     view_from_lens, row by row."""
 
     name: str
-    lens: pycolmap.Camera
+    lens: Camera
     rotation: tuple[float, ...]
 
 
@@ -30,7 +57,7 @@ class LensView:
 class Source:
     """How the files of a sensor become its prepared images, where they are not simply linked."""
 
-    camera: pycolmap.Camera | None = None  # camera of the file before cropping and undistortion; None = not known
+    camera: Camera | None = None  # camera of the file before cropping and undistortion; None = not known
     crop_px: tuple[int, int, int, int] = (0, 0, 0, 0)  # cut off left, top, right, bottom
     upright: bool = True  # turn by the EXIF orientation; False: keep the sensor's own rows and columns
     levels: tuple[float, float] = (0, 255)  # of a deeper file: what becomes 0 and 255, in all images alike
@@ -50,8 +77,8 @@ class Sensor:
     """One camera of a rig."""
 
     name: str
-    camera: pycolmap.Camera | None = None  # None until scan has seen an image of it
-    sensor_from_rig: np.ndarray | None = None  # (4, 4); None = unknown
+    camera: Camera | None = None  # None until scan has seen an image of it
+    sensor_from_rig: Matrix | None = None  # (4, 4); None = unknown
     role: str = "side"  # "up": looks at the sky or the bridge above; "wide": carries structure from motion alone
     folder: str = ""  # its folder below each pass
     source: Source | None = None  # None: the files are the images
@@ -129,102 +156,19 @@ def calibrated(camera: pycolmap.Camera) -> bool:
     return camera.has_prior_focal_length and not middle
 
 
-def camera_to_dict(camera: pycolmap.Camera | None) -> dict | None:
-    """JSON-ready form of a COLMAP camera."""
-    if camera is None:
-        return None
-    return {
-        "model": camera.model.name,
-        "width": int(camera.width),
-        "height": int(camera.height),
-        "params": [float(p) for p in camera.params],
-        "prior_focal": bool(camera.has_prior_focal_length),
-    }
-
-
-def camera_from_dict(data: dict | None) -> pycolmap.Camera | None:
-    """Inverse of ``camera_to_dict``."""
-    if data is None:
-        return None
-    camera = pycolmap.Camera(model=data["model"], width=data["width"], height=data["height"], params=data["params"])
-    camera.has_prior_focal_length = data["prior_focal"]
-    return camera
-
-
-_RIG = ("name", "fixed", "nominal", "antenna_m", "synchronised")  # fields that JSON holds as they are
+@cache
+def _rigs() -> TypeAdapter[Rig]:
+    return TypeAdapter(Rig)
 
 
 def rig_to_dict(rig: Rig) -> dict:
     """JSON-ready form of a rig."""
-    pairs = [{"sensors": list(p.sensors), **{k: getattr(p, k) for k in PAIR_KEYS}} for p in rig.pairs]
-    sensors = [
-        {
-            "name": s.name,
-            "folder": s.folder,
-            "role": s.role,
-            "source": _source_to_dict(s.source),
-            "camera": camera_to_dict(s.camera),
-            "sensor_from_rig": None if s.sensor_from_rig is None else s.sensor_from_rig.tolist(),
-            "sigma": [s.sigma_deg, s.sigma_m],
-            **({} if s.camera_sigma_px is None else {"camera_sigma_px": s.camera_sigma_px}),
-        }
-        for s in rig.sensors
-    ]
-    return {**{name: getattr(rig, name) for name in _RIG}, "pairs": pairs, "sensors": sensors}
+    return _rigs().dump_python(rig, mode="json")
 
 
 def rig_from_dict(data: dict) -> Rig:
-    """Inverse of ``rig_to_dict``."""
-    sensors = tuple(
-        Sensor(
-            name=s["name"],
-            camera=camera_from_dict(s["camera"]),
-            sensor_from_rig=None if s["sensor_from_rig"] is None else np.array(s["sensor_from_rig"], float),
-            role=s["role"],
-            folder=s["folder"],
-            source=_source_from_dict(s.get("source")),
-            sigma_deg=s.get("sigma", (None, None))[0],
-            sigma_m=s.get("sigma", (None, None))[1],
-            camera_sigma_px=s.get("camera_sigma_px"),
-        )
-        for s in data["sensors"]
-    )
-    said: dict = {"synchronised": False, **data}  # older files say nothing of it
-    given = {name: said[name] for name in _RIG}
-    given["antenna_m"] = None if given["antenna_m"] is None else tuple(given["antenna_m"])
-    pairs = tuple(SensorPair(tuple(p["sensors"]), **{k: p[k] for k in PAIR_KEYS}) for p in data.get("pairs", ()))
-    return Rig(**given, sensors=sensors, pairs=pairs)
-
-
-def _source_to_dict(source: Source | None) -> dict | None:
-    if source is None:
-        return None
-    camera, view = camera_to_dict(source.camera), source.view
-    rest: dict = {"upright": source.upright, "levels": list(source.levels), "panorama": list(source.panorama)}
-    if view is not None:
-        rest["view"] = {"name": view.name, "lens": camera_to_dict(view.lens), "rotation": list(view.rotation)}
-    if source.circle_px is not None:
-        rest["circle_px"] = list(source.circle_px)
-    if source.part is not None:
-        rest["part"] = source.part
-    return {"camera": camera, "crop_px": list(source.crop_px), **rest}
-
-
-def _source_from_dict(data: dict | None) -> Source | None:
-    if data is None:
-        return None
-    view, circle = data.get("view"), data.get("circle_px")
-    lens = None if view is None else camera_from_dict(view["lens"])
-    return Source(
-        camera=camera_from_dict(data["camera"]),
-        crop_px=tuple(int(p) for p in data["crop_px"]),  # type: ignore[arg-type]
-        upright=data["upright"],
-        levels=(data["levels"][0], data["levels"][1]),
-        panorama=tuple(data.get("panorama") or ()),
-        view=None if view is None or lens is None else LensView(view["name"], lens, tuple(view["rotation"])),
-        circle_px=None if circle is None else tuple(circle),
-        part=data.get("part"),
-    )
+    """Inverse of ``rig_to_dict``; what is not there is as of a new rig."""
+    return _rigs().validate_python(data)
 
 
 def on_plane(camera: pycolmap.Camera, xy: np.ndarray) -> np.ndarray:

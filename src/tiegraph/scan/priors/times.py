@@ -1,6 +1,5 @@
 """When each frame was taken: from a table, from EXIF, or from numbers in the names that are times."""
 
-import os
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,7 +14,7 @@ from tiegraph.scan.tuning import TimesTuning
 from tiegraph.scene.cells import in_seconds, seconds_of
 from tiegraph.scene.columnwords import times as times_by_content
 from tiegraph.scene.exif import Exif
-from tiegraph.scene.names import found_by, lookup_of, plain_name
+from tiegraph.scene.names import all_found, plain_name
 from tiegraph.scene.table import Table, read_table
 from tiegraph.scene.times import Times, times_of
 
@@ -64,7 +63,7 @@ def read_times(
     else:
         passes = _passes(table, sequence, sequences, notes)
         keys = [(passes[k], _plain(table.cell(k, frame))) for k in range(len(seconds))]
-        lookup = _by_frame(frames, sequences)
+        lookup = {(sequences[f.sequence] if f.sequence >= 0 else "", _plain(f.key)): k for k, f in enumerate(frames)}
     _refuse_two_times(table, keys, seconds, notes)
     rows: dict[int, list[int]] = {}
     for k, key in enumerate(keys):
@@ -195,17 +194,8 @@ def absent(name: str, names: Sequence[str]) -> str:
 
 
 def frames_of_names(given: Sequence[str], frames: Sequence[FrameRow], names: Sequence[str]) -> tuple[int | None, ...]:
-    """Frame of each given name of an image, None = not here: by its path below the image folder, or by its file name,
-    with or without suffix, where that is of one frame. First folders that all have and none needs are left away."""
-    lookup = lookup_of((names[image], k) for k, frame in enumerate(frames) for image in frame.images)
-    parts = [plain_name(name).split("/") for name in given]
-    levels = range(len(os.path.commonprefix([p[:-1] for p in parts])) + 1)
-    tried = (tuple(found_by(lookup, "/".join(p[level:])) for p in parts) for level in levels)
-    return next((found for found in tried if set(found) != {None}), (None,) * len(given))
-
-
-def _by_frame(frames: Sequence[FrameRow], sequences: Sequence[str]) -> dict[tuple[str, ...], int]:
-    return {(sequences[f.sequence] if f.sequence >= 0 else "", _plain(f.key)): k for k, f in enumerate(frames)}
+    """Frame of each given name of an image, as ``names.all_found`` says."""
+    return all_found(given, ((names[image], k) for k, frame in enumerate(frames) for image in frame.images))
 
 
 def _plain(key: str) -> str:

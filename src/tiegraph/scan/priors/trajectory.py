@@ -5,7 +5,7 @@ images, by their names, as poses of the frames' rigs.
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations, islice
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,7 @@ from tiegraph.scan.priors.times import absent
 from tiegraph.scan.tuning import TrajectoryTuning
 from tiegraph.scene.bags import Bag, Topic, is_bag, open_bag, split_topics, stamp_ns
 from tiegraph.scene.namedposes import called, has_named_poses, read_named_poses
-from tiegraph.scene.names import clean, plain_name
+from tiegraph.scene.names import all_found, clean
 from tiegraph.scene.posefile import Trajectory, checked_poses, read_poses
 from tiegraph.text import composed
 
@@ -207,51 +207,18 @@ def _metres_per_unit(pose_of: dict[int, np.ndarray], frames: Frames, least: int)
 
 
 def images_by_name(given: Sequence[str], path: Path, names: Sequence[str]) -> dict[int, int]:
-    """Row of ``given`` for each image of ``names`` that one is of: by the full path below the image folder, else by the
-    end of it, with or without the file's suffix.
+    """Row of ``given`` for each image of ``names`` that one is of, as ``names.all_found`` says.
 
-    As many first folders are left away of all, as few as do: where the image folder lies in one of the names, it lies
-    in the others. Raises InputError, naming them, where a name may be of several images or two may be of one, and if
-    none is here.
+    Raises InputError, naming them, where two may be of one image, and if none is here.
     """
-    number = _numbers(names)
-    hits = [
-        next(((left, number[end]) for left, end in enumerate(_ends(name)) if end in number), None) for name in given
-    ]
-    level = min((hit[0] for hit in hits if hit is not None), default=None)
-    if level is None:
-        first = given[0]
-        raise InputError(f"{path}: none of its {len(given)} images is here: {first} ...; {absent(first, names)}")
     found: dict[int, int] = {}
-    for row, hit in enumerate(hits):
-        if hit is None or hit[0] > level:
-            continue
-        name, images = given[row], hit[1]
-        if len(images) > 1:
-            both = " or ".join(names[k] for k in images[:2])
+    for row, image in enumerate(all_found(given, ((name, k) for k, name in enumerate(names)))):
+        other = row if image is None else found.setdefault(image, row)
+        if given[other] != given[row]:
             raise InputError(
-                f"{path}: {name} may be {both} ({len(images)} images end so): it must name images with their folders"
+                f"{path}: {given[other]} and {given[row]} may both be {names[image or 0]}: give the folder above as "
+                "that of the images, so that folders tell them apart"
             )
-        other = given[found.setdefault(images[0], row)]
-        if other != name:
-            raise InputError(
-                f"{path}: {other} and {name} may both be {names[images[0]]}: give the folder above as that of the "
-                "images, so that folders tell them apart"
-            )
+    if not found:
+        raise InputError(f"{path}: none of its {len(given)} images is here: {given[0]} ...; {absent(given[0], names)}")
     return found
-
-
-def _numbers(names: Sequence[str]) -> dict[str, tuple[int, ...]]:
-    """Images by their names, by the ends of their paths, and by these without their suffix; a full name is of one."""
-    found: dict[str, tuple[int, ...]] = {}
-    for k, name in enumerate(names):
-        for end in _ends(name):
-            for key in {end, str(PurePosixPath(end).with_suffix(""))}:
-                found[key] = (*found.get(key, ()), k)
-    return {**found, **{name: (k,) for k, name in enumerate(names)}}
-
-
-def _ends(name: str) -> list[str]:
-    """A path, and what is left of it without its first folders."""
-    parts = [p for p in plain_name(name).split("/") if p not in ("", "..")]
-    return ["/".join(parts[k:]) for k in range(len(parts))]
