@@ -150,7 +150,7 @@ def test_short_names_that_several_passes_share(two_passes: Survey, tmp_path: Pat
         (table(*((k, {"lat": 40.0}) for k in range(4))), r"lies 47\d km.*4 of 8 rows do so, and which are right", 8),
         (table(*((k, {"lat": 35.69}) for k in EVERY)), r"all 8 positions are lat 35.690000, lon 139.770000", 8),
         (table(*((k, {"time": 107 - k}) for k in EVERY)), r"line 3: rows are not in time order", 8),
-        (table() + row(3) + "\n", r"1 rows with the time of another row left out, such as line 10 \(103.00 s\)", 8),
+        (table() + row(3) + "\n", r"line 10: 1 rows have the time of another row and are left out, as at 103.00 s", 8),
         (table() + table(), r"line 10: the header again, left out", 8),
         (table() + "108,35.6", r"line 10: fewer cells than the header has columns \(4\), as in 1 of 9 rows", 8),
         (table(head="time,lat,lon,altitude,ellipsoidal_height", more=",80"),

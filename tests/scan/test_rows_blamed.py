@@ -16,11 +16,11 @@ from tiegraph.errors import InputError
 from tiegraph.scan.rigfiles.rigfile import read_rig_file
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import RigTuning
-from tiegraph.scene.cells import out_of_order
 from tiegraph.scene.gcp import read_gcps
 from tiegraph.scene.gnss import read_gnss
 from tiegraph.scene.pairs import pair_lines
 from tiegraph.scene.posefile import read_poses
+from tiegraph.scene.times import out_of_order
 from tiegraph.scene.tuning import ControlTuning, GnssTuning
 
 RIG = RigTuning()

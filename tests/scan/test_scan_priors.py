@@ -142,7 +142,7 @@ def test_bad_rows_are_left_out_with_their_lines(tmp_path: Path) -> None:
     gnss = read_gnss(path, GnssTuning())
     assert gnss.time_s.tolist() == [1, 3] and gnss.lat_lon_height[:, 2].tolist() == [2, 1]
     assert any("4 of 7 rows left out" in n and "(line 4, 5, 6, 8)" in n for n in gnss.notes)
-    assert any("not in time order" in n for n in gnss.notes) and any("1 rows with the time" in n for n in gnss.notes)
+    assert any("not in time order" in n for n in gnss.notes) and any("1 rows have the time" in n for n in gnss.notes)
 
 
 def test_missing_gnss_file(tmp_path: Path) -> None:
@@ -478,5 +478,5 @@ def test_a_pass_without_a_trajectory_and_what_a_file_says_of_itself_is_noted(tmp
     rows = (tmp_path / "vo" / "vo_up.tum").read_text().splitlines()
     (tmp_path / "vo" / "vo_up.tum").write_text("\n".join([rows[0], rows[2], rows[1], *rows[3:], rows[-1]]))
     notes = scan(images, trajectory=tmp_path / "vo").notes
-    assert any("vo_up.tum, line 3: rows are not in the order of time" in n for n in notes)
+    assert any("vo_up.tum, line 3: rows are not in time order" in n for n in notes)
     assert any("vo_up.tum, line 7: 1 rows have the time of another row" in n for n in notes)

@@ -1,6 +1,5 @@
 """What a cell of a table says: a number, a length, an angle, a time."""
 
-import bisect
 import re
 from collections.abc import Sequence
 from datetime import datetime, timezone
@@ -116,25 +115,6 @@ def seconds_of(text: str, form: str) -> float:
 def date_text(time_s: float) -> str:
     """A time (seconds since 1970, UTC) as people read it."""
     return f"{datetime.fromtimestamp(time_s, timezone.utc):%Y-%m-%d %H:%M:%S}"
-
-
-def out_of_order(times: np.ndarray) -> np.ndarray:
-    """Rows of times (R,) that stand out of order: all but the longest run of rows that never go back, where that is
-    most of them; else the rows that go back. One time that is too large is blamed itself, not the row after it."""
-    starts: list[float] = []  # first time, negative, of the best run of each length, and its row
-    rows: list[int] = []
-    after = np.full(len(times), -1)  # the next row of its run
-    for k in range(len(times) - 1, -1, -1):  # from the end, so that of two rows that are exchanged the later one is odd
-        at = bisect.bisect_right(starts, -float(times[k]))
-        after[k] = rows[at - 1] if at else -1
-        starts[at : at + 1], rows[at : at + 1] = [-float(times[k])], [k]
-    keep = np.zeros(len(times), bool)
-    k = rows[-1] if rows else -1
-    while k >= 0:
-        keep[k] = True
-        k = int(after[k])
-    back = np.flatnonzero(np.diff(times) < 0) + 1
-    return np.flatnonzero(~keep) if 2 * keep.sum() > len(times) else back
 
 
 def in_seconds(times: np.ndarray) -> np.ndarray:

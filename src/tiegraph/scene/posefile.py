@@ -3,12 +3,8 @@ columns, such as EuRoC's (time in nanoseconds, w first).
 
 Which component of a quaternion comes first cannot be seen in it. A header tells. Without one, eight columns between
 blanks are TUM's, and rows with nanoseconds between commas EuRoC's, as long as the path does not speak against it; other
-columns between commas are of the order that the path tells (``order_of``), or refused.
-
-The length of a quaternion and the angle between two of them are the same in any order, and a steady turn about one axis
-is one in any order: another order is a rigid motion of their space. What differs is how the turns fit the path. A
-vehicle or a hand moves in much the same direction of its own body all along; and what moves over a plane turns mostly
-about its normal.
+columns between commas are of the order that the path tells, or refused. The path tells it by how the turns fit it: a
+vehicle or a hand moves in much the same direction of its own body all along.
 """
 
 import re
@@ -20,10 +16,10 @@ from scipy.spatial.transform import Rotation
 
 from tiegraph.errors import InputError
 from tiegraph.geometry.transforms import are_rotations, rigid
-from tiegraph.scene.cells import number, out_of_order
+from tiegraph.scene.cells import number
 from tiegraph.scene.columnwords import without_unit
 from tiegraph.scene.table import read_table
-from tiegraph.scene.times import Times, times_in, times_of
+from tiegraph.scene.times import Times, in_time_order, times_in, times_of
 
 FORMS = "a TUM file: t x y z qx qy qz qw"
 _TUM, _KITTI, _EUROC = 8, 12, 17  # columns
@@ -37,14 +33,9 @@ _FAR_M = 1e8  # ECEF and grid coordinates are smaller
 _EXTENT_M = 1e6  # of a survey
 _PLAY = 1e-2  # by so much may the length of a quaternion, or R R^T, miss 1
 _MOVED = 1e-9  # poses that differ less are the same
-W_LAST, W_FIRST = (0, 1, 2, 3), (1, 2, 3, 0)  # columns of x, y, z, w
-_WORDS = ("first", "last")
 _STEPS, _MOVE = 8, 0.1  # moves needed to see which way a body drives, and the least one in median moves
 _BETTER, _UNSTEADY = 0.25, 0.01  # how much steadier the other order must be, and how unsteady this one
 _NOWHERE_M = 1e12  # products of larger numbers overflow
-_TURN_DEG = 10.0  # of turns that have an axis
-_FLAT, _WIDE = 0.1, 0.1  # of the middle extent of a path over a plane is its height, of its length its middle extent
-_ABOUT, _ASKEW = 0.9, 0.5  # |cosine| of turns about the normal of a plane, and of those that are not
 
 
 @dataclass(frozen=True)
@@ -123,7 +114,7 @@ def _checked(rows: _Rows, time_s: np.ndarray, table: np.ndarray, said: tuple[str
     _check_places(rows, table[:, 1:4])
     poses = rigid(Rotation.from_quat(table[:, 4:]).as_matrix(), table[:, 1:4])
     _check_moves(rows, poses)
-    keep, notes = _in_time(rows, time_s)
+    keep, notes = in_time_order(time_s, rows.lines, rows.path)
     return Trajectory(time_s[keep], poses[keep], (*said, *notes))
 
 
@@ -191,35 +182,28 @@ def _names(columns: tuple[str, ...]) -> tuple[int, ...] | None:
 
 def _columns(rows: _Rows) -> tuple[tuple[int, ...], tuple[str, ...]]:
     """Columns of _FIELDS, and what to say of them."""
-    name = rows.path.name
-    if rows.header is not None:
-        table = rows.numbers
-        seen, w_first = order_of(table[:, 1:4], table[:, 4:]), rows.header[7] < rows.header[4]
-        said = [f"{name}: quaternions with w first, as its header says"] if w_first else []
-        if seen.sure and seen.first:  # of components that are in our order already
-            said.append(f"{name}: {seen.why}: is the header right about the order of the quaternions?")
-        return tuple(range(_TUM)), tuple(said)
+    name, as_named = rows.path.name, tuple(range(_TUM))
+    if rows.header is not None:  # its components are in our order already
+        w_first, why = _w_first(rows.numbers[:, 1:4], rows.numbers[:, 4:])
+        said = [f"{name}: quaternions with w first, as its header says"] if rows.header[7] < rows.header[4] else []
+        said += [f"{name}: {why}: is the header right about the order of the quaternions?"] if w_first else []
+        return as_named, tuple(said)
     width, euroc = rows.numbers.shape[1], rows.commas and rows.numbers[0, 0] > _NANOSECONDS
     if width != _TUM and not (euroc and width == _EUROC):
         raise rows.fail(
             0, f"{width} columns; expected 8 (TUM: t x y z qx qy qz qw) or 12 (KITTI), or a header that names them"
         )
-    position, quaternion = rows.numbers[:, 1:4], rows.numbers[:, 4:8]
-    seen = order_of_start(position[0], quaternion[0])
-    seen = order_of(position, quaternion) if seen.first is None else seen
-    if euroc and not (seen.sure and seen.first is False):
-        return _W_FIRST, (f"{name}: no header; read as EuRoC's table, quaternions with w first",)
-    if rows.commas and not euroc and seen.first is not None:
-        order = "first" if seen.first else "last"
-        return _W_FIRST if seen.first else tuple(range(_TUM)), (f"{name}: quaternions with w {order}: {seen.why}",)
-    if rows.commas or (seen.sure and seen.first):
-        form = "EuRoC's table has w first, but " if euroc else "" if seen.why else "nothing in the path tells it; "
-        why = seen.why or "values between commas may be TUM's (w last) or EuRoC's (w first)"
+    w_first, why = _w_first(rows.numbers[:, 1:4], rows.numbers[:, 4:8])
+    if rows.commas and not euroc and w_first is not None:
+        order = "first" if w_first else "last"
+        return _W_FIRST if w_first else as_named, (f"{name}: quaternions with w {order}: {why}",)
+    if w_first is (not euroc) or (rows.commas and not euroc):
+        form = "EuRoC's table has w first, but " if euroc else "" if why else "nothing in the path tells it; "
+        why = why or "values between commas may be TUM's (w last) or EuRoC's (w first)"
         raise rows.fail(0, f"the order of the quaternions is not sure: {form}{why}; say it in a first line {_HEADERS}")
-    doubt = (
-        f"{name}: read as TUM, quaternions with w last, but {seen.why}; if it is so, say it in a first line {_HEADERS}"
-    )
-    return tuple(range(_TUM)), (doubt,) if seen.first else ()
+    if euroc:
+        return _W_FIRST, (f"{name}: no header; read as EuRoC's table, quaternions with w first",)
+    return as_named, ()
 
 
 # --- what no trajectory can be --------------------------------------------------------------------------------------
@@ -250,59 +234,26 @@ def _check_moves(rows: _Rows, poses: np.ndarray) -> None:
         raise rows.fail(0, f"all {len(poses)} poses are the same: a trajectory that says nothing; leave it away")
 
 
-def _in_time(rows: _Rows, time_s: np.ndarray) -> tuple[np.ndarray, list[str]]:
-    """Rows in time order without repeated times, and what to say of that."""
-    name, notes = rows.path.name, []
-    order = np.argsort(time_s, kind="stable")
-    first = np.concatenate([[True], np.diff(time_s[order]) > 1e-9])
-    if len(order) > 1 and first.sum() == 1:
-        raise rows.fail(0, f"all {len(order)} poses have the same time, {time_s[0]:g}")
-    odd = out_of_order(time_s)
-    if len(odd):
-        notes.append(f"{name}, line {rows.lines[odd[0]]}: rows are not in the order of time; they were sorted")
-    if not first.all():
-        again = min(rows.lines[k] for k in order[~first])
-        notes.append(f"{name}, line {again}: {(~first).sum()} rows have the time of another row and are left out")
-    return order[first], notes
+def _w_first(position: np.ndarray, quaternion: np.ndarray) -> tuple[bool | None, str]:
+    """What positions (T, 3) say of quaternions (T, 4): whether w stands first, None = nothing, and why.
 
-
-@dataclass(frozen=True)
-class Order:
-    """What speaks for an order: ``first`` True = w first, False = last, None = nothing does; why; ``sure`` if a body
-    was seen to move ahead."""
-
-    first: bool | None = None
-    why: str = ""
-    sure: bool = False
-
-
-def order_of_start(position: np.ndarray, quaternion: np.ndarray) -> Order:
-    """What the first position (3,) and quaternion (4,) say: most odometry begins at zero without a turn."""
-    for is_first, unit, words in ((True, "1 0 0 0", _WORDS), (False, "0 0 0 1", _WORDS[::-1])):
-        if not position.any() and np.allclose(quaternion, np.array(unit.split(), float), atol=1e-6):
-            why = f"the first pose is at zero with {unit}, no turn with w {words[0]} but half a turn with w {words[1]}"
-            return Order(first=is_first, why=why, sure=True)
-    return Order()
-
-
-def order_of(position: np.ndarray, quaternion: np.ndarray) -> Order:
-    """What positions (T, 3) say of quaternions (T, 4) of length 1."""
+    Most odometry begins at zero without a turn; and a body moves in one direction of its own.
+    """
+    words = ("first", "last")
+    for is_first, unit in ((True, [1, 0, 0, 0]), (False, [0, 0, 0, 1])):
+        if not position[0].any() and np.allclose(quaternion[0], unit, atol=1e-6):
+            one, other = words if is_first else words[::-1]
+            zero = f"the first pose is at zero with {' '.join(map(str, unit))}"
+            return is_first, f"{zero}, no turn with w {one} but half a turn with w {other}"
     no_places = not np.abs(position).max(initial=0.0) < _NOWHERE_M
     if no_places or not ((np.abs(quaternion) <= 2).all() and (np.abs(quaternion).max(axis=1) > 0.1).all()):
-        return Order()  # who reads them says so
-    tests = (
-        (_unsteady, lambda this, other: other > _UNSTEADY and this < _BETTER * other, True,
-         "the body moves in one direction of its own"),
-        (_about_normal, lambda this, other: this > _ABOUT and other < _ASKEW, False,
-         "the body turns about the normal of its path"),
-    )  # fmt: skip
-    for measure, speaks, sure, what in tests:
-        last, first = (measure(position, quaternion[:, list(o)]) for o in (W_LAST, W_FIRST))
-        for is_first, this, other, words in ((True, first, last, _WORDS), (False, last, first, _WORDS[::-1])):
-            if speaks(this, other):
-                why = f"with w {words[0]} {what}, with w {words[1]} it does not"
-                return Order(first=is_first, why=why, sure=sure)
-    return Order()
+        return None, ""  # who reads them says so
+    last, first = _unsteady(position, quaternion), _unsteady(position, np.roll(quaternion, -1, axis=1))
+    for is_first, this, other in ((True, first, last), (False, last, first)):
+        if other > _UNSTEADY and this < _BETTER * other:
+            one, rest = words if is_first else words[::-1]
+            return is_first, f"with w {one} the body moves in one direction of its own, with w {rest} it does not"
+    return None, ""
 
 
 def _unsteady(position: np.ndarray, xyzw: np.ndarray) -> float:
@@ -315,18 +266,3 @@ def _unsteady(position: np.ndarray, xyzw: np.ndarray) -> float:
     ahead = step[moved] / np.linalg.norm(step[moved], axis=1, keepdims=True)
     own = Rotation.from_quat(xyzw[:-1][moved]).apply(ahead, inverse=True)
     return float(1 - np.linalg.norm(own.mean(axis=0)))
-
-
-def _about_normal(position: np.ndarray, xyzw: np.ndarray) -> float:
-    """Mean |cosine| between the axes of turns and the normal of a path over a plane; NaN if it is none, or no turns."""
-    _, extent, axes = np.linalg.svd(position - position.mean(axis=0), full_matrices=False)
-    if len(extent) < 3 or not (extent[1] > _WIDE * extent[0] and extent[2] < _FLAT * extent[1]):
-        return float("nan")
-    turns = Rotation.from_quat(xyzw)
-    apart = max(1, len(xyzw) // _STEPS)
-    between = (turns[apart:] * turns[:-apart].inv()).as_rotvec()
-    angle = np.linalg.norm(between, axis=1)
-    turned = np.degrees(angle) > _TURN_DEG
-    if turned.sum() < _STEPS:
-        return float("nan")
-    return float(np.mean(np.abs(between[turned] @ axes[2]) / angle[turned]))

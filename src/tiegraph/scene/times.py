@@ -7,8 +7,11 @@ A number in a table says nothing of its scale: 1.4e9 is a day of 2014 in seconds
 since 1980. So the name of the column decides, and where that says both, the user is asked.
 """
 
+import bisect
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime, timezone
+from pathlib import Path
 
 import numpy as np
 
@@ -110,6 +113,50 @@ def check_week(week: float, where: str) -> None:
             f"{where}: GPS week {week:g} is none since 1999: write the full count of weeks since 6 January 1980, not "
             "the one modulo 1024"
         )
+
+
+def out_of_order(times: np.ndarray) -> np.ndarray:
+    """Rows of times (R,) that stand out of order: all but the longest run of rows that never go back, where that is
+    most of them; else the rows that go back. One time that is too large is blamed itself, not the row after it."""
+    starts: list[float] = []  # first time, negative, of the best run of each length, and its row
+    rows: list[int] = []
+    after = np.full(len(times), -1)  # the next row of its run
+    for k in range(len(times) - 1, -1, -1):  # from the end, so that of two rows that are exchanged the later one is odd
+        at = bisect.bisect_right(starts, -float(times[k]))
+        after[k] = rows[at - 1] if at else -1
+        starts[at : at + 1], rows[at : at + 1] = [-float(times[k])], [k]
+    keep = np.zeros(len(times), bool)
+    k = rows[-1] if rows else -1
+    while k >= 0:
+        keep[k] = True
+        k = int(after[k])
+    back = np.flatnonzero(np.diff(times) < 0) + 1
+    return np.flatnonzero(~keep) if 2 * keep.sum() > len(times) else back
+
+
+def in_time_order(time_s: np.ndarray, line: Sequence[int], path: Path) -> tuple[np.ndarray, list[str]]:
+    """Rows of a file with times (R,) in their order, the first of each time, and what to say of that; ``line`` of each.
+    Raises InputError for one time for all."""
+    notes, order = [], np.argsort(time_s, kind="stable")
+    for k in out_of_order(time_s)[:1].tolist():
+        beside, where = (k - 1, "after") if k else (1, "before")
+        notes.append(
+            f"{path.name}, line {line[k]}: rows are not in time order and were sorted "
+            f"({time_s[k]:.2f} s {where} {time_s[beside]:.2f} s)"
+        )
+    twin = np.diff(time_s[order], prepend=-np.inf) <= 1e-9
+    if twin.any():
+        first = int(order[twin][0])
+        if twin.sum() == len(order) - 1:
+            raise InputError(
+                f"{path}, line {line[first]}: all {len(order)} rows have the time {time_s[first]:.2f} s: give the time "
+                "of each row, or a table with a column image"
+            )
+        notes.append(
+            f"{path.name}, line {line[first]}: {twin.sum()} rows have the time of another row and are left out, as at "
+            f"{time_s[first]:.2f} s"
+        )
+    return order[~twin], notes
 
 
 TIME_LIMIT_S = 1e11  # the year 5138: what is larger in size is no time in seconds

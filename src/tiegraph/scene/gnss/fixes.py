@@ -9,9 +9,8 @@ import numpy as np
 from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import far_from_rest
 from tiegraph.geometry.transforms import interpolate, rigid
-from tiegraph.scene.cells import out_of_order
 from tiegraph.scene.table import some_lines
-from tiegraph.scene.times import DATED_S, laid_on
+from tiegraph.scene.times import DATED_S, in_time_order, laid_on
 from tiegraph.scene.tuning import GnssTuning
 
 # What a row cannot mean:
@@ -74,7 +73,11 @@ def judged(raw: Gnss, tuning: GnssTuning, heights_m: tuple[float, float] = HEIGH
     sigma = np.where(made.sigma_m >= SIGMA_RANGE_M[0], made.sigma_m, np.nan)
     sigma[:, 2] = np.where(np.isnan(sigma[:, 2]), tuning.vertical * np.fmax(sigma[:, 0], sigma[:, 1]), sigma[:, 2])
     made = replace(made, sigma_m=sigma)
-    made = one_place_an_image(made) if made.names else without_leaps(in_time_order(made), tuning.max_speed_m_s)
+    if made.names:
+        made = one_place_an_image(made)
+    else:
+        order, notes = in_time_order(made.time_s, made.line, made.path)
+        made = without_leaps(made.only(order, *notes), tuning.max_speed_m_s)
     stuck = stuck_note(made.lat_lon_height, name, tuning.stuck)
     return replace(made, notes=(*made.notes, stuck)) if stuck else made
 
@@ -150,34 +153,6 @@ def _refuse_radians(fixes: Gnss) -> None:
 
 
 # --- rows among each other ------------------------------------------------------------------------------------------
-
-
-def in_time_order(gnss: Gnss) -> Gnss:
-    """Rows sorted by time, the first of each time, and what to say of that. Raises InputError for one time for all."""
-    notes, name = [], gnss.path.name
-    order = np.argsort(gnss.time_s, kind="stable")
-    odd = out_of_order(gnss.time_s)
-    if len(odd):
-        k = int(odd[0])
-        beside, where = (k - 1, "after") if k else (1, "before")
-        notes.append(
-            f"{name}, line {gnss.line[k]}: rows are not in time order and were sorted "
-            f"({gnss.time_s[k]:.2f} s {where} {gnss.time_s[beside]:.2f} s)"
-        )
-    twin = np.concatenate([[False], np.diff(gnss.time_s[order]) <= 1e-9])
-    keep = order[~twin]
-    if len(keep) < len(order):
-        again = int(order[np.flatnonzero(twin)[0]])
-        if len(keep) == 1:
-            raise InputError(
-                f"{gnss.path}, line {gnss.line[again]}: all {len(order)} rows have the time {gnss.time_s[again]:.2f} "
-                "s: give the time of each row, or a table with a column image"
-            )
-        notes.append(
-            f"{name}: {twin.sum()} rows with the time of another row left out, such as line {gnss.line[again]} "
-            f"({gnss.time_s[again]:.2f} s)"
-        )
-    return gnss.only(keep, *notes)
 
 
 def without_leaps(gnss: Gnss, max_speed_m_s: float) -> Gnss:
