@@ -22,7 +22,7 @@ from tiegraph.scene.columnwords import points as points_by_content
 from tiegraph.scene.crsline import coordinates_of, crs_above, exchanged, parse_crs_line, say_axes, units_of
 from tiegraph.scene.table import Table, table_of
 from tiegraph.scene.targets import BAR_FORM, FORM, FileBar, Target, count_of, names_bars, read_bars, target_of
-from tiegraph.scene.textfile import decoded, delimiter_of_rows, filled_lines, header_words, split_cells, whole_file
+from tiegraph.scene.textfile import delimiter_of_rows, filled_lines, header_words, split_cells, text_of
 from tiegraph.scene.tuning import ControlTuning
 
 MAX_SIGMA_M = 100.0  # no survey of a point is worse: another unit, or a typing error
@@ -159,7 +159,7 @@ def _joined(one: GcpFile, other: GcpFile) -> GcpFile:
 
 def _read(path: Path, option: str, tuning: ControlTuning) -> GcpFile:
     """The points and marks of a file of either form, as they stand there."""
-    text, doubts = decoded(path, whole_file(path, "control point file"), "control point file")
+    text, doubts = text_of(path, "control point file")
     lines = [(n, line) for n, line in filled_lines(text) if not _TITLE.fullmatch(line)]
     if not lines:
         raise InputError(f"{option} {path}: the file is empty; {FORMS}")

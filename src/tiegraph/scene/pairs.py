@@ -15,7 +15,7 @@ from tiegraph.errors import InputError
 from tiegraph.scene.names import plain_name
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.sorting import Arrays, Columns, freeze
-from tiegraph.scene.textfile import decoded, delimiter_of_rows, filled_lines, split_cells, whole_file
+from tiegraph.scene.textfile import delimiter_of_rows, filled_lines, split_cells, text_of
 from tiegraph.text import csv_text
 
 SOURCES = ("sequence", "exhaustive", "file", "offsets", "poses", "retrieval", "model")
@@ -227,7 +227,7 @@ def pair_lines(path: Path) -> list[tuple[int, list[str]]]:
 
     Raises InputError naming file and line for what is no text, holds no pairs, or has other than two names in a line.
     """
-    text, _ = decoded(path, whole_file(path, "pair list"), "pair list")
+    text, _ = text_of(path, "pair list")
     lines = [(k, line.split("#", 1)[0].strip()) for k, line in filled_lines(text)]
     out = [(k, split_cells(line, delimiter_of_rows(line))) for k, line in lines if line]
     if not out:

@@ -18,14 +18,13 @@ from tiegraph.scene.cells import UNIT_M, UNIT_S, comma_marks, degrees, length_m,
 from tiegraph.scene.columnwords import ROLES, known_words, speaks_of, without_unit
 from tiegraph.scene.textfile import (
     column_names,
-    decoded,
     delimiter_of,
     delimiter_of_rows,
     filled_lines,
     holds_values,
     plain_word,
     split_cells,
-    whole_file,
+    text_of,
 )
 
 _SHOWN_LINES = 5
@@ -208,7 +207,7 @@ def read_table(path: Path, purpose: str, example: str, layout: Layout | None = N
     naming file and line, if the file cannot be read as text, is empty, has no header, has a row with more cells than
     the header (decimal commas, a missing column name) or a second header that names other columns.
     """
-    text, notes = decoded(Path(path), whole_file(Path(path), purpose), purpose)
+    text, notes = text_of(Path(path), purpose)
     return table_of(Path(path), purpose, filled_lines(text), example, layout, notes)
 
 

@@ -44,12 +44,17 @@ def utf8_text(path: Path, where: str, remedy: str = "") -> str:
         raise InputError(f"{where}: cannot be read as text in UTF-8 ({error}){remedy}") from None
 
 
-def whole_file(path: Path, purpose: str) -> bytes:
-    """What is in a file. Raises InputError if it cannot be read."""
+def whole_file(path: Path, remedy: str) -> bytes:
+    """What is in a file. Raises InputError, which ends with ``remedy``, if it cannot be read."""
     try:
         return regular(path).read_bytes()
     except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); give the {purpose} as a CSV file") from None
+        raise InputError(f"{path}: cannot be read ({error.strerror}); {remedy}") from None
+
+
+def text_of(path: Path, purpose: str) -> tuple[str, list[str]]:
+    """Text of a file, and notes, as ``decoded`` says."""
+    return decoded(path, whole_file(path, f"give the {purpose} as a CSV file"), purpose)
 
 
 def decoded(path: Path, raw: bytes, purpose: str) -> tuple[str, list[str]]:
@@ -149,7 +154,7 @@ class Element:
         return next((c.text.strip() for c in self.children if c.name == name), "")
 
 
-def parse_xml(path: Path, raw: bytes) -> Element:
+def parse_xml(path: Path | str, raw: bytes) -> Element:
     """The elements of an XML file. Raises InputError, with the line, for one that is damaged or defines entities."""
     parser = expat.ParserCreate()
     parser.buffer_text = True

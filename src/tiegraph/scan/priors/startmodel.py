@@ -28,7 +28,7 @@ from scipy.spatial.transform import Rotation
 
 from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
-from tiegraph.scan.rigfiles.camerafile import agisoft, opensfm_cameras
+from tiegraph.scan.rigfiles.camerafile import agisoft_camera, opensfm_cameras
 from tiegraph.scan.rigfiles.cameraread import NUMBER, FoundCamera, numbers
 from tiegraph.scan.rigfiles.rigfaults import is_number
 from tiegraph.scene.colmapmodel import is_model, read_model
@@ -42,8 +42,7 @@ from tiegraph.scene.namedposes import (
     poses_of_transforms,
     read_json,
 )
-from tiegraph.scene.regular import regular
-from tiegraph.scene.textfile import Element, parse_xml
+from tiegraph.scene.textfile import Element, parse_xml, whole_file
 
 
 @dataclass(frozen=True)
@@ -170,18 +169,14 @@ def opensfm_model(path: Path) -> StartModel:
         notes.append(
             f"the largest of {len(parts)} reconstructions is taken: {len(shots)} images; {others} are in others"
         )
-    known, said = _lenses(part.get("cameras"), path)
+    known: dict[str, FoundCamera] = {}
+    try:
+        known = {c.name: c for c in opensfm_cameras([part.get("cameras")], str(path))}
+    except InputError as error:
+        notes.append(f"no camera is taken from it: {error}")
     poses = {name: _shot(row, f"{path}, shot {name}") for name, row in shots.items()}
     cameras = {n: known[str(row.get("camera"))] for n, row in shots.items() if str(row.get("camera")) in known}
-    return StartModel(path, poses, cameras=cameras, unposed=others, notes=[*notes, *said])
-
-
-def _lenses(table: Any, path: Path) -> tuple[dict[str, FoundCamera], list[str]]:
-    """Cameras by name, and why there are none."""
-    try:
-        return {c.name: c for c in opensfm_cameras([table], str(path))}, []
-    except InputError as error:
-        return {}, [f"no camera is taken from it: {error}"]
+    return StartModel(path, poses, cameras=cameras, unposed=others, notes=notes)
 
 
 def _shot(row: Any, where: str) -> np.ndarray:
@@ -201,11 +196,7 @@ def _shot(row: Any, where: str) -> np.ndarray:
 
 def metashape(path: Path) -> StartModel:
     """The largest component of the largest chunk of a camera export. Raises InputError, naming file and line."""
-    try:
-        raw = regular(path).read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
-    chunks = [(c, list(c.all("camera"))) for c in parse_xml(path, raw).all("chunk")]
+    chunks = [(c, list(c.all("camera"))) for c in parse_xml(path, whole_file(path, f"give {ACCEPTED}")).all("chunk")]
     sizes = [sum(bool(c.said("transform")) for c in cameras) for _, cameras in chunks]
     if not sizes:
         raise InputError(
@@ -220,7 +211,7 @@ def metashape(path: Path) -> StartModel:
         notes.append(f"the largest of {len(chunks)} chunks is taken: {len(posed)} cameras with a pose")
     if len(component) > 1:
         notes.append(f"the largest of {len(component)} components is taken: {component[0][1]} of {len(posed)} cameras")
-    lens_of, said = _sensors(raw, number, path)
+    lens_of, said = _sensors(chunks[number][0], path)
     poses: dict[str, np.ndarray] = {}
     lenses: dict[str, FoundCamera] = {}
     for camera in posed:
@@ -245,19 +236,17 @@ def _transform(camera: Element, where: str) -> np.ndarray:
     return checked_pose(np.array(values).reshape(4, 4), where)
 
 
-def _sensors(raw: bytes, chunk: int, path: Path) -> tuple[dict[str, FoundCamera], list[str]]:
+def _sensors(chunk: Element, path: Path) -> tuple[dict[str, FoundCamera], list[str]]:
     """The calibrations of a chunk by the number of their sensor, and what could not be read of them."""
-    text = re.split(r"<chunk\b", raw.decode("utf-8", "replace"))[1 + chunk]
     out, said = {}, []
-    for head, body in re.findall(r"<sensor\b([^>]*[^/>])>(.*?)</sensor>", text, re.DOTALL):
-        key = re.search(r'\bid="([^"]*)"', head)
+    for sensor in chunk.all("sensor"):
         try:
-            found = agisoft(f"<sensor{head}>{body}</sensor>", str(path))
+            found = agisoft_camera(sensor, str(path))
         except InputError as error:
             said.append(f"a camera is not taken from it: {error}")
             continue
-        if key and found:
-            out[key[1]] = found[0]
+        if found is not None:
+            out[sensor.given.get("id", "")] = found
     return out, said
 
 

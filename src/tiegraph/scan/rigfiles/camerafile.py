@@ -50,7 +50,7 @@ from tiegraph.scan.rigfiles.rigfaults import MAX_SIDE_PX, MODELS, count_fault, f
 from tiegraph.scan.rigfiles.rigspec import UNIT, RigSpec, SensorSpec
 from tiegraph.scan.tuning import CameraTuning, RigTuning
 from tiegraph.scene.regular import regular
-from tiegraph.scene.textfile import text_lines, utf8_text
+from tiegraph.scene.textfile import Element, parse_xml, text_lines, utf8_text
 
 PROGRAMS = (
     "COLMAP's cameras.txt or cameras.bin, OpenCV's or ROS's YAML or XML, Kalibr's camchain.yaml, OpenSfM's "
@@ -281,25 +281,28 @@ def is_agisoft(content: str) -> bool:
 
 
 def agisoft(content: str, where: str) -> list[FoundCamera]:
-    """The cameras of Agisoft's XML; of each sensor the adjusted one where there is one. Raises InputError."""
-    sensors = re.findall(r"<sensor\b([^>]*)>(.*?)</sensor>", content, re.DOTALL) or [("", content)]
-    found = []
-    for head, text in sensors:
-        blocks = re.findall(r"<calibration\b([^>]*)>(.*?)</calibration>", text, re.DOTALL)
-        blocks = [b for b in blocks if re.search(r"<fx?>", b[1])]
-        if not blocks:  # a sensor without images has no calibration
-            continue
-        block = next((b for b in blocks if "adjusted" in b[0]), blocks[0])
-        label = re.search(r'label="([^"]*)"', head)
-        found.append(_agisoft(label[1] if label else "", block[0], block[1], where))
-    return found
+    """The cameras of Agisoft's XML. Raises InputError."""
+    root = parse_xml(where, content.encode())
+    sensors = list(root.all("sensor")) or [root]
+    return [camera for sensor in sensors if (camera := agisoft_camera(sensor, where)) is not None]
 
 
-def _agisoft(name: str, head: str, text: str, where: str) -> FoundCamera:
-    value = _values(text, where)
-    kind = re.search(r"<projection>\s*(\w+)", text) or re.search(r'type="(\w+)"', head)
-    place = re.search(r'<resolution width="(\d+)" height="(\d+)"', text)
-    width, height = map(float, place.groups()) if place else (value.get("width", 0.0), value.get("height", 0.0))
+def agisoft_camera(sensor: Element, where: str) -> FoundCamera | None:
+    """The camera of an element that holds calibrations, the adjusted one where there is one; None without any, as of a
+    sensor without images. Raises InputError."""
+    given = [c for c in sensor.all("calibration") if {"f", "fx"} & {part.name for part in c.children}]
+    if not given:
+        return None
+    block = next((c for c in given if c.given.get("class") == "adjusted"), given[0])
+    value: dict[str, float] = {}
+    for part in block.children:
+        if part.name in _TERMS:
+            if not re.fullmatch(NUMBER, part.text.strip()):
+                raise InputError(f"{where}: {part.name} = {part.text.strip()!r:.99}: expected a number")
+            value[part.name] = float(part.text)
+    kind = block.said("projection") or block.given.get("type", "frame")
+    sizes = [r.given for r in block.children if r.name == "resolution"] or [value]
+    width, height = (float(sizes[0].get(side, 0.0)) for side in ("width", "height"))
     if min(width, height) < 1:
         raise InputError(f"{where}: width and height are missing, from whose middle cx and cy are told; add them")
     remedy = "optimise or calibrate without it, then export again"
@@ -309,24 +312,11 @@ def _agisoft(name: str, head: str, text: str, where: str) -> FoundCamera:
         focal = value["fx"], value.get("fy", value["fx"])
         middle = value.get("cx", width / 2), value.get("cy", height / 2)
     else:
-        if "f" not in value:
-            raise InputError(f"{where}: no focal length (f); export the calibration again")
         focal = value["f"] + value.get("b1", 0.0), value["f"]
         middle = width / 2 + value.get("cx", 0.0), height / 2 + value.get("cy", 0.0)
-    model, params = _agisoft_lens(kind[1] if kind else "frame", (*focal, *middle), value, where, remedy)
-    return FoundCamera(model=model, params=params, size=size_of((width, height)), where=where, name=name)
-
-
-def _values(text: str, where: str) -> dict[str, float]:
-    """The numbers of the elements that are known. Raises InputError for one that is none."""
-    out = {}
-    for name, content in re.findall(r"<(\w+)>([^<]*)</\1>", text):
-        if name not in _TERMS:
-            continue
-        if not re.fullmatch(NUMBER, content.strip()):
-            raise InputError(f"{where}: {name} = {content.strip()!r:.99}: expected a number")
-        out[name] = float(content)
-    return out
+    model, params = _agisoft_lens(kind, (*focal, *middle), value, where, remedy)
+    size, name = size_of((width, height)), sensor.given.get("label", "")
+    return FoundCamera(model=model, params=params, size=size, where=where, name=name)
 
 
 def _agisoft_lens(

@@ -51,7 +51,7 @@ def read_gnss(path: Path, tuning: GnssTuning, heights_m: tuple[float, float] = H
     """
     if is_bag(Path(path)):
         return judged(solutions.read_navsat(Path(path)), tuning, heights_m)
-    raw = whole_file(Path(path), "GNSS file")
+    raw = whole_file(Path(path), "give the GNSS file as a CSV file")
     utf16 = raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     head = raw[:_HEAD].decode("utf-16" if utf16 else "utf-8-sig", errors="replace")
     read = next(read for told, read in FORMATS.values() if told(head, raw[:_HEAD]))
