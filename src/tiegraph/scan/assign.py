@@ -29,7 +29,7 @@ from tiegraph.scan.rigfiles.rigfaults import contradictions
 from tiegraph.scan.rigfiles.rigfile import read_rig_file
 from tiegraph.scan.rigfiles.rigspec import RigSpec, SensorSpec, preset, preset_sizes
 from tiegraph.scan.settings import ScanSettings
-from tiegraph.scan.tuning import FoldersTuning, Tuning
+from tiegraph.scan.tuning import Tuning
 from tiegraph.scene.exif import Exif
 from tiegraph.scene.images import OF_CAMERAS, SUFFIXES, Probe
 from tiegraph.scene.scene import Dropped
@@ -92,10 +92,6 @@ class Usable:
         """The layout that the settings ask for; of videos ``video``, where they ask for none."""
         return "video" if self.video and settings.layout == "auto" else settings.layout
 
-    def order(self, places: Sequence[Place | None], settings: ScanSettings, tuning: FoldersTuning) -> Order:
-        """Whether these are loose photographs, and why."""
-        return order_of(self.names, places, *self.facts(), self.layout(settings), tuning)
-
     def facts(self) -> tuple[list[Exif], list[tuple[int, int]]]:
         """EXIF and upright sizes."""
         return [p.exif for p in self.probes], [p.upright_size() for p in self.probes]
@@ -116,7 +112,9 @@ def assign(
     layout = band_layout(usable.names, exif, kind, tuning.frames) or guess_layout(
         usable.names, exif, sizes, kind, tuning.folders, cameras
     )
-    if layout.folders == ("",) and not layout.order.loose and kind == "auto" and len(_lenses(usable)) > 1:
+    # Several lenses or focal lengths are several cameras, whatever took them.
+    lenses = {(p.exif.lens, _millimetres(p.exif)) for p in usable.probes} - {("", "")}
+    if layout.folders == ("",) and not layout.order.loose and kind == "auto" and len(lenses) > 1:
         layout = replace(layout, order=Order(True, "loose photographs: taken with different lenses"))
     if rig is None:
         report.notes.append(f"layout guessed: {layout.order.why}")
@@ -150,18 +148,11 @@ def _shot(image: int, name: str, owner: tuple[int, int], place: Place, loose: bo
 
 def _guessed_rig(layout: Layout) -> RigSpec:
     if layout.folders == ("",):
-        sensor = SensorSpec("camera", "", body_from_sensor=np.eye(4))
-        return RigSpec("camera", (sensor,), body_is_reference=True)
-    sensors = tuple(
-        SensorSpec(
-            name=f,
-            folder=f,
-            role="up" if words(f) & UP_WORDS else "side",
-            body_from_sensor=np.eye(4) if k == 0 else None,
-        )
-        for k, f in enumerate(layout.folders)
-    )
-    return RigSpec("rig", sensors, body_is_reference=True)
+        return RigSpec("camera", (SensorSpec("camera", "", body_from_sensor=np.eye(4)),), body_is_reference=True)
+    roles = ["up" if words(f) & UP_WORDS else "side" for f in layout.folders]
+    sensors = [SensorSpec(name=f, folder=f, role=role) for f, role in zip(layout.folders, roles)]
+    first = replace(sensors[0], body_from_sensor=np.eye(4))
+    return RigSpec("rig", (first, *sensors[1:]), body_is_reference=True)
 
 
 def _assign_by_file(
@@ -175,7 +166,9 @@ def _assign_by_file(
     _all_found(file, specs, places, usable.names)
     stray = [name for name, place in zip(usable.names, places) if place is None]
     report.drop(stray, f"below no sensor folder of {file.name} ({', '.join(owner)})")
-    order = usable.order(places, settings, tuning.folders) if len(owner) == 1 else Order(False, "")
+    order = Order(False, "")
+    if len(owner) == 1:
+        order = order_of(usable.names, places, *usable.facts(), usable.layout(settings), tuning.folders)
     report.notes.append(f"rig file {file.name}: {len(owner)} sensor(s)" + (f"; {order.why}" if order.why else ""))
     report.notes += [f"{file.name}: {text}" for spec in specs for text in contradictions(spec, tuning.rig)]
     shots = [
@@ -277,11 +270,6 @@ def zoomed(probes: Sequence[Probe]) -> Sequence[Probe]:
 def _millimetres(exif: Exif) -> str:
     zoom = f" zoom {exif.zoom:g}" if exif.zoom > 1 else ""
     return f"{exif.focal_mm:.1f}mm{zoom}" if np.isfinite(exif.focal_mm) else ""
-
-
-def _lenses(usable: Usable) -> set[tuple[str, str]]:
-    """What the files call their lenses, and the focal lengths; several are several cameras, whatever took them."""
-    return {(p.exif.lens, _millimetres(p.exif)) for p in usable.probes} - {("", "")}
 
 
 def usable_images(names: Sequence[str], probes: Sequence[Probe], report: Report) -> Usable:

@@ -14,7 +14,7 @@ import numpy as np
 
 from tiegraph.geometry.transforms import rigid
 from tiegraph.scan.folders import Layout, Order, Place, is_pattern, natural, pass_names
-from tiegraph.scan.rigfiles.rigspec import RigSpec, SensorSpec
+from tiegraph.scan.rigfiles.rigspec import RigSpec
 from tiegraph.scan.tuning import FramesTuning
 from tiegraph.scene.exif import Exif
 from tiegraph.scene.xmp import relative_rotation
@@ -80,7 +80,12 @@ def with_rig_tags(spec: RigSpec, layout: Layout, exif: Sequence[Exif], notes: li
         for s in ordered
     ]
     poses = [rigid(turns[0].T @ turn, np.zeros(3)) for turn in turns]
-    names = _names(ordered, {f: Counter(t.band for t in found if t.band) for f, found in tags.items()})
+    # What their files call the band, else the mark in their names.
+    named = [Counter(t.band for t in tags[s.folder or ""] if t.band).most_common(1) for s in ordered]
+    names = [found[0][0] for found in named if found]
+    if len(set(names)) < len(ordered):
+        marks = [s.name.lstrip("*_") for s in ordered]
+        names = [f"band{m}" if m.isdigit() else m for m in marks]
     how = "they look the same way, nominally"
     if told:
         how = f"how {len(told)} of them are turned is taken from their XMP (RigRelatives)"
@@ -90,12 +95,3 @@ def with_rig_tags(spec: RigSpec, layout: Layout, exif: Sequence[Exif], notes: li
     )
     sensors = tuple(replace(s, name=n, body_from_sensor=p) for s, n, p in zip(ordered, names, poses))
     return replace(spec, sensors=sensors, nominal=True)
-
-
-def _names(sensors: Sequence[SensorSpec], bands: dict[str, Counter[str]]) -> list[str]:
-    """A name for each sensor: what its files call the band, else the mark in their names."""
-    said = [max(bands[s.folder or ""], key=bands[s.folder or ""].__getitem__, default="") for s in sensors]
-    if all(said) and len(set(said)) == len(said):
-        return said
-    marks = [s.name.lstrip("*_") for s in sensors]
-    return [f"band{m}" if m.isdigit() else m for m in marks]

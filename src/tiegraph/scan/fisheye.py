@@ -24,7 +24,7 @@ from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import LensViewsTuning, PanoramaTuning
 from tiegraph.scene.fisheye import is_fisheye, seen_half_deg
 from tiegraph.scene.images import Probe
-from tiegraph.scene.rig import LensView, Rig, Sensor, SensorPair, Source
+from tiegraph.scene.rig import LensView, Rig, Sensor, Source
 from tiegraph.text import some
 
 
@@ -66,7 +66,13 @@ def into_views(
             views = _views(sensor, *_turns(rig, k, tuning, level)) if cut[r, k] == "" else [sensor]
             places[r, k] = list(range(len(sensors), len(sensors) + len(views)))
             sensors += views
-        made.append(_rig_of_views(rig, tuple(sensors)))
+        # What was measured between two lenses is so between their front views, which have their centres and axes.
+        front = {s.name: s.name if s in sensors else f"{s.name}-{_FRONT}" for s in rig.sensors}
+        pairs = tuple(replace(p, sensors=(front[p.sensors[0]], front[p.sensors[1]])) for p in rig.pairs)
+        # The views of one lens stand exactly to each other, so the rig is held where its lenses are; where these are
+        # drawn or measured with a sigma, each view has that of its lens.
+        held = len(rig.sensors) == 1 or rig.fixed or (rig.known() and not rig.nominal and not rig.soft())
+        made.append(replace(rig, sensors=tuple(sensors), pairs=pairs, fixed=held))
     shots: list[Shot] = []
     names: list[str] = []
     probes: list[Probe] = []
@@ -81,14 +87,6 @@ def into_views(
             probes.append(pictures.probes[shot.image])
             files.append(pictures.files[shot.image])
     return tuple(made), replace(survey, shots=tuple(shots)), ImageFiles(names, probes, files)
-
-
-def _rig_of_views(rig: Rig, sensors: tuple[Sensor, ...]) -> Rig:
-    """A rig with views in place of lenses: those of one lens stand exactly to each other, so it is held where its
-    lenses are, and where they are drawn or measured with a sigma, each view has that of its lens."""
-    pairs = tuple(_between_views(p, sensors) for p in rig.pairs)
-    held = len(rig.sensors) == 1 or rig.fixed or (rig.known() and not rig.nominal and not rig.soft())
-    return replace(rig, sensors=sensors, pairs=pairs, fixed=held)
 
 
 def _why_not(sensor: Sensor, settings: ScanSettings, tuning: LensViewsTuning) -> str | None:
@@ -171,25 +169,16 @@ def _views(sensor: Sensor, turns: dict[str, np.ndarray], fov_deg: tuple[float, f
     width, height = (2 * round(focal * np.tan(np.radians(v / 2))) for v in fov_deg)
     camera = pycolmap.Camera(model="SIMPLE_PINHOLE", width=width, height=height, params=[focal, width / 2, height / 2])
     camera.has_prior_focal_length = True
-    out = []
-    for name, view_from_lens in turns.items():
-        view = LensView(sensor.name, lens, tuple(float(v) for v in view_from_lens.ravel()))
-        pose = sensor.sensor_from_rig
-        made = replace(
+    pose = sensor.sensor_from_rig
+    return [
+        replace(
             sensor,
             name=f"{sensor.name}-{name}",
             folder=str(PurePosixPath(sensor.folder) / name),
             camera=camera,
             camera_sigma_px=None,
-            source=replace(source, camera=camera, view=view),
-            sensor_from_rig=None if pose is None else rigid(view_from_lens, np.zeros(3)) @ pose,
+            source=replace(source, camera=camera, view=LensView(sensor.name, lens, tuple(turn.ravel().tolist()))),
+            sensor_from_rig=None if pose is None else rigid(turn, np.zeros(3)) @ pose,
         )
-        out.append(made)
-    return out
-
-
-def _between_views(pair: SensorPair, sensors: Sequence[Sensor]) -> SensorPair:
-    """What was measured between two lenses, between their front views, which have their centres and axes."""
-    there = {s.name for s in sensors}
-    first, second = (n if n in there else f"{n}-{_FRONT}" for n in pair.sensors)
-    return replace(pair, sensors=(first, second))
+        for name, turn in turns.items()
+    ]

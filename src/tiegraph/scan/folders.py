@@ -1,5 +1,6 @@
 """What the folders mean: which part of an image's path is the camera and which the pass."""
 
+import os
 import re
 from collections import Counter
 from collections.abc import Sequence
@@ -81,10 +82,12 @@ def place_by_folders(names: Sequence[str], folders: Sequence[str]) -> list[Place
     places: list[tuple[str, tuple[str, ...]] | None] = []
     for name in names:
         parts = PurePosixPath(name).parts[:-1]
-        match = next((_without(parts, w) for w in wanted if _position(parts, w) >= 0), None)
+        found = ((w, k) for w in wanted for k in range(len(parts) - len(w), -1, -1) if parts[k : k + len(w)] == w)
+        match = next(found, None)
         mark = next((p for p in patterns if _fits(name, p)), None)
         if match is not None:
-            places.append(match)
+            own, at = match
+            places.append(("/".join(own), parts[:at] + parts[at + len(own) :]))
         elif mark is not None:
             places.append((mark, _besides(name, mark)))
         else:
@@ -135,25 +138,8 @@ def _pass_name(parts: tuple[str, ...], common: int) -> str:
     return telling[-1] if telling else LONE_PASS
 
 
-def _position(parts: tuple[str, ...], wanted: tuple[str, ...]) -> int:
-    for at in range(len(parts) - len(wanted), -1, -1):
-        if parts[at : at + len(wanted)] == wanted:
-            return at
-    return -1
-
-
-def _without(parts: tuple[str, ...], wanted: tuple[str, ...]) -> tuple[str, tuple[str, ...]]:
-    at = _position(parts, wanted)
-    return "/".join(wanted), parts[:at] + parts[at + len(wanted) :]
-
-
 def _common(paths: Sequence[tuple[str, ...]]) -> int:
-    shared = 0
-    for level in zip(*paths):
-        if len(set(level)) > 1:
-            break
-        shared += 1
-    return shared
+    return len(os.path.commonprefix(list(paths)))
 
 
 def guess_layout(

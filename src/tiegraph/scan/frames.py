@@ -73,8 +73,14 @@ def match_frames(
         if how == "name" or _shared(by_name) >= tuning.agree:
             return by_name, "name"
     if how in ("auto", "number"):
-        by_number = {sensor: [_last_number(s) for s in names] for sensor, names in stems.items()}
-        if how == "number" or (_shared(by_number) >= tuning.agree and _mostly_unique(by_number, tuning)):
+        by_number = {}
+        for sensor, names in stems.items():
+            numbers = [re.findall(r"\d+", s) for s in names]
+            by_number[sensor] = [str(int(n[-1])) if n else s for n, s in zip(numbers, names)]
+        once = [[c == 1 for c in Counter(k).values()] for k in by_number.values()]
+        if how == "number" or (
+            _shared(by_number) >= tuning.agree and all(sum(c) >= tuning.unique * len(c) for c in once)
+        ):
             return by_number, "number"
     if how == "auto" and (by_time := _by_time(stems, tuning)) and _shared(by_time) >= tuning.agree:
         return by_time, "time"
@@ -103,17 +109,8 @@ def _by_time(stems: Mapping[int, Sequence[str]], tuning: FramesTuning) -> dict[i
     return out
 
 
-def _last_number(stem: str) -> str:
-    numbers = re.findall(r"\d+", stem)
-    return str(int(numbers[-1])) if numbers else stem
-
-
 def _shared(keys: dict[int, list[str]]) -> float:
     """Share of the images of the sensor with fewest partners that have a partner in the fullest one."""
     sets = [set(k) for k in keys.values()]
     fullest = max(sets, key=len)
     return min(len(s & fullest) / len(s) for s in sets)
-
-
-def _mostly_unique(keys: dict[int, list[str]], tuning: FramesTuning) -> bool:
-    return all(sum(c == 1 for c in Counter(k).values()) >= tuning.unique * len(set(k)) for k in keys.values())
