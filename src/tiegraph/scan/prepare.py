@@ -64,8 +64,9 @@ def pinhole_camera(camera: pycolmap.Camera) -> pycolmap.Camera:
 def _changed_pixels(
     path: Path, how: Source, sensor: Sensor, settings: ScanSettings, suffix: str
 ) -> np.ndarray | None:  # (H, W) or (H, W, 3) RGB u1; None = nothing to change
-    if how.panorama:
-        return _for_suffix(_cropped(_view(path, how), how), suffix)
+    if how.panorama and how.camera is not None:
+        view = render_view(_panorama(path, how.levels), how.camera, np.reshape(how.panorama, (3, 3)))
+        return _for_suffix(_cropped(view, how), suffix)
     try:
         file = opened(regular(path).read_bytes(), path.suffix)
         bend = settings.undistort and how.view is None and how.camera is not None and not how.camera.is_undistorted()
@@ -101,11 +102,6 @@ def _cropped(pixels: np.ndarray, how: Source) -> np.ndarray:
     return pixels[top : pixels.shape[0] - bottom, left : pixels.shape[1] - right]
 
 
-def _view(path: Path, how: Source) -> np.ndarray:
-    assert how.camera is not None
-    return render_view(_panorama(path, how.levels), how.camera, np.reshape(how.panorama, (3, 3)))
-
-
 @cached_by_file(maxsize=1)  # its views are made one after another
 def _panorama(path: Path, levels: Levels) -> np.ndarray:
     try:
@@ -134,8 +130,7 @@ def _undistortion_map(camera: tuple, pinhole: tuple) -> tuple[np.ndarray, np.nda
     u = (np.arange(new_width) + 0.5 - cx) / fx
     for row in range(new_height):
         rays = np.stack([u, np.full(new_width, (row + 0.5 - cy) / fy), np.ones(new_width)], axis=1)
-        xy = np.asarray(original.img_from_cam(rays))
-        maps[:, row] = (xy - 0.5).T  # OpenCV counts from the centre of the first pixel
+        maps[:, row] = (np.asarray(original.img_from_cam(rays)) - 0.5).T  # OpenCV's first pixel has its centre at 0
     return maps[0], maps[1]
 
 

@@ -221,8 +221,7 @@ def _antenna(spec: RigSpec, reference: int) -> tuple[float, float, float] | None
     pose = spec.sensors[reference].body_from_sensor
     if spec.antenna_m is None or pose is None:
         return None
-    x, y, z, _ = np.linalg.inv(pose) @ np.array([*spec.antenna_m, 1.0])
-    return float(x), float(y), float(z)
+    return tuple((np.linalg.inv(pose) @ [*spec.antenna_m, 1.0])[:3].tolist())
 
 
 # --- the scene ------------------------------------------------------------------------------------------------------
@@ -248,9 +247,11 @@ def _scene(
     rows, priors_order = _in_time_order(rows, priors.time_s, report)
     if missing := sum(len(r.images) < len(rigs[r.rig].sensors) for r in rows):
         report.notes.append(f"{missing} of {len(rows)} frames lack the image of some camera")
-    frame = np.zeros(len(shots), int)
+    frame, steps, seen = np.zeros(len(shots), int), [], Counter[int]()
     for k, row in enumerate(rows):
         frame[list(row.images)] = k
+        steps.append(seen[row.sequence])
+        seen[row.sequence] += 1
     if renamed := sum(a != b for a, b in zip(given, safe)):
         report.notes.append(f"{renamed} images renamed (blanks, #, long names or formats that COLMAP does not take)")
     exposure = np.array([e.exposure for e in exif], float)
@@ -261,7 +262,7 @@ def _scene(
         sensor=np.array([s.sensor for s in shots]),
         rig=np.array([r.rig for r in rows]),
         sequence=np.array([r.sequence for r in rows]),
-        sequence_index=_steps(rows),
+        sequence_index=np.array(steps, int),
         time_s=priors.time_s[priors_order],
         world_from_rig=priors.world_from_rig[priors_order],
         position_sigma_m=priors.position_sigma_m[priors_order],
@@ -328,12 +329,3 @@ def _in_time_order(
             order[mine] = mine[np.argsort(times, kind="stable")]
             report.notes.append("frames of a pass are ordered by time; their names are in another order")
     return tuple(rows[k] for k in order), order
-
-
-def _steps(rows: Sequence[FrameRow]) -> np.ndarray:
-    seen: Counter = Counter()
-    out = np.zeros(len(rows), int)
-    for k, row in enumerate(rows):
-        out[k] = seen[row.sequence]
-        seen[row.sequence] += 1
-    return out

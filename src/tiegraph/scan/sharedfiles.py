@@ -99,7 +99,10 @@ def _views(usable: Usable, settings: ScanSettings, report: Report, tuning: Tunin
         )
     # What is masked of a view is the transparency of its file.
     names = [n if share[k] == 1 else str(PurePosixPath(n).with_suffix(".png")) for k, n in enumerate(images.names)]
-    probes = [_as_view(p, columns, rows) for p in images.probes]
+    probes = [
+        replace(p, width=columns, height=rows, exif=replace(p.exif, focal_px=float("nan"), orientation=1))
+        for p in images.probes
+    ]
     return replace(survey, shots=shots), replace(images, names=names, probes=probes)
 
 
@@ -120,10 +123,6 @@ def share_files(usable: Usable, spec: RigSpec, settings: ScanSettings, tuning: T
     each = len(spec.sensors)
     probes, files = [p for p in usable.probes for _ in range(each)], [n for n in usable.names for _ in range(each)]
     return Survey((spec,), tuple(shots), layout.order.loose), ImageFiles(views, probes, files)
-
-
-def _as_view(probe: Probe, width: int, height: int) -> Probe:
-    return replace(probe, width=width, height=height, exif=replace(probe.exif, focal_px=float("nan"), orientation=1))
 
 
 def panorama_rig(width_px: int, tuning: PanoramaTuning) -> RigSpec:
@@ -255,12 +254,7 @@ def _given(rig: str, text: str | None, tuning: Tuning) -> RigSpec:
             f"--rig {rig}: {count} sensor(s), but the files hold two fisheye images each: give two sensors, that of "
             "the left circle first, with the cameras of half a file"
         )
-    sensors = tuple(
-        replace(s, folder=s.name, part=k, body_from_sensor=_pose(s, k)) for k, s in enumerate(specs[0].sensors)
-    )
-    return replace(specs[0], sensors=sensors, synchronised=True)
-
-
-def _pose(sensor: SensorSpec, number: int) -> np.ndarray | None:
-    """The first sensor is the body where no orientation is given."""
-    return np.eye(4) if sensor.body_from_sensor is None and number == 0 else sensor.body_from_sensor
+    one, other = (replace(s, folder=s.name, part=k) for k, s in enumerate(specs[0].sensors))
+    if one.body_from_sensor is None:
+        one = replace(one, body_from_sensor=np.eye(4))
+    return replace(specs[0], sensors=(one, other), synchronised=True)

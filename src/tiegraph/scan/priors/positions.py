@@ -162,20 +162,14 @@ def _overlap(gnss: Gnss, time_s: np.ndarray, settings: ScanSettings) -> np.ndarr
     first, last = np.nanmin(time_s) - settings.max_gap_s, np.nanmax(time_s) + settings.max_gap_s
     near = (gnss.time_s >= first) & (gnss.time_s <= last)
     if not near.any():
+        what = "seconds of the GPS week" if gnss.period_s > DAY_S else "times of day (UTC)"
+        undated = f"; it has {what} without a date: give the frames' times as dates (UTC), or likewise"
         raise InputError(
             f"{path}: times {gnss.time_s[0]:.2f} ... {gnss.time_s[-1]:.2f} s do not overlap the frames' "
             f"{np.nanmin(time_s):.2f} ... {np.nanmax(time_s):.2f} s: other epoch, other time zone, or another survey? "
-            f"Give --times in the clock of the GNSS file{_clock(gnss, time_s)}{_within(gnss)}"
+            f"Give --times in the clock of the GNSS file{_clock(gnss, time_s)}{undated if gnss.period_s else ''}"
         )
     return near
-
-
-def _within(gnss: Gnss) -> str:
-    """What to say of times that count within a day or a week which neither the file nor the frames name."""
-    if not gnss.period_s:
-        return ""
-    what = "seconds of the GPS week" if gnss.period_s > DAY_S else "times of day (UTC)"
-    return f"; it has {what} without a date: give the frames' times as dates (UTC), or likewise"
 
 
 def _clock(gnss: Gnss, time_s: np.ndarray) -> str:
@@ -271,8 +265,8 @@ def _rotations(frames: Frames, heading_deg: np.ndarray) -> np.ndarray:
     """(F, 3, 3) world_from_rig of a level body with a heading; NaN without one."""
     out = np.full((len(heading_deg), 3, 3), np.nan)
     for k in np.flatnonzero(np.isfinite(heading_deg)):
-        h = np.radians(heading_deg[k])
-        right_down_forward = np.array([[np.cos(h), 0, np.sin(h)], [-np.sin(h), 0, np.cos(h)], [0, -1, 0]])
+        sin, cos = np.sin(np.radians(heading_deg[k])), np.cos(np.radians(heading_deg[k]))
+        right_down_forward = np.array([[cos, 0, sin], [-sin, 0, cos], [0, -1, 0]])
         rig_from_body, axes = body_of(frames.specs[frames.rows[k].rig])
         out[k] = right_down_forward @ AXES[axes] @ rig_from_body[:3, :3].T
     return out

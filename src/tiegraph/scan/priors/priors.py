@@ -67,7 +67,10 @@ def estimate_priors(
     notes: list[str] = []
     if settings.crs.lower() not in ("auto", ENU.lower()):
         parse_crs(settings.crs)
-    files = _files(trajectory, frames.sequences)
+    files: dict[int, tuple[Path, Trajectory]] = {}  # of each pass, -1 = of all
+    if isinstance(trajectory, Path):
+        found = trajectory_files(trajectory, frames.sequences)
+        files = {k: (source_of(f), read_trajectory(f)) for k, f in found.items()}
     start = trajectory if isinstance(trajectory, StartModel) else None
     time_s = _times(frames, times, files, notes, tuning.times)
     notes += [note for _, found in files.values() for note in found.notes]
@@ -95,15 +98,6 @@ def estimate_priors(
     return replace(priors, notes=tuple(notes))
 
 
-def _files(
-    trajectory: Path | StartModel | Followed | None, sequences: Sequence[str]
-) -> dict[int, tuple[Path, Trajectory]]:
-    """The trajectory of each pass (-1: of all) with its file."""
-    if trajectory is None or isinstance(trajectory, StartModel | Followed):
-        return {}
-    return {k: (source_of(f), read_trajectory(f)) for k, f in trajectory_files(trajectory, sequences).items()}
-
-
 # --- times ----------------------------------------------------------------------------------------------------------
 
 
@@ -127,8 +121,10 @@ def _times(frames: Frames, file: Path | None, files: dict, notes: list[str], tun
     if np.isfinite(named).any():
         notes.append("times of the frames read from the file names")
         return named
+    of, one = frames.sequence(), len(frames.sequences) == 1
     for sequence, (path, trajectory) in files.items():
-        rows = _rows_of(frames, sequence)
+        # One file of all fits in order only if there is one order of all frames.
+        rows = np.flatnonzero(of == sequence) if sequence >= 0 or not (one and (of >= 0).all()) else np.arange(len(of))
         if len(rows) == len(trajectory) and np.isfinite(trajectory.time_s).all():
             out[rows] = trajectory.time_s
             notes.append(f"{path.name}: as many poses as frames ({len(rows)}): the frames take its times in order")
@@ -153,14 +149,6 @@ def _unless_one(time_s: np.ndarray, where: str, notes: list[str]) -> np.ndarray:
     same = f"all {len(known)} frames with a time have the same, {date_text(known[0])}"
     notes.append(f"{where}: {same}: not used; give --times if times matter")
     return np.full(len(time_s), np.nan)
-
-
-def _rows_of(frames: Frames, sequence: int) -> np.ndarray:
-    track_of = frames.sequence()
-    if sequence >= 0:
-        return np.flatnonzero(track_of == sequence)
-    # One file in order fits only if there is one order of all frames.
-    return np.arange(len(track_of)) if len(frames.sequences) == 1 and (track_of >= 0).all() else np.zeros(0, int)
 
 
 # --- trajectories ---------------------------------------------------------------------------------------------------

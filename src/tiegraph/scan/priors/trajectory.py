@@ -40,7 +40,10 @@ def read_trajectory(path: Path) -> Trajectory:
         return of_images(read_named_poses(path))
     if is_bag(path):
         return read_bag_poses(path)
-    return replace(read_poses(path), metric=not _says_free(path))
+    found = read_poses(path)
+    with path.open(errors="replace") as stream:
+        free = FREE_UNIT in (line.rstrip() for line in islice(stream, _HEAD_LINES))
+    return replace(found, metric=not free)
 
 
 def of_images(poses: Mapping[str, np.ndarray]) -> Trajectory:
@@ -50,11 +53,6 @@ def of_images(poses: Mapping[str, np.ndarray]) -> Trajectory:
 
 FREE_UNIT = "# unit: free (a single camera tells no scale)"
 """A line of a TUM file whose lengths are no metres."""
-
-
-def _says_free(path: Path) -> bool:
-    with path.open(errors="replace") as stream:
-        return FREE_UNIT in (line.rstrip() for line in islice(stream, _HEAD_LINES))
 
 
 def write_tum(path: Path, time_s: np.ndarray, world_from_rig: np.ndarray) -> None:

@@ -178,8 +178,10 @@ def _gps5(stream: _Stream) -> Readings:
     rows = _scaled(stream, "GPS5", _GPS5)
     count = len(rows)
     time = np.full(count, np.nan)
-    time[:1] = _utc(stream["GPSU"].text()) if "GPSU" in stream else np.nan
-    fix, dop = (np.full(count, _first(stream, key)) for key in ("GPSF", "GPSP"))
+    if "GPSU" in stream:  # of second 60, a leap second, NaN too
+        time[:1] = seconds_of(f"20{stream['GPSU'].text()}", "%Y%m%d%H%M%S.%f")
+    said = [stream[key].rows().ravel()[:1] if key in stream else () for key in ("GPSF", "GPSP")]
+    fix, dop = (np.full(count, value[0] if len(value) else np.nan) for value in said)
     return Readings(np.full(count, np.nan), time, rows[:, :3], fix=fix, dop=dop / 100.0)
 
 
@@ -187,15 +189,6 @@ def _gps9(stream: _Stream) -> Readings:
     rows = _scaled(stream, "GPS9", _GPS9)
     time = _EPOCH_S + DAY_S * rows[:, 5] + rows[:, 6]
     return Readings(np.full(len(rows), np.nan), time, rows[:, :3], fix=rows[:, 8], dop=rows[:, 7])
-
-
-def _first(stream: _Stream, key: str) -> float:
-    numbers = stream[key].rows().ravel() if key in stream else np.zeros(0)
-    return float(numbers[0]) if len(numbers) else np.nan
-
-
-def _utc(text: str) -> float:
-    return seconds_of(f"20{text}", "%Y%m%d%H%M%S.%f")  # NaN of second 60, a leap second, too
 
 
 def _start(kept: Readings, tuning: PicturesTuning) -> tuple[float, str]:

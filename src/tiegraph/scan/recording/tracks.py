@@ -196,7 +196,10 @@ class OneVideoTrack(io.BufferedIOBase):
         """``number``: among the video tracks, from 0. Raises OSError."""
         self._file = regular(path, None).open("rb")
         videos = [t for t in tracks(self._file) if t.kind == VIDEO]
-        self._hidden = [_kind_at(self._file, t) for k, t in enumerate(videos) if k != number]
+        self._hidden = []
+        for track in videos[:number] + videos[number + 1 :]:  # the kind stands before the contents, or a long size
+            self._file.seek(track.span[0] - 4)
+            self._hidden.append(track.span[0] - (4 if self._file.read(4) == b"trak" else 12))
         self._file.seek(0)
 
     def read(self, size: int | None = -1, /) -> bytes:
@@ -220,12 +223,6 @@ class OneVideoTrack(io.BufferedIOBase):
         """As of a file."""
         self._file.close()
         super().close()
-
-
-def _kind_at(file: BinaryIO, track: Track) -> int:
-    """Where the kind of a track's box stands: before its contents, or, of a box with a long size, before that."""
-    file.seek(track.span[0] - 4)
-    return track.span[0] - (4 if file.read(4) == b"trak" else 12)
 
 
 # --- boxes of an MP4 or QuickTime file -------------------------------------------------------------------------------

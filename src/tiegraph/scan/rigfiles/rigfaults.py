@@ -261,8 +261,8 @@ def _fold(camera: pycolmap.Camera, middle: np.ndarray, fisheye: bool, tuning: Ca
         if np.linalg.norm(end - middle) < limit:  # the principal point is at that edge
             continue
         pixels = middle + _EDGE * share * (end - middle)
-        rays = np.array([np.append(on_plane(camera, p[None])[0], 1.0) for p in pixels])
-        off = np.array([_pixel(camera, r) for r in rays]) - pixels
+        rays = np.column_stack([on_plane(camera, pixels), np.ones(len(pixels))])
+        off = np.asarray(camera.img_from_cam(rays), float) - pixels
         lost = ~(np.hypot(off[:, 0], off[:, 1]) < limit)
         outward = rays[:, :2] @ (end - middle) / np.linalg.norm(end - middle)
         angle = np.arctan2(outward, rays[:, 2])
@@ -288,8 +288,3 @@ def _ends(camera: pycolmap.Camera, middle: np.ndarray, fisheye: bool, tuning: Ca
         return middle + tuning.fisheye_middle * min(width, height) / 2 * np.stack([np.cos(turn), np.sin(turn)], axis=1)
     x, y = middle
     return np.array([[0, 0], [x, 0], [width, 0], [0, y], [width, y], [0, height], [x, height], [width, height]], float)
-
-
-def _pixel(camera: pycolmap.Camera, ray: np.ndarray) -> np.ndarray:
-    found = camera.img_from_cam(ray) if np.isfinite(ray).all() else None
-    return np.full(2, np.nan) if found is None else np.ravel(np.asarray(found, float))[:2]

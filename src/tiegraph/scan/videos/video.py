@@ -114,18 +114,11 @@ def check_film(recording: Recording) -> None:
 
 @contextmanager
 def open_film(recording: Recording) -> Iterator[OpenVideo | BagFilm]:
-    """A video, one track of it, or the topic of a bag. Raises InputError for a bag that is damaged."""
-    if recording.topic is None:
-        with _open_video(recording) as video:
-            yield video
-    else:
+    """A video or one track of it, by OpenCV, or the topic of a bag. Raises InputError for a bag that is damaged."""
+    if recording.topic is not None:
         with open_topic(recording.file, recording.topic) as topic:
             yield topic
-
-
-@contextmanager
-def _open_video(recording: Recording) -> Iterator[OpenVideo]:
-    """By OpenCV."""
+        return
     os.environ.setdefault("OPENCV_FFMPEG_CAPTURE_OPTIONS", "protocol_whitelist;file")  # a play list may name a server
     with ExitStack() as stack:
         if recording.track is None:
