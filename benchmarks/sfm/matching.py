@@ -56,7 +56,7 @@ def main() -> None:
 
 def _sample(database: Path, count: int) -> Sample:
     with Rows(database) as rows:
-        pairs = rows.match_counts()[:, :2]
+        pairs = rows.inlier_counts("matches")[:, :2]
         chosen = np.random.default_rng(0).choice(len(pairs), min(count, len(pairs)), replace=False)
         pairs = pairs[np.sort(chosen)]
         images = np.unique(pairs).tolist()
@@ -89,7 +89,7 @@ def _colmap(sample: Sample) -> None:
         pycolmap.match_image_pairs(target, matching, pairing, verification, device=pycolmap.Device.cpu)
         spent = time.process_time() - began
         with Rows(target) as rows:
-            found, inliers = rows.match_counts()[:, 2].sum(), rows.inlier_counts()[:, 2].sum()
+            found, inliers = rows.inlier_counts("matches")[:, 2].sum(), rows.inlier_counts()[:, 2].sum()
         _say(sample, "COLMAP's index and verification", spent, f"{found} matches, {inliers} inliers")
 
 

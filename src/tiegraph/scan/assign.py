@@ -194,8 +194,7 @@ def _checked(spec: RigSpec) -> RigSpec:
 
 
 def _bound(spec: RigSpec, names: Sequence[str]) -> RigSpec:
-    """The rig with each sensor's folder written out; a lone sensor without a folder of its name takes every image. A
-    pattern "cam1*" is the folder cam1 where there is one."""
+    """The rig with each sensor's folder written out; a lone sensor without a folder of its name takes every image."""
     parts = {p for n in names for p in PurePosixPath(n).parts[:-1]}
     lone = len(spec.sensors) == 1
 
@@ -320,12 +319,7 @@ def masks_among(names: Sequence[str]) -> dict[str, str]:
 
 
 def _twins(names: Sequence[str], probes: Sequence[Probe]) -> dict[int, int]:
-    """Files that are a photograph in another format (raw and JPEG, HEIC and its copy), and the file that is used: one
-    that can be read, a developed one, of the most usual format.
-
-    They are called alike, and lie in one folder or have one time and camera in EXIF; where both are such formats as
-    anything is kept in (a photograph and a thermal TIFF), their sizes must be equal, too.
-    """
+    """Files that are a photograph in another format (raw and JPEG, HEIC and its copy), and the file that is used."""
     found: dict[str, list[int]] = {}
     for k, name in enumerate(names):
         found.setdefault(PurePosixPath(name).stem.lower(), []).append(k)

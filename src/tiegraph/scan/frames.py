@@ -92,8 +92,7 @@ def match_frames(
 
 
 def _by_time(stems: Mapping[int, Sequence[str]], tuning: FramesTuning) -> dict[int, list[str]]:
-    """By sensor the name in the fullest one whose time is nearest, or the image's own where none is near; empty unless
-    all names are times."""
+    """By sensor the name in the fullest one whose time is nearest, or the image's own where none is near."""
     seconds = {k: np.array([time_in_name(s) for s in names]) for k, names in stems.items()}
     fullest = max(stems, key=lambda k: len(stems[k]))
     order = np.argsort(seconds[fullest])

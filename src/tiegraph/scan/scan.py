@@ -82,8 +82,7 @@ def build_scene(
 def _assigned(
     inputs: ScanInputs, usable: Usable, pictures: ImageFiles, settings: ScanSettings, report: Report, tuning: Tuning
 ) -> tuple[Survey, ImageFiles, bool]:
-    """Rig, sensor and pass of the images, or of the views that panoramas and double fisheyes are cut into; the images
-    or views, and whether these are whole images."""
+    """Rig, sensor and pass of the images, or of the views that panoramas and double fisheyes are cut into."""
     views = two_lenses(usable, inputs.rig, inputs.rig_text, settings, report, tuning) or perspective_views(
         usable, inputs.rig, settings, report, tuning
     )

@@ -222,8 +222,7 @@ def _factory_camera(
     factory: Sequence[tuple[FactoryLens, FactoryLens]], number: int, size: tuple[int, int], circle: np.ndarray,
     tuning: Tuning,
 ) -> tuple[float, ...]:  # fmt: skip
-    """Parameters of OPENCV_FISHEYE as the factory of most of the files' cameras measured them; () where nothing is
-    told, or where it does not fit the circle (3,) that the lens lights in half a file of a size."""
+    """Parameters of OPENCV_FISHEYE as the factory of most of the files' cameras measured them."""
     told = Counter(pair for pair in factory if pair[number].sphere)
     if not told:
         return ()

@@ -61,16 +61,9 @@ class Rows:
         """Number of key points by image id."""
         return dict(self._connection.execute("SELECT image_id, rows FROM keypoints"))
 
-    def match_counts(self) -> np.ndarray:
-        """(P, 3) i8: both image ids and the number of matches of each pair that was compared."""
-        return self._counts("SELECT pair_id, rows FROM matches")
-
-    def inlier_counts(self) -> np.ndarray:
-        """(P, 3) i8: both image ids and the number of verified matches of each verified pair."""
-        return self._counts("SELECT pair_id, rows FROM two_view_geometries WHERE rows > 0")
-
-    def _counts(self, query: str) -> np.ndarray:
-        found = self._connection.execute(query).fetchall()
+    def inlier_counts(self, table: str = "two_view_geometries") -> np.ndarray:
+        """(P, 3) i8: both image ids and the number of verified matches of each verified pair, or of raw ``matches``."""
+        found = self._connection.execute(f"SELECT pair_id, rows FROM {table} WHERE rows > 0").fetchall()
         return np.array([(*_images(pair), count) for pair, count in found], int).reshape(-1, 3)
 
     def verified(self) -> Iterator[tuple[int, int, np.ndarray]]:
@@ -172,13 +165,9 @@ def feature_counts(path: Path) -> dict[int, int]:
 def lost_features(path: Path, scene: Scene, wanted: Iterable[int]) -> list[tuple[str, str]]:
     """(image name, reason) of the wanted images without features in the database, or with none found."""
     counts = feature_counts(path)
-    lost = []
-    for k in sorted(wanted):
-        if k not in counts:
-            lost.append((scene.names[k], "no features were written"))
-        elif counts[k] == 0:
-            lost.append((scene.names[k], "no features were found (blank, blurred or fully masked image)"))
-    return lost
+    blank = "no features were found (blank, blurred or fully masked image)"
+    lost = [k for k in sorted(wanted) if not counts.get(k)]
+    return [(scene.names[k], blank if k in counts else "no features were written") for k in lost]
 
 
 def clear_matches(path: Path) -> None:
@@ -208,17 +197,11 @@ def keep_finished(path: Path, pairs: Pairs) -> np.ndarray:
     """Delete the rows of pairs that are not asked for or were half written; (P,) bool: which of the pairs are there."""
     asked = pair_ids(pairs)
     with transaction(path) as cursor:
-        matched = _column(cursor.execute("SELECT pair_id FROM matches"))
-        verified = _column(cursor.execute("SELECT pair_id FROM two_view_geometries"))
-        finished = np.intersect1d(np.intersect1d(matched, verified), asked)
-        for table, there in (("matches", matched), ("two_view_geometries", verified)):
-            gone = np.setdiff1d(there, finished)
-            cursor.executemany(f"DELETE FROM {table} WHERE pair_id = ?", [(int(k),) for k in gone])
-    return np.isin(asked, finished)
-
-
-def _column(rows: sqlite3.Cursor) -> np.ndarray:
-    return np.array([row[0] for row in rows], np.int64)
+        there = {table: {row[0] for row in cursor.execute(f"SELECT pair_id FROM {table}")} for table in _MADE}
+        finished = set.intersection(*there.values(), set(asked.tolist()))
+        for table, found in there.items():
+            cursor.executemany(f"DELETE FROM {table} WHERE pair_id = ?", [(k,) for k in sorted(found - finished)])
+    return np.array([k in finished for k in asked.tolist()], bool)
 
 
 def strike(path: Path, configuration: int) -> None:
@@ -230,22 +213,11 @@ def strike(path: Path, configuration: int) -> None:
 def match_counts(path: Path, pairs: Pairs) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Matches, verified matches and kind of geometry (P,) of each pair; -1 = it is not there."""
     with reading(path) as cursor:
-        matches = np.array(cursor.execute("SELECT pair_id, rows FROM matches").fetchall(), np.int64)
-        rows = cursor.execute("SELECT pair_id, rows, config FROM two_view_geometries").fetchall()
-    asked = pair_ids(pairs)
-    verified = np.array(rows, np.int64).reshape(-1, 3)
-    return (
-        _looked_up(asked, *matches.reshape(-1, 2).T),
-        _looked_up(asked, verified[:, 0], verified[:, 1]),
-        _looked_up(asked, verified[:, 0], verified[:, 2]),
-    )
-
-
-def _looked_up(asked: np.ndarray, keys: np.ndarray, values: np.ndarray) -> np.ndarray:
-    order = np.argsort(keys)
-    keys, values = np.append(keys[order], -1), np.append(values[order], -1)
-    place = np.searchsorted(keys[:-1], asked)
-    return np.where(keys[place] == asked, values[place], -1)
+        matches = dict(cursor.execute("SELECT pair_id, rows FROM matches"))
+        rows = {pair: more for pair, *more in cursor.execute("SELECT pair_id, rows, config FROM two_view_geometries")}
+    asked = pair_ids(pairs).tolist()
+    verified = np.array([rows.get(pair, (-1, -1)) for pair in asked], np.int64).reshape(-1, 2)
+    return np.array([matches.get(pair, -1) for pair in asked], np.int64), verified[:, 0], verified[:, 1]
 
 
 @contextmanager

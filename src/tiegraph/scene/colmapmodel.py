@@ -78,10 +78,7 @@ def _read_text(folder: Path) -> Any:
 
 
 def _image_lines(path: Path) -> tuple[dict[int, str], list[str]]:
-    """Name of each image by its id, and two lines an image with the id instead of the name.
-
-    Raises InputError for a line that is neither an image nor its points, no rotation, and a name or id of two images.
-    """
+    """Name of each image by its id, and two lines an image with the id instead of the name."""
     names: dict[int, str] = {}
     lines: list[str] = []
     for number, line in enumerate(path.read_text("utf-8-sig", "surrogateescape").split("\n"), 1):

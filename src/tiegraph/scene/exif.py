@@ -119,13 +119,14 @@ def _with_xmp(table: dict, xmp: str, names: tuple[tuple[int, str, str], ...]) ->
 
 
 def _place(gps: dict, xmp: Place, rtk: bool) -> tuple[Place, str]:
-    """Where EXIF and XMP say the image was taken, NaN where not written or not believable, and what is doubtful.
-
-    XMP counts where it comes from RTK (EXIF has no accuracy), where EXIF has nothing, and where EXIF is its rounding.
-    """
-    if rtk and _is_place(xmp):
-        return xmp, ""
-    lat, lon, height = _angle(gps, 2, 1, "S"), _angle(gps, 4, 3, "W"), _height(gps)
+    """Where EXIF and XMP say the image was taken, NaN where not written or not believable, and what is doubtful."""
+    if rtk and np.isfinite(xmp.height_m) and SIGMA_RANGE_M[0] <= xmp.sigma_m <= SIGMA_RANGE_M[1]:
+        if abs(xmp.lat_deg) <= 90 and abs(xmp.lon_deg) <= 180 and (xmp.lat_deg, xmp.lon_deg) != (0, 0):
+            return xmp, ""
+    # 2 and 3 (EXIF 3.0): above and below sea level, no ellipsoid; some programs write a digit
+    below = gps.get(5) in (1, 3, b"\x01", b"\x03", b"1", "1")
+    height = _number(gps.get(6), NAN) * (-1 if below else 1)
+    lat, lon = _angle(gps, 2, 1, "S"), _angle(gps, 4, 3, "W")
     known, given = bool(_text(gps.get(1)) and _text(gps.get(3))), 2 in gps or 4 in gps
     empty = np.isnan([lat, lon]).all() or (lat, lon) == (0, 0)
     if empty or (_rounds(lat, xmp.lat_deg) and _rounds(lon, xmp.lon_deg)):
@@ -171,15 +172,8 @@ def _in_wgs84(place: Place, datum: str) -> tuple[Place, str]:
     return place, "" if _LIKE_WGS84.fullmatch(plain) else doubt
 
 
-def _is_place(given: Place) -> bool:
-    """Whether these are the position and sigma of a receiver with a fix."""
-    somewhere = abs(given.lat_deg) <= 90 and abs(given.lon_deg) <= 180 and (given.lat_deg, given.lon_deg) != (0, 0)
-    return somewhere and np.isfinite(given.height_m) and SIGMA_RANGE_M[0] <= given.sigma_m <= SIGMA_RANGE_M[1]
-
-
 def _focal(detail: dict, size: tuple[int, int], range_: tuple[float, float]) -> float:
-    """Focal length in pixels of the file, told by its 35 mm equivalent or by the size of a pixel. Both are of the
-    photograph as it was taken, which may have been made smaller, turned, or cut in one direction since."""
+    """Focal length in pixels of the file, told by its 35 mm equivalent or by the size of a pixel."""
     (width, height), longer = size, max(size)
     wide, high = _positive(detail.get(_EXIF_WIDTH)), _positive(detail.get(_EXIF_HEIGHT))
     if not wide * high > 0:
@@ -214,14 +208,6 @@ def _angle(gps: dict, key: int, reference_key: int, negative: str) -> float:
         return NAN
     size = sum(abs(part) / 60**k for k, part in enumerate(parts) if np.isfinite(part))
     return -size if parts[0] < 0 or _text(gps.get(reference_key)).upper().startswith(negative) else size
-
-
-def _height(gps: dict) -> float:
-    height = _number(gps.get(6), NAN)
-    reference = gps.get(5)
-    # 2 and 3 (EXIF 3.0): above and below sea level, no ellipsoid; some programs write a digit
-    below = reference in (1, 3, b"\x01", b"\x03", b"1", "1")
-    return -height if below else height
 
 
 def _time(base: dict, detail: dict) -> tuple[float, bool]:

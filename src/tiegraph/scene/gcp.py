@@ -299,8 +299,7 @@ def _read_csv(path: Path, lines: list[tuple[int, str]], tuning: ControlTuning) -
 
 
 def _with_table(file: GcpFile, table: Table, tuning: ControlTuning) -> tuple[GcpFile, set[bool]]:
-    """A file with a table's points and marks; {whether its coordinates are in degrees}, empty without any. Coordinates
-    become those of their CRS, in the units of its axes."""
+    """A file with a table's points and marks; {whether its coordinates are in degrees}, empty without any."""
     path, notes = table.path, [*file.notes, *table.notes]
     roles, crs = coordinates_of(table, file.crs, notes)
     geographic = "latitude" in roles

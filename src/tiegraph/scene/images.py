@@ -224,6 +224,7 @@ def _describe(data: bytes, suffix: str, digest: str, tuning: ImageTuning) -> Pro
     if sphere is not None:
         sure = sphere.sure and sphere.width >= tuning.panorama.min_width_px
         sphere = replace(sphere, sure=sure or (not circles and is_equirectangular(picture, tuning.panorama)))
+    two = len(circles) > 1
     exif = Exif() if image is None else read_exif(image, (width, height), tuning.focal_range)
     return Probe(
         width=width,
@@ -233,7 +234,7 @@ def _describe(data: bytes, suffix: str, digest: str, tuning: ImageTuning) -> Pro
         digest=digest,
         sphere=sphere,
         circles=circles,
-        lenses=_factory_lenses(data) if len(circles) > 1 else "",
+        lenses=" ".join(found.group().decode() for form in _FACTORY if (found := form.search(data))) if two else "",
         said=said,
     )
 
@@ -249,11 +250,6 @@ def _said(file: Opened, sphere: Sphere | None) -> str:
 
 
 _FACTORY = [re.compile(rb"2(?:_-?\d+(?:\.\d+)?){%d}(?![_.\d])" % count) for count in (39, 15)]  # two forms of it
-
-
-def _factory_lenses(data: bytes) -> str:
-    """Strings of numbers, separated by blanks."""
-    return " ".join(found.group().decode() for form in _FACTORY if (found := form.search(data)))
 
 
 def _refuse_bomb(image: Image.Image, size: int) -> None:

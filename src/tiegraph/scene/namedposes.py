@@ -56,12 +56,9 @@ def _find_colmap(path: Path) -> Path | None:
         if folder.is_dir():
             numbered = [p for p in folder.iterdir() if p.name.isdigit() and is_model(p)]
             if numbered:
-                return max(sorted(numbered, key=lambda p: int(p.name)), key=_size)
+                files = {p: [f for f in (p / "images.bin", p / "images.txt") if f.exists()] for p in numbered}
+                return max(numbered, key=lambda p: (max(f.stat().st_size for f in files[p]), -int(p.name)))
     return None
-
-
-def _size(model: Path) -> int:
-    return max((model / n).stat().st_size for n in ("images.bin", "images.txt") if (model / n).exists())
 
 
 def _find_opensfm(path: Path) -> Path | None:

@@ -106,13 +106,9 @@ def clean_names(names: Sequence[str]) -> list[str]:
 
 def unclean(name: str) -> str:
     """The file name that ``clean`` made ``name`` of, where it is one: ``%XX`` of bytes that are no text."""
-    data = b"".join(_byte(part) for part in re.split(f"({_ESCAPE.pattern})", name))
-    raw = os.fsdecode(data)
+    parts = re.split(f"({_ESCAPE.pattern})", name)
+    raw = os.fsdecode(b"".join(bytes.fromhex(p[1:]) if _ESCAPE.fullmatch(p) else os.fsencode(p) for p in parts))
     return raw if clean(raw) == name else name
-
-
-def _byte(part: str) -> bytes:
-    return bytes([int(part[1:], 16)]) if _ESCAPE.fullmatch(part) else os.fsencode(part)
 
 
 def shortened(part: str, limit: int = LONGEST_BYTES) -> str:

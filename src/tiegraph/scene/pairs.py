@@ -184,16 +184,19 @@ class Pairs(Columns, Arrays):
         for first in range(0, len(self), _LINES):  # as Python's own numbers: several times as fast, not all at once
             for i, j, source, dropped, inliers, *numbers in zip(*(c[first : first + _LINES].tolist() for c in columns)):
                 by = "+".join(s for k, s in enumerate(SOURCES) if source >> k & 1)
-                yield [names[i], names[j], by, REASONS[dropped], *map(_number, numbers), inliers]
+                yield [
+                    names[i],
+                    names[j],
+                    by,
+                    REASONS[dropped],
+                    *("" if v != v else f"{v:.6g}" for v in numbers),
+                    inliers,
+                ]
 
 
 def source_bit(source: str) -> int:
     """Bit of a pair source."""
     return 1 << SOURCES.index(source)
-
-
-def _number(value: float) -> str:
-    return "" if value != value else f"{value:.6g}"
 
 
 def read_pair_list(path: Path, scene: Scene) -> tuple[Pairs, tuple[str, ...]]:

@@ -235,10 +235,7 @@ def _check_moves(rows: _Rows, poses: np.ndarray) -> None:
 
 
 def _w_first(position: np.ndarray, quaternion: np.ndarray) -> tuple[bool | None, str]:
-    """What positions (T, 3) say of quaternions (T, 4): whether w stands first, None = nothing, and why.
-
-    Most odometry begins at zero without a turn; and a body moves in one direction of its own.
-    """
+    """What positions (T, 3) say of quaternions (T, 4): whether w stands first, None = nothing, and why."""
     words = ("first", "last")
     for is_first, unit in ((True, [1, 0, 0, 0]), (False, [0, 0, 0, 1])):
         if not position[0].any() and np.allclose(quaternion[0], unit, atol=1e-6):

@@ -256,11 +256,7 @@ def table_of(
 
 
 def _first_rows(lines: Sequence[tuple[int, str]]) -> tuple[int, int | None]:
-    """Index of the first line that holds a value, and of its header, None if it has none.
-
-    The header is the nearest line above with a word that names a column, a comment only if it is as wide as the row;
-    else the last line above that is no comment.
-    """
+    """Index of the first line that holds a value, and of its header, None if it has none."""
     plain_lines = [k for k, (_, line) in enumerate(lines) if line[0] not in "#%"]
     first = next((k for k in plain_lines if holds_values(lines[k][1])), None)
     if first is None:

@@ -71,15 +71,11 @@ def decoded(path: Path, raw: bytes, purpose: str) -> tuple[str, list[str]]:
             text = "\0"
         else:
             texts = [raw.decode(e, errors="replace") for e in ("cp1252", "cp932")]
-            text = max(texts, key=lambda t: max(map(_known, text_lines(t[:_HEAD]))))
+            text = max(texts, key=lambda t: max(known_words(_words(line)) for line in text_lines(t[:_HEAD])))
             notes = [f"{path.name}, line {line}: not UTF-8; names with such letters may not be found: save it as UTF-8"]
     if "\0" in text:
         raise InputError(f"{path}: is no text (it holds zero bytes or no letters); give the {purpose} as a CSV file")
     return text, notes
-
-
-def _known(line: str) -> int:
-    return known_words(tuple(plain_word(c) for c in column_names(line)))
 
 
 def holds_values(line: str) -> bool:
@@ -118,7 +114,11 @@ def column_names(header: str) -> list[str]:
 
 def header_words(line: str) -> tuple[str, ...]:
     """Names of the columns that a line may give; () if it holds values."""
-    return () if holds_values(line) else tuple(plain_word(c) for c in column_names(line))
+    return () if holds_values(line) else _words(line)
+
+
+def _words(line: str) -> tuple[str, ...]:
+    return tuple(plain_word(c) for c in column_names(line))
 
 
 def plain_word(text: str) -> str:

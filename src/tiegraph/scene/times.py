@@ -219,10 +219,7 @@ def _date(table: Table) -> int | None:
 
 
 def _seconds(table: Table, column: int, date: int | None = None) -> np.ndarray:
-    """(R,) seconds of a time column: numbers, ISO 8601, or hh:mm:ss with a date column; NaN where there is none.
-
-    A unit in the header, time (ns) or time_ns, is heeded; without one, times since 1970 tell it by their size.
-    """
+    """(R,) seconds of a time column: numbers, ISO 8601, or hh:mm:ss with a date column; NaN where there is none."""
     cells = [table.plain(k, column) for k in range(len(table.rows))]
     if date is not None:
         cells = [f"{table.cell(k, date)} {c}" for k, c in enumerate(cells)]

@@ -49,12 +49,10 @@ def read_rig_tags(text: str) -> RigTags:
         return RigTags()
     angles = [number(v) for v in re.split(r"[,\s]+", xmp_value(text, "RigRelatives")) if v]
     good = len(angles) == 3 and bool(np.all(np.abs(angles) <= 360.0))
-    return RigTags(
-        index=_whole(xmp_value(text, "RigCameraIndex")),
-        band=xmp_value(text, "BandName")[:40],
-        relatives_deg=tuple(angles) if good else (),
-        reference=_whole(xmp_value(text, "RigRelativesReferenceRigCameraIndex")),
-    )
+    numbers = (xmp_value(text, tag) for tag in ("RigCameraIndex", "RigRelativesReferenceRigCameraIndex"))
+    index, reference = (int(n) if re.fullmatch(r"\d{1,3}", n) else -1 for n in numbers)
+    band, relatives = xmp_value(text, "BandName")[:40], tuple(angles) if good else ()
+    return RigTags(index=index, band=band, relatives_deg=relatives, reference=reference)
 
 
 def read_place(text: str) -> tuple[Place, bool]:
@@ -116,7 +114,3 @@ def xmp_value(text: str, tag: str, space: str = "Camera") -> str:
         return attribute[1].strip()
     element = re.search(rf"<{space}:{tag}(?:\s[^>]*)?>(.*?)</{space}:{tag}>", text, re.DOTALL)
     return " ".join(re.sub(r"<[^>]*>", " ", element[1]).split()) if element else ""
-
-
-def _whole(text: str) -> int:
-    return int(text) if re.fullmatch(r"\d{1,3}", text) else -1

@@ -348,8 +348,7 @@ def _say_doubts(frames: Frames, notes: list[str]) -> None:
 def _exif_positions(
     frames: Frames, notes: list[str], heights_m: tuple[float, float], most_far: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Lat, lon, height (N, 3) of the images and their sigmas (N, 2), horizontal and up, in metres; NaN = none, far from
-    all others, or a height that is not believed."""
+    """Lat, lon, height (N, 3) of the images and their sigmas (N, 2), horizontal and up, in metres."""
     llh = np.array([[e.lat_deg, e.lon_deg, e.height_m] for e in frames.exif], float).reshape(-1, 3)
     none = np.flatnonzero((llh[:, 2] < heights_m[0]) | (llh[:, 2] > heights_m[1]))
     if len(none):

@@ -315,10 +315,7 @@ def _laid(
 def _lay_on_gnss(
     poses: np.ndarray, target: np.ndarray, sigma: np.ndarray, frames: Frames, rows: np.ndarray, tuning: TrajectoryTuning
 ) -> _Laid | None:
-    """Turn about the vertical, scale and shift that take the antenna's path in odometry to GNSS positions.
-
-    Level = the mean up direction of the body; a free rotation would be undetermined about a straight track.
-    """
+    """Turn about the vertical, scale and shift that take the antenna's path in odometry to GNSS positions."""
     rig, spec = frames.rigs[frames.rows[rows[0]].rig], frames.specs[frames.rows[rows[0]].rig]
     rig_from_body, axes = body_of(spec)
     body = poses @ rig_from_body  # odometry that is not metric scales the body's path, not the rig on the body

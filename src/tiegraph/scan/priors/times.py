@@ -56,6 +56,7 @@ def read_times(
     said = table.said({**time.used, **({"image": image} if image is not None else {"frame": frame, "pass": sequence})})
     notes = [*table.notes, said, *time.notes]
     keys: list[tuple[str, ...]]
+    lookup: dict[tuple[str, ...], int]
     if image is not None:
         keys = [(plain_name(table.cell(k, image)),) for k in range(len(seconds))]
         found = frames_of_names([key[0] for key in keys], frames, names)
@@ -159,10 +160,7 @@ def _say_spread(table: Table, rows: dict[int, list[int]], seconds: np.ndarray, n
 def _say_odd(
     table: Table, row: dict[int, int], time_s: np.ndarray, frames: Sequence[FrameRow], apart_s: float
 ) -> list[str]:
-    """What to say of frames of one pass with the same time, and of those far from the others in time.
-
-    ``row`` is a frame's row in the table, ``apart_s`` how far the far ones are at least.
-    """
+    """What to say of frames of one pass with the same time, and of those far from the others in time."""
     notes = []
     for sequence in sorted({frames[k].sequence for k in row} - {-1}):
         mine = np.array(sorted((k for k in row if frames[k].sequence == sequence), key=lambda k: time_s[k]))

@@ -180,7 +180,7 @@ def _gps5(stream: _Stream) -> Readings:
     time = np.full(count, np.nan)
     if "GPSU" in stream:  # of second 60, a leap second, NaN too
         time[:1] = seconds_of(f"20{stream['GPSU'].text()}", "%Y%m%d%H%M%S.%f")
-    said = [stream[key].rows().ravel()[:1] if key in stream else () for key in ("GPSF", "GPSP")]
+    said = [stream[key].rows().ravel()[:1] if key in stream else np.zeros(0) for key in ("GPSF", "GPSP")]
     fix, dop = (np.full(count, value[0] if len(value) else np.nan) for value in said)
     return Readings(np.full(count, np.nan), time, rows[:, :3], fix=fix, dop=dop / 100.0)
 

@@ -193,8 +193,7 @@ class BagFilm:
 
 
 def _camera(info: Any, where: str, rectified: bool) -> FoundCamera | None:
-    """The camera of a CameraInfo, read as ROS's YAML of it is; None of one that was not calibrated. Of rectified images
-    it is that of P, without distortion."""
+    """The camera of a CameraInfo, read as ROS's YAML of it is; None of one that was not calibrated."""
     given = {key: [float(v) for v in getattr(info, key, getattr(info, key.upper(), ()))] for key in "kdp"}
     matrix = [*given["p"][0:3], *given["p"][4:7], *given["p"][8:11]] if rectified else given["k"]
     if not any(matrix[:1]):

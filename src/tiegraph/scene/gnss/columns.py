@@ -123,10 +123,7 @@ def _places(
 
 
 def _geodetic(crs: pyproj.CRS, xyz: np.ndarray, table: Table) -> np.ndarray:
-    """(R, 3) latitude, longitude, height of x (east), y (north), z (R, 3) in a CRS; NaN = no height.
-
-    Raises InputError, with the line, for a place outside the CRS.
-    """
+    """(R, 3) latitude, longitude, height of x (east), y (north), z (R, 3) in a CRS; NaN = no height."""
     x, y, z = xyz.T
     out = geodetic_from_crs(np.stack([x, y, np.nan_to_num(z)], axis=1), crs.srs)
     bad = np.flatnonzero(np.isfinite(x + y) & ~np.isfinite(out[:, :2]).all(axis=1))

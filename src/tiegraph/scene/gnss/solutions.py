@@ -82,8 +82,10 @@ def read_rtklib(path: Path, raw: bytes) -> Gnss:
     table = np.array([_numbers(cells[2:], header) for cells in whole])
     llh, axes = _places(table, header)
     time_s = np.array([_time(path, n, cells) for (n, _), cells in zip(rows, whole)])
-    time_s = _utc(time_s, header.scale)
+    if header.scale == "JST":
+        time_s -= 9 * 3600.0
     if header.scale == "GPST":
+        time_s = np.where(np.isfinite(time_s), utc_from_gps(np.nan_to_num(time_s) - GPS_EPOCH_S), np.nan)
         notes.append(gps_note(path.name, time_s))
     quality = header.find("q")
     if quality:
@@ -153,10 +155,7 @@ def _places(table: np.ndarray, header: _Header) -> tuple[np.ndarray, np.ndarray 
 
 
 def _sigma(table: np.ndarray, header: _Header, axes: np.ndarray | None) -> np.ndarray:
-    """(R, 3) standard deviations east, north, up; NaN (3,) if the columns are not there.
-
-    Covariances stand as the roots of their sizes with their signs.
-    """
+    """(R, 3) standard deviations east, north, up; NaN (3,) if the columns are not there."""
     if axes is None:
         found = header.find("sde", "sdn", "sdu")
         return table[:, found] if len(found) == 3 else np.full(3, np.nan)
@@ -179,12 +178,6 @@ def _time(path: Path, n: int, cells: list[str]) -> float:
         return float("nan")
     check_week(week, f"{path}, line {n}")
     return GPS_EPOCH_S + week * WEEK_S + seconds
-
-
-def _utc(time_s: np.ndarray, scale: str) -> np.ndarray:
-    if scale == "GPST":
-        return np.where(np.isfinite(time_s), utc_from_gps(np.nan_to_num(time_s) - GPS_EPOCH_S), np.nan)
-    return time_s - 9 * 3600.0 if scale == "JST" else time_s
 
 
 _FIELDS = 17
