@@ -65,9 +65,7 @@ class GnssTuning(Section):
     vertical: float = Field(2.0, gt=0)
     """Sigma of a height over that of the place: satellites fix it about half as well, all of them are above."""
     most_far: float = Field(0.1, ge=0, le=1)
-    """Share of positions without times that is left out as false, at most."""
-    max_speed_m_s: float = Field(500.0, gt=0)
-    """No carrier of cameras is faster: rows that one would need more for to reach are false."""
+    """Share of positions that is left out as false, at most."""
     stuck: int = Field(3, gt=1)
     """Positions, at least, that are said to be all the same."""
 

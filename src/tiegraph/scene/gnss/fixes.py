@@ -54,8 +54,8 @@ class Gnss:
 def judged(raw: Gnss, tuning: GnssTuning, heights_m: tuple[float, float] = HEIGHTS_M) -> Gnss:
     """The usable rows in order; the others are noted with their lines.
 
-    Left out are rows that are empty, out of range (heights: of ``heights_m``), without any accuracy, or so far from the
-    rest that nothing moves so fast. Raises InputError for positions in radians, an image at two places, one time for
+    Left out are rows that are empty, out of range (heights: of ``heights_m``), without any accuracy, or (of rows with
+    times) far from the rest. Raises InputError for positions in radians, an image at two places, one time for
     all rows, and if no row is usable.
     """
     name, llh, count = raw.path.name, raw.lat_lon_height, len(raw.line)
@@ -77,7 +77,7 @@ def judged(raw: Gnss, tuning: GnssTuning, heights_m: tuple[float, float] = HEIGH
         made = one_place_an_image(made)
     else:
         order, notes = in_time_order(made.time_s, made.line, made.path)
-        made = without_leaps(made.only(order, *notes), tuning.max_speed_m_s)
+        made = without_far(made.only(order, *notes), tuning.most_far)
     stuck = stuck_note(made.lat_lon_height, name, tuning.stuck)
     return replace(made, notes=(*made.notes, stuck)) if stuck else made
 
@@ -155,32 +155,8 @@ def _refuse_radians(fixes: Gnss) -> None:
 # --- rows among each other ------------------------------------------------------------------------------------------
 
 
-def without_leaps(gnss: Gnss, max_speed_m_s: float) -> Gnss:
-    """Without stretches of rows far from the rest that nothing could reach in the time between."""
-    far, away = far_from_rest(gnss.lat_lon_height)
-    if not far.any():
-        return gnss
-    edge = np.flatnonzero(np.diff(far.astype(int)) != 0)  # between rows edge and edge + 1
-    fast = np.abs(np.diff(away)) > max_speed_m_s * np.diff(gnss.time_s)
-    for first, last in zip([0, *(edge + 1)], [*edge, len(far) - 1]):
-        reached = (first > 0 and not fast[first - 1]) or (last < len(far) - 1 and not fast[last])
-        far[first : last + 1] &= not reached
-    if not far.any():
-        return gnss
-    row = int(np.flatnonzero(far)[0])
-    note = _say_far(f"{gnss.path.name}, line {gnss.line[row]}", gnss.lat_lon_height[row], away[row])
-    note += f", and nothing moves so fast: {far.sum()} of {len(far)} rows "
-    if 2 * far.sum() >= len(far):
-        return replace(gnss, notes=(*gnss.notes, note + "do so, and which are right nothing tells: correct the file"))
-    return gnss.only(np.flatnonzero(~far), note + "are left out; correct the file, or remove them")
-
-
-def _say_far(where: str, place: np.ndarray, away_m: float) -> str:
-    return f"{where}: lat {place[0]:.6f}, lon {place[1]:.6f} lies {away_m / 1000:.0f} km from most of the others"
-
-
 def far_rows(lat_lon_height: np.ndarray, where: Sequence[str], most: float) -> tuple[np.ndarray, str]:
-    """(N,) which of some positions (N, 3) without times not to use, as they are far from the rest, and what to say.
+    """(N,) which of some positions (N, 3) not to use, as they are far from the rest, and what to say.
 
     ``where`` names each position. They are used, though said, if they are more than a share of ``most`` (of two, one):
     which are right is then not clear.
@@ -189,7 +165,8 @@ def far_rows(lat_lon_height: np.ndarray, where: Sequence[str], most: float) -> t
     if not far.any():
         return far, ""
     row = int(np.flatnonzero(far)[0])
-    note = _say_far(where[row], lat_lon_height[row], away[row])
+    lat, lon, _ = lat_lon_height[row]
+    note = f"{where[row]}: lat {lat:.6f}, lon {lon:.6f} lies {away[row] / 1000:.0f} km from most of the others"
     if far.sum() > max(1, most * len(far)) or len(far) < 3:
         note += f", as {far.sum()} of {len(far)} positions do: are these two surveys? Split them, or mend the positions"
         return np.zeros(len(far), bool), note
@@ -218,7 +195,7 @@ def one_place_an_image(gnss: Gnss) -> Gnss:
 
 
 def without_far(gnss: Gnss, most: float) -> Gnss:
-    """A file by image without positions that stand far apart from the others, as ``far_rows`` says."""
+    """A file without positions that stand far apart from the others, as ``far_rows`` says."""
     far, note = far_rows(gnss.lat_lon_height, [f"{gnss.path.name}, line {n}" for n in gnss.line], most)
     return gnss.only(np.flatnonzero(~far), note) if note else gnss
 
