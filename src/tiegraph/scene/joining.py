@@ -5,7 +5,7 @@ of a straight path leave the turn about the path open; its scale and shift then 
 logarithms of the scales, rotations and shifts by least squares over all joins, one after another.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -207,7 +207,7 @@ def _adjusted(joins: list[Join], models: int) -> tuple[Similarity, ...]:
     start = _along_tree([joins[k] for k in tree], models)
     if len(tree) == len(joins):  # no loops: nothing to share out
         return tuple(start)
-    solve = _Solver(i, j, np.sqrt(weight), models)
+    solve = _solver(i, j, np.sqrt(weight), models)
     log_scale = solve(np.log([x.b_from_a.scale for x in joins])[:, None])[:, 0]
     scale = np.exp(log_scale)
     turn = np.stack([s.rotation for s in start])
@@ -221,16 +221,12 @@ def _adjusted(joins: list[Join], models: int) -> tuple[Similarity, ...]:
     return tuple(Similarity(float(s), r, t) for s, r, t in zip(scale, turn, shift))
 
 
-class _Solver:
+def _solver(i: np.ndarray, j: np.ndarray, weight: np.ndarray, count: int) -> Callable[[np.ndarray], np.ndarray]:
     """Least squares of values v with v[i] - v[j] = given (K, D), the first of each part zero."""
-
-    def __init__(self, i: np.ndarray, j: np.ndarray, weight: np.ndarray, count: int) -> None:
-        held = np.unique(parts(i, j, count), return_index=True)[1]
-        rows = np.zeros((len(i) + len(held), count))
-        rows[np.arange(len(i)), i] = weight
-        rows[np.arange(len(i)), j] = -weight
-        rows[len(i) + np.arange(len(held)), held] = weight.max()
-        self._weight, self._inverse = weight, np.linalg.pinv(rows)
-
-    def __call__(self, given: np.ndarray) -> np.ndarray:
-        return self._inverse[:, : len(given)] @ (self._weight[:, None] * given)
+    held = np.unique(parts(i, j, count), return_index=True)[1]
+    rows = np.zeros((len(i) + len(held), count))
+    rows[np.arange(len(i)), i] = weight
+    rows[np.arange(len(i)), j] = -weight
+    rows[len(i) + np.arange(len(held)), held] = weight.max()
+    inverse = np.linalg.pinv(rows)[:, : len(i)] * weight
+    return lambda given: inverse @ given

@@ -9,6 +9,7 @@ their scales, are of any kind.
 
 import json
 import re
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -61,21 +62,11 @@ def _find_colmap(path: Path) -> Path | None:
     return None
 
 
-def _find_opensfm(path: Path) -> Path | None:
+def _find_json(path: Path, key: str, places: tuple[str, ...]) -> Path | None:
+    """A JSON file that holds a key, or one of some places in a folder."""
     if path.is_file():
-        return path if _is_json(path) and '"shots"' in _content(path) else None
-    places = (path / "reconstruction.json", path / "opensfm" / "reconstruction.json")
-    return next((p for p in places if p.is_file()), None)
-
-
-def _find_transforms(path: Path) -> Path | None:
-    if path.is_file():
-        return path if _is_json(path) and '"frames"' in _content(path) else None
-    return path / "transforms.json" if (path / "transforms.json").is_file() else None
-
-
-def _is_json(path: Path) -> bool:
-    return path.suffix.lower() == ".json"
+        return path if path.suffix.lower() == ".json" and f'"{key}"' in _content(path) else None
+    return next((path / p for p in places if (path / p).is_file()), None)
 
 
 def _content(path: Path) -> str:
@@ -101,8 +92,8 @@ def _is_metashape(path: Path) -> bool:
 
 _FORMATS = {
     "COLMAP": _find_colmap,
-    "OpenSfM": _find_opensfm,
-    "nerfstudio": _find_transforms,
+    "OpenSfM": partial(_find_json, key="shots", places=("reconstruction.json", "opensfm/reconstruction.json")),
+    "nerfstudio": partial(_find_json, key="frames", places=("transforms.json",)),
     "Metashape": _find_metashape,
 }
 

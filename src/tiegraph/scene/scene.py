@@ -186,15 +186,9 @@ class Scene:
         head = {
             "format": 2,
             "rigs": [rig_to_dict(r) for r in self.rigs],
-            "sequences": list(self.sequences),
             "origin": None if self.origin is None else self.origin.to_dict(),
-            "prior": self.prior,
-            "started": self.started,
-            "notes": list(self.notes),
             "dropped": [[d.name, d.reason] for d in self.dropped],
-            "names": list(self.names),
-            "sources": list(self.sources),
-            "guessed": list(self.guessed),
+            **{name: getattr(self, name) for name in _PLAIN},
         }
         if self.exposure is not None:
             columns["exposure"] = _listed(self.exposure)
@@ -210,21 +204,17 @@ class Scene:
         columns["exposure"] = np.array(data["exposure"], float) if "exposure" in data else None
         columns["world_from_rig"] = columns["world_from_rig"].reshape(-1, 4, 4)
         columns["position_sigma_m"] = columns["position_sigma_m"].reshape(-1, 3)
+        plain: dict[str, Any] = {n: tuple(v) if isinstance(v := data[n], list) else v for n in _PLAIN}
         return Scene(
             rigs=tuple(rig_from_dict(r) for r in data["rigs"]),
-            names=tuple(data["names"]),
-            sources=tuple(data.get("sources", ())),
-            guessed=tuple(data.get("guessed", ())),
-            sequences=tuple(data["sequences"]),
             origin=None if data["origin"] is None else Origin.from_dict(data["origin"]),
-            prior=data["prior"],
-            started=data.get("started", False),
-            notes=tuple(data["notes"]),
             dropped=tuple(Dropped(*d) for d in data["dropped"]),
+            **plain,
             **columns,
         )
 
 
+_PLAIN = ("prior", "started", "notes", "names", "sources", "sequences", "guessed")
 _COLUMNS = {
     "frame": np.int32,
     "sensor": np.int16,

@@ -4,6 +4,7 @@ rig.toml and COLMAP's rig_config.json.
 
 import json
 import re
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -88,16 +89,10 @@ def orient(yaw_deg: float, pitch_deg: float, roll_deg: float, axes: str = "camer
 
 def yaw_pitch_roll_deg(body_from_sensor: np.ndarray) -> tuple[float, float, float]:
     """Inverse of ``orient`` of a body with a camera's axes; looking straight up or down, roll is 0."""
-    rotation = body_from_sensor[:3, :3]
-    forward = rotation[:, 2]
-    pitch = np.arctan2(-forward[1], np.hypot(forward[0], forward[2]))
-    if abs(np.cos(pitch)) < 1e-9:
-        yaw = np.arctan2(-rotation[2, 0], rotation[0, 0])
-    else:
-        yaw = np.arctan2(forward[0], forward[2])
-    level = orient(np.degrees(yaw), np.degrees(pitch), 0.0)
-    rest = level.T @ rotation
-    return float(np.degrees(yaw)), float(np.degrees(pitch)), float(np.degrees(np.arctan2(rest[1, 0], rest[0, 0])))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of looking straight up
+        yaw, pitch, roll = Rotation.from_matrix(body_from_sensor[:3, :3]).as_euler("YXZ", degrees=True).tolist()
+    return yaw, pitch, roll
 
 
 def preset_sizes(text: str, tuning: RigTuning) -> tuple[int, ...]:
