@@ -18,7 +18,7 @@ from tiegraph.lidar.formats import BIN_COLUMNS, READERS, Points, points_of
 from tiegraph.lidar.tuning import ScanTuning
 from tiegraph.scene.bags import is_bag, open_bag, split_topics, stamp_ns
 from tiegraph.scene.cells import in_seconds, parse_time
-from tiegraph.scene.columnwords import times as times_by_content
+from tiegraph.scene.cells import times as times_by_content
 from tiegraph.scene.posefile import read_poses
 from tiegraph.scene.regular import regular
 from tiegraph.scene.table import Table, read_table

@@ -16,9 +16,8 @@ from pathlib import Path
 import numpy as np
 
 from tiegraph.errors import InputError
-from tiegraph.scene.cells import length_m, says_value
-from tiegraph.scene.columnwords import SIGMAS, is_file, known_words
-from tiegraph.scene.columnwords import points as points_by_content
+from tiegraph.scene.cells import SIGMAS, is_file, known_words, length_m, says_value
+from tiegraph.scene.cells import points as points_by_content
 from tiegraph.scene.crsline import coordinates_of, crs_above, exchanged, parse_crs_line, say_axes, units_of
 from tiegraph.scene.table import Table, table_of
 from tiegraph.scene.targets import BAR_FORM, FORM, FileBar, Target, count_of, names_bars, read_bars, target_of

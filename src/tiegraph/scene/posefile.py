@@ -16,8 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from tiegraph.errors import InputError
 from tiegraph.geometry.transforms import are_rotations, rigid
-from tiegraph.scene.cells import number
-from tiegraph.scene.columnwords import without_unit
+from tiegraph.scene.cells import number, without_unit
 from tiegraph.scene.table import read_table
 from tiegraph.scene.times import Times, in_time_order, times_in, times_of
 

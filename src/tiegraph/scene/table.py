@@ -14,8 +14,19 @@ from pathlib import Path
 import numpy as np
 
 from tiegraph.errors import InputError
-from tiegraph.scene.cells import UNIT_M, UNIT_S, comma_marks, degrees, length_m, number, plain
-from tiegraph.scene.columnwords import ROLES, known_words, speaks_of, without_unit
+from tiegraph.scene.cells import (
+    ROLES,
+    UNIT_M,
+    UNIT_S,
+    comma_marks,
+    degrees,
+    known_words,
+    length_m,
+    number,
+    plain,
+    speaks_of,
+    without_unit,
+)
 from tiegraph.scene.textfile import (
     column_names,
     delimiter_of,
@@ -51,7 +62,7 @@ class Table:
     delimiter: str | None = ","  # None = blanks
 
     def find(self, role: str | tuple[str, ...]) -> int | None:
-        """Index of the first column with one of the names of a role (``columnwords.ROLES``), or of some names, with a
+        """Index of the first column with one of the names of a role (``cells.ROLES``), or of some names, with a
         unit at its end or without. Raises InputError if that name stands twice."""
         names = ROLES[role] if isinstance(role, str) else role
         name = next((a for a in names if a in self.columns), None)

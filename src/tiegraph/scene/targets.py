@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 
 from tiegraph.errors import InputError
-from tiegraph.scene.columnwords import ROLES, without_unit
+from tiegraph.scene.cells import ROLES, without_unit
 from tiegraph.scene.table import Table
 from tiegraph.scene.tuning import ControlTuning
 

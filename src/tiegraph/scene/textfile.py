@@ -12,8 +12,7 @@ from pathlib import Path
 from xml.parsers import expat
 
 from tiegraph.errors import InputError
-from tiegraph.scene.cells import says_value
-from tiegraph.scene.columnwords import known_words
+from tiegraph.scene.cells import known_words, says_value
 from tiegraph.scene.regular import regular
 from tiegraph.text import composed
 

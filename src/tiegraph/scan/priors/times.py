@@ -12,7 +12,7 @@ from tiegraph.geometry.geodesy import apart
 from tiegraph.scan.folders import LONE_PASS
 from tiegraph.scan.tuning import TimesTuning
 from tiegraph.scene.cells import in_seconds, seconds_of
-from tiegraph.scene.columnwords import times as times_by_content
+from tiegraph.scene.cells import times as times_by_content
 from tiegraph.scene.exif import Exif
 from tiegraph.scene.names import all_found, plain_name
 from tiegraph.scene.table import Table, read_table

@@ -7,7 +7,6 @@ folder of the pictures is called as what stands before ``image``: left.
 
 import re
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -113,13 +112,6 @@ def _camera_name(topic: str) -> str:
     parts = _source(topic)
     name = re.sub(r"[^A-Za-z0-9]+", "_", "_".join(parts[:-1] if _IMAGE.fullmatch(parts[-1]) else parts)).strip("_")
     return name if is_camera(name) else f"cam_{name}" if name else "cam"
-
-
-@contextmanager
-def open_topic(bag_path: Path, topic: str) -> "Iterator[BagFilm]":
-    """An image topic of a bag. Raises what ``open_bag`` raises, and InputError if the topic is none of images."""
-    with open_bag(bag_path) as bag:
-        yield BagFilm(bag, bag.only(KINDS, (topic,)))
 
 
 class BagFilm:

@@ -21,9 +21,11 @@ from tiegraph.scan.prepare import write_pixels
 from tiegraph.scan.recording import Recording
 from tiegraph.scan.recording.tracks import VIDEO, BrokenTrack, OneVideoTrack, edits, tracks
 from tiegraph.scan.tuning import PicturesTuning
-from tiegraph.scan.videos.bagfilms import BagFilm, open_topic
+from tiegraph.scan.videos.bagfilms import KINDS as TOPICS
+from tiegraph.scan.videos.bagfilms import BagFilm
 from tiegraph.scan.videos.videotime import VideoClock
 from tiegraph.scene.atomic import replacing, scratch_folder
+from tiegraph.scene.bags import open_bag
 from tiegraph.scene.images import files_below
 from tiegraph.scene.names import clean_names, shortened
 from tiegraph.scene.regular import real_path, regular
@@ -60,10 +62,16 @@ def find_videos(root: Path) -> list[str]:
 
 
 def picture_folders(videos: Sequence[str]) -> list[str]:
-    """A folder for the pictures of each video: its name without the ending, where that is unique."""
+    """A folder for the pictures of each video: its name without the ending, where that is unique; <shot>/fisheye0 and
+    <shot>/fisheye1 where two files of a shot have a lens each."""
     safe = ["/".join(shortened(part) for part in name.split("/")) for name in clean_names(videos)]
     bare = [str(PurePosixPath(v).with_suffix("")) for v in safe]
-    return lens_folders(safe, [b if bare.count(b) == 1 else v.replace(".", "_") for b, v in zip(bare, safe)])
+    found = [_of_lens(PurePosixPath(v)) for v in safe]
+    shots = [str(PurePosixPath(v).with_name(f"{m[1]}_{m[3]}")) if m else "" for v, m in zip(safe, found)]
+    return [
+        f"{shot}/fisheye{m[2]}" if m and shots.count(shot) == 2 else b if bare.count(b) == 1 else v.replace(".", "_")
+        for shot, m, b, v in zip(shots, found, bare, safe)
+    ]
 
 
 class OpenVideo:
@@ -116,8 +124,8 @@ def check_film(recording: Recording) -> None:
 def open_film(recording: Recording) -> Iterator[OpenVideo | BagFilm]:
     """A video or one track of it, by OpenCV, or the topic of a bag. Raises InputError for a bag that is damaged."""
     if recording.topic is not None:
-        with open_topic(recording.file, recording.topic) as topic:
-            yield topic
+        with open_bag(recording.file) as bag:
+            yield BagFilm(bag, bag.only(TOPICS, (recording.topic,)))
         return
     os.environ.setdefault("OPENCV_FFMPEG_CAPTURE_OPTIONS", "protocol_whitelist;file")  # a play list may name a server
     with ExitStack() as stack:
@@ -239,17 +247,6 @@ def _sharpness(picture: np.ndarray) -> float:
 
 SUFFIX = ".insv"
 _OF_LENS = re.compile(r"^(VID_\d+_\d+)_([01])0_(\d+)$", re.IGNORECASE)
-
-
-def lens_folders(videos: Sequence[str], folders: Sequence[str]) -> list[str]:
-    """Folders for the pictures of videos (names, POSIX): <shot>/fisheye0 and <shot>/fisheye1 where two files of a shot
-    have a lens each, else the ``folders`` given."""
-    found = [_of_lens(PurePosixPath(v)) for v in videos]
-    shots = [str(PurePosixPath(v).with_name(f"{m[1]}_{m[3]}")) if m else "" for v, m in zip(videos, found)]
-    return [
-        f"{shot}/fisheye{m[2]}" if m and shots.count(shot) == 2 else folder
-        for shot, m, folder in zip(shots, found, folders)
-    ]
 
 
 def is_of_lens(recording: Recording) -> bool:

@@ -10,7 +10,7 @@ import numpy as np
 
 from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import geodetic_from_crs
-from tiegraph.scene.columnwords import SIGMAS, geotxt, is_file, positions
+from tiegraph.scene.cells import SIGMAS, geotxt, is_file, positions
 from tiegraph.scene.crsline import crs_above, parse_crs_line, say_axes, units_of
 from tiegraph.scene.gnss.fixes import EMPTY, SIGMA_RANGE_M, Gnss, above_ellipsoid
 from tiegraph.scene.table import Table, table_of
