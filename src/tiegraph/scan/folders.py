@@ -214,7 +214,7 @@ def _camera_level(
         return fitting[0], f"the folders {_some(levels[fitting[0]])} are as many as the rig has cameras"
     likeness = [sum(map(is_camera, level)) / len(level) for level in levels]
     best = max(range(depth), key=lambda k: (likeness[k], k))
-    if likeness[best] >= tuning.named and (len(levels[best]) > 1 or depth > 1):
+    if likeness[best] >= 0.5 and (len(levels[best]) > 1 or depth > 1):
         return best, f"the folders {_some(levels[best])} are named like cameras"
     return _camera_level_by_structure(tails, shots, levels, tuning)
 
@@ -230,7 +230,7 @@ def _camera_level_by_structure(
         likeness = sum(bool(words(f) & _PASS_WORDS) for f in levels[0]) / len(levels[0])
         groups = [{s: e for t, (s, e) in zip(tails, shots) if t[0] == f} for f in levels[0]]
         shared = set.intersection(*map(set, groups))
-        if likeness < tuning.named and len(shared) >= tuning.equal_names * min(map(len, groups)):
+        if likeness < 0.5 and len(shared) >= 0.5 * min(map(len, groups)):
             equal = f"the folders {_some(levels[0])} hold equal file names"
             apart = _apart([[g[s] for s in sorted(shared)] for g in groups], tuning)
             if apart:

@@ -64,13 +64,13 @@ def match_frames(
 ) -> tuple[dict[int, list[str]], str]:
     """Frame label of each image of one pass, by sensor, from the file stems, and how: name, number, time or order.
 
-    Auto: equal names if enough agree; else equal last numbers in the names, which are frame numbers in the
+    Auto: equal names if half of them agree; else equal last numbers in the names, which are frame numbers in the
     papers' data (paper 000 figure 8: image0up_168035.jpg); else names that are nearly equal times; else the place in
     the natural order of names.
     """
     if how in ("auto", "name"):
         by_name = {sensor: list(s) for sensor, s in stems.items()}
-        if how == "name" or _shared(by_name) >= tuning.agree:
+        if how == "name" or _shared(by_name) >= 0.5:
             return by_name, "name"
     if how in ("auto", "number"):
         by_number = {}
@@ -78,11 +78,9 @@ def match_frames(
             numbers = [re.findall(r"\d+", s) for s in names]
             by_number[sensor] = [str(int(n[-1])) if n else s for n, s in zip(numbers, names)]
         once = [[c == 1 for c in Counter(k).values()] for k in by_number.values()]
-        if how == "number" or (
-            _shared(by_number) >= tuning.agree and all(sum(c) >= tuning.unique * len(c) for c in once)
-        ):
+        if how == "number" or (_shared(by_number) >= 0.5 and all(sum(c) >= tuning.unique * len(c) for c in once)):
             return by_number, "number"
-    if how == "auto" and (by_time := _by_time(stems, tuning)) and _shared(by_time) >= tuning.agree:
+    if how == "auto" and (by_time := _by_time(stems, tuning)) and _shared(by_time) >= 0.5:
         return by_time, "time"
     by_order = {}
     for sensor, names in stems.items():

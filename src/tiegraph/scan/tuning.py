@@ -14,10 +14,6 @@ class FoldersTuning(Section):
     order."""
     one_depth: float = Field(0.75, ge=0, le=1)
     """Share of images at one depth of folders that makes the others strays."""
-    named: float = Field(0.5, ge=0, le=1)
-    """Share of the folders of a level with a word of cameras, or of passes, from which that is what they are."""
-    equal_names: float = Field(0.5, ge=0, le=1)
-    """Share of the file names of the smallest folder that stand in all others too, from which these are cameras."""
     apart_m: float = Field(30.0, gt=0)
     """Between images of one name in several folders, in the median: farther, these are no cameras of a rig. Positions
     in EXIF are some metres off."""
@@ -34,8 +30,6 @@ class FoldersTuning(Section):
 class FramesTuning(Section):
     """Which images of a rig were taken together (`frames.py`), and cameras that write into one folder (`bands.py`)."""
 
-    agree: float = Field(0.5, ge=0, le=1)
-    """Share of frames that must agree before a way of matching is believed."""
     unique: float = Field(0.9, ge=0, le=1)
     """Share of the numbers in a camera's names that stand there once, or they do not number frames."""
     whole: float = Field(0.75, ge=0, le=1)
@@ -145,8 +139,6 @@ class PicturesTuning(Section):
     taken off: a receiver may find its first fix late."""
     zone_inside: float = Field(0.9, gt=0, le=1)
     """Share of the fixes within a recording from which its creation time is taken for UTC without more ado."""
-    creation_days: float = Field(1.1, gt=0)
-    """Creation time of a video that is farther from its receiver's times than any time zone is said."""
 
 
 class MotionTuning(Section):
@@ -194,8 +186,6 @@ class PositionsTuning(Section):
     """Of a photograph with latitude and longitude but no height."""
     apart_m: float = Field(1.0, ge=0)
     """Rows of one frame's images that are farther apart are said: a rig is smaller, or they share a row."""
-    few_placed: float = Field(0.5, ge=0, le=1)
-    """Share of frames with a position below which the unit of the times is doubted."""
     gnss: GnssTuning = Field(default_factory=GnssTuning)
     """What is believed of them."""
 

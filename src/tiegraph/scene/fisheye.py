@@ -17,8 +17,6 @@ _RAYS, _STEP_PX, _BLUR_PX = 240, 0.5, 0.8  # along rays from the middle, in step
 def image_circles(image: Image.Image, tuning: FisheyeTuning) -> tuple[Circle, ...]:
     """The circles that lenses light in a decoded image: one, two side by side of equal size, or () in any other."""
     width, height = image.size
-    if min(width, height) < tuning.min_side_px:
-        return ()
     if width == 2 * height and (halves := _circles(image, 2, tuning)):
         return halves
     return _circles(image, 1, tuning)

@@ -24,8 +24,6 @@ class PanoramaTuning(Section):
 class FisheyeTuning(Section):
     """The circle that a fisheye lens lights in its image (`fisheye.py`), at `look_px` where pixels are meant."""
 
-    min_side_px: int = Field(64, gt=0)
-    """Smaller images have no circle that could be told."""
     look_px: int = Field(480, gt=0)
     """Longer side of a lens' image at which its circle is sought: a pixel is 0.4 % of its radius."""
     corner: float = Field(0.02, gt=0, lt=0.5)

@@ -99,7 +99,7 @@ def from_gnss(
             f"{_clock(gnss, priors.time_s)}"
         )
     if not there.all():
-        hint = _clock(gnss, priors.time_s) if there.mean() < tuning.few_placed else ""
+        hint = _clock(gnss, priors.time_s) if there.mean() < 0.5 else ""
         why = "" if gnss.names else f" (gaps over {settings.max_gap_s:g} s, or outside the file)"
         notes.append(
             f"{path.name}: {(~there).sum()} of {len(there)} frames have no position{why}: "

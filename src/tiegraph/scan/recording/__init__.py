@@ -68,19 +68,16 @@ class Fixes:
     def place(self, stamp_s: float) -> Taken:
         """Where the frame with a stamp was taken: on the line between the fixes about it, if they are not too far
         apart in time."""
-        after = int(np.searchsorted(self.stamp_s, stamp_s, side="right"))
-        if after == 0 or (after == len(self.stamp_s) and stamp_s > self.stamp_s[-1]):
+        last = len(self.stamp_s) - 1
+        after = min(max(int(np.searchsorted(self.stamp_s, stamp_s, side="right")), 1), last)
+        rows = slice(max(after - 1, 0), after + 1)
+        begin, end = self.stamp_s[rows][[0, -1]]
+        if not begin <= stamp_s <= end or end - begin > self.max_gap_s:
             return Taken()
-        after = min(after, len(self.stamp_s) - 1)
-        begin, end = self.stamp_s[after - 1 : after + 1] if after else (stamp_s, stamp_s)
-        if end - begin > self.max_gap_s:
-            return Taken()
-        one, other = self.lat_lon_height[max(after - 1, 0)], self.lat_lon_height[after]
-        share = (stamp_s - begin) / (end - begin) if end > begin else 0.0
-        step = other - one
-        step[1] = (step[1] + 180) % 360 - 180  # the shorter way round
-        lat, lon, height = (float(v) for v in one + share * step)
-        return Taken(lat_deg=lat, lon_deg=(lon + 180) % 360 - 180, height_m=height)
+        lat, lon, height = self.lat_lon_height[rows].T
+        around = np.unwrap(lon, period=360)  # the shorter way round
+        at = [float(np.interp(stamp_s, self.stamp_s[rows], v)) for v in (lat, around, height)]
+        return Taken(lat_deg=at[0], lon_deg=(at[1] + 180) % 360 - 180, height_m=at[2])
 
 
 def believed(readings: Readings, tuning: PicturesTuning) -> tuple[Readings, str]:

@@ -68,7 +68,7 @@ def _by_telemetry(telemetry: Telemetry, clock: VideoClock, all_s: float, tuning:
     if np.isnan(telemetry.start_s):
         return replace(clock, places=telemetry.fixes, note=f"{clock.note}; {telemetry.note}")
     note, apart = telemetry.note, abs(clock.start_s - all_s - telemetry.start_s) / DAY_S
-    if clock.utc and apart > tuning.creation_days:
+    if clock.utc and apart > 1.1:  # farther than any time zone
         note += f"; its creation time is {apart:.0f} days from that and not used: set the camera's clock"
     return VideoClock(telemetry.start_s + all_s, known=True, utc=True, places=telemetry.fixes, note=note)
 
