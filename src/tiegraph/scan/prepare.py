@@ -26,7 +26,6 @@ from tiegraph.scene.rig import Sensor, Source
 LINKED_FORMATS = {"JPEG": (".jpg", ".jpeg"), "MPO": (".jpg", ".jpeg"), "PNG": (".png",), "TIFF": (".tif", ".tiff"),
                   "BMP": (".bmp",)}  # fmt: skip
 KEPT_SUFFIXES = tuple(s for suffixes in LINKED_FORMATS.values() for s in suffixes)
-_WITH_ALPHA = (".png", ".tif", ".tiff")
 
 
 def prepare_image(source: Path, target: Path, sensor: Sensor, settings: ScanSettings) -> None:
@@ -90,7 +89,7 @@ def _changed_pixels(
 
 
 def _for_suffix(pixels: np.ndarray, suffix: str) -> np.ndarray:
-    return pixels[..., :3] if pixels.shape[2:] == (4,) and suffix not in _WITH_ALPHA else pixels
+    return pixels[..., :3] if pixels.shape[2:] == (4,) and suffix not in (".png", ".tif", ".tiff") else pixels
 
 
 def _gone(path: Path, error: OSError) -> InputError:

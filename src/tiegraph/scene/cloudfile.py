@@ -19,14 +19,12 @@ from tiegraph.scene.atomic import replacing
 from tiegraph.scene.regular import regular
 from tiegraph.scene.results import Cloud
 
-_SCALE_M = 0.001
 # Scale of a world without units, as a share of its points' spacing or, if that is not said, of the first part's extent:
 # 32-bit integers hold 2e9 steps, and other parts may lie far from the first.
 _OF_SPACING, _OF_EXTENT = 1e-2, 1e-6
 _FAR = 1e5  # coordinates beyond this get an offset of their own
 _EXTRA = (("sigma_m", "f4"), ("views", "u1"), ("NormalX", "f4"), ("NormalY", "f4"), ("NormalZ", "f4"))
 _CHUNK = 1_000_000
-_LAS_DATE = 90  # where the header of any LAS version has its date
 _PLY = (
     ("x", "<f8", "double"), ("y", "<f8", "double"), ("z", "<f8", "double"),
     ("nx", "<f4", "float"), ("ny", "<f4", "float"), ("nz", "<f4", "float"),
@@ -105,7 +103,7 @@ def undate(path: Path) -> None:
     0 stands for no date; laspy would always state today. The two numbers (day of the year, year) are u2 from byte 90.
     """
     with open(path, "r+b") as file:
-        file.seek(_LAS_DATE)
+        file.seek(90)  # where the header of any LAS version has its date
         file.write(bytes(4))
 
 
@@ -161,7 +159,7 @@ def las_header(
     offset = shift_of(first.origin)
     middle = first.xyz_m.mean(axis=0) if len(first) else np.zeros(3)
     header.offsets = offset + np.where(np.abs(middle) > _FAR, np.round(middle), 0)
-    header.scales = np.full(3, _SCALE_M)
+    header.scales = np.full(3, 0.001)  # a millimetre
     if first.origin is None:
         extent = float(np.ptp(first.xyz_m, axis=0).max()) if len(first) else 1.0
         step = spacing * _OF_SPACING if spacing else max(extent, 1e-9) * _OF_EXTENT

@@ -22,7 +22,6 @@ from tiegraph.scene.colmapmodel import MAX_IMAGES
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
 
-_LOCK_S = 60.0
 _WHOLE = ("cameras", "rigs", "rig_sensors", "frames", "frame_data", "images")
 _OF_IMAGES = ("keypoints", "descriptors")
 _MADE = ("matches", "two_view_geometries")
@@ -311,7 +310,7 @@ def _opened(path: Path) -> Iterator[sqlite3.Connection]:
     if not path.is_file():
         raise InputError(f"database {path} does not exist: run the features stage first")
     try:
-        connection = sqlite3.connect(path, timeout=_LOCK_S, isolation_level=None)
+        connection = sqlite3.connect(path, timeout=60.0, isolation_level=None)
         try:
             connection.execute("PRAGMA synchronous=NORMAL")
             yield connection

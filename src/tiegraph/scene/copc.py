@@ -16,8 +16,6 @@ from tiegraph.scene.results import Cloud
 from tiegraph.scene.sorting import order_of, row_numbers, run_starts
 
 _CELLS = 128  # cells along the edge of a node, of which each keeps one point: a surface fills some 16 000
-_DEEPEST = 13  # 128 cells x 2^13 in 21 bits a coordinate
-_BATCH = 2_000_000  # points compressed at once
 _INFO = struct.Struct("<5d2Q2d88x")
 _ENTRY = np.dtype([("key", "<i4", 4), ("offset", "<u8"), ("bytes", "<i4"), ("points", "<i4")])
 _EVLR = struct.Struct("<H16sHQ32s")
@@ -84,7 +82,7 @@ def write_copc(
         low, high = np.zeros(3), np.ones(3)
     low, high = (v + shift_of(first.origin) for v in (low, high))
     side = float(max((high - low).max(), _CELLS * spacing)) * (1 + 1e-6)
-    depth = int(np.clip(np.ceil(np.log2(side / _CELLS / spacing)), 0, _DEEPEST))
+    depth = int(np.clip(np.ceil(np.log2(side / _CELLS / spacing)), 0, 13))  # 128 cells x 2^13 in 21 bits a coordinate
     tree = _Octree((low + high) / 2 - side / 2, side, depth)
     records = scratch / "records"
     try:
@@ -164,7 +162,7 @@ def _compressed(out: BinaryIO, laz: lazrs.LazVlr, spill: _Spill, size: int) -> l
         keys.append(key)
         held.append(records)
         points += len(records) // size
-        if points > _BATCH:
+        if points > 2_000_000:  # points compressed at once
             compressor.compress_chunks(held)
             held, points = [], 0
     if held:

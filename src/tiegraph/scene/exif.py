@@ -22,7 +22,6 @@ _TIME_DIGITIZED, _SUBSEC_DIGITIZED, _OFFSET_DIGITIZED, _SUBSEC, _OFFSET = 0x9004
 _EXPOSURE_S, _F_NUMBER, _ISO = 0x829A, 0x829D, 0x8827
 _FOCAL_MM, _FOCAL_35MM, _LENS, _ZOOM = 0x920A, 0xA405, 0xA434, 0xA404
 _PLANE_X, _PLANE_UNIT, _EXIF_WIDTH, _EXIF_HEIGHT = 0xA20E, 0xA210, 0xA002, 0xA003
-_UNIT_MM = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
 _DIAGONAL_35MM = 43.27  # mm; CIPA DC-008 compares the diagonals of the fields of view
 # Where Adobe's programs write the same: tag, namespace and name in XMP.
 _BASE_IN_XMP = ((_MAKE, "tiff", "Make"), (_MODEL, "tiff", "Model"))
@@ -182,7 +181,7 @@ def _focal(detail: dict, size: tuple[int, int], range_: tuple[float, float]) -> 
     equivalent = _positive(detail.get(_FOCAL_35MM))
     focal = equivalent / _DIAGONAL_35MM * (wide**2 + high**2) ** 0.5 * smaller
     mm, density = _positive(detail.get(_FOCAL_MM)), _positive(detail.get(_PLANE_X))
-    unit_mm = _UNIT_MM.get(int(_number(detail.get(_PLANE_UNIT, 2), 2)), 25.4)
+    unit_mm = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}.get(int(_number(detail.get(_PLANE_UNIT, 2), 2)), 25.4)
     by_pixels, zoom = mm * density / unit_mm * smaller, _zoom(detail)
     if focal < by_pixels * zoom**0.5:  # some cameras leave a digital zoom out of the equivalent
         focal *= zoom

@@ -18,7 +18,6 @@ from tiegraph.scene.sorting import evenly
 from tiegraph.scene.tuning import JoiningTuning
 
 _ASKED = 40  # shared images, evenly spread, whose turns are tried for the one most agree with
-_REFITS = 3  # of scale and shift to the images that agree
 _ROUNDS = 10  # of the rotations of all blocks
 
 
@@ -100,7 +99,7 @@ def join(a: int, b: int, first: Poses, second: Poses, tuning: JoiningTuning) -> 
     limit = tuning.shift * second.range_
     scale, shift = _start(x_turned, y, same, (first.range_, second.range_), tuning)
     agree = same & (np.linalg.norm(scale * x_turned + shift - y, axis=1) < limit)
-    for _ in range(_REFITS):
+    for _ in range(3):  # of scale and shift to the images that agree
         if agree.sum() < tuning.shared:
             break
         scale, shift = _fitted(x_turned[agree], y[agree], scale, limit)

@@ -98,7 +98,6 @@ _FORMATS = {
 }
 
 TRANSFORMS = "transforms.json"
-_ROTATION = 1e-2  # by so much may R R^T miss 1
 
 
 def has_named_poses(path: Path) -> bool:
@@ -175,7 +174,7 @@ def _pose(given: Any, where: str) -> np.ndarray:
 
 def checked_pose(pose: np.ndarray, what: str) -> np.ndarray:
     """(4, 4) of a camera-to-world matrix (3 or 4, 4). Raises InputError, naming ``what``, if it has no rotation."""
-    if not transforms.are_rotations(pose[:3, :3], _ROTATION):
+    if not transforms.are_rotations(pose[:3, :3], 1e-2):  # by so much may R R^T miss 1
         raise InputError(
             f"{what} has no rotation in its first three columns (scaled, or mirrored): write "
             "camera-to-world matrices with a rotation and a translation"

@@ -19,7 +19,6 @@ from tiegraph.text import acts, composed, one_line
 
 # File systems take 255 bytes; masks/<name>.png, depth maps <name>.geometric.bin and temporary files add to a name.
 LONGEST_BYTES = 200
-_KEPT_SUFFIX = 20
 _ANY_CASE = "\0"  # before names in lower case: in no file's name
 _SHOWN = 80  # characters of a name in an error
 _ESCAPE = re.compile("%(?:[0189A-F][0-9A-F]|7F)")  # of control characters and of what may not be UTF-8
@@ -116,7 +115,7 @@ def shortened(part: str, limit: int = LONGEST_BYTES) -> str:
     if len(os.fsencode(part)) <= limit:
         return part
     suffix = PurePosixPath(part).suffix
-    suffix = suffix if len(os.fsencode(suffix)) <= _KEPT_SUFFIX else ""
+    suffix = suffix if len(os.fsencode(suffix)) <= 20 else ""
     mark = "~" + hashlib.blake2b(os.fsencode(part), digest_size=5).hexdigest() + suffix
     return os.fsencode(part)[: limit - len(mark.encode())].decode("utf-8", "ignore") + mark
 

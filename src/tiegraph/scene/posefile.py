@@ -34,7 +34,6 @@ _PLAY = 1e-2  # by so much may the length of a quaternion, or R R^T, miss 1
 _MOVED = 1e-9  # poses that differ less are the same
 _STEPS, _MOVE = 8, 0.1  # moves needed to see which way a body drives, and the least one in median moves
 _BETTER, _UNSTEADY = 0.25, 0.01  # how much steadier the other order must be, and how unsteady this one
-_NOWHERE_M = 1e12  # products of larger numbers overflow
 
 
 @dataclass(frozen=True)
@@ -241,7 +240,7 @@ def _w_first(position: np.ndarray, quaternion: np.ndarray) -> tuple[bool | None,
             one, other = words if is_first else words[::-1]
             zero = f"the first pose is at zero with {' '.join(map(str, unit))}"
             return is_first, f"{zero}, no turn with w {one} but half a turn with w {other}"
-    no_places = not np.abs(position).max(initial=0.0) < _NOWHERE_M
+    no_places = not np.abs(position).max(initial=0.0) < 1e12  # products of larger numbers overflow
     if no_places or not ((np.abs(quaternion) <= 2).all() and (np.abs(quaternion).max(axis=1) > 0.1).all()):
         return None, ""  # who reads them says so
     last, first = _unsteady(position, quaternion), _unsteady(position, np.roll(quaternion, -1, axis=1))

@@ -21,8 +21,6 @@ from tiegraph.scene.atomic import replacing
 from tiegraph.scene.sorting import Columns
 from tiegraph.text import finite
 
-_KEPT_BITS = 15  # of the mantissa: 3e-5 of the depth, far below any sigma; the rest is noise that does not compress
-
 
 @dataclass(frozen=True)
 class DepthMap:
@@ -161,7 +159,7 @@ def load_depth(path: Path) -> DepthMap:
 
 
 def _rounded(depth: np.ndarray) -> np.ndarray:
-    drop = 23 - _KEPT_BITS
+    drop = 23 - 15  # bits of the mantissa stay: 3e-5 of the depth, far below any sigma; the rest does not compress
     bits = np.ascontiguousarray(depth, np.float32).view(np.uint32)
     rounded = (bits + np.uint32(1 << (drop - 1))) & np.uint32(0xFFFFFFFF << drop & 0xFFFFFFFF)
     return np.where(np.isfinite(depth), rounded.view(np.float32), np.float32(np.nan))

@@ -180,11 +180,8 @@ def on_plane(camera: pycolmap.Camera, xy: np.ndarray) -> np.ndarray:
     plane = np.asarray(camera.cam_from_img(xy), float)
     if "FISHEYE" in camera.model.name and len(plane):
         back = np.asarray(camera.img_from_cam(np.column_stack([plane, np.ones(len(plane))])), float)
-        plane[~(np.abs(back - xy).max(axis=1) < _SAME_PX)] = np.nan
+        plane[~(np.abs(back - xy).max(axis=1) < 0.5)] = np.nan  # between a pixel and the way there and back
     return plane
-
-
-_SAME_PX = 0.5  # between a pixel and the way there and back
 
 
 def pixel_rays(camera: pycolmap.Camera, xy: np.ndarray) -> np.ndarray:

@@ -39,7 +39,6 @@ from tiegraph.scene.textfile import (
 )
 
 _SHOWN_LINES = 5
-_SHOWN_VALUES = 3
 _HALVES = ("{}_ref", "{}ref", "{}_hemisphere", "{}_hemi", "{}_dir", "{}_direction")  # of the column of an angle
 _TIMES = ("time", "GPS time", "seconds since 1980", "seconds of the week")
 _LEVELS = re.compile(r"(?i).*(msl|asl|hae|ell|geoid|ortho|egm|navd|wgs|level|datum).*")  # in brackets, and no units
@@ -192,7 +191,7 @@ class Table:
 
     def _values(self, column: int) -> str:
         found = Counter(self.cell(k, column) for k in range(len(self.rows)))
-        if len(found) > _SHOWN_VALUES:
+        if len(found) > 3:
             return ""
         return ": " + ", ".join(f"{count} of {value!r}" for value, count in found.most_common())
 

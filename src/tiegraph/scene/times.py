@@ -24,7 +24,6 @@ WEEK_S = 604800.0
 DAY_S = 86400.0
 DATED_S = 1e8  # 1973: times above this are dates
 ROLLOVER_WEEKS = 1024  # receivers that count weeks in ten bits begin again at 0, first on 22 August 1999
-ROLLOVER_S = ROLLOVER_WEEKS * WEEK_S
 _SEAM_S = 60.0  # rows on both sides of midnight lie no farther apart
 _LEAP_DAYS = (
     "1981-07-01", "1982-07-01", "1983-07-01", "1985-07-01", "1988-01-01", "1990-01-01", "1991-01-01", "1992-07-01",
@@ -80,7 +79,7 @@ def laid_on(time_s: np.ndarray, period_s: float, frames_s: np.ndarray) -> tuple[
         return time_s, ""
     middle, own = float(np.median(frames)), float(np.median(rows))
     dated, weekly = middle >= DATED_S, period_s > DAY_S
-    turn = period_s or ROLLOVER_S
+    turn = period_s or (ROLLOVER_WEEKS * WEEK_S)
     anchor = float(gps_from_utc(np.array(middle))) if dated and weekly else middle
     turns = round((anchor - own) / turn)
     moved = time_s + turns * turn

@@ -29,8 +29,6 @@ from tiegraph.scene.times import DAY_S, GPS_EPOCH_S
 from tiegraph.text import some
 
 _NAMED = 3  # frames without a position that are named
-_ZONE_H = 14  # the farthest time zone from UTC
-_CLOCKS = ((1e-3, "ms"), (1e-6, "us"), (1e-9, "ns"))
 
 
 @dataclass(frozen=True)
@@ -182,14 +180,14 @@ def _clock(gnss: Gnss, time_s: np.ndarray) -> str:
             "; the frames' count from the start of a video, or of another clock without a date: for videos "
             f"--scan.video-offset {gnss.time_s[0]:.0f} if they began with the file"
         )
-    for factor, unit in _CLOCKS:
+    for factor, unit in ((1e-3, "ms"), (1e-6, "us"), (1e-9, "ns")):
         if gnss.time_s[0] * factor <= last and gnss.time_s[-1] * factor >= first and gnss.time_s[-1] > last:
             return f"; its times look like {unit}: give seconds, or name the column time ({unit})"
     if gnss.time_s[0] + GPS_EPOCH_S <= last and gnss.time_s[-1] + GPS_EPOCH_S >= first:
         return "; its times look like seconds since 1980 (GPS): name the column gps_seconds"
     hours = round(4 * (np.median(gnss.time_s) - (first + last) / 2) / 3600) / 4  # zones are quarters of an hour apart
     there = gnss.time_s[0] - 3600 * hours <= last and gnss.time_s[-1] - 3600 * hours >= first
-    if there and 0 < abs(hours) <= _ZONE_H:
+    if there and 0 < abs(hours) <= 14:  # the farthest time zone from UTC
         remedy = f" (videos: --scan.video-offset {3600 * hours:g})"
         return f"; {hours:+g} h would bring the frames' there: were the cameras' clocks in local time?{remedy}"
     return ""

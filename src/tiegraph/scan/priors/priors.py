@@ -26,7 +26,6 @@ from tiegraph.scene.posefile import Trajectory
 from tiegraph.scene.times import laid_on
 
 _SCALE_ROUNDS = 10  # it converges linearly, by the ratio of the lever arm to the length of the track
-_FIT_ROUNDS = 20  # of the reweighted least squares in each of them
 
 
 @dataclass(frozen=True)
@@ -354,7 +353,7 @@ def _fit_level(path: np.ndarray, target: np.ndarray, sigma: np.ndarray) -> tuple
     """Turn about z, scale and shift by reweighted least squares (Cauchy weights, residuals over sigma), and the rms."""
     source, goal = path[:, 0] + 1j * path[:, 1], target[:, 0] + 1j * target[:, 1]
     weight = 1 / sigma[:, 0] ** 2
-    for _ in range(_FIT_ROUNDS):
+    for _ in range(20):  # of the reweighted least squares in each of them
         s0, g0 = np.average(source, weights=weight), np.average(goal, weights=weight)
         a = np.sum(weight * np.conj(source - s0) * (goal - g0)) / np.sum(weight * np.abs(source - s0) ** 2)
         residual = np.abs(goal - g0 - a * (source - s0))

@@ -24,7 +24,6 @@ from tiegraph.text import composed
 
 _PATH = "nav_msgs/Path"
 KINDS = ("nav_msgs/Odometry", "geometry_msgs/PoseStamped", "geometry_msgs/PoseWithCovarianceStamped", _PATH)
-_HEAD_LINES = 10
 _SAME_M, _SAME_DEG = 1e-3, 0.1  # between poses that are one
 _SUFFIXES = ((".tum",), (".txt", ".kitti"), (".csv",))  # the first kind that a folder has
 
@@ -42,7 +41,7 @@ def read_trajectory(path: Path) -> Trajectory:
         return read_bag_poses(path)
     found = read_poses(path)
     with path.open(errors="replace") as stream:
-        free = FREE_UNIT in (line.rstrip() for line in islice(stream, _HEAD_LINES))
+        free = FREE_UNIT in (line.rstrip() for line in islice(stream, 10))
     return replace(found, metric=not free)
 
 

@@ -36,9 +36,6 @@ _NUMBERS = {
 _FIXED_POINT = {"q": 2.0**16, "Q": 2.0**32}
 _REPEATED = re.compile(r"([A-Za-z])(?:\[(\d{1,3})\])?")
 _HEAD = 8
-_MOST_SHOWN = 40  # letters
-_MOST_ROW = 255  # one byte says the length of a row
-_FORMAT = b"gpmd"
 _EPOCH_S = datetime(2000, 1, 1, tzinfo=timezone.utc).timestamp()
 _GPS5, _GPS9 = 5, 9  # numbers a row
 
@@ -60,7 +57,7 @@ class Entry:
         """(rows, numbers a row) f8; ``types``: the letters of an entry of type "?" (TYPE). Raises BrokenTrack."""
         letters = _letters(types) if self.kind == "?" else self.kind * self._numbers()
         if not letters or any(c not in _NUMBERS for c in letters):
-            kind = types[:_MOST_SHOWN] if self.kind == "?" else self.kind
+            kind = types[:40] if self.kind == "?" else self.kind
             raise BrokenTrack(f"{self.key}: numbers of type {kind!r} are not known")
         row = np.dtype([(f"n{k}", _NUMBERS[c]) for k, c in enumerate(letters)])
         if row.itemsize != self.size:
@@ -89,7 +86,7 @@ def entries(data: bytes) -> Iterator[Entry]:
 def _letters(types: str) -> str:
     """The letters of a row, those with a number in brackets as often as it says."""
     found = [(c, int(n or 1)) for c, n in _REPEATED.findall(types)]
-    if _REPEATED.sub("", types) or sum(n for _, n in found) > _MOST_ROW:
+    if _REPEATED.sub("", types) or sum(n for _, n in found) > 255:  # one byte says the length of a row
         return ""
     return "".join(c * n for c, n in found)
 
@@ -111,7 +108,7 @@ def read_gpmf(video: Path, max_gap_s: float, tuning: PicturesTuning) -> Telemetr
     """The telemetry of a GoPro's video; None of a file without such a track. A damaged one is said, never raised."""
     try:
         with regular(video, None).open("rb") as file:
-            track = next((t for t in tracks(file) if t.format == _FORMAT), None)
+            track = next((t for t in tracks(file) if t.format == b"gpmd"), None)
             if track is None:
                 return None
             table = samples(file, track)

@@ -27,13 +27,11 @@ from tiegraph.scan.recording import Readings
 from tiegraph.scan.recording.tracks import BrokenTrack
 from tiegraph.scene.regular import regular
 
-_FORM_BITS = 16
 _OLD, _SPHERE = 0, 3
 _A_LENS = {_OLD: 6, _SPHERE: 19}  # numbers
 _BEHIND = {_OLD: 4, _SPHERE: 2}  # the number of lenses before, and what stands behind
 _LENSES = 2
 _FITTED = np.radians(np.arange(1.0, 88.5))  # COLMAP's fisheyes end at 90 degrees
-_ODD = (1, 3, 5, 7, 9)
 _LETTERS = b"8db42d694ccc418790edff439fe026bf"
 _FOOT, _HEAD = 72, 6
 _INDEX, _GPS, _BINARY = 0, 7, 0
@@ -147,7 +145,7 @@ class FactoryLens:
         radius = scale * self.radius_px(_FITTED)
         if not np.isfinite(radius).all() or not radius.any():
             return ()
-        terms = np.stack([_FITTED**n for n in _ODD], axis=1)
+        terms = np.stack([_FITTED**n for n in (1, 3, 5, 7, 9)], axis=1)
         focal, *bent = np.linalg.lstsq(terms, radius, rcond=None)[0]
         x, y = scale * self.centre_px[0] - number * width, scale * self.centre_px[1]
         return tuple(float(v) for v in (focal, focal, x, y, *(b / focal for b in bent)))
@@ -163,7 +161,7 @@ def _read(word: str) -> tuple[FactoryLens, FactoryLens] | None:
     numbers = [float(v) for v in word.split("_")]
     if not np.isfinite(numbers).all():
         return None
-    form = int(numbers[-1]) >> _FORM_BITS
+    form = int(numbers[-1]) >> 16
     count = _A_LENS.get(form, 0)
     if not count or numbers[0] != _LENSES or len(numbers) != _LENSES * count + _BEHIND[form]:
         return None

@@ -51,17 +51,15 @@ def tracks(file: BinaryIO) -> list[Track]:
     return [
         Track(
             span,
-            kind=_bytes(file, span, _KIND, 8, 4),
-            format=_bytes(file, span, _FORMAT, 12, 4),
+            kind=_bytes(file, span, (b"mdia", b"hdlr"), 8, 4),
+            format=_bytes(file, span, (*_TABLES, b"stsd"), 12, 4),
             shown=_bytes(file, span, (b"tkhd",), -8, 8),  # 8.3.2
         )
         for span in spans
     ]
 
 
-_KIND = (b"mdia", b"hdlr")
 _TABLES = (b"mdia", b"minf", b"stbl")
-_FORMAT = (*_TABLES, b"stsd")
 
 
 def _bytes(file: BinaryIO, span: tuple[int, int], path: Sequence[bytes], at: int, count: int) -> bytes:
@@ -228,13 +226,10 @@ class OneVideoTrack(io.BufferedIOBase):
 # --- boxes of an MP4 or QuickTime file -------------------------------------------------------------------------------
 
 
-_MOST_BOXES = 10_000
-
-
 def boxes(file: BinaryIO, kind: bytes, begin: int, end: int) -> Iterator[tuple[int, int]]:
     """First and last byte of what each box of a kind holds, among the boxes between two places of a file; of one that
     is cut off, as far as it goes."""
-    for _ in range(_MOST_BOXES):
+    for _ in range(10_000):  # a file of more is damaged
         if end - begin < 8:
             return
         file.seek(begin)

@@ -76,10 +76,8 @@ _COLMAP_KEYS = (
     "image_prefix", "ref_sensor", "cam_from_rig_rotation", "cam_from_rig_translation", "camera_model_name",
     "camera_params",
 )  # fmt: skip
-_KALIBR = (".yaml", ".yml")
 RIG_NAME = "rig"  # of a file that gives none: a file's own name says how it was sent, not what it describes
 _TURNS = ("yaw_pitch_roll_deg", "body_from_sensor_wxyz", "body_from_sensor")
-_MAX_FOCAL_PX = 1e6  # that a rig file may name
 
 
 def read_rig_file(path: Path | str, tuning: RigTuning, text: str | None = None) -> tuple[RigSpec, ...]:
@@ -96,7 +94,7 @@ def read_rig_file(path: Path | str, tuning: RigTuning, text: str | None = None) 
     if path.is_dir():
         raise InputError(f"--rig {path}: a folder, not a file, and no run folder of tiegraph: give one of these")
     text = composed(utf8_text(path, str(path)))
-    if path.suffix.lower() in _KALIBR:
+    if path.suffix.lower() in (".yaml", ".yml"):
         return (kalibr_rig(path, text, RIG_NAME, tuning),)
     return parse_rig_file(path, text, tuning, path.suffix.lower() == ".json")
 
@@ -245,7 +243,7 @@ class _TomlReader:
         if params is not None and "model" not in data:
             raise part.fail("params", f"camera of {where}: params need a model, for example OPENCV")
         model = part.model("model", params)
-        for key, most in (("focal_px", _MAX_FOCAL_PX), ("hfov_deg", 360.0)):
+        for key, most in (("focal_px", 1e6), ("hfov_deg", 360.0)):  # that a rig file may name
             value = data.get(key, 1.0)
             if not is_number(value) or not 0 < value <= most:
                 raise part.fail(key, f"{key} = {value!r:.99}: expected a number above 0, at most {most:g}")

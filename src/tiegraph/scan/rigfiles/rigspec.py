@@ -28,7 +28,6 @@ AXES = {
 LADYBUG_SIDES = 5
 PRESET_WORDS = "ladybug5, ring:N, stereo, stereo:BASELINE, single, panorama"
 UNIT = 1e-3  # by so much may the length of a quaternion, or a product of two rows of a rotation, miss what it must be
-_MAX_RING = 360  # cameras of the preset ring
 _LADYBUG_HFOV_DEG = 90.0  # of a rectified side image of the preset ladybug5, about
 
 
@@ -100,7 +99,7 @@ def preset_sizes(text: str, tuning: RigTuning) -> tuple[int, ...]:
     word, _, number = text.strip().lower().partition(":")
     if word == "ring":
         count = _number(number, text)
-        if count != int(count) or not 2 <= count <= _MAX_RING:
+        if count != int(count) or not 2 <= count <= 360:
             raise InputError(f"--rig {text}: a ring has 2 or more cameras, for example ring:5")
         return (int(count),)
     if word == "stereo":
@@ -160,7 +159,6 @@ def _number(text: str, whole: str) -> float:
     return value
 
 
-_ANGLE_DECIMALS = 9  # of a degree
 EXPLAINED = """\
 Body frame: what all positions and angles below are in. axes says which way its axes point:
   camera = x right, y down, z forward; flu = x forward, y left, z up; frd = x forward, y right, z down;
@@ -230,7 +228,7 @@ def rig_toml(rig: Rig, comment: str = "") -> str:
             pose = invert(sensor.sensor_from_rig)
             lines.append(f"position_m = {_toml(pose[:3, 3] + 0.0)}")
             # Angles and not a quaternion: these stay true when the body's axes are changed by hand.
-            angles = np.round(yaw_pitch_roll_deg(pose), _ANGLE_DECIMALS) + 0.0
+            angles = np.round(yaw_pitch_roll_deg(pose), 9) + 0.0  # of a degree
             lines.append(f"yaw_pitch_roll_deg = {_toml(angles)}")
         sigmas = (("sigma_deg", sensor.sigma_deg), ("sigma_m", sensor.sigma_m))
         lines += [f"{key} = {float(value)!r}" for key, value in sigmas if value is not None]

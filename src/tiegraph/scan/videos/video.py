@@ -32,11 +32,8 @@ from tiegraph.scene.regular import real_path, regular
 
 SUFFIXES = (".mp4", ".mov", ".avi", ".mkv", ".m4v", ".mts", ".webm", ".insv")
 _TAKEN = ".taken.json"  # hidden: no image
-_SHARP_PX = 480  # width at which sharpness is compared
-_SAME_S = 1e-6  # by so much are stamps rounded
 
 Frame = tuple[float, np.ndarray]  # stamp in s since the start of the recording, BGR picture
-_MAX_FPS = 1000.0  # frames a second from which the header of a video is not believed
 
 
 @dataclass(frozen=True)
@@ -83,7 +80,7 @@ class OpenVideo:
         self._capture, self._delay_s = capture, delay_s
         self.count = self.unstamped = 0
         fps = float(capture.get(cv2.CAP_PROP_FPS)) if capture.isOpened() else 0.0
-        self.fps = fps if 0 < fps < _MAX_FPS else 0.0
+        self.fps = fps if 0 < fps < 1000.0 else 0.0  # frames a second from which the header of a video is not believed
         self.expected = float(capture.get(cv2.CAP_PROP_FRAME_COUNT))
 
     def frames(self) -> Iterator[Frame]:
@@ -203,7 +200,7 @@ def sharpest(per_second: float) -> Choice:
         best: tuple[float, Frame] | None = None
         stretch = number = 0
         for frame in frames:
-            now = int((frame[0] + _SAME_S) * per_second)
+            now = int((frame[0] + 1e-6) * per_second)  # by so much are stamps rounded
             if now != stretch and best is not None:
                 yield number, best[1]
                 best, number = None, number + 1
@@ -237,7 +234,7 @@ def nearest(numbers: Sequence[int], stamps_s: Sequence[float], most_s: float) ->
 
 
 def _sharpness(picture: np.ndarray) -> float:
-    scale = min(1.0, _SHARP_PX / picture.shape[1])
+    scale = min(1.0, 480 / picture.shape[1])  # width at which sharpness is compared
     small = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     return float(cv2.Laplacian(cv2.cvtColor(small, cv2.COLOR_BGR2GRAY), cv2.CV_32F).var())
 

@@ -27,10 +27,7 @@ from tiegraph.scan.tuning import MotionTuning, OffsetTuning, Tuning
 from tiegraph.scene.images import Probe
 
 # Resolution of the search, not decisions:
-_COARSE_S = 0.1  # steps of the search over all offsets ...
-_CANDIDATES = 8  # ... and offsets of it that are looked at in steps of a frame
 _PHASES = 4  # grids between two steps
-_FINE = 12  # offsets tried between two steps
 _NEAR_STEPS = 0.6  # about the best offset, where a parabola is fitted to the likelihood
 _BLOCKS = 8  # of time, of the jackknife
 _ROUNDS, _EXACT_PX = 5, 0.02  # of the reweighted least squares; residual below which flow is as good as exact
@@ -58,7 +55,7 @@ def find_offset(first: MotionCurve, second: MotionCurve, tuning: OffsetTuning) -
     if few < tuning.least_frames:
         return Offset(refused=f"{few} frames are too few")
     step = max(first.step_s(), second.step_s())
-    coarse = _Pair(first, second, max(step, _COARSE_S), tuning)
+    coarse = _Pair(first, second, max(step, 0.1), tuning)  # steps of the search over all offsets ...
     fine = _Pair(first, second, step, tuning)
     rough, refused = _stands_out(fine, _candidates(coarse, tuning), coarse.step_s, tuning)
     if refused:
@@ -82,7 +79,7 @@ def _candidates(pair: _Pair, tuning: OffsetTuning) -> list[float]:
     likelihood = np.array([pair.likelihood(o) for o in offsets])
     found: list[float] = []
     for k in np.argsort(-likelihood, kind="stable"):
-        if len(found) == _CANDIDATES:
+        if len(found) == 8:  # ... and offsets of it that are looked at in steps of a frame
             break
         if all(abs(offsets[k] - f) > tuning.apart_steps * pair.step_s for f in found):
             found.append(float(offsets[k]))
@@ -165,7 +162,7 @@ class _BlockSums:
     """Second moments of the motion by offset and block of time, about a rough offset."""
 
     def __init__(self, pair: _Pair, rough_s: float, reach_s: float, tuning: OffsetTuning) -> None:
-        fine = pair.step_s / _FINE
+        fine = pair.step_s / 12  # offsets tried between two steps
         count = int(np.ceil(reach_s / fine))
         self._change = fine * np.arange(-count, count + 1)
         self._rough_s, self._near_s, self._noise_px = rough_s, _NEAR_STEPS * pair.step_s, tuning.noise_px

@@ -25,7 +25,6 @@ _GCP = re.compile(r"[-+.\d]+(?:\s+[-+.\d]+){4}\s+\S+")
 _SEA = re.compile("msl|asl|geoid|ortho|egm|navd|標高")  # in the name or unit of heights above the sea
 _TILT = ("pitch", "roll", "omega", "phi")  # any column with such a word
 _LEVEL_DEG = 20.0  # a body tilted by more has no heading that a table of yaw, pitch and roll gives by its yaw alone
-_EXAMPLE = "image,lat,lon,height"
 
 
 def read_columns(path: Path, raw: bytes) -> Gnss:
@@ -37,7 +36,7 @@ def read_columns(path: Path, raw: bytes) -> Gnss:
     """
     text, doubts = decoded(path, raw, "GNSS file")
     lines = filled_lines(text)
-    table = table_of(path, "GNSS file", lines, f"time,lat,lon,height or {_EXAMPLE}", positions, doubts)
+    table = table_of(path, "GNSS file", lines, "time,lat,lon,height or image,lat,lon,height", positions, doubts)
     return _fixes(table, crs_above(lines, path))
 
 

@@ -271,7 +271,6 @@ def read_mrk(path: Path, raw: bytes) -> Gnss:
 
 
 KINDS = ("sensor_msgs/NavSatFix",)
-_NO_FIX = -1  # NavSatStatus.STATUS_NO_FIX
 
 
 def read_navsat(path: Path) -> Gnss:
@@ -284,7 +283,7 @@ def read_navsat(path: Path) -> Gnss:
     with open_bag(bag_path) as bag:
         topic = bag.only(KINDS, asked)
         for number, (fix, received_ns) in enumerate(bag.messages(topic), start=1):
-            if fix.status.status == _NO_FIX:
+            if fix.status.status == -1:  # NavSatStatus.STATUS_NO_FIX
                 lost += 1
                 continue
             unknown = fix.position_covariance_type == 0  # COVARIANCE_TYPE_UNKNOWN

@@ -203,7 +203,6 @@ def _second(text: str) -> float:
     return int(found[1]) * 3600 + int(found[2]) * 60 + float(found[3]) if found else _NAN
 
 
-_MOST_BYTES = 1 << 29  # bound of memory: of a KMZ's document
 _IMAGE = re.compile(r"(?i)\.(jpe?g|png|tiff?|dng|bmp|webp|heic|insp)$")
 
 
@@ -227,7 +226,7 @@ def _unpacked(path: Path, raw: bytes) -> bytes:
         with zipfile.ZipFile(io.BytesIO(raw)) as archive:
             inside = [f for f in archive.infolist() if f.filename.lower().endswith(".kml")]
             first = min(inside, key=lambda f: f.filename.lower() != "doc.kml", default=None)
-            if first is not None and first.file_size <= _MOST_BYTES:
+            if first is not None and first.file_size <= (1 << 29):  # bound of memory: of a KMZ's document
                 return archive.read(first)
     except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, OSError) as error:
         raise InputError(
