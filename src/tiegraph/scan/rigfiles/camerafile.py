@@ -240,31 +240,25 @@ def _opensfm_lens(
     kind: str, focal: tuple[float, float], middle: tuple[float, ...], value: dict[str, float], where: str
 ) -> tuple[str, tuple[float, ...]]:
     """COLMAP's model and parameters."""
-
-    def k(*names: str) -> tuple[float, ...]:
-        return tuple(value.get(n, 0.0) for n in names)
-
     one = focal[0] == focal[1]
-    wide = (*focal, *middle)
-    if kind in ("perspective", "radial", "simple_radial") and one:
-        return "RADIAL", (focal[0], *middle, *k("k1", "k2"))
-    if kind in ("radial", "simple_radial"):
-        return "OPENCV", (*wide, *k("k1", "k2"), 0.0, 0.0)
-    if kind == "brown" and not value.get("k3"):
-        return "OPENCV", (*wide, *k("k1", "k2", "p1", "p2"))
-    if kind == "brown":
-        return "FULL_OPENCV", (*wide, *k("k1", "k2", "p1", "p2", "k3"), 0.0, 0.0, 0.0)
-    if kind == "fisheye":
-        return "RADIAL_FISHEYE", (focal[0], *middle, *k("k1", "k2"))
-    if kind == "fisheye_opencv":
-        return "OPENCV_FISHEYE", (*wide, *k("k1", "k2", "k3", "k4"))
+    radial = ("RADIAL", "k1 k2") if one else ("OPENCV", "k1 k2 - -")
+    forms = {  # a term that OpenSfM has not is 0
+        **dict.fromkeys(("perspective", "radial", "simple_radial"), radial),
+        "brown": ("FULL_OPENCV", "k1 k2 p1 p2 k3 - - -") if value.get("k3") else ("OPENCV", "k1 k2 p1 p2"),
+        "fisheye": ("RADIAL_FISHEYE", "k1 k2"),
+        "fisheye_opencv": ("OPENCV_FISHEYE", "k1 k2 k3 k4"),
+        "fisheye62": ("THIN_PRISM_FISHEYE", "k1 k2 p1 p2 k3 k4 - -"),
+    }
+    if kind not in forms:
+        raise InputError(
+            f"{where}: projection_type {kind}: read are perspective, simple_radial, radial, brown, fisheye, "
+            "fisheye_opencv and fisheye62 without k5, k6; calibrate with one of these (panoramas: --rig panorama)"
+        )
     if kind == "fisheye62":
         zero(value, ("k5", "k6"), where, "calibrate as fisheye_opencv")
-        return "THIN_PRISM_FISHEYE", (*wide, *k("k1", "k2", "p1", "p2", "k3", "k4"), 0.0, 0.0)
-    raise InputError(
-        f"{where}: projection_type {kind}: read are perspective, simple_radial, radial, brown, fisheye, fisheye_opencv "
-        "and fisheye62 without k5, k6; calibrate with one of these (panoramas: --rig panorama)"
-    )
+    model, terms = forms[kind]
+    first = focal[:1] if model.startswith("RADIAL") else focal
+    return model, (*first, *middle, *(value.get(t, 0.0) for t in terms.split()))
 
 
 # --- Agisoft ----------------------------------------------------------------------------------------------------------
