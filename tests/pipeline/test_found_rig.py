@@ -448,4 +448,3 @@ def test_a_camera_with_a_sigma_is_adjusted_and_one_without_is_held() -> None:
     assert believed_cameras(scene, SparseSettings()) == (1, 3)
     assert believed_cameras(Scene.from_json(scene.to_json()), SparseSettings()) == (1, 3)
     assert believed_cameras(_scene((_given(sensors=sensors),)), SparseSettings()) == (1, 2, 3)
-    assert "camera_sigma_px" not in _scene((_given(sensors=sensors),)).to_json()

@@ -12,6 +12,7 @@ import numpy as np
 from tiegraph.geometry.geodesy import Origin, world_from_geodetic
 from tiegraph.scan.tuning import FoldersTuning
 from tiegraph.scene.exif import Exif
+from tiegraph.text import some
 
 _CAMERA_WORDS = frozenset(
     "cam camera lens sensor image img fisheye left right front rear back top zenith port starboard l r".split()
@@ -239,7 +240,10 @@ def _camera_level_by_structure(
     if uniform and len(levels) == 2:
         below = [{t[1] for t in tails if t[0] == f} for f in levels[0]]
         if len(below) > 1 and len(below[0]) > 1 and all(b == below[0] for b in below):
-            return 1, f"each of the folders {_some(levels[0])} holds the folders {_some(levels[1])}"
+            return (
+                1,
+                f"each of the folders {_some(levels[0])} holds the folders {_some(levels[1])}",
+            )
     return None, ""
 
 
@@ -270,8 +274,7 @@ def _apart(groups: Sequence[Sequence[Exif]], tuning: FoldersTuning) -> str:
 
 
 def _some(names: Sequence[str]) -> str:
-    names = sorted(names, key=natural)
-    return ", ".join(names) if len(names) <= 6 else f"{', '.join(names[:5])} ... {names[-1]}"
+    return some(sorted(names, key=natural), 6)
 
 
 def order_of(
@@ -323,17 +326,12 @@ def _regular_times(times: Sequence[float], tuning: FoldersTuning) -> bool | None
 
 
 def _regular_numbers(names: Sequence[str], tuning: FoldersTuning) -> bool:
-    steps: list[int] = []
     by_folder: dict[str, list[int]] = {}
     for name in names:
         numbers = re.findall(r"\d+", PurePosixPath(name).stem)
         if not numbers:
             return False
         by_folder.setdefault(str(PurePosixPath(name).parent), []).append(int(numbers[-1]))
-    for values in by_folder.values():
-        values = sorted(values)
-        steps += [b - a for a, b in zip(values, values[1:])]
-    if not steps:
-        return False
-    usual = max(set(steps), key=steps.count)
-    return usual > 0 and steps.count(usual) / len(steps) >= tuning.regular
+    steps = [step for values in by_folder.values() for step in np.diff(sorted(values)).tolist()]
+    usual, count = max(Counter(steps).items(), key=lambda item: item[1], default=(0, 0))
+    return usual > 0 and count / len(steps) >= tuning.regular

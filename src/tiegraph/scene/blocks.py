@@ -164,8 +164,7 @@ def _first_side(
     """(F,) bool: the side for the first of so many ``blocks``, (some, all), cut where least is cut."""
     share, total = blocks[0] / blocks[1], float(size.sum())
     order = np.argsort(_second_vector(graph), kind="stable")
-    place = np.empty(len(order), int)
-    place[order] = np.arange(len(order))
+    place = np.argsort(order)
     coo = graph.tocoo()
     low, high = np.minimum(*place[np.stack(coo.coords)]), np.maximum(*place[np.stack(coo.coords)])
     # What a cut after place k severs: the links from k or before to behind it.

@@ -7,6 +7,7 @@ import struct
 from collections.abc import Callable, Iterator, Sequence
 from copy import deepcopy
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -139,17 +140,11 @@ def _camera(data: bytes, at: int) -> int:
     return at + 24 + 8 * _parameters()[model]  # id, model, width, height
 
 
+@cache
 def _parameters() -> dict[int, int]:
     """Number of parameters of each camera model by its id."""
-    if not _COUNTS:
-        for value in pycolmap.CameraModelId.__members__.values():
-            if int(value) >= 0:
-                made = pycolmap.Camera.create_from_model_id(1, value, 1.0, 1, 1)
-                _COUNTS[int(value)] = len(made.params)
-    return _COUNTS
-
-
-_COUNTS: dict[int, int] = {}
+    models = [m for m in pycolmap.CameraModelId.__members__.values() if int(m) >= 0]
+    return {int(m): len(pycolmap.Camera.create_from_model_id(1, m, 1.0, 1, 1).params) for m in models}
 
 
 def _image(data: bytes, at: int) -> int:

@@ -206,10 +206,7 @@ def components(pairs: Pairs, images: int) -> np.ndarray:
     kept = pairs.kept()
     labels = parts(kept.i, kept.j, images)
     size = np.bincount(labels, minlength=1)
-    order = np.argsort(-size, kind="stable")
-    rename = np.empty(len(order), int)
-    rename[order] = np.arange(len(order))
-    return rename[labels]
+    return np.argsort(np.argsort(-size, kind="stable"))[labels]
 
 
 def component_notes(pairs: Pairs, scene: Scene) -> tuple[str, ...]:

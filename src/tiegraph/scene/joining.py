@@ -74,8 +74,7 @@ def join_models(models: Sequence[Poses], tuning: JoiningTuning) -> JoinResult:
     joins = tuple(j if not j.holds or any(j is g for g in good) else replace(j, refused=True) for j in joins)
     part = parts(np.array([j.a for j in good], int), np.array([j.b for j in good], int), len(models))
     size = np.bincount(part, [len(m.images) for m in models])
-    rank = np.empty(len(size), int)
-    rank[np.argsort(-size, kind="stable")] = np.arange(len(size))
+    rank = np.argsort(np.argsort(-size, kind="stable"))
     return JoinResult(_adjusted(good, len(models)), rank[part], joins)
 
 

@@ -103,13 +103,10 @@ class Pairs(Columns, Arrays):
         full.update({n: np.asarray(c) for n, c in columns.items()})
         full["source"] = bits
         low, high = np.minimum(i, j), np.maximum(i, j)
-        order = np.lexsort((-np.nan_to_num(full["score"], nan=-1.0), high, low))
-        low, high = low[order], high[order]
-        first = np.ones(len(low), bool)
-        first[1:] = (np.diff(low) != 0) | (np.diff(high) != 0)
-        keep = order[first & (low != high)]
-        low, high = low[first & (low != high)], high[first & (low != high)]
-        return Pairs(i=low, j=high, **{n: c[keep] for n, c in full.items()})
+        order = np.argsort(-np.nan_to_num(full["score"], nan=-1.0), kind="stable")
+        order = order[(low != high)[order]]
+        keep = order[np.unique(pair_key(low, high)[order], return_index=True)[1]]
+        return Pairs(i=low[keep], j=high[keep], **{n: c[keep] for n, c in full.items()})
 
     @staticmethod
     def empty() -> Pairs:

@@ -42,12 +42,9 @@ class Registration:
 
 def registration(model: Any, scene: Scene, tuning: RegisteredTuning) -> Registration:
     """Of the images of a scene in a ``pycolmap.Reconstruction``; images go by name."""
-    placed, points = np.zeros(len(scene), bool), np.zeros(len(scene), int)
-    for name, count in agreeing_points(model, tuning).items():
-        k = scene.image_index.get(name)
-        if k is not None:
-            placed[k], points[k] = True, count
-    return Registration(placed, points, tuning.min_points)
+    found = agreeing_points(model, tuning)
+    placed = np.array([name in found for name in scene.names], bool)
+    return Registration(placed, np.array([found.get(name, 0) for name in scene.names], int), tuning.min_points)
 
 
 def agreeing_points(model: Any, tuning: RegisteredTuning) -> dict[str, int]:

@@ -277,6 +277,7 @@ def between_neighbours(positions: np.ndarray, scene: Scene) -> np.ndarray:
 def of_frames(centre: np.ndarray, scene: Scene) -> np.ndarray:
     """(F, 3) place of each frame: of its first image with one, of centre (N, 3); NaN = none has."""
     out = np.full((scene.frames, 3), np.nan)
-    for k in np.flatnonzero(np.isfinite(centre).all(axis=1))[::-1]:
-        out[scene.frame[k]] = centre[k]
+    known = np.flatnonzero(np.isfinite(centre).all(axis=1))
+    frames, first = np.unique(scene.frame[known], return_index=True)
+    out[frames] = centre[known[first]]
     return out

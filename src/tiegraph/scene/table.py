@@ -7,7 +7,7 @@ or in a line of their own. Where there is none, what reads the table says by the
 import re
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
@@ -37,8 +37,8 @@ from tiegraph.scene.textfile import (
     split_cells,
     text_of,
 )
+from tiegraph.text import some
 
-_SHOWN_LINES = 5
 _HALVES = ("{}_ref", "{}ref", "{}_hemisphere", "{}_hemi", "{}_dir", "{}_direction")  # of the column of an angle
 _TIMES = ("time", "GPS time", "seconds since 1980", "seconds of the week")
 _LEVELS = re.compile(r"(?i).*(msl|asl|hae|ell|geoid|ortho|egm|navd|wgs|level|datum).*")  # in brackets, and no units
@@ -161,7 +161,7 @@ class Table:
         return out
 
     def some_lines(self, rows: Sequence[int] | np.ndarray) -> str:
-        """The line numbers of some rows, in words: "line 4, 5, 9 ..."."""
+        """The line numbers of some rows, in words."""
         return some_lines([self.line(k) for k in rows])
 
     def said(self, used: Mapping[str, int | None]) -> str:
@@ -205,9 +205,8 @@ class Table:
 
 
 def some_lines(lines: Sequence[int]) -> str:
-    """The first of some line numbers, in words: "line 4, 5, 9 ..."."""
-    shown = ", ".join(str(n) for n in lines[:_SHOWN_LINES])
-    return f"line {shown}" + (" ..." if len(lines) > _SHOWN_LINES else "")
+    """The first of some line numbers, in words."""
+    return f"line {some(map(str, lines), 5)}"
 
 
 def read_table(path: Path, purpose: str, example: str, layout: Layout | None = None) -> Table:
@@ -254,15 +253,12 @@ def table_of(
     rows = _rows(path, purpose, columns, given, notes)
     if not rows:
         raise InputError(f"{path}: no rows below its header; give the {purpose} as a CSV file with a row a moment")
+    if start is None and any(columns):
+        notes.append(f"{path.name}: no header; by its cells the columns are {', '.join(columns)}")
     head = (0, "") if start is None else lines[start]
-    made = Table(
+    return Table(
         path=path, columns=columns, rows=rows, units=tuple(units), notes=tuple(notes), head=head, delimiter=delimiter
     )
-    if start is None and any(columns):
-        made = replace(
-            made, notes=(*notes, f"{path.name}: no header; by its cells the columns are {', '.join(columns)}")
-        )
-    return made
 
 
 def _first_rows(lines: Sequence[tuple[int, str]]) -> tuple[int, int | None]:

@@ -141,15 +141,10 @@ def read_bars(table: Table, tuning: ControlTuning) -> tuple[list[FileBar], str]:
             raise InputError(f"{where}: role {said!r} is neither bar nor check")
         check, line = said in _CHECK, table.line(row)
         out.append(FileBar(ends=ends, length_m=known, sigma_m=spread, check=check, line=line))
-        _refuse_other_length(out, where)
+        for known_bar in out[:-1]:
+            if set(known_bar.ends) == set(ends):
+                raise InputError(
+                    f"{where}: the bar from {ends[0]!r} to {ends[1]!r} stands in line {known_bar.line} already "
+                    f"({known_bar.length_m:g} m there, {known:g} m here): leave one"
+                )
     return out, table.said(used)
-
-
-def _refuse_other_length(bars: list[FileBar], where: str) -> None:
-    new = bars[-1]
-    for known in bars[:-1]:
-        if set(known.ends) == set(new.ends):
-            raise InputError(
-                f"{where}: the bar from {new.ends[0]!r} to {new.ends[1]!r} stands in line {known.line} already "
-                f"({known.length_m:g} m there, {new.length_m:g} m here): leave one"
-            )
