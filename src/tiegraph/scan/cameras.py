@@ -63,9 +63,9 @@ def calibrate(
     prepared = camera
     if any(crop):
         left, top, right, bottom = crop
-        if min(crop) < 0 or min(camera.width - left - right, camera.height - top - bottom) < tuning.min_side_px:
+        if min(crop) < 0 or min(camera.width - left - right, camera.height - top - bottom) < 32:
             raise InputError(
-                f"crop_px = {list(crop)} of sensor {spec.name!r} leaves less than {tuning.min_side_px} px of "
+                f"crop_px = {list(crop)} of sensor {spec.name!r} leaves less than 32 px of "
                 f"{camera.width} x {camera.height}: left, top, right, bottom are the pixels to cut off"
             )
         prepared = crop_camera(camera, *crop)

@@ -50,8 +50,6 @@ class CameraTuning(Section):
     """... and where it does, what the lens sees across it: those of 360 cameras 195 to 200."""
     same_shape: float = Field(0.01, ge=0)
     """Relative difference of two aspect ratios that rounding to whole pixels may cause."""
-    min_side_px: int = Field(32, gt=0)
-    """Side that cropping must leave."""
     start_focal: float = Field(0.01, gt=0)
     """Sigma of the focal length of a camera of a start model, of that length: it is adjusted."""
     min_fov_deg: float = Field(1.0, ge=0)

@@ -41,14 +41,10 @@ def lookup_of(named: Iterable[tuple[str, int]]) -> dict[str, int]:
     """What a name in a file of the user's is of, for ``found_by``: names of images; the ends of their paths, with and
     without suffix, where these are of one; and all of them in any case, as Windows takes names, where that is of one.
     """
-    full = {name: (PurePosixPath(name), k) for name, k in named}
-    ends = (
-        (str(end), k)
-        for path, k in full.values()
-        for tail in (PurePosixPath(*path.parts[level:]) for level in range(len(path.parts)))
-        for end in (tail, tail.with_suffix(""))
-    )
-    out = _of_one(ends) | {name: k for name, (_, k) in full.items()}
+    full = dict(named)
+    written = [(text.split("/"), k) for n, k in full.items() for text in (n, str(PurePosixPath(n).with_suffix("")))]
+    ends = (("/".join(parts[level:]), k) for parts, k in written for level in range(len(parts)))
+    out = _of_one(ends) | full
     return _of_one((f"{_ANY_CASE}{key.lower()}", k) for key, k in out.items()) | out
 
 

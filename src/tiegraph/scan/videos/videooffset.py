@@ -10,7 +10,7 @@ one does not draw the offset to whole frames.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import PurePosixPath
 
@@ -60,11 +60,11 @@ def find_offset(first: MotionCurve, second: MotionCurve, tuning: OffsetTuning) -
     rough, refused = _stands_out(fine, _candidates(coarse, tuning), coarse.step_s, tuning)
     if refused:
         return Offset(refused=refused)
-    sums = _BlockSums(fine, rough, 1.5 * coarse.step_s, tuning)
+    peak = _peaks(fine, rough, 1.5 * coarse.step_s, tuning)
     every = np.ones(_BLOCKS, bool)
     early = np.arange(_BLOCKS) < _BLOCKS // 2
-    best, apart = sums.peak(every), sums.peak(early) - sums.peak(~early)
-    left_out = np.array([sums.peak(np.arange(_BLOCKS) != k) for k in range(_BLOCKS)])
+    best, apart = peak(every), peak(early) - peak(~early)
+    left_out = np.array([peak(np.arange(_BLOCKS) != k) for k in range(_BLOCKS)])
     jackknife = float(np.sqrt((_BLOCKS - 1) * np.mean((left_out - left_out.mean()) ** 2)))
     sigma = float(np.hypot(max(jackknife, abs(apart) / 2), tuning.smoothing * step))
     if sigma > tuning.most_sigma * step:
@@ -158,34 +158,33 @@ def _autocorrelation(moved: np.ndarray) -> float:
     return float(np.sum(centred[1:] * centred[:-1] / np.where(power > 0, power, np.inf)) / CHANNELS)
 
 
-class _BlockSums:
-    """Second moments of the motion by offset and block of time, about a rough offset."""
+def _peaks(pair: _Pair, rough_s: float, reach_s: float, tuning: OffsetTuning) -> Callable[[np.ndarray], float]:
+    """What gives the most likely offset, about a rough one, by some of the blocks (B,) of time: the top of a parabola
+    about the best one tried."""
+    count = int(np.ceil(12 * reach_s / pair.step_s))
+    changes = pair.step_s / 12 * np.arange(-count, count + 1)  # offsets tried between two steps
+    near_s = _NEAR_STEPS * pair.step_s
+    begin, end = pair.shared(rough_s)
+    at = np.arange(begin + reach_s, end - reach_s - pair.step_s, pair.step_s)
+    block = np.arange(max(len(at) - 2, 0)) * _BLOCKS // max(len(at) - 2, 1)
+    counts = np.bincount(block, minlength=_BLOCKS)
+    sums = np.zeros((len(changes), _BLOCKS, 2 * CHANNELS, 2 * CHANNELS))  # second moments of the motion
+    for phase in pair.step_s * np.arange(_PHASES) / _PHASES:
+        for k, change in enumerate(changes):
+            moved = pair.moved(at + phase + change / 2, at + phase - rough_s - change / 2)
+            for b in range(_BLOCKS):
+                sums[k, b] += moved[block == b].T @ moved[block == b] / _PHASES
 
-    def __init__(self, pair: _Pair, rough_s: float, reach_s: float, tuning: OffsetTuning) -> None:
-        fine = pair.step_s / 12  # offsets tried between two steps
-        count = int(np.ceil(reach_s / fine))
-        self._change = fine * np.arange(-count, count + 1)
-        self._rough_s, self._near_s, self._noise_px = rough_s, _NEAR_STEPS * pair.step_s, tuning.noise_px
-        begin, end = pair.shared(rough_s)
-        at = np.arange(begin + reach_s, end - reach_s - pair.step_s, pair.step_s)
-        block = np.arange(max(len(at) - 2, 0)) * _BLOCKS // max(len(at) - 2, 1)
-        self._sums = np.zeros((len(self._change), _BLOCKS, 2 * CHANNELS, 2 * CHANNELS))
-        self._count = np.bincount(block, minlength=_BLOCKS)
-        for phase in pair.step_s * np.arange(_PHASES) / _PHASES:
-            for k, change in enumerate(self._change):
-                moved = pair.moved(at + phase + change / 2, at + phase - rough_s - change / 2)
-                for b in range(_BLOCKS):
-                    self._sums[k, b] += moved[block == b].T @ moved[block == b] / _PHASES
-
-    def peak(self, blocks: np.ndarray) -> float:
-        """The most likely offset by some of the blocks (B,): the top of a parabola about the best one tried."""
-        count = self._count[blocks].sum()
-        likelihood = np.array([_information(s[blocks].sum(axis=0) / count, self._noise_px) for s in self._sums])
-        best = self._change[int(np.argmax(likelihood))]
-        near = np.abs(self._change - best) <= self._near_s
-        curved, slope, _ = np.polyfit(self._change[near] - best, likelihood[near], 2)
+    def peak(blocks: np.ndarray) -> float:
+        total = counts[blocks].sum()
+        likelihood = np.array([_information(s[blocks].sum(axis=0) / total, tuning.noise_px) for s in sums])
+        best = changes[int(np.argmax(likelihood))]
+        near = np.abs(changes - best) <= near_s
+        curved, slope, _ = np.polyfit(changes[near] - best, likelihood[near], 2)
         top = -slope / (2 * curved) if curved < 0 else 0.0
-        return float(self._rough_s + best + np.clip(top, -self._near_s, self._near_s))
+        return float(rough_s + best + np.clip(top, -near_s, near_s))
+
+    return peak
 
 
 @dataclass(frozen=True)
