@@ -50,10 +50,11 @@ def lookup_of(named: Iterable[tuple[str, int]]) -> dict[str, int]:
 
 def _of_one(named: Iterable[tuple[str, int]]) -> dict[str, int]:
     """What is of one only, by name."""
-    found: dict[str, set[int]] = {}
+    found: dict[str, int | None] = {}
     for name, what in named:
-        found.setdefault(name, set()).add(what)
-    return {name: whats.pop() for name, whats in found.items() if len(whats) == 1}
+        if found.setdefault(name, what) != what:
+            found[name] = None
+    return {name: what for name, what in found.items() if what is not None}
 
 
 def found_by(lookup: Mapping[str, int], name: str) -> int | None:
