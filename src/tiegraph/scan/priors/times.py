@@ -16,7 +16,7 @@ from tiegraph.scene.cells import times as times_by_content
 from tiegraph.scene.exif import Exif
 from tiegraph.scene.names import all_found, plain_name
 from tiegraph.scene.table import Table, read_table
-from tiegraph.scene.times import Times, times_of
+from tiegraph.scene.times import times_of
 
 _UNIX_NAME = re.compile(r"(?:^|\D)(\d{10}(?:[._]\d{1,9})?|\d{13}|\d{16}|\d{19})$")
 _DATE_NAME = re.compile(r"(?:^|\D)((?:19|20)\d{6})[_\-T ]?(\d{6})(\d{0,6})(?:\D|$)")
@@ -52,7 +52,10 @@ def read_times(
         )
     if image is None and sequence is None and len(sequences) > 1:
         raise InputError(f"{path}: a frame's name is not unique over {len(sequences)} passes: add a column pass")
-    seconds = _seconds(table, time)
+    seconds = time.seconds
+    for k in np.flatnonzero(np.isnan(seconds))[:1].tolist():
+        said = f"{table.cell(k, time.column)!r} is no time (seconds or ISO 8601)"
+        raise InputError(f"{table.where(k)}: {said}; correct it, or leave out rows without a time")
     said = table.said({**time.used, **({"image": image} if image is not None else {"frame": frame, "pass": sequence})})
     notes = [*table.notes, said, *time.notes]
     keys: list[tuple[str, ...]]
@@ -79,8 +82,7 @@ def read_times(
         )
     out = np.full(len(frames), np.nan)
     for found, mine in rows.items():
-        taken = seconds[mine]
-        out[found] = np.median(taken)
+        out[found] = np.median(seconds[mine])
     _say_spread(table, rows, seconds, notes, tuning.same_shot_s)
     notes += _say_odd(table, {k: mine[0] for k, mine in rows.items()}, out, frames, tuning.apart_s)
     if len(rows) > 1 and np.nanmax(out) == np.nanmin(out):
@@ -89,17 +91,6 @@ def read_times(
             "of each, or leave --times out"
         )
     return out, notes
-
-
-def _seconds(table: Table, time: Times) -> np.ndarray:
-    seconds = time.seconds
-    bad = np.flatnonzero(np.isnan(seconds)).tolist()
-    if len(bad):
-        raise InputError(
-            f"{table.path}, line {table.line(bad[0])}: {table.cell(bad[0], time.column)!r} is no time (seconds or "
-            "ISO 8601); correct it, or leave out rows without a time"
-        )
-    return seconds
 
 
 def _passes(table: Table, sequence: int | None, sequences: Sequence[str], notes: list[str]) -> list[str]:

@@ -115,7 +115,7 @@ def same_start(trajectories: Sequence[Trajectory]) -> bool:
 
 
 def read_bag_poses(path: Path) -> Trajectory:
-    """The poses of a bag's only topic of such, or of the one behind the path (``topics.split_topics``).
+    """The poses of a bag's only topic of such, or of the one behind the path (``bags.split_topics``).
 
     A path that is sent again and again is read as it was last. Raises InputError for several topics, none, a damaged
     bag, and what ``posefile.read_poses`` raises of values; its lines are the numbers of the messages.

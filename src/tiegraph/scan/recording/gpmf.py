@@ -55,7 +55,8 @@ class Entry:
 
     def rows(self, types: str = "") -> np.ndarray:
         """(rows, numbers a row) f8; ``types``: the letters of an entry of type "?" (TYPE). Raises BrokenTrack."""
-        letters = _letters(types) if self.kind == "?" else self.kind * self._numbers()
+        numbers = self.size // np.dtype(_NUMBERS.get(self.kind, ">u1")).itemsize
+        letters = _letters(types) if self.kind == "?" else self.kind * numbers
         if not letters or any(c not in _NUMBERS for c in letters):
             kind = types[:40] if self.kind == "?" else self.kind
             raise BrokenTrack(f"{self.key}: numbers of type {kind!r} are not known")
@@ -65,9 +66,6 @@ class Entry:
         table = np.frombuffer(self.data, row)
         columns = [table[f"n{k}"].astype(float) / _FIXED_POINT.get(c, 1.0) for k, c in enumerate(letters)]
         return np.stack(columns, axis=1)
-
-    def _numbers(self) -> int:
-        return self.size // np.dtype(_NUMBERS.get(self.kind, ">u1")).itemsize
 
 
 def entries(data: bytes) -> Iterator[Entry]:

@@ -212,7 +212,7 @@ def stuck_note(lat_lon_height: np.ndarray, where: str, least: int) -> str:
 
 
 def on_clock_of(gnss: Gnss, time_s: np.ndarray) -> Gnss:
-    """Rows on the clock of frames (F,), as ``gpstime.laid_on`` says."""
+    """Rows on the clock of frames (F,), as ``times.laid_on`` says."""
     if gnss.names:
         return gnss
     moved, note = laid_on(gnss.time_s, gnss.period_s, time_s)
