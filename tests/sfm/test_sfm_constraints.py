@@ -16,7 +16,6 @@ from tiegraph.scene.rig import SensorPair
 from tiegraph.sfm.adjustment import constraints
 from tiegraph.sfm.adjustment.adjust import final_adjustment
 from tiegraph.sfm.adjustment.rigpriors import rig_priors
-from tiegraph.sfm.adjustment.timecost import TiesOfOne, TimeOffsetPrior, expected
 from tiegraph.sfm.rig.rig import held_by_mapper, rig_modes
 from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.tuning.rig import RigPriorTuning, RigTuning
@@ -28,26 +27,6 @@ def test_pair_residuals_are_in_sigmas() -> None:
     poses = [np.array(rigid3d(p).params) for p in (np.eye(4), second)]
     pair = constraints.PairPrior(1, (1, 2), 0.48, 0.01, np.radians(39.0), np.radians(0.5))
     np.testing.assert_allclose(constraints.pair_residuals(*poses, pair), [2.0, 2.0], atol=1e-9)
-
-
-def test_a_tie_moves_with_time_and_turns_about_its_own_centre() -> None:
-    lever = transforms.invert(transforms.rigid(np.eye(3), np.array([1.0, 0, 0])))
-    tie = TimeOffsetPrior(1, 2, 1, lever, np.array([0, 0, 2.0, 0, 0, 0]), np.eye(6))
-    np.testing.assert_allclose(transforms.centre(expected(tie, np.array([0.5, 0, 0, 0, 0, 0, 0]))), [1, 0, 1])
-    turned = expected(tie, np.array([0.0, 0, 0, 0, 0, 0.1, 0]))
-    np.testing.assert_allclose(transforms.centre(turned), [1, 0, 0], atol=1e-12)
-    assert transforms.angle_deg(turned[:3, :3], np.eye(3)) == pytest.approx(np.degrees(0.1))
-
-
-def test_the_ties_of_one_camera_are_what_each_is_by_itself() -> None:
-    rng = np.random.default_rng(3)
-    poses = [transforms.rigid(Rotation.random(random_state=rng).as_matrix(), rng.normal(size=3)) for _ in range(2)]
-    ties = [TimeOffsetPrior(1, 2, 1, pose, rng.normal(size=6), np.eye(6)) for pose in poses]
-    together = TiesOfOne(ties)
-    for unknowns in 0.1 * rng.normal(size=(3, 2, 7)):  # other unknowns are worked out anew
-        for k, tie in enumerate(ties):
-            for got, of in zip(together.at(k, unknowns), unknowns, strict=True):
-                np.testing.assert_allclose(got.matrix(), expected(tie, of)[:3], atol=1e-12)
 
 
 def _with_sigma(scene, sigma_deg, sigma_m, shift_m=0.0, pairs=()):

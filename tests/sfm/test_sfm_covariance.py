@@ -14,7 +14,6 @@ from sfm_worlds import make_world, true_frames
 from tiegraph.geometry.align import Similarity, umeyama
 from tiegraph.scene.colmapmodel import image_poses
 from tiegraph.sfm.adjustment.adjust import _solve, final_adjustment
-from tiegraph.sfm.adjustment.jacobians import Layout, RigConstraint, RigConstraints, skew
 from tiegraph.sfm.covariance import MOUNTING, position_sigma
 from tiegraph.sfm.finish import _open_places
 from tiegraph.sfm.model import frame_poses
@@ -147,22 +146,6 @@ def test_points_that_are_not_quite_at_their_minimum_say_nothing_of_the_frames(wo
     after = position_sigma(model, free_intrinsics=False, free_rig=False, tuning=TUNING)
     expected = before.median * after.pixel_sigma / before.pixel_sigma  # their residuals widen that of a pixel
     assert after.median == pytest.approx(expected, rel=0.15)
-
-
-def test_ties_hold_frames_that_nothing_else_holds() -> None:
-    """A tie's information knows nothing of a motion of the whole, and stops one frame from moving alone."""
-    model, _ = moving_world(frames=4)
-    first, second = sorted(model.reg_frame_ids())[:2]
-    layout = Layout(model, False, False, [RigConstraints((RigConstraint(first, second, 0.01, 0.001),))])
-    tied = layout.tied()
-    whole = np.zeros((layout.size, 6))
-    for f, centre in zip(layout.frame_ids, layout.centres):
-        whole[layout.frame[f] + np.arange(3), :3] = np.eye(3)
-        whole[layout.frame[f] + np.arange(3), 3:] = -skew(centre[None])[0]
-        whole[layout.frame[f] + np.arange(3, 6), 3:] = np.eye(3)
-    assert np.abs(tied @ whole).max() < 1e-6 * np.abs(tied).max()
-    at = layout.frame[second]
-    assert tied[at, at] == pytest.approx(1e4) and tied[at + 3, at + 3] == pytest.approx(1e6)
 
 
 @pytest.mark.slow

@@ -17,7 +17,7 @@ from tiegraph.scene.control import Control, Marks
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
 from tiegraph.sfm.model import frame_poses
-from tiegraph.sfm.rig.linear import per_camera_frames
+from tiegraph.sfm.motion import let_go
 from tiegraph.sfm.settings import GeorefSettings
 from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.world.fixes import Measurements, PositionRows, make_fixes
@@ -343,7 +343,7 @@ def _drive(time_s: np.ndarray) -> Scene:
 def test_the_cameras_of_a_relaxed_rig_stay_together_where_positions_move_their_frames(world) -> None:
     """The second camera sees three points an image: these alone would leave it behind."""
     truth, scene = world
-    free = per_camera_frames(truth, [1], scene)
+    free = let_go(truth, {2}, scene)
     for image in [i for i in free.images.values() if scene.sensor[scene.image_index[i.name]] == 1]:
         for k in image.get_observation_point2D_idxs()[3:]:
             free.delete_observation(image.image_id, k)

@@ -21,8 +21,9 @@ from tiegraph.scene.colmapmodel import rigid3d
 from tiegraph.scene.rig import Rig, Sensor, Source
 from tiegraph.scene.scene import Scene, simple_scene
 from tiegraph.sfm.finish import FinishResult, finish_model
+from tiegraph.sfm.motion import Lateness, Motion, at_one_instant
 from tiegraph.sfm.rigcheck import FinishRequest, Held
-from tiegraph.sfm.shutter import Readout, find_readout, image_motion, unrolled
+from tiegraph.sfm.shutter import Readout, find_readout, rows_in_time
 from tiegraph.sfm.tuning import ShutterTuning, Tuning
 
 FPS, FRAMES, READOUT_S = 10.0, 30, 0.02
@@ -98,8 +99,8 @@ def ate_mm(folder: Path) -> float:
 def test_velocity_and_turn_are_those_of_the_way_and_not_across_a_gap() -> None:
     model, scene = walk(0.0)
     time = scene.time_s + np.where(np.arange(FRAMES) >= 20, 100.0, 0.0)
-    whole, cut = (image_motion(model, s, TUNING) for s in (scene, scene.with_(time_s=time)))
-    assert len(whole) == len(cut) == FRAMES
+    whole, cut = (Motion(model, s, TUNING.max_gap_s) for s in (scene, scene.with_(time_s=time)))
+    assert all(f + 1 in motion for motion in (whole, cut) for f in range(FRAMES))
     step = 1e-4
     for f in (5, 12, 25):
         before, after = pose_at(f / FPS - step), pose_at(f / FPS + step)
@@ -107,23 +108,24 @@ def test_velocity_and_turn_are_those_of_the_way_and_not_across_a_gap() -> None:
         turn = (after[:3, :3] - before[:3, :3]) @ pose_at(f / FPS)[:3, :3].T / (2 * step)
         true = np.concatenate([velocity, [turn[2, 1], turn[0, 2], turn[1, 0]]])
         near = 0.03 * float(np.linalg.norm(true))
-        np.testing.assert_allclose(whole[f + 1], true, rtol=0, atol=near)
-        np.testing.assert_allclose(cut[f + 1], true, rtol=0, atol=near)
-    assert np.linalg.norm(cut[20][:3]) > 1.0  # at the gap itself: from its own side
-    assert image_motion(model, scene.with_(time_s=np.full(FRAMES, np.nan)), TUNING) == {}
+        np.testing.assert_allclose(whole.rate(f + 1), true, rtol=0, atol=near)
+        np.testing.assert_allclose(cut.rate(f + 1), true, rtol=0, atol=near)
+    assert np.linalg.norm(cut.rate(20)[:3]) > 1.0  # at the gap itself: from its own side
+    assert rows_in_time(model, scene, TUNING) is not None
+    assert rows_in_time(model, scene.with_(time_s=np.full(FRAMES, np.nan)), TUNING) is None
     view = replace(scene.rigs[0].sensors[0], source=Source(panorama=(1, 0, 0, 0, 1, 0, 0, 0, 1)))
     views = replace(scene.rigs[0], sensors=(view,))
-    assert image_motion(model, scene.with_(rigs=(views,)), TUNING) == {}  # their rows are not the camera's
+    assert rows_in_time(model, scene.with_(rigs=(views,)), TUNING) is None  # their rows are not the camera's
 
 
 @pytest.mark.slow
 def test_key_points_go_to_where_the_middle_row_sees_them() -> None:
     model, scene = walk(READOUT_S)
     assert 0.8 < model.compute_mean_reprojection_error()
-    out = unrolled(model, model, scene, READOUT_S, TUNING)
+    out = at_one_instant(model, model, Motion(model, scene, 3.0), Lateness({}, READOUT_S))
     out.update_point_3d_errors()
     assert 0.36 < out.compute_mean_reprojection_error() < 0.40  # 0.3 px in both coordinates
-    again = unrolled(out, model, scene, -READOUT_S, TUNING)
+    again = at_one_instant(out, model, Motion(model, scene, 3.0), Lateness({}, -READOUT_S))
     moved = [a.xy - b.xy for a, b in zip(again.image(3).points2D, model.image(3).points2D)]
     assert 0 < np.abs(moved).max() < 0.1  # the row itself has moved a little
 

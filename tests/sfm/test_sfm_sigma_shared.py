@@ -13,9 +13,10 @@ from sfm_worlds import make_world, true_frames
 
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import umeyama
+from tiegraph.geometry.transforms import skew
 from tiegraph.scene.colmapmodel import image_poses, matrix
 from tiegraph.sfm.adjustment.adjust import _solve
-from tiegraph.sfm.adjustment.jacobians import Layout, RigConstraint, RigConstraints, jacobians
+from tiegraph.sfm.adjustment.jacobians import Layout, jacobians
 from tiegraph.sfm.adjustment.normal import Normal, by_blocks, gauge, point_inverse, reduced
 from tiegraph.sfm.covariance import LENS, position_sigma
 from tiegraph.sfm.model import frame_poses
@@ -44,15 +45,16 @@ class _Pass:
 
     def normal(self, reach: int = 3) -> sparse.csr_matrix:
         """Frames tied to the next ones to a hundredth and a thousandth."""
-        frames = len(self.frame_ids)
-        self.ties = (
-            RigConstraints(
-                tuple(RigConstraint(k, k + d, 0.01, 0.001) for d in range(1, reach + 1) for k in range(frames - d))
-            ),
-        )
-        return Layout.tied(self)  # type: ignore[arg-type]
-
-    _gathered = Layout._gathered
+        frames, rows = len(self.frame_ids), []
+        for d in range(1, reach + 1):
+            for k in range(frames - d):  # shift of the second beside what a turn of the first does; turn of both
+                row = np.zeros((6, self.size))
+                row[:, 6 * k : 6 * k + 6] = -np.eye(6)
+                row[:3, 6 * k + 3 : 6 * k + 6] = skew(self.centres[k + d] - self.centres[k])
+                row[:, 6 * (k + d) : 6 * (k + d) + 6] = np.eye(6)
+                rows.append(sparse.csr_matrix(row / np.repeat([0.01, 0.001], 3)[:, None]))
+        every = sparse.vstack(rows).tocsr()
+        return (every.T @ every).tocsr()
 
 
 def test_sparse_solution_is_the_dense_one() -> None:
@@ -169,12 +171,13 @@ def test_sizes_of_two_effects_are_found() -> None:
     information = np.tile(np.diag([1.0, 2, 1, 3, 1, 2]), (60, 1, 1))
     shifts = rng.standard_normal((60, 6)) * [2, 2, 2, 0.5, 0.5, 0.5]
     noise = rng.standard_normal((60, 6)) * np.sqrt(np.diagonal(information[0]))
-    place, turn = two_sizes(
+    place, turn, gain = two_sizes(
         np.einsum("kij,kj->ki", information, shifts) + noise, information, information, TUNING.sigma.shared
     )
     assert np.sqrt(place) == pytest.approx(2, rel=0.33) and np.sqrt(turn) == pytest.approx(0.5, rel=0.33)
-    place, turn = two_sizes(noise, information, information, TUNING.sigma.shared)
-    assert place < 0.1 and turn < 0.1
+    assert gain > 100
+    place, turn, gain = two_sizes(noise, information, information, TUNING.sigma.shared)
+    assert place < 0.1 and turn < 0.1 and 0 <= gain < 5
 
 
 @pytest.mark.slow

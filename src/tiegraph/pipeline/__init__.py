@@ -65,7 +65,7 @@ STAGES = (
     _stage("match", ("network", "design", "features"), ("match.npz",), "block of pairs", version=2,
            changes=("database.db",), clear=_forget_matches, scratch=("database.db.match",), tuned=("features",)),
     _stage("filter", ("coarse", "network", "match"), ("filter.npz",), "pair", version=3),
-    _stage("sparse", ("coarse", "network", "match", "filter"), ("sparse",), version=28, scratch=("sparse/.run",),
+    _stage("sparse", ("coarse", "network", "match", "filter"), ("sparse",), version=29, scratch=("sparse/.run",),
            tuned=("scene", "sfm")),
     _stage("georef", ("network", "match", "filter", "sparse"), ("sparse/world", "world.json"), version=24,
            scratch=("sparse/.world",), tuned=("scene", "sfm", "targets")),

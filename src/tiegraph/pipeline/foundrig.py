@@ -16,7 +16,6 @@ import numpy as np
 import pycolmap
 
 from tiegraph.errors import InputError, UnreadableArtefact
-from tiegraph.geometry.transforms import centre
 from tiegraph.pipeline.files import load_scene
 from tiegraph.pipeline.foundrun import FoundRun, found_run, with_camera
 from tiegraph.project.folder import names_run
@@ -27,13 +26,12 @@ from tiegraph.scene.colmapmodel import model_rigs
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.sfm.covariance import INTERIOR_TABLE, MOUNTING
 from tiegraph.sfm.mapping import believed_cameras
+from tiegraph.sfm.rig.diagnostics import OFFSET
 from tiegraph.sfm.rig.rig import rig_modes
-from tiegraph.sfm.rig.timeoffset import relaxed_mountings
 from tiegraph.sfm.settings import SparseSettings
 from tiegraph.text import command
 
 TOML, CONFIG = "rig", "rig_config"
-_LATE = "time offset ms"
 _DIGITS = 3  # of a sigma
 
 
@@ -92,10 +90,12 @@ def _found(run: FoundRun, index: int) -> Rig:
     held = model_rigs(run.mapped, run.scene)[index]
     found = model_rigs(run.world, run.scene)[index]
     cameras = _cameras(run, index, found)
+    _say_times(run, given)
     if not several:
         found = given
     elif not rigid:
-        found = _loose(run, given, index, mode)
+        run.said.append(f"{given.name}: its places are as given: the run did not use the rig (sparse.rig = absent)")
+        found = given
     elif mode == "fixed":
         found = _scaled(held, 1 / _units(held, given))
         _say_held(run, found, given)
@@ -150,44 +150,19 @@ def _with_hanging(run: FoundRun, found: Rig, whole: Rig) -> Rig:
     return replace(found, sensors=(*found.sensors, *sensors), pairs=(*found.pairs, *pairs))
 
 
-def _loose(run: FoundRun, given: Rig, index: int, mode: str) -> Rig:
-    """A rig that the model does not have as one: whose cameras fire at their own times, or that was not used."""
-    if not mode:
-        run.said.append(f"{given.name}: its places are as given: the run did not use the rig (sparse.rig = absent)")
-        return given
-    late = _late_ms(run, given)
-    told = ", ".join(f"{n} {ms:+g} ms" for n, ms in late.items()) or "their times"
-    run.said.append(
-        f"{given.name}: the cameras do not fire at one instant, and each has a time of its own in the model. Left out, "
-        f"because a rig file cannot say it: {told}"
-    )
-    if mode in ("fixed", "soft") or not late:
-        run.said.append(f"{given.name}: its places are as given")
-        return given
-    seconds = {n: ms / 1000 for n, ms in late.items()}
-    found = relaxed_mountings(run.world, run.scene, index, seconds, run.tuning.sfm.rig)
-    sensors = [given.sensors[0]]
-    for sensor in given.sensors[1:]:
-        if sensor.name in found:
-            mounting = found[sensor.name]
-            metres = _with_scale(run, mounting.sigma, float(np.linalg.norm(centre(mounting.sensor_from_rig))))
-            sensor = replace(sensor, sigma_deg=_short(mounting.sigma_deg), sigma_m=_short(metres))
-            sensors.append(replace(sensor, sensor_from_rig=mounting.sensor_from_rig))
-        else:
-            run.said.append(f"{given.name}: {sensor.name} stands as given: too few frames of it are in the model")
-            drawn = run.tuning.sfm.rig.time_calibration
-            if sensor.sensor_from_rig is not None:
-                sensor = replace(sensor, sigma_deg=drawn.nominal_deg, sigma_m=drawn.nominal_m)
-            sensors.append(sensor)
-    rig = replace(given, sensors=tuple(sensors), nominal=False, fixed=False, pairs=())
-    _say_scale(run, rig)
-    return rig
+def _say_times(run: FoundRun, given: Rig) -> None:
+    if late := _late_ms(run, given):
+        told = ", ".join(f"{n} {ms:+g} ms" for n, ms in late.items())
+        run.said.append(
+            f"{given.name}: the cameras do not fire at one instant, and each has a time of its own in the model. Left "
+            f"out, because a rig file cannot say it: {told}"
+        )
 
 
 def _late_ms(run: FoundRun, rig: Rig) -> dict[str, float]:
     """When each camera but the first fires against it, milliseconds; {} if the run has no times."""
     columns = run.receipt.get("tables", {}).get("rig diagnostics", {}).get("columns", [])
-    at = columns.index(_LATE) if _LATE in columns else -1
+    at = columns.index(OFFSET) if OFFSET in columns else -1
     names = {s.name for s in rig.sensors[1:]}
     rows = run.rows("rig diagnostics") if at >= 0 else []
     return {r[0]: r[at] for r in rows if r[0] in names and r[at] is not None}
@@ -259,7 +234,7 @@ def _with_sigmas(run: FoundRun, found: Rig, index: int) -> Rig:
             kept.append(sensor.name)
             sigma_deg, sigma_m = before.sigma_deg or sigma_deg, before.sigma_m or sigma_m
             if given.nominal:  # the coarse model may have turned it by ties that did not hold
-                trusted = run.tuning.sfm.rig.time_calibration
+                trusted = run.tuning.sfm.rig
                 sigma_deg, sigma_m = trusted.nominal_deg, trusted.nominal_m
                 sensor = replace(sensor, sensor_from_rig=run.drawn(index).sensors[place].sensor_from_rig)
         sensors.append(replace(sensor, sigma_deg=_short(sigma_deg), sigma_m=_short(sigma_m)))

@@ -11,7 +11,7 @@ from markupsafe import Markup
 
 from tiegraph.report import accuracy, formatting, spatial, summary, warnings
 from tiegraph.report.client import client_page
-from tiegraph.report.parts import effort, evaluation, network_part, passes_part, rig_diagnostics, rig_table
+from tiegraph.report.parts import effort, evaluation, network_part, passes_part, rig_table
 from tiegraph.report.reportjson import json_text
 from tiegraph.report.runfolder import RunFolder, read_run
 from tiegraph.report.settings import ReportSettings
@@ -252,7 +252,7 @@ def _mask_path(run: RunFolder, image: str) -> Path:
 def _model(run: RunFolder) -> dict[str, Any]:
     notes = [*receipt_notes(run, "sparse", "georef"), *map(str, (run.world or {}).get("notes") or [])]
     out: dict[str, Any] = {"there": run.model is not None, "facts": [], "residuals": None, "lenses": []}
-    out |= {"notes": list(dict.fromkeys(notes)), "rig_diagnostics": rig_diagnostics(run)}
+    out |= {"notes": list(dict.fromkeys(notes))}
     out |= {"tables": receipt_tables(run, "georef"), "more": receipt_tables(run, "sparse")}
     if run.model is None:
         return out

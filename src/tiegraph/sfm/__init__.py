@@ -16,8 +16,8 @@ under priors (``adjustment.lens``): otherwise the rotations of a rig take up wha
 one shot saw are left out: false matches of cameras centimetres apart meet close by and weigh much.
 
 **After the mapper** (``finish``, in a child process of its own): registration is repaired and completed
-(``sfm.placement``), the rig is tested against the images and relaxed if it moves (``sfm.rig``), sigmas are estimated
-(``covariance``), and ``sfm.world`` places the model.
+(``sfm.placement``), the rig is tested against the images, and cameras that fire apart get their times (``sfm.rig``),
+sigmas are estimated (``covariance``), and ``sfm.world`` places the model.
 
 **The model in formulas.** Unknowns: pose (R_f, c_f) of each frame, extrinsics E_s, lens k_s and, where cameras fire
 apart, time tau_s of each sensor, points X_j; in the world the similarity (s, R, t), the antenna a in the rig frame, the
@@ -27,7 +27,7 @@ clock delta of the receiver, and what all its positions share, q. What is observ
   sightings of one point err together, so that sigmas come from the gradient of each point (``covariance``);
 * what a file gives of E_s and k_s: given + N(0, its sigma); what all cameras of a rig have in common tells of each
   (``adjustment.leverarmprior``); a camera of its own time stands at its place after the motion of tau_s
-  (``rig.timecalibration``);
+  (``motion``);
 * position i of stated sigma u_i at time t_i: p_i = s R (c + R' a)(t_i + delta) + t + q + u_i (w n_i + g z_i); c, R'
   are cubics through the frames' poses, n white, z a first-order Gauss-Markov process (``world.positionerrors``);
 * the model's shape, as far as the images leave it open: c_f + sum_m v_fm b_m, b_m of variance 1 (``shape``);

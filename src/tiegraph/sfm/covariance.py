@@ -26,12 +26,13 @@ from scipy.linalg import block_diag
 
 from tiegraph.geometry.align import robust_sigma
 from tiegraph.scene.sorting import evenly
-from tiegraph.sfm.adjustment.jacobians import Layout, RigConstraints, jacobians, sampled
+from tiegraph.sfm.adjustment.jacobians import Layout, jacobians, sampled
 from tiegraph.sfm.adjustment.leverarmprior import NominalGeometry
 from tiegraph.sfm.adjustment.normal import by_blocks, point_inverse
+from tiegraph.sfm.motion import Motion
 from tiegraph.sfm.systematic.effects import Effect, EffectWeights
 from tiegraph.sfm.systematic.lenses import AssumedErrors, LensError, lens_errors
-from tiegraph.sfm.systematic.mountings import misplaced, unrest
+from tiegraph.sfm.systematic.mountings import misplaced, unrest, untimed
 from tiegraph.sfm.tuning import SigmaTuning, Tuning
 
 _SEED = 0
@@ -132,27 +133,28 @@ def position_sigma(
     model: pycolmap.Reconstruction,
     free_intrinsics: bool | Collection[int] = True,
     free_rig: bool | Collection[int] = True,
-    ties: Collection[RigConstraints] = (),
     nominal: Mapping[int, NominalGeometry] | None = None,
     off: Mapping[int, np.ndarray] | None = None,
+    times: tuple[Motion, Mapping[int, float]] | None = None,
     *,
     tuning: Tuning,
 ) -> PositionSigma:
     """Sigmas of registered frames, points, scale, rig and interior orientation, from the gradient of every point.
 
-    Intrinsics and rig extrinsics are unknowns unless told otherwise (ids of cameras, of rigs); ``ties`` hold
-    the frames of relaxed rigs; ``nominal``: geometry of rigs by rig id; ``off``: how far the cameras of rigs that are
-    contradicted may be off (``systematic.mountings.misplaced``). The gauge is taken out
-    by the S-transformation over all positions, so a sigma is that of a position after the best alignment to the truth.
+    Intrinsics and rig extrinsics are unknowns unless told otherwise (ids of cameras, of rigs); ``nominal``: geometry of
+    rigs by rig id; ``off``: how far the cameras of contradicted rigs may be off (``misplaced``); ``times``: the ways of
+    the images, and sigmas of when cameras (ids) fire, s (``untimed``). The gauge is taken out by the S-transformation
+    over all positions, so a sigma is that of a position after the best alignment to the truth.
     (pycolmap's estimate_ba_covariance refuses rigs.) Raises ValueError for a model without redundancy.
     """
-    layout = Layout(model, free_intrinsics, free_rig, ties)
+    layout = Layout(model, free_intrinsics, free_rig)
     seen = Linearised(model, layout, nominal or {}, tuning, tuning.sigma.most_points)
     fixed, shared = () if free_rig is True else set(model.rigs) - set(free_rig or ()), tuning.sigma.shared
     mounted, explained = misplaced(model, seen.weighed, fixed, off or {}, shared)
     weighed = seen.weighed.without(explained)
     lenses, explained = lens_errors(model, weighed, shared)
     strays = [*mounted, *unrest(model, weighed.without(explained), shared)]
+    strays += [] if times is None else untimed(weighed, *times)
     told = _Told(seen, tuning.sigma)
     told.add([*(effect for _, effect in lenses), *strays])
     return told.of(model, tuple(f for f, _ in lenses))
@@ -240,13 +242,12 @@ class Linearised:
             raise ValueError("no redundancy")
         self.inflated = len(seen.residual) / redundancy
         self.variance = max(robust_sigma(seen.residual) ** 2 * self.inflated, 1e-12)
-        held, pull = layout.held()
-        known = layout.prior(model, tuning.adjust, nominal) + layout.tied()
+        known = layout.prior(model, tuning.adjust, nominal)
         # (2O,) weights of the Cauchy cost's gradient, and of its curvature along the residual (never negative)
         weight = 1 / (1 + np.sum(seen.residual.reshape(-1, 2) ** 2, axis=1) / tuning.adjust.robust_px**2)
         self.weights = np.repeat(weight, 2), np.repeat(weight**2, 2)
-        prior = (self.variance * (known + held)).tocsr()
-        self.weighed, self.pull = EffectWeights(seen, self.weights, self.share, prior, layout), known + pull
+        prior = (self.variance * known).tocsr()
+        self.weighed, self.pull = EffectWeights(seen, self.weights, self.share, prior, layout), known
 
 
 class _Asked:

@@ -13,13 +13,15 @@ from tiegraph.scene.colmapmodel import read_model
 from tiegraph.scene.evidence import table as statement_table
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm import shutter
-from tiegraph.sfm.adjustment.adjust import final_adjustment, free_cameras, robust_cost
+from tiegraph.sfm.adjustment.adjust import final_adjustment, free_cameras, robust_cost, without_outliers
 from tiegraph.sfm.adjustment.rigpriors import nominal_geometry, rig_priors
-from tiegraph.sfm.covariance import Mounting, PositionSigma, position_sigma
+from tiegraph.sfm.covariance import PositionSigma, position_sigma
+from tiegraph.sfm.motion import Lateness, Motion, at_one_instant, in_their_time
 from tiegraph.sfm.placement import rival
 from tiegraph.sfm.placement.doubtful import PlacementCheck, explained, frame_ids, leave_out_doubtful, named
 from tiegraph.sfm.placement.parts import steps_of_parts
 from tiegraph.sfm.rig import cameramatches
+from tiegraph.sfm.rig.priortest import times_open
 from tiegraph.sfm.rig.support import place_as_given, units_per_metre
 from tiegraph.sfm.rigcheck import Checked, FinishRequest, checked_rig
 from tiegraph.sfm.shape import Shape
@@ -55,13 +57,27 @@ def finish_model(request: FinishRequest, send: Callable[[Any], None]) -> FinishR
     claim(request.target)
     request.target.mkdir(parents=True, exist_ok=True)
     checked = _without_rolling(_adjusted(mapped, scene, request), mapped, scene, request)
-    matches, steps = _matches(checked, scene, request)
     if request.held.unsupported:
         place_as_given(checked.model, scene, request.held.unsupported, request.tuning)
-    colours = _coloured(checked.model, request)
-    checked.model.write(request.target)
+    model = checked.model
+    if checked.late:
+        motion = Motion(model, scene, request.tuning.shutter.max_gap_s)
+        model = in_their_time(_as_seen(model, mapped), motion, Lateness(checked.late), scene)
+        without_outliers(model, request.tuning.adjust)
+    matches, steps = _matches(model, scene, request)
+    colours = _coloured(model, request)
+    model.write(request.target)
     precision = _precision(checked, scene, request, steps)
     return _combined(placement, _rig_findings(checked), matches, colours, precision)
+
+
+def _as_seen(model: pycolmap.Reconstruction, mapped: pycolmap.Reconstruction) -> pycolmap.Reconstruction:
+    """A copy of a model with its key points where they are in the images."""
+    out = pycolmap.Reconstruction(model)
+    for image_id in out.reg_image_ids():
+        for own, seen in zip(out.image(image_id).points2D, mapped.image(image_id).points2D):
+            own.xy = seen.xy
+    return out
 
 
 def _combined(placement: PlacementCheck, *steps: FinishResult) -> FinishResult:
@@ -122,13 +138,14 @@ def _without_rolling(
     given, tuning = request.held.readout_ms, request.tuning.shutter
 
     def anew(last: Checked, seconds: float) -> Checked:
-        return _adjusted(shutter.unrolled(mapped, last.model, scene, seconds, tuning), scene, request)
+        motion = Motion(last.model, scene, tuning.max_gap_s)
+        return _adjusted(at_one_instant(mapped, last.model, motion, Lateness({}, seconds)), scene, request)
 
     if given == 0 or request.rough or (given is None and not request.covariance_frames):
         return checked
     if given is None:
         return _with_found(checked, anew, scene, request)
-    if not shutter.image_motion(checked.model, scene, tuning):
+    if shutter.rows_in_time(checked.model, scene, tuning) is None:
         checked.notes.append(
             f"sparse.readout_ms = {given:g} is not used: that needs frames of a pass with times (--times, video, EXIF) "
             "and images that are no views of panoramas or fisheye images"
@@ -178,13 +195,15 @@ def _rig_findings(checked: Checked) -> FinishResult:
     return FinishResult(checked.notes, {**checked.tables, **given}, contradictions=checked.contradictions)
 
 
-def _matches(checked: Checked, scene: Scene, request: FinishRequest) -> tuple[FinishResult, dict[int, np.ndarray]]:
+def _matches(
+    model: pycolmap.Reconstruction, scene: Scene, request: FinishRequest
+) -> tuple[FinishResult, dict[int, np.ndarray]]:
     """How much of the verified matches the model explains as it is in the end, whose contradict their places all the
     same, and whether those between the cameras of rigs agree; steps to where else frames (COLMAP's ids) could stand."""
     if request.matched is None or request.rough:
         return FinishResult(), {}
     try:
-        found = explained(checked.model, scene, request.matched.read(scene), request.tuning.placement)
+        found = explained(model, scene, request.matched.read(scene), request.tuning.placement)
         other, parts = rival.rivals(found), steps_of_parts(found, request.tuning.placement)
     except (RuntimeError, ValueError, np.linalg.LinAlgError) as error:
         return FinishResult([f"the matches could not be checked against the model: {error}"]), {}
@@ -205,7 +224,7 @@ def _matches(checked: Checked, scene: Scene, request: FinishRequest) -> tuple[Fi
         tables |= {"matches between cameras": cameramatches.table(between, scene)} if between else {}
         said += cameramatches.sentence(between, scene)
     there = {f: r.step for f, r in other.items()} | parts
-    steps = {k: step for f, step in there.items() for k in frame_ids(checked.model, scene, f)}
+    steps = {k: step for f, step in there.items() for k in frame_ids(model, scene, f)}
     counts = {"matches_explained_percent": round(found.percent(), 1)}
     return FinishResult(tables=tables, contradictions=said, counts=counts), steps
 
@@ -241,18 +260,12 @@ def _position_sigma(checked: Checked, scene: Scene, request: FinishRequest) -> P
     model = checked.model
     free = free_cameras(model, request.tuning.adjust) - set(request.held.cameras)
     rigs = set(model.rigs) - {k + 1 for k in request.held.fixed}
-    sigma = position_sigma(
-        model, free, rigs, checked.ties, nominal_geometry(model, scene), checked.off, tuning=request.tuning
-    )
-    sigma = replace(sigma, mounting=_in_their_time(sigma.mounting, checked.levers))
+    motion = Motion(model, scene, request.tuning.shutter.max_gap_s)
+    times = motion, times_open(scene, motion.timed, request.tuning.rig)
+    sigma = position_sigma(model, free, rigs, nominal_geometry(model, scene), checked.off, times, tuning=request.tuning)
     if checked.misfit:  # a rig that is contradicted by so much gives no scale better than that
         sigma = replace(sigma, scale=max(sigma.scale or 0.0, checked.misfit))
     return sigma
-
-
-def _in_their_time(mounting: Mapping[int, Mounting], levers: Mapping[int, float]) -> dict[int, Mounting]:
-    """Lever arms with sigmas that know that a camera's time and its place along the motion can be one unknown."""
-    return {k: replace(m, sigma=max(m.sigma, levers.get(k, 0.0))) for k, m in mounting.items()}
 
 
 def _open_notes(sigma: PositionSigma, names: Mapping[int, str], tuning: SigmaTuning) -> list[str]:

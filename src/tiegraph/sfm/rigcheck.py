@@ -1,42 +1,26 @@
 """The rigs and calibrations of an adjusted model against the images: what contradicts them gives way, or is said."""
 
-import csv
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 import pycolmap
 
+from tiegraph.scene.colmapmodel import image_poses, observations
 from tiegraph.scene.evidence import Statement
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.adjustment.jacobians import RigConstraints
+from tiegraph.sfm.adjustment.adjust import adjusted_to, final_adjustment
+from tiegraph.sfm.adjustment.fewpoints import take_poses
+from tiegraph.sfm.adjustment.rigpriors import rig_priors
+from tiegraph.sfm.motion import Lateness, Motion, at_one_instant, let_go
 from tiegraph.sfm.placement.doubtful import MatchSource
-from tiegraph.sfm.rig.confront import (
-    in_units,
-    lens_prior_test,
-    lever_sigmas,
-    mounting_errors,
-    open_times,
-    prior_test,
-    refine,
-)
-from tiegraph.sfm.rig.diagnostics import RigDiagnostics, rig_diagnostics
+from tiegraph.sfm.rig.confront import in_units, lens_prior_test, mounting_errors, open_times, prior_test, refine
+from tiegraph.sfm.rig.diagnostics import RigDiagnostics, rig_diagnostics, torn_off
 from tiegraph.sfm.rig.priortest import PriorTest
-from tiegraph.sfm.rig.resections import COLUMNS
 from tiegraph.sfm.rig.rigevidence import RigEvidence, statements
 from tiegraph.sfm.rig.support import units_per_metre
-from tiegraph.sfm.rig.timecalibration import (
-    TimeCalibration,
-    TrustedCalibration,
-    calibrate_times,
-    lost_images,
-    with_errors,
-    with_observations_of,
-)
 from tiegraph.sfm.tuning import Tuning
-
-DIAGNOSTICS_FILE = "rig_diagnostics.csv"
 
 
 @dataclass(frozen=True)
@@ -74,11 +58,10 @@ class Checked:
 
     model: pycolmap.Reconstruction
     tables: dict[str, dict] = field(default_factory=dict)
-    ties: list[RigConstraints] = field(default_factory=list)  # of relaxed rigs
-    off: dict[int, np.ndarray] = field(default_factory=dict)  # rig id -> of mountings of rigid ones (``misplaced``)
+    off: dict[int, np.ndarray] = field(default_factory=dict)  # rig id -> of mountings (``misplaced``)
     contradictions: list[str] = field(default_factory=list)
     statements: list[Statement] = field(default_factory=list)
-    levers: dict[int, float] = field(default_factory=dict)  # camera id -> sigma with its time free, model units
+    late: dict[int, float] = field(default_factory=dict)  # camera id -> when it fires, of those that fire apart
     notes: list[str] = field(default_factory=list)
     misfit: float = 0.0  # of the lever arms as given, where they are contradicted: a share
 
@@ -107,20 +90,53 @@ class _Rig:
     def measured(self) -> bool:
         return self.fixed or self.index in self.request.held.soft
 
-    def prior_test(self, model: pycolmap.Reconstruction, metres_per_unit: float) -> PriorTest | None:
-        """What the images of a model want otherwise of it."""
-        return prior_test(model, self.scene, self.index, metres_per_unit, self.request.tuning)
+    def prior_test(self, model: pycolmap.Reconstruction, metres_per_unit: float, wide: float = 1.0) -> PriorTest | None:
+        """What the images of a model want otherwise of it; ``wide``: as of ``adjusted``."""
+        return prior_test(model, self.scene, self.index, metres_per_unit, _wider(self.request.tuning, wide))
 
     def lost(self, model: pycolmap.Reconstruction, changed: pycolmap.Reconstruction) -> tuple[int, ...]:
-        """Images that lose their place in the changed model (``lost_images``)."""
-        return lost_images(model, changed, self.scene, self.request.tuning.adjust.min_points)
+        """Images that lose their place in the changed model, if that holds fewer images in all.
+
+        What counts is an image that sees points enough: on the rig another would keep its place.
+        """
+        least = self.request.tuning.adjust.min_points
+        before, after = (
+            np.isfinite(image_poses(m, self.scene)).all(axis=(1, 2)) & (observations(m, self.scene) >= least)
+            for m in (model, changed)
+        )
+        return tuple(np.flatnonzero(before & ~after).tolist()) if after.sum() < before.sum() else ()
+
+    def adjusted(
+        self, model: pycolmap.Reconstruction, doubted: Sequence[int] = (), wide: float = 1.0
+    ) -> pycolmap.Reconstruction:
+        """A model adjusted by all that is given of its rigs and lenses; ``wide``: times the error that an observation
+        may have."""
+        held, tuning = self.request.held, _wider(self.request.tuning, wide)
+        known = rig_priors(model, self.scene, held.soft, tuning.rig.priors)
+        fixed = [k + 1 for k in held.fixed]
+        return final_adjustment(model, fixed, held.cameras, known, doubted, tuning=tuning.adjust).model
+
+    def nearly(self, model: pycolmap.Reconstruction) -> pycolmap.Reconstruction:
+        """The same of a model that is nearly there."""
+        held, tuning = self.request.held, self.request.tuning
+        known = rig_priors(model, self.scene, held.soft, tuning.rig.priors)
+        return adjusted_to(model, [k + 1 for k in held.fixed], held.cameras, known, tuning=tuning.adjust)
+
+
+def _wider(tuning: Tuning, wide: float) -> Tuning:
+    """For a model that is still far from where its images want it: observations may be off by so many times more."""
+    if wide == 1:
+        return tuning
+    own = tuning.adjust
+    more = {"robust_px": wide * own.robust_px, "filter_px": wide * own.filter_px, "robust_rounds": 1}
+    return tuning.model_copy(update={"adjust": own.model_copy(update=more)})
 
 
 def checked_rig(
     model: pycolmap.Reconstruction, mapped: pycolmap.Reconstruction, scene: Scene, request: FinishRequest
 ) -> Checked:
-    """Rig diagnostics into its file; a rig that the images contradict gives way, unless it was ordered to stay: said
-    so."""
+    """The model once rigs and calibrations were confronted with the images. What these contradict gives way, unless it
+    was ordered to stay: said so."""
     out = Checked(model)
     if not request.rough:
         _confront_single_lenses(out, scene, request)
@@ -128,25 +144,22 @@ def checked_rig(
         return out
     metres = 1 / units_per_metre(model, scene, request.tuning)
     try:
-        found = rig_diagnostics(model, scene, metres, request.tuning, mapped)
-    except (RuntimeError, ValueError, np.linalg.LinAlgError) as error:
+        tests = {k: t for k in range(len(scene.rigs)) if (t := _Rig(scene, k, request).prior_test(model, metres))}
+        torn = torn_off(mapped, model, scene, tests, request.tuning.rig.diagnostics)
+        for index, test in tests.items():
+            rig = _Rig(scene, index, request)
+            last = _with_times(out, mapped, rig, test) if test.late() else test
+            if rig.fixed:
+                out.notes += open_times(last, scene, index)
+            _confront(out, rig, last, follow=last is test)
+        found = rig_diagnostics(out.model, scene, torn, metres, request.tuning)
+        _let_go_of_loose(out, scene, request, found)
+    except (RuntimeError, ValueError) as error:
         out.notes.append(f"the rig could not be checked: {error}")
         return out
-    with (request.target / DIAGNOSTICS_FILE).open("w", newline="") as stream:
-        csv.writer(stream).writerows([COLUMNS, *found.rows])
-    out.notes += found.notes
-    relaxed = _relaxed(out, mapped, scene, request, found, metres)
-    last: dict[int, PriorTest] = {}
-    for index, test in found.prior_tests.items():
-        rig = _Rig(scene, index, request)
-        if index in relaxed:
-            last[index] = _confront_relaxed(out, rig, test)
-        else:
-            _say_what_times_leave_open(out, rig, test)
-            _confront_rigid(out, rig, test)
-    out.ties += [_ties(_Rig(scene, index, request), free, last.get(index), metres) for index, free in relaxed.items()]
-    offsets = {k: o for r in relaxed.values() for k, o in r.offsets.items()}
-    out.tables["rig diagnostics"] = found.table(offsets, request.tuning.rig)
+    timed = all(t.system.timed for t in tests.values())
+    late_ms = {k - 1: round(1000 * late, 1) for k, late in out.late.items() if timed}
+    out.tables["rig diagnostics"] = found.table(scene, metres, late_ms)
     return out
 
 
@@ -158,88 +171,94 @@ def _confront_single_lenses(out: Checked, scene: Scene, request: FinishRequest) 
         first += len(rig.sensors)
         try:
             test = lens_prior_test(out.model, scene, index, request.tuning) if held else None
-        except (RuntimeError, ValueError, np.linalg.LinAlgError) as error:
+        except (RuntimeError, ValueError) as error:
             out.notes.append(f"the calibration of {rig.sensors[0].name} could not be checked: {error}")
             continue
         if test is not None:
-            _confront_rigid(out, _Rig(scene, index, request), test)
+            _confront(out, _Rig(scene, index, request), test)
 
 
-def _relaxed(
-    out: Checked,
-    mapped: pycolmap.Reconstruction,
-    scene: Scene,
-    request: FinishRequest,
-    found: RigDiagnostics,
-    metres: float,
-) -> dict[int, TimeCalibration]:
-    """Relax the rigs that move, into ``out.model``; what stays rigid though it moves is a contradiction."""
-    relaxed: dict[int, TimeCalibration] = {}
-    for index in found.moving:
-        rig = _Rig(scene, index, request)
-        if scene.rigs[index].stitched():
-            out.notes.append(
-                f"the views of {rig.name} are cut from one picture and stay together: what scatters there is where the "
-                "lenses were stitched, which is exact far away only"
-            )
-            continue
-        if rig.ordered:
-            out.contradictions.append(
-                f"rig {rig.name} was ordered to stay as given (sparse.rig = fixed) and does; the images contradict it: "
-                + "; ".join(found.notes)
-            )
-            continue
-        free = _times_calibrated(out.model, mapped, rig, found, metres)
-        lost = rig.lost(out.model, free.model)
-        if lost:
-            out.contradictions.append(_lost_note(scene, index, lost, found.notes))
-            continue
-        relaxed[index], out.model = free, free.model
-        out.notes.append(_relaxed_note(scene, index, free, found))
-    return relaxed
-
-
-def _times_calibrated(
-    model: pycolmap.Reconstruction, mapped: pycolmap.Reconstruction, rig: _Rig, found: RigDiagnostics, metres: float
-) -> TimeCalibration:
-    """The model adjusted with a time for each camera of a rig that moves."""
-    held = rig.request.held
-    freed = found.prior_tests[rig.index].freed if rig.index in found.prior_tests else ()
-    # What the rigid adjustment threw out is wanted here: the points the mapper had.
-    start = with_observations_of(model, mapped) if found.unstable or freed else model
-    # What calibrated lenses do beyond their model looks like turned cameras; lenses that are adjusted do not.
-    bent = not held.cameras and any(what == "mount" for what, _ in freed)
-    believed = TrustedCalibration(
-        metres_per_unit=metres,
-        calibrated=rig.measured and not bent,
-        constant_cameras=held.cameras,
-        lenses_held=held.lenses_ordered,
-    )
-    return calibrate_times(start, rig.scene, rig.index, believed, rig.request.tuning, found.unstable)
-
-
-def _say_what_times_leave_open(out: Checked, rig: _Rig, test: PriorTest) -> None:
-    """Of a rigid rig: whether its cameras fire together, where it is held; else how well its levers are known."""
-    if rig.fixed:
-        out.notes += open_times(test, rig.scene, rig.index)
-        return
-    metres = test.system.metres_per_unit
-    out.levers |= {k: v / metres for k, v in lever_sigmas(test, rig.scene, rig.index).items()}
-
-
-def _confront_relaxed(out: Checked, rig: _Rig, test: PriorTest) -> PriorTest:
-    """Say where the file of a relaxed rig contradicts the images, and return what they want otherwise: with its times
-    free that may be other things than before, or none."""
-    again = rig.prior_test(out.model, test.system.metres_per_unit)
-    last = test if again is None else again
-    _say(out, statements(last, rig.scene, rig.index), "")
+def _with_times(out: Checked, mapped: pycolmap.Reconstruction, rig: _Rig, test: PriorTest) -> PriorTest:
+    """The model with each camera of a rig at its own time, into ``out``, and what the images want otherwise then; as it
+    was where that was ordered, or fewer images would have a place."""
+    scene, held, tuning = rig.scene, rig.request.held, rig.request.tuning
+    first = scene.first_sensor(rig.index) + 1
+    said = f"rig {rig.name}: its cameras do not fire at one instant"
+    if rig.ordered:
+        told = "ordered to stay as given (sparse.rig = fixed), and does"
+        out.contradictions.append(f"{said}; it was {told}: {_times_text(rig, test, test.times_s())}")
+        return test
+    # What a calibrated rig's lenses do beyond their model must not hide in its times.
+    doubted = held.cameras if rig.measured and not held.lenses_ordered else ()
+    model, last, wide, near = out.model, test, tuning.rig.late_wide, False
+    late = {k: (0.0, 0.0) for k in test.times_alone_s()}
+    steps = late
+    for _ in range(tuning.rig.late_rounds):
+        late = {k: (late[k][0] + last.system.damped * step, sigma) for k, (step, sigma) in steps.items()}
+        seconds = {first + k: time for k, (time, _) in late.items()}
+        start = pycolmap.Reconstruction(mapped)
+        take_poses(start, model)
+        motion = Motion(model, scene, tuning.shutter.max_gap_s)
+        start = at_one_instant(start, model, motion, Lateness(seconds))
+        model = rig.nearly(start) if near else rig.adjusted(start, doubted if wide == 1 else (), wide)
+        again = rig.prior_test(model, test.system.metres_per_unit, wide)
+        if again is None:
+            return test
+        last, steps, near = again, again.times_alone_s(), wide == 1
+        if all(abs(step) < sigma for step, sigma in steps.values()):
+            if near:
+                break
+            wide = 1.0
+    turned = _refined(mapped, rig, test)  # a camera mounted otherwise may look late
+    left = [mapped.compute_num_observations() - m.compute_num_observations() for m in (turned or mapped, model)]
+    if turned is not None and left[0] < tuning.mapping.clearly_fewer * left[1]:
+        return test
+    if lost := rig.lost(out.model, model):
+        out.contradictions.append(_lost_note(scene, rig.index, lost, [said]))
+        return test
+    out.model, out.late = model, out.late | seconds
+    out.notes.append(f"{said}: each has its own time in the model, {_times_text(rig, last, late)}")
     return last
 
 
-def _confront_rigid(out: Checked, rig: _Rig, test: PriorTest) -> None:
-    """Say where the file of a rigid rig contradicts the images; a turned or shifted camera of a held one is adjusted,
+def _times_text(rig: _Rig, test: PriorTest, times: Mapping[int, tuple[float, float]]) -> str:
+    """When cameras (by their place in the rig) fire against the first, with sigmas."""
+    factor, unit = (1000.0, "ms") if test.system.timed else (100.0, "% of the frame interval")
+    sensors = rig.scene.rigs[rig.index].sensors
+    each = [
+        f"{sensors[k].name} {factor * late:+.0f} +- {factor * sigma:.0f} {unit} "
+        f"({abs(late) * test.system.speed:.2f} m at top speed)"
+        for k, (late, sigma) in times.items()
+    ]
+    return f"after {sensors[0].name}: {', '.join(each)}"
+
+
+def _let_go_of_loose(out: Checked, scene: Scene, request: FinishRequest, found: RigDiagnostics) -> None:
+    """Cameras that do not keep their place in a rig leave it, unless fewer images would have a place then."""
+    out.notes += found.notes(scene)
+    loose = [k for k in found.loose if scene.sensor[scene.sensor_key == k].any()]  # all but references
+    rigs = {int(scene.rig[scene.frame[scene.sensor_key == k][0]]) for k in loose}
+    if not loose:
+        return
+    rig = _Rig(scene, min(rigs), request)
+    names = ", ".join(scene.all_sensors[k].name for k in loose)
+    if rigs & set(request.held.ordered):
+        out.contradictions.append(
+            f"{names} stay in the rig as ordered (sparse.rig = fixed), and do not keep their place"
+        )
+        return
+    free = rig.adjusted(let_go(out.model, {k + 1 for k in loose}, scene))
+    if lost := rig.lost(out.model, free):
+        out.contradictions.append(_lost_note(scene, rig.index, lost, found.notes(scene)))
+        return
+    out.model = free
+    out.notes.append(f"{names}: not held by the rig any more, for the images of each stand elsewhere from shot to shot")
+
+
+def _confront(out: Checked, rig: _Rig, test: PriorTest, follow: bool = True) -> None:
+    """Say where the file of a rig contradicts the images; a turned or shifted camera of a held one is adjusted,
     unless images would lose their place by it."""
-    refined = _refined(out.model, rig, test)
+    refined = _refined(out.model, rig, test) if follow else None
     # The test in a refined model, where the rest is no longer bent and the sigmas are better; else as it was
     again = None if refined is None else rig.prior_test(refined, test.system.metres_per_unit)
     last = again if again is not None and _mounts_freed(again) else test
@@ -290,35 +309,13 @@ def _say_off(out: Checked, rig: _Rig, test: PriorTest, followed: bool) -> None:
     count, first = len(rig.scene.rigs[rig.index].sensors), rig.scene.first_sensor(rig.index)
     if count > 1:
         cameras = range(first + 1, first + count)
-        off = mounting_errors(test, rig.scene, rig.index, cameras, rig.request.tuning.rig, followed, relaxed=False)
+        off = mounting_errors(test, rig.scene, rig.index, cameras, rig.request.tuning.rig, followed)
         out.off[rig.index + 1] = in_units(off, test.system.metres_per_unit)
-
-
-def _ties(rig: _Rig, free: TimeCalibration, last: PriorTest | None, metres: float) -> RigConstraints:
-    """What ties the cameras of a relaxed rig, with the errors of their mountings where these were measured."""
-    if not rig.measured:
-        return free.constraints
-    off = mounting_errors(last, rig.scene, rig.index, free.constraints.cameras, rig.request.tuning.rig)
-    return with_errors(free.constraints, in_units(off, metres))
 
 
 def _lost_note(scene: Scene, index: int, lost: Sequence[int], why: Sequence[str]) -> str:
     names = ", ".join(scene.names[k] for k in lost[:3]) + (" ..." if len(lost) > 3 else "")
     return (
-        f"rig {scene.rigs[index].name} stays rigid all the same: relaxed, fewer images would have a place by points; "
+        f"rig {scene.rigs[index].name} stays as given all the same: else fewer images would have a place by points; "
         f"{len(lost)} would lose theirs ({names}); the images contradict it: {'; '.join(why)}"
-    )
-
-
-def _relaxed_note(scene: Scene, index: int, relaxed: TimeCalibration, found: RigDiagnostics) -> str:
-    rig = scene.rigs[index]
-    unit = "ms" if found.timed else "% of the frame interval"
-    factor = 1000.0 if found.timed else 100.0
-    times = ", ".join(
-        f"{scene.all_sensors[k].name} {factor * o.offset_s:+.0f} {unit} ({o.moves_m:.2f} m at top speed)"
-        for k, o in relaxed.offsets.items()
-    )
-    return (
-        f"rig {rig.name} relaxed: each camera has its own time, estimated from the motion against "
-        f"{rig.sensors[0].name}: {times}; {relaxed.note}"
     )

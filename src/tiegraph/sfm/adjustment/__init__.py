@@ -6,8 +6,7 @@ of it is not known here: start, rig, sigmas and the adjustment in the world all 
 **The final adjustment** (``adjust``) is robust, with free principal points.
 
 **Priors** (``constraints.add_priors`` adds them all). What rig.toml gives with a sigma (``rigpriors``), in the final
-adjustment and in the one with positions; cameras that fire at a time of their own (``timecost``); what lenses look like
-(``lens``).
+adjustment and in the one with positions; what lenses look like (``lens``).
 
 **Lever-arm prior from the rig's shape** (``leverarmprior``). The cameras look outwards from one body. The middle, the
 distance along the axis and the scatter of the cameras, unknowns of the same adjustment, are what is expected of the

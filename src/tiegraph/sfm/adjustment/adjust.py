@@ -58,7 +58,7 @@ def final_adjustment(
         _solve(adjusted, fixed_rigs, free, tuning.robust_rounds > 0, soft, last)
     asked = free_cameras(adjusted, tuning) & set(doubted)
     adjusted, lenses = _with_doubted(adjusted, fixed_rigs, free, asked, soft, last)
-    _without_outliers(adjusted, tuning)
+    without_outliers(adjusted, tuning)
     bad = impossible_camera(model.cameras, adjusted.cameras, free, tuning)
     if bad:
         held = final_adjustment(model, fixed_rigs, {*constant_cameras, bad}, soft, doubted, tuning=tuning)
@@ -80,8 +80,8 @@ def adjusted_to(
     *,
     tuning: AdjustTuning,
 ) -> pycolmap.Reconstruction:
-    """A copy of a model that was adjusted before, with its frames at the ``places`` of what is known, and all else
-    where the images have it then: the last step of ``final_adjustment``.
+    """A copy of a model that was adjusted before, with its frames at the ``places`` of what is known, if there are any,
+    and all else where the images have it then: the last step of ``final_adjustment``.
 
     Its points are brought to where their rays meet first. Points far out in the robust loss slide for tens of steps,
     and an adjustment that waits for them does not stop when all else has.
@@ -90,11 +90,11 @@ def adjusted_to(
     solve_points(out, tuning)
     free, last = free_cameras(out, tuning) - set(constant_cameras), tuning.last_iterations
     _solve(out, fixed_rigs, free, True, soft, tuning.model_copy(update={"iterations": last}))
-    _without_outliers(out, tuning)
+    without_outliers(out, tuning)
     return out
 
 
-def _without_outliers(model: pycolmap.Reconstruction, tuning: AdjustTuning) -> None:
+def without_outliers(model: pycolmap.Reconstruction, tuning: AdjustTuning) -> None:
     """The robust loss lets go of some points; those that went behind a camera have an infinite error."""
     manager = pycolmap.ObservationManager(model)
     manager.filter_observations_with_negative_depth()
@@ -116,13 +116,9 @@ def _with_doubted(
         return model, ""
     trial = lens.extended(model, names)
     given = {k: model.camera(k) for k in names}
-    times = {} if soft is None or soft.time_offsets is None else soft.time_offsets.unknowns
-    before = {k: v.copy() for k, v in times.items()}
     _solve(trial, fixed_rigs, free | set(names), True, soft, tuning, given)
     gain = 1 - robust_cost(trial, tuning.robust_px) / max(robust_cost(model, tuning.robust_px), 1e-12)
     if gain < tuning.lens_gain:
-        for key, unknowns in before.items():  # the trial's belong to another model
-            times[key][:] = unknowns
         return model, ""
     most = max(lens.difference_px(model.camera(k), trial.camera(k)) for k in names)
     return trial, (

@@ -15,7 +15,6 @@ from scipy.spatial.transform import Rotation
 from tiegraph.scene.colmapmodel import rigid3d
 from tiegraph.sfm.adjustment import lens, leverarmprior
 from tiegraph.sfm.adjustment.leverarmprior import NominalGeometry
-from tiegraph.sfm.adjustment.timecost import TimeOffsetPriors, add_time_offsets, pose_block
 from tiegraph.sfm.tuning import AdjustTuning
 
 
@@ -71,12 +70,11 @@ class PoseConstraints:
     relative_poses: Sequence[RelativePosePrior] = ()
     sensors: Sequence[SensorPrior] = ()
     pairs: Sequence[PairPrior] = ()
-    time_offsets: TimeOffsetPriors | None = None
     places: Sequence[PlacePrior] = ()
     nominal: Mapping[int, NominalGeometry] = field(default_factory=dict)
 
     def __bool__(self) -> bool:
-        return bool(self.relative_poses or self.sensors or self.pairs or self.time_offsets or self.places)
+        return bool(self.relative_poses or self.sensors or self.pairs or self.places)
 
 
 def add_priors(
@@ -136,9 +134,14 @@ def _add_constraints(
         blocks = [b for b in found if b is not None]
         if blocks:
             add(_pair_cost(pair, [b is not None for b in found], robust_px), *blocks)
-    if soft.time_offsets is not None:
-        kept += add_time_offsets(problem, model, soft.time_offsets, robust_px)
     return kept
+
+
+def pose_block(model: pycolmap.Reconstruction, image_id: int) -> np.ndarray:
+    """The memory (7,) of the pose of an image's frame, as Ceres knows it."""
+    pose = model.frame(model.image(image_id).frame_id).rig_from_world
+    assert pose is not None
+    return np.asarray(pose.params)
 
 
 def _extrinsics(model: pycolmap.Reconstruction, rig_id: int, camera_id: int) -> np.ndarray | None:

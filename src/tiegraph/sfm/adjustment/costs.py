@@ -5,7 +5,6 @@ residuals need the interpreter's lock, so such a problem is solved with one thre
 """
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import pyceres
@@ -25,22 +24,6 @@ class Cost(pyceres.CostFunction):  # type: ignore[misc, name-defined]
         self.set_num_residuals(residuals)
         self.set_parameter_block_sizes(list(sizes))
         self.evaluate(*(np.zeros(size) for size in sizes))
-
-
-class PriorCost(Cost):
-    """A vector block minus its prior value, over its sigma."""
-
-    def __init__(self, value: np.ndarray, sigma: np.ndarray) -> None:
-        super().__init__()
-        self.value, self.weight = np.array(value, float), 1 / np.broadcast_to(np.asarray(sigma, float), np.shape(value))
-        self._begin(len(self.value), [len(self.value)])
-
-    def Evaluate(self, parameters: Any, residuals: Any, jacobians: Any) -> bool:
-        """Residual and Jacobian."""
-        residuals[:] = self.weight * (parameters[0] - self.value)
-        if jacobians is not None and jacobians[0] is not None:
-            jacobians[0][:] = np.diag(self.weight).ravel()
-        return True
 
 
 def centres_of(poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

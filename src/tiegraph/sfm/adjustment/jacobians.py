@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import pycolmap
@@ -18,33 +18,6 @@ from tiegraph.sfm.tuning import AdjustTuning, LensTuning
 _SEED = 0
 
 
-@dataclass(frozen=True)
-class RigConstraint:
-    """Two frames (ids) that keep together: sigma of the place, model units, and of the turn, rad.
-
-    ``moves`` (6, K): shift of the second (model units) and its turn (rad), along the axes of the model, by a unit of
-    each constant error of ``camera`` (its key) that all its ties share.
-    """
-
-    first: int
-    second: int
-    place: float
-    turn: float
-    camera: int = -1
-    moves: np.ndarray | None = None
-
-
-@dataclass(frozen=True)
-class RigConstraints:
-    """Ties of the S cameras of a rig, and their constant errors, K a camera: ``held`` (S, K) sigma that the adjustment
-    held them to; ``moment`` (SK, SK), mean of their products by all that is known."""
-
-    constraints: tuple[RigConstraint, ...]
-    cameras: tuple[int, ...] = ()  # keys
-    held: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
-    moment: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
-
-
 class Layout:
     """Columns of the unknowns: six a frame (shift of its centre, rotation), six a sensor, then the intrinsics."""
 
@@ -53,10 +26,8 @@ class Layout:
         model: pycolmap.Reconstruction,
         free_intrinsics: bool | Collection[int],
         free_rig: bool | Collection[int],
-        ties: Collection[RigConstraints] = (),
     ) -> None:
-        """``free_intrinsics``, ``free_rig``: ids of the cameras and rigs that are unknowns; True: all, False: none.
-        What the ``ties`` of a camera share comes last."""
+        """``free_intrinsics``, ``free_rig``: ids of the cameras and rigs that are unknowns; True: all, False: none."""
         self.frame_ids = tuple(sorted(model.reg_frame_ids()))
         self.frame = {f: 6 * k for k, f in enumerate(self.frame_ids)}
         self.centres = np.stack([frame_pose(model.frame(f)).tgt_origin_in_src() for f in self.frame_ids])
@@ -76,11 +47,6 @@ class Layout:
             camera = model.camera(camera_id)
             self.camera[camera_id], self.params[camera_id] = self.size, np.array(camera.params)
             self.size += len(camera.params)
-        self.ties = tuple(ties)
-        self.constant: dict[int, int] = {}
-        for rig in self.ties:
-            for key, own in zip(rig.cameras, rig.held):
-                self.constant[key], self.size = self.size, self.size + len(own)
 
     def prior(
         self,
@@ -102,41 +68,6 @@ class Layout:
             camera = model.camera(camera_id)
             columns = column + np.arange(len(camera.params))
             parts.append((columns, np.linalg.inv(_expected(camera, tuning.lens))))
-        return self._gathered(parts)
-
-    def tied(self) -> sparse.csr_matrix:
-        """(C, C) information of frames that are tied to each other, beside what the ties of a camera share."""
-        parts = []
-        place = dict(zip(self.frame_ids, self.centres))
-        for tie in (
-            t for rig in self.ties for t in rig.constraints if t.first in self.frame and t.second in self.frame
-        ):
-            a, b = self.frame[tie.first], self.frame[tie.second]
-            rows = np.zeros((6, 12))  # shift of the second beside what a turn of the first does; turn of both
-            rows[:3, :3], rows[:3, 6:9] = -np.eye(3), np.eye(3)
-            rows[:3, 3:6] = skew(place[tie.second] - place[tie.first])
-            rows[3:, 3:6], rows[3:, 9:] = -np.eye(3), np.eye(3)
-            at = np.concatenate([a + np.arange(6), b + np.arange(6)])
-            if tie.moves is not None:
-                rows = np.hstack([rows, -tie.moves])
-                at = np.concatenate([at, self.constant[tie.camera] + np.arange(tie.moves.shape[1])])
-            rows /= np.repeat([tie.place, tie.turn], 3)[:, None]
-            parts.append((at, rows.T @ rows))
-        return self._gathered(parts)
-
-    def held(self) -> tuple[sparse.csr_matrix, sparse.csr_matrix]:
-        """(C, C) information of what the ties share, as the adjustment held it, and the scatter of that pull by how far
-        the constants may really be off."""
-        held, pull = [], []
-        for rig in (r for r in self.ties if r.cameras):
-            at = self.constant[rig.cameras[0]] + np.arange(rig.held.size)
-            weight = np.diag(1 / rig.held.ravel() ** 2)
-            held.append((at, weight))
-            pull.append((at, weight @ rig.moment @ weight))
-        return self._gathered(held), self._gathered(pull)
-
-    def _gathered(self, parts: Collection[tuple[np.ndarray, np.ndarray]]) -> sparse.csr_matrix:
-        """(C, C) sum of the blocks, each given as its columns (K,) and values (K, K)."""
         row = np.concatenate([np.repeat(at, len(at)) for at, _ in parts] or [np.zeros(0, int)])
         column = np.concatenate([np.tile(at, len(at)) for at, _ in parts] or [np.zeros(0, int)])
         value = np.concatenate([block.ravel() for _, block in parts] or [np.zeros(0)])
@@ -318,3 +249,21 @@ def _by_params(camera: pycolmap.Camera, xyz: np.ndarray) -> np.ndarray:
             ends.append(np.asarray(moved.img_from_cam(xyz)))
         out[:, :, k] = (ends[0] - ends[1]) / (2 * step)
     return out
+
+
+def by_shift(seen: System, rows: np.ndarray) -> np.ndarray:
+    """(R, 2, 6) derivatives of observations by the shift of the image's centre and its turn, axes of the model."""
+    by_point = seen.by_point[rows]
+    return np.concatenate([-by_point, by_point @ skew(seen.lever[rows])], axis=2)
+
+
+def of_lens(model: pycolmap.Reconstruction, seen: System, camera_id: int) -> sparse.csr_matrix:
+    """(2O, K) derivatives of all observations by the parameters of a camera."""
+    rows = np.flatnonzero(seen.camera == camera_id)
+    images, number = np.unique(seen.image[rows], return_inverse=True)
+    turns = np.array([matrix(model.image(i).cam_from_world())[:3, :3] for i in images.tolist()]).reshape(-1, 3, 3)
+    camera = model.camera(camera_id)
+    values = _by_params(camera, np.einsum("oij,oj->oi", turns[number], seen.lever[rows]))
+    at = np.repeat((2 * rows[:, None] + np.arange(2)).ravel(), len(camera.params))
+    column = np.tile(np.arange(len(camera.params)), 2 * len(rows))
+    return sparse.csr_matrix((values.ravel(), (at, column)), shape=(len(seen.residual), len(camera.params)))

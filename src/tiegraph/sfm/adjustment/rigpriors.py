@@ -11,7 +11,7 @@ from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjustment.constraints import PairPrior, PoseConstraints, RelativePosePrior, SensorPrior
 from tiegraph.sfm.adjustment.leverarmprior import NominalGeometry
-from tiegraph.sfm.tuning.rig import RigPriorTuning, TimeCalibrationTuning
+from tiegraph.sfm.tuning.rig import RigPriorTuning, RigTuning
 
 
 def rig_priors(
@@ -32,16 +32,14 @@ def rig_priors(
     return PoseConstraints(sensors=sensors, pairs=pairs, nominal=nominal_geometry(model, scene))
 
 
-def relaxed_frames(
-    model: pycolmap.Reconstruction, scene: Scene, tuning: TimeCalibrationTuning
-) -> tuple[RelativePosePrior, ...]:
+def of_one_shot(model: pycolmap.Reconstruction, scene: Scene, tuning: RigTuning) -> tuple[RelativePosePrior, ...]:
     """What holds the images of one frame of the scene together that stand in several frames of a metric model.
 
-    The relaxing found how each camera stood against its reference when it fired. What bends a path over its length
-    changes nothing there: they keep that, as well as a camera of a calibrated rig keeps its mounting. Without this an
-    adjustment with positions took PandaSet, whose back camera shares few points with the others, from 22 to 59 mm.
+    Cameras of their own times stand where the way had led when they fired. What bends a path over its length changes
+    nothing there. Without this an adjustment with positions took PandaSet, whose back camera shares few points with
+    the others, from 22 to 59 mm.
     """
-    turn, shift = np.radians(tuning.held_deg), tuning.loose_m
+    turn, shift = np.radians(tuning.held_deg), tuning.held_m
     covariance = np.diag([turn**2] * 3 + [shift**2] * 3)
     first: dict[int, int] = {}
     tied: dict[int, RelativePosePrior] = {}

@@ -18,8 +18,6 @@ from tiegraph.sfm.rig.priortest import Expected, Group, PriorTest, contradicted_
 from tiegraph.sfm.tuning import AdjustTuning, Tuning
 from tiegraph.sfm.tuning.rig import RigTuning
 
-_EXACTLY = 1e-6
-
 
 def prior_test(
     model: pycolmap.Reconstruction, scene: Scene, index: int, metres_per_unit: float, tuning: Tuning
@@ -70,26 +68,6 @@ def lens_prior_test(model: pycolmap.Reconstruction, scene: Scene, index: int, tu
         return None
     system = system.only("lens")
     return contradicted_priors(system, expected(alone, system.timed, tuning.rig), [("lens", 0)])
-
-
-def lever_sigmas(test: PriorTest, scene: Scene, index: int) -> dict[int, float]:
-    """Camera id -> sigma (m, root sum of squares) of its place against the reference, with times free unless said."""
-    rig, system, tuning = scene.rigs[index], test.system, test.known.tuning
-    first = scene.first_sensor(index)
-    others = len(rig.sensors) - 1
-    known = replace(
-        expected(rig, system.timed, tuning),
-        place_m=[_EXACTLY, *[tuning.prior_test.freed_m] * others],
-        turn_deg=[_EXACTLY, *[tuning.prior_test.freed_deg] * others],
-    )
-    prior = known.sigma(system, (), times=True)
-    prior[system.where("size")] = 0.0  # it is the size of these very levers
-    sigma = system.solve(prior).sigma()
-    out = {}
-    for sensor in range(1, others + 1):
-        at = [k for k in system.where("place") if system.keys[k][1] == sensor]
-        out[first + sensor + 1] = float(np.linalg.norm(sigma[at]))
-    return out
 
 
 def open_times(test: PriorTest, scene: Scene, index: int) -> list[str]:
@@ -147,15 +125,13 @@ def mounting_errors(
     cameras: Sequence[int],
     tuning: RigTuning,
     followed: bool = False,
-    relaxed: bool = True,
 ) -> np.ndarray:
     """(6S, 6S) mean products of how far S ``cameras`` (keys) beside the reference are off what a measured rig gives:
     place (m) and turn (rad) of each against the reference, along the axes of the rig.
 
     By the images, where a calibration is known as well as it is held to and what contradicts them is free; without
     images, as well as it is held to. ``followed``: the model stands where the images want it, and what they do not
-    contradict is as well known as it was given. ``relaxed``: cameras have times of their own; of a rigid rig a time is
-    a place along the way.
+    contradict is as well known as it was given.
     """
     rig, bounds = scene.rigs[index], tuning.confront
     given = np.stack([np.eye(4) if s.sensor_from_rig is None else s.sensor_from_rig for s in rig.sensors])
@@ -170,7 +146,7 @@ def mounting_errors(
     known = expected(rig, system.timed, tuning)
     if not followed:
         known = replace(known, place_m=place.tolist(), turn_deg=turn.tolist())
-    solution = system.solve(known.sigma(system, test.freed, times=relaxed))
+    solution = system.solve(known.sigma(system, test.freed))
     rows = np.zeros((len(sensors), 6, len(system.keys)))
     reference = _unknowns(system, 0)
     for own, k in zip(rows, sensors.tolist()):

@@ -13,6 +13,7 @@ import numpy as np
 
 from tiegraph.scene.evidence import LIMIT
 from tiegraph.scene.rig import Rig
+from tiegraph.scene.scene import Scene
 from tiegraph.sfm.rig.linear import RigSolution, RigSystem
 from tiegraph.sfm.tuning.rig import RigTuning
 
@@ -41,8 +42,6 @@ class Expected:
                 out[k] = np.radians(max(free.freed_deg if mount else 0.0, self.turn_deg[sensor]))
             elif what == "time":
                 out[k] = self.late_s if times or ("times", -1) in freed else 0.0
-            elif what == "size":
-                out[k] = np.inf
             elif ("lens", sensor) in freed:
                 out[k] = free.freed_lens * (self.focal_px[sensor] if axis < 4 else 1.0)
         return out
@@ -52,10 +51,23 @@ def expected(rig: Rig, timed: bool, tuning: RigTuning) -> Expected:
     """What a rig file lets expect; ``timed``: frames have times, else times are counted in frame intervals."""
     place = [max(s.sigma_m or 0.0, tuning.prior_test.given_m) for s in rig.sensors]
     turn = [max(s.sigma_deg or 0.0, tuning.prior_test.given_deg) for s in rig.sensors]
-    one = rig.synchronised or all(s.source is not None and s.source.rendered for s in rig.sensors)
-    late = 0.0 if one else tuning.late_s if timed else tuning.prior_test.unknown_share
     focal = [1.0 if s.camera is None else s.camera.mean_focal_length() for s in rig.sensors]
-    return Expected(place_m=place, turn_deg=turn, late_s=late, focal_px=focal, tuning=tuning)
+    return Expected(place_m=place, turn_deg=turn, late_s=_late(rig, timed, tuning), focal_px=focal, tuning=tuning)
+
+
+def _late(rig: Rig, timed: bool, tuning: RigTuning) -> float:
+    """Sigma of when its cameras fire after the reference."""
+    one = rig.synchronised or all(s.source is not None and s.source.rendered for s in rig.sensors)
+    return 0.0 if one else tuning.late_s if timed else tuning.prior_test.unknown_share
+
+
+def times_open(scene: Scene, timed: bool, tuning: RigTuning) -> dict[int, float]:
+    """Camera id -> sigma of when it fires after its reference, of those that nobody says to fire together."""
+    out = {}
+    for index, rig in enumerate(scene.rigs):
+        late, first = _late(rig, timed, tuning), scene.first_sensor(index) + 1
+        out |= {first + k: late for k in range(1, len(rig.sensors)) if late > 0}
+    return out
 
 
 @dataclass(frozen=True)
@@ -74,10 +86,22 @@ class PriorTest:
 
     def times_s(self) -> dict[int, tuple[float, float]]:
         """Sensor of the rig -> when it fires after the reference and sigma, if times were freed."""
-        if ("times", -1) not in self.freed:
-            return {}
-        sigma, system = self.solution.sigma(), self.system
-        return {system.keys[k][1]: (float(self.solution.value[k]), float(sigma[k])) for k in system.where("time")}
+        return self._times(self.solution) if ("times", -1) in self.freed else {}
+
+    def times_alone_s(self) -> dict[int, tuple[float, float]]:
+        """The same, all else as it was given."""
+        return self._times(self.system.solve(self.known.sigma(self.system, (), times=True)))
+
+    def _times(self, solution: RigSolution) -> dict[int, tuple[float, float]]:
+        sigma, system = solution.sigma(), self.system
+        return {system.keys[k][1]: (float(solution.value[k]), float(sigma[k])) for k in system.where("time")}
+
+    def late(self) -> bool:
+        """Whether a camera surely fires apart from its reference, by as much as can be seen."""
+        tuning, speed = self.known.tuning, self.system.speed
+        least = LIMIT * tuning.confront.held_to_m
+        times = self.times_s().values()
+        return any(abs(t) > tuning.late_sigmas * sigma and abs(t) * speed > least for t, sigma in times)
 
 
 def contradicted_priors(system: RigSystem, known: Expected, candidates: Collection[Group]) -> PriorTest:

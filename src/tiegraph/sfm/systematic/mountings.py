@@ -1,14 +1,15 @@
 """Cameras that do not stand where the rig has them: in all shots, or from shot to shot."""
 
 from collections.abc import Collection, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 import pycolmap
 from scipy import sparse
 
-from tiegraph.geometry.transforms import skew
 from tiegraph.scene.sorting import evenly
-from tiegraph.sfm.adjustment.jacobians import System, frame_pose
+from tiegraph.sfm.adjustment.jacobians import System, by_shift, frame_pose
+from tiegraph.sfm.motion import Motion
 from tiegraph.sfm.systematic.effects import RIDGE, Effect, EffectWeights, Score, posterior
 from tiegraph.sfm.tuning import SharedErrorTuning
 
@@ -31,7 +32,7 @@ def misplaced(
         cameras = [c for c in every if (weighed.seen.camera == c).any()]
         if not cameras:
             continue
-        columns = sparse.hstack([_of_mounting(model, weighed.seen, c) for c in cameras]).tocsr()
+        columns = sparse.hstack([of_mounting(model, weighed.seen, c) for c in cameras]).tocsr()
         told = weighed.score(columns)
         if rig_id in off:
             at = (6 * np.searchsorted(every, cameras)[:, None] + np.arange(6)).ravel()
@@ -46,7 +47,7 @@ def _shown_off(cameras: list[int], told: Score, tuning: SharedErrorTuning) -> tu
     """By the images, with the mean (6S,) of the shifts and turns of S cameras; None where they show nothing."""
     score, information = told.score, told.information
     noise = told.noise + RIDGE * np.diag(np.maximum(np.diag(information), 1e-300))
-    place, turn = two_sizes(score[None], noise[None], information[None], tuning)
+    place, turn, _ = two_sizes(score[None], noise[None], information[None], tuning)
     if place + turn <= 0:
         return None
     field = np.diag(np.tile(np.repeat([place, turn], 3), len(cameras)))
@@ -59,15 +60,63 @@ def unrest(model: pycolmap.Reconstruction, weighed: EffectWeights, tuning: Share
 
     All cameras alike, the reference too; what the pose of a frame takes up of its images' shifts is counted in.
     """
-    images, counts = np.unique(weighed.seen.image, return_counts=True)
+    shared = [own for own in _by_frame(model, weighed.seen, tuning) if len(own) > 1]
+    if not shared:
+        return []
+    place, turn, gain, gradient = _straying(weighed, shared, tuning)
+    if gain <= 0:
+        return []
+    moment = (
+        np.tile(np.repeat([place, turn], 3), gradient.shape[1] // 6) * len(shared) / min(len(shared), tuning.most_shots)
+    )
+    return [Effect(gradient * np.sqrt(moment), np.eye(len(moment)))]
+
+
+@dataclass(frozen=True)
+class Stray:
+    """How far a camera strays from its place in the rig from shot to shot, sigmas of a coordinate: model units, rad,
+    and pixels in its images; ``gain`` in log likelihood over none."""
+
+    place: float
+    turn: float
+    px: float
+    gain: float
+
+
+def strays_of(
+    model: pycolmap.Reconstruction, weighed: EffectWeights, cameras: Collection[int], tuning: SharedErrorTuning
+) -> dict[int, Stray]:
+    """Those of some cameras (ids), each as if the others kept their places."""
+    frames, out = _by_frame(model, weighed.seen, tuning), {}
+    for camera in cameras:
+        own = [[i] for images in frames for i in images if model.image(i).camera_id == camera]
+        if own:
+            place, turn, gain, _ = _straying(weighed, own, tuning)
+            rows = np.flatnonzero(weighed.seen.camera == camera)
+            moved = by_shift(weighed.seen, rows[:: max(1, len(rows) // _SOME)]) ** 2 @ np.repeat([place, turn], 3)
+            out[camera] = Stray(float(place**0.5), float(turn**0.5), float(np.sqrt(np.median(moved))), gain)
+    return out
+
+
+_SOME = 1000  # observations that tell how far a stray moves pixels
+
+
+def _by_frame(model: pycolmap.Reconstruction, seen: System, tuning: SharedErrorTuning) -> list[list[int]]:
+    """Images that see enough, together those of one frame."""
+    images, counts = np.unique(seen.image, return_counts=True)
     of_frame: dict[int, list[int]] = {}
     for image, count in zip(images.tolist(), counts.tolist()):
         if count >= tuning.least_observations:
             of_frame.setdefault(model.image(image).frame_id, []).append(image)
-    shared = [own for _, own in sorted(of_frame.items()) if len(own) > 1]
-    if not shared:
-        return []
-    chosen = [shared[k] for k in evenly(len(shared), tuning.most_shots)]
+    return [own for _, own in sorted(of_frame.items())]
+
+
+def _straying(
+    weighed: EffectWeights, groups: list[list[int]], tuning: SharedErrorTuning
+) -> tuple[float, float, float, np.ndarray]:
+    """Of images, in groups that are judged together: variances of a coordinate of place and turn that they show, the
+    gain in log likelihood over none, and their effect (C, 6K) on the gradient."""
+    chosen = [groups[k] for k in evenly(len(groups), tuning.most_shots)]
     size = 6 * max(len(own) for own in chosen)
     gradient, score = [], np.zeros((len(chosen), size))
     noise, information = np.tile(np.eye(size), (len(chosen), 1, 1)), np.zeros((len(chosen), size, size))
@@ -76,36 +125,45 @@ def unrest(model: pycolmap.Reconstruction, weighed: EffectWeights, tuning: Share
         told = weighed.score(_of_images(weighed.seen, own))
         score[k, part], noise[k, part, part], information[k, part, part] = told.score, told.noise, told.information
         gradient.append(told.gradient)
-    least = np.maximum(np.diagonal(information, axis1=1, axis2=2), 1e-300)
-    place, turn = two_sizes(score, noise + RIDGE * least[:, :, None] * np.eye(size), information, tuning)
-    if place + turn <= 0:
+    noise += RIDGE * np.maximum(np.diagonal(information, axis1=1, axis2=2), 1e-300)[:, :, None] * np.eye(size)
+    place, turn, gain = two_sizes(score, noise, information, tuning)
+    return place, turn, gain, np.hstack(gradient)
+
+
+def untimed(weighed: EffectWeights, motion: Motion, late_s: Mapping[int, float]) -> list[Effect]:
+    """What is left open of when cameras (ids) fire, of which ``late_s`` is known beforehand: sigmas, s."""
+    if not late_s:
         return []
-    moved = np.hstack(gradient)
-    moment = np.tile(np.repeat([place, turn], 3), moved.shape[1] // 6) * len(shared) / len(chosen)
-    return [Effect(moved * np.sqrt(moment), np.eye(len(moment)))]
+    columns = [of_time(weighed.seen, motion, np.flatnonzero(weighed.seen.camera == k)) for k in sorted(late_s)]
+    told, field = weighed.score(sparse.hstack(columns).tocsr()), np.diag([late_s[k] ** 2 for k in sorted(late_s)])
+    noise = told.noise + RIDGE * np.diag(np.maximum(np.diag(told.information), 1e-300))
+    return [Effect(told.gradient, posterior(told.score, noise, told.information, field)[1])]
+
+
+def of_time(seen: System, motion: Motion, rows: np.ndarray) -> sparse.csr_matrix:
+    """(2O, 1) derivatives of observations (R,) by the time at which their images were taken."""
+    images, number = np.unique(seen.image[rows], return_inverse=True)
+    rate = np.array([motion.rate(i) for i in images.tolist()]).reshape(-1, 6)[number]
+    values = np.einsum("oij,oj->oi", by_shift(seen, rows), rate)
+    at = (2 * rows[:, None] + np.arange(2)).ravel()
+    return sparse.csr_matrix((values.ravel(), (at, np.zeros(len(at), int))), shape=(len(seen.residual), 1))
 
 
 def _of_images(seen: System, images: list[int]) -> sparse.csr_matrix:
     """(2O, 6K) derivatives by the shift of the centre and the turn of each of these images alone."""
     rows = np.flatnonzero(np.isin(seen.image, images))
-    return _columns(seen, rows, _by_shift(seen, rows), 6 * np.searchsorted(images, seen.image[rows]), 6 * len(images))
+    return _columns(seen, rows, by_shift(seen, rows), 6 * np.searchsorted(images, seen.image[rows]), 6 * len(images))
 
 
-def _of_mounting(model: pycolmap.Reconstruction, seen: System, camera: int) -> sparse.csr_matrix:
+def of_mounting(model: pycolmap.Reconstruction, seen: System, camera: int) -> sparse.csr_matrix:
     """(2O, 6) derivatives by the shift and the turn, along the axes of the rig, of a camera in it."""
     rows = np.flatnonzero(seen.camera == camera)
     images, number = np.unique(seen.image[rows], return_inverse=True)
     frames = [model.frame(model.image(i).frame_id) for i in images.tolist()]
     axes = np.stack([frame_pose(f).rotation.matrix().T for f in frames])[number]
-    by_shift = _by_shift(seen, rows)
-    values = np.concatenate([by_shift[:, :, :3] @ axes, by_shift[:, :, 3:] @ axes], axis=2)
+    shifted = by_shift(seen, rows)
+    values = np.concatenate([shifted[:, :, :3] @ axes, shifted[:, :, 3:] @ axes], axis=2)
     return _columns(seen, rows, values, np.zeros(len(rows), int), 6)
-
-
-def _by_shift(seen: System, rows: np.ndarray) -> np.ndarray:
-    """(R, 2, 6) derivatives of observations by the shift of the image's centre and its turn, axes of the model."""
-    by_point = seen.by_point[rows]
-    return np.concatenate([-by_point, by_point @ skew(seen.lever[rows])], axis=2)
 
 
 def _columns(seen: System, rows: np.ndarray, values: np.ndarray, first: np.ndarray, width: int) -> sparse.csr_matrix:
@@ -117,20 +175,24 @@ def _columns(seen: System, rows: np.ndarray, values: np.ndarray, first: np.ndarr
 
 def two_sizes(
     score: np.ndarray, noise: np.ndarray, information: np.ndarray, tuning: SharedErrorTuning
-) -> tuple[float, float]:
+) -> tuple[float, float, float]:
     """Variances of place and turn, three numbers each in turn, that make scores (G, K) with this noise and information
-    (G, K, K) likeliest: the best of a coarse grid, then of a finer one about it."""
+    (G, K, K) likeliest: the best of a coarse grid, then of a finer one about it; and the gain in log likelihood."""
     is_place = np.arange(score.shape[1]) % 6 < 3
     parts = [information[:, :, own] @ information[:, own] for own in (is_place, ~is_place)]
     sizes = [float(np.median(_trace(noise) / np.maximum(_trace(part), 1e-300))) for part in parts]
 
-    def best(places: np.ndarray, turns: np.ndarray) -> tuple[float, float]:
+    def best(places: np.ndarray, turns: np.ndarray) -> tuple[float, float, float]:
         pairs = [(p, t) for p in places.tolist() for t in turns.tolist()]
-        return max(pairs, key=lambda pair: _log_likelihood(score, noise + pair[0] * parts[0] + pair[1] * parts[1]))
+        return max(
+            ((p, t, _log_likelihood(score, noise + p * parts[0] + t * parts[1])) for p, t in pairs),
+            key=lambda one: one[2],
+        )
 
     coarse, finer = np.append(0.0, np.geomspace(*tuning.tried_shifts)), np.geomspace(*tuning.finer_shifts)
-    place, turn = best(*(size * coarse for size in sizes))
-    return best(place * finer, turn * finer)
+    place, turn, _ = best(*(size * coarse for size in sizes))
+    place, turn, likely = best(place * finer, turn * finer)
+    return place, turn, likely - _log_likelihood(score, noise)
 
 
 def _trace(matrices: np.ndarray) -> np.ndarray:

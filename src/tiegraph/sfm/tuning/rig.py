@@ -59,59 +59,14 @@ class SupportTuning(Section):
 
 
 class DiagnosticsTuning(Section):
-    """A camera against its rig, frame by frame, by its own sightings (`resections.py`), and one that
-    lost its sightings in the adjustment (`diagnostics.py`)."""
+    """A camera that strays from its place in the rig, or lost its sightings in the adjustment (`diagnostics.py`)."""
 
-    min_points: int = Field(12, gt=3)
-    """Of the other cameras that an image sees, to be resected."""
-    least_sigma_px: float = Field(0.1, gt=0)
-    """Sigma of a coordinate at least, for the covariance of a resection."""
-    min_frames: int = Field(5, gt=0)
-    """Resected, to speak of a camera's scatter."""
-    max_ratio: float = Field(3.0, gt=0)
-    """Scatter over its expected sigma (ALGORITHMS section 4 d)."""
     min_scatter_px: float = Field(0.3, ge=0)
-    """Less does no harm: points share their own errors, which the expected sigma leaves out."""
-    chance: float = Field(0.05, gt=0, lt=1)
-    """That a camera within these bounds is called loose for the few frames that happened to tell of it."""
+    """In its images; less does no harm."""
     min_sightings: int = Field(200, gt=0)
     """Of a camera in all its images, to judge what an adjustment left of them."""
     min_kept: float = Field(0.6, ge=0, le=1)
     """Share of them that a camera keeps, and of the share that the best camera keeps."""
-    torn_deg: float = Field(1.0, gt=0)
-    """By which a camera with too few sightings left to be measured is let go."""
-
-
-class TimeOffsetTuning(Section):
-    """Whether the cameras of a rig fire at one instant (`diagnostics.py`)."""
-
-    sigmas: float = Field(5.0, gt=0)
-    """An offset this many sigmas from none is there."""
-    min_effect: float = Field(2.0, ge=0)
-    """Times the expected sigma of a place: what the offset must move a camera by at the highest speed."""
-
-
-class TimeCalibrationTuning(Section):
-    """A rig whose cameras do not fire at one instant (`timecalibration.py`)."""
-
-    loose_deg: float = Field(0.05, gt=0)
-    """From frame to frame, the turn of a camera whose extrinsics this model found: a mounting keeps."""
-    loose_m: float = Field(0.003, gt=0)
-    """The same of its place."""
-    loose_s: float = Field(0.001, gt=0)
-    """The same of its time: a trigger keeps."""
-    expected_m: float = Field(0.001, gt=0)
-    """Sigma of a constant error of calibrated extrinsics, place."""
-    expected_deg: float = Field(0.002, gt=0)
-    """And turn. What lens and shutter do that the camera model does not know (PandaSet: 0.1-0.4 deg) is the same in
-    thousands of sightings and outvotes any honest sigma of a rotation: so the rotations are held, nearly, and only the
-    time along the motion is free."""
-    held_deg: float = Field(0.01, gt=0)
-    """From frame to frame, the turn of a camera of a calibrated rig, held for the same reason."""
-    nominal_m: float = Field(0.02, gt=0)
-    """Sigma of a constant error of extrinsics that this model found, place."""
-    nominal_deg: float = Field(1.0, gt=0)
-    """And turn."""
 
 
 class SystemTuning(Section):
@@ -183,6 +138,20 @@ class RigTuning(Section):
 
     late_s: float = Field(0.1, gt=0)
     """Sigma of when a camera fires after the reference, before the images speak and where nobody says."""
+    late_sigmas: float = Field(5.0, gt=0)
+    """A time this many sigmas from none is there."""
+    late_wide: float = Field(16.0, ge=1)
+    """Times the error that an observation may have while times are found that move cameras by decimetres."""
+    late_rounds: int = Field(10, gt=0)
+    """Of an adjustment and a step of the times, until a step is below its sigma."""
+    held_deg: float = Field(0.01, gt=0)
+    """Of a camera of its own time against its frame, where positions bend the way: the turn."""
+    held_m: float = Field(0.003, gt=0)
+    """And the place."""
+    nominal_m: float = Field(0.02, gt=0)
+    """Sigma of a place in a drawn rig that the images did not tell."""
+    nominal_deg: float = Field(1.0, gt=0)
+    """And of its turn."""
     tight_deg: float = Field(0.5, ge=0)
     """Extrinsics known better than this lead the mapper as they are; worse ones it may refine."""
     priors: RigPriorTuning = Field(default_factory=RigPriorTuning)
@@ -193,10 +162,6 @@ class RigTuning(Section):
     """Sensors without ties, and the model's units."""
     diagnostics: DiagnosticsTuning = Field(default_factory=DiagnosticsTuning)
     """Rig diagnostics."""
-    time_offset: TimeOffsetTuning = Field(default_factory=TimeOffsetTuning)
-    """Times of the cameras."""
-    time_calibration: TimeCalibrationTuning = Field(default_factory=TimeCalibrationTuning)
-    """Rigs that are let go of."""
     system: SystemTuning = Field(default_factory=SystemTuning)
     """The linearised rig."""
     prior_test: PriorTestTuning = Field(default_factory=PriorTestTuning)

@@ -20,8 +20,8 @@ similarity and what the images leave open of the shape are unknowns of one block
 (``sfm.shape``) stand for the images there. One bundle adjustment then brings the frames to where the block has them,
 and all else follows as the images have it; once more where that was far, for control points move as the frames that
 see them only to first order. It is kept only if every fifth position, which it did not know, is met as well as by the
-similarity, and the images fit no worse (``georeference_folders``). The cameras of a relaxed rig keep how they stand to
-each other in each frame (``rigpriors.relaxed_frames``).
+similarity, and the images fit no worse (``georeference_folders``). The images of a shot whose cameras fire apart keep
+how they stand to each other (``rigpriors.of_one_shot``).
 
 **Several models** (``oneworld``): parts of a survey that no tie joined for the mapper come into the world of the
 largest by the matches between them, else by their own positions, else by their points where these lie on the others'

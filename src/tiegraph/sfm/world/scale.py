@@ -6,7 +6,7 @@ import numpy as np
 import pycolmap
 
 from tiegraph.geometry import transforms
-from tiegraph.scene.colmapmodel import registered_images
+from tiegraph.scene.colmapmodel import matrix
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.tuning.world import ScaleTuning
 
@@ -41,12 +41,8 @@ def rig_scale(
     The sigma adds the baseline's own (2 mm, or what the rig file gives), a rotation error of 0.01 deg at the model's
     median depth, and ``inside``: how well the images carry the baselines to the length of the whole (relative sigma of
     the adjustment, NaN = not known). Whether the rig is believed is asked of the file alone, and nominal rigs are not.
-    Of a relaxed rig, whose cameras fire apart, only what lies across the motion counts: along it an offset in time is
-    one in place, at constant speed.
     """
     ratios, lengths, sigmas, given = [], [], [], True
-    apart = relaxed(model, scene)
-    ways = _ways(cam_from_world, scene) if apart else None
     by_frame: dict[int, list[int]] = {}
     for k in np.flatnonzero(np.isfinite(cam_from_world).all(axis=(1, 2))):
         by_frame.setdefault(int(scene.frame[k]), []).append(int(k))
@@ -55,7 +51,7 @@ def rig_scale(
         given &= not rig.nominal
         for n, a in enumerate(members):
             for b in members[n + 1 :]:
-                length, mapped = _baseline(cam_from_world, scene, (a, b), None if ways is None else ways[frame])
+                length, mapped = _baseline(model, cam_from_world, scene, (a, b))
                 if np.isfinite(length) and length > 0 and mapped > 0:
                     ratios.append(length / mapped)
                     lengths.append(length)
@@ -78,44 +74,26 @@ def rig_scale(
     )
 
 
-def relaxed(model: pycolmap.Reconstruction, scene: Scene) -> bool:
-    """Whether images of one frame of the scene stand in several frames of the model."""
-    home: dict[int, int] = {}
-    for index, image in registered_images(model, scene):
-        if home.setdefault(int(scene.frame[index]), image.frame_id) != image.frame_id:
-            return True
-    return False
-
-
-def _baseline(poses: np.ndarray, scene: Scene, pair: tuple[int, int], way: np.ndarray | None) -> tuple[float, float]:
-    """Distance of two images of a frame as given (m) and in the model; with a unit ``way`` (3,) only across it."""
-    a, b = pair
-    first, second = scene.sensor_of(a).sensor_from_rig, scene.sensor_of(b).sensor_from_rig
-    if first is None or second is None:
-        return float("nan"), 0.0
-    given = transforms.centre(second) - transforms.centre(first)
-    mapped = transforms.centre(poses[b]) - transforms.centre(poses[a])
-    if way is not None:
-        turn = first[:3, :3].T @ poses[a, :3, :3]  # rig from model
-        given = given - (given @ (turn @ way)) * (turn @ way)
-        mapped = mapped - (mapped @ way) * way
-    return float(np.linalg.norm(given)), float(np.linalg.norm(mapped))
-
-
-def _ways(poses: np.ndarray, scene: Scene) -> np.ndarray:
-    """(F, 3) unit directions of the motion at the frames, in the model; zero where nothing moves or none is known."""
-    centres = transforms.centre(poses)
-    place = np.full((scene.frames, 3), np.nan)
-    for k in np.flatnonzero(np.isfinite(poses).all(axis=(1, 2)))[::-1]:
-        place[scene.frame[k]] = centres[k]  # of the first camera of the frame that is there
-    out = np.zeros((scene.frames, 3))
-    for track in np.unique(scene.sequence):
-        rows = np.flatnonzero((scene.sequence == track) & np.isfinite(place).all(axis=1))
-        rows = rows[np.argsort(scene.sequence_index[rows], kind="stable")]
-        if len(rows) > 1:
-            way = np.gradient(place[rows], axis=0)
-            out[rows] = way / np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-12)
-    return out
+def _baseline(
+    model: pycolmap.Reconstruction, poses: np.ndarray, scene: Scene, pair: tuple[int, int]
+) -> tuple[float, float]:
+    """Distance of two images of a frame as given (m) and in the model: in its rig, for cameras that fire apart stand
+    elsewhere; where it has none, of the images (N, 4, 4)."""
+    given, mapped = [], []
+    key = int(scene.rig[scene.frame[pair[0]]]) + 1
+    rig = model.rigs[key] if key in model.rigs else None
+    for image in pair:
+        pose = scene.sensor_of(image).sensor_from_rig
+        if pose is None:
+            return float("nan"), 0.0
+        given.append(transforms.centre(pose))
+        identity = pycolmap.sensor_t(pycolmap.SensorType.CAMERA, int(scene.sensor_key[image]) + 1)
+        if rig is not None and rig.is_ref_sensor(identity):
+            mapped.append(np.zeros(3))
+        elif rig is not None and (own := rig.non_ref_sensors.get(identity)) is not None:
+            mapped.append(transforms.centre(matrix(own)))
+    there = mapped if len(mapped) == 2 else [transforms.centre(poses[k]) for k in pair]
+    return float(np.linalg.norm(given[1] - given[0])), float(np.linalg.norm(there[1] - there[0]))
 
 
 def _stated(scene: Scene, a: int, b: int, unknown_m: float) -> float:

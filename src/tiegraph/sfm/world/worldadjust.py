@@ -12,7 +12,7 @@ from tiegraph.scene.colmapmodel import matrix
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjustment.adjust import adjusted_to
 from tiegraph.sfm.adjustment.constraints import PlacePrior
-from tiegraph.sfm.adjustment.rigpriors import relaxed_frames, rig_priors
+from tiegraph.sfm.adjustment.rigpriors import of_one_shot, rig_priors
 from tiegraph.sfm.tuning import Tuning
 
 _FIRM = 1e-6  # of the extent of the frames: a place held by less than that is no sum of squares that can be solved
@@ -46,7 +46,7 @@ def bent(
             continue
         centre = transforms.centre(matrix(pose))
         places[image.frame_id] = PlacePrior(image=image.image_id, place=centre + step[frame], sigma=sigma[frame])
-    ties = relaxed_frames(world, scene, tuning.rig.time_calibration)
+    ties = of_one_shot(world, scene, tuning.rig)
     known = rig_priors(world, scene, held.soft, tuning.rig.priors)
     known = replace(known, relative_poses=ties, places=tuple(places.values()))
     return adjusted_to(world, held.rigs, held.cameras, known, tuning=tuning.adjust)

@@ -1,0 +1,169 @@
+"""When each image, and each row of it, was seen: the way of every camera, and key points brought to one instant.
+
+A frame has one pose, of one instant. A camera that fires late, and each row of a rolling shutter but the middle one,
+sees from where the way has led by then. That way is a cubic spline through the poses of the camera's own images in a
+pass (velocities of their own for every image let the scene collapse where all are read alike: Albl et al. 2016). So
+lateness costs the bundle adjustment no residual of its own: key points are moved to where the pose of the frame's
+instant sees their points, all is adjusted again, and what is left tells the next step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import pycolmap
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation, RotationSpline
+
+from tiegraph.geometry import transforms
+from tiegraph.geometry.align import umeyama
+from tiegraph.scene.colmapmodel import registered_images, rigid3d
+from tiegraph.scene.scene import Scene
+
+
+@dataclass(frozen=True)
+class Lateness:
+    """Seconds (frame intervals without times) by which cameras, by COLMAP's id, fire after their frame's instant, and
+    from the first row of an image to the last."""
+
+    cameras: Mapping[int, float]
+    readout_s: float = 0.0
+
+    def of(self, camera: pycolmap.Camera, row: np.ndarray) -> np.ndarray:
+        """(K,) of pixels with this ``row`` (K,); the middle one is that of the camera's time."""
+        return self.cameras.get(camera.camera_id, 0.0) + self.readout_s * (row / camera.height - 0.5)
+
+
+class Motion:
+    """The ways of a model's images, by their ids; those without a neighbour in their pass have none.
+
+    ``timed``: by the times of the scene; else by the numbers in a pass, and a second is a frame interval. ``gaps`` (K,)
+    between the images of a way.
+    """
+
+    def __init__(self, model: pycolmap.Reconstruction, scene: Scene, max_gap_s: float) -> None:
+        """``max_gap_s``: between two images with times, beyond which a way ends."""
+        self.timed = bool(scene.frames and np.isfinite(scene.time_s).all() and np.ptp(scene.time_s) > 0)
+        time = (scene.time_s if self.timed else scene.sequence_index.astype(float))[scene.frame]
+        ids = {k: image.image_id for k, image in registered_images(model, scene)}
+        rows, track = np.array(sorted(ids), int), scene.sequence[scene.frame]
+        rows = rows[track[rows] >= 0]
+        rows = rows[np.lexsort((time[rows], scene.sensor_key[rows], track[rows]))]
+        steps = np.diff(time[rows])
+        other = np.any(np.diff([track[rows], scene.sensor_key[rows]], axis=1) != 0, axis=0)
+        cut = other | (steps <= 0) | (steps > (max_gap_s if self.timed else 1))
+        self.gaps, self._ways = steps[~cut], {}
+        for way in np.split(rows, np.flatnonzero(cut) + 1):
+            if len(way) > 1:
+                poses = [model.image(ids[k]).cam_from_world().inverse() for k in way.tolist()]
+                at = time[way] - time[way[0]]
+                place = CubicSpline(at, np.array([p.translation for p in poses]))
+                turn = RotationSpline(at, Rotation.from_matrix(np.array([p.rotation.matrix() for p in poses])))
+                self._ways |= {ids[k]: (place, turn, float(t)) for k, t in zip(way.tolist(), at)}
+
+    def __contains__(self, image_id: int) -> bool:
+        return image_id in self._ways
+
+    def rate(self, image_id: int) -> np.ndarray:
+        """(6,) velocity, model units a second, and turn, rad a second, along the model's axes; zeros without a way."""
+        if image_id not in self._ways:
+            return np.zeros(6)
+        place, turn, at = self._ways[image_id]
+        return np.concatenate([place(at, 1), turn(at).apply(turn(at, 1))])  # scipy's rate is along the camera's axes
+
+    def seen(self, image_id: int, xyz: np.ndarray, late_s: np.ndarray) -> np.ndarray:
+        """(K, 3) points (K, 3) of the model as the image's camera has them in front of it so much later (K,)."""
+        place, turn, at = self._ways[image_id]
+        return np.asarray(turn(at + late_s).apply(xyz - place(at + late_s), inverse=True))
+
+    def pose(self, image_id: int, late_s: float) -> np.ndarray:
+        """cam_from_world (4, 4) so much later."""
+        place, turn, at = self._ways[image_id]
+        return transforms.invert(transforms.rigid(turn(at + late_s).as_matrix(), place(at + late_s)))
+
+
+def at_one_instant(
+    mapped: pycolmap.Reconstruction, model: pycolmap.Reconstruction, motion: Motion, late: Lateness
+) -> pycolmap.Reconstruction:
+    """A copy of ``mapped`` with its key points where the poses of their frames' instants see them.
+
+    Poses, ``motion`` and points are those of ``model``, which was made of it; points that it let go of stand where
+    ``mapped`` has them.
+    """
+    out = pycolmap.Reconstruction(mapped)
+    both = sorted(set(mapped.reg_image_ids()) & set(model.reg_image_ids()))
+    before, after = (np.array([m.image(i).projection_center() for i in both]) for m in (mapped, model))
+    fit = umeyama(before, after)
+    for image_id in both:
+        image, camera = out.image(image_id), model.camera(model.image(image_id).camera_id)
+        points = [image.points2D[k] for k in image.get_observation_point2D_idxs()]
+        if image_id not in motion or not points:
+            continue
+        keys = [p.point3D_id for p in points]
+        xyz = np.array([model.point3D(k).xyz if model.exists_point3D(k) else fit(mapped.point3D(k).xyz) for k in keys])
+        late_s = late.of(camera, np.array([p.xy[1] for p in points]))
+        then, now = (np.asarray(camera.img_from_cam(motion.seen(image_id, xyz, s))) for s in (late_s, 0 * late_s))
+        for point, moved in zip(points, then - now):
+            if np.isfinite(moved).all():
+                point.xy = point.xy - moved
+    return out
+
+
+def in_their_time(
+    model: pycolmap.Reconstruction, motion: Motion, late: Lateness, scene: Scene
+) -> pycolmap.Reconstruction:
+    """A copy of a model of key points at one instant with the images of late cameras where they were when they fired:
+    as frames of their own of the same rig, whose ids lie beyond those of the scene."""
+    frames = []
+    for frame in model.frames.values():
+        apart = [d for d in frame.data_ids if d.id in motion and late.cameras.get(d.sensor_id.id)]
+        frames.append(_frame(frame.frame_id, frame.rig_id, [d for d in frame.data_ids if d not in apart], frame))
+        for data in apart:
+            own = _frame(scene.frames + data.id, frame.rig_id, [data], frame)
+            pose = rigid3d(motion.pose(data.id, late.cameras[data.sensor_id.id]))
+            assert own.rig_from_world is not None
+            own.rig_from_world = own.rig_from_world * model.image(data.id).cam_from_world().inverse() * pose
+            frames.append(own)
+    out = pycolmap.Reconstruction(model)
+    out.set_rigs_and_frames([_copied(rig) for rig in model.rigs.values()], [f for f in frames if f.data_ids])
+    return out
+
+
+def let_go(model: pycolmap.Reconstruction, cameras: set[int], scene: Scene) -> pycolmap.Reconstruction:
+    """A copy of a model in which the images of these cameras (COLMAP ids) stand alone, where they stood."""
+    rigs, frames = [_copied(rig, cameras) for rig in model.rigs.values()], []
+    for frame in model.frames.values():
+        alone = [d for d in frame.data_ids if d.sensor_id.id in cameras]
+        frames.append(_frame(frame.frame_id, frame.rig_id, [d for d in frame.data_ids if d not in alone], frame))
+        for data in alone:
+            own = _frame(scene.frames + data.id, len(scene.rigs) + data.sensor_id.id, [data], frame)
+            if frame.has_pose():
+                own.rig_from_world = model.image(data.id).cam_from_world()
+            frames.append(own)
+    for camera in sorted(cameras):
+        row = pycolmap.Rig(rig_id=len(scene.rigs) + camera)
+        row.add_ref_sensor(pycolmap.sensor_t(pycolmap.SensorType.CAMERA, camera))
+        rigs.append(row)
+    out = pycolmap.Reconstruction(model)
+    out.set_rigs_and_frames(rigs, [f for f in frames if f.data_ids])
+    return out
+
+
+def _frame(frame_id: int, rig_id: int, data: list[pycolmap.data_t], like: pycolmap.Frame) -> pycolmap.Frame:
+    out = pycolmap.Frame(frame_id=frame_id, rig_id=rig_id)
+    for one in data:
+        out.add_data_id(one)
+    if like.has_pose():
+        out.rig_from_world = like.rig_from_world
+    return out
+
+
+def _copied(rig: pycolmap.Rig, without: set[int] = frozenset()) -> pycolmap.Rig:  # type: ignore[assignment]
+    out = pycolmap.Rig(rig_id=rig.rig_id)
+    out.add_ref_sensor(rig.ref_sensor_id)
+    for sensor, pose in rig.non_ref_sensors.items():
+        if sensor.id not in without:
+            out.add_sensor(sensor, pose)
+    return out
