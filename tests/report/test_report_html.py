@@ -41,7 +41,7 @@ def test_the_whole_report(page: str) -> None:
         "49 of 60 images (82 %) are registered in one connected model; the place of 5 more rests on the rig",
         "images placed by the rig",
         "EPSG:32654 (WGS 84 / UTM zone 54N)",
-        "held by 3 control points",
+        "Held in the world by 3 control points",
         "How sure are we",
         "truncated &amp; unreadable &lt;JPEG&gt;",
         "no GNSS under the bridge",

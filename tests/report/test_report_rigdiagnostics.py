@@ -19,6 +19,6 @@ def test_the_curve_is_drawn_where_the_file_is(tmp_path: Path) -> None:
     lines = [",".join(map(str, row)) for row in [COLUMNS, *rows]]
     (tmp_path / "sparse" / "0" / "rig_diagnostics.csv").write_text("\n".join(lines) + "\n")
     found = rig_diagnostics(run)
-    assert found is not None and found["charts"][0].startswith("<svg")
+    assert found is not None and found["chart"].startswith("<svg")
     (tmp_path / "sparse" / "0" / "rig_diagnostics.csv").write_text("frame,what\n1,2\n")
     assert rig_diagnostics(run) is None
