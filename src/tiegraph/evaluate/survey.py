@@ -48,6 +48,13 @@ class _Findings:
     contradictions: list[str] = field(default_factory=list)
     figures: list[Figure] = field(default_factory=list)
 
+    def add(self, result: Any, note: str, figures: list[Figure]) -> None:
+        """What a comparison found."""
+        self.metrics += result.metrics()
+        self.tables |= result.tables()
+        self.notes.append(note)
+        self.figures += figures
+
 
 @dataclass(frozen=True, eq=False)
 class Products:
@@ -88,12 +95,12 @@ def evaluate_survey(
     """
     found, cloud, stated = _Findings(), made.cloud, stated or Stated()
     model = reference.model_poses(made.model, scene)
-    found.metrics.extend(registered_metrics(made.images))
-    found.tables.update(registered_table(made.images, scene.image_label(), scene.section[scene.frame]))
+    found.metrics += registered_metrics(made.images)
+    found.tables |= registered_table(made.images, scene.image_label(), scene.section[scene.frame])
     if cloud is not None:
         # Against its own points a camera model without depth maps says the same, and needs no reading of them.
         result = backprojection_rmse(cloud.sample(_SAMPLE), pinhole_views(made.model), tuning.points_tried)
-        found.metrics.extend(result.metrics())
+        found.metrics += result.metrics()
         found.notes.append(backprojection.MEANING)
     trajectory = judged = alignment = None
     if settings.reference is not None:
@@ -103,16 +110,10 @@ def evaluate_survey(
         truth, how = _truth(settings.reference_cloud, settings, made.origin, alignment, how)
         judged = _judged(scene, made, model, truth, settings, tuning, alignment)
         figure = cloud_figure(judged.nearest, _reach(judged), stated.predicted, alignment is not None)
-        found.metrics.extend(judged.metrics())
-        found.tables.update(judged.tables())
-        found.figures.append(figure)
+        found.add(judged, f"Reference cloud {settings.reference_cloud.name}, {how}. {judged.notes()}", [figure])
         found.contradictions += against_cloud(figure, tuning.judge)
-        found.notes.append(f"Reference cloud {settings.reference_cloud.name}, {how}. {judged.notes()}")
     if passes is not None:
-        found.metrics.extend(passes.metrics())
-        found.tables.update(passes.tables())
-        found.notes.append(passes.note())
-        found.figures += passes_figure(passes, stated.predicted)
+        found.add(passes, passes.note(), passes_figure(passes, stated.predicted))
     accuracy = in_layers(stated, found.figures)
     if settings.tolerance_m is not None:
         contradicted = bool(found.contradictions or stated.world.get("contradictions"))
@@ -134,8 +135,7 @@ def _trajectory(
     """Reference poses against the model's."""
     assert settings.reference is not None
     path, origin, metric = settings.reference, made.origin, predicted.metric
-    poses = reference.read_reference_poses(path)
-    match, said = reference.match_poses(poses, model, scene, tuning.trajectory.max_gap_s)
+    match, said = reference.match_poses(reference.read_reference_poses(path), model, scene, tuning.trajectory.max_gap_s)
     comparable = settings.reference_origin is not None and origin is not None
     if settings.reference_origin is not None and origin is not None:
         match = reference.poses_to_world(match, reference.enu_origin(settings.reference_origin), origin)
@@ -144,12 +144,9 @@ def _trajectory(
         result = evaluate_trajectory(match, distances, tuning.trajectory, same_frame=comparable, metric=metric)
     except np.linalg.LinAlgError as error:
         raise InputError(f"{path}: the poses cannot be aligned: {error}") from None
-    found.metrics.extend(result.metrics())
-    found.tables.update(result.tables())
-    found.notes.append(f"Reference poses {path.name}: {said}.")
     figures = pose_figures(match, result, predicted, tuning.trajectory)
-    found.figures += figures
     registered = float(made.images.registered.mean()) if len(scene) else 0.0
+    found.add(result, f"Reference poses {path.name}: {said}.", figures)
     found.contradictions += against_poses(match, figures, metric, tuning.judge, _step_s(scene), registered)
     if not metric:
         found.notes.append("Nothing told the model's scale: the reference does, and no error of it is stated.")
@@ -229,12 +226,12 @@ def _alignment(
     if trajectory is None:
         return None, "compared as it is: an alignment needs reference poses too"
     off = abs(trajectory.sim3.alignment.scale - 1)
-    if settings.alignment == "rigid" and off < unscaled_share:
+    if settings.alignment == "similarity":
+        return trajectory.sim3.alignment, "after a similarity alignment by the matched poses"
+    if off < unscaled_share:
         return trajectory.se3.alignment, "after a rigid alignment by the matched poses"
-    if settings.alignment == "rigid":
-        how = f"the model's scale differs by {100 * off:.0f} %, so it was scaled too, by a similarity over the poses"
-        return trajectory.sim3.alignment, how
-    return trajectory.sim3.alignment, "after a similarity alignment by the matched poses"
+    how = f"the model's scale differs by {100 * off:.0f} %, so it was scaled too, by a similarity over the poses"
+    return trajectory.sim3.alignment, how
 
 
 # --- references against what was predicted -------------------------------------------------------------------------
@@ -258,30 +255,23 @@ def against_poses(
     """
     by_key = {f.key: f for f in figures}
     whole, placed = by_key["shape.whole"], by_key.get("world.reference_poses")
+    differ = "the reference poses and the model differ by"
     if beyond(whole, tuning):
-        why = (
-            _explained(match, metric, tuning, step_s, registered >= tuning.whole)
-            or "one of the two is wrong by more than it says"
-        )
-        return [f"the reference poses and the model differ by {_said(whole, metric)}: {why}"]
+        why = _explained(match, metric, tuning, step_s, registered >= tuning.whole)
+        return [f"{differ} {_said(whole, metric)}: {why or 'one of the two is wrong by more than it says'}"]
     if placed is not None and beyond(placed, tuning):
         east, north, up = np.mean(match.estimate[:, :3, 3] - match.reference[:, :3, 3], axis=0)
-        return [
-            f"the reference poses and the model differ by {_said(placed, True)} on the Earth, though their shapes "
-            "agree: "
-            f"the model stands {east:+.2f} m east, {north:+.2f} m north, {up:+.2f} m up of it: another datum or origin?"
-        ]
+        off = f"{east:+.2f} m east, {north:+.2f} m north, {up:+.2f} m up of it: another datum or origin?"
+        text = "on the Earth, though their shapes agree: the model stands"
+        return [f"{differ} {_said(placed, True)} {text} {off}"]
     return []
 
 
 def against_cloud(figure: Figure, tuning: JudgeTuning) -> list[str]:
     """Sentences about a reference cloud that the cloud contradicts: half its points are farther than predicted."""
-    if not beyond(figure, tuning):
-        return []
-    return [
-        f"the reference cloud and the cloud differ by {_said(figure, True)} (median): "
-        "another frame or datum, or a place that has changed"
-    ]
+    why = "another frame or datum, or a place that has changed"
+    text = f"the reference cloud and the cloud differ by {_said(figure, True)} (median): {why}"
+    return [text] if beyond(figure, tuning) else []
 
 
 def beyond(figure: Figure, tuning: JudgeTuning) -> bool:
@@ -310,10 +300,8 @@ def _hypotheses(
     """(error left, what it would be) of a mirror image of a ``whole`` model, an axis of another scale, and a lag."""
     est, ref = match.estimate[:, :3, 3], match.reference[:, :3, 3]
     if whole:
-        yield (
-            _left(est, -ref, metric),
-            "the reference is a mirror image: one of its axes is negated, or two are exchanged",
-        )
+        text = "the reference is a mirror image: one of its axes is negated, or two are exchanged"
+        yield _left(est, -ref, metric), text
     for axis in range(3):
         left, factor = _axis_scale(est, ref, axis, metric, tuning)
         text = f"the reference's {_AXES[axis]} axis differs in scale, it is {1 / factor:.3g} times that of the others"
