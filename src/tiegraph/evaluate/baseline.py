@@ -193,7 +193,7 @@ def stretch(scene: Scene, centres: np.ndarray, images: int) -> np.ndarray:
     the block too: to leave it out would flatter whoever is judged. The middle is that of the longest pass.
     Raises ValueError if no frame has a place.
     """
-    known = np.isfinite(centres).all(axis=1)
+    known = np.all(np.isfinite(centres), axis=1)
     if not known.any():
         raise ValueError("no frame has a place")
     placed = np.array(centres, float)

@@ -108,9 +108,10 @@ class TrajectoryError:
         for r in (r for r in self.relative if r.count):
             rows.append((f"rpe_{r.distance_m:g}m_translation", r.translation_m, "m"))
             rows.append((f"rpe_{r.distance_m:g}m_rotation", r.rotation_deg, "deg"))
-        high = {"better": "high", "target": 100.0}
         return [
-            Metric(name=name, value=value, unit=unit, **(high if name == near else {"better": "low"}))
+            Metric(name=name, value=value, unit=unit, better="low")
+            if name != near
+            else Metric(name=name, value=value, unit=unit, better="high", target=100.0)
             for name, value, unit in rows
         ]
 

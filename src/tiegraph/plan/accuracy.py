@@ -16,6 +16,7 @@ from tiegraph.errors import InputError
 from tiegraph.geometry.align import rms_length
 from tiegraph.geometry.gravity import UpTuning
 from tiegraph.geometry.transforms import motions
+from tiegraph.plan.figures import above_zero
 from tiegraph.plan.network import MountedCamera, Network
 from tiegraph.plan.path import Path
 from tiegraph.plan.tuning import WorldTuning
@@ -202,8 +203,7 @@ class ControlPoints:
     def __post_init__(self) -> None:
         if self.count < 0:
             raise InputError(f"--control {self.count}: give how many control points there are")
-        if not self.sigma_m > 0:
-            raise InputError(f"--control-sigma {self.sigma_m:g}: give metres, above zero")
+        above_zero("control-sigma", self.sigma_m, "metres")
 
 
 def along(path: Path) -> np.ndarray:
