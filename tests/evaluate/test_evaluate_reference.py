@@ -196,8 +196,6 @@ def test_a_survey_is_evaluated_whole(tmp_path: Path) -> None:
     assert values["registered_images"] == pytest.approx(100 * 20 / 24) and values["ate_sim3_rmse"] < 1e-6
     assert 0.001 < values["backprojection_rmse"] < 0.1 and values["fscore_0.02m"] > 99
     assert values["images_by_rig"] == pytest.approx(100 / 24)
-    rows = data["tables"]["registered by camera"]["rows"]
-    assert rows == [["cam0", 12, 0, 12, 100.0], ["cam1", 8, 1, 12, pytest.approx(200 / 3)]]
     assert any("round" in note for note in data["notes"])
 
 

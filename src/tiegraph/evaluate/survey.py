@@ -25,7 +25,6 @@ from tiegraph.evaluate.trajectory import (
     TrajectoryError,
     evaluate_trajectory,
     registered_metrics,
-    registered_table,
 )
 from tiegraph.evaluate.tuning import JudgeTuning, Tuning
 from tiegraph.geometry.align import Similarity, rms_length, umeyama
@@ -96,7 +95,6 @@ def evaluate_survey(
     found, cloud, stated = _Findings(), made.cloud, stated or Stated()
     model = reference.model_poses(made.model, scene)
     found.metrics += registered_metrics(made.images)
-    found.tables |= registered_table(made.images, scene.image_label(), scene.section[scene.frame])
     if cloud is not None:
         # Against its own points a camera model without depth maps says the same, and needs no reading of them.
         result = backprojection_rmse(cloud.sample(_SAMPLE), pinhole_views(made.model), tuning.points_tried)
@@ -290,38 +288,35 @@ def _explained(match: PoseMatch, metric: bool, tuning: JudgeTuning, step_s: floa
     actual, free = _left(est, ref, metric), 3 * min(len(est), tuning.counted) - 7  # unknowns of a similarity
     if metric and fits_better(actual, _left(est, ref, False), free):
         return f"the reference is {umeyama(est, ref).scale:.4g} times as large as the model, {RARELY}"
-    left, why = min(_hypotheses(match, metric, tuning, step_s, whole))
+    left, why = min(_hypotheses(match, metric, step_s, whole))
     return f"{why}, {RARELY}" if fits_better(actual, left, free) else ""
 
 
-def _hypotheses(
-    match: PoseMatch, metric: bool, tuning: JudgeTuning, step_s: float, whole: bool
-) -> Iterator[tuple[float, str]]:
+def _hypotheses(match: PoseMatch, metric: bool, step_s: float, whole: bool) -> Iterator[tuple[float, str]]:
     """(error left, what it would be) of a mirror image of a ``whole`` model, an axis of another scale, and a lag."""
     est, ref = match.estimate[:, :3, 3], match.reference[:, :3, 3]
     if whole:
         text = "the reference is a mirror image: one of its axes is negated, or two are exchanged"
         yield _left(est, -ref, metric), text
     for axis in range(3):
-        left, factor = _axis_scale(est, ref, axis, metric, tuning)
+        left, factor = _axis_scale(est, ref, axis, metric)
         text = f"the reference's {_AXES[axis]} axis differs in scale, it is {1 / factor:.3g} times that of the others"
         yield left, text
-    yield _lag(match, metric, tuning.lag_rounds, step_s)
+    yield _lag(match, metric, step_s)
 
 
-def _axis_scale(est: np.ndarray, ref: np.ndarray, axis: int, metric: bool, tuning: JudgeTuning) -> tuple[float, float]:
+def _axis_scale(est: np.ndarray, ref: np.ndarray, axis: int, metric: bool) -> tuple[float, float]:
     """Error left and factor that an axis of the reference is to be multiplied by to agree best."""
 
     def left(log: float) -> float:
         return _left(est, ref * np.where(np.arange(3) == axis, 10**log, 1.0), metric)
 
-    start = min(np.linspace(-tuning.axis_decades, tuning.axis_decades, tuning.axis_starts), key=left)
-    reach = 2.4 * tuning.axis_decades / (tuning.axis_starts - 1)  # a little more than between two starts
-    best = scipy.optimize.minimize_scalar(left, bounds=(start - reach, start + reach), method="bounded")
+    start = min(np.linspace(-4, 4, 33), key=left)  # over four decades up and down
+    best = scipy.optimize.minimize_scalar(left, bounds=(start - 0.3, start + 0.3), method="bounded")
     return float(best.fun), float(10**best.x)
 
 
-def _lag(match: PoseMatch, metric: bool, rounds: int, step_s: float) -> tuple[float, str]:
+def _lag(match: PoseMatch, metric: bool, step_s: float) -> tuple[float, str]:
     """Error left with the reference moved along its own way by one number of frames."""
     est, ref = match.estimate[:, :3, 3], match.reference[:, :3, 3]
     speed = np.zeros_like(ref)
@@ -330,7 +325,7 @@ def _lag(match: PoseMatch, metric: bool, rounds: int, step_s: float) -> tuple[fl
             at = match.order[rows].astype(float)
             speed[rows] = np.gradient(ref[rows], np.maximum.accumulate(at + 1e-9 * np.arange(len(at))), axis=0)
     frames = 0.0
-    for _ in range(rounds):
+    for _ in range(3):  # alignment and lag in turn
         fit = umeyama(est, ref + frames * speed, with_scale=not metric)
         off = fit(est) - ref
         frames = float(np.sum(off * speed) / max(np.sum(speed**2), 1e-12))

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from tiegraph.evaluate.tuning import TrajectoryTuning
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity, rms_length, robust_umeyama, umeyama
-from tiegraph.scene.registered import BY_RIG, Registration
+from tiegraph.scene.registered import Registration
 from tiegraph.scene.results import Metric
 
 _NAN = float("nan")
@@ -261,24 +261,6 @@ def _by_part(
 def path_length(positions: np.ndarray) -> np.ndarray:
     """Travelled distance (T,) along positions (T, 3), starting at 0."""
     return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=1))])
-
-
-def registered_table(images: Registration, labels: list[tuple[str, str]], sections: np.ndarray) -> dict[str, dict]:
-    """Registered of all images, and placed by their rig, by pass, by camera and by section; labels: N of (pass,
-    camera)."""
-    names = {"pass": [t or "(loose)" for t, _ in labels], "camera": [s for _, s in labels]}
-    if np.any(sections >= 0):
-        names["section"] = [f"{s}" if s >= 0 else "(none)" for s in sections]
-    out = {}
-    for kind, values in names.items():
-        column = np.array(values)
-        rows = []
-        for value in dict.fromkeys(values):
-            of = column == value
-            registered, by_rig = images.registered[of], images.by_rig[of]
-            rows.append([value, int(registered.sum()), int(by_rig.sum()), len(registered), 100 * registered.mean()])
-        out[f"registered by {kind}"] = {"columns": [kind, "registered", BY_RIG, "images", "%"], "rows": rows}
-    return out
 
 
 def registered_metrics(images: Registration) -> list[Metric]:

@@ -1,6 +1,6 @@
 """report.html: one self-contained file made of receipts and artefacts only, for the client first, then the engineer."""
 
-from collections.abc import Iterator
+import re
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
@@ -29,6 +29,7 @@ _DROPPED_SHOWN = 200
 _IMAGES_SHOWN = 5000
 _RIGS_SHOWN, _CAMERAS_SHOWN = 8, 24
 _ARROW_SHARE = 0.1  # of the width of an image: the longest residual of a lens as drawn
+_HEADING = re.compile(r'<h2 id="(\w+)">(.*?)</h2>')
 _WORDS = {
     "accuracy in the world": "how far a point may be from its true coordinates; what holds the survey there is named",
     "accuracy in shape": "how far parts may be off each other, wherever the survey as a whole stands",
@@ -105,8 +106,9 @@ def render(run: RunFolder, settings: ReportSettings, planned: formatting.Table |
             "glossary": [(t(word), t(meaning)) for word, meaning in _WORDS.items()],
             **_space(run, seen, settings),
         }
-        context["contents"] = list(_contents(context))
-        return environment().get_template("template.html.jinja").render(context)
+        page = environment().get_template("template.html.jinja").render(context)
+        links = (f'<li><a href="#{key}">{title}</a></li>' for key, title in _HEADING.findall(page))
+        return page.replace("<!--contents-->", "".join(links))
 
 
 def environment() -> jinja2.Environment:
@@ -127,26 +129,6 @@ def environment() -> jinja2.Environment:
 
 def _shown(value: str) -> str:
     return printable(formatting.without_folders(value))
-
-
-def _contents(context: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    """The sections that the page has, in its order: where the contents list leads, and their names."""
-    scan, network, model = context["scan"], context["network"], context["model"]
-    there = (
-        ("result", t("The result in words"), True),
-        ("sure", t("How sure are we"), context["sure"]["table"] or context["sure"]["evidence"]),
-        ("found", t("What was found"), scan["facts"] or scan["notes"] or scan["dropped"]),
-        ("images", t("Every image"), context["images"]["there"]),
-        ("masks", t("Masks") if context["masks"]["any"] else t("Images"), context["masks"]["strips"]),
-        ("network", t("Which images tie to which"), network["there"]),
-        ("model", t("Camera positions and model"), model["there"] or model["notes"]),
-        ("cloud", t("Point cloud"), context["viewer"] or context["views"]),
-        ("evaluation", t("Evaluation"), context["evaluation"]["there"]),
-        ("effort", t("Time and memory"), context["effort"]["charts"]),
-        ("settings", t("Settings and versions"), context["effort"]["settings"] or context["effort"]["software"]),
-        ("glossary", t("Glossary"), True),
-    )
-    return ((key, title) for key, title, shown in there if shown)
 
 
 def _how_sure(run: RunFolder) -> dict[str, Any]:

@@ -130,9 +130,11 @@ def evaluation(run: RunFolder) -> dict[str, Any]:
     rows = tuple((said(t(metric_text(str(m["name"])))), *_value(run, m)) for m in metrics)
     columns = (t("figure"), t("value"), t("unit"))
     tables = data.get("tables") or {}
-    # who is registered stands in the model section
-    shown = {n: d for n, d in tables.items() if not n.startswith("registered by") and n != PASSES}
-    named = (formatting.table(with_section_names(run, d), capital(said(n)), f"tables.{n}") for n, d in shown.items())
+    named = (
+        formatting.table(with_section_names(run, d), capital(said(n)), f"tables.{n}")
+        for n, d in tables.items()
+        if n != PASSES
+    )
     against = (tables.get(_AGAINST) or {}).get("rows")
     return {
         "there": bool(data),

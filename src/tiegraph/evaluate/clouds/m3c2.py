@@ -48,8 +48,8 @@ def cylinders_of(clouds: TiledClouds, tuning: M3c2Tuning, depth_m: float | None 
         raise ValueError("half of the points of a cloud stand in one place, or it has only one: no surface")
     radius = float(f"{tuning.radius_spacings * spacing:.2g}")
     depth = tuning.depth_radii * radius if depth_m is None else depth_m
-    if not radius <= depth <= tuning.most_radii * radius:
-        raise ValueError(f"a depth of {depth:g} m does not fit: give {radius:g} to {tuning.most_radii * radius:g} m")
+    if not radius <= depth <= 200 * radius:
+        raise ValueError(f"a depth of {depth:g} m does not fit: give {radius:g} to {200 * radius:g} m")
     return Cylinders(radius_m=radius, normal_m=tuning.normal_radii * radius, depth_m=depth, cores_m=radius)
 
 

@@ -16,6 +16,7 @@ from tiegraph.geometry.coarse import Start, normals, start_of
 from tiegraph.scene.cloudchunks import PointSource
 
 _PARTS, _CELLS = 10, 20  # of the jackknife: each a tenth of the cells, of which the survey's length has so many
+_ROUNDS, _STILL = 20, 1e-3  # with each reach at most, until no point moves by more than this share of the spacing
 _NAMES = ("turn about x", "turn about y", "turn about z", "x", "y", "z", "scale")
 _TUKEY = 4.685  # residuals beyond so many sigmas do not count (Tukey's function, 95 % efficient)
 
@@ -94,11 +95,11 @@ def register(
         return _equations(fit(cloud), (tree, normal), reach * spacing, tuning, middle, unit)
 
     for reach in tuning.reach_spacings:
-        for _ in range(tuning.rounds):
+        for _ in range(_ROUNDS):
             found = met(reach)
             step = np.linalg.solve(found.matrix.sum(axis=0), found.vector.sum(axis=0))
             fit = _moved(fit, np.r_[step * unit, np.zeros(7 - unknowns)], middle)
-            if np.abs(step).max() < tuning.still * spacing:
+            if np.abs(step).max() < _STILL * spacing:
                 break
     found = met(tuning.reach_spacings[-1])
     covariance = np.zeros((7, 7))

@@ -94,7 +94,7 @@ def tile_clouds(first: PointSource, second: PointSource, scratch: Path, tuning: 
         bounds=begin[axis] + edge * np.stack(bounds, axis=1),
         low=low,
         high=high,
-        spacing_m=np.array([_spacing(own, tuning) for own in files]),
+        spacing_m=np.array([_spacing(own) for own in files]),
     )
 
 
@@ -121,11 +121,11 @@ def _copied(source: PointSource, file: Path) -> tuple[np.ndarray, np.ndarray]:
     return low, high
 
 
-def _spacing(files: list[Path], tuning: CloudTuning) -> float:
+def _spacing(files: list[Path]) -> float:
     """Median distance to the nearest point, of some points of the fullest tile; NaN of a single point."""
     full = _points([*_rows(max(files, key=lambda file: file.stat().st_size))]).xyz
     if len(full) < 2:
         return float("nan")
-    some = full[:: -(-len(full) // tuning.spacing_points)]
+    some = full[:: -(-len(full) // 5000)]
     tree = cKDTree(full, balanced_tree=False, compact_nodes=False)  # few are asked: made in a third of the time
     return float(np.median(tree.query(some, k=2)[0][:, 1]))
