@@ -93,8 +93,7 @@ def main(arguments: list[str]) -> int:
     """`tiegraph run`."""
     folder, known = preparsed(arguments)
     before = open_project(folder, known.out, preset=known.preset, unset=known.unset).settings if folder else Settings()
-    verb = Verb("tiegraph run", RunOptions, STAGED, ("images", _IMAGES), _RUN)
-    images, options, given = verb.parsed(arguments, before)
+    images, options, given = _parsed("tiegraph run", arguments, before, STAGED, RunOptions, ("images", _IMAGES), _RUN)
     inputs = {n: getattr(options, n) for n in ("rig", "camera", "gnss", "trajectory", "start", "times", *SETTING_OF)}
     how = {"preset": options.preset, "pool": options.pool, "unset": options.unset}
     project = open_project(images, options.out, settings=given, **how, **inputs)
@@ -130,46 +129,45 @@ def main_stage(stage: str, arguments: list[str], kind: type[Common] = Common, ab
     if wants_page(arguments):
         what += f"\n\nThe settings of the other stages: tiegraph {stage} {HELP_ALL}."
         arguments, shown = [HELP[-1]], (stage,)
-    verb = Verb(f"tiegraph {stage}", kind, shown, ("out", "A run folder made by `tiegraph run`."), what)
-    out, options, given = verb.parsed(arguments, before)
+    folder_help = ("out", "A run folder made by `tiegraph run`.")
+    out, options, given = _parsed(f"tiegraph {stage}", arguments, before, shown, kind, folder_help, what)
     return finish(open_project(None, out, pool=options.pool, settings=given, unset=options.unset), stage, options)
 
 
-@dataclass(frozen=True)
-class Verb:
-    """A verb that runs stages: its program, options, the sections of the settings that it takes and shows, the name of
-    the folder with what it is, and what it is for."""
+def _parsed(
+    program: str,
+    arguments: list[str],
+    before: Settings,
+    sections: Sequence[str],
+    kind: type[Common] = RunOptions,
+    folder: tuple[str, str] = ("folder", ""),
+    about: str = "",
+) -> tuple[Path, Any, Settings]:
+    """The folder, the options (of class ``kind``), and the settings before with what the command line gave. Raises
+    SettingsError.
 
-    program: str
-    options: type[Common]
-    sections: Sequence[str]
-    folder: tuple[str, str]
-    about: str
+    ``sections`` of the settings are taken and shown; ``folder``: its name and what it is; ``about`` the verb.
+    """
+    # Each section is described here, else tyro parses this file in search of the class.
+    fields: dict[str, Any] = {}
+    for name in sections:
+        section = getattr(before, name)
+        fields[name] = type(section), Field(section, description=inspect.getdoc(section))
+    shown = create_model("Shown", __base__=Section, **fields)()
 
-    def parsed(self, arguments: list[str], before: Settings) -> tuple[Path, Any, Settings]:
-        """The folder, the options, and the settings before with what the command line gave. Raises SettingsError."""
-        # Each section is described here, else tyro parses this file in search of the class.
-        fields: dict[str, Any] = {}
-        for name in self.sections:
-            section = getattr(before, name)
-            fields[name] = type(section), Field(section, description=inspect.getdoc(section))
-        shown = create_model("Shown", __base__=Section, **fields)()
-        name, what = self.folder
+    def verb(
+        folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(name=folder[0], help=folder[1])],
+        options: Annotated[kind, tyro.conf.arg(name="")],  # type: ignore[valid-type]
+        settings: Annotated[type(shown), tyro.conf.arg(name="")] = shown,  # type: ignore[valid-type]
+    ) -> tuple[Path, Common, Section]:
+        return folder, options, settings
 
-        def verb(
-            folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(name=name, help=what)],
-            options: Annotated[self.options, tyro.conf.arg(name="")],  # type: ignore[valid-type,name-defined]
-            settings: Annotated[type(shown), tyro.conf.arg(name="")] = shown,  # type: ignore[valid-type]
-        ) -> tuple[Path, Common, Section]:
-            return folder, options, settings
-
-        try:
-            # Both forms of every flag: its default is what the folder was run with, and the same must run again.
-            how = {"page": HELP_ALL, "description": self.about}
-            path, options, given = options_of(verb, self.program, arguments, **how)
-        except ValidationError as error:
-            raise SettingsError("; ".join(_said(error.title, e) for e in error.errors())) from None
-        return path, options, before.model_copy(update={n: getattr(given, n) for n in self.sections})
+    try:
+        # Both forms of every flag: its default is what the folder was run with, and the same must run again.
+        path, options, given = options_of(verb, program, arguments, page=HELP_ALL, description=about)
+    except ValidationError as error:
+        raise SettingsError("; ".join(_said(error.title, e) for e in error.errors())) from None
+    return path, options, before.model_copy(update={n: getattr(given, n) for n in sections})
 
 
 def finish(project: Project, until: str | None, options: Common) -> int:
@@ -201,7 +199,7 @@ def preparsed(arguments: list[str]) -> tuple[Path | None, RunOptions]:
     """
     words = [a for a in arguments if a not in (*HELP, HELP_ALL)]
     try:
-        folder, options, _ = Verb("", RunOptions, STAGED, ("images", ""), "").parsed(words, Settings())
+        folder, options, _ = _parsed("tiegraph", words, Settings(), STAGED)
     except SettingsError:
         return None, RunOptions()
     if Path() in (folder, options.out) and {"", "--out="} & set(words) and "." not in words:

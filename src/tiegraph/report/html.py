@@ -288,7 +288,7 @@ def _residuals(run: RunFolder) -> Markup | None:
     ]
     parts = [part for part in [*parts, (t("outlier"), ALERT, ~used)] if part[2].any()]
     panels = [
-        (name, [Series(who, colour, frames[of], off[of, c], joined=False) for who, colour, of in parts])
+        (name, [Series(name=n, colour=k, x=frames[of], y=off[of, c], joined=False) for n, k, of in parts])
         for c, name in enumerate((t("east, m"), t("north, m"), t("up, m")))
     ]
     return plot(panels, t("frame"), t("Fit to the given positions"))

@@ -150,7 +150,7 @@ def _shares(rows: list[list[float]]) -> Markup:
     """A curve each of accuracy, completeness and F-score over the distance."""
     distance, *values = np.array(rows, float).T
     kinds = zip((t("accuracy"), t("completeness"), t("F-score")), (LIGHT, USED, "var(--dark)"), values)
-    series = [Series(name, colour, distance, np.nan_to_num(value)) for name, colour, value in kinds]
+    series = [Series(name=name, colour=colour, x=distance, y=np.nan_to_num(value)) for name, colour, value in kinds]
     return plot([(t("% of points"), series)], t("distance, m"), t("Cloud against reference"), whole=False)
 
 
@@ -253,7 +253,7 @@ def rig_diagnostics(run: RunFolder) -> dict[str, Any] | None:
             # of the three directions, the one that this camera is off most in
             worst = max((figures[axis][at] for axis in axes), key=lambda off: float(np.median(np.abs(off))))
             band = 2 * float(np.median(figures[sigma][at]))
-            series.append(Series(own, pass_colour(k), figures["frame"][at], worst, band))
+            series.append(Series(name=own, colour=pass_colour(k), x=figures["frame"][at], y=worst, band=band))
         panels.append((name, series))
     return {"chart": plot(panels, t("frame"), t("Rig diagnostics")), "caption": t(_CAPTION)}
 

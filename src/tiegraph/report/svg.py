@@ -175,7 +175,7 @@ def plot(panels: Sequence[tuple[str, Sequence[Series]]], x_label: str, label: st
         values = np.concatenate([s.y for s in series])
         most = 1.3 * float(np.nanpercentile(np.abs(values), 98)) + 1e-6
         below = -most if np.nanmin(values) < 0 or any(s.band for s in series) else 0.0
-        area = Area(y + 16, height, span, (below, most))
+        area = Area(top=y + 16, height=height, x=span, y=(below, most))
         parts.append(area.axes(x_label if k + 1 == len(panels) else "", name, whole))
         for s in series:
             (left, top), (right, bottom) = area.at(np.array(span), np.clip([s.band, -s.band], *area.y))
@@ -191,7 +191,8 @@ def histogram(values: np.ndarray, few: int, x_label: str, y_label: str) -> Marku
     """How many things have how many; what has fewer than ``few`` is red."""
     step = max(1, -(-(int(values.max(initial=1)) + 1) // 40))
     count = np.bincount(values // step, minlength=1)
-    area = Area(20, 120, (0, step * len(count)), (0, 1.08 * max(int(count.max(initial=1)), 1)))
+    most = 1.08 * max(int(count.max(initial=1)), 1)
+    area = Area(top=20, height=120, x=(0, step * len(count)), y=(0, most))
     parts = [area.axes(x_label, y_label)]
     for k, number in enumerate(count):
         (x, y), (right, bottom) = area.at(np.array([k, k + 1]) * step, np.array([number, 0]))
