@@ -5,26 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from fake_survey_run import make_accuracy, make_run
+from fake_survey_run import make_accuracy
 from markupsafe import escape
 
 from accuracy_marks import check, unmarked
 from tiegraph.report import accuracy
-from tiegraph.report.html import write_report
-from tiegraph.report.settings import ReportSettings
 from tiegraph.scene.accuracy import Accuracy, Figure
-
-SMALL = ReportSettings(viewer_points=2000)
-
-
-@pytest.fixture(scope="module")
-def full(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return make_run(tmp_path_factory.mktemp("run") / "quay")
-
-
-@pytest.fixture(scope="module")
-def page(full: Path) -> str:
-    return write_report(full, SMALL).read_text(encoding="utf-8")
 
 
 def test_every_accuracy_on_the_page_is_the_one_of_the_source(full: Path, page: str) -> None:

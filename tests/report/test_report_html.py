@@ -25,16 +25,6 @@ from tiegraph.scene.registered import Registration
 SMALL = ReportSettings(viewer_points=2000)
 
 
-@pytest.fixture(scope="module")
-def full(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return make_run(tmp_path_factory.mktemp("run") / "quay survey")
-
-
-@pytest.fixture(scope="module")
-def page(full: Path) -> str:
-    return write_report(full, SMALL).read_text(encoding="utf-8")
-
-
 def test_the_whole_report(page: str) -> None:
     for text in (
         "<h1>quay survey</h1>",

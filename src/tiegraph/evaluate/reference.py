@@ -224,11 +224,6 @@ def _with_mount(estimate: np.ndarray, reference: np.ndarray) -> np.ndarray:
     return transforms.rigid(estimate[:, :3, :3] @ mount, estimate[:, :3, 3])
 
 
-def enu_origin(reference_origin: tuple[float, float, float]) -> Origin:
-    """Origin of a reference in local east-north-up metres."""
-    return Origin(*reference_origin, geodesy.ENU)
-
-
 def to_world(points: np.ndarray, source: Origin, world: Origin) -> np.ndarray:
     """Points (N, 3) of one world in another, through geodetic coordinates (exact, no alignment)."""
     out = np.empty((len(points), 3))

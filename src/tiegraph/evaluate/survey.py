@@ -136,7 +136,7 @@ def _trajectory(
     match, said = reference.match_poses(reference.read_reference_poses(path), model, scene, tuning.trajectory.max_gap_s)
     comparable = settings.reference_origin is not None and origin is not None
     if settings.reference_origin is not None and origin is not None:
-        match = reference.poses_to_world(match, reference.enu_origin(settings.reference_origin), origin)
+        match = reference.poses_to_world(match, Origin(*settings.reference_origin), origin)
     try:
         distances = tuning.trajectory.relative_m
         result = evaluate_trajectory(match, distances, tuning.trajectory, same_frame=comparable, metric=metric)
@@ -213,7 +213,7 @@ def _origin_of(settings: EvaluateSettings, crs: str | None) -> Origin | None:
     """The frame of a reference cloud: the CRS that its header names; local metres about the origin that is given."""
     if crs is not None:
         return Origin(lat_deg=0.0, lon_deg=0.0, height_m=0.0, crs=crs)
-    return None if settings.reference_origin is None else reference.enu_origin(settings.reference_origin)
+    return None if settings.reference_origin is None else Origin(*settings.reference_origin)
 
 
 def _alignment(

@@ -6,7 +6,6 @@ of them against the one source.
 
 import json
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 from markupsafe import Markup, escape
@@ -75,33 +74,18 @@ def terminal_lines(metrics_file: Path) -> list[str]:
     return [str(escape(line).striptags()) for line in sentences(accuracy)]
 
 
-@dataclass(frozen=True)
-class Layer:
-    """A row for one who has not read of layers: what it is of, predicted and measured of the same thing, by what;
-    ``name`` of a layer in its first row."""
-
-    name: str
-    means: str
-    predicted: str
-    measured: str
-    by: str
-
-
-def layers(accuracy: Accuracy) -> list[Layer]:
-    """The three layers in short. What was measured of another thing than stands for the layer has a row of its own."""
+def layers(accuracy: Accuracy) -> list[dict[str, str]]:
+    """The three layers in short, for one who has not read of layers: ``name`` (of a layer in its first row), what it
+    ``means``, ``predicted`` and ``measured`` of the same thing, ``by`` what. What was measured of another thing than
+    stands for the layer has a row of its own."""
     out = []
     for key, means in _MEANS.items():
         best, head = _best(accuracy.of(key)), accuracy.head(key)
         for k, row in enumerate([head] if best is None or best.key == head.key else [head, best]):
-            out.append(
-                Layer(
-                    name="" if k else t(LAYERS[key]),
-                    means=said(row.of) if k else t(means),
-                    predicted=_value(accuracy, row, PREDICTED),
-                    measured=_value(accuracy, row, MEASURED),
-                    by=said(row.by) if row is best or row.by else t("nothing independent"),
-                )
-            )
+            values = {what: _value(accuracy, row, what) for what in (PREDICTED, MEASURED)}
+            by = said(row.by) if row is best or row.by else t("nothing independent")
+            named = {"name": "" if k else t(LAYERS[key]), "means": said(row.of) if k else t(means)}
+            out.append({**named, **values, "by": by})
     return out
 
 

@@ -170,10 +170,8 @@ def _prior(scene: Scene) -> str:
 def _images(run: RunFolder) -> dict[str, Any]:
     """Every image: those that are not used or give no depth map, then the others."""
     rows = warnings.image_rows(run)
-    shown = {bool(row.reason): [] for row in rows}
-    for row in rows[:_IMAGES_SHOWN]:
-        shown[bool(row.reason)].append(row)
-    odd, used = (_image_table(run, shown.get(with_reason, [])) for with_reason in (True, False))
+    shown = rows[:_IMAGES_SHOWN]
+    odd, used = (_image_table(run, [r for r in shown if bool(r.reason) == wanted]) for wanted in (True, False))
     counts = [(name, formatting.count(n)) for name, n in warnings.counts(rows)]
     return {"there": bool(rows), "counts": counts, "more": max(0, len(rows) - _IMAGES_SHOWN), "odd": odd, "used": used}
 

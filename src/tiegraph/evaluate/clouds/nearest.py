@@ -90,8 +90,7 @@ class Cameras:
 
     def section_numbers(self) -> np.ndarray:
         """(K,) number of each camera's section."""
-        number = {name: k for k, name in enumerate(self.sections())}
-        return np.array([number[s] for s in self.section], int)
+        return np.array([self.sections().index(s) for s in self.section], int)
 
 
 @dataclass(frozen=True)
