@@ -4,6 +4,7 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -16,11 +17,12 @@ from tiegraph.geometry import transforms
 from tiegraph.report import charts, cloudview, formatting, summary
 from tiegraph.report.html import environment, write_report
 from tiegraph.report.maps import frame_positions, tracks
-from tiegraph.report.parts import metric_text, network_part
+from tiegraph.report.parts import metric_text, network_part, rig_diagnostics
 from tiegraph.report.runfolder import read_run
 from tiegraph.report.settings import ReportSettings
 from tiegraph.report.spatial import scenery
 from tiegraph.scene.registered import Registration
+from tiegraph.sfm.rig.resections import COLUMNS
 
 SMALL = ReportSettings(viewer_points=2000)
 
@@ -301,3 +303,28 @@ def test_registered_is_what_the_run_called_so(tmp_path: Path) -> None:
     receipt.write_text(json.dumps({**data, "tuning": {"scene": {"of another version": 1}}}))
     again = read_run(folder).model
     assert again is not None and again.images.min_points == 10
+
+
+def test_heights_lever_arm_and_adjustment_are_told() -> None:
+    world = {
+        "placed": True, "vertical": "heights are above the ellipsoid", "adjusted": True, "antenna_m": [0.1, 0.2, 0.3],
+    }  # fmt: skip
+    text = summary.georeference_sentences(world)
+    assert text[0] == "Heights are above the ellipsoid."
+    assert any("0.10, 0.20, 0.30 m" in t for t in text) and any("adjusted together" in t for t in text)
+    assert summary.georeference_sentences({}) == []
+
+
+def test_the_curve_is_drawn_where_the_file_is(tmp_path: Path) -> None:
+    run = SimpleNamespace(path=tmp_path)
+    assert rig_diagnostics(run) is None
+    (tmp_path / "sparse" / "0").mkdir(parents=True)
+    rows = [
+        [f, "road", f"cam{c}", 30, 0.3, 0.01, 0, 0, 0.02, 0, 0, 0.01, 0.02, "", ""] for f in range(6) for c in (0, 1)
+    ]
+    lines = [",".join(map(str, row)) for row in [COLUMNS, *rows]]
+    (tmp_path / "sparse" / "0" / "rig_diagnostics.csv").write_text("\n".join(lines) + "\n")
+    found = rig_diagnostics(run)
+    assert found is not None and found["chart"].startswith("<svg")
+    (tmp_path / "sparse" / "0" / "rig_diagnostics.csv").write_text("frame,what\n1,2\n")
+    assert rig_diagnostics(run) is None
