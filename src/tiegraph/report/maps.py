@@ -146,7 +146,8 @@ def median_cells(place: Place, xy: np.ndarray, values: np.ndarray, pixels: int) 
     inside, cell, size = _cells(place, xy, pixels)
     found = np.unique(cell)
     middle = np.column_stack([found % size[0] + 0.5, -(found // size[0] + 0.5)]) * (WIDTH / pixels) / place.zoom
-    return middle + [place.low[0], place.high[1]], np.asarray(ndimage.median(values[inside], cell, found))
+    median = ndimage.median(values[inside], cell, found) if len(found) else np.zeros(0)
+    return middle + [place.low[0], place.high[1]], np.asarray(median)
 
 
 def _cells(place: Place, xy: np.ndarray, pixels: int) -> tuple[np.ndarray, np.ndarray, tuple[int, int]]:

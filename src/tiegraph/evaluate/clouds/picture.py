@@ -50,7 +50,7 @@ def _medians(at: np.ndarray, value: np.ndarray, size: np.ndarray) -> np.ndarray:
     """(Y, X) median of the values (N,) in each cell x, y (N, 2), NaN without any."""
     cell = at[:, 1] * size[0] + at[:, 0]
     out, found = np.full(size[0] * size[1], np.nan), np.unique(cell)
-    out[found] = ndimage.median(value, cell, found)
+    out[found] = ndimage.median(value, cell, found) if len(found) else []
     return out.reshape(size[1], size[0])
 
 
