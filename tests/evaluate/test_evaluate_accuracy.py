@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import csv
+import io
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from tiegraph.evaluate.accuracy import Hold, Predicted, Stated, answered, between, in_layers, pose_figures
+from tiegraph.evaluate.accuracy import Hold, Predicted, Stated, accuracy_csv, answered, between, in_layers, pose_figures
 from tiegraph.evaluate.trajectory import PoseMatch, evaluate_trajectory
 from tiegraph.evaluate.tuning import TrajectoryTuning
 from tiegraph.geometry import transforms
@@ -129,3 +131,27 @@ def test_too_few_check_points_hold_no_tolerance_but_may_refuse_it() -> None:
     stated = Stated(PREDICTED, replace(HELD, checks=2), WORLD)
     fine, bad = (answered(t, in_layers(stated, ()), stated, False, 3) for t in (0.05, 0.03))
     assert (fine.said, bad.said) == ("cannot be told", "no") and "one or two are too few" in fine.remedy
+
+
+def test_every_figure_has_its_row():
+    metrics = [{"name": "ate_se3_rmse", "value": 0.00676, "unit": "m"}, {"name": "ghosts", "value": None, "unit": "%"}]
+    columns = ["point", "role", "dE m", "not used because"]
+    tables = {"control and check points": {"columns": columns, "rows": [["A, 1", "check", 0.0123, None]]}}
+    frames = [{"frame": 7, "residual_m": [0.01, -0.02, 0.03], "held_out_m": None}]
+    layers = Accuracy("m", "nothing", (Figure("world", "a point", 0.37),), {"yaw_deg": 0.19}).to_dict()
+    said = {"accuracy": layers, "metrics": metrics}
+    rows = list(csv.DictReader(io.StringIO(accuracy_csv(said, tables, {"frames": frames}))))
+    said = {(r["about"], r["item"], r["quantity"]): (r["value"], r["unit"]) for r in rows}
+    assert said == {
+        ("survey", "", "ate_se3_rmse"): ("0.00676", "m"),
+        ("survey", "", "ghosts"): ("", "%"),
+        ("accuracy", "", "world.predicted"): ("0.37", "m"),
+        ("accuracy", "", "placement.yaw_deg"): ("0.19", ""),
+        ("residual of a frame, m", "7", "east"): ("0.01", ""),
+        ("residual of a frame, m", "7", "north"): ("-0.02", ""),
+        ("residual of a frame, m", "7", "up"): ("0.03", ""),
+        ("control and check points", "A, 1", "role"): ("check", ""),
+        ("control and check points", "A, 1", "dE m"): ("0.0123", ""),
+        ("control and check points", "A, 1", "not used because"): ("", ""),
+    }
+    assert len(rows) == len(said)

@@ -162,7 +162,7 @@ def test_unusable_references_say_why(tmp_path: Path) -> None:
 
 def test_local_metres_become_world_metres() -> None:
     world = geodesy.make_origin(35.6965, 139.7695, 37.0)
-    local = reference.enu_origin((35.6965, 139.7695, 37.0))
+    local = Origin(35.6965, 139.7695, 37.0)
     points = np.array([[0.0, 0, 0], [100, 0, 0], [0, 100, 5]])
     moved = reference.to_world(points, local, world)
     assert 99.9 < np.linalg.norm(moved[1] - moved[0]) < 100.1
@@ -196,8 +196,6 @@ def test_a_survey_is_evaluated_whole(tmp_path: Path) -> None:
     assert values["registered_images"] == pytest.approx(100 * 20 / 24) and values["ate_sim3_rmse"] < 1e-6
     assert 0.001 < values["backprojection_rmse"] < 0.1 and values["fscore_0.02m"] > 99
     assert values["images_by_rig"] == pytest.approx(100 / 24)
-    rows = data["tables"]["registered by camera"]["rows"]
-    assert rows == [["cam0", 12, 0, 12, 100.0], ["cam1", 8, 1, 12, pytest.approx(200 / 3)]]
     assert any("round" in note for note in data["notes"])
 
 
@@ -214,7 +212,7 @@ def test_absolute_error_in_a_common_crs(tmp_path: Path) -> None:
     scene = make_scene()
     write_tum(tmp_path / "up.tum", np.arange(FRAMES), rig_poses())
     model = make_model(scene)
-    local = reference.enu_origin(lat_lon_height)
+    local = Origin(*lat_lon_height)
     inside = reference.to_world(rig_poses()[:, :3, 3], local, world)
     poses = transforms.rigid(rig_poses()[:, :3, :3], inside + [0.2, 0, 0])
     found = ModelPoses(poses[scene.frame], poses)

@@ -9,7 +9,7 @@ from tiegraph.evaluate.tuning import RegistrationTuning
 from tiegraph.geometry.align import Similarity
 from tiegraph.geometry.coarse import start_of
 
-TUNING = RegistrationTuning(rounds=10)
+TUNING = RegistrationTuning()
 
 
 def room(seed: int, points: int = 4000) -> np.ndarray:

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tiegraph.evaluate import trajectory
-from tiegraph.evaluate.trajectory import PoseMatch, evaluate_trajectory, registered_metrics, registered_table
+from tiegraph.evaluate.trajectory import PoseMatch, evaluate_trajectory, registered_metrics
 from tiegraph.evaluate.tuning import TrajectoryTuning
 from tiegraph.geometry import transforms
 from tiegraph.scene.registered import Registration
@@ -132,11 +132,7 @@ def test_two_poses_cannot_be_aligned() -> None:
 
 
 def test_registered_shares() -> None:
-    labels = [("up", "cam0"), ("up", "cam1"), ("down", "cam0"), ("down", "cam1")]
     images = Registration(np.array([True, False, True, True]), np.array([10, 0, 9, 500]), 10)  # 9 points are too few
-    tables = registered_table(images, labels, np.array([0, 0, 1, -1]))
-    assert tables["registered by pass"]["rows"] == [["up", 1, 0, 2, 50.0], ["down", 1, 1, 2, 50.0]]
-    assert tables["registered by section"]["rows"][2] == ["(none)", 1, 0, 1, 100.0]
     assert [(m.name, m.value) for m in registered_metrics(images)] == [
         ("registered_images", 50.0),
         ("images_by_rig", 25.0),

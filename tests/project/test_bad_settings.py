@@ -6,6 +6,7 @@ from typing import get_args
 import pytest
 
 from tiegraph.api import open_project
+from tiegraph.cli.main import main
 from tiegraph.cli.run import preparsed
 from tiegraph.errors import InputError, SettingsError
 from tiegraph.project.folder import SETTINGS
@@ -150,23 +151,25 @@ def test_arguments_in_any_order():
         ["im", "-o", "o"],
         ["--gnss", "g.csv", "im", "-o=o"],
         ["--json", "--out", "o", "im"],
-        ["--candidates.sources", "a", "b", "--no-quiet", "im", "--out=o"],
+        ["--candidates.sources", "offsets", "poses", "--no-quiet", "im", "--out=o"],
         ["--coarse.method", "off", "im", "-o", "o"],
         ["--scan.crop_px", "1", "2", "3", "4", "im", "-o", "o"],
         ["--evaluate.reference-origin", "-33.9", "-70", "5", "--match.guided", "im", "-o", "o"],
     ):
-        known = preparsed(arguments)
-        assert (str(known.folder), str(known.out)) == ("im", "o"), arguments
+        folder, known = preparsed(arguments)
+        assert (str(folder), str(known.out)) == ("im", "o"), arguments
 
 
 def test_what_is_to_be_unset_is_known_before_the_options_are_read():
-    known = preparsed(["im", "--unset", "gnss", "-o", "o", "--unset=masks.folder"])
-    assert known.unset == ("gnss", "masks.folder") and (str(known.folder), str(known.out)) == ("im", "o")
+    folder, known = preparsed(["im", "--unset", "gnss", "-o", "o", "--unset=masks.folder"])
+    assert known.unset == ("gnss", "masks.folder") and (str(folder), str(known.out)) == ("im", "o")
 
 
-def test_an_output_without_a_name():
-    for arguments in (["im", "-o"], ["im", "-o", "--rig", "x"], ["im", "--out", ""], ["im", "--out="]):
-        with pytest.raises(SettingsError, match="-o: no folder is named after it"):
-            preparsed(arguments)
-    with pytest.raises(SettingsError, match="the name of the folder is empty"):
-        preparsed(["", "-o", "o"])
+def test_an_output_without_a_name(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "im").mkdir()
+    for arguments in (["im", "-o"], ["im", "-o", "--rig", "x"], ["im", "--out", ""], ["im", "--out="], ["", "-o", "o"]):
+        assert main(["run", *arguments]) == 2
+        said = capsys.readouterr().err
+        assert "name of a folder is empty" in said or "-o" in said, arguments
+        assert [p.name for p in tmp_path.iterdir()] == ["im"], arguments

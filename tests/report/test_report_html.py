@@ -25,23 +25,13 @@ from tiegraph.scene.registered import Registration
 SMALL = ReportSettings(viewer_points=2000)
 
 
-@pytest.fixture(scope="module")
-def full(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return make_run(tmp_path_factory.mktemp("run") / "quay survey")
-
-
-@pytest.fixture(scope="module")
-def page(full: Path) -> str:
-    return write_report(full, SMALL).read_text(encoding="utf-8")
-
-
 def test_the_whole_report(page: str) -> None:
     for text in (
         "<h1>quay survey</h1>",
         "49 of 60 images (82 %) are registered in one connected model; the place of 5 more rests on the rig",
         "images placed by the rig",
         "EPSG:32654 (WGS 84 / UTM zone 54N)",
-        "held by 3 control points",
+        "Held in the world by 3 control points",
         "How sure are we",
         "truncated &amp; unreadable &lt;JPEG&gt;",
         "no GNSS under the bridge",
@@ -311,3 +301,13 @@ def test_registered_is_what_the_run_called_so(tmp_path: Path) -> None:
     receipt.write_text(json.dumps({**data, "tuning": {"scene": {"of another version": 1}}}))
     again = read_run(folder).model
     assert again is not None and again.images.min_points == 10
+
+
+def test_heights_lever_arm_and_adjustment_are_told() -> None:
+    world = {
+        "placed": True, "vertical": "heights are above the ellipsoid", "adjusted": True, "antenna_m": [0.1, 0.2, 0.3],
+    }  # fmt: skip
+    text = summary.georeference_sentences(world)
+    assert text[0] == "Heights are above the ellipsoid."
+    assert any("0.10, 0.20, 0.30 m" in t for t in text) and any("adjusted together" in t for t in text)
+    assert summary.georeference_sentences({}) == []

@@ -187,6 +187,7 @@ def test_maps_and_overlap_are_drawn_where_the_data_are(full: Path) -> None:
     assert inside.mean() > 0.9, "the surface that was surveyed is on the map, not only the way"
     far = replace(seen, xyz=seen.xyz + [10_000, 0, 0])
     assert np.ptp([far.place.low[0], far.place.high[0]]) < 4 * np.ptp([place.low[0], place.high[0]])
+    assert spatial.overlap_map(far) is not None, "an empty one"
     overlap = spatial.overlap_map(seen)
     assert overlap is not None and "4–5 images" in overlap
     assert spatial.ellipse_map(read_run(full, 5000), seen) is None, "the run says nothing of its placement's covariance"

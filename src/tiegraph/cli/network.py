@@ -28,14 +28,14 @@ def main(arguments: list[str]) -> int:
     if "--coverage" not in arguments:
         return run.main_stage("network", arguments, _Options)
     rest = [a for a in arguments if a != "--coverage"]
-    known = run.preparsed(rest)
-    if known.folder is None:
+    folder, known = run.preparsed(rest)
+    if folder is None:
         return run.main_stage("network", rest, _Options)
-    if (known.folder / "scene.json").exists():
+    if (folder / "scene.json").exists():
         run.main_stage("design", rest)
-        return _show(open_project(None, known.folder), "--json" in rest)
+        return _show(open_project(None, folder), "--json" in rest)
     run.main([*rest, "--until", "design"])
-    return _show(open_project(known.folder, known.out), "--json" in rest)
+    return _show(open_project(folder, known.out), "--json" in rest)
 
 
 def _show(project: Project, as_json: bool) -> int:

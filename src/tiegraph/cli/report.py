@@ -21,7 +21,7 @@ class _Options(run.Common):
 def main(arguments: list[str]) -> int:
     """The stage for a run folder; with ``--pdf`` also printed."""
     rest = [_setting(a) for a in arguments if a != "--pdf"]
-    folder = run.preparsed(rest).folder
+    folder, _ = run.preparsed(rest)
     if len(rest) == len(arguments) or folder is None:
         return run.main_stage("report", rest, _Options)
     find_browser()  # what is missing is said before the work

@@ -1,13 +1,12 @@
 """`tiegraph run IMAGES -o OUT` and `tiegraph <stage> OUT`."""
 
 import inspect
-import re
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args, get_origin
+from typing import Annotated, Any, Literal
 
 import tyro
 from pydantic import Field, ValidationError, create_model
@@ -16,14 +15,13 @@ from tiegraph import forking
 from tiegraph.api import Project, open_project
 from tiegraph.cli.options import Talk, options_of
 from tiegraph.cli.verbs import HELP, HELP_ALL, wants_page
-from tiegraph.errors import ReconstructionError, SettingsError, choose
+from tiegraph.errors import ReconstructionError, SettingsError
 from tiegraph.pipeline import load
 from tiegraph.project.progress import Reporter
-from tiegraph.project.settings import PRESETS, SETTING_OF, STAGED, Settings, sections
+from tiegraph.project.settings import SETTING_OF, STAGED, Settings
 from tiegraph.report.accuracy import terminal_lines
 from tiegraph.settings import Section
 
-_MANY = 1 << 20
 _STATED = (None, "evaluate", "report")  # runs that end with a statement of accuracy
 
 
@@ -84,33 +82,21 @@ class RunOptions(Common):
     """A named way of working: default, fast, close-range, conventional, meguro2024, meguro2025."""
 
 
+_IMAGES = """The folder that holds the images, in any of the layouts the README names, videos or ROS bags; or a bag, or
+some of its topics, BAG:TOPIC,TOPIC."""
+_RUN = """From a folder of images to the cloud and the report.
+
+A second run continues: what is up to date is skipped, finished items of an interrupted stage stay."""
+
+
 def main(arguments: list[str]) -> int:
     """`tiegraph run`."""
-    known = preparsed(arguments)
-    before = (known.folder, known.out) if known.folder else None
-    default = open_project(*before, preset=known.preset, unset=known.unset).settings if before else Settings()
-    shown = _shown(default, STAGED)
-
-    def run(
-        images: tyro.conf.Positional[Path],
-        options: Annotated[RunOptions, tyro.conf.arg(name="")],
-        settings: Annotated[type(shown), tyro.conf.arg(name="")] = shown,  # type: ignore[valid-type]
-    ) -> tuple[Path, RunOptions, Section]:
-        """From a folder of images to the cloud and the report.
-
-        A second run continues: what is up to date is skipped, finished items of an interrupted stage stay.
-
-        Args:
-            images: The folder that holds the survey's images, in any of the layouts the README names, videos or ROS
-                bags; or a bag, or some of its topics, BAG:TOPIC,TOPIC.
-        """
-        return images, options, settings
-
-    images, options, given = _cli(run, "tiegraph run", arguments)
-    settings = _settings(default, given)
+    folder, known = preparsed(arguments)
+    before = open_project(folder, known.out, preset=known.preset, unset=known.unset).settings if folder else Settings()
+    images, options, given = _parsed("tiegraph run", arguments, before, STAGED, RunOptions, ("images", _IMAGES), _RUN)
     inputs = {n: getattr(options, n) for n in ("rig", "camera", "gnss", "trajectory", "start", "times", *SETTING_OF)}
     how = {"preset": options.preset, "pool": options.pool, "unset": options.unset}
-    project = open_project(images, options.out, settings=settings, **how, **inputs)
+    project = open_project(images, options.out, settings=given, **how, **inputs)
     if options.plan:
         return _forecast(project, options.reporter())
     code = finish(project, options.until, options)
@@ -137,47 +123,51 @@ def main_stage(stage: str, arguments: list[str], kind: type[Common] = Common, ab
     ``--help`` shows the stage's own settings, ``--help-all`` those of all. ``kind``: the class of the options;
     ``about``: more of the description.
     """
-    known = preparsed(arguments)
-    default = open_project(None, known.folder, unset=known.unset).settings if known.folder else Settings()
-    short = wants_page(arguments)
-    shown = _shown(default, (stage,) if short else STAGED)
-    arguments = [HELP[-1]] if short else arguments
+    folder, known = preparsed(arguments)
+    before = open_project(None, folder, unset=known.unset).settings if folder else Settings()
+    what, shown = f"Run one stage, and what it needs, in a run folder.{about}", STAGED
+    if wants_page(arguments):
+        what += f"\n\nThe settings of the other stages: tiegraph {stage} {HELP_ALL}."
+        arguments, shown = [HELP[-1]], (stage,)
+    folder_help = ("out", "A run folder made by `tiegraph run`.")
+    out, options, given = _parsed(f"tiegraph {stage}", arguments, before, shown, kind, folder_help, what)
+    return finish(open_project(None, out, pool=options.pool, settings=given, unset=options.unset), stage, options)
 
-    def run_stage(
-        out: tyro.conf.Positional[Path],
+
+def _parsed(
+    program: str,
+    arguments: list[str],
+    before: Settings,
+    sections: Sequence[str],
+    kind: type[Common] = RunOptions,
+    folder: tuple[str, str] = ("folder", ""),
+    about: str = "",
+) -> tuple[Path, Any, Settings]:
+    """The folder, the options (of class ``kind``), and the settings before with what the command line gave. Raises
+    SettingsError.
+
+    ``sections`` of the settings are taken and shown; ``folder``: its name and what it is; ``about`` the verb.
+    """
+    # Each section is described here, else tyro parses this file in search of the class.
+    fields: dict[str, Any] = {}
+    for name in sections:
+        section = getattr(before, name)
+        fields[name] = type(section), Field(section, description=inspect.getdoc(section))
+    shown = create_model("Shown", __base__=Section, **fields)()
+
+    def verb(
+        folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(name=folder[0], help=folder[1])],
         options: Annotated[kind, tyro.conf.arg(name="")],  # type: ignore[valid-type]
         settings: Annotated[type(shown), tyro.conf.arg(name="")] = shown,  # type: ignore[valid-type]
     ) -> tuple[Path, Common, Section]:
-        """Run one stage.
+        return folder, options, settings
 
-        Args:
-            out: A run folder made by `tiegraph run`.
-        """
-        return out, options, settings
-
-    what = f"Run one stage, and what it needs, in a run folder.{about}"
-    what += f"\n\nThe settings of the other stages: tiegraph {stage} {HELP_ALL}." if short else ""
-    out, options, given = _cli(run_stage, f"tiegraph {stage}", arguments, description=what)
-    settings = _settings(default, given)
-    project = open_project(None, out, pool=options.pool, settings=settings, unset=options.unset)
-    return finish(project, stage, options)
-
-
-def _shown(settings: Settings, names: Sequence[str]) -> Any:
-    """The settings with these sections only: what the command line takes and shows.
-
-    Each is described here, else tyro parses this file in search of the class, section by section.
-    """
-    shown = {name: getattr(settings, name) for name in names}
-    fields: dict[str, Any] = {
-        name: (type(section), Field(section, description=inspect.getdoc(section))) for name, section in shown.items()
-    }
-    return create_model("Shown", __base__=Section, **fields)()
-
-
-def _settings(before: Settings, given: Section) -> Settings:
-    """The settings with the sections that the command line gave."""
-    return before.model_copy(update={name: getattr(given, name) for name in type(given).model_fields})
+    try:
+        # Both forms of every flag: its default is what the folder was run with, and the same must run again.
+        path, options, given = options_of(verb, program, arguments, page=HELP_ALL, description=about)
+    except ValidationError as error:
+        raise SettingsError("; ".join(_said(error.title, e) for e in error.errors())) from None
+    return path, options, before.model_copy(update={n: getattr(given, n) for n in sections})
 
 
 def finish(project: Project, until: str | None, options: Common) -> int:
@@ -194,15 +184,6 @@ def finish(project: Project, until: str | None, options: Common) -> int:
     return 3 if options.strict and project.doubtful(until) else 0
 
 
-def _cli(function: Any, program: str, arguments: list[str], **how: Any) -> Any:
-    try:
-        # Both forms of every flag: its default is what the folder was run with, and the same command must run again.
-        return options_of(function, program, arguments, page=HELP_ALL, **how)
-    except ValidationError as error:
-        said = "; ".join(_said(error.title, e) for e in error.errors())
-        raise SettingsError(said) from None
-
-
 def _said(title: str, error: Any) -> str:
     section = title.removesuffix("Settings").lower()
     name = ".".join(str(part) for part in (section, *error["loc"]))
@@ -210,63 +191,17 @@ def _said(title: str, error: Any) -> str:
     return f"setting {name}{value}: {error['msg'].removeprefix('Value error, ')}"
 
 
-@dataclass(frozen=True)
-class Known:
-    """What is read of the arguments before the full parse: where the settings' defaults come from."""
+def preparsed(arguments: list[str]) -> tuple[Path | None, RunOptions]:
+    """The folder and the options, read before it is known which settings the folder was run with, whose values are the
+    defaults that help shows; None for what cannot be read, which the full parse then says.
 
-    folder: Path | None  # the first positional argument
-    out: Path | None
-    preset: str | None
-    unset: tuple[str, ...] = ()
-
-
-def preparsed(arguments: list[str]) -> Known:
-    """The folder, output and preset of the arguments, in any order.
-
-    Raises SettingsError for an unknown preset, an output without a folder and empty arguments.
+    Raises SettingsError for the empty name of a folder.
     """
-    words, known = list(arguments), {"--out": "", "--preset": "", "": ""}
-    unset: list[str] = []
-    counts = _value_counts()
-    while words:
-        word = words.pop(0)
-        name, equals, value = word.partition("=")
-        name = "--out" if name == "-o" else name.replace("_", "-")
-        if not _is_option(word):
-            name, values = "", [word]
-        elif equals:
-            values = [value]
-        else:
-            count = counts.get(name, 1)
-            taken = next((k for k, w in enumerate(words) if _is_option(w)), len(words))
-            values, words = words[: min(count, taken)], words[min(count, taken) :]
-        if name == "--unset":
-            unset += values
-        if name in known:
-            if not values or not values[0]:
-                what = {"": "the name of the folder is empty", "--out": "-o: no folder is named after it, as in -o OUT"}
-                raise SettingsError(f"{what.get(name, f'{name}: no value')}: a shell variable that is not set?")
-            known[name] = known[name] or values[0] if name == "" else values[0]
-    folder, out = (Path(known[n]) if known[n] else None for n in ("", "--out"))
-    if known["--preset"]:
-        choose("preset", known["--preset"], dict.fromkeys(PRESETS))
-    return Known(folder=folder, out=out, preset=known["--preset"] or None, unset=tuple(unset))
-
-
-def _is_option(word: str) -> bool:
-    return word.startswith("-") and not re.fullmatch(r"-[.\d].*", word)  # -33.9 is a number
-
-
-def _value_counts() -> dict[str, int]:
-    """How many values each option takes, at most."""
-    out = {f"--{f.name}": 0 if f.type in ("bool", bool) else 1 for f in fields(RunOptions)}
-    out.update({f"--no-{name[2:]}": 0 for name, count in out.items() if count == 0})
-    out.update({name: 0 for name in (*HELP, HELP_ALL)})
-    for section, named in sections():
-        for key, field in named.items():
-            parts = get_args(field.annotation) if get_origin(field.annotation) is tuple else ()
-            many = len(parts) if parts and Ellipsis not in parts else _MANY if "tuple" in str(field.annotation) else 1
-            name = key.replace("_", "-")
-            out[f"--{section}.{name}"] = 0 if field.annotation is bool else many
-            out[f"--{section}.no-{name}"] = 0
-    return out
+    words = [a for a in arguments if a not in (*HELP, HELP_ALL)]
+    try:
+        folder, options, _ = _parsed("tiegraph", words, Settings(), STAGED)
+    except SettingsError:
+        return None, RunOptions()
+    if Path() in (folder, options.out) and {"", "--out="} & set(words) and "." not in words:
+        raise SettingsError("the name of a folder is empty: a shell variable that is not set?")
+    return folder, options

@@ -1,9 +1,7 @@
 """The accuracy of a run in layers (``scene.accuracy``): what its stages predicted beside what references measured."""
 
-import csv
-import io
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -17,22 +15,28 @@ from tiegraph.evaluate.tuning import TrajectoryTuning
 from tiegraph.geometry.align import rms_length
 from tiegraph.scene.accuracy import MEASURED, NAN, PREDICTED, Accuracy, Answer, Figure
 from tiegraph.scene.sorting import evenly
+from tiegraph.text import csv_text
 
 YES, NO, OPEN = "yes", "no", "cannot be told"
 _CHECK = "check points, spread over the survey and not used in the adjustment; one or two are too few"
 _AXES = ("east", "north", "up")
+_DISTANCES_M = (10.0, 100.0)  # over which the shape is stated
 POINT, POINT_90 = "a point of the cloud (median)", "nine in ten points of the cloud"
 _OWN = "the run's own account: an error that it does not know of is not in it"
-_NOT = {
-    "world": _OWN + "; what all positions share counts as stated",
+_WORLD = _OWN + "; what all positions share counts as stated"
+_POSES = "the place in the world; the reference's own errors count as this run's"
+_NOT = {  # key of a figure, in the order they stand -> what it does not prove
+    "world": _WORLD,
+    "world.nine_in_ten": _WORLD,
     "world.check_points": "anything away from the check points",
     "world.reference_cloud": "what the reference does not show; its own errors count as this run's",
     "world.reference_poses": "the cloud away from the cameras; the reference's own errors count as this run's",
     "world.held_out": "an error that all positions share (base station, datum), nor frames without a position",
     "world.control_points": "anything: the adjustment knew them",
     "world.positions": "anything: the fit knew them",
-    "shape": _OWN,
-    "shape.measured": "the place in the world; the reference's own errors count as this run's",
+    "shape.whole": _OWN,
+    "shape.10m": _OWN,
+    "shape.100m": _OWN,
     "shape.rig": "the place of the rig as a whole",
     "shape.passes": "what both passes share: place, scale, cameras, and what matching got wrong in both",
     "point": _OWN + "; not the place of the surface as a whole",
@@ -113,46 +117,36 @@ class Stated:
 def in_layers(stated: Stated, measured: Iterable[Figure]) -> Accuracy:
     """All figures of a run; ``measured``: those of its references. Layers in their order, what is predicted first, then
     what is independent."""
-    own = {f.key: f for f in _own(stated)}
-    found = {**own, **{f.key: f for f in measured}}
-    order = {key: k for k, key in enumerate(_ORDER)}
+    found = {f.key: f for f in (*_own(stated), *measured)}
     unit = "m" if stated.predicted.metric else "units"
-    figures = tuple(sorted(found.values(), key=lambda f: order[f.key]))
+    figures = tuple(found[key] for key in _NOT if key in found)
     return Accuracy(unit=unit, held_by=stated.hold.text, figures=figures, placement=stated.world.get("sigma") or {})
-
-
-_ORDER = (
-    "world", "world.nine_in_ten", "world.check_points", "world.reference_cloud", "world.reference_poses",
-    "world.held_out", "world.control_points", "world.positions", "shape.whole", "shape.10m", "shape.100m", "shape.rig",
-    "shape.passes", "point", "point.reference_cloud",
-)  # fmt: skip
 
 
 def _own(stated: Stated) -> Iterator[Figure]:
     """What the run says of itself: predictions, and what the fit's own inputs tell."""
     predicted, world = stated.predicted, stated.world
-    placed = world.get("placed", False)
-    if placed:
+    if placed := world.get("placed", False):
         yield _figure("world", POINT, predicted.world_m)
-        yield _figure("world.nine_in_ten", POINT_90, predicted.world_90_m, proof="world")
+        yield _figure("world.nine_in_ten", POINT_90, predicted.world_90_m)
     for key, role, name in (("check_points", "check", "check"), ("control_points", "gcp", "control")):
         found = (world.get("accuracy") or {}).get(role)
         if found:
             count = int(found["points"])
-            yield _figure(
-                f"world.{key}", f"a {name} point", found.get("predicted_m", NAN), found["rmse_m"],
-                by=f"{count} {name} point{'s' if count > 1 else ''}", independent=role == "check",
-            )  # fmt: skip
+            by = f"{count} {name} point{'s' if count > 1 else ''}"
+            told = found.get("predicted_m", NAN), found["rmse_m"]
+            yield _figure(f"world.{key}", f"a {name} point", *told, by=by, independent=role == "check")
     held = world.get("held_out") or {}
     if placed and held.get("count"):
         by = f"{held['count']} positions held back from the fit"
-        yield _figure("world.held_out", "a position", _number(held["sigma_m"]), _length(held["rms_m"]), by=by)
+        sigma = NAN if held["sigma_m"] is None else held["sigma_m"]
+        yield _figure("world.held_out", "a position", sigma, _length(held["rms_m"]), by=by)
     if placed and world.get("rms_m"):
         yield _figure("world.positions", "a position", NAN, _length(world["rms_m"]), by="the positions of the fit")
-    for name, distance in (("10m", 10.0), ("100m", 100.0)):
+    for distance in _DISTANCES_M:
         if np.isfinite(predicted.over_m(distance)):
-            yield _figure(f"shape.{name}", _over(distance), predicted.over_m(distance), proof="shape")
-    yield _figure("shape.whole", "a camera, over the whole", predicted.whole_m, proof="shape")
+            yield _figure(f"shape.{distance:g}m", _over(distance), predicted.over_m(distance))
+    yield _figure("shape.whole", "a camera, over the whole", predicted.whole_m)
     if predicted.metric and np.isfinite(stated.rig).all():
         scatter, expected = stated.rig
         by = "the points of the other cameras"
@@ -167,24 +161,21 @@ def pose_figures(
     est, ref = match.estimate[:, :3, 3], match.reference[:, :3, 3]
     fit = result.se3 if predicted.metric else result.sim3
     factor = 1.0 if predicted.metric else 1 / fit.alignment.scale
-    poses: dict[str, Any] = {"by": f"{len(match)} reference poses", "independent": True}
-    whole = "a camera, over the whole"
-    out = [_figure("shape.whole", whole, predicted.whole_m, factor * fit.rmse_m, proof="shape.measured", **poses)]
-    for distance in (10.0, 100.0) if predicted.metric else ():
+    rows = [("shape.whole", "a camera, over the whole", predicted.whole_m, factor * fit.rmse_m)]
+    for distance in _DISTANCES_M if predicted.metric else ():
         off = between(fit.alignment(est), ref, distance, tuning)
-        if np.isfinite(off):
-            key = f"shape.{distance:g}m"
-            out.append(_figure(key, _over(distance), predicted.over_m(distance), off, proof="shape.measured", **poses))
+        rows.append((f"shape.{distance:g}m", _over(distance), predicted.over_m(distance), off))
     if result.absolute is not None:
-        of = "a camera"
-        out.append(_figure("world.reference_poses", of, predicted.camera_m, result.absolute.rmse_m, **poses))
-    return out
+        rows.append(("world.reference_poses", "a camera", predicted.camera_m, result.absolute.rmse_m))
+    by = f"{len(match)} reference poses"
+    found = [_figure(*row, by=by, independent=True) for row in rows if np.isfinite(row[3])]
+    return [replace(f, proves_not=_POSES) if f.layer == "shape" else f for f in found]
 
 
 def between(estimate: np.ndarray, reference: np.ndarray, distance_m: float, tuning: TrajectoryTuning) -> float:
     """Root mean square error of the vector between two positions (K, 3) about so far apart in the reference, both in
     one frame; of many positions an even part. NaN where no two are."""
-    rows = evenly(len(reference), tuning.between_poses)
+    rows = evenly(len(reference), 1500)  # a million pairs
     apart = pdist(reference[rows])
     of = (apart >= distance_m) & (apart <= tuning.max_stretch * distance_m)
     i, j = (k[of] for k in np.triu_indices(len(rows), 1))
@@ -226,9 +217,8 @@ def passes_figure(found: PassAgreement, predicted: Predicted) -> list[Figure]:
     return [_figure("shape.passes", of, told, found.rms_m, by=f"the clouds of passes {' and '.join(found.passes)}")]
 
 
-def _figure(key: str, of: str, predicted: float = NAN, measured: float = NAN, proof: str = "", **more: Any) -> Figure:
-    told, found = float(predicted), float(measured)
-    return Figure(key=key, of=of, predicted=told, measured=found, proves_not=_NOT[proof or key], **more)
+def _figure(key: str, of: str, predicted: float = NAN, measured: float = NAN, **more: Any) -> Figure:
+    return Figure(key=key, of=of, predicted=float(predicted), measured=float(measured), proves_not=_NOT[key], **more)
 
 
 def _over(distance_m: float) -> str:
@@ -239,26 +229,20 @@ def _length(axes: Mapping[str, float]) -> float:
     return float(np.linalg.norm(list(axes.values())))
 
 
-def _number(value: float | None) -> float:
-    return NAN if value is None else value
-
-
 def accuracy_csv(said: Mapping[str, Any], tables: Mapping[str, Mapping[str, Any]], world: dict) -> str:
     """CSV (about, item, quantity, value, unit) of what metrics.json says (``said``: its layers and metrics), of the
     tables {name: {"columns", "rows"}} by their first column, and of each frame's position by ``world`` (world.json)."""
-    text = io.StringIO()
-    out = csv.writer(text, lineterminator="\n")
-    out.writerow(["about", "item", "quantity", "value", "unit"])
+    unit = said["accuracy"]["unit"]
+    rows: list[list[Any]] = []
     for key, value in Accuracy.from_dict(said["accuracy"]).values().items():
-        unit = said["accuracy"]["unit"] if key.endswith((PREDICTED, MEASURED)) else ""
-        out.writerow(["accuracy", "", key, _text(value), unit])
-    for m in said["metrics"]:
-        out.writerow(["survey", "", m["name"], _text(m["value"]), m["unit"]])
-    out.writerows([about, item, name, _text(value), ""] for about, item, name, value in _frames(world))
+        rows.append(["accuracy", "", key, value, unit if key.endswith((PREDICTED, MEASURED)) else ""])
+    rows += [["survey", "", m["name"], m["value"], m["unit"]] for m in said["metrics"]]
+    rows += [[*row, ""] for row in _frames(world)]
     for about, table in tables.items():
         for first, *cells in table["rows"]:
-            out.writerows([about, first, name, _text(v), ""] for name, v in zip(table["columns"][1:], cells))
-    return text.getvalue()
+            rows += [[about, first, name, value, ""] for name, value in zip(table["columns"][1:], cells)]
+    texts = ([*row[:3], f"{row[3]:.6g}" if isinstance(row[3], float) else row[3], row[4]] for row in rows)
+    return csv_text(["about", "item", "quantity", "value", "unit"], texts)
 
 
 def _frames(world: dict) -> Iterator[tuple[str, Any, str, Any]]:
@@ -266,10 +250,6 @@ def _frames(world: dict) -> Iterator[tuple[str, Any, str, Any]]:
         for kind in ("residual_m", "held_out_m"):
             for axis, value in zip(_AXES, frame.get(kind) or ()):
                 yield f"{kind.removesuffix('_m').replace('_', ' ')} of a frame, m", frame["frame"], axis, value
-
-
-def _text(value: Any) -> str:
-    return "" if value is None else f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 def answered(tolerance_m: float, accuracy: Accuracy, stated: Stated, contradicted: bool, min_checks: int) -> Answer:

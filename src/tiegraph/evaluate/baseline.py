@@ -86,7 +86,7 @@ def compare_sides(ours: Side, theirs: Side, reference: Reference, sections: Sequ
     Values are None where there is none.
     """
     both = [_judge(side, reference) for side in (ours, theirs)]
-    lost = theirs_lost, ours_lost = ours.registered & ~theirs.registered, theirs.registered & ~ours.registered
+    lost = ours.registered & ~theirs.registered, theirs.registered & ~ours.registered
     rows = [[n, *ours.stages.get(n, (None, None)), *theirs.stages.get(n, (None, None))]
             for n in {**ours.stages, **theirs.stages}]  # fmt: skip
     columns = ["stage", *(f"{s.name} {what}" for s in (ours, theirs) for what in ("CPU s", "wall s"))]
@@ -94,7 +94,7 @@ def compare_sides(ours: Side, theirs: Side, reference: Reference, sections: Sequ
         "figures": {"columns": ["", ours.name, theirs.name, "ratio"], "rows": _figures(both, reference)},
         "stages": {"columns": columns, "rows": rows},
         "sections": _sections(both, np.array(sections)),
-        "lost": {theirs.name: int(theirs_lost.sum()), ours.name: int(ours_lost.sum())},
+        "lost": {side.name: int(images.sum()) for side, images in zip((theirs, ours), lost)},
         "speed_up": _speed_up(both, lost, reference.measured),
     }
 
@@ -142,34 +142,32 @@ def _cost(name: str, ours: float | None, theirs: float | None) -> list[Any]:
 
 def _sections(both: list[_Judged], section: np.ndarray) -> dict[str, Any]:
     """Cost is no row here: matching and adjusting serve all sections at once."""
+    what = {
+        "registered": lambda j, own: int((j.side.registered & own).sum()),
+        "at their place": lambda j, own: int((j.right & own).sum()),
+        "ATE m": lambda j, own: _number(j.rmse_m(own)),
+        "sigma m": lambda j, own: _number(j.sigma_m(own)),
+    }
     rows = []
     for name in sorted(set(section)):
-        mine = section == name
-        counts = [int((j.side.registered & mine).sum()) for j in both]
-        errors = [_number(j.rmse_m(mine)) for j in both]
-        sigmas = [_number(j.sigma_m(mine)) for j in both]
-        rows.append([name, int(mine.sum()), *counts, *(int((j.right & mine).sum()) for j in both), *errors, *sigmas])
-    names = [j.side.name for j in both]
-    what = ("registered", "at their place", "ATE m", "sigma m")
-    return {"columns": ["section", "images", *(f"{w} {n}" for w in what for n in names)], "rows": rows}
+        own = section == name
+        rows.append([name, int(own.sum()), *(told(j, own) for told in what.values() for j in both)])
+    return {"columns": ["section", "images", *(f"{w} {j.side.name}" for w in what for j in both)], "rows": rows}
 
 
-def _speed_up(both: list[_Judged], lost: tuple[np.ndarray, np.ndarray], measured: bool) -> list[str]:
+def _speed_up(both: list[_Judged], lost: Sequence[np.ndarray], measured: bool) -> list[str]:
     """What may be said of the costs, one sentence each."""
     a, b = (j.side for j in both)
     if not a.count or not b.count:
         none = " and ".join(s.name for s in (a, b) if not s.count)
         return [f"no speed-up can be stated: {none} registered no image"]
     factor = f"{_number((b.cpu_s / b.count) / (a.cpu_s / a.count)):g}"
-    theirs_lost, ours_lost = (int(m.sum()) for m in lost)
-    said = []
-    if not theirs_lost and not ours_lost:
-        said.append(f"speed-up at equal registration: {factor} (CPU s per registered image; both register the same "
-                    f"{a.count} images)")  # fmt: skip
-    else:
-        who = [f"{s.name} loses {n} images that {o.name} registers"
-               for s, o, n in ((b, a, theirs_lost), (a, b, ours_lost)) if n]  # fmt: skip
-        said.append(f"speed-up {factor} per registered image, not at equal registration: {'; '.join(who)}")
+    sides = zip((b, a), (a, b), (int(m.sum()) for m in lost))
+    who = [f"{side.name} loses {n} images that {other.name} registers" for side, other, n in sides if n]
+    said = [f"speed-up {factor} per registered image, not at equal registration: {'; '.join(who)}"]
+    if not who:
+        how = f"(CPU s per registered image; both register the same {a.count} images)"
+        said = [f"speed-up at equal registration: {factor} {how}"]
     right = [int(j.right.sum()) for j in both]
     if measured and right != [a.count, b.count]:
         counts = ", ".join(f"{s.name} {n} of its {s.count}" for s, n in zip((a, b), right))
@@ -195,26 +193,19 @@ def stretch(scene: Scene, centres: np.ndarray, images: int) -> np.ndarray:
     the block too: to leave it out would flatter whoever is judged. The middle is that of the longest pass.
     Raises ValueError if no frame has a place.
     """
-    placed = _filled(scene, centres)
-    size = np.bincount(scene.frame, minlength=scene.frames)
-    passes, frames = np.unique(scene.sequence, return_counts=True)
-    mine = scene.in_order(scene.sequence == passes[np.argmax(frames)])
-    away = np.linalg.norm(placed - placed[int(mine[len(mine) // 2])], axis=1)
-    nearest = np.argsort(away, kind="stable")
-    taken = nearest[: int(np.searchsorted(np.cumsum(size[nearest]), images)) + 1]
-    return np.flatnonzero(np.isin(scene.frame, taken))
-
-
-def _filled(scene: Scene, centres: np.ndarray) -> np.ndarray:
     known = np.all(np.isfinite(centres), axis=1)
     if not known.any():
         raise ValueError("no frame has a place")
-    out = np.array(centres, float)
+    placed = np.array(centres, float)
     for sequence in np.unique(scene.sequence):
-        mine = scene.in_order(scene.sequence == sequence)
-        there = np.flatnonzero(known[mine])
-        source = np.flatnonzero(known) if not len(there) else mine[there]
-        order = np.arange(len(mine))
-        at = np.zeros(len(mine), int) if not len(there) else np.abs(order[:, None] - there).argmin(axis=1)
-        out[mine] = centres[source[at]]
-    return out
+        own = scene.in_order(scene.sequence == sequence)
+        there = np.flatnonzero(known[own])
+        near = np.abs(np.arange(len(own))[:, None] - there).argmin(axis=1) if len(there) else None
+        placed[own] = centres[known][0] if near is None else centres[own[there[near]]]
+    size = np.bincount(scene.frame, minlength=scene.frames)
+    passes, frames = np.unique(scene.sequence, return_counts=True)
+    longest = scene.in_order(scene.sequence == passes[np.argmax(frames)])
+    away = np.linalg.norm(placed - placed[int(longest[len(longest) // 2])], axis=1)
+    nearest = np.argsort(away, kind="stable")
+    taken = nearest[: int(np.searchsorted(np.cumsum(size[nearest]), images)) + 1]
+    return np.flatnonzero(np.isin(scene.frame, taken))

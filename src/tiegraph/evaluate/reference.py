@@ -117,19 +117,19 @@ def match_poses(reference: ReferencePoses, model: ModelPoses, scene: Scene, max_
 
 
 def _match_images(reference: ReferencePoses, model: ModelPoses, scene: Scene) -> tuple[PoseMatch, str]:
-    known = [k for k in range(len(scene)) if scene.names[k] in reference.by_image]
-    rows = np.array([k for k in known if model.placed[k]], int)
+    known = np.array([name in reference.by_image for name in scene.names], bool)
+    rows = np.flatnonzero(known & model.placed)
     frame, labels = scene.frame[rows], scene.image_label()
-    names = [f"{t} {s}".strip() for t, s in (labels[k] for k in rows)]
-    number = {name: g for g, name in enumerate(dict.fromkeys(names))}
+    names = np.array([" ".join(labels[k]).strip() for k in rows], str)
+    number = np.unique(names, return_inverse=True)[1]
     match = PoseMatch(
         estimate=model.world_from_camera[rows],
         reference=np.array([reference.by_image[scene.names[k]] for k in rows]).reshape(-1, 4, 4),
-        group=np.where(scene.sequence[frame] >= 0, np.array([number[name] for name in names], int), -1),
+        group=np.where(scene.sequence[frame] >= 0, number, -1),
         order=scene.sequence_index[frame],
-        parts={**frame_parts(scene, frame), "pass and camera": np.array(names)},
+        parts={**frame_parts(scene, frame), "pass and camera": names},
     )
-    return match, f"images by name: {len(rows)} placed of {len(known)} with a reference ({len(scene)} in all)"
+    return match, f"images by name: {len(rows)} placed of {known.sum()} with a reference ({len(scene)} in all)"
 
 
 def _match_frames(
@@ -138,23 +138,18 @@ def _match_frames(
     truth, how = _frame_poses(reference, scene, max_gap_s)
     known = np.isfinite(truth[:, 0, 0])
     rows = np.flatnonzero(known & np.isfinite(model.world_from_rig[:, 0, 0]))
-    estimate = _with_mount(model.world_from_rig[rows], truth[rows])
     match = PoseMatch(
-        estimate=estimate,
+        estimate=_with_mount(model.world_from_rig[rows], truth[rows]),
         reference=truth[rows],
         group=scene.sequence[rows],
         order=scene.sequence_index[rows],
         parts=frame_parts(scene, rows),
     )
-    said = (
-        "; ".join(how)
-        or f"no file of {', '.join(reference.by_sequence)} is named after a pass {', '.join(scene.sequences)}"
-    )
-    return (
-        match,
-        f"rig poses, {said}: {len(rows)} placed of {int(known.sum())} with a reference ({scene.frames} frames in "
-        f"all{_without(scene, ~known)}), one constant turn of the axes removed",
-    )
+    none = f"no file of {', '.join(reference.by_sequence)} is named after a pass {', '.join(scene.sequences)}"
+    names = [scene.names[int(np.argmax(scene.frame == f))] for f in np.flatnonzero(~known)[:_NAMED]]
+    without = f"; none for {some(names, _NAMED, int(np.sum(~known)))}" if names else ""
+    counts = f"{len(rows)} placed of {known.sum()} with a reference ({scene.frames} frames in all{without})"
+    return match, f"rig poses, {'; '.join(how) or none}: {counts}, one constant turn of the axes removed"
 
 
 def frame_parts(scene: Scene, frames: np.ndarray) -> dict[str, np.ndarray]:
@@ -166,57 +161,33 @@ def frame_parts(scene: Scene, frames: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def _frame_poses(reference: ReferencePoses, scene: Scene, max_gap_s: float) -> tuple[np.ndarray, list[str]]:
-    """(F, 4, 4) reference poses of the frames by the files of their passes, NaN = none, and how each was found."""
+    """(F, 4, 4) reference poses of the frames by the files of their passes, NaN = none, and how each was found: by time
+    if the frames have times that the file covers, else one by one."""
     truth = np.full((scene.frames, 4, 4), np.nan)
     how: list[str] = []
-    loose = (-1,) if np.any(scene.sequence < 0) else ()
     one = reference.by_sequence.get("")
     timed = one is not None and _covers(one, scene.time_s, max_gap_s)  # then poses are of their times, not of an order
-    for sequence in [*range(len(scene.sequences)), *loose]:
-        name = scene.sequences[sequence] if sequence >= 0 else ""
-        found = _track_reference(reference, name)
-        if found is None:
+    for number, name in [*enumerate(scene.sequences), (-1, "")]:
+        frames = scene.in_order(scene.sequence == number)
+        files = ("", name, f"rig_{name}", Path(name).name)
+        found = next((reference.by_sequence[file] for file in files if file in reference.by_sequence), None)
+        if found is None or not len(frames):
             continue
-        frames = scene.in_order(scene.sequence == sequence)
-        named = name or "the frames"
-        if timed and not _covers(found, scene.time_s[frames], max_gap_s):
+        stamps, poses = found
+        if _covers(found, scene.time_s[frames], max_gap_s):
+            truth[frames] = transforms.interpolate(stamps, poses, scene.time_s[frames], max_gap_s)
+            how.append(f"{name or 'frames'} by time")
+        elif timed:
             how.append(f"{name or 'frames'} at none of its times")
-            continue
-        truth[frames], said = _at_frames(found, scene.time_s[frames], reference.path, named, max_gap_s)
-        how.append(f"{name or 'frames'} {said}")
+        elif len(poses) == len(frames):
+            truth[frames] = poses
+            how.append(f"{name or 'frames'} in order")
+        else:
+            raise InputError(
+                f"{reference.path}: {len(poses)} poses for {len(frames)} frames of {name or 'the frames'}, and no "
+                "common times: give a COLMAP model, or as many poses as frames, or the frames' times by --times"
+            )
     return truth, how
-
-
-def reference_places(reference: ReferencePoses, scene: Scene, max_gap_s: float) -> np.ndarray:
-    """(N, 3) where the reference has the cameras, NaN = nowhere; one that follows the rig tells of its first camera.
-
-    Raises InputError as ``match_poses`` does.
-    """
-    out = np.full((len(scene), 3), np.nan)
-    if reference.by_image:
-        for k, name in enumerate(scene.names):
-            if name in reference.by_image:
-                out[k] = reference.by_image[name][:3, 3]
-        return out
-    truth, _ = _frame_poses(reference, scene, max_gap_s)
-    first = scene.sensor == 0
-    out[first] = truth[scene.frame[first], :3, 3]
-    return out
-
-
-def _without(scene: Scene, frames: np.ndarray) -> str:
-    """Which frames (F,) bool have no reference, by their first images; "" = none."""
-    names = [scene.names[int(np.argmax(scene.frame == f))] for f in np.flatnonzero(frames)[:_NAMED]]
-    return f"; none for {some(names, _NAMED, int(frames.sum()))}" if names else ""
-
-
-def _track_reference(reference: ReferencePoses, sequence: str) -> tuple[np.ndarray, np.ndarray] | None:
-    if "" in reference.by_sequence:
-        return reference.by_sequence[""]
-    for name in (sequence, f"rig_{sequence}", Path(sequence).name):
-        if name in reference.by_sequence:
-            return reference.by_sequence[name]
-    return None
 
 
 def _covers(found: tuple[np.ndarray, np.ndarray], time_s: np.ndarray, max_gap_s: float) -> bool:
@@ -225,19 +196,16 @@ def _covers(found: tuple[np.ndarray, np.ndarray], time_s: np.ndarray, max_gap_s:
     return known and bool(np.isfinite(transforms.interpolate(*found, time_s, max_gap_s)[:, 0, 0]).any())
 
 
-def _at_frames(
-    found: tuple[np.ndarray, np.ndarray], time_s: np.ndarray, path: Path, name: str, max_gap_s: float
-) -> tuple[np.ndarray, str]:
-    """Reference poses at the frames: by time if the frames have times the reference covers, else one by one."""
-    stamps, poses = found
-    if _covers(found, time_s, max_gap_s):
-        return transforms.interpolate(stamps, poses, time_s, max_gap_s), "by time"
-    if len(poses) == len(time_s):
-        return poses, "in order"
-    raise InputError(
-        f"{path}: {len(poses)} poses for {len(time_s)} frames of {name}, and no common times: give a COLMAP model, or "
-        "as many poses as frames, or the frames' times by --times"
-    )
+def reference_places(reference: ReferencePoses, scene: Scene, max_gap_s: float) -> np.ndarray:
+    """(N, 3) where the reference has the cameras, NaN = nowhere; one that follows the rig tells of its first camera.
+
+    Raises InputError as ``match_poses`` does.
+    """
+    nowhere = np.full((4, 4), np.nan)
+    if reference.by_image:
+        return np.array([reference.by_image.get(name, nowhere)[:3, 3] for name in scene.names]).reshape(-1, 3)
+    truth, _ = _frame_poses(reference, scene, max_gap_s)
+    return np.where(scene.sensor[:, None] == 0, truth[scene.frame, :3, 3], np.nan)
 
 
 def _with_mount(estimate: np.ndarray, reference: np.ndarray) -> np.ndarray:
@@ -254,11 +222,6 @@ def _with_mount(estimate: np.ndarray, reference: np.ndarray) -> np.ndarray:
     u, _, vt = np.linalg.svd(np.sum(np.swapaxes(turned, 1, 2) @ reference[:, :3, :3], axis=0))
     mount = u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt
     return transforms.rigid(estimate[:, :3, :3] @ mount, estimate[:, :3, 3])
-
-
-def enu_origin(reference_origin: tuple[float, float, float]) -> Origin:
-    """Origin of a reference in local east-north-up metres."""
-    return Origin(*reference_origin, geodesy.ENU)
 
 
 def to_world(points: np.ndarray, source: Origin, world: Origin) -> np.ndarray:

@@ -25,7 +25,6 @@ from tiegraph.evaluate.trajectory import (
     TrajectoryError,
     evaluate_trajectory,
     registered_metrics,
-    registered_table,
 )
 from tiegraph.evaluate.tuning import JudgeTuning, Tuning
 from tiegraph.geometry.align import Similarity, rms_length, umeyama
@@ -47,6 +46,13 @@ class _Findings:
     notes: list[str] = field(default_factory=list)
     contradictions: list[str] = field(default_factory=list)
     figures: list[Figure] = field(default_factory=list)
+
+    def add(self, result: Any, note: str, figures: list[Figure]) -> None:
+        """What a comparison found."""
+        self.metrics += result.metrics()
+        self.tables |= result.tables()
+        self.notes.append(note)
+        self.figures += figures
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,12 +94,11 @@ def evaluate_survey(
     """
     found, cloud, stated = _Findings(), made.cloud, stated or Stated()
     model = reference.model_poses(made.model, scene)
-    found.metrics.extend(registered_metrics(made.images))
-    found.tables.update(registered_table(made.images, scene.image_label(), scene.section[scene.frame]))
+    found.metrics += registered_metrics(made.images)
     if cloud is not None:
         # Against its own points a camera model without depth maps says the same, and needs no reading of them.
         result = backprojection_rmse(cloud.sample(_SAMPLE), pinhole_views(made.model), tuning.points_tried)
-        found.metrics.extend(result.metrics())
+        found.metrics += result.metrics()
         found.notes.append(backprojection.MEANING)
     trajectory = judged = alignment = None
     if settings.reference is not None:
@@ -103,16 +108,10 @@ def evaluate_survey(
         truth, how = _truth(settings.reference_cloud, settings, made.origin, alignment, how)
         judged = _judged(scene, made, model, truth, settings, tuning, alignment)
         figure = cloud_figure(judged.nearest, _reach(judged), stated.predicted, alignment is not None)
-        found.metrics.extend(judged.metrics())
-        found.tables.update(judged.tables())
-        found.figures.append(figure)
+        found.add(judged, f"Reference cloud {settings.reference_cloud.name}, {how}. {judged.notes()}", [figure])
         found.contradictions += against_cloud(figure, tuning.judge)
-        found.notes.append(f"Reference cloud {settings.reference_cloud.name}, {how}. {judged.notes()}")
     if passes is not None:
-        found.metrics.extend(passes.metrics())
-        found.tables.update(passes.tables())
-        found.notes.append(passes.note())
-        found.figures += passes_figure(passes, stated.predicted)
+        found.add(passes, passes.note(), passes_figure(passes, stated.predicted))
     accuracy = in_layers(stated, found.figures)
     if settings.tolerance_m is not None:
         contradicted = bool(found.contradictions or stated.world.get("contradictions"))
@@ -134,22 +133,18 @@ def _trajectory(
     """Reference poses against the model's."""
     assert settings.reference is not None
     path, origin, metric = settings.reference, made.origin, predicted.metric
-    poses = reference.read_reference_poses(path)
-    match, said = reference.match_poses(poses, model, scene, tuning.trajectory.max_gap_s)
+    match, said = reference.match_poses(reference.read_reference_poses(path), model, scene, tuning.trajectory.max_gap_s)
     comparable = settings.reference_origin is not None and origin is not None
     if settings.reference_origin is not None and origin is not None:
-        match = reference.poses_to_world(match, reference.enu_origin(settings.reference_origin), origin)
+        match = reference.poses_to_world(match, Origin(*settings.reference_origin), origin)
     try:
         distances = tuning.trajectory.relative_m
         result = evaluate_trajectory(match, distances, tuning.trajectory, same_frame=comparable, metric=metric)
     except np.linalg.LinAlgError as error:
         raise InputError(f"{path}: the poses cannot be aligned: {error}") from None
-    found.metrics.extend(result.metrics())
-    found.tables.update(result.tables())
-    found.notes.append(f"Reference poses {path.name}: {said}.")
     figures = pose_figures(match, result, predicted, tuning.trajectory)
-    found.figures += figures
     registered = float(made.images.registered.mean()) if len(scene) else 0.0
+    found.add(result, f"Reference poses {path.name}: {said}.", figures)
     found.contradictions += against_poses(match, figures, metric, tuning.judge, _step_s(scene), registered)
     if not metric:
         found.notes.append("Nothing told the model's scale: the reference does, and no error of it is stated.")
@@ -218,7 +213,7 @@ def _origin_of(settings: EvaluateSettings, crs: str | None) -> Origin | None:
     """The frame of a reference cloud: the CRS that its header names; local metres about the origin that is given."""
     if crs is not None:
         return Origin(lat_deg=0.0, lon_deg=0.0, height_m=0.0, crs=crs)
-    return None if settings.reference_origin is None else reference.enu_origin(settings.reference_origin)
+    return None if settings.reference_origin is None else Origin(*settings.reference_origin)
 
 
 def _alignment(
@@ -229,12 +224,12 @@ def _alignment(
     if trajectory is None:
         return None, "compared as it is: an alignment needs reference poses too"
     off = abs(trajectory.sim3.alignment.scale - 1)
-    if settings.alignment == "rigid" and off < unscaled_share:
+    if settings.alignment == "similarity":
+        return trajectory.sim3.alignment, "after a similarity alignment by the matched poses"
+    if off < unscaled_share:
         return trajectory.se3.alignment, "after a rigid alignment by the matched poses"
-    if settings.alignment == "rigid":
-        how = f"the model's scale differs by {100 * off:.0f} %, so it was scaled too, by a similarity over the poses"
-        return trajectory.sim3.alignment, how
-    return trajectory.sim3.alignment, "after a similarity alignment by the matched poses"
+    how = f"the model's scale differs by {100 * off:.0f} %, so it was scaled too, by a similarity over the poses"
+    return trajectory.sim3.alignment, how
 
 
 # --- references against what was predicted -------------------------------------------------------------------------
@@ -258,30 +253,23 @@ def against_poses(
     """
     by_key = {f.key: f for f in figures}
     whole, placed = by_key["shape.whole"], by_key.get("world.reference_poses")
+    differ = "the reference poses and the model differ by"
     if beyond(whole, tuning):
-        why = (
-            _explained(match, metric, tuning, step_s, registered >= tuning.whole)
-            or "one of the two is wrong by more than it says"
-        )
-        return [f"the reference poses and the model differ by {_said(whole, metric)}: {why}"]
+        why = _explained(match, metric, tuning, step_s, registered >= tuning.whole)
+        return [f"{differ} {_said(whole, metric)}: {why or 'one of the two is wrong by more than it says'}"]
     if placed is not None and beyond(placed, tuning):
         east, north, up = np.mean(match.estimate[:, :3, 3] - match.reference[:, :3, 3], axis=0)
-        return [
-            f"the reference poses and the model differ by {_said(placed, True)} on the Earth, though their shapes "
-            "agree: "
-            f"the model stands {east:+.2f} m east, {north:+.2f} m north, {up:+.2f} m up of it: another datum or origin?"
-        ]
+        off = f"{east:+.2f} m east, {north:+.2f} m north, {up:+.2f} m up of it: another datum or origin?"
+        text = "on the Earth, though their shapes agree: the model stands"
+        return [f"{differ} {_said(placed, True)} {text} {off}"]
     return []
 
 
 def against_cloud(figure: Figure, tuning: JudgeTuning) -> list[str]:
     """Sentences about a reference cloud that the cloud contradicts: half its points are farther than predicted."""
-    if not beyond(figure, tuning):
-        return []
-    return [
-        f"the reference cloud and the cloud differ by {_said(figure, True)} (median): "
-        "another frame or datum, or a place that has changed"
-    ]
+    why = "another frame or datum, or a place that has changed"
+    text = f"the reference cloud and the cloud differ by {_said(figure, True)} (median): {why}"
+    return [text] if beyond(figure, tuning) else []
 
 
 def beyond(figure: Figure, tuning: JudgeTuning) -> bool:
@@ -300,40 +288,35 @@ def _explained(match: PoseMatch, metric: bool, tuning: JudgeTuning, step_s: floa
     actual, free = _left(est, ref, metric), 3 * min(len(est), tuning.counted) - 7  # unknowns of a similarity
     if metric and fits_better(actual, _left(est, ref, False), free):
         return f"the reference is {umeyama(est, ref).scale:.4g} times as large as the model, {RARELY}"
-    left, why = min(_hypotheses(match, metric, tuning, step_s, whole))
+    left, why = min(_hypotheses(match, metric, step_s, whole))
     return f"{why}, {RARELY}" if fits_better(actual, left, free) else ""
 
 
-def _hypotheses(
-    match: PoseMatch, metric: bool, tuning: JudgeTuning, step_s: float, whole: bool
-) -> Iterator[tuple[float, str]]:
+def _hypotheses(match: PoseMatch, metric: bool, step_s: float, whole: bool) -> Iterator[tuple[float, str]]:
     """(error left, what it would be) of a mirror image of a ``whole`` model, an axis of another scale, and a lag."""
     est, ref = match.estimate[:, :3, 3], match.reference[:, :3, 3]
     if whole:
-        yield (
-            _left(est, -ref, metric),
-            "the reference is a mirror image: one of its axes is negated, or two are exchanged",
-        )
+        text = "the reference is a mirror image: one of its axes is negated, or two are exchanged"
+        yield _left(est, -ref, metric), text
     for axis in range(3):
-        left, factor = _axis_scale(est, ref, axis, metric, tuning)
+        left, factor = _axis_scale(est, ref, axis, metric)
         text = f"the reference's {_AXES[axis]} axis differs in scale, it is {1 / factor:.3g} times that of the others"
         yield left, text
-    yield _lag(match, metric, tuning.lag_rounds, step_s)
+    yield _lag(match, metric, step_s)
 
 
-def _axis_scale(est: np.ndarray, ref: np.ndarray, axis: int, metric: bool, tuning: JudgeTuning) -> tuple[float, float]:
+def _axis_scale(est: np.ndarray, ref: np.ndarray, axis: int, metric: bool) -> tuple[float, float]:
     """Error left and factor that an axis of the reference is to be multiplied by to agree best."""
 
     def left(log: float) -> float:
         return _left(est, ref * np.where(np.arange(3) == axis, 10**log, 1.0), metric)
 
-    start = min(np.linspace(-tuning.axis_decades, tuning.axis_decades, tuning.axis_starts), key=left)
-    reach = 2.4 * tuning.axis_decades / (tuning.axis_starts - 1)  # a little more than between two starts
-    best = scipy.optimize.minimize_scalar(left, bounds=(start - reach, start + reach), method="bounded")
+    start = min(np.linspace(-4, 4, 33), key=left)  # over four decades up and down
+    best = scipy.optimize.minimize_scalar(left, bounds=(start - 0.3, start + 0.3), method="bounded")
     return float(best.fun), float(10**best.x)
 
 
-def _lag(match: PoseMatch, metric: bool, rounds: int, step_s: float) -> tuple[float, str]:
+def _lag(match: PoseMatch, metric: bool, step_s: float) -> tuple[float, str]:
     """Error left with the reference moved along its own way by one number of frames."""
     est, ref = match.estimate[:, :3, 3], match.reference[:, :3, 3]
     speed = np.zeros_like(ref)
@@ -342,7 +325,7 @@ def _lag(match: PoseMatch, metric: bool, rounds: int, step_s: float) -> tuple[fl
             at = match.order[rows].astype(float)
             speed[rows] = np.gradient(ref[rows], np.maximum.accumulate(at + 1e-9 * np.arange(len(at))), axis=0)
     frames = 0.0
-    for _ in range(rounds):
+    for _ in range(3):  # alignment and lag in turn
         fit = umeyama(est, ref + frames * speed, with_scale=not metric)
         off = fit(est) - ref
         frames = float(np.sum(off * speed) / max(np.sum(speed**2), 1e-12))

@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from tiegraph.evaluate.tuning import TrajectoryTuning
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import Similarity, robust_umeyama, umeyama
-from tiegraph.scene.registered import BY_RIG, Registration
+from tiegraph.geometry.align import Similarity, rms_length, robust_umeyama, umeyama
+from tiegraph.scene.registered import Registration
 from tiegraph.scene.results import Metric
 
 _NAN = float("nan")
@@ -96,22 +96,23 @@ class TrajectoryError:
 
     def metrics(self) -> list[Metric]:
         """The figures of merit."""
-        ate, metres = self.sim3, {"ate_se3_rmse": self.se3.rmse_m} if self.metric else {}
-        metres = {"ate_sim3_rmse": ate.rmse_m, "ate_sim3_median": ate.median_m, "ate_sim3_max": ate.max_m, **metres}
-        if self.absolute is not None:
-            metres["absolute_rmse"] = self.absolute.rmse_m
-        low = [(name, value, "m") for name, value in metres.items()]
-        if self.metric:
-            low.append(("scale_error", abs(ate.alignment.scale - 1) * 100, "%"))
-        after = [("yaw_drift", self.yaw_drift_deg_per_100m, "deg/100 m")]
+        ate, near = self.sim3, f"images_within_{self.within_m:g}m"
+        rows = [("ate_sim3_rmse", ate.rmse_m, "m"), ("ate_sim3_median", ate.median_m, "m")]
+        rows += [("ate_sim3_max", ate.max_m, "m")]
+        rows += [("ate_se3_rmse", self.se3.rmse_m, "m")] if self.metric else []
+        rows += [("absolute_rmse", self.absolute.rmse_m, "m")] if self.absolute is not None else []
+        rows += [("scale_error", abs(ate.alignment.scale - 1) * 100, "%")] if self.metric else []
+        rows += [(near, 100 * self.within, "%")]
+        drift = self.yaw_drift_deg_per_100m
+        rows += [("yaw_drift", drift, "deg/100 m")] if np.isfinite(drift) else []
         for r in (r for r in self.relative if r.count):
-            after.append((f"rpe_{r.distance_m:g}m_translation", r.translation_m, "m"))
-            after.append((f"rpe_{r.distance_m:g}m_rotation", r.rotation_deg, "deg"))
-        near = f"images_within_{self.within_m:g}m"
+            rows.append((f"rpe_{r.distance_m:g}m_translation", r.translation_m, "m"))
+            rows.append((f"rpe_{r.distance_m:g}m_rotation", r.rotation_deg, "deg"))
         return [
-            *(Metric(name=name, value=value, unit=unit, better="low") for name, value, unit in low),
-            Metric(name=near, value=100 * self.within, unit="%", better="high", target=100.0),
-            *(Metric(name=name, value=v, unit=unit, better="low") for name, v, unit in after if np.isfinite(v)),
+            Metric(name=name, value=value, unit=unit, better="low")
+            if name != near
+            else Metric(name=name, value=value, unit=unit, better="high", target=100.0)
+            for name, value, unit in rows
         ]
 
     def tables(self) -> dict[str, dict]:
@@ -124,20 +125,17 @@ class TrajectoryError:
 
     def _by_part(self, kind: str) -> dict:
         """A row a part; what no part has, such as a distance that none spans, has no columns."""
-        found = [p for p in self.parts if p.kind == kind]
-        spanned = [k for k in range(len(self.relative)) if any(p.relative[k].count for p in found)]
-        way, drift = any(p.path_m for p in found), any(np.isfinite(p.yaw_drift_deg_per_100m) for p in found)
-        columns = [kind, "matched", *(["path m"] if way else []), "rmse m", "median m", "max m"]
-        for k in spanned:
-            columns += [f"RPE {self.relative[k].distance_m:g} m, m", f"RPE {self.relative[k].distance_m:g} m, deg"]
-        rows: list[list] = []
-        for p in found:
-            off = [v for k in spanned for v in (p.relative[k].translation_m, p.relative[k].rotation_deg)]
+        rows = []
+        for p in (p for p in self.parts if p.kind == kind):
             e = p.errors_m
-            error = [float(np.sqrt(np.mean(e**2))), float(np.median(e)), float(e.max())]
-            path, yaw = [p.path_m] if way else [], [p.yaw_drift_deg_per_100m] if drift else []
-            rows.append([p.name, len(e), *path, *error, *off, *yaw])
-        return {"columns": [*columns, *(["yaw drift deg/100 m"] if drift else [])], "rows": rows}
+            row = {kind: p.name, "matched": len(e), "path m": p.path_m or _NAN, "rmse m": float(np.sqrt(np.mean(e**2)))}
+            row |= {"median m": float(np.median(e)), "max m": float(e.max())}
+            for r in p.relative:
+                there = f"RPE {r.distance_m:g} m"
+                row |= {f"{there}, m": r.translation_m, f"{there}, deg": r.rotation_deg}
+            rows.append({**row, "yaw drift deg/100 m": p.yaw_drift_deg_per_100m})
+        columns = [c for c in rows[0] if any(row[c] == row[c] for row in rows)]
+        return {"columns": columns, "rows": [[row[c] for c in columns] for row in rows]}
 
 
 def evaluate_trajectory(
@@ -199,26 +197,25 @@ def relative_error(match: PoseMatch, distance_m: float, max_stretch: float) -> R
     Path length is the reference's. Pairs whose real distance is over ``max_stretch`` times the wanted one are left out,
     so frames far apart give no figure for a short one (count 0, NaN).
     """
-    moved, turned = [], []
+    first, last = [np.zeros(0, int)], [np.zeros(0, int)]
     for rows in match.sequences():
-        ref, est = match.reference[rows], match.estimate[rows]
-        path = path_length(ref[:, :3, 3])
+        path = path_length(match.reference[rows, :3, 3])
         to = np.searchsorted(path, path + distance_m - 1e-9)
-        first = np.flatnonzero(to < len(rows))
-        first = first[path[to[first]] - path[first] <= max_stretch * distance_m]
-        last = to[first]
-        step_ref = transforms.invert(ref[first]) @ ref[last]
-        error = transforms.invert(step_ref) @ transforms.invert(est[first]) @ est[last]
-        moved.append(np.sum(error[:, :3, 3] ** 2, axis=1))
-        turned.append(transforms.angle_deg(error[:, :3, :3], np.broadcast_to(np.eye(3), (len(first), 3, 3))) ** 2)
-    t, r = (np.concatenate([*x, np.zeros(0)]) for x in (moved, turned))
-    if not len(t):
+        begin = np.flatnonzero(to < len(rows))
+        begin = begin[path[to[begin]] - path[begin] <= max_stretch * distance_m]
+        first.append(rows[begin])
+        last.append(rows[to[begin]])
+    i, j = np.concatenate(first), np.concatenate(last)
+    if not len(i):
         return RelativeError(distance_m=distance_m, translation_m=_NAN, rotation_deg=_NAN, count=0)
+    step_ref, step_est = (transforms.invert(poses[i]) @ poses[j] for poses in (match.reference, match.estimate))
+    error = transforms.invert(step_ref) @ step_est
+    turned = transforms.angle_deg(error[:, :3, :3], np.broadcast_to(np.eye(3), (len(i), 3, 3)))
     return RelativeError(
         distance_m=distance_m,
-        translation_m=float(np.sqrt(t.mean())),
-        rotation_deg=float(np.sqrt(r.mean())),
-        count=len(t),
+        translation_m=rms_length(error[:, :3, 3]),
+        rotation_deg=float(np.sqrt(np.mean(turned**2))),
+        count=len(i),
     )
 
 
@@ -233,8 +230,7 @@ def yaw_drift(match: PoseMatch, aligned: np.ndarray, min_drift_m: float) -> floa
         path = path_length(match.reference[rows, :3, 3])
         if len(rows) < 3 or path[-1] < min_drift_m:
             continue
-        true = match.reference[rows, :3, :3]
-        turn = aligned[rows, :3, :3] @ np.swapaxes(true, 1, 2)
+        turn = aligned[rows, :3, :3] @ np.swapaxes(match.reference[rows, :3, :3], 1, 2)
         yaw = np.degrees(np.unwrap(Rotation.from_matrix(turn).as_rotvec()[:, 2]))
         slopes.append(abs(np.polyfit(path, yaw, 1)[0]) * 100)
     return float(np.median(slopes)) if slopes else _NAN
@@ -265,24 +261,6 @@ def _by_part(
 def path_length(positions: np.ndarray) -> np.ndarray:
     """Travelled distance (T,) along positions (T, 3), starting at 0."""
     return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=1))])
-
-
-def registered_table(images: Registration, labels: list[tuple[str, str]], sections: np.ndarray) -> dict[str, dict]:
-    """Registered of all images, and placed by their rig, by pass, by camera and by section; labels: N of (pass,
-    camera)."""
-    names = {"pass": [t or "(loose)" for t, _ in labels], "camera": [s for _, s in labels]}
-    if np.any(sections >= 0):
-        names["section"] = [f"{s}" if s >= 0 else "(none)" for s in sections]
-    out = {}
-    for kind, values in names.items():
-        column = np.array(values)
-        rows = []
-        for value in dict.fromkeys(values):
-            of = column == value
-            registered, by_rig = images.registered[of], images.by_rig[of]
-            rows.append([value, int(registered.sum()), int(by_rig.sum()), len(registered), 100 * registered.mean()])
-        out[f"registered by {kind}"] = {"columns": [kind, "registered", BY_RIG, "images", "%"], "rows": rows}
-    return out
 
 
 def registered_metrics(images: Registration) -> list[Metric]:

@@ -15,8 +15,6 @@ class TrajectoryTuning(Section):
     """An image nearer than this to its true place, after a robust alignment, is called right."""
     max_stretch: float = Field(1.5, ge=1)
     """Pairs of poses of the relative error are farther apart than the distance wanted by at most this factor."""
-    between_poses: int = Field(1500, gt=1)
-    """Of more, an even part tells the error of what lies between two: a million pairs."""
     relative_m: tuple[float, ...] = (1.0, 10.0, 100.0)
     """Travelled distances of the relative pose error."""
     min_drift_m: float = Field(5.0, gt=0)
@@ -28,8 +26,6 @@ class CloudTuning(Section):
 
     tile_points: int = Field(2_000_000, gt=0)
     """Of both clouds in a tile, at most: with halo and search trees about 0.7 GiB."""
-    spacing_points: int = Field(5000, gt=0)
-    """Points of a cloud that tell its spacing."""
     steps: int = Field(4, gt=0)
     """Distances at which clouds are judged where none are given: so many of the series 1, 2, 5, 10, the first not
     below the ground sampling distance."""
@@ -54,8 +50,6 @@ class M3c2Tuning(Section):
     """Radius in which the normal is found, in radii of the cylinder."""
     depth_radii: float = Field(6.0, ge=1)
     """How far the cylinder reaches to either side, in its radii: larger differences are not found."""
-    most_radii: float = Field(200.0, ge=1)
-    """The same, if it is asked for, at most."""
     least_points: int = Field(10, ge=2)
     """Of each cloud in a cylinder: with fewer the spread does not tell the level of detection."""
 
@@ -71,10 +65,6 @@ class RegistrationTuning(Section):
     """Points that tell the normal of a point of the reference."""
     reach_spacings: tuple[float, ...] = (40.0, 20.0, 10.0, 5.0)
     """To the nearest point at most, in spacings of what takes part, one after another."""
-    rounds: int = Field(20, gt=0)
-    """With each of these, at most ..."""
-    still: float = Field(1e-3, gt=0)
-    """... until no point moves by more than this share of the spacing."""
     least_points: int = Field(100, ge=7)
     """Pairs of points, to go on."""
     open_share: float = Field(0.005, gt=0)
@@ -114,12 +104,6 @@ class JudgeTuning(Section):
     """Poses that count at most in the test of what explains an error: errors of neighbours are alike."""
     whole: float = Field(0.7, ge=0, le=1)
     """Share of the images that must be registered: a torn or thin model may be a mirror image itself."""
-    axis_decades: float = Field(4.0, gt=0)
-    """By which an axis may differ in scale."""
-    axis_starts: int = Field(33, gt=1)
-    """Scales of an axis tried over these decades, up and down."""
-    lag_rounds: int = Field(3, gt=0)
-    """Rounds of alignment and lag in turn."""
 
 
 class Tuning(Section):

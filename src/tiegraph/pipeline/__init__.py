@@ -75,8 +75,8 @@ STAGES = (
     _stage("cloud", ("dense",), ("cloud.copc.laz", "cloud.laz", "cloud.ply", "passes"), version=6,
            scratch=(".tiles",), tuned=("evaluate",)),
     _stage("evaluate", ("filter", "georef", "refine", "dense", "cloud"), ("metrics.json", "accuracy.csv", "evaluate"),
-           version=9, scratch=("evaluate/.tiles",), tuned=("scene",), spares=("dense", "cloud")),
-    _stage("report", ("evaluate",), ("report.html", "report.json"), version=12, alone=True),
+           version=10, scratch=("evaluate/.tiles",), tuned=("scene",), spares=("dense", "cloud")),
+    _stage("report", ("evaluate",), ("report.html", "report.json"), version=13, alone=True),
 )
 # fmt: on
 

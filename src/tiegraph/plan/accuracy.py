@@ -16,11 +16,10 @@ from tiegraph.errors import InputError
 from tiegraph.geometry.align import rms_length
 from tiegraph.geometry.gravity import UpTuning
 from tiegraph.geometry.transforms import motions
+from tiegraph.plan.figures import above_zero
 from tiegraph.plan.network import MountedCamera, Network
 from tiegraph.plan.path import Path
 from tiegraph.plan.tuning import WorldTuning
-
-_OPEN_TURN, _OPEN_SCALE, _OPEN_SHIFT = np.pi, 1.0, 1e6  # sigmas of what nothing tells: rad, parts, extents
 
 
 @dataclass(frozen=True)
@@ -148,7 +147,12 @@ def _world(shape: Shape, centres: np.ndarray, xyz: np.ndarray, known: Known) -> 
     fixed = motions(np.array([f.place for f in known.fixes]) - middle).reshape(-1, 7)
     noise = np.concatenate([f.sigma for f in known.fixes]) ** 2
     inverse = np.linalg.inv(shape.covariance[np.ix_(rows, rows)] + np.diag(noise))
-    prior = _prior(shape, known, extent)
+    sigma = np.repeat([np.pi, 1e6 * extent, 1.0], [3, 3, 1])  # of turn, shift and scale, where nothing tells them
+    if known.vertical_deg is not None:
+        sigma[:2] = np.radians(known.vertical_deg)
+    if shape.scale is not None:
+        sigma[6] = shape.scale
+    prior = np.diag(1 / sigma**2)
     placement = np.linalg.inv(fixed.T @ inverse @ fixed + prior)
     gain = shape.covariance[:, rows] @ inverse
     bent = np.einsum("ij,ij->i", gain, shape.covariance[:, rows])
@@ -158,22 +162,6 @@ def _world(shape: Shape, centres: np.ndarray, xyz: np.ndarray, known: Known) -> 
     of_points = motions(xyz - middle)
     placed = np.einsum("nij,jk,nik->n", of_points, placement, of_points) + float(np.sum(known.common**2))
     return np.sqrt(positions), placed
-
-
-def _prior(shape: Shape, known: Known, extent: float) -> np.ndarray:
-    """(7, 7) information on turn, shift and scale beside the fixes."""
-    sigma = np.repeat([_OPEN_TURN, _OPEN_SHIFT * extent, _OPEN_SCALE], [3, 3, 1])
-    if known.vertical_deg is not None:
-        sigma[:2] = np.radians(known.vertical_deg)
-    if shape.scale is not None:
-        sigma[6] = shape.scale
-    return np.diag(1 / sigma**2)
-
-
-def looks_round(axes: np.ndarray) -> bool:
-    """Whether cameras with these viewing directions (S, 3) in the body look all round its down axis."""
-    level = axes[np.abs(axes[:, 1]) < 0.7]  # less than 45 degrees up or down
-    return len(level) > 1 and float(np.linalg.norm(level.mean(axis=0))) < UpTuning().round
 
 
 @dataclass(frozen=True)
@@ -202,15 +190,7 @@ class ControlPoints:
     def __post_init__(self) -> None:
         if self.count < 0:
             raise InputError(f"--control {self.count}: give how many control points there are")
-        if not self.sigma_m > 0:
-            raise InputError(f"--control-sigma {self.sigma_m:g}: give metres, above zero")
-
-
-def along(path: Path) -> np.ndarray:
-    """(F,) metres from where the first leg starts, whichever way a leg goes: where a bridge is on every pass."""
-    if np.ptp(path.way_m - path.centres[:, 0]) > 0 and path.legs[0].startswith("ring"):
-        return path.way_m
-    return path.centres[:, 0]
+        above_zero("control-sigma", self.sigma_m, "metres")
 
 
 def known_of(
@@ -227,7 +207,8 @@ def known_of(
     common = np.zeros(3)
     if receiver is not None:
         sigma = np.array([receiver.sigma_m, receiver.sigma_m, receiver.height_sigma_m])
-        at = along(path)[shape.frames]
+        # from where the first leg starts, whichever way a leg goes: a bridge is on every pass
+        at = (path.way_m if path.legs[0].startswith("ring") else path.centres[:, 0])[shape.frames]
         out = np.any([(at >= a) & (at <= b) for a, b in receiver.outages_m] or [np.zeros(len(at), bool)], axis=0)
         thinned = np.sqrt(len(shape.frames) / len(path))  # each stands for its neighbours, too
         fixes += [Fix(k, path.centres[shape.frames[k]], sigma * thinned) for k in np.flatnonzero(~out).tolist()]
@@ -236,7 +217,9 @@ def known_of(
     marked = np.linspace(0, len(shape.frames) - 1, control.count).round().astype(int).tolist()
     fixes += [control_point(path, network, shape, k, control.sigma_m, tuning) for k in marked]
     axes = np.stack([c.sensor_from_body[2, :3] for c in cameras])
-    return Known(tuple(fixes), common, UpTuning().ring_sigma_deg if looks_round(axes) else None)
+    level = axes[np.abs(axes[:, 1]) < 0.7]  # less than 45 degrees up or down: cameras all round tell the vertical
+    all_round = len(level) > 1 and float(np.linalg.norm(level.mean(axis=0))) < UpTuning().round
+    return Known(tuple(fixes), common, UpTuning().ring_sigma_deg if all_round else None)
 
 
 def control_point(path: Path, network: Network, shape: Shape, frame: int, sigma_m: float, tuning: WorldTuning) -> Fix:

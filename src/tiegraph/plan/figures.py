@@ -65,9 +65,8 @@ class Wanted:
 
     def __post_init__(self) -> None:
         for name in ("base_m", "precision_m", "match_px", "speed_m_s", "rate_hz", "exposure_s"):
-            value, option = getattr(self, name), _OPTIONS.get(name, name.rpartition("_")[0])
-            if value is not None and not (np.isfinite(value) and value > 0):
-                raise InputError(f"--{option} {value:g}: give a number above zero, or leave it away")
+            if (value := getattr(self, name)) is not None:
+                above_zero(_OPTIONS.get(name, name.rpartition("_")[0]), value, "a number, or leave it away")
         if self.overlap is not None:
             check_overlap("overlap", self.overlap)
         for name, value, other in (("speed", self.speed_m_s, "rate"), ("rate", self.rate_hz, "speed")):
@@ -87,6 +86,12 @@ class Wanted:
 _OPTIONS = {"match_px": "match-px", "speed_m_s": "speed"}
 
 
+def above_zero(option: str, value: float, what: str = "a number") -> None:
+    """Raises InputError for the value of an option that is not finite and above zero."""
+    if not (np.isfinite(value) and value > 0):
+        raise InputError(f"--{option} {value:g} is not above zero: give {what}")
+
+
 def check_overlap(name: str, value: float) -> None:
     """Raises InputError unless it is a share."""
     if not 0 <= value < 1:
@@ -100,12 +105,10 @@ def station(lens: Lens, distance_m: float, wanted: Wanted, tuning: StationTuning
 
     Raises InputError for a distance that is none, and where nothing says how far frames are apart.
     """
-    if not (np.isfinite(distance_m) and distance_m > 0):
-        raise InputError(f"--distance {distance_m:g}: give the distance from camera to surface in metres, above zero")
+    above_zero("distance", distance_m, "the distance from camera to surface in metres")
     gsd = distance_m / lens.focal_px
-    width, height = (gsd * side for side in lens.size)
-    along = (width, height)[lens.along]
-    base = wanted.step_m
+    footprint = gsd * lens.size[0], gsd * lens.size[1]
+    along, base = footprint[lens.along], wanted.step_m
     if base is None:
         if wanted.overlap is None:
             raise InputError("nothing says how far images are apart: give --overlap, --base, or --speed and --rate")
@@ -113,24 +116,19 @@ def station(lens: Lens, distance_m: float, wanted: Wanted, tuning: StationTuning
     overlap = max(0.0, 1 - base / along)
     most = int(np.clip(np.floor(along / base) + 1, 2, tuning.most_rays))
     two = distance_m**2 / (lens.focal_px * base) * wanted.match_px  # equation 2
-    farthest = None
-    if wanted.precision_m is not None:
-        farthest = float(np.sqrt(wanted.precision_m * lens.focal_px * base / wanted.match_px))
-    limit = None if wanted.speed_m_s is None else tuning.blur_px * gsd / wanted.speed_m_s
-    blur = None
-    if wanted.exposure_s is not None and wanted.speed_m_s is not None:
-        blur = wanted.speed_m_s * wanted.exposure_s / gsd
+    per_match = lens.focal_px * base / wanted.match_px
+    speed, exposure = wanted.speed_m_s, wanted.exposure_s
     return Station(
         distance_m=distance_m,
         gsd_m=gsd,
-        footprint_m=(width, height),
+        footprint_m=footprint,
         base_m=base,
         overlap=overlap,
         precision_m=tuple(two * rays_gain(n) for n in range(2, most + 1)) if overlap > 0 else (),
         across_m=gsd * wanted.match_px / 2,  # each image has a half of the disparity's variance, and there are two
-        farthest_m=farthest,
-        blur_px=blur,
-        exposure_s=limit,
+        farthest_m=None if wanted.precision_m is None else float(np.sqrt(wanted.precision_m * per_match)),
+        blur_px=None if speed is None or exposure is None else speed * exposure / gsd,
+        exposure_s=None if speed is None else tuning.blur_px * gsd / speed,
     )
 
 
@@ -144,38 +142,32 @@ def rays_gain(rays: int) -> float:
 
 def advice(made: Station, lens: Lens, wanted: Wanted) -> list[str]:
     """What must change for what is wanted, each with the figure that would do."""
-    out = []
-    where = f"at {made.distance_m:g} m"
+    out, where, along = [], f"at {made.distance_m:g} m", made.footprint_m[lens.along]
     if not made.precision_m:
         out.append(f"{where} images {made.base_m:.3g} m apart do not overlap: nothing can be measured")
     elif wanted.precision_m is not None and made.precision_m[0] > wanted.precision_m:
         base = made.distance_m**2 * wanted.match_px / (lens.focal_px * wanted.precision_m)
-        share = 1 - base / made.footprint_m[lens.along]
         rays = [n for n, s in enumerate(made.precision_m, 2) if s <= wanted.precision_m]
         more = f"points seen {rays[0]} times have it" if rays else "no number of rays up to the last one has it"
-        instead = f"or a base of {base:.3g} m" if share > 0 else "and no base with overlap gives it"
+        instead = f"or a base of {base:.3g} m" if base < along else "and no base with overlap gives it"
+        have, want = (f"{1000 * value:.3g} mm" for value in (made.precision_m[0], wanted.precision_m))
         out.append(
-            f"{where} two rays give {_mm(made.precision_m[0])} for the {_mm(wanted.precision_m)} wanted: {more}, "
-            f"{instead}, or a distance of {made.farthest_m:.3g} m"
+            f"{where} two rays give {have} for the {want} wanted: {more}, {instead}, or a distance of "
+            f"{made.farthest_m:.3g} m"
         )
-    if wanted.overlap is not None and made.overlap < wanted.overlap and wanted.speed_m_s and wanted.rate_hz:
-        base = (1 - wanted.overlap) * made.footprint_m[lens.along]
-        if wanted.base_m is None:
-            out.append(
-                f"{where} {wanted.speed_m_s:g} m/s at {wanted.rate_hz:g} frames/s overlap by "
-                f"{100 * made.overlap:.0f} %: for {100 * wanted.overlap:.0f} % go {base * wanted.rate_hz:.3g} m/s "
-                f"or take {wanted.speed_m_s / base:.3g} frames/s"
-            )
+    speed, rate = wanted.speed_m_s, wanted.rate_hz
+    if wanted.overlap is not None and made.overlap < wanted.overlap and speed and rate and wanted.base_m is None:
+        base = (1 - wanted.overlap) * along
+        out.append(
+            f"{where} {speed:g} m/s at {rate:g} frames/s overlap by {100 * made.overlap:.0f} %: for "
+            f"{100 * wanted.overlap:.0f} % go {base * rate:.3g} m/s or take {speed / base:.3g} frames/s"
+        )
     if made.blur_px is not None and made.exposure_s is not None and made.exposure_s < (wanted.exposure_s or 0):
         out.append(
             f"{where} {1000 * (wanted.exposure_s or 0):g} ms blur by {made.blur_px:.2g} px: expose "
             f"{1000 * made.exposure_s:.2g} ms at most"
         )
     return out
-
-
-def _mm(value: float) -> str:
-    return f"{1000 * value:.3g} mm"
 
 
 # --- what a survey costs -------------------------------------------------------------------------------------------

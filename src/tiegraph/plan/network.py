@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
+from tiegraph.plan.figures import above_zero
 from tiegraph.plan.path import Facet, Path
 from tiegraph.plan.tuning import NetworkTuning
 from tiegraph.scene.colmapmodel import add_rig
@@ -32,8 +33,7 @@ class Ties:
     an_image: float | None = None
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.sigma_px) and self.sigma_px > 0):
-            raise InputError(f"--tie-px {self.sigma_px:g}: give the sigma of a tie point in an image, above zero")
+        above_zero("tie-px", self.sigma_px, "the sigma of a tie point in an image")
         if self.an_image is not None and not self.an_image >= 1:
             raise InputError(f"--ties {self.an_image:g}: give the tie points that an image sees, 1 or more")
 
@@ -85,9 +85,10 @@ def make_network(
     rng = np.random.default_rng(_SEED)
     wobble = Rotation.from_rotvec(np.radians(tuning.wobble_deg) * rng.standard_normal((len(path), 3))).as_matrix()
     path = replace(path, world_from_body=path.world_from_body @ transforms.rigid(wobble, np.zeros(3)))
-    sensor_from_world = _poses(path, cameras)
-    images = len(sensor_from_world)
-    sights = _sights(path, cameras, sensor_from_world, relief_m, rng, tuning)
+    mounted = np.stack([c.sensor_from_body for c in cameras])
+    poses = (mounted[None] @ transforms.invert(path.world_from_body)[:, None]).reshape(-1, 4, 4)
+    images = len(poses)  # frame by frame
+    sights = _sights(path, cameras, poses, relief_m, rng, tuning)
     if len(sights.xyz) < 3 * len(path):
         raise InputError(
             f"only {len(sights.xyz)} points of the surface are seen by two of the {images} images: they see past it or "
@@ -123,13 +124,6 @@ def model_figures(model: pycolmap.Reconstruction) -> dict[str, float]:
     }
 
 
-def _poses(path: Path, cameras: list[MountedCamera]) -> np.ndarray:
-    """(F * S, 4, 4) sensor_from_world, frame by frame."""
-    body_from_world = transforms.invert(path.world_from_body)
-    mounted = np.stack([c.sensor_from_body for c in cameras])
-    return np.asarray((mounted[None] @ body_from_world[:, None]).reshape(-1, 4, 4))
-
-
 def _sights(
     path: Path,
     cameras: list[MountedCamera],
@@ -139,21 +133,17 @@ def _sights(
     tuning: NetworkTuning,
 ) -> _Sights:
     """Points that start from images, and which images see them; ``relief_m``: sigma of the surface's unevenness."""
-    start = int(max(tuning.least_points, tuning.most_points // len(poses)))
-    xyz, normal, base = [], [], []
+    start, centres = int(max(tuning.least_points, tuning.most_points // len(poses))), transforms.centre(poses)
+    begun = []
     for k, pose in enumerate(poses):
         camera = cameras[k % len(cameras)].camera
         xy = rng.uniform(0, 1, (start, 2)) * [camera.width, camera.height]
         rays = np.column_stack([np.asarray(camera.cam_from_img(xy)), np.ones(start)]) @ pose[:3, :3]
-        centre = transforms.centre(pose)
-        far, facing = _hit(centre, rays, path.surface)
+        far, facing = _hit(centres[k], rays, path.surface)
         far = far + relief_m * rng.standard_normal(start) / np.linalg.norm(rays, axis=1)
         good = np.isfinite(far) & (far > 0)
-        xyz.append(centre + far[good, None] * rays[good])
-        normal.append(facing[good])
-        base.append(np.full(int(good.sum()), k))
-    points, normals, first = np.concatenate(xyz), np.concatenate(normal), np.concatenate(base)
-    centres = transforms.centre(poses)
+        begun.append((centres[k] + far[good, None] * rays[good], facing[good], np.full(int(good.sum()), k)))
+    points, normals, first = (np.concatenate(column) for column in zip(*begun))
     ray = points - centres[first]
     reach = np.linalg.norm(ray, axis=1)
     ray /= reach[:, None]
@@ -195,21 +185,18 @@ def _hit(centre: np.ndarray, rays: np.ndarray, surface: tuple[Facet, ...]) -> tu
 
 def _useful(sights: _Sights, centres: np.ndarray, tuning: NetworkTuning) -> _Sights:
     """Without points whose rays meet at too small an angle, or that one image sees."""
-    ray = sights.xyz[sights.point] - centres[sights.image]
-    ray /= np.linalg.norm(ray, axis=1)[:, None]
     order = np.argsort(sights.point, kind="stable")
-    point, ray = sights.point[order], ray[order]
+    point = sights.point[order]
+    ray = sights.xyz[point] - centres[sights.image[order]]
+    ray /= np.linalg.norm(ray, axis=1)[:, None]
     first = np.searchsorted(point, point)  # the first ray of each point; the farthest from it tells the angle
     apart = np.arccos(np.clip(np.sum(ray * ray[first], axis=1), -1, 1))
     widest = np.zeros(len(sights.xyz))
     np.maximum.at(widest, point, apart)
     kept = widest >= np.radians(tuning.least_angle_deg)
-    number = np.cumsum(kept) - 1
-    good = kept[sights.point]
-    return _Sights(
-        image=sights.image[good], point=number[sights.point[good]], xy=sights.xy[good], xyz=sights.xyz[kept],
-        shown=sights.shown,
-    )  # fmt: skip
+    good, number = kept[sights.point], np.cumsum(kept) - 1
+    columns = {"image": sights.image[good], "point": number[sights.point[good]], "xy": sights.xy[good]}
+    return replace(sights, **columns, xyz=sights.xyz[kept])
 
 
 def _model(path: Path, cameras: list[MountedCamera], sights: _Sights, xy: np.ndarray) -> pycolmap.Reconstruction:

@@ -7,7 +7,7 @@ canal, road, corridor and tunnel, to the surface at facade and orbit, and down o
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from xml.sax.saxutils import escape
 
 import numpy as np
@@ -16,12 +16,14 @@ from scipy.spatial.transform import Rotation
 from tiegraph.errors import InputError, choose
 from tiegraph.geometry.geodesy import Origin, crs_coordinates, geodetic_from_world, make_origin, world_from_geodetic
 from tiegraph.geometry.transforms import rigid
+from tiegraph.plan.figures import above_zero
 from tiegraph.plan.tuning import PathTuning
 from tiegraph.text import csv_text
 
 _BEYOND = 4.0  # distances that walls go on before and behind the way
 _UP = np.array([0.0, 0.0, 1.0])
 _FACETS = 16  # planes that stand for a round wall
+WAYS = ("canal", "road", "corridor", "tunnel")
 
 
 @dataclass(frozen=True)
@@ -86,9 +88,7 @@ def make_path(course: Course, tuning: PathTuning) -> Path:
     """The frames and the surface of a shape. Raises SettingsError for an unknown shape, InputError for sizes."""
     shape: Callable[[Course, PathTuning], Path] = choose("shape", course.shape, SHAPES)  # type: ignore[assignment]
     for name in ("length", "width", "height"):
-        value = getattr(course, f"{name}_m")
-        if not (np.isfinite(value) and value > 0):
-            raise InputError(f"--{name} {value:g}: give metres, above zero")
+        above_zero(name, getattr(course, f"{name}_m"), "metres")
     path = shape(course, tuning)
     if len(path) < 3:
         raise InputError(
@@ -98,125 +98,95 @@ def make_path(course: Course, tuning: PathTuning) -> Path:
     return path
 
 
-def _canal(c: Course, tuning: PathTuning) -> Path:
-    """Walls on both sides and water below, which is no surface: out and back, each way right of the middle."""
-    beside = tuning.passes_apart * c.distance_m / 2 if c.passes > 1 else 0.0
-    reach = _BEYOND * c.distance_m
-    walls = (_wall(c, -reach, c.distance_m, c.height_m, 1), _wall(c, -reach, -c.distance_m, c.height_m, -1))
-    return _ways(c, beside, tuning.camera_m, walls)
-
-
-def _road(c: Course, tuning: PathTuning) -> Path:
-    """The ground and what lines it on both sides."""
-    canal = _canal(c, tuning)
-    reach, side = _BEYOND * c.distance_m, c.distance_m
-    ground = np.array([[c.length_m + 2 * reach, 0, 0], [0, 2 * side, 0]])
-    return replace(canal, surface=(*canal.surface, Facet(np.array([-reach, -side, 0.0]), ground)))
-
-
-def _corridor(c: Course, tuning: PathTuning) -> Path:
-    """Two walls, floor and ceiling."""
-    reach, side = _BEYOND * c.distance_m, c.distance_m
-    walls = [_wall(c, -reach, side, c.height_m, 1), _wall(c, -reach, -side, c.height_m, -1)]
-    long = np.array([c.length_m + 2 * reach, 0, 0])
-    across = np.array([0, 2 * side, 0])
-    walls.append(Facet(np.array([-reach, -side, 0.0]), np.stack([long, across])))
-    walls.append(Facet(np.array([-reach, -side, c.height_m]), np.stack([across, long])))
-    return _ways(c, 0.0, c.height_m / 2, tuple(walls))
-
-
-def _tunnel(c: Course, tuning: PathTuning) -> Path:
-    """A round lining about the way."""
-    angle = 2 * np.pi * np.arange(_FACETS + 1) / _FACETS
-    ring = c.distance_m * np.stack([np.zeros_like(angle), np.cos(angle), np.sin(angle)], axis=1)
-    reach = _BEYOND * c.distance_m
-    start, long = np.array([-reach, 0, 0]), np.array([c.length_m + 2 * reach, 0, 0])
-    return _ways(c, 0.0, 0.0, tuple(Facet(start + a, np.stack([long, b - a])) for a, b in zip(ring, ring[1:])))
+def _way(c: Course, tuning: PathTuning) -> Path:
+    """Canal, road, corridor and tunnel: out along x, and back for two passes, each right of the middle of canal and
+    road. What lines the way is drawn across it, as pieces from and to (y, z), seen from their left."""
+    side, top = c.distance_m, c.height_m
+    right, left = (-side, top), (side, 0.0)
+    walls = [(left, (side, top)), (right, (-side, 0.0))]
+    ground, ceiling = ((-side, 0.0), left), ((side, top), right)
+    beside, height = (tuning.passes_apart * side / 2 if c.passes > 1 else 0.0), tuning.camera_m
+    pieces = {"canal": walls, "road": [*walls, ground], "corridor": [*walls, ground, ceiling]}.get(c.shape, [])
+    if c.shape == "tunnel":
+        ring = side * _circle(_FACETS + 1, 2 * np.pi / _FACETS)[:, :2]
+        pieces = list(zip(ring, ring[1:]))
+    if c.shape in ("corridor", "tunnel"):
+        beside, height = 0.0, (top / 2 if c.shape == "corridor" else 0.0)
+    start, long = np.array([-_BEYOND * side, 0, 0]), np.array([c.length_m + 2 * _BEYOND * side, 0, 0])
+    across = [(np.array([0, *a]), np.array([0, *b])) for a, b in pieces]
+    surface = tuple(Facet(start + a, np.stack([long, b - a])) for a, b in across)
+    steps = _steps(c)
+    parts = []
+    for k in range(c.passes):
+        ahead = 1.0 if k % 2 == 0 else -1.0
+        places = np.stack([steps if k % 2 == 0 else c.length_m - steps, *np.full((2, len(steps)), height)], axis=1)
+        places[:, 1] = -beside * ahead
+        parts.append(rigid(_turn(np.array([ahead, 0, 0])) @ _mounted(c), places))
+    names = ("the way",) if c.passes == 1 else tuple(f"pass {k + 1} {('out', 'back')[k % 2]}" for k in range(c.passes))
+    return _path(np.stack(parts), np.tile(steps, (c.passes, 1)), names, surface)
 
 
 def _facade(c: Course, tuning: PathTuning) -> Path:
     """A wall, by rows to and fro."""
     wall = Facet(np.array([0, c.distance_m, 0]), np.array([[c.length_m, 0, 0], [0, 0, c.height_m]]))
     lines = [np.array([0, 0, z]) for z in _evenly(c.height_m, c.row_m)]
-    return _rows(c, lines, _turn(np.array([0.0, 1.0, 0.0])), "row", (wall,))
+    return _rows(c, lines, _turn(np.array([0.0, 1.0, 0.0])), "row", wall)
 
 
 def _grid(c: Course, tuning: PathTuning) -> Path:
     """Ground from above, by lines to and fro; it goes on round about."""
     more = c.distance_m
     edges = np.diag([c.length_m + 2 * more, c.width_m + 2 * more, 0.0])[:2]
-    ground = Facet(np.array([-more, -more, 0.0]), edges)
     lines = [np.array([0, y, c.distance_m]) for y in _evenly(c.width_m, c.row_m)]
     ahead = np.stack([[0.0, -1, 0], [-1, 0, 0], [0, 0, -1]], axis=1)  # right of the body = right of the way
-    return _rows(c, lines, ahead, "line", (ground,))
+    return _rows(c, lines, ahead, "line", Facet(np.array([-more, -more, 0.0]), edges))
 
 
 def _orbit(c: Course, tuning: PathTuning) -> Path:
     """A round object of the given width on the ground, by rings about it. Frames are a base apart on its surface."""
     radius = c.width_m / 2
-    angle = 2 * np.pi * np.arange(_FACETS + 1) / _FACETS
-    ring = radius * np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=1)
-    up = np.array([0, 0, c.height_m])
-    surface = tuple(Facet(a, np.stack([b - a, up])) for a, b in zip(ring, ring[1:]))
+    ring = radius * _circle(_FACETS + 1, 2 * np.pi / _FACETS)
+    surface = [Facet(a, np.stack([b - a, c.height_m * _UP])) for a, b in zip(ring, ring[1:])]
     reach = radius + _BEYOND * c.distance_m
-    ground = Facet(np.array([-reach, -reach, 0.0]), np.diag([2 * reach, 2 * reach, 0.0])[:2])
+    surface.append(Facet(np.array([-reach, -reach, 0.0]), np.diag([2 * reach, 2 * reach, 0.0])[:2]))
     count = max(3, int(np.ceil(2 * np.pi * radius / c.base_m)))
-    around = 2 * np.pi * np.arange(count) / count
-    out = np.stack([np.cos(around), np.sin(around), np.zeros(count)], axis=1)
+    out = _circle(count, 2 * np.pi / count)
     levels = _evenly(c.height_m, c.row_m)
     far, down = radius + c.distance_m, np.radians(max(-c.turned_deg[1], 0.0))
     lifted = far * np.sin(down) * _UP  # a rig that looks down stands higher, so that it sees the middle of its ring
-    poses = [rigid(_turn(-o) @ _mounted(c), far * np.cos(down) * o + lifted + z * _UP) for z in levels for o in out]
-    way = np.tile(far * around, len(levels))
-    names = tuple(f"ring {k + 1}" for k in range(len(levels)))
-    leg = np.repeat(np.arange(len(levels)), count)
-    return Path(world_from_body=np.stack(poses), way_m=way, leg=leg, legs=names, surface=(*surface, ground))
+    turns = np.stack([_turn(-o) @ _mounted(c) for o in out])
+    poses = np.stack([rigid(turns, far * np.cos(down) * out + lifted + z * _UP) for z in levels])
+    way = np.tile(far * 2 * np.pi * np.arange(count) / count, (len(levels), 1))
+    return _path(poses, way, tuple(f"ring {k + 1}" for k in range(len(levels))), tuple(surface))
 
 
-SHAPES = {
-    "canal": _canal, "road": _road, "corridor": _corridor, "tunnel": _tunnel, "facade": _facade, "grid": _grid,
-    "orbit": _orbit,
-}  # fmt: skip
+SHAPES = {**dict.fromkeys(WAYS, _way), "facade": _facade, "grid": _grid, "orbit": _orbit}
 
 
-def _wall(c: Course, start: float, y: float, height: float, side: int) -> Facet:
-    """A wall along the way at ``y``, seen from the side away from ``side``."""
-    edges = np.array([[c.length_m - 2 * start, 0, 0], [0, 0, height]])
-    return Facet(np.array([start, y, 0.0]), edges if side > 0 else edges[::-1])
-
-
-def _ways(c: Course, beside: float, height: float, surface: tuple[Facet, ...]) -> Path:
-    """Out along x, and back for two passes; ``beside`` the middle to the right."""
-    steps = _steps(c.length_m, c.base_m)
-    parts = []
-    for k in range(c.passes):
-        forward = np.array([1.0 if k % 2 == 0 else -1.0, 0, 0])
-        at = steps if k % 2 == 0 else c.length_m - steps
-        places = np.stack([at, np.full_like(at, -beside * forward[0]), np.full_like(at, height)], axis=1)
-        turn = _turn(forward) @ _mounted(c)
-        parts.append(np.stack([rigid(turn, place) for place in places]))
-    names = ("the way",) if c.passes == 1 else tuple(f"pass {k + 1} {('out', 'back')[k % 2]}" for k in range(c.passes))
-    leg = np.repeat(np.arange(c.passes), len(steps))
-    way = np.tile(steps, c.passes)
-    return Path(world_from_body=np.concatenate(parts), way_m=way, leg=leg, legs=names, surface=surface)
-
-
-def _rows(c: Course, lines: list[np.ndarray], turn: np.ndarray, word: str, surface: tuple[Facet, ...]) -> Path:
+def _rows(c: Course, lines: list[np.ndarray], turn: np.ndarray, word: str, surface: Facet) -> Path:
     """To and fro along x from the starts (3,) of lines. The body looks the same way on all: it does not turn about."""
-    steps = _steps(c.length_m, c.base_m)
-    poses, way = [], []
-    for k, start in enumerate(lines):
-        for s in steps:
-            at = s if k % 2 == 0 else c.length_m - s
-            poses.append(rigid(turn @ _mounted(c), start + np.array([at, 0, 0])))
-        way.append(steps)
+    steps = _steps(c)
+    along = np.eye(3)[0]
+    places = [start + np.outer(steps if k % 2 == 0 else c.length_m - steps, along) for k, start in enumerate(lines)]
     names = tuple(f"{word} {k + 1}" for k in range(len(lines)))
-    leg = np.repeat(np.arange(len(lines)), len(steps))
-    return Path(world_from_body=np.stack(poses), way_m=np.concatenate(way), leg=leg, legs=names, surface=surface)
+    return _path(rigid(turn @ _mounted(c), np.stack(places)), np.tile(steps, (len(lines), 1)), names, (surface,))
 
 
-def _steps(length: float, base: float) -> np.ndarray:
-    return np.arange(int(np.floor(length / base + 1e-9)) + 1) * float(base)
+def _path(poses: np.ndarray, way: np.ndarray, legs: tuple[str, ...], surface: tuple[Facet, ...]) -> Path:
+    """Of poses (L, K, 4, 4) and ways (L, K) of K frames on each of the legs."""
+    leg = np.repeat(np.arange(len(legs)), way.shape[1])
+    return Path(world_from_body=poses.reshape(-1, 4, 4), way_m=way.ravel(), leg=leg, legs=legs, surface=surface)
+
+
+def _steps(c: Course) -> np.ndarray:
+    """Ways of the frames on a leg, a base apart."""
+    return np.arange(int(np.floor(c.length_m / c.base_m + 1e-9)) + 1) * float(c.base_m)
+
+
+def _circle(count: int, step: float) -> np.ndarray:
+    """(K, 3) places on a circle of radius 1 in the plane of x and y, so many radians apart."""
+    angle = step * np.arange(count)
+    return np.stack([np.cos(angle), np.sin(angle), np.zeros(count)], axis=1)
 
 
 def _evenly(size: float, row: float) -> np.ndarray:
@@ -227,8 +197,7 @@ def _evenly(size: float, row: float) -> np.ndarray:
 
 def _turn(forward: np.ndarray) -> np.ndarray:
     """world_from_body (3, 3) of a level body that looks along ``forward``."""
-    right = np.cross(forward, _UP)
-    return np.stack([right, -_UP, forward], axis=1)
+    return np.stack([np.cross(forward, _UP), -_UP, forward], axis=1)
 
 
 def _mounted(c: Course) -> np.ndarray:
@@ -293,39 +262,33 @@ def waypoint_csv(path: Path, anchor: Anchor | None) -> str:
     return csv_text(*_waypoints(path, anchor))
 
 
+def _places(path: Path, anchor: Anchor) -> list[tuple[dict, list[list[float]]]]:
+    """What is said of each leg and of each frame, and its places (longitude, latitude, height on WGS84)."""
+    columns, rows = _waypoints(path, anchor)
+    facts = [dict(zip(columns, row)) for row in rows]
+    at = [[f.pop("longitude"), f.pop("latitude"), f["height_m"]] for f in facts]
+    legs = [({"leg": name}, [p for p, k in zip(at, path.leg) if k == leg]) for leg, name in enumerate(path.legs)]
+    return [*legs, *((f, [p]) for f, p in zip(facts, at))]
+
+
 def waypoint_geojson(path: Path, anchor: Anchor) -> str:
     """A line for each leg and a point for each frame (RFC 7946: longitude, latitude, height on WGS84)."""
-    columns, rows = _waypoints(path, anchor)
-    features: list[dict] = []
-    for name, line in _lines(path, anchor):
-        geometry = {"type": "LineString" if len(line) > 1 else "MultiPoint", "coordinates": line}
-        features.append({"type": "Feature", "geometry": geometry, "properties": {"leg": name}})
-    for row in rows:
-        facts = dict(zip(columns, row))
-        at = [facts.pop("longitude"), facts.pop("latitude"), facts["height_m"]]
-        features.append({"type": "Feature", "geometry": {"type": "Point", "coordinates": at}, "properties": facts})
+    features = []
+    for facts, at in _places(path, anchor):
+        geometry = {"type": "LineString" if len(at) > 1 else "MultiPoint", "coordinates": at}
+        geometry = {"type": "Point", "coordinates": at[0]} if "number" in facts else geometry
+        features.append({"type": "Feature", "geometry": geometry, "properties": facts})
     return json.dumps({"type": "FeatureCollection", "features": features}, indent=1) + "\n"
 
 
 def waypoint_kml(path: Path, anchor: Anchor) -> str:
     """Legs and frames for map programs (OGC KML 2.2, absolute heights)."""
-    columns, rows = _waypoints(path, anchor)
     marks = []
-    for name, line in _lines(path, anchor):
-        at = " ".join(",".join(map(str, p)) for p in line)
-        marks.append(f"<Placemark><name>{escape(name)}</name><LineString><altitudeMode>absolute</altitudeMode>"
-                     f"<coordinates>{at}</coordinates></LineString></Placemark>")  # fmt: skip
-    for row in rows:
-        facts = dict(zip(columns, row))
-        at = f"{facts['longitude']},{facts['latitude']},{facts['height_m']}"
-        marks.append(f"<Placemark><name>{facts['number']}</name><Point><altitudeMode>absolute</altitudeMode>"
-                     f"<coordinates>{at}</coordinates></Point></Placemark>")  # fmt: skip
+    for facts, at in _places(path, anchor):
+        kind, name = ("Point", facts["number"]) if "number" in facts else ("LineString", escape(facts["leg"]))
+        where = f"<coordinates>{' '.join(','.join(map(str, p)) for p in at)}</coordinates>"
+        shape = f"<{kind}><altitudeMode>absolute</altitudeMode>{where}</{kind}>"
+        marks.append(f"<Placemark><name>{name}</name>{shape}</Placemark>")
     body = "\n".join(marks)
     head = '<?xml version="1.0" encoding="UTF-8"?>\n<kml xmlns="http://www.opengis.net/kml/2.2"><Document>\n'
     return f"{head}<name>tiegraph plan</name>\n{body}\n</Document></kml>\n"
-
-
-def _lines(path: Path, anchor: Anchor) -> list[tuple[str, list[list[float]]]]:
-    geodetic, _ = anchor.coordinates(path.centres)
-    at = np.column_stack([np.round(geodetic[:, [1, 0]], 9), np.round(geodetic[:, 2], 3)])
-    return [(name, at[path.leg == k].tolist()) for k, name in enumerate(path.legs)]

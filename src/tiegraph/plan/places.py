@@ -72,9 +72,8 @@ class PathPlan:
         out |= self.network.figures()
         for name, values in sigmas.items():
             if len(values):
-                out[f"{name}_sigma_median_m"] = _number(np.median(values))
-                out[f"{name}_sigma_max_m"] = _number(np.max(values))
-        return out
+                out |= {f"{name}_sigma_median_m": np.median(values), f"{name}_sigma_max_m": np.max(values)}
+        return finite(out)  # type: ignore[no-any-return]
 
 
 def plan_path(
@@ -171,10 +170,6 @@ def _advice(
 
 def _middle(values: np.ndarray) -> float:
     return float(np.median(values)) if len(values) else float("nan")
-
-
-def _number(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
 
 
 def _metres(value: float) -> str:

@@ -12,7 +12,16 @@ from tiegraph.errors import InputError
 from tiegraph.plan.accuracy import ControlPoints, Propagate, Receiver
 from tiegraph.plan.figures import Effort, Lens, Station, advice, effort, station
 from tiegraph.plan.network import MountedCamera, Ties
-from tiegraph.plan.path import Anchor, Course, make_path, read_anchor, waypoint_csv, waypoint_geojson, waypoint_kml
+from tiegraph.plan.path import (
+    WAYS,
+    Anchor,
+    Course,
+    make_path,
+    read_anchor,
+    waypoint_csv,
+    waypoint_geojson,
+    waypoint_kml,
+)
 from tiegraph.plan.places import PathPlan, plan_path
 from tiegraph.plan.request import PlanRequest, numbers
 from tiegraph.plan.tables import station_csv
@@ -24,7 +33,6 @@ _DPI = 130
 _POINT, _INK = "#b8c0c8", "#2a3138"
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")  # Okabe and Ito 2008
 FORMAT = 1
-_WAYS = ("canal", "road", "corridor", "tunnel")
 
 
 @dataclass(frozen=True)
@@ -118,8 +126,8 @@ def _with_path(
     plan: Plan, request: PlanRequest, rigged: Rigged, by: Propagate, most_features: int, tuning: Tuning
 ) -> Plan:
     asked, world, made = request.path, request.world, plan.stations[0]
-    if asked.passes is not None and (asked.passes not in (1, 2) or asked.shape not in _WAYS):
-        raise InputError(f"--passes {asked.passes}: 1 or 2, of {', '.join(_WAYS)}; other shapes have rows or rings")
+    if asked.passes is not None and (asked.passes not in (1, 2) or asked.shape not in WAYS):
+        raise InputError(f"--passes {asked.passes}: 1 or 2, of {', '.join(WAYS)}; other shapes have rows or rings")
     told = (_receiver(world.gnss, world.outage, tuning), ControlPoints(world.control, world.control_sigma))
     anchor = None if world.origin is None else read_anchor(world.origin, world.heading)
     across = made.footprint_m[1 - plan.lens.along]

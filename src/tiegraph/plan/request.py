@@ -8,7 +8,7 @@ from typing import Annotated
 import tyro
 
 from tiegraph.errors import InputError
-from tiegraph.plan.figures import Wanted, check_overlap
+from tiegraph.plan.figures import Wanted, above_zero, check_overlap
 from tiegraph.plan.tuning import ErrorTuning
 
 
@@ -56,9 +56,8 @@ class CameraRequest:
     def focal_length_px(self) -> float | None:
         """Focal length in pixels, None = not said. Raises InputError for values that make none."""
         for name in ("focal", "pixel", "sensor", "focal_px"):
-            value = getattr(self, name)
-            if value is not None and not (math.isfinite(value) and value > 0):
-                raise InputError(f"--{name.replace('_', '-')} {value:g}: give a number above zero")
+            if (value := getattr(self, name)) is not None:
+                above_zero(name.replace("_", "-"), value)
         if self.focal_px is not None and self.focal is not None:
             raise InputError("--focal and --focal-px say the same: give one of them")
         if self.focal_px is not None or self.focal is None:

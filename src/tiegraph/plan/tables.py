@@ -1,7 +1,5 @@
 """Plans as tables of text and as CSV; planned against reached, the same figures side by side."""
 
-import csv
-import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -11,6 +9,7 @@ import numpy as np
 from tiegraph.errors import InputError
 from tiegraph.plan.figures import Effort, Station
 from tiegraph.plan.places import PathPlan
+from tiegraph.text import csv_text
 
 # What is compared: name, key in the plan and in what was reached, factor to the unit that is shown.
 _ROWS = (
@@ -40,29 +39,29 @@ def station_csv(stations: Sequence[Station]) -> str:
     """One station a line, a column for each figure of any of them."""
     rows = [s.row() for s in stations]
     columns = list(dict.fromkeys(name for row in rows for name in row))
-    out = io.StringIO()
-    writer = csv.DictWriter(out, columns, lineterminator="\n")
-    writer.writeheader()
-    for row in rows:
-        writer.writerow({k: "" if v is None else f"{v:.6g}" for k, v in row.items()})
-    return out.getvalue()
+    cells = ((row.get(name) for name in columns) for row in rows)
+    return csv_text(columns, (["" if v is None else f"{v:.6g}" for v in row] for row in cells))
 
 
 def station_table(stations: Sequence[Station]) -> Table:
     """The sweep: precision by the fewest and the most rays."""
-    columns = ["m", "GSD mm", "px/mm²", "footprint m", "base m", "overlap", "σ depth mm (rays)", "σ across"]
-    moving, wanted = any(s.exposure_s for s in stations), any(s.farthest_m for s in stations)
-    columns += [*(["expose ms"] * moving), *(["reaches m"] * wanted)]
     rows = []
     for s in stations:
         known = {n: p for n, p in enumerate(s.precision_m, 2) if n in (2, len(s.precision_m) + 1)}
-        deep = " ".join(f"{1000 * p:.3f} ({n})" for n, p in known.items()) or "no overlap"
-        row = [f"{s.distance_m:g}", f"{1000 * s.gsd_m:.3g}", f"{s.points_mm2:.3g}"]
-        row += [f"{s.footprint_m[0]:.3g} x {s.footprint_m[1]:.3g}", f"{s.base_m:.3g}", f"{100 * s.overlap:.0f} %", deep]
-        row += [f"{1000 * s.across_m:.3f}"]
-        row += [_text(None if s.exposure_s is None else 1000 * s.exposure_s)] * moving + [_text(s.farthest_m)] * wanted
-        rows.append(tuple(row))
-    return Table("images at these distances", tuple(columns), tuple(rows))
+        rows.append({
+            "m": f"{s.distance_m:g}",
+            "GSD mm": f"{1000 * s.gsd_m:.3g}",
+            "px/mm²": f"{s.points_mm2:.3g}",
+            "footprint m": f"{s.footprint_m[0]:.3g} x {s.footprint_m[1]:.3g}",
+            "base m": f"{s.base_m:.3g}",
+            "overlap": f"{100 * s.overlap:.0f} %",
+            "σ depth mm (rays)": " ".join(f"{1000 * p:.3f} ({n})" for n, p in known.items()) or "no overlap",
+            "σ across": f"{1000 * s.across_m:.3f}",
+            "expose ms": _text(None if s.exposure_s is None else 1000 * s.exposure_s),
+            "reaches m": _text(s.farthest_m),
+        })  # fmt: skip
+    columns = tuple(c for c in rows[0] if any(row[c] != "-" for row in rows))
+    return Table("images at these distances", columns, tuple(tuple(row[c] for c in columns) for row in rows))
 
 
 def path_tables(plan: PathPlan, cost: Effort) -> list[Table]:

@@ -12,7 +12,6 @@ from tiegraph.report.thumbnails import png, rgb_of
 from tiegraph.scene.pairs import AFTER_MATCHING, REASON_LOOKS, REASONS, Pairs
 from tiegraph.scene.scene import Scene
 
-VERIFIED, DROPPED = "#0b4f6c", "#c9ced6"
 _MATRIX_PX = 700
 _MATCHES = ((1, "#c7e0ea"), (30, "#7fb8d0"), (100, "#2b7a9b"), (300, "#0a3d55"))  # verified matches from, colour
 _NAMED_BLOCKS = 16
@@ -23,21 +22,18 @@ def looked_at(pairs: Pairs, scene: Scene) -> Markup:
     looks = [REASON_LOOKS[reason] for reason in REASONS]
     key = [(said(looks[k][0]), looks[k][1]) for k in np.unique(pairs.dropped)]
     label = t("Looked at: {} pairs", formatting.count(len(pairs)))
-    picture = _picture(pairs, -pairs.dropped.astype(int), scene, [colour for _, colour in looks])
-    return matrix(picture, *_blocks(scene), key, label)
+    return _matrix(pairs, -pairs.dropped.astype(int), scene, [colour for _, colour in looks], key, label)
 
 
 def holding(pairs: Pairs, scene: Scene) -> Markup:
     """The pairs that hold, by their verified matches; before the matching, those to be matched."""
-    matched, kept = is_matched(pairs), tied(pairs)
-    count = formatting.count(len(kept))
-    step = np.full(len(kept), len(_MATCHES) - 1)
-    key, label = [], t("To be matched: {} pairs", count)
-    if matched:
-        step = np.searchsorted([low for low, _ in _MATCHES], kept.inliers, side="right") - 1
-        key, label = [(t("from {} matches", low), colour) for low, colour in _MATCHES], t("Verified: {} pairs", count)
-    picture = _picture(kept, step, scene, [colour for _, colour in _MATCHES])
-    return matrix(picture, *_blocks(scene), key, label)
+    kept, colours = tied(pairs), [colour for _, colour in _MATCHES]
+    if not is_matched(pairs):
+        label = t("To be matched: {} pairs", formatting.count(len(kept)))
+        return _matrix(kept, np.full(len(kept), len(_MATCHES) - 1), scene, colours, [], label)
+    step = np.searchsorted([low for low, _ in _MATCHES], kept.inliers, side="right") - 1
+    key = [(t("from {} matches", low), colour) for low, colour in _MATCHES]
+    return _matrix(kept, step, scene, colours, key, t("Verified: {} pairs", formatting.count(len(kept))))
 
 
 def is_matched(pairs: Pairs) -> bool:
@@ -51,53 +47,39 @@ def tied(pairs: Pairs) -> Pairs:
     return kept.where(kept.inliers > 0) if is_matched(pairs) else kept
 
 
-def _picture(pairs: Pairs, rank: np.ndarray, scene: Scene, colours: Sequence[str]) -> str:
-    """The matrix of the images, pairs of rank k or -k in colour k; of those on one pixel the highest rank is seen."""
-    place, _, _ = image_order(scene)
-    size, rising = min(len(scene), _MATRIX_PX), np.argsort(rank, kind="stable")
-    row, column = (place[ends[rising]] * size // max(len(scene), 1) for ends in (pairs.i, pairs.j))
-    rgba = np.zeros((size, size, 4), np.uint8)
-    shown = np.array([[*rgb_of(c), 255] for c in colours], np.uint8)[np.abs(rank[rising])]
-    rgba[row, column] = rgba[column, row] = shown
-    return png(rgba)
-
-
-def _blocks(scene: Scene) -> tuple[list[tuple[float, str]], list[float]]:
-    """(middle, name) of the blocks of pass and camera, and their borders, as shares of the side."""
-    _, names, edges = image_order(scene)
+def _matrix(
+    pairs: Pairs, rank: np.ndarray, scene: Scene, colours: Sequence[str], key: Sequence[tuple[str, str]], label: str
+) -> Markup:
+    """The matrix of the images by pass, camera and step, pairs of rank k or -k in colour k; of those on one pixel the
+    highest rank is seen."""
     n = max(len(scene), 1)
-    every = -(-len(names) // _NAMED_BLOCKS)
-    return [((m + 0.5) / n, name) for m, name in names[::every]], [e / n for e in edges]
-
-
-def image_order(scene: Scene) -> tuple[np.ndarray, list[tuple[float, str]], list[int]]:
-    """Rank (N,) of each image by pass, camera and step; (middle, label) of each block and the blocks' borders."""
-    track = scene.sequence[scene.frame]
-    sequence = np.lexsort((scene.sequence_index[scene.frame], scene.sensor_key, track))
-    rank = np.empty(len(scene), int)
-    rank[sequence] = np.arange(len(scene))
+    order = np.lexsort((scene.sequence_index[scene.frame], scene.sensor_key, scene.sequence[scene.frame]))
     labels = scene.image_label()
-    names = [" ".join(labels[k]).strip() for k in sequence]
-    starts = [0, *(k for k in range(1, len(names)) if names[k] != names[k - 1]), len(names)]
-    ticks = [((a + b - 1) / 2, names[a]) for a, b in zip(starts[:-1], starts[1:])] if len(names) else []
-    return rank, ticks, starts[1:-1]
+    names = [" ".join(labels[k]).strip() for k in order]
+    starts = [k for k in range(len(names)) if k == 0 or names[k] != names[k - 1]]
+    blocks = [((a + b) / 2 / n, names[a]) for a, b in zip(starts, [*starts[1:], len(names)])]
+    size, rising = min(len(scene), _MATRIX_PX), np.argsort(rank, kind="stable")
+    place = np.argsort(order)
+    row, column = (place[ends[rising]] * size // n for ends in (pairs.i, pairs.j))
+    rgba = np.zeros((size, size, 4), np.uint8)
+    rgba[row, column] = rgba[column, row] = np.array([[*rgb_of(c), 255] for c in colours])[np.abs(rank[rising])]
+    named = blocks[:: -(-len(blocks) // _NAMED_BLOCKS) or 1]
+    return matrix(png(rgba), named, [k / n for k in starts[1:]], key, label)
 
 
 def funnel_rows(pairs: Pairs, network: Pairs | None) -> list[tuple[str, int, str]]:
     """(what, pairs, colour) from all candidates to the verified ones, in the order of the filters."""
     funnel = pairs.funnel()
-    start = max(len(network) if network is not None else 0, funnel["candidates"])
-    rows = [("candidates", start, "#8b949e")]
-    gone = {k: v for k, v in funnel.items() if k not in ("candidates", "used", *AFTER_MATCHING)}
-    if network is not None and len(network) > len(pairs):
-        rows.append(("dropped: in the network", len(network) - len(pairs), DROPPED))
-    rows += [(f"dropped: {REASON_LOOKS[k][0]}", v, REASON_LOOKS[k][1]) for k, v in gone.items()]
+    before = len(network) - len(pairs) if network is not None else 0
+    rows = [("candidates", max(before, 0) + len(pairs), "#8b949e")]
+    rows += [("dropped: in the network", before, "#c9ced6")] if before > 0 else []
+    lost = {k: (f"dropped: {REASON_LOOKS[k][0]}", v, REASON_LOOKS[k][1]) for k, v in funnel.items() if k in REASONS}
+    rows += [row for reason, row in lost.items() if reason not in AFTER_MATCHING]
     if not is_matched(pairs):
         return [*rows, ("pairs to match", funnel["used"], USED)]
-    lost = sum(funnel.get(reason, 0) for reason in AFTER_MATCHING)
-    rows.append(("matched at full resolution", funnel["used"] + lost, USED))
-    rows += [(f"dropped: {REASON_LOOKS[k][0]}", funnel[k], REASON_LOOKS[k][1]) for k in AFTER_MATCHING if k in funnel]
-    return [*rows, ("verified", len(tied(pairs)), VERIFIED)]
+    after = [row for reason, row in lost.items() if reason in AFTER_MATCHING]
+    rows.append(("matched at full resolution", funnel["used"] + sum(n for _, n, _ in after), USED))
+    return [*rows, *after, ("verified", len(tied(pairs)), "#0b4f6c")]
 
 
 def is_loss(name: str) -> bool:
@@ -117,11 +99,11 @@ def funnel(rows: Sequence[tuple[str, int, str]]) -> Markup:
     """What every filter leaves, with what it drops in the colour it has in the matrix."""
     drawn: list[tuple[str, Sequence[tuple[float, str]], str]] = []
     for (name, value, colour), left in zip(rows, pairs_left(rows)):
+        parts, end = [(left, colour)], formatting.count(left)
         if is_loss(name):
-            end = f"\N{MINUS SIGN}{formatting.count(value)} \N{RIGHTWARDS ARROW} {formatting.count(left)}"
-            drawn.append((step_name(name), ((left, LIGHT), (value, colour)), end))
-        else:
-            drawn.append((step_name(name), ((left, colour),), formatting.count(left)))
+            parts = [(left, LIGHT), (value, colour)]
+            end = f"\N{MINUS SIGN}{formatting.count(value)} \N{RIGHTWARDS ARROW} {end}"
+        drawn.append((step_name(name), parts, end))
     return bars(drawn, t("From candidates to ties"))
 
 

@@ -2,7 +2,6 @@
 three worst problems; on one sheet of paper, with a line to sign."""
 
 from datetime import datetime, timezone
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,11 +10,10 @@ from tiegraph.geometry.geodesy import Origin, geodetic_from_world
 from tiegraph.report import accuracy, formatting, spatial, summary
 from tiegraph.report.runfolder import RunFolder
 from tiegraph.report.settings import ReportSettings
-from tiegraph.report.spatial import Scenery
-from tiegraph.report.summary import Verdict, what_was_done
-from tiegraph.report.texts import said, t
+from tiegraph.report.summary import Verdict
+from tiegraph.report.texts import capital, said, t
 
-PROBLEMS = 3
+_PROBLEMS = 3
 _FILES = {
     "cloud.copc.laz": "point cloud for viewers (COPC), colours, sigma of each point",
     "cloud.laz": "point cloud as LAZ, colours, sigma of each point",
@@ -31,76 +29,64 @@ def client_page(
     run: RunFolder, settings: ReportSettings, seen: spatial.Scenery | None, verdict: Verdict
 ) -> dict[str, Any]:
     """The parts of the page, for the template."""
-    about = settings.about
-    fields = ((t("Client"), about.client), (t("Project"), about.project), (t("Equipment"), about.equipment))
+    about, known = settings.about, run.accuracy
     return {
-        "fields": [*fields, (t("Surveyor"), about.surveyor)],
+        "fields": [(t(name.capitalize()), value) for name, value in about.model_dump().items()],
         "surveyor": about.surveyor,
-        "what": what_was_done(run),
+        "what": summary.what_was_done(run),
         "where": where(run, seen),
         "when": when(run),
         "map": spatial.survey_map(seen) if seen is not None else None,
-        "north": seen is not None and seen.north,
-        "answer": accuracy.answer(run.accuracy) if run.accuracy is not None else None,
-        "layers": accuracy.layers(run.accuracy) if run.accuracy is not None else [],
-        "held_by": accuracy.holding(run.accuracy) if run.accuracy is not None else "",
-        "files": sizes(deliverables(run)),
-        "problems": [text[:1].upper() + text[1:] for text in map(said, worst(verdict))],
+        "answer": accuracy.answer(known) if known is not None else None,
+        "layers": accuracy.layers(known) if known is not None else [],
+        "held_by": accuracy.holding(known) if known is not None else "",
+        "files": [(name, words, formatting.size(size)) for name, words, size in deliverables(run)],
+        "problems": [capital(said(text)) for text in worst(verdict)],
     }
 
 
 def worst(verdict: Verdict) -> list[str]:
     """The worst problems, the worst first: contradictions come before warnings, which are ranked already; [] if the
     run found nothing wrong."""
-    return [*verdict.contradictions, *verdict.warnings][:PROBLEMS]
+    return [*verdict.contradictions, *verdict.warnings][:_PROBLEMS]
 
 
 def deliverables(run: RunFolder) -> list[tuple[str, str, int]]:
     """(name, what it is, bytes) of each that is there."""
-    there = [(name, run.path / name, words) for name, words in _FILES.items()]
-    return [(name, t(words), _bytes(path)) for name, path, words in there if path.exists()]
+    out = []
+    for name, words in _FILES.items():
+        path = run.path / name
+        files = [f for f in path.iterdir() if f.is_file()] if path.is_dir() else [path]
+        if path.exists():
+            out.append((name, t(words), sum(f.stat().st_size for f in files)))
+    return out
 
 
-def sizes(rows: list[tuple[str, str, int]]) -> list[tuple[str, str, str]]:
-    """The same with sizes as text."""
-    return [(name, words, formatting.size(amount)) for name, words, amount in rows]
-
-
-def _bytes(path: Path) -> int:
-    if path.is_dir():
-        return sum(p.stat().st_size for p in path.iterdir() if p.is_file())
-    return path.stat().st_size
-
-
-def middle(run: RunFolder, seen: Scenery | None) -> tuple[float, float, float] | None:
+def middle(run: RunFolder, seen: spatial.Scenery | None) -> tuple[float, float, float] | None:
     """Latitude and longitude in degrees and height in metres of the middle of the images; None if not on the Earth."""
     origin = (run.world or {}).get("origin")
     if seen is None or not run.georeferenced or origin is None:
         return None
-    found = geodetic_from_world(np.median(seen.path, axis=0)[None], Origin.from_dict(origin))[0]
-    lat, lon, height = (float(v) for v in found)
+    lat, lon, height = geodetic_from_world(np.median(seen.path, axis=0)[None], Origin.from_dict(origin))[0].tolist()
     return lat, lon, height
 
 
-def where(run: RunFolder, seen: Scenery | None) -> list[tuple[str, str]]:
+def where(run: RunFolder, seen: spatial.Scenery | None) -> list[tuple[str, str]]:
     """(name, value): middle, system of coordinates, extent, length of the passes."""
     if seen is None:
         return []
-    out = []
-    at = middle(run, seen)
-    if at is not None:
-        out.append((t("middle"), f"{at[0]:.5f}°, {at[1]:.5f}°"))
-    if run.world is not None and run.georeferenced:
-        out.append((t("coordinates"), summary.crs_text(run.world.get("crs"), run.world.get("origin"))))
-    else:
-        out.append((t("coordinates"), t("of its own, not on the Earth")))
-    low, high = np.min(seen.path, axis=0), np.max(seen.path, axis=0)
-    size = [formatting.number(v) for v in (high - low)[:2]]
-    out.append((t("extent of the camera positions"), f"{size[0]} \N{MULTIPLICATION SIGN} {size[1]} {seen.unit}"))
-    ways = [_length(track.positions) for track in seen.tracks if track.name != "images"]
-    if ways:
-        out.append((t("length of the passes"), f"{formatting.number(sum(ways))} {seen.unit} ({len(ways)})"))
-    return out
+    at, world = middle(run, seen), run.world or {}
+    own = t("of its own, not on the Earth")
+    crs = summary.crs_text(world.get("crs"), world.get("origin")) if run.georeferenced else own
+    size = [formatting.number(v) for v in np.ptp(seen.path, axis=0)[:2]]
+    ways = [track.seen for track in seen.tracks if track.name != "images"]
+    length = sum(float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum()) for way in ways)
+    return [
+        *([] if at is None else [(t("middle"), f"{at[0]:.5f}°, {at[1]:.5f}°")]),
+        (t("coordinates"), crs),
+        (t("extent of the camera positions"), f"{size[0]} \N{MULTIPLICATION SIGN} {size[1]} {seen.unit}"),
+        *([(t("length of the passes"), f"{formatting.number(length)} {seen.unit} ({len(ways)})")] if ways else []),
+    ]
 
 
 def times(run: RunFolder) -> tuple[str | None, str | None, float | None]:
@@ -112,39 +98,23 @@ def times(run: RunFolder) -> tuple[str | None, str | None, float | None]:
     low, high = float(known.min()), float(known.max())
     if low < _EPOCH_S:
         return None, None, high - low
-    zone = None if _without_zone(run) else timezone.utc
+    # a camera that writes no time zone has a clock of its own
+    zone = None if any(n.endswith("(no time zone written)") for n in run.notes("scan")) else timezone.utc
     dates = (datetime.fromtimestamp(v, timezone.utc).replace(tzinfo=zone) for v in (low, high))
     first, last = (date.isoformat(timespec="seconds") for date in dates)
     return first, last, high - low
 
 
-def _without_zone(run: RunFolder) -> bool:
-    """Whether times are those of a camera that does not write its time zone."""
-    return any(str(n).endswith("(no time zone written)") for n in run.receipts.get("scan", {}).get("notes") or [])
-
-
 def when(run: RunFolder) -> list[tuple[str, str]]:
     """(name, value): when the images were taken, how long that took, when they were processed."""
     first, last, length = times(run)
-    out = []
     if first and last:
-        end = last[11:16] if first[:10] == last[:10] else _date(last)
+        begin, end = (iso[:16].replace("T", " ") for iso in (first, last))
         zone = " UTC" if first.endswith("+00:00") else t(", the camera's clock")
-        out.append((t("images taken"), f"{_date(first)} – {end}{zone}"))
+        taken = f"{begin} – {end[11:] if begin[:10] == end[:10] else end}{zone}"
     elif length is not None:
-        out.append((t("images taken"), t("over {}; the clock has no date", formatting.seconds(length))))
+        taken = t("over {}; the clock has no date", formatting.seconds(length))
     else:
-        out.append((t("images taken"), t("not known: the images carry no times")))
-    finished = sorted(str(r["finished"]) for s, r in run.receipts.items() if r.get("finished") and s != "report")
-    if finished:
-        out.append((t("processed"), finished[-1][:10]))
-    return out
-
-
-def _date(iso: str) -> str:
-    return iso[:16].replace("T", " ")
-
-
-def _length(positions: np.ndarray) -> float:
-    seen = positions[np.isfinite(positions[:, 0])]
-    return float(np.sum(np.linalg.norm(np.diff(seen, axis=0), axis=1)))
+        taken = t("not known: the images carry no times")
+    finished = [str(r["finished"]) for s, r in run.receipts.items() if r.get("finished") and s != "report"]
+    return [(t("images taken"), taken), *([(t("processed"), max(finished)[:10])] if finished else [])]

@@ -13,38 +13,37 @@ from rich.table import Table as RichTable
 
 from tiegraph.errors import InputError
 from tiegraph.report import formatting
+from tiegraph.report.charts import funnel_rows, is_loss
 from tiegraph.report.runfolder import STAGES, RunFolder, read_run
 from tiegraph.report.summary import metric_values
 from tiegraph.scene.atomic import replacing
-from tiegraph.scene.pairs import AFTER_MATCHING, REASONS
+from tiegraph.scene.pairs import AFTER_MATCHING, REASON_LOOKS
 
-# row -> the stages it adds up; names as in paper 000 table 1 and paper 001 table 5
-_TIMES: tuple[tuple[str, tuple[str, ...]], ...] = (
-    ("Mask image creation", ("masks", "refine")),
-    ("Matching search", ("preview", "candidates", "coarse", "network")),
-    ("Matching list creation", ("design",)),
-    ("Feature extraction", ("features",)),
-    ("Feature matching", ("match",)),
-    ("Reconstruction and georeferencing", ("sparse", "georef")),
-    (
-        "SfM, all of it",
-        ("preview", "candidates", "coarse", "network", "design", "features", "match", "sparse", "georef"),
-    ),
-    ("MVS (dense and cloud)", ("dense", "cloud")),
-    ("Scan, evaluation, report", ("scan", "evaluate", "report")),
-    ("Total time", STAGES),
-)
-_METRICS = (
-    ("backprojection_rmse", "Back-projection RMSE, {}"),  # in the model's own unit
-    ("ate_sim3_rmse", "ATE after Sim3, m"),
-    ("ate_se3_rmse", "ATE after SE3, m"),
-    ("absolute_rmse", "Absolute position error, m"),
-    ("images_within_0.3m", "Images within 0.3 m, %"),
-    ("cloud_to_cloud_median", "Cloud to reference, median, m"),
-    ("fscore_0.1m", "F-score at 0.1 m, %"),
-    ("ghosts", "Ghost points, %"),
-)
+_SFM = ("preview", "candidates", "coarse", "network", "design", "features", "match", "sparse", "georef")
+_TIMES: dict[str, tuple[str, ...]] = {  # row -> the stages it adds up; names as in paper 000 table 1, 001 table 5
+    "Mask image creation": ("masks", "refine"),
+    "Matching search": ("preview", "candidates", "coarse", "network"),
+    "Matching list creation": ("design",),
+    "Feature extraction": ("features",),
+    "Feature matching": ("match",),
+    "Reconstruction and georeferencing": ("sparse", "georef"),
+    "SfM, all of it": _SFM,
+    "MVS (dense and cloud)": ("dense", "cloud"),
+    "Scan, evaluation, report": ("scan", "evaluate", "report"),
+    "Total time": STAGES,
+}
+_METRICS = {
+    "backprojection_rmse": "Back-projection RMSE, {}",  # in the model's own unit
+    "ate_sim3_rmse": "ATE after Sim3, m",
+    "ate_se3_rmse": "ATE after SE3, m",
+    "absolute_rmse": "Absolute position error, m",
+    "images_within_0.3m": "Images within 0.3 m, %",
+    "cloud_to_cloud_median": "Cloud to reference, median, m",
+    "fscore_0.1m": "F-score at 0.1 m, %",
+    "ghosts": "Ghost points, %",
+}
 _MIXED = "m, or units of a model that nothing told the scale of"
+_MADE_BY = b'<meta name="generator" content="tiegraph compare">'
 
 
 @dataclass(frozen=True)
@@ -65,17 +64,6 @@ class Comparison:
     notes: tuple[str, ...]
 
 
-def _refuse_others(html: Path) -> None:
-    """Raise InputError for a file that would be overwritten and that ``tiegraph compare`` did not write."""
-    if html.is_file() and _MADE_BY in html.read_bytes()[:1000]:
-        return
-    if os.path.lexists(html):
-        raise InputError(f"--html {html} is there, and tiegraph compare did not write it: give a new file")
-
-
-_MADE_BY = b'<meta name="generator" content="tiegraph compare">'
-
-
 def compare_runs(folders: Sequence[Path], html: Path | None = None) -> str:
     """Text for the terminal of two or more run folders side by side; with ``html`` also one self-contained page.
 
@@ -84,7 +72,9 @@ def compare_runs(folders: Sequence[Path], html: Path | None = None) -> str:
     """
     comparison = compared(folders)
     if html is not None:
-        _refuse_others(html)
+        ours = html.is_file() and _MADE_BY in html.read_bytes()[:1000]
+        if os.path.lexists(html) and not ours:
+            raise InputError(f"--html {html} is there, and tiegraph compare did not write it: give a new file")
         try:
             with replacing(html) as temporary:
                 temporary.write_text(to_html(comparison), encoding="utf-8")
@@ -98,95 +88,77 @@ def compared(folders: Sequence[Path]) -> Comparison:
     if len(folders) < 2:
         raise InputError("tiegraph compare needs at least two run folders")
     runs = [read_run(Path(f), cloud_points=1000) for f in folders]
-    blocks = (
-        _block("Wall time", _times(runs, "seconds"), formatting.seconds),
-        _block("CPU time", _times(runs, "cpu_s"), formatting.seconds),
-        _block("Images and points", _sizes(runs), formatting.count),
-        _block("Pairs of images", _funnel(runs), formatting.count),
-        _block("Errors", _errors(runs), formatting.number),
-    )
-    return Comparison(_names(folders), tuple(b for b in blocks if b.rows), tuple(_notes(runs)))
-
-
-def _names(folders: Sequence[Path]) -> tuple[str, ...]:
     paths = [Path(f).resolve() for f in folders]
-    short = [p.name for p in paths]
-    return tuple(short if len(set(short)) == len(short) else ["/".join(p.parts[-2:]) for p in paths])
+    names = [p.name for p in paths]
+    if len(set(names)) < len(names):
+        names = ["/".join(p.parts[-2:]) for p in paths]
+    found = (
+        ("Wall time", _times(runs, "seconds"), formatting.seconds),
+        ("CPU time", _times(runs, "cpu_s"), formatting.seconds),
+        ("Images and points", _sizes(runs), formatting.count),
+        ("Pairs of images", _funnel(runs), formatting.count),
+        ("Errors", _errors(runs), formatting.number),
+    )
+    blocks = []
+    for title, rows, text in found:
+        known = tuple((name, tuple(values)) for name, values in rows.items() if np.isfinite(values).any())
+        blocks += [Block(title, known, text)] if known else []
+    return Comparison(tuple(names), tuple(blocks), tuple(_notes(runs)))
 
 
-def _block(title: str, rows: list[tuple[str, list[float]]], text: Callable[[float], str]) -> Block:
-    known = [(name, tuple(values)) for name, values in rows if np.isfinite(values).any()]
-    return Block(title, tuple(known), text)
+def _times(runs: Sequence[RunFolder], key: str) -> dict[str, list[float]]:
+    def of(run: RunFolder, stages: tuple[str, ...]) -> float:
+        found = [run.receipts.get(stage, {}).get(key) for stage in stages]
+        known = [value for value in found if isinstance(value, (int, float))]
+        return float(sum(known)) if known else np.nan
+
+    return {name: [of(run, stages) for run in runs] for name, stages in _TIMES.items()}
 
 
-def _times(runs: Sequence[RunFolder], key: str) -> list[tuple[str, list[float]]]:
-    return [(name, [_sum(run, stages, key) for run in runs]) for name, stages in _TIMES]
-
-
-def _sum(run: RunFolder, stages: tuple[str, ...], key: str) -> float:
-    found = [run.receipts[s][key] for s in stages if isinstance(run.receipts.get(s, {}).get(key), (int, float))]
-    return float(sum(found)) if found else np.nan
-
-
-def _sizes(runs: Sequence[RunFolder]) -> list[tuple[str, list[float]]]:
-    peak = [max((r.get("peak_mib") or 0 for r in run.receipts.values()), default=np.nan) for run in runs]
-    return [
-        ("Input images", [len(r.scene) if r.scene else np.nan for r in runs]),
-        ("Registered images", [_used(r) for r in runs]),
-        ("Separate models", [1 + len(r.model.others) if r.model else np.nan for r in runs]),
-        ("Sparse points", [r.model.figures.points if r.model else np.nan for r in runs]),
-        ("Dense points", [r.cloud.count if r.cloud else np.nan for r in runs]),
-        ("Peak memory, MiB", peak),
-    ]
+def _sizes(runs: Sequence[RunFolder]) -> dict[str, list[float]]:
+    return {
+        "Input images": [len(r.scene) if r.scene else np.nan for r in runs],
+        "Registered images": [_used(r) for r in runs],
+        "Separate models": [1 + len(r.model.others) if r.model else np.nan for r in runs],
+        "Sparse points": [r.model.points if r.model else np.nan for r in runs],
+        "Dense points": [r.cloud.count if r.cloud else np.nan for r in runs],
+        "Peak memory, MiB": [max((v.get("peak_mib") or 0 for v in r.receipts.values()), default=np.nan) for r in runs],
+    }
 
 
 def _used(run: RunFolder) -> float:
     return float(run.model.registered.sum()) if run.model is not None else np.nan
 
 
-def _funnel(runs: Sequence[RunFolder]) -> list[tuple[str, list[float]]]:
-    def of(run: RunFolder, count: Callable[[RunFolder], float]) -> float:
-        return count(run) if run.pairs is not None else np.nan
-
-    funnels = [r.pairs.funnel() if r.pairs is not None else {} for r in runs]
-    start = [_candidates(r) for r in runs]
-    rows: list[tuple[str, list[float]]] = [("Candidates", start)]
-    for reason in (r for r in REASONS[1:] if r not in AFTER_MATCHING):
-        values = [float(f.get(reason, 0)) if f else np.nan for f in funnels]
-        if any(v > 0 for v in values):
-            rows.append((f"  dropped: {reason}", values))
-    rows.append(
-        (
-            "Matched at full resolution",
-            [f["used"] + sum(f.get(r, 0) for r in AFTER_MATCHING) if f else np.nan for f in funnels],
-        )
-    )
-    verified = [of(r, lambda x: float(np.sum((x.pairs.dropped == 0) & (x.pairs.inliers > 0)))) for r in runs]  # type: ignore[union-attr]
-    rows.append(("Verified", verified if any(v > 0 for v in verified) else [np.nan] * len(runs)))
-    return rows
+def _funnel(runs: Sequence[RunFolder]) -> dict[str, list[float]]:
+    """The rows of the report's funnel; a filter that dropped nothing of a run has 0 there."""
+    found = [{n: v for n, v, _ in funnel_rows(r.pairs, r.network)} if r.pairs is not None else {} for r in runs]
+    last = {f"dropped: {REASON_LOOKS[reason][0]}" for reason in AFTER_MATCHING}
+    losses = [name for name in dict.fromkeys(n for rows in found for n in rows) if is_loss(name)]
+    before, after = ([name for name in losses if (name in last) == wanted] for wanted in (False, True))
+    out = {}
+    for name in ("candidates", *before, "pairs to match", "matched at full resolution", *after, "verified"):
+        nothing = 0.0 if is_loss(name) else np.nan
+        values = [float(rows.get(name, nothing)) if rows else np.nan for rows in found]
+        out[f"  {name}" if is_loss(name) else name.capitalize()] = values
+    return out
 
 
-def _candidates(run: RunFolder) -> float:
-    sizes = [len(p) for p in (run.network, run.pairs) if p is not None]
-    return float(max(sizes)) if sizes else np.nan
-
-
-def _errors(runs: Sequence[RunFolder]) -> list[tuple[str, list[float]]]:
+def _errors(runs: Sequence[RunFolder]) -> dict[str, list[float]]:
     known = [metric_values(r) for r in runs]
     own = "m" if all(r.metric for r in runs) else "units of the models" if not any(r.metric for r in runs) else _MIXED
-    rows = [(label.format(own), [float(k.get(name, np.nan)) for k in known]) for name, label in _METRICS]
-    pixels = [r.model.figures.reprojection_px if r.model else np.nan for r in runs]
-    return [("Mean reprojection error, px", pixels), *rows]
+    rows = {label.format(own): [float(k.get(name, np.nan)) for k in known] for name, label in _METRICS.items()}
+    return {"Mean reprojection error, px": [r.model.reprojection_px if r.model else np.nan for r in runs], **rows}
 
 
 def _notes(runs: Sequence[RunFolder]) -> list[str]:
     """What keeps the columns from being compared as they stand."""
     out = []
     scenes = [set(r.scene.names) for r in runs if r.scene is not None]
-    if len(scenes) > 1 and any(s != scenes[0] for s in scenes[1:]):
+    if any(s != scenes[0] for s in scenes):
         out.append("The runs are on different images.")
-    used = [_used(r) for r in runs]
-    if np.isfinite(used).sum() > 1 and np.nanmax(used) > 1.05 * np.nanmin(used):
+    used = [n for n in map(_used, runs) if np.isfinite(n)]
+    if used and max(used) > 1.05 * min(used):
         out.append("The runs used different numbers of images: less time may mean less surveyed.")
     if any("backprojection_rmse" in metric_values(r) for r in runs):
         out.append(
@@ -198,15 +170,16 @@ def _notes(runs: Sequence[RunFolder]) -> list[str]:
 
 def ratio(values: Sequence[float]) -> str:
     """First / second of two values."""
-    if len(values) != 2 or not np.isfinite(values).all() or values[1] == 0:
-        return formatting.NONE if len(values) == 2 else ""
-    return f"{formatting.number(values[0] / values[1], 2)} x"
+    if len(values) != 2:
+        return ""
+    known = np.isfinite(values).all() and values[1] != 0
+    return f"{formatting.number(values[0] / values[1], 2)} x" if known else formatting.NONE
 
 
 def _tables(comparison: Comparison) -> list[formatting.Table]:
     """The blocks as text; of two runs with a column of ratios."""
-    two = ["ratio"] if len(comparison.names) == 2 else []
-    columns = ("", *comparison.names, *two)
+    two = len(comparison.names) == 2
+    columns = ("", *comparison.names, *(["ratio"] if two else []))
     numeric = (False, *[True] * (len(columns) - 1))
     out = []
     for block in comparison.blocks:

@@ -2,6 +2,7 @@
 
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -90,19 +91,17 @@ def table(data: Any, title: str = "", key: str = "") -> Table | None:
     marked with it, their row and their column, so that they can be held against their source."""
     if not isinstance(data, dict) or not data.get("rows") or not data.get("columns"):
         return None
-    rows = [list(row) if isinstance(row, (list, tuple)) else [row] for row in data["rows"]]
-    columns = [said(str(c).replace("_", " ")) for c in data["columns"]]
-    rows = [(row + [None] * len(columns))[: len(columns)] for row in rows]
-    numeric = tuple(all(v is None or _is_number(v) for v in column) for column in zip(*rows))
     heads = [str(c).replace("_", " ") for c in data["columns"]]
-    printed = [
-        _column(list(values)) if n else [_word(head, cell(v)) for v in values]
-        for head, values, n in zip(heads, zip(*rows), numeric)
-    ]
-    if key:
-        for c in (c for c, n in enumerate(numeric) if n):
-            printed[c] = [_marked(f"{key}.{r}.{c}", text) for r, text in enumerate(printed[c])]
-    return Table(columns=tuple(columns), rows=tuple(zip(*printed)), numeric=numeric, title=title)
+    rows = [list(row) if isinstance(row, (list, tuple)) else [row] for row in data["rows"]]
+    columns = list(zip(*((row + [None] * len(heads))[: len(heads)] for row in rows)))
+    numeric = tuple(all(v is None or _is_number(v) for v in column) for column in columns)
+    printed = []
+    for c, (head, column) in enumerate(zip(heads, columns)):
+        texts = _column(column) if numeric[c] else [_word(head, cell(v)) for v in column]
+        if key and numeric[c]:
+            texts = [text if text == NONE else marked(f"{key}.{r}.{c}", text) for r, text in enumerate(texts)]
+        printed.append(texts)
+    return Table(columns=tuple(map(said, heads)), rows=tuple(zip(*printed)), numeric=numeric, title=title)
 
 
 def _word(column: str, text: str) -> str:
@@ -110,24 +109,18 @@ def _word(column: str, text: str) -> str:
     return text if column in _NAMES and text not in _NO_NAMES else said(text)
 
 
-def _marked(key: str, text: str) -> str:
-    return text if text == NONE else marked(key, text)
-
-
 def marked(key: str, text: str) -> Markup:
     """A figure on the page, with the key of its value: "world.predicted", "metrics.ghosts", "tables.<name>.0.3"."""
     return Markup('<data data-accuracy="{}">{}</data>').format(key, text)
 
 
-def _column(values: list[Any]) -> list[str]:
+def _column(values: Sequence[Any]) -> list[str]:
     """Numbers of one column with the same number of decimals, unless they are of very different size."""
     sizes = sorted(abs(v) for v in values if is_number(v) and abs(v) > _NOTHING)
-    if not sizes or all(isinstance(v, int) or not is_number(v) or float(v).is_integer() for v in values):
+    whole = all(not is_number(v) or float(v).is_integer() for v in values)
+    if not sizes or whole or sizes[-1] > 3000 * sizes[0]:
         return [cell(v) for v in values]
-    if sizes[-1] > 3000 * sizes[0]:
-        return [cell(v) for v in values]
-    middle = sizes[len(sizes) // 2]
-    digits = min(max(0, 2 - math.floor(math.log10(middle))), 6)
+    digits = min(max(0, 2 - math.floor(math.log10(sizes[len(sizes) // 2]))), 6)
     return [f"{v:,.{digits}f}".replace(",", "\u202f") if is_number(v) else NONE for v in values]
 
 

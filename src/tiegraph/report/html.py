@@ -1,6 +1,6 @@
 """report.html: one self-contained file made of receipts and artefacts only, for the client first, then the engineer."""
 
-from collections.abc import Iterator
+import re
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
@@ -13,11 +13,11 @@ from tiegraph.report import accuracy, formatting, spatial, summary, warnings
 from tiegraph.report.client import client_page
 from tiegraph.report.parts import effort, evaluation, network_part, passes_part, rig_table
 from tiegraph.report.reportjson import json_text
-from tiegraph.report.runfolder import RunFolder, read_run
+from tiegraph.report.runfolder import Model, RunFolder, read_run
 from tiegraph.report.settings import ReportSettings
-from tiegraph.report.svg import arrows, residuals
-from tiegraph.report.tables import evidence_table, receipt_notes, receipt_tables
-from tiegraph.report.texts import current, language, said, t
+from tiegraph.report.svg import ALERT, Series, arrows, pass_colour, plot
+from tiegraph.report.tables import evidence_table, receipt_tables
+from tiegraph.report.texts import capital, current, language, said, t
 from tiegraph.report.thumbnails import CLASSES, mask_share, thumbnail
 from tiegraph.scene.atomic import replacing
 from tiegraph.scene.scene import Scene
@@ -27,8 +27,9 @@ VIEW_POINTS = 4_000_000  # of the cloud, drawn in the static views
 _MASKS_READ = 25  # masks opened for a camera's mean share
 _DROPPED_SHOWN = 200
 _IMAGES_SHOWN = 5000
-_RIGS_SHOWN = 8
+_RIGS_SHOWN, _CAMERAS_SHOWN = 8, 24
 _ARROW_SHARE = 0.1  # of the width of an image: the longest residual of a lens as drawn
+_HEADING = re.compile(r'<h2 id="(\w+)">(.*?)</h2>')
 _WORDS = {
     "accuracy in the world": "how far a point may be from its true coordinates; what holds the survey there is named",
     "accuracy in shape": "how far parts may be off each other, wherever the survey as a whole stands",
@@ -102,26 +103,26 @@ def render(run: RunFolder, settings: ReportSettings, planned: formatting.Table |
             "planned": planned,
             "evaluation": evaluation(run),
             "effort": effort(run),
-            "glossary": glossary(),
+            "glossary": [(t(word), t(meaning)) for word, meaning in _WORDS.items()],
             **_space(run, seen, settings),
         }
-        context["contents"] = list(_contents(context))
-        return environment().get_template("template.html.jinja").render(context)
+        page = environment().get_template("template.html.jinja").render(context)
+        links = (f'<li><a href="#{key}">{title}</a></li>' for key, title in _HEADING.findall(page))
+        return page.replace("<!--contents-->", "".join(links))
 
 
 def environment() -> jinja2.Environment:
     """Templates of this package, everything escaped, also what acts without being seen (``text.printable``), and paths
     of the maker's machine by their last name."""
-    loader = jinja2.PackageLoader("tiegraph.report", ".")
     made = jinja2.Environment(
-        loader=loader,
+        loader=jinja2.PackageLoader("tiegraph.report", "."),
         autoescape=True,
         finalize=lambda value: _shown(value) if type(value) is str else value,  # not of Markup, which is ours
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    shared: dict[str, Any] = {"t": t, "said": said}
+    shared: dict[str, Any] = {"t": t, "said": said, "capital": capital}
     made.globals.update(shared)
     return made
 
@@ -130,189 +131,33 @@ def _shown(value: str) -> str:
     return printable(formatting.without_folders(value))
 
 
-def _contents(context: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    """The sections that the page has, in its order: where the contents list leads, and their names."""
-    scan, network, model = context["scan"], context["network"], context["model"]
-    there = (
-        ("result", t("The result in words"), True),
-        ("sure", t("How sure are we"), context["sure"]["table"] or context["sure"]["evidence"]),
-        ("found", t("What was found"), scan["facts"] or scan["notes"] or scan["dropped"]),
-        ("images", t("Every image"), context["images"]["there"]),
-        ("masks", t("Masks") if context["masks"]["any"] else t("Images"), context["masks"]["strips"]),
-        ("network", t("Which images tie to which"), network["there"]),
-        ("model", t("Camera positions and model"), model["there"] or model["notes"]),
-        ("cloud", t("Point cloud"), context["viewer"] or context["views"]),
-        ("evaluation", t("Evaluation"), context["evaluation"]["there"]),
-        ("effort", t("Time and memory"), context["effort"]["charts"]),
-        ("settings", t("Settings and versions"), context["effort"]["settings"] or context["effort"]["software"]),
-        ("glossary", t("Glossary"), True),
-    )
-    return ((key, title) for key, title, shown in there if shown)
-
-
 def _how_sure(run: RunFolder) -> dict[str, Any]:
     """Every accuracy with what it does not prove, what each source says by itself, and what nothing tells."""
     out: dict[str, Any] = {"table": None, "placement": "", "evidence": evidence_table(run), "without": []}
-    out["passes"] = {"table": None, "map": None}
-    if run.accuracy is not None:
-        out |= {"table": accuracy.table(run.accuracy), "placement": accuracy.placement(run.accuracy)}
-        out |= {"without": accuracy.without(run.accuracy), "passes": passes_part(run)}
-        if run.scene is not None and len(run.scene.sequences) > 1 and out["passes"]["table"] is None:
-            text = "The clouds of the passes were not compared with each other, which takes depth maps of two that "
-            out["without"].append(t(text + "meet (`tiegraph cloud` does it): an error of one pass may be hidden."))
+    if run.accuracy is None:
+        return out | {"passes": {"table": None, "map": None}}
+    out |= {"table": accuracy.table(run.accuracy), "placement": accuracy.placement(run.accuracy)}
+    out |= {"without": accuracy.without(run.accuracy), "passes": passes_part(run)}
+    if run.scene is not None and len(run.scene.sequences) > 1 and out["passes"]["table"] is None:
+        text = "The clouds of the passes were not compared with each other, which takes depth maps of two that "
+        out["without"].append(t(text + "meet (`tiegraph cloud` does it): an error of one pass may be hidden."))
     return out
 
 
 def _scan(run: RunFolder) -> dict[str, Any]:
-    scene = run.scene
-    notes = list(dict.fromkeys([*(scene.notes if scene else ()), *receipt_notes(run, "scan")]))
-    dropped = warnings.dropped_images(run)
-    facts_ = []
+    scene, dropped, facts = run.scene, warnings.dropped_images(run), []
+    notes = list(dict.fromkeys([*(scene.notes if scene else ()), *run.notes("scan")]))
     if scene is not None:
         rigs = [t("{} ({} cameras)", r.name, len(r.sensors)) if len(r.sensors) > 1 else r.name for r in scene.rigs]
-        facts_ = [
+        facts = [
             (t("images"), formatting.count(len(scene))),
             (t("frames"), formatting.count(scene.frames)),
             (t("rig"), Markup(t(", ")).join(rigs[:_RIGS_SHOWN]) + (" …" if len(rigs) > _RIGS_SHOWN else "")),
             (t("passes"), t(", ").join(scene.sequences[:12]) or t("none: loose photographs")),
             (t("prior poses"), _prior(scene)),
         ]
-    more = max(0, len(dropped) - _DROPPED_SHOWN)
-    tables = receipt_tables(run, "scan")
-    return {"facts": facts_, "notes": notes, "dropped": dropped[:_DROPPED_SHOWN], "more": more, "tables": tables}
-
-
-def _images(run: RunFolder) -> dict[str, Any]:
-    """Every image: those that are not used or give no depth map, then the others."""
-    rows = warnings.image_rows(run)
-    shown = rows[:_IMAGES_SHOWN]
-    odd, used = ([row for row in shown if bool(row.reason) == wanted] for wanted in (True, False))
-    counts = [(name, formatting.count(n)) for name, n in warnings.counts(rows)]
-    more = max(0, len(rows) - _IMAGES_SHOWN)
-    tables = {"odd": _image_table(run, odd), "used": _image_table(run, used)}
-    return {"there": bool(rows), "counts": counts, "more": more, **tables}
-
-
-def _image_table(run: RunFolder, rows: list[warnings.ImageRow]) -> formatting.Table | None:
-    unit = "m" if run.metric else t("units")
-    body = [
-        (
-            row.name,
-            said(row.state),
-            warnings.reason_text(row),
-            *(formatting.count(n) for n in (row.points, row.ties)),
-            formatting.length(row.gsd, unit) if np.isfinite(row.gsd) else formatting.NONE,
-        )
-        for row in rows
-    ]
-    names = tuple(map(t, ("image", "state", "reason", "points seen", "verified pairs", "pixel on the surface")))
-    return formatting.Table(names, tuple(body), (False, False, False, True, True, True)) if body else None
-
-
-def _masks(run: RunFolder, settings: ReportSettings) -> dict[str, Any]:
-    strips: list[dict[str, Any]] = []
-    if run.scene is not None and (run.path / "images").is_dir():
-        for key, sensor in enumerate(run.scene.all_sensors[:24]):
-            strips.extend(_mask_strip(run, run.scene, key, sensor.name, settings.mask_images))
-    classes = CLASSES[1:] if any((run.path / "classes").rglob("*.png")) else ()
-    return {
-        "strips": strips,
-        "any": any(s["share"] is not None for s in strips),
-        "classes": [(t(name), colour) for name, colour in classes],
-        "notes": receipt_notes(run, "masks", "refine"),
-        "tables": receipt_tables(run, "masks", "refine"),
-    }
-
-
-def _mask_strip(run: RunFolder, scene: Scene, key: int, name: str, shown: int) -> list[dict[str, Any]]:
-    chosen = np.flatnonzero(scene.sensor_key == key)
-    if not len(chosen) or not shown:
-        return []
-    spread = chosen[np.unique(np.linspace(0, len(chosen) - 1, _MASKS_READ).astype(int))]
-    shares = [s for k in spread if (s := mask_share(_mask_path(run, scene.names[k]))) is not None]
-    out = []
-    for place in (np.arange(shown) + 0.3) / shown:
-        image = scene.names[chosen[int(place * len(chosen))]]
-        mask = _mask_path(run, image)
-        classes = mask.parents[len(Path(image).parts)] / "classes" / f"{image}.png"
-        made = thumbnail(run.path / "images" / image, mask, classes)
-        if made is not None:
-            mean = float(np.mean(shares)) if shares else None
-            text = formatting.percent(mean) if mean is not None else ""
-            out.append({"picture": made[0], "camera": name, "image": image, "share": made[1], "mean": text})
-    return out
-
-
-def _mask_path(run: RunFolder, image: str) -> Path:
-    """The final mask of an image, else the first one."""
-    final = run.path / "refine" / "masks" / f"{image}.png"
-    return final if final.exists() else run.path / "masks" / f"{image}.png"
-
-
-def _model(run: RunFolder) -> dict[str, Any]:
-    notes = [*receipt_notes(run, "sparse", "georef"), *map(str, (run.world or {}).get("notes") or [])]
-    out: dict[str, Any] = {"there": run.model is not None, "facts": [], "residuals": None, "lenses": []}
-    out |= {"notes": list(dict.fromkeys(notes))}
-    out |= {"tables": receipt_tables(run, "georef"), "more": receipt_tables(run, "sparse")}
-    if run.model is None:
-        return out
-    m, unit = run.model, "m" if run.metric else t("units")
-    registered = formatting.count(int(m.registered.sum())), formatting.count(len(m.registered))
-    out["facts"] = [
-        (t("registered images"), t("{} of {}", *registered)),
-        (t("images placed by the rig"), formatting.count(int(m.by_rig.sum()) + run.hanging[1])),
-        (t("sparse points"), formatting.count(m.figures.points)),
-        (t("observations of an image"), formatting.number(m.figures.observations)),
-        (t("images of a point (track length)"), formatting.number(m.figures.track_length)),
-        (t("mean reprojection error"), f"{formatting.number(m.figures.reprojection_px)} px"),
-        (t("models"), formatting.count(1 + len(m.others))),
-    ]
-    explained = run.counts("sparse").get("matches_explained_percent")
-    if explained is not None and formatting.is_number(explained):
-        out["facts"].append((t("verified matches that the model explains"), formatting.percent(explained / 100)))
-    sizes = spatial.gsd(run)
-    if sizes is not None:
-        texts = [formatting.length(v, unit) for v in sizes]
-        out["facts"].append(
-            (t("a pixel on the surface (nearest tenth, half, nine in ten images)"), t(", ").join(texts))
-        )
-    rig = rig_table(run)
-    out["tables"] = [*out["tables"], *summary.registered_tables(run), *([rig] if rig else [])]
-    out["residuals"] = _residuals(run)
-    out["lenses"] = _lenses(run)
-    return out
-
-
-def _lenses(run: RunFolder) -> list[tuple[Markup, str]]:
-    """(chart, caption) of each camera's residuals over its image; all enlarged alike."""
-    assert run.model is not None and run.scene is not None
-    known = {k: lens for k, lens in run.model.observed.lenses.items() if len(lens.at)}
-    if not known:
-        return []
-    longest = max(float(np.linalg.norm(lens.moved, axis=1).max()) for lens in known.values())
-    factor = _ARROW_SHARE * max(lens.size[0] for lens in known.values()) / max(longest, 1e-9)
-    names = [s.name for s in run.scene.all_sensors]
-    out = []
-    for key, lens in list(known.items())[:24]:
-        at = formatting.number(float(np.linalg.norm(lens.moved, axis=1).max()), 2)
-        seen = formatting.count(lens.observations)
-        caption = t("{}: the longest arrow is {} px; {} observations", names[key], at, seen)
-        out.append((arrows(lens.size, lens.at, lens.moved, factor, names[key]), caption))
-    return out
-
-
-def _residuals(run: RunFolder) -> Markup | None:
-    rows = [r for r in (run.world or {}).get("frames") or [] if isinstance(r, dict) and _three(r.get("residual_m"))]
-    if run.scene is None or len(rows) < 2:
-        return None
-    frames = np.array([int(r.get("frame", k)) for k, r in enumerate(rows)])
-    track = np.array([run.scene.sequence[f] if 0 <= f < run.scene.frames else -1 for f in frames])
-    used = np.array([bool(r.get("inlier", True)) for r in rows])
-    return residuals(frames, np.array([r["residual_m"] for r in rows], float), used, track, run.scene.sequences)
-
-
-def _three(value: Any) -> bool:
-    return isinstance(value, (list, tuple)) and len(value) == 3 and all(isinstance(v, (int, float)) for v in value)
+    more, tables = max(0, len(dropped) - _DROPPED_SHOWN), receipt_tables(run, "scan")
+    return {"facts": facts, "notes": notes, "dropped": dropped[:_DROPPED_SHOWN], "more": more, "tables": tables}
 
 
 def _prior(scene: Scene) -> str:
@@ -320,6 +165,135 @@ def _prior(scene: Scene) -> str:
     if not scene.started:
         return given
     return t("start model") if scene.prior == "trajectory" else t("{}, start model", given)
+
+
+def _images(run: RunFolder) -> dict[str, Any]:
+    """Every image: those that are not used or give no depth map, then the others."""
+    rows = warnings.image_rows(run)
+    shown = rows[:_IMAGES_SHOWN]
+    odd, used = (_image_table(run, [r for r in shown if bool(r.reason) == wanted]) for wanted in (True, False))
+    counts = [(name, formatting.count(n)) for name, n in warnings.counts(rows)]
+    return {"there": bool(rows), "counts": counts, "more": max(0, len(rows) - _IMAGES_SHOWN), "odd": odd, "used": used}
+
+
+def _image_table(run: RunFolder, rows: list[warnings.ImageRow]) -> formatting.Table | None:
+    body = []
+    for row in rows:
+        size = formatting.length(row.gsd, "m" if run.metric else t("units"))
+        numbers = (formatting.count(row.points), formatting.count(row.ties), size)
+        body.append((row.name, said(row.state), warnings.reason_text(row), *numbers))
+    names = tuple(map(t, ("image", "state", "reason", "points seen", "verified pairs", "pixel on the surface")))
+    return formatting.Table(names, tuple(body), (False, False, False, True, True, True)) if body else None
+
+
+def _masks(run: RunFolder, settings: ReportSettings) -> dict[str, Any]:
+    strips: list[dict[str, Any]] = []
+    if run.scene is not None and (run.path / "images").is_dir() and settings.mask_images:
+        for key, sensor in enumerate(run.scene.all_sensors[:_CAMERAS_SHOWN]):
+            chosen = [run.scene.names[k] for k in np.flatnonzero(run.scene.sensor_key == key)]
+            strips += _mask_strip(run, chosen, sensor.name, settings.mask_images) if chosen else []
+    classes = CLASSES[1:] if any((run.path / "classes").rglob("*.png")) else ()
+    return {
+        "strips": strips,
+        "any": any(s["share"] is not None for s in strips),
+        "classes": [(t(name), colour) for name, colour in classes],
+        "notes": run.notes("masks", "refine"),
+        "tables": receipt_tables(run, "masks", "refine"),
+    }
+
+
+def _mask_strip(run: RunFolder, names: list[str], camera: str, shown: int) -> list[dict[str, Any]]:
+    """Images of a camera, spread over its images (N,), with their final masks, else the first ones."""
+
+    def folder(image: str) -> Path:
+        refined = run.path / "refine"
+        return refined if (refined / "masks" / f"{image}.png").exists() else run.path
+
+    spread = np.unique(np.linspace(0, len(names) - 1, _MASKS_READ).astype(int))
+    shares = [mask_share(folder(names[k]) / "masks" / f"{names[k]}.png") for k in spread]
+    known = [share for share in shares if share is not None]
+    mean = formatting.percent(float(np.mean(known))) if known else ""
+    out = []
+    for place in (np.arange(shown) + 0.3) / shown:
+        image = names[int(place * len(names))]
+        mask, classes = (folder(image) / kind / f"{image}.png" for kind in ("masks", "classes"))
+        made = thumbnail(run.path / "images" / image, mask, classes)
+        if made is not None:
+            out.append({"picture": made[0], "camera": camera, "image": image, "share": made[1], "mean": mean})
+    return out
+
+
+def _model(run: RunFolder) -> dict[str, Any]:
+    notes = [*run.notes("sparse", "georef"), *map(str, (run.world or {}).get("notes") or [])]
+    out: dict[str, Any] = {"there": run.model is not None, "facts": [], "residuals": None, "lenses": []}
+    out |= {"notes": list(dict.fromkeys(notes))}
+    out |= {"tables": receipt_tables(run, "georef"), "more": receipt_tables(run, "sparse")}
+    if run.model is None:
+        return out
+    rig = rig_table(run)
+    out["tables"] += [*summary.registered_tables(run), *([rig] if rig else [])]
+    return out | {"facts": _model_facts(run, run.model), "residuals": _residuals(run), "lenses": _lenses(run.model)}
+
+
+def _model_facts(run: RunFolder, m: Model) -> list[tuple[str, str]]:
+    whole = m.reconstruction
+    registered = formatting.count(int(m.registered.sum())), formatting.count(len(m.registered))
+    out = [
+        (t("registered images"), t("{} of {}", *registered)),
+        (t("images placed by the rig"), formatting.count(int(m.by_rig.sum()) + run.hanging[1])),
+        (t("sparse points"), formatting.count(m.points)),
+        (t("observations of an image"), formatting.number(whole.compute_mean_observations_per_reg_image())),
+        (t("images of a point (track length)"), formatting.number(whole.compute_mean_track_length())),
+        (t("mean reprojection error"), f"{formatting.number(m.reprojection_px)} px"),
+        (t("models"), formatting.count(1 + len(m.others))),
+    ]
+    explained = run.counts("sparse").get("matches_explained_percent")
+    if explained is not None and formatting.is_number(explained):
+        out.append((t("verified matches that the model explains"), formatting.percent(explained / 100)))
+    texts = [formatting.length(v, "m" if run.metric else t("units")) for v in spatial.gsd(run) or ()]
+    name = t("a pixel on the surface (nearest tenth, half, nine in ten images)")
+    return [*out, (name, t(", ").join(texts))] if texts else out
+
+
+def _lenses(model: Model) -> list[tuple[Markup, str]]:
+    """(chart, caption) of each camera's residuals over its image; all enlarged alike."""
+    known = {k: lens for k, lens in model.observed.lenses.items() if len(lens.at)}
+    longest = {k: float(np.linalg.norm(lens.moved, axis=1).max()) for k, lens in known.items()}
+    widest = max((lens.size[0] for lens in known.values()), default=0)
+    factor = _ARROW_SHARE * widest / max([*longest.values(), 1e-9])
+    names = [s.name for s in model.scene.all_sensors]
+    out = []
+    for key, lens in list(known.items())[:_CAMERAS_SHOWN]:
+        at, seen = formatting.number(longest[key], 2), formatting.count(lens.observations)
+        caption = t("{}: the longest arrow is {} px; {} observations", names[key], at, seen)
+        out.append((arrows(lens.size, lens.at, lens.moved, factor, names[key]), caption))
+    return out
+
+
+def _residuals(run: RunFolder) -> Markup | None:
+    """The fit of the frames to their positions, a panel a component; outliers in red."""
+    rows = [r for r in (run.world or {}).get("frames") or [] if isinstance(r, dict) and _three(r.get("residual_m"))]
+    scene = run.scene
+    if scene is None or len(rows) < 2:
+        return None
+    frames = np.array([int(r.get("frame", k)) for k, r in enumerate(rows)])
+    track = np.array([scene.sequence[f] if 0 <= f < scene.frames else -1 for f in frames])
+    used = np.array([bool(r.get("inlier", True)) for r in rows])
+    off = np.array([r["residual_m"] for r in rows], float)
+    parts = [
+        (scene.sequences[k] if k >= 0 else t("frames"), pass_colour(k), used & (track == k))
+        for k in np.unique(track).tolist()
+    ]
+    parts = [part for part in [*parts, (t("outlier"), ALERT, ~used)] if part[2].any()]
+    panels = [
+        (name, [Series(name=n, colour=k, x=frames[of], y=off[of, c], joined=False) for n, k, of in parts])
+        for c, name in enumerate((t("east, m"), t("north, m"), t("up, m")))
+    ]
+    return plot(panels, t("frame"), t("Fit to the given positions"))
+
+
+def _three(value: Any) -> bool:
+    return isinstance(value, (list, tuple)) and len(value) == 3 and all(isinstance(v, (int, float)) for v in value)
 
 
 def _space(run: RunFolder, seen: spatial.Scenery | None, settings: ReportSettings) -> dict[str, Any]:
@@ -330,8 +304,3 @@ def _space(run: RunFolder, seen: spatial.Scenery | None, settings: ReportSetting
         return out
     out |= {"overlap": spatial.overlap_map(seen), "ellipses": spatial.ellipse_map(run, seen)}
     return out | {"views": spatial.views(run, seen), **spatial.viewer_part(run, seen, settings)}
-
-
-def glossary() -> list[tuple[str, str]]:
-    """(word, meaning) in the language of the page."""
-    return [(t(word), t(meaning)) for word, meaning in _WORDS.items()]

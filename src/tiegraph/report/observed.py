@@ -41,21 +41,16 @@ def observed(model: Any, scene: Scene) -> Observed:
     for image in model.images.values():
         k = scene.image_index.get(image.name)
         rows = image.get_observation_point2D_idxs() if k is not None and image.has_pose else []
-        if not len(rows):
-            continue
         asked = [image.point2D(rows[r]) for r in np.linspace(0, len(rows) - 1, min(len(rows), _ASKED)).astype(int)]
-        pose, camera = image.cam_from_world().matrix(), model.cameras[image.camera_id]
-        local = np.array([model.points3D[p.point3D_id].xyz for p in asked]) @ pose[:, :3].T + pose[:, 3]
+        pose, camera = image.cam_from_world().matrix() if asked else np.eye(4)[:3], model.cameras[image.camera_id]
+        local = np.array([model.points3D[p.point3D_id].xyz for p in asked]).reshape(-1, 3) @ pose[:, :3].T + pose[:, 3]
         ahead = local[:, 2] > 0
-        if not ahead.any():
-            continue
-        gsd[k] = np.median(local[ahead, 2]) / camera.mean_focal_length()
-        xy = np.array([p.xy for p in asked])[ahead]
-        key = int(scene.sensor_key[k])
-        sizes[key] = (camera.width, camera.height)
-        seen.setdefault(key, []).append((xy, xy - np.asarray(camera.img_from_cam(local[ahead]), float)))
-    lenses = {key: _cells(sizes[key], found) for key, found in sorted(seen.items())}
-    return Observed(gsd, lenses)
+        if ahead.any():
+            gsd[k] = np.median(local[ahead, 2]) / camera.mean_focal_length()
+            xy, key = np.array([p.xy for p in asked])[ahead], int(scene.sensor_key[k])
+            sizes[key] = (camera.width, camera.height)
+            seen.setdefault(key, []).append((xy, xy - np.asarray(camera.img_from_cam(local[ahead]), float)))
+    return Observed(gsd, {key: _cells(sizes[key], found) for key, found in sorted(seen.items())})
 
 
 def _cells(size: tuple[int, int], found: list[tuple[np.ndarray, np.ndarray]]) -> LensResiduals:
@@ -63,15 +58,9 @@ def _cells(size: tuple[int, int], found: list[tuple[np.ndarray, np.ndarray]]) ->
     xy, off = (np.concatenate(parts) for parts in zip(*found))
     good = np.isfinite(off).all(axis=1)
     xy, off = xy[good], off[good]
-    if not len(xy):
-        nothing = np.zeros((0, 2))
-        return LensResiduals(size=size, at=nothing, moved=nothing, observations=0)
-    off = np.clip(off, *np.quantile(off, [0.05, 0.95], axis=0))
+    off = np.clip(off, *np.quantile(off, [0.05, 0.95], axis=0)) if len(off) else off
     side = max(size) / _CELLS
-    across = -(-size[0] // side)
-    cell = (xy[:, 1] // side) * across + xy[:, 0] // side
-    keys, of, count = np.unique(cell.astype(int), return_inverse=True, return_counts=True)
-    mean = np.column_stack([np.bincount(of, weights=off[:, c]) / count for c in range(2)])
-    middle = np.column_stack([keys % across, keys // across]) * side + side / 2
+    cell, of, count = np.unique((xy // side).astype(int), axis=0, return_inverse=True, return_counts=True)
+    mean = np.column_stack([np.bincount(of.ravel(), off[:, c], len(cell)) for c in range(2)]) / count[:, None]
     enough = count >= _FEW
-    return LensResiduals(size=size, at=middle[enough], moved=mean[enough], observations=len(xy))
+    return LensResiduals(size=size, at=((cell + 0.5) * side)[enough], moved=mean[enough], observations=len(xy))

@@ -3,6 +3,7 @@ references; the rig, its cameras as adjusted and along the run; time and memory,
 """
 
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,20 +14,20 @@ from tiegraph.geometry import transforms
 from tiegraph.report import charts, formatting, summary
 from tiegraph.report.formatting import Table, marked
 from tiegraph.report.runfolder import STAGES, RunFolder
-from tiegraph.report.svg import LIGHT, SOFT, USED, bars, shares
+from tiegraph.report.svg import LIGHT, SOFT, USED, Series, bars, plot
 from tiegraph.report.tables import with_section_names
-from tiegraph.report.texts import said, t
+from tiegraph.report.texts import capital, said, t
 from tiegraph.report.thumbnails import file_uri
 from tiegraph.report.warnings import FEW_TIES
 from tiegraph.scene.registered import BY_RIG
 
 _NETWORK_STAGES = ("preview", "candidates", "coarse", "network", "design", "features", "match", "filter")
-TITLES = {
+_TITLES = {
     "candidates": "Candidates", "coarse": "Coarse model", "network": "Network", "design": "Design",
     "match": "Matching", "filter": "View-graph filtering",
 }  # fmt: skip
 # Pictures of the network folder in the order they are shown; the first word found in the file's name decides.
-CAPTIONS = {
+_CAPTIONS = {
     "matrix": "Correspondence matrix: images by pass, camera and frame along both sides; the colour says why a pair "
     "was dropped.",
     "map": "The tie graph on the map, by kind of tie, before the design: every pair that is thought to share surface.",
@@ -41,8 +42,12 @@ CAPTIONS = {
     "section": "What the upward camera sees along the way, and the bridge and open sections cut from it.",
     "funnel": "How many pairs of images each filter of the network left.",
 }
-_SECTION_LINKS = "Are neighbouring sections tied to each other? Two pairs without a common image are what holds them."
-_WEAK_LINKS = "Weak links: places where the survey falls apart, or hangs on very little, if one tie or frame is lost."
+_LINKS = {  # tables that stand first, and what is said of them
+    "section links": "Are neighbouring sections tied to each other? Two pairs without a common image are what holds "
+    "them.",
+    "weak links": "Weak links: places where the survey falls apart, or hangs on very little, if one tie or frame is "
+    "lost.",
+}
 _SOUND = "No weak links: no place hangs on a single tie or frame."
 
 
@@ -54,57 +59,40 @@ def network_part(run: RunFolder) -> dict[str, Any]:
         before = run.network if run.network is not None else pairs
         out["matrices"] = [charts.looked_at(before, run.scene), charts.holding(pairs, run.scene)]
         rows = charts.funnel_rows(pairs, run.network)
-        out["funnel"] = charts.funnel(rows)
-        out["table"] = _funnel_table(rows, len(run.scene))
+        out["funnel"], out["table"] = charts.funnel(rows), _funnel_table(rows, len(run.scene))
         out["degrees"] = charts.degrees(pairs, len(run.scene), FEW_TIES)
-    notes = {stage: [str(n) for n in run.receipts.get(stage, {}).get("notes") or []] for stage in _NETWORK_STAGES}
-    out["model"] = [_sentence(n) for n in notes.pop("coarse")]
-    out["notes"] = [(t(TITLES.get(s, s.capitalize())), lines) for s, lines in notes.items() if lines]
+    notes = {_title(s): lines for s in _NETWORK_STAGES if s != "coarse" and (lines := run.notes(s))}
+    sentences = [note if note.endswith((".", "!", "?")) else f"{note}." for note in map(capital, run.notes("coarse"))]
+    out |= {"model": sentences, "notes": list(notes.items()), "links": [], "tables": []}
     out["pictures"] = _pictures(run, drawn=out["matrices"] is not None)
-    out["links"], out["tables"] = [], []
     for stage in _NETWORK_STAGES:
-        _sort_tables(stage, run.receipts.get(stage, {}), out)
-    parts = ("matrices", "pictures", "tables", "links", "notes")
-    return {**out, "there": any(out[name] for name in parts)}
+        for name, data in run.tables(stage).items():
+            plain = str(name).replace("_", " ")
+            table = formatting.table(data, f"{_title(stage)}: {said(plain)}", f"receipts.{stage}.{name}")
+            if plain == "weak links" and isinstance(data, dict) and not data.get("rows"):
+                out["sound"] = t(_SOUND)
+            elif table is not None and plain in _LINKS:
+                out["links"].append(replace(table, title=t(_LINKS[plain])))
+            elif table is not None and plain != "funnel":  # that is drawn from the pair table
+                out["tables"].append(table)
+    return {**out, "there": any(out[name] for name in ("matrices", "pictures", "tables", "links", "notes"))}
 
 
-def _sort_tables(stage: str, receipt: dict, out: dict[str, Any]) -> None:
-    """Section links and weak links to the front, with a sentence; the rest under the name of its stage."""
-    found = receipt.get("tables")
-    for name, data in (found if isinstance(found, dict) else {}).items():
-        plain = str(name).replace("_", " ")
-        if plain == "funnel":
-            continue  # drawn and printed from the pair table, up to the verified pairs
-        if plain == "weak links" and isinstance(data, dict) and not data.get("rows"):
-            out["sound"] = t(_SOUND)
-        title = t(TITLES.get(stage, stage.capitalize()))
-        table = formatting.table(data, f"{title}: {said(plain)}", f"receipts.{stage}.{name}")
-        if table is None:
-            continue
-        sentence = {"section links": _SECTION_LINKS, "weak links": _WEAK_LINKS}.get(plain)
-        if sentence is None:
-            out["tables"].append(table)
-        else:
-            out["links"].append(
-                formatting.Table(columns=table.columns, rows=table.rows, numeric=table.numeric, title=t(sentence))
-            )
+def _title(stage: str) -> str:
+    return t(_TITLES.get(stage, stage.capitalize()))
 
 
 def _pictures(run: RunFolder, drawn: bool) -> list[tuple[str, str]]:
     """(data URI, caption) of the pictures that the network stage and the design left."""
-    found = []
-    order = list(CAPTIONS)
-    paths = sorted(p for folder in ("candidates", "network", "design") for p in (run.path / folder).glob("*.png"))
-    for path in paths:
+    found, order = [], list(_CAPTIONS)
+    for path in sorted(p for folder in ("candidates", "network", "design") for p in (run.path / folder).glob("*.png")):
         title = path.stem.replace("curve", "offset")
         if path.parent.name == "design":
             title = {"surface": "covered"}.get(path.stem, "design")
         kind = next((k for k in order if k in title), "")
-        if drawn and kind in ("matrix", "funnel"):
-            continue  # drawn above, with what was verified beside it
-        uri = file_uri(path)
+        uri = None if drawn and kind in ("matrix", "funnel") else file_uri(path)  # these have charts
         if uri:
-            caption = t(CAPTIONS.get(kind, path.stem.replace("_", " ")))
+            caption = t(_CAPTIONS.get(kind, path.stem.replace("_", " ")))
             found.append((order.index(kind) if kind else len(order), uri, caption))
     return [(uri, caption) for _, uri, caption in sorted(found, key=lambda f: f[0])]
 
@@ -118,15 +106,11 @@ def _funnel_table(rows: list[tuple[str, int, str]], images: int) -> formatting.T
     return formatting.table({"columns": ["step", "dropped", "pairs left", "% of all possible"], "rows": body})
 
 
-def _sentence(note: str) -> str:
-    text = note[:1].upper() + note[1:]
-    return text if text.endswith((".", "!", "?")) else f"{text}."
-
-
 # --- references -----------------------------------------------------------------------------------------------------
 
 
 PASSES = "one pass against the other, M3C2"  # a table that stands where it is said how sure one can be
+_AGAINST = "cloud against reference"
 
 
 def passes_part(run: RunFolder) -> dict[str, Any]:
@@ -141,47 +125,43 @@ def passes_part(run: RunFolder) -> dict[str, Any]:
 def evaluation(run: RunFolder) -> dict[str, Any]:
     """What metrics.json holds beside the layers of accuracy."""
     data = run.metrics or {}
-    notes = [str(n) for n in data.get("notes") or []]
-    out: dict[str, Any] = {"there": bool(data), "metrics": None, "tables": [], "notes": notes}
-    rows = [
-        (
-            said(t(metric_text(str(m["name"])))),
-            *_value(m, _unit(run, m)),
-        )
-        for m in data.get("metrics") or []
-        if isinstance(m, dict) and "name" in m
-    ]
-    if rows:
-        out["metrics"] = formatting.Table((t("figure"), t("value"), t("unit")), tuple(rows), (False, True, False))
+    metrics = [m for m in data.get("metrics") or [] if isinstance(m, dict) and "name" in m]
+    rows = tuple((said(t(metric_text(str(m["name"])))), *_value(run, m)) for m in metrics)
+    columns = (t("figure"), t("value"), t("unit"))
     tables = data.get("tables") or {}
-    # who is registered stands in the model section
-    shown = {n: d for n, d in tables.items() if not n.startswith("registered by") and n != PASSES}
-    named = (_titled(run, name, data) for name, data in shown.items())
-    out["tables"] = [table for table in named if table is not None]
-    against = (tables.get("cloud against reference") or {}).get("rows")
-    out["shares"] = shares(against) if against else None
-    out["map"] = file_uri(run.path / "evaluate" / "m3c2.png") if against else None
-    return out
+    named = (
+        formatting.table(with_section_names(run, d), capital(said(n)), f"tables.{n}")
+        for n, d in tables.items()
+        if n != PASSES
+    )
+    against = (tables.get(_AGAINST) or {}).get("rows")
+    return {
+        "there": bool(data),
+        "metrics": formatting.Table(columns, rows, (False, True, False)) if rows else None,
+        "tables": [table for table in named if table is not None],
+        "notes": [str(n) for n in data.get("notes") or []],
+        "shares": _shares(against) if against else None,
+        "map": file_uri(run.path / "evaluate" / "m3c2.png") if against else None,
+    }
 
 
-def _value(metric: dict, unit: str) -> tuple[Markup, str]:
-    """A figure, marked, and its unit: of lengths the one that reads best."""
-    value, key = metric.get("value"), f"metrics.{metric['name']}"
-    if unit != "m" or not formatting.is_number(value):
-        return marked(key, formatting.cell(value)), unit
-    text = formatting.length(value)
-    return marked(key, text), ""
+def _shares(rows: list[list[float]]) -> Markup:
+    """A curve each of accuracy, completeness and F-score over the distance."""
+    distance, *values = np.array(rows, float).T
+    kinds = zip((t("accuracy"), t("completeness"), t("F-score")), (LIGHT, USED, "var(--dark)"), values)
+    series = [Series(name=name, colour=colour, x=distance, y=np.nan_to_num(value)) for name, colour, value in kinds]
+    return plot([(t("% of points"), series)], t("distance, m"), t("Cloud against reference"), whole=False)
 
 
-def _unit(run: RunFolder, metric: dict) -> str:
-    """The unit of a figure: of what is measured inside a model that nothing told the scale of, the model's."""
-    unit, inside = metric.get("unit") or "", str(metric["name"]).startswith(("backprojection", "passes"))
-    return t("units") if unit == "m" and inside and not run.metric else unit
-
-
-def _titled(run: RunFolder, name: str, data: Any) -> formatting.Table | None:
-    title = said(name)
-    return formatting.table(with_section_names(run, data), title[:1].upper() + title[1:], f"tables.{name}")
+def _value(run: RunFolder, metric: dict) -> tuple[Markup, str]:
+    """A figure, marked, and its unit: of lengths the one that reads best, inside a model that nothing told the scale
+    of the model's."""
+    value, key, unit = metric.get("value"), f"metrics.{metric['name']}", metric.get("unit") or ""
+    if unit == "m" and str(metric["name"]).startswith(("backprojection", "passes")) and not run.metric:
+        unit = t("units")
+    if unit == "m" and formatting.is_number(value):
+        return marked(key, formatting.length(value)), ""
+    return marked(key, formatting.cell(value)), unit
 
 
 _METRICS = {
@@ -209,12 +189,10 @@ _METRICS = {
 
 def metric_text(name: str) -> str:
     """A figure of merit in words."""
-    if name in _METRICS:
-        return _METRICS[name]
-    text = name.replace("_", " ")
-    for short, full in (("rpe ", "relative pose error over "), ("fscore ", "F-score at ")):
-        text = text.replace(short, full)
-    text = re.sub(r"(\d)m\b", r"\1 m", text)
+    text = _METRICS.get(name, name.replace("_", " "))
+    if name not in _METRICS:
+        text = text.replace("rpe ", "relative pose error over ").replace("fscore ", "F-score at ")
+        text = re.sub(r"(\d)m\b", r"\1 m", text)
     return text.replace(" m translation", " m, translation").replace(" m rotation", " m, rotation")
 
 
@@ -225,24 +203,19 @@ def rig_table(run: RunFolder) -> Table | None:
     """Cameras: model, focal length, place on the rig as refined, and how far that is from the nominal one."""
     if run.scene is None or run.model is None:
         return None
-    unit = "mm" if run.metric else "units"
+    unit, factor = ("mm", 1000) if run.metric else ("units", 1)
     given = (run.scanned or run.scene).all_sensors
-    factor = 1000 if unit == "mm" else 1
     rows = []
     for key, sensor in enumerate(run.scene.all_sensors):
-        camera = run.model.cameras.get(key)
-        pose, nominal = run.model.sensor_from_rig.get(key), given[key].sensor_from_rig
-        from_first = turn = moved = bent = None
-        if pose is not None:
-            from_first = factor * float(np.linalg.norm(transforms.centre(pose)))
-            turn = float(transforms.angle_deg(pose[:3, :3], np.eye(3)))
-            if nominal is not None:
-                moved = factor * float(np.linalg.norm(transforms.centre(pose) - transforms.centre(nominal)))
-                bent = float(transforms.angle_deg(pose[:3, :3], nominal[:3, :3]))
-        rows.append([
-            sensor.name, camera["model"] if camera else None, camera["size"] if camera else None,
-            camera["focal_px"] if camera else None, from_first, turn, moved, bent,
-        ])  # fmt: skip
+        camera, pose = run.model.sensors.get(key, (None, None))
+        row: list[Any] = [sensor.name, *[None] * 7]
+        if camera is not None:
+            row[1:4] = camera.model.name, f"{camera.width}\u00a0×\u00a0{camera.height}", camera.mean_focal_length()
+        for column, other in ((4, np.eye(4)), (6, given[key].sensor_from_rig)):
+            if pose is not None and other is not None:
+                apart = float(np.linalg.norm(transforms.centre(pose) - transforms.centre(other)))
+                row[column : column + 2] = factor * apart, float(transforms.angle_deg(pose[:3, :3], other[:3, :3]))
+        rows.append(row)
     columns = ["camera", "model", "size px", "focal px", f"to first {unit}", "turned °"]
     columns += [f"moved from nominal {unit}", "turned from it °"]
     filled = [c for c in range(len(columns)) if any(r[c] is not None for r in rows)]
@@ -255,24 +228,26 @@ def rig_table(run: RunFolder) -> Table | None:
 
 def effort(run: RunFolder) -> dict[str, Any]:
     """Charts and table of the stages, settings of each, versions."""
-    rows = summary.stage_rows(run)
-    body = []
+    rows, body, times, memory = summary.stage_rows(run), [], [], []
     for stage, wall, cpu, peak in rows:
-        counts = run.counts(stage)
-        whole = {k: v for k, v in counts.items() if isinstance(v, int)}  # what is no number of things stands elsewhere
+        whole = {k: v for k, v in run.counts(stage).items() if isinstance(v, int)}  # what is none stands elsewhere
         text = t(", ").join(_counted(v, str(k).replace("_", " ")) for k, v in whole.items())
-        body.append((stage, formatting.seconds(wall), formatting.seconds(cpu), formatting.count(peak), text))
+        wall_s, cpu_s, mib = formatting.seconds(wall), formatting.seconds(cpu), formatting.count(peak)
+        body.append((stage, wall_s, cpu_s, mib, text))
+        times.append((stage, ((wall, USED), (max(cpu - wall, 0), LIGHT)), f"{wall_s} ({cpu_s})"))
+        memory.append((stage, ((peak, SOFT),), f"{mib} MiB"))
     columns = (t("stage"), t("wall time"), t("CPU time"), t("peak MiB"), t("counts"))
-    table = formatting.Table(columns, tuple(body), (False, True, True, True, False)) if body else None
-    receipts = {s: run.receipts[s] for s in STAGES if run.receipts.get(s, {}).get("settings")}
-    settings = [(s, {**r["settings"], **_flat("tuning", r.get("tuning") or {})}) for s, r in receipts.items()]
-    software: dict[str, str] = {}
+    settings, software = [], {}
     for s in STAGES:
-        software.update(run.receipts.get(s, {}).get("software") or {})
+        receipt = run.receipts.get(s, {})
+        software |= receipt.get("software") or {}
+        if receipt.get("settings"):
+            values = {**receipt["settings"], **_flat("tuning", receipt.get("tuning") or {})}
+            settings.append((s, [(k, formatting.cell(_named(v))) for k, v in values.items()]))
     return {
-        "charts": _charts(rows) if rows else [],
-        "table": table,
-        "settings": [(s, [(k, formatting.cell(_named(v))) for k, v in values.items()]) for s, values in settings],
+        "charts": [bars(times, t("Wall time (CPU time)")), bars(memory, t("Peak memory"))] if rows else [],
+        "table": formatting.Table(columns, tuple(body), (False, True, True, True, False)) if rows else None,
+        "settings": settings,
         "software": sorted(software.items()),
     }
 
@@ -283,16 +258,6 @@ def _counted(amount: int, things: str) -> str:
     if word != things:
         return f"{word} {formatting.count(amount)}"
     return f"{formatting.count(amount)} {things.removesuffix('s') if amount == 1 else things}"
-
-
-def _charts(rows: list[tuple[str, float, float, float]]) -> list[Markup]:
-    """Wall and CPU time, and memory, of each stage."""
-    times = []
-    for name, wall, cpu, _ in rows:
-        end = f"{formatting.seconds(wall)} ({formatting.seconds(cpu)})"
-        times.append((name, ((wall, USED), (max(cpu - wall, 0), LIGHT)), end))
-    memory = [(name, ((peak, SOFT),), f"{formatting.count(peak)} MiB") for name, _, _, peak in rows]
-    return [bars(times, t("Wall time (CPU time)")), bars(memory, t("Peak memory"))]
 
 
 def _named(value: Any) -> Any:

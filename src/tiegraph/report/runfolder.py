@@ -28,7 +28,7 @@ from tiegraph.scene.tuning import Tuning as SceneTuning
 log = logging.getLogger(__name__)
 T = TypeVar("T")
 
-_POINTS = 200_000  # of a sparse model that are read
+_POINTS = 200_000  # of a sparse model that are drawn
 
 STAGES = (
     "scan", "masks", "preview", "candidates", "coarse", "network", "design", "features", "match", "filter", "sparse",
@@ -36,37 +36,17 @@ STAGES = (
 )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class ModelFigures:
-    """A sparse model in numbers; the averages are over all of it."""
-
-    points: int
-    reprojection_px: float
-    track_length: float
-    observations: float  # per image
-
-
-@dataclass(frozen=True)
-class PointSample:
-    """Some of the sparse points."""
-
-    xyz: np.ndarray  # (K, 3), of the model
-    rgb: np.ndarray  # (K, 3) u1
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Model:
-    """Facts of a sparse model; rows of the arrays follow the scene's images, NaN = not in the model."""
+    """A sparse model (``reconstruction``: pycolmap's) in ``folder`` of the run, with the scene whose images follow the
+    rows of arrays; NaN = not in the model. ``others``: registered images of the further models."""
 
     folder: str
+    reconstruction: Any
+    scene: Scene
     world_from_camera: np.ndarray  # (N, 4, 4)
     images: Registration  # which are registered, which only their rig places
-    figures: ModelFigures
-    cameras: dict[int, dict]  # scene sensor_key -> {"model", "size", "focal_px"}
-    sensor_from_rig: dict[int, np.ndarray]  # scene sensor_key -> (4, 4)
-    sample: PointSample
-    observed: Observed
-    others: tuple[int, ...] = ()  # registered images of the further models
+    others: tuple[int, ...] = ()
 
     @property
     def placed(self) -> np.ndarray:
@@ -88,8 +68,44 @@ class Model:
         """(N, 3) projection centres."""
         return self.world_from_camera[:, :3, 3]
 
+    @property
+    def points(self) -> int:
+        """Sparse points."""
+        return int(self.reconstruction.num_points3D())
 
-@dataclass(frozen=True)
+    @cached_property
+    def reprojection_px(self) -> float:
+        """Mean reprojection error."""
+        return float(self.reconstruction.compute_mean_reprojection_error())
+
+    @cached_property
+    def observed(self) -> Observed:
+        """What the images observe."""
+        return observed(self.reconstruction, self.scene)
+
+    @cached_property
+    def sensors(self) -> dict[int, tuple[Any, np.ndarray | None]]:
+        """By sensor key of the scene: the camera, and sensor_from_rig (4, 4) (None: there is no rig of several)."""
+        out = {}
+        for image in self.reconstruction.images.values():
+            k = self.scene.image_index.get(image.name)
+            if k is not None and image.has_pose and int(self.scene.sensor_key[k]) not in out:
+                rig, sensor, pose = self.reconstruction.rigs[image.frame.rig_id], image.data_id.sensor_id, None
+                if rig.num_sensors() > 1 and (rig.is_ref_sensor(sensor) or rig.has_sensor_from_rig(sensor)):
+                    pose = np.eye(4) if rig.is_ref_sensor(sensor) else matrix(rig.sensor_from_rig(sensor))
+                out[int(self.scene.sensor_key[k])] = self.reconstruction.cameras[image.camera_id], pose
+        return out
+
+    @cached_property
+    def sample(self) -> tuple[np.ndarray, np.ndarray]:
+        """Some of the sparse points: (K, 3) of the model, and their colours (K, 3) u1."""
+        ids = list(self.reconstruction.point3D_ids())
+        points = [self.reconstruction.points3D[k] for k in ids[:: max(1, -(-len(ids) // _POINTS))]]
+        xyz, rgb = np.array([p.xyz for p in points], float), np.array([p.color for p in points], np.uint8)
+        return xyz.reshape(-1, 3), rgb.reshape(-1, 3)
+
+
+@dataclass(frozen=True, eq=False)
 class CloudSample:
     """A sample of a point cloud file and what holds for the whole."""
 
@@ -121,6 +137,22 @@ class RunFolder:
         """The counts of a stage's receipt."""
         return self.receipts.get(stage, {}).get("counts") or {}
 
+    def notes(self, *stages: str) -> list[str]:
+        """The remarks of stages, each once, as the stages wrote them."""
+        every = (str(n) for stage in stages for n in self.receipts.get(stage, {}).get("notes") or [])
+        return list(dict.fromkeys(every))
+
+    def tables(self, stage: str) -> dict[str, Any]:
+        """The tables of a stage's receipt."""
+        found = self.receipts.get(stage, {}).get("tables")
+        return found if isinstance(found, dict) else {}
+
+    def dropped(self, stage: str) -> list[tuple[str, str]]:
+        """(name, reason) of what a stage left out."""
+        found = self.receipts.get(stage, {}).get("dropped")
+        rows = found if isinstance(found, list) else []
+        return [(str(r[0]), str(r[1])) for r in rows if isinstance(r, (list, tuple)) and len(r) >= 2]
+
     @property
     def hanging(self) -> tuple[int, int]:
         """Images that take no part in structure from motion (``scene.hanging``), and those of them that have a pose."""
@@ -129,7 +161,7 @@ class RunFolder:
     @cached_property
     def hung(self) -> tuple[tuple[str, bool], ...]:
         """Names of the images that hang on their rig, and whether each has a pose."""
-        whole = _try(self.path / "whole.json", lambda p: Scene.from_json(p.read_text()))
+        whole = _try(self.path / "whole.json", _scene)
         if whole is None or self.scene is None:
             return ()
         placed = self.model.placed if self.model is not None and self.hanging[1] else np.zeros(len(self.scene), bool)
@@ -139,6 +171,11 @@ class RunFolder:
     def done(self, stage: str) -> bool:
         """Whether a stage has finished."""
         return "key" in self.receipts.get(stage, {})
+
+    @property
+    def shift(self) -> np.ndarray:
+        """(3,) what is added to coordinates of the world for those of the CRS."""
+        return np.array((self.world or {}).get("shift_m") or (0.0, 0.0, 0.0), float)
 
     @property
     def georeferenced(self) -> bool:
@@ -162,14 +199,15 @@ def read_run(folder: Path, cloud_points: int = 1_000_000) -> RunFolder:
     if not folder.is_dir():
         raise InputError(f"{folder}: no such run folder; give a folder made by `tiegraph run`")
     receipts = {s: r for s in STAGES if (r := _json(folder / "receipts" / f"{s}.json"))}
-    scanned = _try(folder / "scene.json", lambda p: Scene.from_json(p.read_text()))
-    scene = _try(folder / "network" / "scene.json", lambda p: Scene.from_json(p.read_text())) or scanned
+    scanned = _try(folder / "scene.json", _scene)
+    scene = _try(folder / "network" / "scene.json", _scene) or scanned
     if not receipts and scene is None:
         raise InputError(f"{folder}: no run in it (no receipts/, no scene.json); give a folder made by `tiegraph run`")
-    world = _world(_json(folder / "world.json"))
-    model = read_model(folder, scene, _registered_by(receipts)) if scene is not None else None
-    cloud = _try(folder / "cloud.laz", lambda p: read_cloud_sample(p, cloud_points))
-    return RunFolder(
+    world = _json(folder / "world.json")
+    if world:
+        world = {"scale_from": world.get("scale_source"), **world}
+        world["shift_m"] = world.get("shift_m") or (world.get("origin") or {}).get("shift_m")
+    run = RunFolder(
         path=folder,
         receipts=receipts,
         scene=scene,
@@ -178,23 +216,19 @@ def read_run(folder: Path, cloud_points: int = 1_000_000) -> RunFolder:
         pairs=next(filter(None, (_try(folder / f"{n}.npz", read_pairs) for n in ("filter", "match", "pairs"))), None),
         world=world or None,
         metrics=_json(folder / "metrics.json") or None,
-        model=model,
-        cloud=_in_world(cloud, model, world),
+        model=None if scene is None else read_model(folder, scene, _registered_by(receipts)),
     )
+    cloud = _try(folder / "cloud.laz", lambda p: read_cloud_sample(p, cloud_points))
+    return replace(run, cloud=None if cloud is None else _in_world(cloud, run))
+
+
+def _scene(path: Path) -> Scene:
+    return Scene.from_json(path.read_text())
 
 
 def _json(path: Path) -> dict:
     found = _try(path, lambda p: json.loads(p.read_text()))
     return found if isinstance(found, dict) else {}
-
-
-def _world(data: dict) -> dict:
-    """world.json under the names the report uses; what it does not know stays as it is."""
-    out = dict(data)
-    out.setdefault("scale_from", data.get("scale_source"))
-    if out.get("shift_m") is None:
-        out["shift_m"] = (data.get("origin") or {}).get("shift_m")
-    return out if data else {}
 
 
 def _try(path: Path, read: Callable[[Path], T]) -> T | None:
@@ -211,9 +245,7 @@ def _try(path: Path, read: Callable[[Path], T]) -> T | None:
 def read_pairs(path: Path) -> Pairs | None:
     """The pair table of an npz file; None if it holds something else."""
     with np.load(path) as data:
-        if not set(Pairs.columns()) <= set(data.files):
-            return None
-        return Pairs.from_npz(dict(data))
+        return Pairs.from_npz(dict(data)) if set(Pairs.columns()) <= set(data.files) else None
 
 
 def _registered_by(receipts: dict[str, dict]) -> RegisteredTuning:
@@ -228,81 +260,29 @@ def _registered_by(receipts: dict[str, dict]) -> RegisteredTuning:
 
 def read_model(folder: Path, scene: Scene, tuning: RegisteredTuning) -> Model | None:
     """The world model, or the largest of the models if there is none."""
+
+    def read(path: Path) -> Any:
+        return _try(path, read_reconstruction) if is_model(path) else None
+
     numbered = sorted((p for p in (folder / "sparse").glob("[0-9]*") if p.is_dir()), key=lambda p: int(p.name))
-    parts = [(p, r) for p in numbered if (r := _reconstruction(p)) is not None]
+    parts = [(p, r) for p in numbered if (r := read(p)) is not None]
     parts.sort(key=lambda part: -part[1].num_reg_images())
-    world = _reconstruction(folder / "sparse" / "world")
+    world = read(folder / "sparse" / "world")
     if world is None and not parts:
         return None
     path, chosen = (folder / "sparse" / "world", world) if world is not None else parts[0]
-    others = tuple(int(registration(r, scene, tuning).registered.sum()) for _, r in parts[1:])
-    images = registration(chosen, scene, tuning)
-    return _model_facts(chosen, scene, images, path.relative_to(folder).as_posix(), others)
-
-
-def _reconstruction(path: Path) -> Any:
-    return _try(path, read_reconstruction) if is_model(path) else None
-
-
-def _model_facts(model: Any, scene: Scene, images: Registration, folder: str, others: tuple[int, ...]) -> Model:
     poses = np.full((len(scene), 4, 4), np.nan)
-    sensor_from_rig: dict[int, np.ndarray] = {}
-    cameras: dict[int, dict] = {}
-    for image in model.images.values():
+    for image in chosen.images.values():
         k = scene.image_index.get(image.name)
-        if k is None or not image.has_pose:
-            continue
-        poses[k] = transforms.invert(matrix(image.cam_from_world()))
-        key = int(scene.sensor_key[k])
-        if key not in cameras:
-            cameras[key] = _camera_facts(model.cameras[image.camera_id])
-        if key not in sensor_from_rig:
-            found = _extrinsics(model, image)
-            if found is not None:
-                sensor_from_rig[key] = found
+        if k is not None and image.has_pose:
+            poses[k] = transforms.invert(matrix(image.cam_from_world()))
     return Model(
-        folder=folder,
+        folder=path.relative_to(folder).as_posix(),
+        reconstruction=chosen,
+        scene=scene,
         world_from_camera=poses,
-        images=images,
-        figures=ModelFigures(
-            points=model.num_points3D(),
-            reprojection_px=model.compute_mean_reprojection_error(),
-            track_length=model.compute_mean_track_length(),
-            observations=model.compute_mean_observations_per_reg_image(),
-        ),
-        cameras=cameras,
-        sensor_from_rig=sensor_from_rig,
-        sample=_sparse_points(model),
-        observed=observed(model, scene),
-        others=others,
-    )
-
-
-def _camera_facts(camera: Any) -> dict:
-    return {
-        "model": camera.model.name,
-        "size": f"{camera.width}\u00a0×\u00a0{camera.height}",
-        "focal_px": camera.mean_focal_length(),
-    }
-
-
-def _extrinsics(model: Any, image: Any) -> np.ndarray | None:
-    rig = model.rigs[image.frame.rig_id]
-    if rig.num_sensors() < 2:
-        return None
-    sensor = image.data_id.sensor_id
-    if rig.is_ref_sensor(sensor):
-        return np.eye(4)
-    return matrix(rig.sensor_from_rig(sensor)) if rig.has_sensor_from_rig(sensor) else None
-
-
-def _sparse_points(model: Any) -> PointSample:
-    ids = list(model.point3D_ids())
-    ids = ids[:: max(1, -(-len(ids) // _POINTS))]
-    points = [model.points3D[k] for k in ids]
-    return PointSample(
-        xyz=np.array([p.xyz for p in points], float).reshape(-1, 3),
-        rgb=np.array([p.color for p in points], np.uint8).reshape(-1, 3),
+        images=registration(chosen, scene, tuning),
+        others=tuple(int(registration(r, scene, tuning).registered.sum()) for _, r in parts[1:]),
     )
 
 
@@ -315,40 +295,30 @@ def some_of(reader: Any, most: int) -> Iterator[Any]:
 
 def read_cloud_sample(path: Path, most: int) -> CloudSample:
     """Every n-th point of a LAS or LAZ file, at most ``most``, in the file's coordinates."""
-    parts: dict[str, list[np.ndarray]] = {n: [] for n in ("xyz", "rgb", "sigma", "views")}
+    parts = [(np.zeros((0, 3)), np.zeros((0, 3), np.uint8), np.zeros(0), np.zeros(0))]
     with laspy.open(path) as reader:
         count = reader.header.point_count
         names = list(reader.header.point_format.dimension_names)
         sigma = next((n for n in names if "sigma" in n.lower()), None)
         views = next((n for n in names if "view" in n.lower() and "angle" not in n.lower()), None)
         for part in some_of(reader, most):
-            parts["xyz"].append(np.column_stack([part.x, part.y, part.z]))
-            parts["rgb"].append(_colours(part) if "red" in names else np.full((len(part), 3), 160, np.uint8))
-            parts["sigma"].append(np.asarray(part[sigma], float) if sigma else np.full(len(part), np.nan))
-            parts["views"].append(np.asarray(part[views], float) if views else np.zeros(len(part)))
-    empty = {"xyz": np.zeros((0, 3)), "rgb": np.zeros((0, 3), np.uint8), "sigma": np.zeros(0), "views": np.zeros(0)}
-    all_ = {n: np.concatenate([empty[n], *p]) for n, p in parts.items()}
+            xyz = np.column_stack([part.x, part.y, part.z])
+            rgb = _colours(part) if "red" in names else np.full(xyz.shape, 160, np.uint8)
+            deviation = np.asarray(part[sigma], float) if sigma else np.full(len(xyz), np.nan)
+            parts.append((xyz, rgb, deviation, np.asarray(part[views], float) if views else np.zeros(len(xyz))))
+    xyz, rgb, deviation, seen = (np.concatenate(column) for column in zip(*parts))
     size = path.stat().st_size
-    return CloudSample(
-        name=path.name,
-        count=count,
-        bytes=size,
-        xyz=all_["xyz"],
-        rgb=all_["rgb"].astype(np.uint8),
-        sigma_m=all_["sigma"],
-        views=all_["views"],
-    )
+    return CloudSample(name=path.name, count=count, bytes=size, xyz=xyz, rgb=rgb, sigma_m=deviation, views=seen)
 
 
-def _in_world(cloud: CloudSample | None, model: Model | None, world: dict) -> CloudSample | None:
+def _in_world(cloud: CloudSample, run: RunFolder) -> CloudSample:
     """The cloud with the recorded shift taken off if it was written in full CRS coordinates."""
-    shift = np.array(world.get("shift_m") or (0.0, 0.0, 0.0), float)
-    if cloud is None or not len(cloud.xyz) or not shift.any():
+    if not len(cloud.xyz) or not run.shift.any():
         return cloud
-    middle = np.median(cloud.xyz, axis=0)
+    middle, model = np.median(cloud.xyz, axis=0), run.model
     near = np.nanmedian(model.centres, axis=0) if model is not None and model.placed.any() else np.zeros(3)
-    if np.linalg.norm(middle - shift - near) < np.linalg.norm(middle - near):
-        return replace(cloud, xyz=cloud.xyz - shift)
+    if np.linalg.norm(middle - run.shift - near) < np.linalg.norm(middle - near):
+        return replace(cloud, xyz=cloud.xyz - run.shift)
     return cloud
 
 

@@ -15,10 +15,10 @@ from tiegraph.geometry import transforms
 from tiegraph.geometry.align import PlacementError
 from tiegraph.geometry.gravity import levelled
 from tiegraph.report import cloudview, formatting, maps
-from tiegraph.report.cloudview import Scale, brightened, by_height, inliers, standard_views, with_scale_bar
+from tiegraph.report.cloudview import Scale, inliers, shown_colours, standard_views, with_scale_bar
 from tiegraph.report.runfolder import RunFolder, some_of
 from tiegraph.report.settings import ReportSettings
-from tiegraph.report.tables import receipt_notes, receipt_tables, section_name
+from tiegraph.report.tables import receipt_tables, section_name
 from tiegraph.report.texts import t
 from tiegraph.report.thumbnails import jpeg, rgb_of, thumbnail
 from tiegraph.scene.sorting import evenly
@@ -27,10 +27,9 @@ from tiegraph.text import round_below
 log = logging.getLogger(__name__)
 _MOST = 1_000_000  # points of a file that are read
 _NEAR = 3.0  # a point has the value of a measured one this near, in spacings of these
-_SIGNED = ("differences.laz",)
-_FILES = {
-    "evaluate/distances.laz": "distance to the reference cloud",
-    "passes/differences.laz": "one pass against the other",
+_FILES = {  # of measured distances: their name in the view, and whether they have a sign
+    "evaluate/distances.laz": ("distance to the reference cloud", False),
+    "passes/differences.laz": ("one pass against the other", True),
 }
 VIEW_PX = 1400  # width of the static views
 _IMAGES, _PICTURES = 5000, 90  # that the interactive view names, and shows
@@ -71,7 +70,7 @@ def scenery(run: RunFolder) -> Scenery | None:
     prior = run.scene.world_from_rig[:, :3, 3]
     if not placed:  # prior positions are in another frame than the model
         found = [maps.Track(track.name, track.positions, track.missing[:0]) for track in found]
-    xyz, rgb = (run.cloud or run.model.sample).xyz, (run.cloud or run.model.sample).rgb
+    xyz, rgb = (run.cloud.xyz, run.cloud.rgb) if run.cloud is not None else run.model.sample
     return Scenery(
         tracks=found,
         given=prior[np.isfinite(prior[:, 0])] if placed else np.zeros((0, 3)),
@@ -86,10 +85,9 @@ def scenery(run: RunFolder) -> Scenery | None:
 
 def survey_map(seen: Scenery) -> Markup:
     """Where the survey is: the passes over the cloud from above."""
-    place, xyz, rgb = seen.place, seen.xyz, seen.rgb
-    rgb = brightened(rgb) if len(rgb) and np.ptp(rgb) > 8 else by_height(xyz[:, 2])
-    rising = np.argsort(xyz[:, 2], kind="stable") if len(xyz) else np.zeros(0, int)
-    backdrop = maps.raster(place, xyz[rising], rgb[rising]) if len(xyz) else ""
+    place, rising = seen.place, np.argsort(seen.xyz[:, 2], kind="stable")
+    colours = shown_colours(seen.xyz, seen.rgb)
+    backdrop = maps.raster(place, seen.xyz[rising], colours[rising]) if len(rising) else ""
     return maps.survey_map(place, seen.tracks, seen.given, backdrop, seen.north)
 
 
@@ -105,7 +103,7 @@ def overlap_map(seen: Scenery) -> Markup | None:
     key = [(t("{} images", f"{a}–{b - 1}" if b - a > 1 else a), c) for (a, c), (b, _) in zip(_OVERLAP, _OVERLAP[1:])]
     key.append((t("{} and more", _OVERLAP[-1][0]), _OVERLAP[-1][1]))
     picture = maps.raster(place, middle, colours[step], _CELLS)
-    return maps.cells_map(place, picture, key, t("Overlap: images that see the surface"), seen.north)
+    return maps.drawn_map(place, picture, key, t("Overlap: images that see the surface"), seen.north)
 
 
 def ellipse_map(run: RunFolder, seen: Scenery) -> tuple[Markup, str] | None:
@@ -113,13 +111,11 @@ def ellipse_map(run: RunFolder, seen: Scenery) -> tuple[Markup, str] | None:
     told = (run.world or {}).get("placement_error")
     if told is None or not len(seen.path):
         return None
-    error, place = PlacementError.from_dict(told), seen.place
-    way = np.concatenate([track.positions[np.isfinite(track.positions[:, 0])] for track in seen.tracks])
-    rows = evenly(len(way), _ELLIPSES)
+    place, way = seen.place, np.concatenate([track.seen for track in seen.tracks])
     axis = np.linalg.svd(way - way.mean(axis=0), full_matrices=False)[2][0]  # along which most of it lies
-    at = way[np.argsort(way @ axis)][rows]
-    flat = error.covariances(at)[:, :2, :2]
-    largest = max(float(np.sqrt(np.linalg.eigvalsh(c)[-1])) for c in flat)
+    at = way[np.argsort(way @ axis)][evenly(len(way), _ELLIPSES)]
+    flat = PlacementError.from_dict(told).covariances(at)[:, :2, :2]
+    largest = float(np.sqrt(np.linalg.eigvalsh(flat).max()))
     if not largest > 0:
         return None
     factor = round_below(0.06 * float(place.high[0] - place.low[0]) / largest)
@@ -137,8 +133,8 @@ def views(run: RunFolder, seen: Scenery) -> list[tuple[str, str]]:
 
 def viewer_part(run: RunFolder, seen: Scenery, settings: ReportSettings) -> dict[str, Any]:
     """Data and script of the interactive view."""
-    most, points = settings.viewer_points, len(seen.xyz)
-    rows = np.sort(np.random.default_rng(0).permutation(points)[:most])
+    most = settings.viewer_points
+    rows = np.sort(np.random.default_rng(0).permutation(len(seen.xyz))[:most])
     extras = viewer_extras(run, seen, rows)
     data = cloudview.viewer_data(seen.xyz[rows], seen.rgb[rows], seen.tracks, most, seen.unit, extras)
     if data is None:
@@ -161,9 +157,8 @@ def viewer_extras(run: RunFolder, seen: Scenery, rows: np.ndarray) -> cloudview.
         xyz = run.cloud.xyz[rows]
         scales[t("sigma of a point")] = Scale(run.cloud.sigma_m[rows])
         scales |= {**distance_scales(run, xyz), **section_scale(run, xyz)}
-    shift = (run.world or {}).get("shift_m") or (0.0, 0.0, 0.0)
     axes = ("E", "N", "H") if seen.north else ("x", "y", "z")
-    return cloudview.ViewerExtras(scales=scales, offset=shift, axes=axes, images=shown, north=seen.north)
+    return cloudview.ViewerExtras(scales=scales, offset=run.shift.tolist(), axes=axes, images=shown, north=seen.north)
 
 
 def cloud_facts(run: RunFolder) -> dict[str, Any] | None:
@@ -174,8 +169,7 @@ def cloud_facts(run: RunFolder) -> dict[str, Any] | None:
     rows = [(t("file"), f"{c.name}, {formatting.size(c.bytes)}"), (t("points"), formatting.count(c.count))]
     if c.views.any():
         rows.append((t("images that saw a point, median"), formatting.number(float(np.median(c.views)), 2)))
-    tables = receipt_tables(run, "dense", "cloud")
-    return {"facts": rows, "tables": tables, "notes": receipt_notes(run, "dense", "cloud")}
+    return {"facts": rows, "tables": receipt_tables(run, "dense", "cloud"), "notes": run.notes("dense", "cloud")}
 
 
 def gsd(run: RunFolder) -> tuple[float, float, float] | None:
@@ -183,7 +177,7 @@ def gsd(run: RunFolder) -> tuple[float, float, float] | None:
     known = run.model.observed.gsd[np.isfinite(run.model.observed.gsd)] if run.model is not None else np.zeros(0)
     if not len(known):
         return None
-    low, middle, high = (float(v) for v in np.quantile(known, [0.1, 0.5, 0.9]))
+    low, middle, high = np.quantile(known, [0.1, 0.5, 0.9]).tolist()
     return low, middle, high
 
 
@@ -196,47 +190,44 @@ def points_inside(seen: Scenery) -> np.ndarray:
 def distance_scales(run: RunFolder, xyz: np.ndarray) -> dict[str, Scale]:
     """Distances that were measured near points (N, 3) of the world, by name; those of files that are there."""
     out = {}
-    for name, text in _FILES.items():
+    for name, (text, signed) in _FILES.items():
         path = run.path / name
         if path.exists() and len(xyz):
             try:
-                at, values = _measured(path, np.array((run.world or {}).get("shift_m") or (0.0, 0.0, 0.0), float))
+                at, values = _measured(path)
             except Exception as error:  # laspy raises what it meets
                 log.warning("report: %s cannot be read and is left out: %s", path, error)
                 continue
             if len(at) > 1:
-                out[t(text)] = Scale(_nearest(at, values, xyz), signed=path.name in _SIGNED)
+                out[t(text)] = Scale(_nearest(at - run.shift, values, xyz), signed=signed)
     return out
 
 
-def _measured(path: Path, shift: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Points (K, 3) of the world and their ``distance_m`` (K,), every n-th of a large file."""
+def _measured(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Points (K, 3) of the CRS and their ``distance_m`` (K,), every n-th of a large file."""
     parts = [(np.zeros((0, 3)), np.zeros(0))]
     with laspy.open(path) as reader:
         for part in some_of(reader, _MOST):
-            parts.append((np.column_stack([part.x, part.y, part.z]) - shift, np.asarray(part["distance_m"], float)))
+            parts.append((np.column_stack([part.x, part.y, part.z]), np.asarray(part["distance_m"], float)))
     xyz, values = (np.concatenate(column) for column in zip(*parts))
-    known = np.isfinite(values)
-    return xyz[known], values[known]
+    return xyz[np.isfinite(values)], values[np.isfinite(values)]
 
 
 def _nearest(at: np.ndarray, values: np.ndarray, xyz: np.ndarray) -> np.ndarray:
     """(N,) the value of the nearest measured point, NaN where none is near."""
     tree = cKDTree(at)
-    some = at[:: max(1, len(at) // 5000)]
-    reach = _NEAR * float(np.median(tree.query(some, k=2)[0][:, 1]))
-    away, row = tree.query(xyz, distance_upper_bound=max(reach, 1e-9))
-    return np.where(np.isfinite(away), values[np.minimum(row, len(at) - 1)], np.nan)
+    reach = _NEAR * float(np.median(tree.query(at[:: max(1, len(at) // 5000)], k=2)[0][:, 1]))
+    row = tree.query(xyz, distance_upper_bound=max(reach, 1e-9))[1]
+    return np.append(values, np.nan)[row]  # one beyond the last where there is none
 
 
 def section_scale(run: RunFolder, xyz: np.ndarray) -> dict[str, Scale]:
     """The section that points (N, 3) lie in, that of the nearest camera; {} where there are not several."""
     assert run.scene is not None and run.model is not None
     placed = np.flatnonzero(run.model.placed)
-    section = run.scene.section[run.scene.frame[placed]]
-    if len(np.unique(section)) < 2 or not len(xyz):
+    numbers, of_camera = np.unique(run.scene.section[run.scene.frame[placed]], return_inverse=True)
+    if len(numbers) < 2 or not len(xyz):
         return {}
-    numbers, of_camera = np.unique(section, return_inverse=True)
     names = tuple(section_name(run, int(k)) for k in numbers)
     nearest = cKDTree(run.model.centres[placed]).query(xyz)[1]
     return {t("section"): Scale(of_camera[nearest].astype(float), names=names)}

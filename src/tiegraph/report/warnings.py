@@ -30,28 +30,23 @@ def _ranked(run: RunFolder) -> Iterator[tuple[int, str]]:
     for stage, receipt in run.receipts.items():
         if not {"key", "lost"} & set(receipt) and stage != "report":
             yield 0, t("The stage {} was interrupted; run the same command again to finish it.", stage)
-    dropped = len(dropped_images(run))
-    if dropped:
+    if dropped := len(dropped_images(run)):
         one = "{} image file could not be used; the reasons are listed below."
         yield 3, many(dropped, one, "{} image files could not be used; the reasons are listed below.", count(dropped))
     if run.scene is not None and run.model is not None:
         yield from _coverage_warnings(run)
-    untied = _untied_borders(run)
-    if untied:
+    if untied := _untied_borders(run):
         one = "{} border between sections is not tied by two independent pairs: the model may bend or part there."
         several = "{} borders between sections are not tied by two independent pairs: the model may bend or part there."
         yield 2, many(untied, one, several, count(untied))
     if run.pairs is not None and run.scene is not None and np.any(run.pairs.inliers >= 0):
-        few = int(np.sum(ties(run.pairs, len(run.scene)) < FEW_TIES))
-        if few:
+        if few := int(np.sum(ties(run.pairs, len(run.scene)) < FEW_TIES)):
             one = "{} image has fewer than {} verified ties to other images."
             yield 3, many(few, one, "{} images have fewer than {} verified ties to other images.", count(few), FEW_TIES)
-    world = run.world or {}
-    if run.done("georef") and not run.georeferenced and not world.get("placed"):
+    if run.done("georef") and not run.georeferenced and not (run.world or {}).get("placed"):
         text = "The model is not georeferenced: positions of the images (GNSS) give coordinates on the Earth."
         yield 1, t(text)
-    weak = weak_placement(run)
-    if weak:
+    if weak := weak_placement(run):
         yield 1, t("The placement in the world is weak: {}. More or better positions along the way help.", weak)
     if run.accuracy is not None:
         held, fit = (run.accuracy.figure(f"world.{name}").measured for name in ("held_out", "positions"))
@@ -62,8 +57,7 @@ def _ranked(run: RunFolder) -> Iterator[tuple[int, str]]:
 
 def _untied_borders(run: RunFolder) -> int:
     """Rows of the table of section links that say "not tied"."""
-    found = run.receipts.get("network", {}).get("tables")
-    table = next((t for n, t in found.items() if "section" in n), None) if isinstance(found, dict) else None
+    table = next((data for name, data in run.tables("network").items() if "section" in name), None)
     if not isinstance(table, dict) or "tied" not in (table.get("columns") or []):
         return 0
     place = table["columns"].index("tied")
@@ -77,15 +71,11 @@ def _coverage_warnings(run: RunFolder) -> Iterator[tuple[int, str]]:
         yield 0, t(text, len(run.model.others) + 1)
     few = run.counts("sparse").get("on_few_points")
     if is_number(few) and few:
-        one = (
-            "The place of {} frame rests on few points (named in the remarks of sparse): these images may be off by "
-            "more than is stated."
+        rest = "on few points (named in the remarks of sparse): these images may be off by more than is stated."
+        yield (
+            2,
+            many(few, f"The place of {{}} frame rests {rest}", f"The places of {{}} frames rest {rest}", count(few)),
         )
-        several = (
-            "The places of {} frames rest on few points (named in the remarks of sparse): these images may be off by "
-            "more than is stated."
-        )
-        yield 2, many(few, one, several, count(few))
     registered = run.model.registered
     several_passes = len(run.scene.sequences) > 1
     labels = np.array([" ".join(x).strip() if several_passes else x[1] for x in run.scene.image_label()])
@@ -108,9 +98,8 @@ def weak_placement(run: RunFolder) -> str:
 
 def dropped_images(run: RunFolder) -> list[tuple[str, str]]:
     """Files left out by the scan, with reasons."""
-    if run.scene is not None and run.scene.dropped:
-        return [(d.name, d.reason) for d in run.scene.dropped]
-    return [(str(d[0]), str(d[1])) for d in run.receipts.get("scan", {}).get("dropped") or [] if len(d) >= 2]
+    own = [] if run.scene is None else [(d.name, d.reason) for d in run.scene.dropped]
+    return own or run.dropped("scan")
 
 
 REGISTERED, ABSENT, LEFT_OUT = "registered", "not in the model", "left out by the scan"
@@ -133,51 +122,36 @@ class ImageRow:
 
 def image_rows(run: RunFolder) -> list[ImageRow]:
     """Those that are not used first, each group by name; [] where no model was made."""
-    out = [ImageRow(name, LEFT_OUT, reason) for name, reason in dropped_images(run)]
-    if run.scene is None or run.model is None:
-        return []
-    reasons = {stage: _reasons(run, stage) for stage in ("sparse", "georef", "dense")}
-    count = ties(run.pairs, len(run.scene)) if run.pairs is not None else None
     m = run.model
+    if run.scene is None or m is None:
+        return []
+    out = [ImageRow(name, LEFT_OUT, reason) for name, reason in dropped_images(run)]
+    sparse, georef, dense = (dict(run.dropped(stage)) for stage in ("sparse", "georef", "dense"))
+    pairs = ties(run.pairs, len(run.scene)).tolist() if run.pairs is not None else [None] * len(run.scene)
     for k, name in enumerate(run.scene.names):
         state = REGISTERED if m.registered[k] else BY_RIG if m.by_rig[k] else ABSENT
-        known = [reasons[s][name] for s in ("sparse", "georef") if name in reasons[s]]
-        if state == BY_RIG and not known:
-            known = [f"sees {int(m.images.points[k])} points that agree, fewer than {m.images.min_points}"]
-        if state == ABSENT and not known:
-            known = ["no reason was recorded"]
-        if name in reasons["dense"]:
-            known.append(f"no depth map: {reasons['dense'][name]}")
-        pairs = None if count is None else int(count[k])
+        points, known = int(m.images.points[k]), [found[name] for found in (sparse, georef) if name in found]
+        if state == BY_RIG:
+            known = known or [f"sees {points} points that agree, fewer than {m.images.min_points}"]
+        if state == ABSENT:
+            known = known or ["no reason was recorded"]
+        known += [f"no depth map: {dense[name]}"] if name in dense else []
         gsd = float(m.observed.gsd[k])
-        points = int(m.images.points[k])
-        out.append(ImageRow(name=name, state=state, reason="; ".join(known), points=points, ties=pairs, gsd=gsd))
-    out += [_hanging_row(run, name, posed, reasons["dense"]) for name, posed in run.hung]
-    order = {state: k for k, state in enumerate((LEFT_OUT, ABSENT, BY_RIG, HANGING, REGISTERED))}
-    return sorted(out, key=lambda row: order[row.state])
-
-
-def _hanging_row(run: RunFolder, name: str, posed: bool, no_depth: dict[str, str]) -> ImageRow:
-    """An image that hangs on its rig: it stands where the rig places it, or why it has no place."""
-    if posed:
-        return ImageRow(name, HANGING, f"no depth map: {no_depth[name]}" if name in no_depth else "")
-    if run.hanging[1]:
-        return ImageRow(name, ABSENT, "hangs on the rig, but no wide image of its frame has a place")
-    return ImageRow(name, ABSENT, "hangs on the rig, but nothing tells the scale")
+        out.append(ImageRow(name=name, state=state, reason="; ".join(known), points=points, ties=pairs[k], gsd=gsd))
+    nowhere = "no wide image of its frame has a place" if run.hanging[1] else "nothing tells the scale"
+    for name, posed in run.hung:  # it stands where the rig places it, or has no place
+        state, reason = (HANGING, "") if posed else (ABSENT, f"hangs on the rig, but {nowhere}")
+        out.append(ImageRow(name, state, f"no depth map: {dense[name]}" if posed and name in dense else reason))
+    order = (LEFT_OUT, ABSENT, BY_RIG, HANGING, REGISTERED)
+    return sorted(out, key=lambda row: order.index(row.state))
 
 
 def counts(rows: list[ImageRow]) -> list[tuple[str, int]]:
     """(state in words, images) of each state that occurs."""
-    states = np.array([row.state for row in rows])
-    return [(said(state), int(np.sum(states == state))) for state in STATES if np.any(states == state)]
+    found = [(said(state), sum(row.state == state for row in rows)) for state in STATES]
+    return [row for row in found if row[1]]
 
 
 def reason_text(row: ImageRow) -> str:
     """The reason in the language of the page, as far as its parts are known."""
     return t("; ").join(said(part) for part in row.reason.split("; ")) if row.reason else ""
-
-
-def _reasons(run: RunFolder, stage: str) -> dict[str, str]:
-    found = run.receipts.get(stage, {}).get("dropped")
-    rows = found if isinstance(found, list) else []
-    return {str(r[0]): str(r[1]) for r in rows if isinstance(r, (list, tuple)) and len(r) >= 2}

@@ -48,8 +48,8 @@ def cylinders_of(clouds: TiledClouds, tuning: M3c2Tuning, depth_m: float | None 
         raise ValueError("half of the points of a cloud stand in one place, or it has only one: no surface")
     radius = float(f"{tuning.radius_spacings * spacing:.2g}")
     depth = tuning.depth_radii * radius if depth_m is None else depth_m
-    if not radius <= depth <= tuning.most_radii * radius:
-        raise ValueError(f"a depth of {depth:g} m does not fit: give {radius:g} to {tuning.most_radii * radius:g} m")
+    if not radius <= depth <= 200 * radius:
+        raise ValueError(f"a depth of {depth:g} m does not fit: give {radius:g} to {200 * radius:g} m")
     return Cylinders(radius_m=radius, normal_m=tuning.normal_radii * radius, depth_m=depth, cores_m=radius)
 
 
@@ -136,30 +136,21 @@ def m3c2(
 
     ``registration`` (N,): sigma of what one cloud may be shifted against the other, along the normal.
     """
-    one, two = (_sections(cores, normal, points, cylinders) for points in clouds)
-    enough = (one.count >= tuning.least_points) & (two.count >= tuning.least_points)
-    distance = np.where(enough, two.mean - one.mean, np.nan)
-    variance = one.variance_of_mean() + two.variance_of_mean() + np.square(registration)
-    return distance, np.where(enough, CONFIDENCE * np.sqrt(variance), np.nan)
+    (few, first, noise), (few_too, second, noise_too) = (
+        _sections(cores, normal, points, cylinders, tuning.least_points) for points in clouds
+    )
+    unknown = np.where(few | few_too, np.nan, 0.0)
+    return second - first + unknown, CONFIDENCE * np.sqrt(noise + noise_too + np.square(registration)) + unknown
 
 
-@dataclass(frozen=True)
-class _Section:
-    """What cylinders cut out of a cloud: number of points, mean and variance of their places along the axis, and mean
-    of the squared sigmas that the cloud states (0: it states none)."""
+def _sections(
+    cores: np.ndarray, normal: np.ndarray, points: Points, cylinders: Cylinders, least: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of what each cylinder cuts out of a cloud: whether it has fewer points than ``least``, mean of their places along
+    the axis, variance of that mean with the mean of the squared sigmas that the cloud states (0: it states none).
 
-    count: np.ndarray
-    mean: np.ndarray
-    variance: np.ndarray
-    stated: np.ndarray
-
-    def variance_of_mean(self) -> np.ndarray:
-        """(N,) NaN below two points."""
-        return np.asarray(self.variance / np.maximum(self.count, 1) + self.stated)
-
-
-def _sections(cores: np.ndarray, normal: np.ndarray, points: Points, cylinders: Cylinders) -> _Section:
-    """Of each cylinder. It is covered by balls along its axis: one ball around it would hold all walls beside it."""
+    A cylinder is covered by balls along its axis: one ball around it would hold all walls beside it.
+    """
     sums = np.zeros((4, len(cores)))
     if len(points) and len(cores):
         tree = cKDTree(points.xyz)
@@ -170,8 +161,7 @@ def _sections(cores: np.ndarray, normal: np.ndarray, points: Points, cylinders: 
         ball = float(np.hypot(cylinders.radius_m, half)) * (1 + 1e-9)
         for part in _batches(len(cores)):
             for low, high in zip(edges[:-1], edges[1:]):
-                centre = cores[part] + (low + half) * normal[part]
-                core, point = _pairs(centre, tree, ball)
+                core, point = _pairs(cores[part] + (low + half) * normal[part], tree, ball)
                 off = points.xyz[point] - cores[part][core]
                 along = np.einsum("ij,ij->i", off, normal[part][core])
                 away = np.sum(off**2, axis=1) - along**2
@@ -183,7 +173,7 @@ def _sections(cores: np.ndarray, normal: np.ndarray, points: Points, cylinders: 
     with np.errstate(invalid="ignore", divide="ignore"):
         mean = total / count
         variance = np.maximum(square - count * mean**2, 0) / (count - 1)
-        return _Section(count=count, mean=mean, variance=variance, stated=stated / count)
+        return count < least, mean, variance / np.maximum(count, 1) + stated / count
 
 
 def normals(cores: np.ndarray, xyz: np.ndarray, radius: float) -> np.ndarray:
@@ -192,16 +182,13 @@ def normals(cores: np.ndarray, xyz: np.ndarray, radius: float) -> np.ndarray:
     tree = cKDTree(xyz) if len(xyz) else None
     for part in _batches(len(cores) if tree is not None else 0):
         core, point = _pairs(cores[part], tree, radius)
-        size = part.stop - part.start
-        off = xyz[point] - cores[part][core]
+        size, off = part.stop - part.start, (xyz[point] - cores[part][core]).T
         count = np.bincount(core, minlength=size)
-        mean = np.stack([np.bincount(core, off[:, k], size) for k in range(3)], axis=1) / np.maximum(count, 1)[:, None]
-        spread = np.empty((size, 3, 3))
-        for a in range(3):
-            for b in range(3):
-                spread[:, a, b] = np.bincount(core, off[:, a] * off[:, b], size) - count * mean[:, a] * mean[:, b]
+        mean = np.stack([np.bincount(core, axis, size) for axis in off], axis=1) / np.maximum(count, 1)[:, None]
+        moment = np.stack([np.bincount(core, a * b, size) for a in off for b in off], axis=1).reshape(-1, 3, 3)
+        spread = moment - count[:, None, None] * mean[:, :, None] * mean[:, None, :]
         enough = count >= 3
-        out[np.arange(part.start, part.stop)[enough]] = np.linalg.eigh(spread[enough])[1][:, :, 0]
+        out[part][enough] = np.linalg.eigh(spread[enough])[1][:, :, 0]
     return out
 
 
@@ -252,14 +239,13 @@ class Changes:
 
     def totals(self) -> dict[str, float]:
         """Areas in m2 and volumes in m3."""
-        gain = sum(c.volume_m3 for c in self.listed if c.volume_m3 > 0)
-        loss = sum(c.volume_m3 for c in self.listed if c.volume_m3 < 0)
+        volumes = np.array([c.volume_m3 for c in self.listed])
         return {
             "compared_m2": self.compared_m2,
             "significant_m2": self.significant_m2,
             "changed_m2": sum(c.area_m2 for c in self.listed),
-            "gain_m3": gain,
-            "loss_m3": -loss,
+            "gain_m3": float(volumes[volumes > 0].sum()),
+            "loss_m3": -float(volumes[volumes < 0].sum()),
         }
 
     def table(self, shift: np.ndarray, most: int) -> dict:
@@ -278,42 +264,26 @@ def changes(found: Differences, tuning: ChangesTuning) -> Changes:
     """
     known = found.known
     xyz, distance, loud = found.xyz[known], found.distance_m[known].astype(float), found.significant[known]
-    area = _areas(xyz, tuning.area_spacings * found.cylinders.cores_m)
-    where = np.flatnonzero(loud)
-    out = []
-    for sign in (1, -1):
-        rows = where[np.sign(distance[where]) == sign]
-        for piece in _pieces(xyz[rows], tuning.link_spacings * found.cylinders.cores_m):
-            if len(piece) < tuning.least_cores:
-                continue
-            own, a = distance[rows[piece]], area[rows[piece]]
-            out.append(
-                Change(
-                    middle=np.median(xyz[rows[piece]], axis=0),
-                    cores=len(piece),
-                    area_m2=float(a.sum()),
-                    mean_m=float(np.average(own, weights=a)),
-                    largest_m=float(own[np.argmax(np.abs(own))]),
-                    volume_m3=float(a @ own),
-                )
+    if not len(xyz):
+        return Changes(listed=(), compared_m2=0.0, significant_m2=0.0)
+    # A point stands for a disc that it shares with the points in it; at a border that is too large by half.
+    radius = tuning.area_spacings * found.cylinders.cores_m
+    area = np.pi * radius**2 / cKDTree(xyz).query_ball_point(xyz, radius, return_length=True, workers=-1)
+    where, out = np.flatnonzero(loud), []
+    i, j = cKDTree(xyz[where]).query_pairs(tuning.link_spacings * found.cylinders.cores_m, output_type="ndarray").T
+    alike = np.sign(distance[where[i]]) == np.sign(distance[where[j]])
+    label = graph.parts(i[alike], j[alike], len(where))
+    for piece in (where[label == k] for k in np.flatnonzero(np.bincount(label) >= tuning.least_cores)):
+        own, a = distance[piece], area[piece]
+        out.append(
+            Change(
+                middle=np.median(xyz[piece], axis=0),
+                cores=len(piece),
+                area_m2=float(a.sum()),
+                mean_m=float(np.average(own, weights=a)),
+                largest_m=float(own[np.argmax(np.abs(own))]),
+                volume_m3=float(a @ own),
             )
+        )
     out.sort(key=lambda c: -abs(c.volume_m3))
     return Changes(listed=tuple(out), compared_m2=float(area.sum()), significant_m2=float(area[loud].sum()))
-
-
-def _areas(xyz: np.ndarray, radius: float) -> np.ndarray:
-    """(N,) the surface that each point stands for: a disc shared by the points in it; at a border too large by half."""
-    if not len(xyz):
-        return np.zeros(0)
-    tree = cKDTree(xyz)
-    return np.pi * radius**2 / tree.query_ball_point(xyz, radius, return_length=True, workers=-1)
-
-
-def _pieces(xyz: np.ndarray, link: float) -> list[np.ndarray]:
-    """Rows of the points that hang together."""
-    if not len(xyz):
-        return []
-    i, j = cKDTree(xyz).query_pairs(link, output_type="ndarray").T
-    label = graph.parts(i, j, len(xyz))
-    order = np.argsort(label, kind="stable")
-    return np.split(order, np.flatnonzero(np.diff(label[order])) + 1)

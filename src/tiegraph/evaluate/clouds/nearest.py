@@ -13,7 +13,6 @@ from tiegraph.scene.results import Metric
 from tiegraph.scene.sorting import row_numbers, run_starts
 
 _PART = 500_000  # points looked up at once
-_STEPS = np.array([1.0, 2.0, 5.0])
 _JUDGED = np.dtype([("xyz", "<f8", 3), ("distance_m", "<f4")])
 # Of a point: distance to the other cloud (inf: further than looked for), numbers of band and section, does it count?
 _ROW = np.dtype([("distance_m", "<f4"), ("group", "u1", 2), ("counts", "?")])
@@ -72,9 +71,10 @@ def criteria_of(
 
 def _series(least: float, count: int) -> tuple[float, ...]:
     """So many numbers 1, 2, 5 x 10^k, none below the least."""
-    start = int(np.floor(np.log10(least))) if np.isfinite(least) and least > 0 else -2
-    steps = [float(f"{s * 10.0**k:.6g}") for k in range(start, start + count + 1) for s in _STEPS]
-    return tuple([s for s in steps if s >= least * (1 - 1e-9)] if np.isfinite(least) else steps)[:count]
+    least = least if np.isfinite(least) and least > 0 else 0.01
+    start = int(np.floor(np.log10(least)))
+    steps = (float(f"{s * 10.0**k:.6g}") for k in range(start, start + count + 1) for s in (1, 2, 5))
+    return tuple([s for s in steps if s >= least * (1 - 1e-9)][:count])
 
 
 @dataclass(frozen=True)
@@ -90,8 +90,7 @@ class Cameras:
 
     def section_numbers(self) -> np.ndarray:
         """(K,) number of each camera's section."""
-        number = {name: k for k, name in enumerate(self.sections())}
-        return np.array([number[s] for s in self.section], int)
+        return np.array([self.sections().index(s) for s in self.section], int)
 
 
 @dataclass(frozen=True)
@@ -176,62 +175,51 @@ def cloud_to_cloud(
         if not clouds.count(which):
             raise ValueError(f"the {what} has no points to compare")
     path = scratch / "judged.points"
-    found: tuple[list[np.ndarray], list[np.ndarray]] = ([], [])
+    found: list[tuple[np.ndarray, np.ndarray]] = []
     with open(path, "wb") as out:
         for tile in range(len(clouds)):
-            xyz, own = _cloud_rows(clouds, tile, criteria, cameras)
-            found[0].append(own)
-            found[1].append(_reference_rows(clouds, tile, criteria, cameras))
-            judged = own["counts"]
-            rows = np.zeros(int(judged.sum()), _JUDGED)
-            rows["xyz"], distance = xyz[judged], own["distance_m"][judged]
-            rows["distance_m"] = np.where(np.isfinite(distance), distance, np.nan)
+            (xyz, own), (_, back) = (_judged(clouds, which, tile, criteria, cameras) for which in (0, 1))
+            found.append((own, back))
+            rows = np.zeros(int(own["counts"].sum()), _JUDGED)
+            distance = own["distance_m"][own["counts"]]
+            rows["xyz"], rows["distance_m"] = xyz[own["counts"]], np.where(np.isfinite(distance), distance, np.nan)
             out.write(rows.tobytes())
-    cloud, reference = np.concatenate(found[0]), np.concatenate(found[1])
-    del found
+    cloud, reference = (np.concatenate(side) for side in zip(*found))
     if not cloud["counts"].any():
         raise ValueError(apart(clouds))
     if not reference["counts"].any():
         raise ValueError(f"no reference point lies within {criteria.range_m:g} m of a camera: do both share a frame?")
-    bands, sections = ((), ()) if cameras is None else (_band_names(), cameras.sections())
+    bands = [f"{a:g} to {b:g} m" for a, b in zip((0.0, *_BANDS_M), _BANDS_M)] + [f"over {_BANDS_M[-1]:g} m"]
+    names = ([], ()) if cameras is None else (bands, cameras.sections())
+    by_band, by_section = (_grouped(cloud, reference, criteria, k, own) for k, own in enumerate(names))
     return CloudComparison(
         criteria=criteria,
         whole=_shares(cloud, reference, criteria),
-        sections=_grouped(cloud, reference, criteria, 1, sections),
-        bands=_grouped(cloud, reference, criteria, 0, bands),
+        sections=by_section,
+        bands=by_band,
         judged=path,
     )
 
 
-def _cloud_rows(
-    clouds: TiledClouds, tile: int, criteria: Criteria, cameras: Cameras | None
+def _judged(
+    clouds: TiledClouds, which: int, tile: int, criteria: Criteria, cameras: Cameras | None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Points (N, 3) of the cloud in a tile that are judged, and their rows (N,): one counts where the reference
-    observed."""
-    xyz = thinned(clouds, 0, tile, criteria.voxel_m)
-    other = clouds.around(1, tile, criteria.reach_m).xyz
-    low, high = (corner[1][2] for corner in (clouds.low, clouds.high))
-    inside = (xyz[:, 2] >= low - criteria.observed_m) & (xyz[:, 2] <= high + criteria.observed_m)
-    inside &= nearest(xyz[:, :2], other[:, :2], criteria.observed_m) <= criteria.observed_m
-    _, group = _groups(xyz, cameras)
-    return xyz, _rows(nearest(xyz, other, criteria.reach_m), group, inside)
-
-
-def _reference_rows(clouds: TiledClouds, tile: int, criteria: Criteria, cameras: Cameras | None) -> np.ndarray:
-    """Rows (N,) of the reference's points in a tile: one counts near a camera."""
-    xyz = thinned(clouds, 1, tile, criteria.voxel_m)
-    other = clouds.around(0, tile, criteria.reach_m).xyz
-    away, group = _groups(xyz, cameras)
-    counts = away <= (np.inf if criteria.range_m is None else criteria.range_m)
-    return _rows(nearest(xyz, other, criteria.reach_m), group, counts)
-
-
-def _groups(xyz: np.ndarray, cameras: Cameras | None) -> tuple[np.ndarray, np.ndarray]:
-    """Distance (N,) to the nearest camera, and the numbers (N, 2) of band and section."""
-    if cameras is None:
-        return np.zeros(len(xyz)), np.zeros((len(xyz), 2), np.uint8)
-    away, near = cKDTree(cameras.centres).query(xyz)
-    return away, np.stack([np.searchsorted(_BANDS_M, away), cameras.section_numbers()[near]], axis=1).astype(np.uint8)
+    """Points (N, 3) of either side in a tile that are judged, and their rows (N,): one of the cloud counts where the
+    reference observed, one of the reference near a camera."""
+    xyz = thinned(clouds, which, tile, criteria.voxel_m)
+    other = clouds.around(1 - which, tile, criteria.reach_m).xyz
+    rows, away = np.zeros(len(xyz), _ROW), np.zeros(len(xyz))
+    rows["distance_m"] = nearest(xyz, other, criteria.reach_m)
+    if cameras is not None:
+        away, near = cKDTree(cameras.centres).query(xyz)
+        rows["group"] = np.stack([np.searchsorted(_BANDS_M, away), cameras.section_numbers()[near]], axis=1)
+    if which == 1:
+        rows["counts"] = away <= (criteria.range_m or np.inf)
+        return xyz, rows
+    beyond = criteria.observed_m
+    level = (xyz[:, 2] >= clouds.low[1][2] - beyond) & (xyz[:, 2] <= clouds.high[1][2] + beyond)
+    rows["counts"] = level & (nearest(xyz[:, :2], other[:, :2], beyond) <= beyond)
+    return xyz, rows
 
 
 def thinned(clouds: TiledClouds, which: int, tile: int, voxel_m: float) -> np.ndarray:
@@ -258,12 +246,6 @@ def nearest(points: np.ndarray, target: np.ndarray, limit: float = np.inf) -> np
         part = slice(start, start + _PART)
         out[part] = tree.query(points[part], distance_upper_bound=limit * (1 + 1e-12), workers=-1)[0]
     return out
-
-
-def _rows(distance: np.ndarray, group: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    rows = np.zeros(len(distance), _ROW)
-    rows["distance_m"], rows["group"], rows["counts"] = distance, group, counts
-    return rows
 
 
 def _shares(cloud: np.ndarray, reference: np.ndarray, criteria: Criteria) -> Shares:
@@ -298,11 +280,6 @@ def _grouped(
     return found if len(found) > 1 else {}
 
 
-def _band_names() -> tuple[str, ...]:
-    between = [f"{a:g} to {b:g} m" for a, b in zip((0.0, *_BANDS_M), _BANDS_M)]
-    return (*between, f"over {_BANDS_M[-1]:g} m")
-
-
 def meeting(clouds: TiledClouds) -> None:
     """Raise ValueError for clouds whose boxes do not meet."""
     if (np.maximum(*clouds.low) > np.minimum(*clouds.high)).any():
@@ -311,16 +288,12 @@ def meeting(clouds: TiledClouds) -> None:
 
 def apart(clouds: TiledClouds) -> str:
     """That two clouds do not meet, and where they are."""
-    where = [f"from {_corner(clouds.low[k])} to {_corner(clouds.high[k])}" for k in (0, 1)]
+    corners = [["(" + ", ".join(f"{v:.2f}" for v in xyz) + ")" for xyz in side] for side in (clouds.low, clouds.high)]
+    own, other = (f"from {low} to {high}" for low, high in zip(*corners))
     gap = np.maximum(*clouds.low) - np.minimum(*clouds.high)
     why = "are both in one CRS, with heights above the same surface?"
     if gap[0] <= 0 and gap[1] <= 0 < gap[2]:
-        apart_m = abs(
-            float(np.mean(clouds.low[0][2:] + clouds.high[0][2:] - clouds.low[1][2:] - clouds.high[1][2:])) / 2
-        )
-        why = f"they lie over each other, {apart_m:.0f} m apart: is one above the ellipsoid, the other above a geoid?"
-    return f"the cloud (x, y, z {where[0]}) and the other ({where[1]}) do not meet: {why}"
-
-
-def _corner(xyz: np.ndarray) -> str:
-    return "(" + ", ".join(f"{v:.2f}" for v in xyz) + ")"
+        middle = (clouds.low + clouds.high)[:, 2] / 2
+        off = f"{abs(middle[0] - middle[1]):.0f} m apart"
+        why = f"they lie over each other, {off}: is one above the ellipsoid, the other above a geoid?"
+    return f"the cloud (x, y, z {own}) and the other ({other}) do not meet: {why}"

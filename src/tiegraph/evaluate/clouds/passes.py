@@ -1,7 +1,7 @@
 """How well two passes of one survey agree, by M3C2 between the clouds of each: what tells without any reference."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -50,13 +50,9 @@ class PassAgreement:
     def metrics(self) -> list[Metric]:
         """The figures of merit."""
         whole = self.found.get(_WHOLE, {})
-        names = {"passes_median": ("median m", "m"), "passes_spread": ("spread m", "m"),
-                 "passes_significant": ("significant %", "%")}  # fmt: skip
-        return [
-            Metric(name=name, value=whole[of], unit=unit, better="low")
-            for name, (of, unit) in names.items()
-            if of in whole
-        ]
+        named = (("median", "median m", "m"), ("spread", "spread m", "m"), ("significant", "significant %", "%"))
+        known = (row for row in named if row[1] in whole)
+        return [Metric(name=f"passes_{n}", value=whole[of], unit=unit, better="low") for n, of, unit in known]
 
     def tables(self) -> dict[str, dict]:
         """The table for metrics.json: by section where there are several."""
@@ -64,8 +60,7 @@ class PassAgreement:
         shown = {n: v for n, v in self.found.items() if n == _WHOLE or len(self.found) > 2}
         rows = [[name, *(values.get(c) for c in columns)] for name, values in shown.items()]
         short = {"95 % of absolute m": "95 % within m", "level of detection m": "detection m"}
-        named = [short.get(c, c) for c in columns]
-        return {TABLE: {"columns": ["section", *named], "rows": rows}} if columns else {}
+        return {TABLE: {"columns": ["section", *(short.get(c, c) for c in columns)], "rows": rows}} if columns else {}
 
     def note(self) -> str:
         """What was compared and what that does not tell."""
@@ -93,14 +88,10 @@ class PassAgreement:
 
 def by_section(found: Differences, cameras: Cameras) -> dict[str, dict[str, float]]:
     """Summaries of differences, of all and by the section of the nearest camera."""
-    out = {_WHOLE: found.summary()}
     nearest = cKDTree(cameras.centres).query(found.xyz)[1] if len(found) else np.zeros(0, int)
-    section = cameras.section_numbers()[nearest]
-    for name in sorted(cameras.sections()):
-        k = cameras.sections().index(name)
-        columns = {c: getattr(found, c)[section == k] for c in ("xyz", "normal", "distance_m", "lod_m")}
-        out[name] = replace(found, **columns).summary()
-    return {n: {k: float(f"{v:.6g}") for k, v in values.items()} for n, values in out.items()}
+    section = np.array(cameras.section)[nearest]
+    parts = {_WHOLE: found, **{name: found.where(section == name) for name in sorted(cameras.sections())}}
+    return {n: {k: float(f"{v:.6g}") for k, v in part.summary().items()} for n, part in parts.items()}
 
 
 def near_places(first: np.ndarray, second: np.ndarray, tuning: PassesTuning) -> tuple[np.ndarray, np.ndarray]:

@@ -3,11 +3,12 @@
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from scipy import ndimage
 
 from tiegraph.evaluate.clouds.m3c2 import Differences
 from tiegraph.scene.figures import png
-from tiegraph.scene.sorting import order_of, row_numbers, run_starts
 from tiegraph.text import round_below
 
 _CELLS = 500  # along the longer side
@@ -24,21 +25,19 @@ def difference_map(found: Differences, title: str, only_significant: bool = Fals
     axes = figure.add_subplot()
     axes.set_title(title, fontsize=11, loc="left")
     if len(xyz):
-        edge = max(float(np.ptp(xyz[:, :2], axis=0).max()) / _CELLS, found.cylinders.cores_m)
-        extent: Any = tuple(_extent(xyz, edge))
-        limit = float(np.percentile(np.abs(value), 95)) or 1e-3
+        edge, low = max(float(wide), float(high)) / _CELLS, xyz[:, :2].min(axis=0)
+        at = np.floor((xyz[:, :2] - low) / max(edge, found.cylinders.cores_m)).astype(np.int64)
+        size = at.max(axis=0) + 1
+        extent = np.column_stack([low, low + size * max(edge, found.cylinders.cores_m)]).ravel().tolist()
+        shown: dict[str, Any] = {"origin": "lower", "extent": extent, "interpolation": "nearest"}
+        loud = found.significant[found.known] if only_significant else np.ones(len(xyz), bool)
         if only_significant:
-            loud = found.significant[found.known]
-            axes.imshow(np.where(np.isnan(_grid(xyz, value, edge)), np.nan, 0.85), cmap="gray", vmin=0, vmax=1,
-                        origin="lower", extent=extent, interpolation="nearest")  # fmt: skip
-            limit = float(np.percentile(np.abs(value[loud]), 95)) if loud.any() else limit
-            value = np.where(loud, value, np.nan)
-        grid = _grid(xyz, value, edge)
-        shown = axes.imshow(grid, cmap="coolwarm", vmin=-limit, vmax=limit, origin="lower", extent=extent,
-                            interpolation="nearest")  # fmt: skip
-        figure.colorbar(
-            shown, ax=axes, shrink=0.6, location="bottom", extend="both", label="difference along the normal, m"
-        )
+            grey = np.where(np.isnan(_medians(at, value, size)), np.nan, 0.85)
+            axes.imshow(grey, cmap="gray", vmin=0, vmax=1, **shown)
+        limit = float(np.percentile(np.abs(value[loud] if loud.any() else value), 95)) or 1e-3
+        drawn = axes.imshow(_medians(at[loud], value[loud], size), cmap="coolwarm", vmin=-limit, vmax=limit, **shown)
+        label = "difference along the normal, m"
+        figure.colorbar(drawn, ax=axes, shrink=0.6, location="bottom", extend="both", label=label)
         _scale_bar(axes, extent)
         axes.text(0.01, 0.99, "N \u2191", transform=axes.transAxes, va="top", fontsize=11)
     else:
@@ -47,28 +46,15 @@ def difference_map(found: Differences, title: str, only_significant: bool = Fals
     return png(figure)
 
 
-def _extent(xyz: np.ndarray, edge: float) -> np.ndarray:
-    """(4,) left, right, low, high of the grid."""
-    low = xyz[:, :2].min(axis=0)
-    size = np.floor((xyz[:, :2].max(axis=0) - low) / edge) + 1
-    return np.column_stack([low, low + size * edge]).ravel()
+def _medians(at: np.ndarray, value: np.ndarray, size: np.ndarray) -> np.ndarray:
+    """(Y, X) median of the values (N,) in each cell x, y (N, 2), NaN without any."""
+    cell = at[:, 1] * size[0] + at[:, 0]
+    out, found = np.full(size[0] * size[1], np.nan), np.unique(cell)
+    out[found] = ndimage.median(value, cell, found) if len(found) else []
+    return out.reshape(size[1], size[0])
 
 
-def _grid(xyz: np.ndarray, value: np.ndarray, edge: float) -> np.ndarray:
-    """(Y, X) median by cell, NaN without a value."""
-    at = np.floor((xyz[:, :2] - xyz[:, :2].min(axis=0)) / edge).astype(np.int64)
-    out = np.full((at[:, 1].max() + 1, at[:, 0].max() + 1), np.nan)
-    there = np.isfinite(value)
-    if there.any():
-        at, value = at[there], value[there]
-        order = order_of(row_numbers(at.T))
-        begin = run_starts(row_numbers(at[order].T))
-        for rows in np.split(order, begin[1:]):
-            out[at[rows[0], 1], at[rows[0], 0]] = np.median(value[rows])
-    return out
-
-
-def _scale_bar(axes, extent: np.ndarray) -> None:  # type: ignore[no-untyped-def]
+def _scale_bar(axes: Axes, extent: list[float]) -> None:
     left, right, low, high = extent
     length, y = round_below((right - left) / 4), low - 0.04 * (high - low)
     axes.plot([left, left + length], [y, y], color="#444444", linewidth=3, solid_capstyle="butt", clip_on=False)

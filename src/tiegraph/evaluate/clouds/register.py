@@ -16,6 +16,7 @@ from tiegraph.geometry.coarse import Start, normals, start_of
 from tiegraph.scene.cloudchunks import PointSource
 
 _PARTS, _CELLS = 10, 20  # of the jackknife: each a tenth of the cells, of which the survey's length has so many
+_ROUNDS, _STILL = 20, 1e-3  # with each reach at most, until no point moves by more than this share of the spacing
 _NAMES = ("turn about x", "turn about y", "turn about z", "x", "y", "z", "scale")
 _TUKEY = 4.685  # residuals beyond so many sigmas do not count (Tukey's function, 95 % efficient)
 
@@ -89,56 +90,53 @@ def register(
     extent = float(np.median(np.linalg.norm(fit(cloud) - middle, axis=1)))
     unknowns = 7 if with_scale else 6
     unit = np.r_[np.full(3, 1 / extent), np.ones(3), 1 / extent][:unknowns]  # all unknowns move points by metres
+
+    def met(reach: float) -> _Equations:
+        return _equations(fit(cloud), (tree, normal), reach * spacing, tuning, middle, unit)
+
     for reach in tuning.reach_spacings:
-        for _ in range(tuning.rounds):
-            pairs = _meet(fit(cloud), tree, normal, reach * spacing, tuning, middle, unit)
-            step = np.linalg.solve(pairs.matrix, pairs.vector)
+        for _ in range(_ROUNDS):
+            found = met(reach)
+            step = np.linalg.solve(found.matrix.sum(axis=0), found.vector.sum(axis=0))
             fit = _moved(fit, np.r_[step * unit, np.zeros(7 - unknowns)], middle)
-            if np.abs(step).max() < tuning.still * spacing:
+            if np.abs(step).max() < _STILL * spacing:
                 break
-    pairs = _meet(fit(cloud), tree, normal, tuning.reach_spacings[-1] * spacing, tuning, middle, unit)
+    found = met(tuning.reach_spacings[-1])
     covariance = np.zeros((7, 7))
-    covariance[:unknowns, :unknowns] = pairs.covariance() * np.outer(unit, unit)
+    covariance[:unknowns, :unknowns] = found.covariance() * np.outer(unit, unit)
     return Registration(
-        fit=fit, error=PlacementError(middle, covariance), residual_m=pairs.sigma, used=pairs.share, start=start
+        fit=fit, error=PlacementError(middle, covariance), residual_m=found.sigma, used=found.share, start=start
     )
 
 
 @dataclass(frozen=True)
-class _Pairs:
+class _Equations:
     """Normal equations of the points that met, of each part of the survey (P, U, U), (P, U); and their residuals."""
 
-    matrices: np.ndarray
-    vectors: np.ndarray
+    matrix: np.ndarray
+    vector: np.ndarray
     sigma: float
     share: float
 
-    @property
-    def matrix(self) -> np.ndarray:
-        return np.asarray(self.matrices.sum(axis=0))
-
-    @property
-    def vector(self) -> np.ndarray:
-        return np.asarray(self.vectors.sum(axis=0))
-
     def covariance(self) -> np.ndarray:
         """Of the unknowns: what the fit becomes without each part, and the formal one if that is larger."""
-        formal = np.linalg.inv(self.matrix) * self.sigma**2
-        left = [np.linalg.solve(self.matrix - m, self.vector - v) for m, v in zip(self.matrices, self.vectors)]
-        off = np.array(left) - np.mean(left, axis=0)
-        return np.asarray(formal + (len(left) - 1) / len(left) * off.T @ off)
+        whole, right = self.matrix.sum(axis=0), self.vector.sum(axis=0)
+        left = np.linalg.solve(whole - self.matrix, (right - self.vector)[:, :, None])[:, :, 0]
+        off = left - left.mean(axis=0)
+        return np.asarray(np.linalg.inv(whole) * self.sigma**2 + (len(left) - 1) / len(left) * off.T @ off)
 
 
-def _meet(
+def _equations(
     xyz: np.ndarray,
-    tree: cKDTree,
-    normal: np.ndarray,
+    planes: tuple[cKDTree, np.ndarray],
     reach: float,
     tuning: RegistrationTuning,
     middle: np.ndarray,
     unit: np.ndarray,
-) -> _Pairs:
-    """Pair points (N, 3) with the nearest planes of the reference, and set up the equations of the next step."""
+) -> _Equations:
+    """Pair points (N, 3) with the nearest planes (points and normals) of the reference, and set up the equations of the
+    next step."""
+    tree, normal = planes
     away, at = tree.query(xyz, distance_upper_bound=reach, workers=-1)
     met = np.isfinite(away)
     if met.sum() < tuning.least_points:
@@ -154,17 +152,14 @@ def _meet(
     design = np.column_stack([np.cross(from_middle, n), n, growth])[:, : len(unit)] * unit
     cell = np.floor(from_middle * (_CELLS / np.ptp(from_middle, axis=0).max())).astype(int)
     part = cell @ (1, 3, 7) % _PARTS
-    matrices, vectors = [], []
-    for k in range(_PARTS):
-        rows, w = design[part == k], weight[part == k]
-        matrices.append((w[:, None] * rows).T @ rows)
-        vectors.append(rows.T @ (w * residual[part == k]))
-    pairs = _Pairs(matrices=np.array(matrices), vectors=np.array(vectors), sigma=sigma, share=float(met.mean()))
-    values, vectors_ = np.linalg.eigh(pairs.matrix)
+    rows = [(weight[:, None] * design)[part == k] for k in range(_PARTS)]
+    matrix = np.array([rows[k].T @ design[part == k] for k in range(_PARTS)])
+    vector = np.array([rows[k].T @ residual[part == k] for k in range(_PARTS)])
+    values, axes = np.linalg.eigh(matrix.sum(axis=0))
     if values[0] < tuning.open_share * values[-1]:
-        loose = _NAMES[int(np.argmax(np.abs(vectors_[:, 0])))]
+        loose = _NAMES[int(np.argmax(np.abs(axes[:, 0])))]
         raise ValueError(f"the surfaces do not tell {loose}: they slide along each other; compare without registration")
-    return pairs
+    return _Equations(matrix=matrix, vector=vector, sigma=sigma, share=float(met.mean()))
 
 
 def _moved(fit: Similarity, step: np.ndarray, middle: np.ndarray) -> Similarity:

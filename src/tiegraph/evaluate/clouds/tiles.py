@@ -1,7 +1,8 @@
-"""Two clouds in files, cut in plan into tiles of a bounded number of points, each read with a halo."""
+"""Two clouds in files, cut across the longer side of the survey into tiles of a bounded number of points, each read
+with a halo."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -9,56 +10,18 @@ from scipy.spatial import cKDTree
 
 from tiegraph.evaluate.tuning import CloudTuning
 from tiegraph.scene.cloudchunks import Points, PointSource
-from tiegraph.scene.sorting import order_of
 
 _PART = 1_000_000  # points moved at once
-_ROW = 32  # bytes
-_CELLS = 1024  # along the longer side, of which tiles are made: 8 MB a count
-
-
-@dataclass(frozen=True)
-class _Grid:
-    """Cells in plan: their low corner (2,), edge, and how many there are in x and y."""
-
-    low: np.ndarray
-    edge: float
-    shape: tuple[int, int]
-
-    def cells(self, xyz: np.ndarray) -> np.ndarray:
-        """(N,) number of the cell of each point."""
-        at = np.floor((xyz[:, :2] - self.low) / self.edge).astype(np.int64)
-        at = np.clip(at, 0, np.array(self.shape) - 1)
-        return np.asarray(at[:, 0] * self.shape[1] + at[:, 1])
-
-
-def _rows(path: Path, begin: int = 0, end: int | None = None) -> Iterator[np.ndarray]:
-    """Rows (N, 4) x, y, z, sigma of a file from ``begin`` to ``end`` (None: the last), part by part; read and not
-    mapped, for mapped pages count as memory of the process."""
-    last = path.stat().st_size // _ROW if end is None else end
-    for start in range(begin, last, _PART):
-        count = min(_PART, last - start)
-        yield np.fromfile(path, np.float64, 4 * count, offset=_ROW * start).reshape(-1, 4)
-
-
-@dataclass(frozen=True)
-class _Laid:
-    """The rows of a cloud sorted by tile in a file; those of tile t begin at ``start[t]``."""
-
-    path: Path
-    start: np.ndarray
-
-    def rows(self, tile: int) -> Iterator[np.ndarray]:
-        return _rows(self.path, int(self.start[tile]), int(self.start[tile + 1]))
-
-    def own(self, tile: int) -> np.ndarray:
-        return np.concatenate([np.zeros((0, 4)), *self.rows(tile)])
+_ROW = 32  # bytes: x, y, z, sigma
+_CELLS = 4096  # along the longer side, of which tiles are made
 
 
 @dataclass(frozen=True)
 class TiledClouds:
-    """Two clouds (0, 1) by tiles; ``bounds`` (T, 4) of the tiles: low x, low y, high x, high y."""
+    """Two clouds (0, 1) by tiles: a file of each for either; ``bounds`` (T, 2) of the tiles along ``axis``."""
 
-    laid: list[_Laid]
+    files: list[list[Path]]
+    axis: int
     bounds: np.ndarray
     low: np.ndarray  # (2, 3) corners of each
     high: np.ndarray
@@ -69,32 +32,24 @@ class TiledClouds:
 
     def exchanged(self) -> "TiledClouds":
         """The same with cloud 1 as cloud 0."""
-        return TiledClouds(
-            laid=self.laid[::-1],
-            bounds=self.bounds,
-            low=self.low[::-1],
-            high=self.high[::-1],
-            spacing_m=self.spacing_m[::-1],
-        )
+        turned = {"low": self.low[::-1], "high": self.high[::-1], "spacing_m": self.spacing_m[::-1]}
+        return replace(self, files=self.files[::-1], **turned)
 
     def count(self, which: int) -> int:
         """Points of a cloud."""
-        return int(self.laid[which].start[-1])
+        return sum(file.stat().st_size for file in self.files[which]) // _ROW
 
     def own(self, which: int, tile: int) -> Points:
         """The points of a cloud in a tile."""
-        return _points(self.laid[which].own(tile))
+        return _points([*_rows(self.files[which][tile])])
 
     def halo(self, which: int, tile: int, reach: float) -> Points:
-        """The points of a cloud outside a tile, within ``reach`` of it in plan."""
+        """The points of a cloud outside a tile, within ``reach`` of it."""
         reach = reach * (1 + 1e-9) + 1e-9
-        low, high = self.bounds[tile, :2] - reach, self.bounds[tile, 2:] + reach
-        near = (self.bounds[:, :2] <= high).all(axis=1) & (self.bounds[:, 2:] >= low).all(axis=1)
-        found = [np.zeros((0, 4))]
-        for other in np.flatnonzero(near):
-            for part in self.laid[which].rows(int(other)) if other != tile else ():
-                found.append(part[((part[:, :2] >= low) & (part[:, :2] <= high)).all(axis=1)])
-        return _points(np.concatenate(found))
+        low, high = self.bounds[tile, 0] - reach, self.bounds[tile, 1] + reach
+        near = np.flatnonzero((self.bounds[:, 0] <= high) & (self.bounds[:, 1] >= low))
+        parts = (part for other in near if other != tile for part in _rows(self.files[which][other]))
+        return _points([p[(p[:, self.axis] >= low) & (p[:, self.axis] <= high)] for p in parts])
 
     def around(self, which: int, tile: int, reach: float) -> Points:
         """The points of a cloud in a tile, then those of its halo."""
@@ -102,30 +57,57 @@ class TiledClouds:
         return Points(np.concatenate([own.xyz, halo.xyz]), np.concatenate([own.sigma, halo.sigma]))
 
 
-def _points(rows: np.ndarray) -> Points:
-    return Points(rows[:, :3].copy(), rows[:, 3].copy())
-
-
 def tile_clouds(first: PointSource, second: PointSource, scratch: Path, tuning: CloudTuning) -> TiledClouds:
     """Lay two clouds into files of the folder ``scratch``: 32 bytes a point, twice that while they are sorted.
 
-    Memory is that of a part, and later of one tile and its halo: a tile holds ``tuning.tile_points`` of both clouds at
-    most, unless they stand above one cell of a thousandth of the survey's extent. Raises InputError for clouds
-    that cannot be read (``open_cloud``).
+    Memory is that of a part, and later of one tile and its halo: a tile holds about ``tuning.tile_points`` of both
+    clouds, unless more stand above one cell of the survey's length. Raises InputError for clouds that cannot be read
+    (``open_cloud``).
     """
-    files = [scratch / "first.points", scratch / "second.points"]
-    corners = np.array([_copied(source, file) for source, file in zip((first, second), files)])
+    copies = [scratch / "first.points", scratch / "second.points"]
+    corners = np.array([_copied(source, file) for source, file in zip((first, second), copies)])
     low, high = corners[:, 0], corners[:, 1]
-    grid = _grid(low.min(axis=0), high.max(axis=0))
-    counts = sum((_counts(file, grid) for file in files), np.zeros(grid.shape, np.int64))
-    boxes = list(_split(counts, (0, 0, *grid.shape), tuning.tile_points))
-    tile_of = np.zeros(grid.shape, np.int64)
-    for k, (x, y, to_x, to_y) in enumerate(boxes):
-        tile_of[x:to_x, y:to_y] = k
-    laid = [_sorted(file, grid, tile_of.ravel(), len(boxes)) for file in files]
-    bounds = np.tile(grid.low, 2) + np.array(boxes, float) * grid.edge
-    spacing = np.array([_spacing(one, tuning) for one in laid])
-    return TiledClouds(laid=laid, bounds=bounds, low=low, high=high, spacing_m=spacing)
+    begin, size = low.min(axis=0), high.max(axis=0) - low.min(axis=0)
+    axis = int(size[1] > size[0])
+    edge = max(float(size[axis]), 1e-9) / _CELLS
+
+    def cells(rows: np.ndarray) -> np.ndarray:
+        return np.minimum(((rows[:, axis] - begin[axis]) / edge).astype(np.int64), _CELLS - 1)
+
+    count = sum(np.bincount(cells(part), minlength=_CELLS) for file in copies for part in _rows(file))
+    tile_of = np.unique(np.maximum(np.cumsum(count) - 1, 0) // tuning.tile_points, return_inverse=True)[1].ravel()
+    tiles = np.arange(tile_of[-1] + 1)
+    bounds = [np.searchsorted(tile_of, tiles, side=side) for side in ("left", "right")]
+    files = [[copy.with_suffix(f".{t}") for t in tiles] for copy in copies]
+    for copy, own in zip(copies, files):
+        for file in own:
+            file.write_bytes(b"")
+        for part in _rows(copy):
+            tile = tile_of[cells(part)]
+            for t in np.unique(tile):
+                with own[t].open("ab") as out:
+                    out.write(part[tile == t].tobytes())
+        copy.unlink()
+    return TiledClouds(
+        files=files,
+        axis=axis,
+        bounds=begin[axis] + edge * np.stack(bounds, axis=1),
+        low=low,
+        high=high,
+        spacing_m=np.array([_spacing(own) for own in files]),
+    )
+
+
+def _rows(path: Path) -> Iterator[np.ndarray]:
+    """Rows (N, 4) x, y, z, sigma of a file, part by part; read and not mapped, for mapped pages count as memory of the
+    process."""
+    for start in range(0, path.stat().st_size // _ROW, _PART):
+        yield np.fromfile(path, np.float64, 4 * _PART, offset=_ROW * start).reshape(-1, 4)
+
+
+def _points(rows: list[np.ndarray]) -> Points:
+    joined = np.concatenate([np.zeros((0, 4)), *rows])
+    return Points(joined[:, :3].copy(), joined[:, 3].copy())
 
 
 def _copied(source: PointSource, file: Path) -> tuple[np.ndarray, np.ndarray]:
@@ -139,60 +121,11 @@ def _copied(source: PointSource, file: Path) -> tuple[np.ndarray, np.ndarray]:
     return low, high
 
 
-def _grid(low: np.ndarray, high: np.ndarray) -> _Grid:
-    extent = (high - low)[:2]
-    edge = max(float(extent.max()) / _CELLS * (1 + 1e-9), 1e-9)
-    return _Grid(low[:2], edge, (int(extent[0] / edge) + 1, int(extent[1] / edge) + 1))
-
-
-def _counts(file: Path, grid: _Grid) -> np.ndarray:
-    out = np.zeros(grid.shape[0] * grid.shape[1], np.int64)
-    for part in _rows(file):
-        out += np.bincount(grid.cells(part), minlength=len(out))
-    return out.reshape(grid.shape)
-
-
-def _split(counts: np.ndarray, box: tuple[int, ...], most: int) -> Iterator[tuple[int, int, int, int]]:
-    """Boxes (x, y, to x, to y) of cells with at most so many points, or of one cell; none without points."""
-    inside = counts[box[0] : box[2], box[1] : box[3]]
-    total = int(inside.sum())
-    if total <= most or inside.size == 1:
-        if total:
-            yield box[0], box[1], box[2], box[3]
-        return
-    axis = int(inside.shape[1] > inside.shape[0])
-    along = np.cumsum(inside.sum(axis=1 - axis))
-    at = box[axis] + min(int(np.searchsorted(along, total / 2)) + 1, inside.shape[axis] - 1)
-    for part in ((*box[: 2 + axis], at, *box[3 + axis :]), (*box[:axis], at, *box[axis + 1 :])):
-        yield from _split(counts, part, most)
-
-
-def _sorted(file: Path, grid: _Grid, tile_of: np.ndarray, tiles: int) -> _Laid:
-    """The rows in a file sorted by tile; the other file goes."""
-    size = np.zeros(tiles, np.int64)
-    for part in _rows(file):
-        size += np.bincount(tile_of[grid.cells(part)], minlength=tiles)
-    start = np.r_[0, np.cumsum(size)]
-    filled, target = start[:-1].copy(), file.with_suffix(".tiles")
-    with open(target, "wb") as out:
-        for part in _rows(file):
-            tile = tile_of[grid.cells(part)]
-            order = order_of(tile)
-            count = np.bincount(tile, minlength=tiles)
-            at = np.cumsum(count) - count
-            for t in np.flatnonzero(count):
-                out.seek(_ROW * int(filled[t]))
-                out.write(part[order[at[t] : at[t] + count[t]]].tobytes())
-            filled += count
-    file.unlink()
-    return _Laid(target, start)
-
-
-def _spacing(laid: _Laid, tuning: CloudTuning) -> float:
-    """Median distance of points to the nearest of their cloud, in the fullest tile."""
-    full = laid.own(int(np.argmax(np.diff(laid.start))))[:, :3]
+def _spacing(files: list[Path]) -> float:
+    """Median distance to the nearest point, of some points of the fullest tile; NaN of a single point."""
+    full = _points([*_rows(max(files, key=lambda file: file.stat().st_size))]).xyz
     if len(full) < 2:
         return float("nan")
-    some = full[:: -(-len(full) // tuning.spacing_points)]
+    some = full[:: -(-len(full) // 5000)]
     tree = cKDTree(full, balanced_tree=False, compact_nodes=False)  # few are asked: made in a third of the time
     return float(np.median(tree.query(some, k=2)[0][:, 1]))

@@ -21,7 +21,6 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-_NUMBER = r"(\d[\d.,]*)"
 _CURRENT: ContextVar[str] = ContextVar("language", default="en")
 
 
@@ -59,6 +58,11 @@ def many(amount: int, one: str, several: str, *values: Any) -> str:
     return t(one if amount == 1 else several, *values)
 
 
+def capital(text: str) -> str:
+    """A text that begins with a capital."""
+    return text[:1].upper() + text[1:]
+
+
 def said(text: str) -> str:
     """A text of another stage in the current language; itself where the table does not know it."""
     for pattern, form in _patterns(_CURRENT.get()):
@@ -72,9 +76,7 @@ def said(text: str) -> str:
 def _patterns(name: str) -> list[tuple[re.Pattern[str], str]]:
     """The table ``said`` as patterns, the longest text first: what says more of a text decides."""
     rows = sorted(table(name)["said"].items(), key=lambda row: -len(row[0].replace("{}", "")))
-    return [(re.compile(_pattern(english)), form) for english, form in rows]
-
-
-def _pattern(english: str) -> str:
-    """The regular expression of a text with ``#`` for numbers and ``{}`` for parts."""
-    return re.escape(english).replace(r"\#", _NUMBER).replace(r"\{\}", "(.+?)")
+    forms = (
+        (re.escape(english).replace(r"\#", r"(\d[\d.,]*)").replace(r"\{\}", "(.+?)"), form) for english, form in rows
+    )
+    return [(re.compile(pattern), form) for pattern, form in forms]
