@@ -96,15 +96,14 @@ def _text(value: float | None) -> str:
 def comparison(planned: Mapping[str, Any], reached: Mapping[str, float | None]) -> Table:
     """Rows: planned, reached, reached over planned. ``planned``: a plan.json with a path. Raises InputError without.
 
-    An error measured against a reference stands beside the planned sigma in shape, which it is a sample of; not of a
-    relaxed rig (``relaxed`` = 1 in ``reached``), where it is also of the places of the cameras in the rig.
+    An error measured against a reference stands beside the planned sigma in shape, which it is a sample of.
     """
     path, stations = planned.get("path"), planned.get("stations")
     if not isinstance(path, dict) or not isinstance(stations, list) or not stations:
         raise InputError("the plan has no path to compare with: make it with --shape, and -o for its plan.json")
     first = {**stations[0], **path}
     rows = [_row(name, first.get(key), reached.get(key), factor) for name, key, factor in _ROWS]
-    if reached.get("ate_m") is not None and not reached.get("relaxed"):
+    if reached.get("ate_m") is not None:
         sigma = first.get("position_shape_sigma_median_m")
         rows.append(_row("error of cameras in shape (ATE), mm", sigma, reached["ate_m"], 1000.0))
     columns = ("figure", "planned", "reached", "reached / planned")
@@ -120,8 +119,7 @@ def _sentence(planned: Mapping[str, Any], reached: Mapping[str, float | None]) -
             parts.append(f"{what} is known to {1000 * run:.3g} mm where {1000 * plan:.3g} mm were planned")
     if not parts:
         return "plan and run have no sigma in common: a run without scale or position has none in metres"
-    alone = " (of each camera by itself, for they fired at different times)" if reached.get("relaxed") else ""
-    return " and ".join(parts) + alone
+    return " and ".join(parts)
 
 
 def _row(name: str, planned: Any, reached: Any, factor: float) -> tuple[str, ...]:

@@ -9,7 +9,6 @@ import pycolmap
 from scipy.spatial.distance import pdist, squareform
 
 from tiegraph.geometry.align import Similarity, rms_length
-from tiegraph.geometry.transforms import motions
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.covariance import PositionSigma
 
@@ -24,14 +23,12 @@ class Shape:
     """How N frames of a model may be off, after the best similarity of them all: the large eigenvectors of their
     covariance, times their sigmas, and the variance of the rest, from frame to frame.
 
-    ``index`` (N,) the scene's frames, ascending; ``reference`` (N,) bool those that stand for these: of a relaxed rig,
-    whose images are frames of their own, those of its first camera; ``place`` (N, 3); ``modes`` (M, N, 3) of unit
-    variance each; ``rest`` (N, 3); lengths in units of the model, along its axes. ``turn`` (3,) rad: by how much the
-    frames may be turned against their places, median.
+    ``index`` (N,) the scene's frames, ascending; ``place`` (N, 3); ``modes`` (M, N, 3) of unit variance each; ``rest``
+    (N, 3); lengths in units of the model, along its axes. ``turn`` (3,) rad: by how much the frames may be turned
+    against their places, median.
     """
 
     index: np.ndarray
-    reference: np.ndarray
     place: np.ndarray
     modes: np.ndarray
     rest: np.ndarray
@@ -46,34 +43,23 @@ class Shape:
         number = {name: k for k, name in enumerate(scene.names)}
         frames = [model.frame(k) for k in sigma.frame_ids]
         first = [min(number[model.image(d.id).name] for d in f.image_ids if model.exists_image(d.id)) for f in frames]
-        rows = np.argsort(scene.frame[first], kind="stable")
-        index, sensor = scene.frame[first][rows], scene.sensor[first][rows]
-        reference = (sensor == sensor.min()) | (len(np.unique(index)) == len(index))
+        rows = np.lexsort((scene.sensor[first], scene.frame[first]))
+        rows = rows[np.unique(scene.frame[first][rows], return_index=True)[1]]  # of cameras that fire apart the first
         at = (3 * rows[:, None] + np.arange(3)).ravel()
         place = np.array([_centre(frames[k]) for k in rows])
-        shape = Shape._of(index, reference, place, sigma.covariance[np.ix_(at, at)])
+        shape = Shape._of(scene.frame[first][rows], place, sigma.covariance[np.ix_(at, at)])
         if not rms_length(shape.sigma[:, None]) < rms_length(place - place.mean(axis=0)):
             return None
         return shape if sigma.turn is None else replace(shape, turn=np.median(sigma.turn, axis=0))
 
     @staticmethod
-    def _of(index: np.ndarray, reference: np.ndarray, place: np.ndarray, covariance: np.ndarray) -> Shape:
+    def _of(index: np.ndarray, place: np.ndarray, covariance: np.ndarray) -> Shape:
         values, vectors = np.linalg.eigh(covariance)
         values, vectors = np.clip(values[::-1], 0, None), vectors[:, ::-1]
         count = min(_MODES, int(np.searchsorted(np.cumsum(values), _EXPLAINED * values.sum())) + 1)
         modes = (vectors[:, :count] * np.sqrt(values[:count])).T.reshape(count, -1, 3)
         rest = np.clip(np.diag(covariance).reshape(-1, 3) - np.sum(modes**2, axis=0), 0, None)
-        return Shape(index=index, reference=reference, place=place, modes=modes, rest=rest)
-
-    def of_path(self) -> Shape | None:
-        """That of the first camera's way alone, after the best similarity of it; None of a rig that is not relaxed."""
-        if self.reference.all():
-            return None
-        place, flat = self.place[self.reference], self.modes[:, self.reference].reshape(len(self.modes), -1)
-        moves = motions(place - place.mean(axis=0)).reshape(-1, 7)
-        left = np.eye(len(moves)) - moves @ np.linalg.pinv(moves)
-        own = left @ (flat.T @ flat + np.diag(self.rest[self.reference].ravel())) @ left.T
-        return Shape._of(self.index[self.reference], self.reference[self.reference], place, own)
+        return Shape(index=index, place=place, modes=modes, rest=rest)
 
     @property
     def sigma(self) -> np.ndarray:
@@ -86,22 +72,20 @@ class Shape:
 
     def at(self, frames: np.ndarray) -> np.ndarray:
         """(K, 3, M) the modes at frames (K,) of the scene, between those that are known."""
-        index = self.index[self.reference]
-        flat = self.modes[:, self.reference].transpose(2, 0, 1).reshape(-1, len(index))
-        known = np.stack([np.interp(frames, index, row) for row in flat], axis=1)
+        flat = self.modes.transpose(2, 0, 1).reshape(-1, len(self.index))
+        known = np.stack([np.interp(frames, self.index, row) for row in flat], axis=1)
         return known.reshape(len(frames), 3, -1)
 
     def step(self, frames: np.ndarray, coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(K, 3) by which coefficients (M,) of the modes move frames (K,) of the scene, and sigmas (K, 3) of what the
         modes leave of it."""
-        modes, index = self.at(frames), self.index[self.reference]
-        rest = np.stack([np.interp(frames, index, row) for row in self.rest[self.reference].T], axis=1)
+        modes = self.at(frames)
+        rest = np.stack([np.interp(frames, self.index, row) for row in self.rest.T], axis=1)
         return modes @ coefficients, np.sqrt(rest + (1 - _EXPLAINED) * np.sum(modes**2, axis=2))
 
     def coefficients(self, moved: np.ndarray) -> np.ndarray:
         """(M,) of the modes by which the frames of the scene were ``moved`` (F, 3)."""
-        flat = self.modes[:, self.reference].reshape(len(self.modes), -1)
-        there = np.nan_to_num(moved[self.index[self.reference]])
+        flat, there = self.modes.reshape(len(self.modes), -1), np.nan_to_num(moved[self.index])
         return np.asarray(np.linalg.lstsq(flat.T, there.ravel(), rcond=None)[0])
 
     def moved(self, similarity: Similarity) -> Shape:
