@@ -36,21 +36,30 @@ class Helper(SpawnProcess):
     """A process of a run; see the module."""
 
     ended = False  # by us
+    _forked = False
 
     @staticmethod
     def _Popen(process_obj: Any) -> Any:
         """What starts it: the server where one runs, else a new interpreter."""
-        return forking.Popen(process_obj) if forking.running() else SpawnProcess._Popen(process_obj)
+        if not forking.running():
+            return SpawnProcess._Popen(process_obj)
+        from multiprocessing.popen_forkserver import Popen  # not on every system
+
+        return Popen(process_obj)
 
     @property
     def exitcode(self) -> int | None:
         """None while it runs."""
         with _LOOKING:
-            return super().exitcode
+            code = super().exitcode
+            # What multiprocessing says where the server was ended from outside, and its helpers with it.
+            lost = code == 255 and self._forked and not forking.running()
+            return -signal.SIGKILL if lost else code
 
     def start(self) -> None:
         """Start it deaf to the signals that stop a run: a terminal sends them to every process at once."""
         with _deaf(), _main_kept_out():
+            self._forked = forking.running()
             super().start()
 
     def run(self) -> None:
