@@ -79,7 +79,7 @@ def hand_eye(rig: Poses, lidar: Poses, given: Given, tuning: HandEyeTuning) -> H
     """
     found = _Problem(rig, lidar, given, tuning)
     values = found.best()
-    for _ in range(tuning.rounds):
+    for _ in range(4):  # of measuring the sigmas
         found.measure(values)
         values = found.refine(values)
     sigma, place_cov = found.sigmas(values)
@@ -94,7 +94,7 @@ def hand_eye(rig: Poses, lidar: Poses, given: Given, tuning: HandEyeTuning) -> H
         place_sigma_m=sigma[_PLACE],
         clock_sigma_s=float(sigma[_CLOCK]),
         scale_sigma=float(np.exp(values[_SCALE]) * sigma[_SCALE]),
-        left_open=_left_open(sigma, place_cov, tuning) if not held.all() else (),
+        left_open=_left_open(sigma, place_cov) if not held.all() else (),
         fit=Fit(found.inside(values[_CLOCK]), float(np.degrees(rms_length(turns))), rms_length(steps)),
     )
 
@@ -220,7 +220,7 @@ class _Problem:
     def best(self) -> np.ndarray:
         """The best of starts with different clock offsets, refined."""
         tuning = self.tuning
-        reach = np.arange(0, tuning.search_s + 1e-9, tuning.search_step_s)
+        reach = np.arange(0, tuning.search_s + 1e-9, 0.05)
         clocks = np.concatenate([-reach[:0:-1], reach]) if self.given.clock_s is None else [self.given.clock_s]
         all_kept = np.ones(len(self.rig.time_s), bool)
         starts = []
@@ -232,7 +232,7 @@ class _Problem:
         if not starts:
             raise InputError(self._apart())
         refined = []
-        for _, clock, values in sorted(starts, key=lambda s: s[:2])[: tuning.refined]:
+        for _, clock, values in sorted(starts, key=lambda s: s[:2])[:3]:
             self._pairs(clock, all_kept)
             values = self.refine(values)
             cost = np.log1p((self._weighted(values) / CAUCHY_SIGMAS) ** 2).mean()
@@ -304,10 +304,9 @@ class _Problem:
         """Sigmas of turns and steps by their residuals."""
         turns, steps = self.residuals(values)
         share = np.sqrt(turns.size / max(turns.size - self.free.sum() / 2, 1))
-        tuning = self.tuning
         self.sigma = (
-            max(MAD * share * float(np.median(np.abs(turns))), np.radians(tuning.least_sigma_deg)),
-            max(MAD * share * float(np.median(np.abs(steps))), tuning.least_sigma_m),
+            max(MAD * share * float(np.median(np.abs(turns))), np.radians(0.002)),
+            max(MAD * share * float(np.median(np.abs(steps))), 0.0005),
         )
 
     def sigmas(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -325,7 +324,7 @@ class _Problem:
     def _jackknife(self, values: np.ndarray) -> np.ndarray:
         """Covariance of the free parameters by leaving parts of the time out."""
         inside = np.flatnonzero(self.inside(values[_CLOCK]))
-        parts = min(self.tuning.blocks, len(inside) - self.tuning.least_frames + 1)
+        parts = min(6, len(inside) - self.tuning.least_frames + 1)
         blocks = np.array_split(inside, parts) if parts >= 3 else []
         kept = self.first, self.last, self.turn, self.step, self.jacobian, self.weight
         out = []
@@ -342,16 +341,16 @@ class _Problem:
         return (len(out) - 1) / len(out) * away.T @ away
 
 
-def _left_open(sigma: np.ndarray, place_cov: np.ndarray, tuning: HandEyeTuning) -> tuple[str, ...]:
+def _left_open(sigma: np.ndarray, place_cov: np.ndarray) -> tuple[str, ...]:
     out = []
-    if sigma[_CLOCK] > tuning.open_time_s:
+    if sigma[_CLOCK] > 0.1:
         out.append(f"{_CLOCK_OPEN} (sigma {sigma[_CLOCK]:.2g} s)")
     for axis, turn in zip("xyz", np.degrees(sigma[_TURN])):
-        if turn > tuning.open_turn_deg:
+        if turn > 2.0:
             out.append(f"the turn about {axis} of the rig (sigma {turn:.2g} degrees)")
     values, axes = np.linalg.eigh(place_cov)
     for variance, axis in zip(values[::-1], axes.T[::-1]):
-        if np.sqrt(max(variance, 0)) > tuning.open_place_m:
+        if np.sqrt(max(variance, 0)) > 0.5:
             said = ", ".join(f"{a:+.2f}" for a in axis)
             out.append(f"the lever arm along ({said}) of the rig (sigma {np.sqrt(variance):.2g} m)")
     return tuple(out)

@@ -128,7 +128,7 @@ def lidar(
     beside = None if settings.run is None else SurveyRun.read(settings.run, tunings.scene.registered)
     given = _given(settings)
     how = Reading(columns=settings.columns, times=settings.times, rate_hz=settings.rate_hz, poses=settings.poses)
-    recording = open_scans(scans, how, tuning.scan)
+    recording = open_scans(scans, how)
     start = time.monotonic()
     path, cloud, notes = _trajectory(recording, settings, tuning, reporter)
     summary: dict[str, Any] = {
@@ -194,19 +194,19 @@ def _trajectory(
         reporter.total(2 * (recording.count or 0))
 
         def told() -> Any:
-            for scan in odometry(recording.read(), settings.near_m, settings.far_m, tuning):
+            for scan in odometry(recording.read(), settings.near_m, settings.far_m):
                 times.append(scan.time_s)
                 reporter.advance()
                 yield scan
 
         poses = np.array(list(adjusted(told(), tuning.adjust)) if settings.adjust else [s.pose for s in told()])
         time_s = np.array(times)
-        cloud, lost = _map(recording, time_s, poses, settings, tuning, reporter)
+        cloud, lost = _map(recording, time_s, poses, settings, reporter)
     notes = [*recording.notes]
     if lost:
         notes.append(f"{lost} points at no place (NaN or 0) left out")
     usual = float(np.median(np.diff(time_s)))
-    gaps = np.flatnonzero(np.diff(time_s) > tuning.scan.gap_intervals * usual)
+    gaps = np.flatnonzero(np.diff(time_s) > 5 * usual)
     if len(gaps):
         notes.append(f"{len(gaps)} gaps between scans, the first of {np.diff(time_s)[gaps[0]]:.3g} s after "
                      f"{time_s[gaps[0]]:.3f} s: the motion across them was taken as constant")  # fmt: skip
@@ -216,14 +216,9 @@ def _trajectory(
 
 
 def _map(
-    recording: Recording,
-    time_s: np.ndarray,
-    poses: np.ndarray,
-    settings: LidarSettings,
-    tuning: Tuning,
-    reporter: Reporter,
+    recording: Recording, time_s: np.ndarray, poses: np.ndarray, settings: LidarSettings, reporter: Reporter
 ) -> tuple[MapCloud, int]:
-    cloud, lost = MapCloud(settings.voxel_m, tuning.map), 0
+    cloud, lost = MapCloud(settings.voxel_m), 0
     for scan, pose, rate in zip(recording.read(), poses, velocities(time_s, poses)):
         reach = np.linalg.norm(scan.xyz_m, axis=1)
         seen = (reach >= settings.near_m) & (reach <= settings.far_m)
@@ -293,7 +288,7 @@ def compared(run: SurveyRun, lidar: Poses, reference: Cloud, found: HandEye, tun
     columns = [whole, *(judged.column(f"section {s}", int(s)) for s in sections if len(sections) > 1)]
     tables = {"hand-eye": hand_eye_table(found), "survey": survey_table(columns), **error.tables(), **judged.tables}
     notes = [f"left open by the motion, and not to be used: {what}" for what in found.left_open]
-    if found.fit.turn_rms_deg > tunings.lidar.hand_eye.unlike_deg:
+    if found.fit.turn_rms_deg > 1.0:
         off = f"the turns of rig and LiDAR differ by {found.fit.turn_rms_deg:.2g} degrees RMS"
         notes.insert(0, f"{off}: are these one survey, and are the times right? Trust nothing below until then")
     if found.tie is not None:
