@@ -82,7 +82,7 @@ def adjust_robustly(seen: Observations, start: State, tuning: AdjustTuning, boar
     state = adjust(seen, start, tuning, tuning.stages_px)
     left_out: dict[str, str] = {}
     kept = seen
-    for _ in range(tuning.doubt_rounds):
+    for _ in range(5):
         found = _doubtful(kept, state, tuning)
         if not found:
             break
@@ -105,7 +105,7 @@ def _with_bent_board(
 ) -> tuple[Observations, State]:
     """Corners of the board adjusted with all else, each held to its place by a sigma. Place, turn and size of the board
     cost the priors and gain nothing, so they stay; what a corner does that no camera explains is the board's."""
-    for _ in range(tuning.board_rounds):  # the sigma of a pixel falls once the bend is no longer in it
+    for _ in range(2):  # the sigma of a pixel falls once the bend is no longer in it
         model = build(seen, state)
         adjuster = problem(model, tuning, scale_px, points=True)
         pixel = _sigma(view_residuals(seen, state))
@@ -189,7 +189,7 @@ def problem(
     """pycolmap's adjuster over all images, with the points held unless ``points``; ``free`` = False: cameras and rig
     held too."""
     options = options_of(
-        tuning.iterations,
+        200,
         1e-12,
         scale_px,
         refine_focal_length=free,

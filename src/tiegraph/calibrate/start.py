@@ -6,33 +6,35 @@ import pycolmap
 
 from tiegraph.calibrate.adjust import State, adjust, residuals
 from tiegraph.calibrate.observations import CameraImages, Observations, View, joint_instants
-from tiegraph.calibrate.tuning import StartTuning, Tuning
+from tiegraph.calibrate.tuning import Tuning
 from tiegraph.geometry import transforms
 from tiegraph.scene.rig import on_plane
+
+_CLIP_PX = 50.0
 
 
 def start(seen: Observations, tuning: Tuning) -> State:
     """Every camera by itself, then the cameras against each other, then the board at every instant."""
     single = [_camera_alone(seen.of_camera(number), tuning) for number in range(len(seen.cameras))]
     cameras = tuple(state.cameras[0] for state in single)
-    poses = {(v.camera, v.instant): _poses(cameras[v.camera], seen, v, tuning.start.clip_px) for v in seen.views}
+    poses = {(v.camera, v.instant): _poses(cameras[v.camera], seen, v) for v in seen.views}
     for (camera, instant), said in poses.items():
         said.insert(0, single[camera].rig_from_board[instant])  # adjusted: better than those of a resection
     sensors = _rig(seen, {key: found[0] for key, found in poses.items()})
-    return State(cameras, sensors, _boards(seen, cameras, sensors, poses, tuning.start.clip_px))
+    return State(cameras, sensors, _boards(seen, cameras, sensors, poses))
 
 
 def _camera_alone(own: Observations, tuning: Tuning) -> State:
     """A camera, and where the board is in its frame, from its own views."""
-    camera = _by_focal_length(own, tuning.start)
-    state = adjust(own, _resected(own, camera, tuning.start), tuning.adjust, tuning.adjust.stages_px, False)
+    camera = _by_focal_length(own)
+    state = adjust(own, _resected(own, camera), tuning.adjust, tuning.adjust.stages_px, False)
     # Poses that were seen with a wrong lens may have fallen over: a plane has two resections that are nearly as good.
-    state = _resected(own, state.cameras[0], tuning.start)
+    state = _resected(own, state.cameras[0])
     return adjust(own, state, tuning.adjust, tuning.adjust.stages_px)
 
 
-def _resected(own: Observations, camera: pycolmap.Camera, tuning: StartTuning) -> State:
-    boards = {v.instant: _poses(camera, own, v, tuning.clip_px)[0] for v in own.views}
+def _resected(own: Observations, camera: pycolmap.Camera) -> State:
+    boards = {v.instant: _poses(camera, own, v)[0] for v in own.views}
     return State((camera,), np.eye(4)[None], boards)
 
 
@@ -43,26 +45,27 @@ def _first_camera(images: CameraImages, focal: float) -> pycolmap.Camera:
     return camera
 
 
-def _by_focal_length(own: Observations, tuning: StartTuning) -> pycolmap.Camera:
+def _by_focal_length(own: Observations) -> pycolmap.Camera:
     """The camera without distortion whose focal length explains the views best."""
     images = own.cameras[0]
-    bounds = tuning.fisheye_focal if "FISHEYE" in images.model else tuning.focal
-    fullest = sorted(own.views, key=lambda v: -len(v.corners))[: tuning.most_views]
+    # In longer sides of the image: 380 to 29 degrees of view, or 127 to 7; neighbours of 24 are 16 % apart.
+    bounds = (0.15, 2.0) if "FISHEYE" in images.model else (0.25, 8.0)
+    fullest = sorted(own.views, key=lambda v: -len(v.corners))[:20]
 
     def cost(camera: pycolmap.Camera) -> float:
-        best = (_poses(camera, own, v, tuning.clip_px)[0] for v in fullest)
-        return sum(_error(camera, pose, own, v, tuning.clip_px) for v, pose in zip(fullest, best))
+        best = (_poses(camera, own, v)[0] for v in fullest)
+        return sum(_error(camera, pose, own, v) for v, pose in zip(fullest, best))
 
-    return min((_first_camera(images, float(f)) for f in np.geomspace(*bounds, tuning.focal_steps)), key=cost)
+    return min((_first_camera(images, float(f)) for f in np.geomspace(*bounds, 24)), key=cost)
 
 
-def _error(camera: pycolmap.Camera, pose: np.ndarray, seen: Observations, view: View, clip_px: float) -> float:
-    """Mean distance of a view's corners from where a pose (4, 4) of the board projects them, at most ``clip_px``."""
+def _error(camera: pycolmap.Camera, pose: np.ndarray, seen: Observations, view: View) -> float:
+    """Mean distance of a view's corners from where a pose (4, 4) of the board projects them, each at most 50 px."""
     off = residuals(camera, pose, seen.board.points[view.corners], view.xy)
-    return float(np.minimum(np.nan_to_num(np.hypot(*off.T), nan=clip_px), clip_px).mean())
+    return float(np.minimum(np.nan_to_num(np.hypot(*off.T), nan=_CLIP_PX), _CLIP_PX).mean())
 
 
-def _poses(camera: pycolmap.Camera, seen: Observations, view: View, clip_px: float) -> list[np.ndarray]:
+def _poses(camera: pycolmap.Camera, seen: Observations, view: View) -> list[np.ndarray]:
     """camera_from_board (4, 4): the resections of a view, the best one first."""
     plane, points = on_plane(camera, view.xy), seen.board.points[view.corners]
     good = np.isfinite(plane).all(axis=1)
@@ -73,7 +76,7 @@ def _poses(camera: pycolmap.Camera, seen: Observations, view: View, clip_px: flo
         )
         found = [transforms.rigid(cv2.Rodrigues(r)[0], t.ravel()) for r, t in zip(turns, places)]
         found = [pose for pose in found if np.isfinite(pose).all()]
-    return sorted(found, key=lambda p: _error(camera, p, seen, view, clip_px)) or [_before(points)]
+    return sorted(found, key=lambda p: _error(camera, p, seen, view)) or [_before(points)]
 
 
 def _before(points: np.ndarray) -> np.ndarray:
@@ -112,7 +115,6 @@ def _boards(
     cameras: tuple[pycolmap.Camera, ...],
     sensors: np.ndarray,
     poses: dict[tuple[int, int], list[np.ndarray]],
-    clip_px: float,
 ) -> dict[int, np.ndarray]:
     """rig_from_board of every instant: of the poses that its views say, the one that explains all of them best."""
     out = {}
@@ -121,7 +123,7 @@ def _boards(
         said = [transforms.invert(sensors[v.camera]) @ p for v in views for p in poses[v.camera, instant]]
 
         def cost(board: np.ndarray, views: list[View] = views) -> float:
-            return sum(_error(cameras[v.camera], sensors[v.camera] @ board, seen, v, clip_px) for v in views)
+            return sum(_error(cameras[v.camera], sensors[v.camera] @ board, seen, v) for v in views)
 
         out[instant] = min(said, key=cost)
     return out

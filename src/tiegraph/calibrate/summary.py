@@ -140,7 +140,7 @@ def residual_picture(done: Adjusted, camera: int, tuning: JudgeTuning) -> bytes:
     xy = np.concatenate([done.seen.views[k].xy for k in own])
     off = np.concatenate([r for k, r in enumerate(view_residuals(done.seen, done.state)) if k in own])
     side = max(images.size) / tuning.cells
-    at, mean = _by_cell(xy, off, side, tuning.cell_corners)
+    at, mean = _by_cell(xy, off, side)
     longest = max(float(np.hypot(*mean.T).max()), 1e-9)
     width, height = images.size
     figure = Figure(figsize=(7.0, 0.6 + 6.4 * height / width), dpi=_DPI, layout="constrained")
@@ -155,14 +155,14 @@ def residual_picture(done: Adjusted, camera: int, tuning: JudgeTuning) -> bytes:
     return png(figure)
 
 
-def _by_cell(xy: np.ndarray, off: np.ndarray, side: float, least: int) -> tuple[np.ndarray, np.ndarray]:
-    """Mean places (C, 2) of the corners in each cell that holds so many, and their mean residuals (C, 2)."""
+def _by_cell(xy: np.ndarray, off: np.ndarray, side: float) -> tuple[np.ndarray, np.ndarray]:
+    """Mean places (C, 2) of the corners in each cell that holds three, and their mean residuals (C, 2)."""
     good = np.isfinite(off).all(axis=1)
     _, number = np.unique(np.floor(xy[good] / side), axis=0, return_inverse=True)
     count = np.bincount(number.ravel())
     columns = np.hstack([xy[good], off[good]]).T
     means = np.stack([np.bincount(number.ravel(), column) / count for column in columns], axis=1)
-    means = means[count >= min(least, count.max())]
+    means = means[count >= min(3, count.max())]
     return means[:, :2], means[:, 2:]
 
 

@@ -210,9 +210,9 @@ def _compare(depth: DepthMap, top: int, surface: _Surface, tolerance_px: float, 
     spread = np.hypot(sigma_z / z / np.float32(depth.sigma_px), relative_sigma / np.float32(other.sigma_px))
     tolerance = np.clip(tolerance_px * spread, tuning.min_relative, tuning.max_relative)
     agrees = np.abs(relative) <= tolerance
-    through = relative > tuning.through_tolerances * tolerance
+    through = relative > 1.5 * tolerance
     # Our ray meets their surface, taken as parallel to their image, a little further on; oblique rays are held back.
-    said = z + np.where(agrees, relative * their_z, 0) / np.maximum(along[2], tuning.min_along)
+    said = z + np.where(agrees, relative * their_z, 0) / np.maximum(along[2], 0.3)
     said = np.where(agrees, 1 / np.where(agrees, said, 1), 0)
     variance = np.where(agrees, np.square(relative_sigma * said), 1)
     return _Said(possible=possible, agrees=agrees, through=through, inverse=said, variance=variance)

@@ -65,7 +65,7 @@ def plan_images(reconstruction: pycolmap.Reconstruction, settings: DenseSettings
             view=view,
             partners=tuple(p.view for p in used),
             witnesses=_witnesses(candidates, tuning.witnesses),
-            depth_range=range_of(table.depths(k, common), tuning),
+            depth_range=range_of(table.depths(k, common)),
         )
     if not images:
         raise ReconstructionError(_no_partners(dropped))
@@ -123,7 +123,7 @@ def _candidates(
         return []
     depth = max(float(np.median(table.depths(image, table.points[image]))), 1e-12)
     rough_deg = np.degrees(np.linalg.norm(table.centres[others] - table.centres[image], axis=1) / depth)
-    order = np.argsort(-counts * angle_weight(rough_deg, tuning), kind="stable")[: tuning.considered]
+    order = np.argsort(-counts * angle_weight(rough_deg, tuning), kind="stable")[:32]  # are looked at point by point
     looked = [_look(table, image, int(others[k]), int(counts[k]), settings, tuning) for k in order]
     good = [(partner, seen, weight) for partner, seen, weight in looked if partner.used]
     chosen = _choose(good, len(table.points[image]), settings.partners, tuning)
@@ -136,7 +136,7 @@ def _look(
 ) -> tuple[Partner, np.ndarray, np.ndarray]:
     """A candidate judged by the shared points: with their positions in the image's list and their weights."""
     common, seen, _ = np.intersect1d(table.points[image], table.points[other], True, return_indices=True)
-    step = -(-len(common) // tuning.points_a_pair)
+    step = -(-len(common) // 300)
     common, seen = common[::step], seen[::step]
     a, b = table.views[image].cam_from_world, table.views[other].cam_from_world
     from_a, from_b = table.xyz[common] - table.centres[image], table.xyz[common] - table.centres[other]
@@ -177,8 +177,8 @@ def _refuse(partner: Partner, reason: str) -> Partner:
 def angle_weight(angle_deg: np.ndarray, tuning: PartnerTuning) -> np.ndarray:
     """1 at the best angles, falling on both sides."""
     low, high = tuning.best_angles_deg
-    narrow = np.clip(angle_deg / low, tuning.least_narrow, 1.0)
-    wide = np.exp(-np.square(np.maximum(angle_deg - high, 0) / tuning.wide_fall_deg))
+    narrow = np.clip(angle_deg / low, 0.01, 1.0)
+    wide = np.exp(-np.square(np.maximum(angle_deg - high, 0) / 10.0))
     return narrow * wide
 
 
@@ -186,11 +186,11 @@ def _choose(
     good: Sequence[tuple[Partner, np.ndarray, np.ndarray]], points: int, most: int, tuning: PartnerTuning
 ) -> list[int]:
     """Greedy choice: each point of the image wants to be seen well by ``enough`` partners, more add little."""
-    covered, beyond = np.zeros(points), tuning.beyond_enough
+    covered = np.zeros(points)
     chosen: list[int] = []
     while len(chosen) < min(most, len(good)):
         gains = [
-            -1.0 if k in chosen else float(np.sum(weight * np.where(covered[seen] < tuning.enough, 1.0, beyond)))
+            -1.0 if k in chosen else float(np.sum(weight * np.where(covered[seen] < tuning.enough, 1.0, 0.3)))
             for k, (_, seen, weight) in enumerate(good)
         ]
         best = int(np.argmax(gains))
@@ -212,11 +212,12 @@ def _in_common(table: _Table, image: int, partners: list[int]) -> np.ndarray:
     return np.intersect1d(table.points[image], np.concatenate([table.points[k] for k in partners]))
 
 
-def range_of(depths: np.ndarray, tuning: PartnerTuning) -> DepthRange:
-    """Where a surface is sought by the depths (P,) of sparse points on it."""
+def range_of(depths: np.ndarray) -> DepthRange:
+    """Where a surface is sought by the depths (P,) of sparse points on it: they do not cover everything, and 1 % at
+    either end may be errors. Twice as near costs no time: only the coarsest level is matched over the full range."""
     inverse = 1.0 / depths[depths > 0]
-    low, high = np.percentile(inverse, [tuning.range_percent, 100 - tuning.range_percent])
-    return DepthRange(near=float(1 / (high * tuning.near_margin)), far=float(tuning.far_margin / low))
+    low, high = np.percentile(inverse, [1.0, 99.0])
+    return DepthRange(near=float(1 / (high * 2.0)), far=float(1.35 / low))
 
 
 def _why_none(candidates: list[Partner], min_shared: int) -> str:

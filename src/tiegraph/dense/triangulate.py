@@ -85,10 +85,10 @@ def disparity_sigma_px(inverse: np.ndarray, unit: np.ndarray, tolerance_px: floa
             apart = np.abs(inverse[j] - inverse[k]) / np.hypot(unit[j], unit[k])
             differences.append(apart[apart < tolerance_px])
     together = np.concatenate(differences)
-    if len(together) < tuning.few_pixels:
+    if len(together) < 1000:
         return tuning.sigma_px
     own = np.sqrt(1 - tuning.shared_variance)  # the shared part of an error does not differ
-    return float(np.clip(1.4826 * np.median(together) / own, *tuning.sigma_limits_px))
+    return float(np.clip(1.4826 * np.median(together) / own, 0.1, 0.5))
 
 
 def _solve(
@@ -100,7 +100,7 @@ def _solve(
     weight = np.where(known, 1 / np.square(unit), np.float32(0))
     part = _consensus(inverse, unit, weight, tolerance_px, tuning.max_relative)
     mean = _mean(value, weight * part)
-    for _ in range(tuning.refinements):
+    for _ in range(2):
         residual = np.abs(inverse - mean) / unit  # pixels of disparity; NaN = none
         part = (residual <= tolerance_px) & (np.abs(inverse - mean) <= tuning.max_relative * mean)
         robust = weight * part / np.maximum(1, np.where(part, residual, 0) / (_HUBER_SIGMAS * sigma_px))

@@ -29,7 +29,7 @@ def cloud(run: Run) -> Outcome:
     scratch = run.path(".tiles")
     remove(scratch)
     scratch.mkdir(parents=True)
-    colours = coloured(plans, run.path("images"), run.settings.dense, run.settings.tuning.dense.views)
+    colours = coloured(plans, run.path("images"), run.settings.dense)
     maps = Maps(partial(read_depth, folder=run.folder), colours)
     settings, tuning = run.settings.cloud, run.settings.tuning.cloud
     fused = fuse(sorted(plans), maps, scratch, settings, tuning, world_origin(run.folder), _mapper(run))

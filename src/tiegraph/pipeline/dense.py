@@ -18,7 +18,7 @@ from tiegraph.dense.neighbours import plan_images
 from tiegraph.dense.plan import DensePlan, ImagePlan
 from tiegraph.dense.settings import DenseSettings
 from tiegraph.dense.shot import plan_hanging
-from tiegraph.dense.tuning import Tuning, ViewTuning
+from tiegraph.dense.tuning import Tuning
 from tiegraph.dense.undistort import load_view, pinhole
 from tiegraph.dense.workspace import write_workspace
 from tiegraph.errors import InputError, ReconstructionError, TiegraphError
@@ -91,7 +91,7 @@ def plan_of(run: Run) -> DensePlan:
 
 def _sizes(plans: dict[str, ImagePlan], settings: DenseSettings, tuning: Tuning) -> list[str]:
     """Which images are reduced, and what the matcher will hold at most; known before it starts."""
-    sizes = {plan.view.camera: pinhole(plan.view, settings, tuning.views).size for plan in plans.values()}
+    sizes = {plan.view.camera: pinhole(plan.view, settings).size for plan in plans.values()}
     reduced = {
         f"depth maps of {size[0]} x {size[1]} pixels, of images of {camera.width} x {camera.height} "
         "(dense.max_image_size)"
@@ -153,24 +153,19 @@ def hand_over(run: Run, target: Path) -> int:
         raise InputError(f"{target} is there and not empty: give a new folder for the workspace")
     model, load = load_model(run.path("sparse", "world")), partial(_known_map, folder=run.folder)
     try:
-        settings, tuning = run.settings.dense, run.settings.tuning.dense.views
-        return write_workspace(target, model, run.path("images"), load, settings, tuning)
+        return write_workspace(target, model, run.path("images"), load, run.settings.dense)
     except (OSError, RuntimeError) as error:
         told = explained(error, target) or InputError(f"{target}: cannot be written: {error}; choose another folder")
         raise error if isinstance(error, TiegraphError) else told from error
 
 
-def coloured(
-    plans: dict[str, ImagePlan], images: Path, settings: DenseSettings, tuning: ViewTuning
-) -> Callable[[str], np.ndarray]:
+def coloured(plans: dict[str, ImagePlan], images: Path, settings: DenseSettings) -> Callable[[str], np.ndarray]:
     """Colours (H, W, 3) u1 RGB of the undistorted images by name."""
-    return partial(_colours, plans=plans, images=images, settings=settings, tuning=tuning)
+    return partial(_colours, plans=plans, images=images, settings=settings)
 
 
-def _colours(
-    name: str, plans: dict[str, ImagePlan], images: Path, settings: DenseSettings, tuning: ViewTuning
-) -> np.ndarray:
-    return cv2.cvtColor(load_view(plans[name].view, images, None, settings, tuning).image_bgr, cv2.COLOR_BGR2RGB)
+def _colours(name: str, plans: dict[str, ImagePlan], images: Path, settings: DenseSettings) -> np.ndarray:
+    return cv2.cvtColor(load_view(plans[name].view, images, None, settings).image_bgr, cv2.COLOR_BGR2RGB)
 
 
 def read_depth(name: str, folder: Path) -> DepthMap:

@@ -182,7 +182,7 @@ def target_marks(
     if not any(s.target in named.values() for one in found for s in one) and len(images) == len(scene):
         _say_family(run, scene, file, families, tuning)
     cameras = {} if model is None else {i.name: i.camera for i in model.images.values()}
-    return marks_of(seen, named, lambda k: cameras.get(scene.names[k]), scene.names, tuning)
+    return marks_of(seen, named, lambda k: cameras.get(scene.names[k]), scene.names)
 
 
 def _search(path: Path, families: Sequence[str], tuning: Tuning) -> list[Seen]:
@@ -191,7 +191,7 @@ def _search(path: Path, families: Sequence[str], tuning: Tuning) -> list[Seen]:
 
 def _say_family(run: Run, scene: Scene, file: GcpFile, families: Sequence[str], tuning: Tuning) -> None:
     """Raise InputError: no target is seen; with what else is."""
-    images = evenly(len(scene), tuning.other_families_in).tolist()
+    images = evenly(len(scene), 12).tolist()
     others = [f for f in OTHERS if f not in families]
     found = run.map(_search, [run.path("images", scene.names[k]) for k in images], others, tuning)
     likely = likely_family([s for one in found for s in one])

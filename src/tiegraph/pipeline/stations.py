@@ -11,6 +11,7 @@ import numpy as np
 
 from tiegraph.cloud.fuse import FusionResult, MapPoints, fuse_points
 from tiegraph.cloud.settings import CloudSettings
+from tiegraph.cloud.tuning import Tuning as CloudTuning
 from tiegraph.errors import InputError, ReconstructionError
 from tiegraph.geometry import transforms
 from tiegraph.geometry.geodesy import ENU, Origin
@@ -25,7 +26,6 @@ from tiegraph.scene.posefile import read_poses
 from tiegraph.stations.joined import Band, Joined, by_distance, join, prepared
 from tiegraph.stations.pairs import Pair
 from tiegraph.stations.station import Shot, Station, spacing_of
-from tiegraph.stations.tuning import SpacingTuning, Tuning
 from tiegraph.text import finite
 
 ENDINGS = (".ply", ".las", ".laz")
@@ -53,7 +53,7 @@ def stations(
     with new_folder(out) as folder:
         assert folder is not None
         with reporter.stage("read"):
-            shots, origin, spacing_m = _read(files, tuning)
+            shots, origin, spacing_m = _read(files)
             shots = shots if poses is None else _with_poses(shots, poses)
         try:
             with reporter.stage("join"):
@@ -67,7 +67,7 @@ def stations(
             path = {s.name: p for s, p in zip(ready, joined.poses) if np.isfinite(p).all()}
             known = {file.stem: file for file in files}
             voxel = voxel_m or spacing_m
-            merged = _merged(known, path, voxel, _noise(ready, joined), scratch, tunings)
+            merged = _merged(known, path, voxel, _noise(ready, joined), scratch, tunings.cloud)
             notes = write_cloud((replace(c, origin=origin) for c in merged.clouds()), folder / CLOUD, voxel)
         result = {
             **told,
@@ -120,7 +120,7 @@ def pose_numbers(names: Sequence[str]) -> list[int]:
     return list(numbers) if len(numbers) == len(names) else list(range(len(names)))
 
 
-def _read(files: Sequence[Path], tuning: Tuning) -> tuple[list[Shot], Origin | None, float]:
+def _read(files: Sequence[Path]) -> tuple[list[Shot], Origin | None, float]:
     """The shots, the world that some are in (None = none is), and the spacing of the usual point, two digits."""
     shots, spacings, origin, first = [], [], None, files[0]
     for file in files:
@@ -140,8 +140,8 @@ def _read(files: Sequence[Path], tuning: Tuning) -> tuple[list[Shot], Origin | N
                     f"{file} is in {_called(cloud.origin)} and {first} in {_called(origin)}: bring all into one CRS"
                 )
             known = transforms.rigid(np.eye(3), shift_of(cloud.origin) - shift_of(origin))
-        spacings.append(float(np.median(spacing_of(cloud.xyz_m, known is None, tuning.spacing))))
-        some = slice(None, None, -(-len(cloud) // tuning.read))
+        spacings.append(float(np.median(spacing_of(cloud.xyz_m, known is None))))
+        some = slice(None, None, -(-len(cloud) // 400_000))
         normal = cloud.normal[some].astype(float)
         shots.append(
             Shot(
@@ -193,29 +193,23 @@ def _merged(
     voxel: float,
     noise: float,
     scratch: Path,
-    tuning: VerbTunings,
+    tuning: CloudTuning,
 ) -> FusionResult:
     """The clouds added up by voxel, weighted by their sigmas, and filtered (SOR and radius) as those of a run."""
     settings = CloudSettings(voxel_size=voxel)
-    spacing = tuning.stations.spacing
-    points = partial(_points, files=files, poses=poses, noise=noise, voxel=voxel, tuning=spacing)
-    found = fuse_points(sorted(poses), points, scratch, settings, tuning.cloud)
+    points = partial(_points, files=files, poses=poses, noise=noise, voxel=voxel)
+    found = fuse_points(sorted(poses), points, scratch, settings, tuning)
     assert found is not None  # no cloud is empty
     return found
 
 
 def _points(
-    name: str,
-    files: dict[str, Path],
-    poses: dict[str, np.ndarray],
-    noise: float,
-    voxel: float,
-    tuning: SpacingTuning,
+    name: str, files: dict[str, Path], poses: dict[str, np.ndarray], noise: float, voxel: float
 ) -> list[MapPoints]:
     cloud, pose = read_cloud(files[name]), poses[name]
     sigma = np.where(np.isfinite(cloud.sigma_m) & (cloud.sigma_m > 0), cloud.sigma_m, noise).astype(np.float32)
     moved = replace(cloud.moved(pose), sigma_m=sigma, views=np.maximum(cloud.views, 1))
-    return [(moved, np.maximum(spacing_of(cloud.xyz_m, cloud.origin is None, tuning), voxel), 0)]
+    return [(moved, np.maximum(spacing_of(cloud.xyz_m, cloud.origin is None), voxel), 0)]
 
 
 # --- what is told ----------------------------------------------------------------------------------------------------

@@ -64,14 +64,14 @@ def join(
     The frame is that of the known poses, if there are some; else that of the first station of the largest part that
     hangs together. Raises ValueError if no two join and no pose is known.
     """
-    agreeing = _points_shown(stations), _close_m(stations, tuning), tuning.loops
+    agreeing = _points_shown(stations), stations[0].coarse.side
     pairs = contradicted(_first_pairs(stations, tuning, told), *agreeing)
-    found = _adjusted_parts(pairs, len(stations), tuning)
+    found = _adjusted_parts(pairs, len(stations))
     pairs, found = _grown(pairs, found, stations, tuning)
     # The pairs, of which those have a reason not to be believed that lay a shape that repeats on itself
     left = {ends: float(row[1]) for ends, row in _loops_m(found).items()}
     pairs = taken_apart(pairs, left, *agreeing)
-    found = _adjusted_parts(pairs, len(stations), tuning)
+    found = _adjusted_parts(pairs, len(stations))
     poses, left_out = _in_world(stations, found)
     loops = _loops_m(found)
     rows = [loops[p.first, p.second] for p in pairs if not p.why_not]
@@ -88,14 +88,14 @@ def _grown(
     pairs: list[Pair], found: list[Part], stations: Sequence[Station], tuning: Tuning
 ) -> tuple[list[Pair], list[Part]]:
     """Pairs and adjusted parts after further pairs that the adjusted poses say overlap, until there are none."""
-    for _ in range(tuning.loops.rounds):
+    for _ in range(3):
         more = _further(stations, pairs, found, tuning)
         if not more:
             break
         anew = {(p.first, p.second) for p in more}
         others = [p for p in pairs if (p.first, p.second) not in anew]
-        pairs = contradicted(others + more, _points_shown(stations), _close_m(stations, tuning), tuning.loops)
-        found = _adjusted_parts(pairs, len(stations), tuning)
+        pairs = contradicted(others + more, _points_shown(stations), stations[0].coarse.side)
+        found = _adjusted_parts(pairs, len(stations))
     return pairs, found
 
 
@@ -111,11 +111,6 @@ def _sigma_m(found: Sequence[Part], count: int) -> np.ndarray:
         for k in part.members if len(part.members) > 1 else ():
             sigma[k] = np.sqrt(np.trace(part.covariance[k, 3:, 3:]) / 3)
     return sigma
-
-
-def _close_m(stations: Sequence[Station], tuning: Tuning) -> float:
-    """How far at most an error moves stations that agree."""
-    return tuning.loops.close * stations[0].coarse.side
 
 
 def _points_shown(stations: Sequence[Station]) -> list[np.ndarray]:
@@ -164,7 +159,7 @@ def _by_poses(stations: Sequence[Station], i: int, j: int, start: np.ndarray, tu
 
 def _further(stations: Sequence[Station], pairs: Sequence[Pair], found: Sequence[Part], tuning: Tuning) -> list[Pair]:
     """Pairs that overlap by the adjusted poses and have not been believed yet, laid on each other from there."""
-    close, points = _close_m(stations, tuning), _points_shown(stations)
+    close, points = stations[0].coarse.side, _points_shown(stations)
     believed = {(p.first, p.second) for p in pairs if not p.why_not}
     out = []
     for part in found:
@@ -183,12 +178,12 @@ def _further(stations: Sequence[Station], pairs: Sequence[Pair], found: Sequence
 # --- one frame -------------------------------------------------------------------------------------------------------
 
 
-def _adjusted_parts(pairs: list[Pair], count: int, tuning: Tuning) -> list[Part]:
+def _adjusted_parts(pairs: list[Pair], count: int) -> list[Part]:
     """The parts that hang together, largest first, each adjusted in the frame of its first station."""
     label = parts(count, pairs)
     members = [np.flatnonzero(label == k).tolist() for k in range(label.max() + 1)]
     members.sort(key=lambda m: (-len(m), m[0]))
-    return [adjusted(m, [p for p in pairs if not p.why_not and p.first in m], count, tuning.loops) for m in members]
+    return [adjusted(m, [p for p in pairs if not p.why_not and p.first in m], count) for m in members]
 
 
 def _in_world(stations: Sequence[Station], found: list[Part]) -> tuple[np.ndarray, dict[int, str]]:
@@ -267,7 +262,7 @@ def _off(sample: Sample, level: Level, fit: np.ndarray, tuning: Tuning) -> np.nd
     sight = sample.ray[near] @ fit[:3, :3].T
     straight = np.abs(np.einsum("ij,ij->i", normal, sight))
     off = np.einsum("ij,ij->i", normal, moved[near] - level.xyz[at[near]])
-    seen = straight > np.cos(np.radians(tuning.precision.oblique_deg))
+    seen = straight > np.cos(np.radians(60.0))
     return np.column_stack([sample.distance_m[near], off / np.maximum(straight, 1e-3), sample.sigma_m[near]])[seen]
 
 

@@ -12,7 +12,6 @@ from tiegraph.scene.control import TargetMark
 from tiegraph.scene.rig import on_plane
 from tiegraph.scene.targets import Target, count_of, families
 from tiegraph.targets.detect import Seen, centre_of
-from tiegraph.targets.tuning import Tuning
 from tiegraph.text import some
 
 _SAME = 1e-3  # on the plane z = 1, between a ray and the way there and back: lenses fold beyond their images
@@ -36,7 +35,6 @@ def marks_of(
     named: Mapping[str, Target],
     camera_of: Callable[[int], pycolmap.Camera | None],
     names: Sequence[str],
-    tuning: Tuning,
 ) -> TargetMarks:
     """Marks of the targets ``named`` in a file, of what was ``seen`` by scene index; ``names`` of the images.
 
@@ -49,7 +47,7 @@ def marks_of(
     marks, notes = [], []
     for name, target in named.items():
         places = by_target.pop(target, {})
-        twice = [k for k, found in places.items() if _apart(found, tuning)]
+        twice = [k for k, found in places.items() if _apart(found)]
         if twice:
             more = f" and of {len(twice) - 1} more" if len(twice) > 1 else ""
             text = f"target {name} is seen at two places of {names[twice[0]]}{more}: printed twice? It is not used"
@@ -67,11 +65,11 @@ def marks_of(
     return TargetMarks(tuple(marks), tuple(notes))
 
 
-def _apart(found: Sequence[Seen], tuning: Tuning) -> bool:
+def _apart(found: Sequence[Seen]) -> bool:
     """Whether a target is at two places, and not at one with two outlines."""
     first = found[0].corners
     side = float(np.linalg.norm(first[1] - first[0]))
-    return any(np.linalg.norm((s.corners - first).mean(axis=0)) > tuning.apart_sides * side for s in found[1:])
+    return any(np.linalg.norm((s.corners - first).mean(axis=0)) > side / 2 for s in found[1:])
 
 
 def _seen_little(name: str, places: Mapping[int, Sequence[Seen]], names: Sequence[str], images: int) -> list[str]:
