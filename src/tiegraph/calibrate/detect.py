@@ -20,15 +20,12 @@ def detect(pixels: np.ndarray, board: Board, tuning: BoardTuning) -> Corners:
     """The corners that are seen in an image (H, W) u1; none if they are too few to hold a pose."""
     find = {CHARUCO: _charuco, APRILGRID: _aprilgrid}.get(board.kind, _checker)
     numbers, xy = find(pixels, board, tuning)
-    if len(numbers) < tuning.least_corners or not _wide(board.points[numbers]):
-        return np.zeros(0, int), np.zeros((0, 2))
-    return numbers, xy.astype(float) + CENTRE
-
-
-def _wide(points: np.ndarray) -> bool:
-    """Whether places (K, 3) on the board spread over both of its directions: along a line they hold no pose."""
-    spread = np.linalg.svd(points[:, :2] - points[:, :2].mean(axis=0), compute_uv=False)
-    return bool(spread[1] >= 0.15 * spread[0])
+    if len(numbers) >= tuning.least_corners:
+        places = board.points[numbers, :2]
+        spread = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
+        if spread[1] >= 0.15 * spread[0]:  # along a line they hold no pose
+            return numbers, xy.astype(float) + CENTRE
+    return np.zeros(0, int), np.zeros((0, 2))
 
 
 def _charuco(pixels: np.ndarray, board: Board, tuning: BoardTuning) -> Corners:

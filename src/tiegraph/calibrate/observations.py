@@ -11,6 +11,7 @@ import numpy as np
 from tiegraph.calibrate.board import Board
 from tiegraph.calibrate.tuning import StartTuning
 from tiegraph.errors import InputError
+from tiegraph.scene.graph import parts
 
 
 @dataclass(frozen=True)
@@ -127,17 +128,10 @@ def joint_instants(seen: Observations) -> np.ndarray:
 
 def check_ties(seen: Observations, tuning: StartTuning) -> None:
     """Raise InputError if some cameras hang together with no others, naming them."""
-    tied = joint_instants(seen) >= tuning.least_joint
-    parts: list[set[int]] = []
-    left = set(range(len(seen.cameras)))
-    while left:
-        part = {min(left)}
-        while more := {b for a in part for b in left - part if tied[a, b]}:
-            part |= more
-        parts.append(part)
-        left -= part
-    if len(parts) > 1:
-        named = " | ".join(", ".join(seen.cameras[k].name for k in sorted(part)) for part in parts)
+    a, b = np.nonzero(joint_instants(seen) >= tuning.least_joint)
+    part = parts(a, b, len(seen.cameras))
+    if part.any():
+        named = " | ".join(", ".join(c.name for c, own in zip(seen.cameras, part == k) if own) for k in np.unique(part))
         raise InputError(
             f"nothing ties these cameras together: {named}. At {tuning.least_joint} instants or more one of each group "
             "must see the board together with one of another (a part of it will do with ChArUco and AprilGrid). Are "

@@ -5,7 +5,7 @@ import numpy as np
 import pycolmap
 
 from tiegraph.calibrate.adjust import State, adjust, residuals
-from tiegraph.calibrate.observations import CameraImages, Observations, View, joint_instants
+from tiegraph.calibrate.observations import Observations, View, joint_instants
 from tiegraph.calibrate.tuning import Tuning
 from tiegraph.geometry import transforms
 from tiegraph.scene.rig import on_plane
@@ -15,7 +15,11 @@ _CLIP_PX = 50.0
 
 def start(seen: Observations, tuning: Tuning) -> State:
     """Every camera by itself, then the cameras against each other, then the board at every instant."""
-    single = [_camera_alone(seen.of_camera(number), tuning) for number in range(len(seen.cameras))]
+    stages, single = tuning.adjust.stages_px, []
+    for own in map(seen.of_camera, range(len(seen.cameras))):
+        state = adjust(own, _resected(own, _by_focal_length(own)), tuning.adjust, stages, principal_point=False)
+        # Poses seen with a wrong lens may have fallen over: a plane has two resections that are nearly as good.
+        single.append(adjust(own, _resected(own, state.cameras[0]), tuning.adjust, stages))
     cameras = tuple(state.cameras[0] for state in single)
     poses = {(v.camera, v.instant): _poses(cameras[v.camera], seen, v) for v in seen.views}
     for (camera, instant), said in poses.items():
@@ -24,25 +28,9 @@ def start(seen: Observations, tuning: Tuning) -> State:
     return State(cameras, sensors, _boards(seen, cameras, sensors, poses))
 
 
-def _camera_alone(own: Observations, tuning: Tuning) -> State:
-    """A camera, and where the board is in its frame, from its own views."""
-    camera = _by_focal_length(own)
-    state = adjust(own, _resected(own, camera), tuning.adjust, tuning.adjust.stages_px, False)
-    # Poses that were seen with a wrong lens may have fallen over: a plane has two resections that are nearly as good.
-    state = _resected(own, state.cameras[0])
-    return adjust(own, state, tuning.adjust, tuning.adjust.stages_px)
-
-
 def _resected(own: Observations, camera: pycolmap.Camera) -> State:
     boards = {v.instant: _poses(camera, own, v)[0] for v in own.views}
     return State((camera,), np.eye(4)[None], boards)
-
-
-def _first_camera(images: CameraImages, focal: float) -> pycolmap.Camera:
-    """A camera without distortion; ``focal`` in longer sides of its image."""
-    camera = pycolmap.Camera.create_from_model_name(1, images.model, focal * max(images.size), *images.size)
-    camera.has_prior_focal_length = True
-    return camera
 
 
 def _by_focal_length(own: Observations) -> pycolmap.Camera:
@@ -56,7 +44,12 @@ def _by_focal_length(own: Observations) -> pycolmap.Camera:
         best = (_poses(camera, own, v)[0] for v in fullest)
         return sum(_error(camera, pose, own, v) for v, pose in zip(fullest, best))
 
-    return min((_first_camera(images, float(f)) for f in np.geomspace(*bounds, 24)), key=cost)
+    longer, cameras = max(images.size), []
+    for focal in np.geomspace(*bounds, 24):
+        camera = pycolmap.Camera.create_from_model_name(1, images.model, float(focal) * longer, *images.size)
+        camera.has_prior_focal_length = True
+        cameras.append(camera)
+    return min(cameras, key=cost)
 
 
 def _error(camera: pycolmap.Camera, pose: np.ndarray, seen: Observations, view: View) -> float:
@@ -76,13 +69,9 @@ def _poses(camera: pycolmap.Camera, seen: Observations, view: View) -> list[np.n
         )
         found = [transforms.rigid(cv2.Rodrigues(r)[0], t.ravel()) for r, t in zip(turns, places)]
         found = [pose for pose in found if np.isfinite(pose).all()]
-    return sorted(found, key=lambda p: _error(camera, p, seen, view)) or [_before(points)]
-
-
-def _before(points: np.ndarray) -> np.ndarray:
-    """A board straight ahead: of a view that no resection explains, which the adjustment will leave out."""
-    size = float(np.ptp(points, axis=0).max())
-    return transforms.rigid(np.eye(3), np.append(-points.mean(axis=0)[:2], 2 * size))
+    # Of a view that no resection explains the board is straight ahead, and the adjustment will leave the view out.
+    ahead = np.append(-points.mean(axis=0)[:2], 2 * float(np.ptp(points, axis=0).max()))
+    return sorted(found, key=lambda p: _error(camera, p, seen, view)) or [transforms.rigid(np.eye(3), ahead)]
 
 
 # --- the rig --------------------------------------------------------------------------------------------------------

@@ -66,7 +66,8 @@ def check(
     and one other depth map must say the same: ``views`` tells these points.
     """
     rows = row_strips(depth.depth_m.shape, _STRIP_PIXELS)
-    strips = [_cut(depth, r) for r in rows]
+    names = ("depth_m", "sigma_m", "views", *(() if depth.support is None else ("support",)))
+    strips = [replace(depth, **{n: getattr(depth, n)[r] for n in names}) for r in rows]  # the camera is of the whole
     tallies = [_Tally.begin(strip) for strip in strips]
     unseen = set(partners)
     for name in witnesses:
@@ -91,27 +92,24 @@ def check(
     return joined, Consistency.total(counts for _, counts in judged)
 
 
-def _cut(depth: DepthMap, rows: slice) -> DepthMap:
-    """Some rows of a depth map; the camera stays that of the whole."""
-    support = None if depth.support is None else depth.support[rows]
-    own = depth.depth_m[rows], depth.sigma_m[rows], depth.views[rows]
-    return replace(depth, depth_m=own[0], sigma_m=own[1], views=own[2], support=support)
-
-
 def _judged(
     depth: DepthMap, tally: _Tally, mapless: Sequence[int], min_views: int, tuning: RayTuning
 ) -> tuple[DepthMap, Consistency]:
     """What stays when all witnesses were heard but the ``mapless`` partners, which have no depth map."""
     known = np.isfinite(depth.depth_m)
     possible = 1 + tally.possible + len(mapless)  # a partner without a depth map might see everything
-    needed = np.clip(possible, 2, min_views + (_relative_sigma(depth, tally) > tuning.vague_share))
+    relative = _relative_sigma(depth, tally)
+    needed = np.clip(possible, 2, min_views + (relative > tuning.vague_share))
     alone = (needed < min_views) & (tally.maps < 2)
     matched = np.sum([_bit(depth, k) for k in mapless], axis=0, dtype=np.int16)
     few = known & ((tally.maps + matched < needed) | alone)
     floating = known & ~few & (tally.against >= tally.views)
     kept = known & ~few & ~floating
     counts = [int(np.count_nonzero(m)) for m in (known, kept, few, floating, kept & (tally.views == 2))]
-    return _replaced(depth, kept, tally), Consistency(*counts)
+    mean = np.where(kept, tally.weight, np.nan) / np.where(kept, tally.weighted, 1)
+    sigma, views = relative * mean, np.where(kept, np.minimum(tally.views, 255), 0)
+    found = {"depth_m": mean.astype(np.float32), "sigma_m": sigma.astype(np.float32), "views": views.astype(np.uint8)}
+    return replace(depth, **found), Consistency(*counts)
 
 
 def _bit(depth: DepthMap, k: int) -> np.ndarray:
@@ -181,16 +179,6 @@ def _relative_sigma(depth: DepthMap, tally: _Tally) -> np.ndarray:
     gain = np.maximum(depth.views.astype(np.float32) - 1, 1) / np.maximum(tally.views - 1, 1)
     known = tally.weighted > 0
     return np.sqrt(tally.maps * gain * tally.weight) / np.where(known, tally.weighted, np.inf)
-
-
-def _replaced(depth: DepthMap, kept: np.ndarray, tally: _Tally) -> DepthMap:
-    mean = np.where(kept, tally.weight, np.nan) / np.where(kept, tally.weighted, 1)
-    return replace(
-        depth,
-        depth_m=mean.astype(np.float32),
-        sigma_m=(_relative_sigma(depth, tally) * mean).astype(np.float32),
-        views=np.where(kept, np.minimum(tally.views, 255), 0).astype(np.uint8),
-    )
 
 
 def _compare(depth: DepthMap, top: int, surface: _Surface, tolerance_px: float, tuning: RayTuning) -> _Said:

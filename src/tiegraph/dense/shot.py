@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Collection, Sequence
+from dataclasses import replace
 
 import numpy as np
 import pycolmap
@@ -75,13 +76,17 @@ def plan_hanging(
     for frame in model.frames.values():
         members = [model.image(d.id) for d in frame.data_ids]
         hanging = sorted((i for i in members if i.name in names), key=lambda i: i.name)
-        depths = [_point_depths(model, i) for i in members if i.name not in names]
+        depths = [np.zeros(0)]
+        for image in (i for i in members if i.name not in names):
+            ids = [p.point3D_id for p in image.get_observation_points2D()]
+            xyz, pose = np.array([model.points3D[k].xyz for k in ids]).reshape(-1, 3), matrix(image.cam_from_world())
+            depths.append(xyz @ pose[2, :3] + pose[2, 3])
         if not hanging:
             continue
         views = [
             ViewPlan(i.name, CameraModel.of(model.camera(i.camera_id)), matrix(i.cam_from_world())) for i in hanging
         ]
-        seen = np.concatenate([d[d > 0] for d in depths] or [np.zeros(0)])
+        seen = np.concatenate([d[d > 0] for d in depths])
         try:
             if len(seen) < tuning.partners.min_shared:
                 raise InputError(f"the wide images of its frame see {len(seen)} points: too few to tell where to look")
@@ -93,13 +98,6 @@ def plan_hanging(
         dropped += found.dropped
         refused.update(found.refused)
     return DensePlan(images=images, dropped=tuple(dropped), refused=dict(refused))
-
-
-def _point_depths(model: pycolmap.Reconstruction, image: pycolmap.Image) -> np.ndarray:
-    """(P,) depths of the points that an image sees."""
-    pose = matrix(image.cam_from_world())
-    xyz = np.array([model.points3D[p.point3D_id].xyz for p in image.get_observation_points2D()]).reshape(-1, 3)
-    return np.asarray(xyz @ pose[2, :3] + pose[2, 3])
 
 
 def _look(
@@ -127,7 +125,7 @@ def _look(
     partner = Partner(view=view, shared=int(seen.sum()), angle_deg=widest, scale=scale)
     reason = refusal(partner, float(usable.mean()), settings, tuning.partners)
     worth = float(seen.mean() * angle_weight(angle, tuning.partners).mean())
-    return Partner(view=view, shared=partner.shared, angle_deg=partner.angle_deg, scale=scale, reason=reason), worth
+    return replace(partner, reason=reason), worth
 
 
 def _points(camera: Pinhole, sought: DepthRange) -> np.ndarray:

@@ -45,7 +45,8 @@ def write_workspace(
         view = ViewPlan(image.name, CameraModel.of(model.camera(image.camera_id)), pose)
         path = inside(target / "images", image.name)
         path.parent.mkdir(parents=True, exist_ok=True)
-        _write_image(path, load_view(view, images, None, settings).image_bgr)
+        bgr = load_view(view, images, None, settings).image_bgr
+        path.write_bytes(cv2.imencode(path.suffix.lower(), bgr)[1].tobytes())  # OpenCV does not say that a disk is full
         _write_map(maps / f"{image.name}.{_KIND}.bin", depth.depth_m)
         normal = depth.normal if depth.normal is not None else np.zeros((*depth.depth_m.shape, 3), np.float32)
         _write_map(target / "stereo" / "normal_maps" / f"{image.name}.{_KIND}.bin", normal)
@@ -85,11 +86,6 @@ def undistorted(model: pycolmap.Reconstruction, names: set[str], settings: Dense
         if len(elements) > 1:
             result.add_point3D(point.xyz, pycolmap.Track(elements), point.color)
     return result
-
-
-def _write_image(path: Path, bgr: np.ndarray) -> None:
-    """By the suffix; bytes are written here, for OpenCV does not say that a disk is full."""
-    path.write_bytes(cv2.imencode(path.suffix.lower(), bgr)[1].tobytes())
 
 
 def _write_map(path: Path, values: np.ndarray) -> None:

@@ -10,7 +10,7 @@ from tiegraph.odometry.adjust import adjust
 from tiegraph.odometry.cameras import FAR_BASELINES, Cameras
 from tiegraph.odometry.follow import Images, Tracks, corners, followed, in_partners
 from tiegraph.odometry.recall import Read, Recall, Recalled, scale_to, thumbnails
-from tiegraph.odometry.resect import Resection, errors_px, moved_share, relative_pose, resect, scaled
+from tiegraph.odometry.resect import errors_px, moved_share, relative_pose, resect, scaled
 from tiegraph.odometry.tuning import Tuning
 from tiegraph.odometry.worldmap import Keyframe, WorldMap
 
@@ -127,18 +127,15 @@ class Odometry:
             self.world.xyz[first.point] = np.nan
             return
         for number, (waited, seen) in enumerate(self._waiting[:-1]):
-            self._pose_waited(waited, seen, number / max(len(self._waiting) - 1, 1))
+            seen = seen.where(self._placed(seen))
+            guess = _part(self.world.keyframes[-1].rig_from_world, number / max(len(self._waiting) - 1, 1))
+            found = resect(self.cameras, seen.camera, seen.xy, self.world.xyz[seen.point], guess, self._tuning.pose)
+            if found is not None:
+                self._hang(waited, self._first, found.rig_from_world, seen.where(found.inlier))
         last = self.world.keyframes[-1].rig_from_world
         self._velocity = _part(last, 1 / max(len(self._waiting) - 1, 1))
         self._begun(images, tracks, last)
         self._fill(frame, images, masks)
-
-    def _pose_waited(self, frame: int, seen: Tracks, share: float) -> None:
-        seen = seen.where(self._placed(seen))
-        guess = _part(self.world.keyframes[-1].rig_from_world, share)
-        found = resect(self.cameras, seen.camera, seen.xy, self.world.xyz[seen.point], guess, self._tuning.pose)
-        if found is not None:
-            self._hang(frame, self._first, found.rig_from_world, seen.where(found.inlier))
 
     def _begun(self, images: Images, tracks: Tracks, pose: np.ndarray) -> None:
         last = len(self.world.keyframes) - 1
@@ -160,15 +157,8 @@ class Odometry:
             return
         off = np.zeros(len(tracks), bool)
         off[self._placed(tracks)] = ~found.inlier
-        self._go_on(frame, images, masks, tracks.where(~off), found)
-
-    def _go_on(
-        self, frame: int, images: Images, masks: Mapping[int, np.ndarray], tracks: Tracks, found: Resection
-    ) -> None:
-        """The frame has a pose: note it, and make it a keyframe if one is needed."""
-        assert self._before is not None
-        pose = found.rig_from_world
-        if self._before.pose is not None and not self._lost:
+        tracks, pose = tracks.where(~off), found.rig_from_world
+        if not self._lost:
             self._velocity = pose @ transforms.invert(self._before.pose)
         self._lost, self._before = 0, _Before(images, tracks, pose)
         self._hang(frame, len(self.world.keyframes) - 1, pose, tracks.where(self._placed(tracks)))
@@ -340,18 +330,15 @@ class Odometry:
         rays = self.cameras.rays(tracks.camera, tracks.xy) @ world_from_rig[:3, :3].T
         centres = transforms.apply(world_from_rig, self.cameras.rig_from_sensor[:, :3, 3])[tracks.camera]
         distance = np.linalg.norm(out - centres, axis=1)
+        baseline = np.linalg.norm(self.cameras.rig_from_sensor[:, :3, 3], axis=1).max()
+        usual = float(max(FAR_BASELINES * baseline, 1.0))  # where the cameras of the rig see about the same, m
         for camera in np.unique(tracks.camera).tolist():
             at = tracks.camera == camera
             known = distance[at & ~np.isnan(distance)]
-            far = float(np.median(known)) if len(known) else self._far()
+            far = float(np.median(known)) if len(known) else usual
             missing = at & np.isnan(distance)
             out[missing] = centres[missing] + far * rays[missing]
         return out
-
-    def _far(self) -> float:
-        """A distance at which the cameras of the rig see about the same, m."""
-        baseline = np.linalg.norm(self.cameras.rig_from_sensor[:, :3, 3], axis=1).max()
-        return float(max(FAR_BASELINES * baseline, 1.0))
 
     def _in_partners(self, images: Images, tracks: Tracks, pose: np.ndarray) -> Tracks:
         in_rig = transforms.apply(pose, self._about(tracks, pose))

@@ -42,7 +42,10 @@ def resect(
     """
     found = None if guess is None else _refined(cameras, camera, xy, points, guess, tuning)
     if (found is None or found.inlier.mean() < 0.5) and len(xy) >= tuning.least_points:
-        pose = _ransac(cameras, camera, xy, points, tuning)
+        options = _ransac_options(tuning.inlier_px, 50, 2000)
+        known = camera.tolist(), cameras.rigid, list(cameras.models)
+        made = pycolmap.estimate_generalized_absolute_pose(xy, points, *known, options)
+        pose = None if made is None else matrix(made["rig_from_world"])
         other = None if pose is None else _refined(cameras, camera, xy, points, pose, tuning)
         if other is not None and (found is None or other.inlier.sum() > found.inlier.sum()):
             found = other
@@ -65,16 +68,6 @@ def _refined(
             return None
         pose = matrix(made["rig_from_world"])
     return Resection(pose, errors_px(cameras, pose, camera, xy, points) < tuning.inlier_px)
-
-
-def _ransac(
-    cameras: Cameras, camera: np.ndarray, xy: np.ndarray, points: np.ndarray, tuning: PoseTuning
-) -> np.ndarray | None:
-    options = _ransac_options(tuning.inlier_px, 50, 2000)
-    made = pycolmap.estimate_generalized_absolute_pose(
-        xy, points, camera.tolist(), cameras.rigid, list(cameras.models), options
-    )
-    return None if made is None else matrix(made["rig_from_world"])
 
 
 def moved_share(cameras: Cameras, before: Tracks, after: Tracks) -> float:

@@ -44,7 +44,7 @@ from tiegraph.scan.frames import match_frames
 from tiegraph.scan.rigfiles.camerafile import MODELS
 from tiegraph.scan.rigfiles.rigfaults import nearest
 from tiegraph.scan.rigfiles.rigfile import parse_rig_file, read_rig_file
-from tiegraph.scan.rigfiles.rigspec import RigSpec, SensorSpec, rig_config, rig_toml
+from tiegraph.scan.rigfiles.rigspec import SensorSpec, rig_config, rig_toml
 from tiegraph.scan.tuning import Tuning as ScanTuning
 from tiegraph.scene.atomic import must_be_new
 from tiegraph.scene.decoding import Levels, eight_bit, opened, turned
@@ -80,13 +80,17 @@ def calibrate(
     with reporter.stage("corners"):
         reporter.total(len(files))
         corners = _map(pool, reporter, _corners, files, pattern, tuning.board)
-    views = (
+    views = tuple(
         View(camera=f.camera, instant=f.instant, name=f.name, corners=numbers, xy=xy)
         for f, (numbers, xy) in zip(files, corners)
         if len(numbers)
     )
-    seen = Observations(pattern, cameras, tuple(views))
-    unread = _without_board(files, seen)
+    seen = Observations(pattern, cameras, views)
+    unread, read = [], {view.name for view in views}
+    for number, camera in enumerate(cameras):
+        names = [f.name for f in files if f.camera == number and f.name not in read]
+        if names:
+            unread.append(f"{camera.name}: no board in {len(names)} of {camera.count} images: {', '.join(names)}")
     check_views(seen, tuning.start)
     done = adjust_robustly(seen, start(seen, tuning), tuning.adjust, settings.board_sigma)
     verdict = judge(done, tuning)
@@ -238,17 +242,6 @@ def _map(pool: str, reporter: Reporter, function: object, items: Sequence, *args
 # --- the corners ----------------------------------------------------------------------------------------------------
 
 
-def _without_board(files: Sequence[_File], seen: Observations) -> list[str]:
-    """Of each camera the images in which no board was found."""
-    views = {view.name for view in seen.views}
-    out = []
-    for number, camera in enumerate(seen.cameras):
-        names = [f.name for f in files if f.camera == number and f.name not in views]
-        if names:
-            out.append(f"{camera.name}: no board in {len(names)} of {camera.count} images: {', '.join(names)}")
-    return out
-
-
 def _corners(file: _File, board: Board, tuning: BoardTuning) -> Corners:
     """The corners in one image."""
     found = opened(file.path.read_bytes(), file.path.suffix)
@@ -343,11 +336,13 @@ def self_calibration(
     reporter, tunings = reporter or Reporter("quiet"), tunings or VerbTunings()
     tuning = tunings.scan.rig
     _folder_beside(out)
-    other = None if against is None else _only(against, read_rig_file(against, tuning))
+    others = () if against is None else read_rig_file(against, tuning)
+    if len(others) > 1:
+        raise InputError(f"--against {against}: {len(others)} rigs in it, and a run's rig is compared with one")
     found = rig_file(folder)
     said = [f"the run says: {text}" for text in found.said]
     rows: tuple[Difference, ...] = ()
-    if other is not None:
+    for other in others:
         (own,) = parse_rig_file(folder, found.text, tuning)
         rows = differences(*([_calibration(s) for s in rig.sensors] for rig in (other, own)))
         said += [sentence(row, tunings.calibrate.judge) for row in rows]
@@ -374,12 +369,6 @@ def sentence(row: Difference, tuning: JudgeTuning) -> str:
 
 def _sigmas(value: float) -> str:
     return f" ({value:.1f} sigmas)" if np.isfinite(value) else ""
-
-
-def _only(path: Path, rigs: tuple[RigSpec, ...]) -> RigSpec:
-    if len(rigs) != 1:
-        raise InputError(f"--against {path}: {len(rigs)} rigs in it, and a run's rig is compared with one")
-    return rigs[0]
 
 
 def _calibration(sensor: SensorSpec) -> Calibration:

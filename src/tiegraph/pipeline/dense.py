@@ -46,14 +46,18 @@ def dense(run: Run) -> Outcome:
     names = sorted(plan.images)
     settings, tuning = run.settings.dense, run.settings.tuning.dense
     args = (run.folder, plan.images, settings, tuning)
-    todo = _to_confirm(names, run.folder)
+    todo = [n for n in names if not depth_path(run.folder, n).exists()]
+    if todo:  # the first maps of all are made then, so those whose reasons for what was dropped are gone come again too
+        todo = [n for n in names if n in set(todo) or not _counts_path(run.folder, n).exists()]
     first = [n for n in names if not depth_path(run.folder, n, FIRST).exists()] if todo else []
     sizes = _sizes(plan.images, settings, tuning)
     _log.info("%d images; %s", len(names), "; ".join(sizes))
     run.reporter.total(2 * len(names), 2 * len(names) - len(first) - len(todo))
     kernels = Counter(run.map(_first_item, first, *args))
     run.map(_confirm_item, todo, *args)
-    found = _what_became(names, run.folder)
+    paths = [_counts_path(run.folder, n) for n in names]
+    told = all(p.exists() for p in paths)  # else nothing was to be done any more
+    found = Consistency.total(Consistency(**load_json(p)) for p in paths) if told else None
     # A confirmed map's first form may still be asked for as a witness, so all of them stay until the end.
     remove(run.path("depth", FIRST))
     pixels = run.map(_known_pixels, names, run.folder)
@@ -123,23 +127,6 @@ def _confirm_item(
 def _counts_path(folder: Path, name: str) -> Path:
     """What the comparison dropped of a depth map and why, until the stage is done: written before the map is."""
     return inside(folder / "depth" / FIRST, f"{name}.json")
-
-
-def _to_confirm(names: list[str], folder: Path) -> list[str]:
-    """Images without a finished depth map, and if there are some those whose reasons for what was dropped are gone:
-    one map was lost after the stage was done, and the first maps of all are to be made again anyway."""
-    missing = [n for n in names if not depth_path(folder, n).exists()]
-    if not missing:
-        return []
-    return [n for n in names if not depth_path(folder, n).exists() or not _counts_path(folder, n).exists()]
-
-
-def _what_became(names: list[str], folder: Path) -> Consistency | None:
-    """What the comparison dropped of all depth maps, and why; None where nothing was to be done any more."""
-    paths = [_counts_path(folder, n) for n in names]
-    if not all(p.exists() for p in paths):
-        return None
-    return Consistency.total(Consistency(**load_json(p)) for p in paths)
 
 
 def _known_pixels(name: str, folder: Path) -> int:

@@ -88,7 +88,9 @@ def _found(run: FoundRun, index: int) -> Rig:
     """A rig with the cameras, places and sigmas of the model."""
     given, several = run.scene.rigs[index], len(run.scene.rigs[index].sensors) > 1
     mode = rig_modes(run.scene.measured(), run.receipt.get("settings", {}).get("rig", "auto")).get(index, "")
-    rigid = several and bool(mode) and _in_model(run, index)
+    reference = pycolmap.sensor_t(pycolmap.SensorType.CAMERA, 1 + run.scene.first_sensor(index))
+    in_model = index + 1 in run.mapped.rigs and run.mapped.rigs[index + 1].is_ref_sensor(reference)
+    rigid = several and bool(mode) and in_model
     held = model_rigs(run.mapped, run.scene)[index]
     found = model_rigs(run.world, run.scene)[index]
     cameras = _cameras(run, index, found)
@@ -155,7 +157,10 @@ def _loose(run: FoundRun, given: Rig, index: int, mode: str) -> Rig:
     if not mode:
         run.said.append(f"{given.name}: its places are as given: the run did not use the rig (sparse.rig = absent)")
         return given
-    late = _late_ms(run, given)
+    columns = run.receipt.get("tables", {}).get("rig diagnostics", {}).get("columns", [])
+    at = columns.index(_LATE) if _LATE in columns else -1
+    rows, others = run.rows("rig diagnostics") if at >= 0 else [], {s.name for s in given.sensors[1:]}
+    late = {r[0]: r[at] for r in rows if r[0] in others and r[at] is not None}
     told = ", ".join(f"{n} {ms:+g} ms" for n, ms in late.items()) or "their times"
     run.said.append(
         f"{given.name}: the cameras do not fire at one instant, and each has a time of its own in the model. Left out, "
@@ -184,25 +189,9 @@ def _loose(run: FoundRun, given: Rig, index: int, mode: str) -> Rig:
     return rig
 
 
-def _late_ms(run: FoundRun, rig: Rig) -> dict[str, float]:
-    """When each camera but the first fires against it, milliseconds; {} if the run has no times."""
-    columns = run.receipt.get("tables", {}).get("rig diagnostics", {}).get("columns", [])
-    at = columns.index(_LATE) if _LATE in columns else -1
-    names = {s.name for s in rig.sensors[1:]}
-    rows = run.rows("rig diagnostics") if at >= 0 else []
-    return {r[0]: r[at] for r in rows if r[0] in names and r[at] is not None}
-
-
 def _with_scale(run: FoundRun, sigma_m: float, length_m: float) -> float:
     """Sigma of a coordinate with that of the scale of all lengths."""
     return float(np.hypot(sigma_m, length_m * float(np.nan_to_num(run.metres.sigma)) / np.sqrt(3)))
-
-
-def _in_model(run: FoundRun, index: int) -> bool:
-    """Whether the model has the rig as one, with the reference of the scene."""
-    first = 1 + run.scene.first_sensor(index)
-    reference = pycolmap.sensor_t(pycolmap.SensorType.CAMERA, first)
-    return index + 1 in run.mapped.rigs and run.mapped.rigs[index + 1].is_ref_sensor(reference)
 
 
 def _say_scale(run: FoundRun, rig: Rig) -> None:
@@ -252,10 +241,14 @@ def _with_sigmas(run: FoundRun, found: Rig, index: int) -> Rig:
         run.said.append(f"{found.name}: the run has no sigmas of the places of {', '.join(untold)}")
         return found
     sensors, kept = [found.sensors[0]], []
+    scale = float(np.nan_to_num(run.metres.scale, nan=1.0))
     for place, sensor in enumerate(found.sensors[1:], start=1):
         before = given.sensors[place]
-        sigma_deg, sigma_m = _sigmas(run, table[sensor.name])
-        if _unmoved(sensor, before):
+        *xyz, sigma, turn = table[sensor.name][:5]
+        metres = _with_scale(run, scale * sigma / np.sqrt(3), scale * float(np.linalg.norm(xyz)))
+        sigma_deg, sigma_m = min(turn / np.sqrt(3), SIGMA_DEG[1]), min(metres, SIGMA_M[1])  # of an axis, a coordinate
+        looks = [s.sensor_from_rig[:3, :3] for s in (sensor, before) if s.sensor_from_rig is not None]
+        if len(looks) == 2 and np.allclose(*looks, rtol=0, atol=1e-12):  # exactly where it was given
             kept.append(sensor.name)
             sigma_deg, sigma_m = before.sigma_deg or sigma_deg, before.sigma_m or sigma_m
             if given.nominal:  # the coarse model may have turned it by ties that did not hold
@@ -266,20 +259,6 @@ def _with_sigmas(run: FoundRun, found: Rig, index: int) -> Rig:
     if kept:
         run.said.append(f"{found.name}: {', '.join(kept)} stands as given: too few ties told its place in the rig")
     return replace(found, sensors=tuple(sensors), nominal=False, pairs=())
-
-
-def _sigmas(run: FoundRun, row: list) -> tuple[float, float]:
-    """Sigma of each axis in degrees, and of each coordinate in metres with that of the scale: x, y, z, sigma, turn."""
-    scale = float(np.nan_to_num(run.metres.scale, nan=1.0))
-    place = _with_scale(run, scale * row[3] / np.sqrt(3), scale * float(np.linalg.norm(row[:3])))
-    return min(row[4] / np.sqrt(3), SIGMA_DEG[1]), min(place, SIGMA_M[1])
-
-
-def _unmoved(sensor: Sensor, before: Sensor) -> bool:
-    """Whether a sensor of an adjusted rig looks exactly where it was given."""
-    if sensor.sensor_from_rig is None or before.sensor_from_rig is None:
-        return False
-    return bool(np.allclose(sensor.sensor_from_rig[:3, :3], before.sensor_from_rig[:3, :3], rtol=0, atol=1e-12))
 
 
 def _short(value: float) -> float:

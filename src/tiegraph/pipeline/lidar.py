@@ -28,7 +28,7 @@ from tiegraph.lidar.scans import Reading, Recording, deskew, open_scans, velocit
 from tiegraph.lidar.settings import LidarSettings
 from tiegraph.lidar.tables import Column, hand_eye_table, survey_table
 from tiegraph.lidar.tuning import Tuning
-from tiegraph.pipeline.files import load_json, load_model, load_scene, reading, world_origin
+from tiegraph.pipeline.files import load_cloud, load_json, load_model, load_scene, world_origin
 from tiegraph.project.folder import check_format
 from tiegraph.project.progress import Reporter
 from tiegraph.project.receipts import Receipts
@@ -37,7 +37,7 @@ from tiegraph.project.verbtunings import VerbTunings
 from tiegraph.scan.priors.trajectory import write_tum
 from tiegraph.scene.atomic import scratch_folder
 from tiegraph.scene.cloudchunks import Points, PointSource
-from tiegraph.scene.cloudfile import read_cloud, write_cloud
+from tiegraph.scene.cloudfile import write_cloud
 from tiegraph.scene.registered import registration
 from tiegraph.scene.results import Cloud
 from tiegraph.scene.scene import Scene
@@ -84,30 +84,18 @@ class SurveyRun:
                 f"--run {folder}: none of its {int(placed.sum())} placed frames has a time: run it with --times"
             )
         frame = timed[np.argsort(scene.time_s[timed], kind="stable")]
+        cloud, receipts = folder / "cloud.laz", Receipts(folder)
+        told = {row: [receipts.read(s).get("seconds") for s in names] for row, names in _STAGES.items()}
+        seconds = {row: float(sum(t for t in found if t)) for row, found in told.items() if any(found)}
         return cls(
             scene=scene,
             rig=Poses(scene.time_s[frame], rigs[frame], scene.sequence[frame]),
             frame=frame,
             used=registration(model, scene, tuning).registered,
             points=np.array([p.xyz for p in model.points3D.values() if p.track.length() >= _SURE]).reshape(-1, 3),
-            cloud=_cloud(folder),
-            seconds=_seconds(folder),
+            cloud=load_cloud(cloud, world_origin(folder)) if cloud.exists() else None,
+            seconds={**seconds, "Overall processing": sum(seconds.values())},
         )
-
-
-def _cloud(folder: Path) -> Cloud | None:
-    path = folder / "cloud.laz"
-    if not path.exists():
-        return None
-    with reading(path):
-        return read_cloud(path, world_origin(folder))
-
-
-def _seconds(folder: Path) -> dict[str, float]:
-    receipts = Receipts(folder)
-    told = {row: [receipts.read(s).get("seconds") for s in names] for row, names in _STAGES.items()}
-    out = {row: float(sum(t for t in found if t)) for row, found in told.items() if any(found)}
-    return {**out, "Overall processing": sum(out.values())}
 
 
 def lidar(
@@ -154,18 +142,14 @@ def lidar(
     write_tum(out / TRAJECTORY, path.time_s, path.poses)
     write_cloud(cloud, out / MAP, settings.voxel_m)
     if beside is not None and found is not None:
-        _write_rig(out / RIG, beside, rig_in_lidar_world(path, beside.rig.time_s, found))
+        poses = rig_in_lidar_world(path, beside.rig.time_s, found)
+        (out / RIG).mkdir()
+        for number, name in enumerate(beside.scene.sequences):  # a file a pass that the LiDAR saw
+            rows = np.flatnonzero((beside.rig.group == number) & np.isfinite(poses[:, 0, 0]))
+            if len(rows):
+                write_tum(out / RIG / f"{Path(name).name}.tum", beside.rig.time_s[rows], poses[rows])
     save_json(out / SUMMARY, finite(summary))
     return summary
-
-
-def _write_rig(folder: Path, run: SurveyRun, poses: np.ndarray) -> None:
-    """Poses of the rig (F, 4, 4) by the LiDAR, one file a pass that it saw, as ``evaluate`` reads them."""
-    folder.mkdir()
-    for number, name in enumerate(run.scene.sequences):
-        rows = np.flatnonzero((run.rig.group == number) & np.isfinite(poses[:, 0, 0]))
-        if len(rows):
-            write_tum(folder / f"{Path(name).name}.tum", run.rig.time_s[rows], poses[rows])
 
 
 def _given(settings: LidarSettings) -> Given:

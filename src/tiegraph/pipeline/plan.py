@@ -108,7 +108,11 @@ def reached(folder: Path) -> dict[str, float | None]:
         out |= {"base_m": base, "overlap": max(0.0, 1 - base / (float(out["tie_gsd_m"] or 0) * camera.width))}
     inside, sigma = world.get("model_sigma") or {}, world.get("sigma") or {}
     shape = inside.get("median")
-    path = _own_path(folder)
+    # Where the rig was relaxed the sigma of all positions is how well the cameras' places in the rig are known, which a
+    # plan does not ask: there the sigma of a camera's way counts.
+    file = folder / "sparse" / SHAPE
+    way = ModelShape(**load_npz(file)).of_path() if file.exists() else None
+    path = None if way is None else way.sizes()["median"]
     out["relaxed"] = None if path is None else 1.0
     out["position_shape_sigma_median_m"] = shape if path is None else world["scale"] * path
     if shape is not None and "position_m" in sigma:
@@ -118,27 +122,16 @@ def reached(folder: Path) -> dict[str, float | None]:
     return out
 
 
-def _own_path(folder: Path) -> float | None:
-    """Median sigma of a camera's way, model units, of a run whose rig was relaxed: there the sigma of all positions is
-    how well the cameras' places in the rig are known, which a plan does not ask. None = it was not."""
-    file = folder / "sparse" / SHAPE
-    path = ModelShape(**load_npz(file)).of_path() if file.exists() else None
-    return None if path is None else path.sizes()["median"]
-
-
 def _propagate(
     model: pycolmap.Reconstruction, calibrated: bool, *, rigged: Rigged, errors: ErrorTuning, tuning: SfmTuning
 ) -> Shape:
     """What the stage `sparse` would say of an adjusted model: rig and lenses unknown where nobody calibrated them."""
     free = set() if calibrated else free_cameras(model, tuning.adjust) - set(rigged.held)
+    here = set(model.cameras) if calibrated else free  # lenses that are adjusted or calibrated for this survey
+    lens_px = {k: errors.lens_px if k in here else errors.calibration_px for k in model.cameras}
+    shared = AssumedErrors(lens_px=lens_px, reach=errors.reach, tracks=errors.tracks)
     try:
-        found = planned_sigma(
-            model,
-            free,
-            not rigged.fixed,
-            _assumed(model, set(model.cameras) if calibrated else free, errors),
-            tuning=tuning,
-        )
+        found = planned_sigma(model, free, not rigged.fixed, shared, tuning=tuning)
     except (ValueError, RuntimeError, np.linalg.LinAlgError) as error:
         raise InputError(
             f"the network of this path cannot be adjusted ({error}): give more overlap or frames"
@@ -151,12 +144,6 @@ def _propagate(
         points=np.array(found.points.ids),
         point_sigma=found.points.sigma,
     )
-
-
-def _assumed(model: pycolmap.Reconstruction, free: set[int], errors: ErrorTuning) -> AssumedErrors:
-    """Shared errors: of lenses that are adjusted or calibrated for this survey (``free``), of those held as given."""
-    lens_px = {k: errors.lens_px if k in free else errors.calibration_px for k in model.cameras}
-    return AssumedErrors(lens_px=lens_px, reach=errors.reach, tracks=errors.tracks)
 
 
 # --- the cameras ----------------------------------------------------------------------------------------------------
@@ -278,12 +265,8 @@ def forecast(run: Run) -> Forecast | None:
     count = len(names)
     cost = effort((sizes * (count // len(sizes) + 1))[:count], 1, 0.0, None, float(most.mean()), tuning)
     where = next(p for p in (run.folder, *run.folder.parents) if p.exists())
-    return Forecast(cost, _size(run.folder), shutil.disk_usage(where).free)
-
-
-def _size(folder: Path) -> int:
-    files = (p for p in folder.rglob("*") if p.is_file() and not p.is_symlink()) if folder.is_dir() else ()
-    return sum(p.stat().st_size for p in files)
+    files = (p for p in run.folder.rglob("*") if p.is_file() and not p.is_symlink()) if run.folder.is_dir() else ()
+    return Forecast(cost, sum(p.stat().st_size for p in files), shutil.disk_usage(where).free)
 
 
 def _gb(size: float) -> str:

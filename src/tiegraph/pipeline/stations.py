@@ -67,7 +67,9 @@ def stations(
             path = {s.name: p for s, p in zip(ready, joined.poses) if np.isfinite(p).all()}
             known = {file.stem: file for file in files}
             voxel = voxel_m or spacing_m
-            merged = _merged(known, path, voxel, _noise(ready, joined), scratch, tunings.cloud)
+            # Sigma of points that state none
+            noise = [p.residual_m / np.sqrt(2) for p in joined.believed] or [s.levels[-1].rough for s in ready]
+            merged = _merged(known, path, voxel, float(np.median(noise)), scratch, tunings.cloud)
             notes = write_cloud((replace(c, origin=origin) for c in merged.clouds()), folder / CLOUD, voxel)
         result = {
             **told,
@@ -181,12 +183,6 @@ def _with_poses(shots: list[Shot], path: Path) -> list[Shot]:
 # --- one cloud -------------------------------------------------------------------------------------------------------
 
 
-def _noise(ready: Sequence[Station], joined: Joined) -> float:
-    """Sigma of points that state none."""
-    found = [p.residual_m / np.sqrt(2) for p in joined.believed] or [s.levels[-1].rough for s in ready]
-    return float(np.median(found))
-
-
 def _merged(
     files: dict[str, Path],
     poses: dict[str, np.ndarray],
@@ -230,18 +226,19 @@ def _told_of(
     """What stations.json says of clouds, pairs and precision."""
     number = {s.name: k for k, s in enumerate(ready)}
     loops = {(p.first, p.second): row for p, row in zip(joined.believed, joined.loop_m)}
+
+    def cloud(name: str) -> dict[str, Any]:
+        k = number.get(name)
+        why = unfit[name] if k is None else joined.left_out.get(k, "")
+        pairs = sum(k in (p.first, p.second) for p in joined.believed)
+        sigma = np.nan if k is None else float(joined.sigma_m[k])
+        return finite({"name": name, "joined": not why, "why_not": why, "pairs": pairs, "sigma_m": sigma})
+
     return {
-        "clouds": [_cloud_told(f.stem, number.get(f.stem), joined, unfit) for f in files],
+        "clouds": [cloud(f.stem) for f in files],
         "pairs": [_pair_told(p, ready, loops.get((p.first, p.second), (None, None))) for p in joined.pairs],
         "precision": [finite(b.__dict__) for b in bands],
     }
-
-
-def _cloud_told(name: str, k: int | None, joined: Joined, unfit: dict[str, str]) -> dict[str, Any]:
-    why = unfit[name] if k is None else joined.left_out.get(k, "")
-    pairs = sum(k in (p.first, p.second) for p in joined.believed)
-    sigma = np.nan if k is None else float(joined.sigma_m[k])
-    return finite({"name": name, "joined": not why, "why_not": why, "pairs": pairs, "sigma_m": sigma})
 
 
 def _pair_told(pair: Pair, ready: Sequence[Station], loop: Sequence[float | None]) -> dict[str, Any]:

@@ -132,14 +132,10 @@ class Run:
 def check_run(stages: Sequence[Stage], run: Run) -> None:
     """Raise InputError, before anything is written, for a run folder that is not ours or where inputs lie."""
     check_folder(run.folder)
-    given = run.inputs.given() | _given_by_settings(run.settings)
-    check_inputs(run.folder, given, [made for s in stages for made in (*s.makes, *s.scratch)])
-
-
-def _given_by_settings(settings: Any) -> dict[str, Path]:
-    sections = {name: getattr(settings, name) for name in type(settings).model_fields}
+    sections = {name: getattr(run.settings, name) for name in type(run.settings).model_fields}
     named = ((s, n, getattr(v, n)) for s, v in sections.items() for n in type(v).model_fields)
-    return {f"--{s}.{n.replace('_', '-')}": value for s, n, value in named if isinstance(value, Path)}
+    files = {f"--{s}.{n.replace('_', '-')}": value for s, n, value in named if isinstance(value, Path)}
+    check_inputs(run.folder, run.inputs.given() | files, [made for s in stages for made in (*s.makes, *s.scratch)])
 
 
 def without_inputs(stages: Sequence[Stage], run: Run, until: str | None) -> bool:
@@ -293,7 +289,8 @@ def _run_one(stage: Stage, key: str, run: Run, artefacts: Artefacts) -> None:
         with run.reporter.stage(stage.name):
             outcome = stage.run(run)
     except BaseException as error:
-        _log_error(stage, error)
+        own = isinstance(error, (TiegraphError, KeyboardInterrupt))
+        log.error("stage %s%s", stage.name, f": {error or 'stopped'}" if own else "", exc_info=None if own else error)
         with suppress(OSError, TiegraphError):  # on a full disk the journal stays, and tells the same
             artefacts.recover()
         told = explained(error, run.folder) if isinstance(error, Exception) else None
@@ -322,15 +319,13 @@ def _run_one(stage: Stage, key: str, run: Run, artefacts: Artefacts) -> None:
     _say_done(stage, receipt, run.reporter)
 
 
-def _log_error(stage: Stage, error: BaseException) -> None:
-    if isinstance(error, (TiegraphError, KeyboardInterrupt)):
-        log.error("stage %s: %s", stage.name, error or "stopped")
-    else:
-        log.error("stage %s", stage.name, exc_info=error)
-
-
 def _say_done(stage: Stage, receipt: dict, reporter: Reporter) -> None:
-    counts = ", ".join(f"{_short(v)} {k.replace('_', ' ')}" for k, v in receipt["counts"].items())
+    def short(value: Any) -> str:
+        if isinstance(value, float) and not value.is_integer():
+            return f"{value:.3g}"
+        return f"{int(value)}" if isinstance(value, (int, float)) else str(value)
+
+    counts = ", ".join(f"{short(v)} {k.replace('_', ' ')}" for k, v in receipt["counts"].items())
     reporter.say(f"{stage.name:>9}  {receipt['seconds']:7.1f} s  {receipt['peak_mib']:6.0f} MiB  {counts}")
     for note in receipt["notes"]:
         reporter.say(f"{'':>9}  . {note}")
@@ -370,9 +365,3 @@ def _what_changed(stage: Stage, run: Run, before: dict[str, str]) -> str:
     changed = [name for name in {**now, **before} if before.get(name) != now.get(name)]  # otherwise, gone or new
     named = ", ".join(f"{n} {given[n]}" if n in given else n for n in changed)
     return f"changed: {named}" if before and changed else ""
-
-
-def _short(value: Any) -> str:
-    if isinstance(value, float) and not value.is_integer():
-        return f"{value:.3g}"
-    return f"{int(value)}" if isinstance(value, (int, float)) else str(value)

@@ -155,16 +155,13 @@ def from_shapes(first: int, second: int, stations: Sequence[Station], tuning: Tu
     if pair.why_not:
         return pair
     apart = tuning.coarse.apart * a.coarse.side
-    rival = max((share for share, fit in others if _apart(fit, best, b.coarse.xyz) > apart), default=0.0)
+    here = transforms.apply(best, b.coarse.xyz)
+    away = [np.linalg.norm(transforms.apply(fit, b.coarse.xyz) - here, axis=1).max() for _, fit in others]
+    rival = max((share for (share, _), far in zip(others, away) if far > apart), default=0.0)
     # A surface of eight equal waves, shifted by one, has 0.75 to 0.85; other places of bumpy objects 0.5.
     if rival > 0.7 * agree:
         return pair.refused(f"fits in another place too: {agree:.0%} of the surface agree here, {rival:.0%} there")
     return pair
-
-
-def _apart(fit: np.ndarray, other: np.ndarray, xyz: np.ndarray) -> float:
-    """The largest distance between points (N, 3) moved by one and the other fit (4, 4)."""
-    return float(np.linalg.norm(transforms.apply(fit, xyz) - transforms.apply(other, xyz), axis=1).max())
 
 
 def from_start(first: int, second: int, stations: Sequence[Station], start: np.ndarray, tuning: Tuning) -> Pair:

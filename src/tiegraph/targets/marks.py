@@ -45,15 +45,26 @@ def marks_of(
         for one in found:
             by_target[one.target][image].append(one)
     marks, notes = [], []
+
+    def apart(found: Sequence[Seen]) -> bool:
+        """Whether a target is at two places, and not at one with two outlines."""
+        first = found[0].corners
+        side = float(np.linalg.norm(first[1] - first[0]))
+        return any(np.linalg.norm((s.corners - first).mean(axis=0)) > side / 2 for s in found[1:])
+
     for name, target in named.items():
         places = by_target.pop(target, {})
-        twice = [k for k, found in places.items() if _apart(found)]
+        twice = [k for k, found in places.items() if apart(found)]
         if twice:
             more = f" and of {len(twice) - 1} more" if len(twice) > 1 else ""
             text = f"target {name} is seen at two places of {names[twice[0]]}{more}: printed twice? It is not used"
             notes.append(text)
             continue
-        notes += _seen_little(name, places, names, len(seen))
+        if not places:
+            notes.append(f"target {name} is seen in none of {len(seen)} images")
+        elif len(places) == 1:
+            only = names[next(iter(places))]
+            notes.append(f"target {name} is seen in one image only, {only}: two are needed for a place")
         for k, found in places.items():
             best = min(found, key=lambda s: s.sigma_px)
             x, y = centre_of(best.corners, camera_of(k))
@@ -63,21 +74,6 @@ def marks_of(
                 )
     notes += _not_named(by_target)
     return TargetMarks(tuple(marks), tuple(notes))
-
-
-def _apart(found: Sequence[Seen]) -> bool:
-    """Whether a target is at two places, and not at one with two outlines."""
-    first = found[0].corners
-    side = float(np.linalg.norm(first[1] - first[0]))
-    return any(np.linalg.norm((s.corners - first).mean(axis=0)) > side / 2 for s in found[1:])
-
-
-def _seen_little(name: str, places: Mapping[int, Sequence[Seen]], names: Sequence[str], images: int) -> list[str]:
-    if not places:
-        return [f"target {name} is seen in none of {images} images"]
-    if len(places) == 1:
-        return [f"target {name} is seen in one image only, {names[next(iter(places))]}: two are needed for a place"]
-    return []
 
 
 def _not_named(by_target: Mapping[Target, Mapping[int, Sequence[Seen]]]) -> list[str]:
