@@ -226,9 +226,12 @@ def run_in_children(
     """``run_in_child`` for several calls side by side, one process each; their results. The first error ends all."""
     context = Helpers()
     log.parent.mkdir(parents=True, exist_ok=True)
-    _allow_children()
+    # Dask's workers are daemonic, and multiprocessing lets no such process have children, which could outlive it; ours
+    # ends with it by itself (``die_with_parent``).
+    multiprocessing.current_process().daemon = False
     results: list[Any] = [None] * len(calls)
     running: dict[Any, tuple[int, Helper]] = {}
+    value: Any
     pipes: list[Any] = []
     try:
         for k, args in enumerate(calls):
@@ -240,7 +243,10 @@ def run_in_children(
             sender.close()
         while running:
             for ready in wait(list(running)):
-                kind, value = _receive(ready)
+                try:
+                    kind, value = ready.recv()  # type: ignore[union-attr]
+                except (EOFError, OSError):  # it has ended and said nothing, or within a message
+                    kind, value = "", None
                 if kind == "message":
                     if on_message is not None:
                         on_message(value)
@@ -259,22 +265,6 @@ def run_in_children(
         for receiver in pipes:
             receiver.close()
     return results
-
-
-def _allow_children() -> None:
-    """Dask's workers are daemonic, and multiprocessing lets no such process have children, which could outlive it; ours
-    ends with it by itself (``die_with_parent``)."""
-    process = multiprocessing.current_process()
-    if process.daemon:
-        process.daemon = False
-
-
-def _receive(receiver: Any) -> tuple[str, Any]:
-    """(what it is, content) of what a child sent; "" = it has ended and said nothing."""
-    try:
-        return receiver.recv()
-    except (EOFError, OSError):  # OSError: it ended within a message
-        return "", None
 
 
 def _child_main(sender: Any, log: str, function: Callable[..., Any], args: tuple) -> None:

@@ -88,7 +88,15 @@ def adjust_robustly(seen: Observations, start: State, tuning: AdjustTuning, boar
             break
         left_out |= found
         kept = seen.without(left_out)
-        _check_kept(seen, kept, left_out, tuning)
+        for number, camera in enumerate(seen.cameras):
+            before, after = (len(o.of_camera(number).views) for o in (seen, kept))
+            if after < tuning.most_doubted * before:
+                name, reason = next(iter(left_out.items()))
+                raise ReconstructionError(
+                    f"{camera.name}: {before - after} of {before} views of the board contradict the others ({name}: "
+                    f"{reason}): is the camera model right (--model), the board as --board says, and are images of "
+                    "one instant called alike?"
+                )
         state = adjust(kept, state.at(kept.instants()), tuning, tuning.stages_px[-1:])
     scale = max(CAUCHY_SIGMAS * _sigma(view_residuals(kept, state)), tuning.least_scale_px)
     state = adjust(kept, state, tuning, (scale,))
@@ -123,18 +131,6 @@ def _with_bent_board(
         seen, state = replace(seen, board=replace(seen.board, points=points)), _state(model, state)
         scale_px = max(CAUCHY_SIGMAS * _sigma(view_residuals(seen, state)), tuning.least_scale_px)
     return seen, state
-
-
-def _check_kept(seen: Observations, kept: Observations, left_out: dict[str, str], tuning: AdjustTuning) -> None:
-    for number, camera in enumerate(seen.cameras):
-        before, after = (len(o.of_camera(number).views) for o in (seen, kept))
-        if after < tuning.most_doubted * before:
-            name, reason = next(iter(left_out.items()))
-            raise ReconstructionError(
-                f"{camera.name}: {before - after} of {before} views of the board contradict the others ({name}: "
-                f"{reason}): is the camera model right (--model), the board as --board says, and are images of one "
-                "instant called alike?"
-            )
 
 
 def _doubtful(seen: Observations, state: State, tuning: AdjustTuning) -> dict[str, str]:

@@ -44,7 +44,15 @@ def judge(done: Adjusted, tuning: Tuning) -> Verdict:
     """
     exact = precision(done, tuning.adjust)
     tilts = [_largest_tilt(done, k) for k in range(len(done.seen.cameras))]
-    _check_focal_lengths(done, exact, tilts, tuning.judge)
+    for number, images in enumerate(done.seen.cameras):
+        share = relative_focal_sigma(done, exact, number)
+        if not share <= tuning.judge.undetermined:
+            focal = done.state.cameras[number].mean_focal_length()
+            raise ReconstructionError(
+                f"{images.name}: these views do not determine its focal length: {focal:.0f} px with a sigma of "
+                f"{100 * share:.2g} %. The board was tilted by {tilts[number]:.0f} degrees at most against the line of "
+                "sight: take views with 30 to 45 degrees, to all four sides, and near ones that fill the image"
+            )
     inside, held_out = view_residuals(done.seen, done.state), held_out_residuals(done, tuning)
     cameras = []
     for number, images in enumerate(done.seen.cameras):
@@ -104,18 +112,6 @@ def relative_focal_sigma(done: Adjusted, exact: Precision, camera: int) -> float
     return float(np.max(exact.of(camera, *(names[k] for k in at)) / np.abs(found.params[at])))
 
 
-def _check_focal_lengths(done: Adjusted, exact: Precision, tilts: list[float], tuning: JudgeTuning) -> None:
-    for number, images in enumerate(done.seen.cameras):
-        share = relative_focal_sigma(done, exact, number)
-        if not share <= tuning.undetermined:
-            focal = done.state.cameras[number].mean_focal_length()
-            raise ReconstructionError(
-                f"{images.name}: these views do not determine its focal length: {focal:.0f} px with a sigma of "
-                f"{100 * share:.2g} %. The board was tilted by {tilts[number]:.0f} degrees at most against the line of "
-                "sight: take views with 30 to 45 degrees, to all four sides, and near ones that fill the image"
-            )
-
-
 # --- coverage and advice --------------------------------------------------------------------------------------------
 
 
@@ -146,15 +142,11 @@ def _advice(done: Adjusted, cameras: list[CameraVerdict], exact: Precision, tuni
                 f"{name}: held-out instants are off by {verdict.held_out_px:.2f} px, the adjusted ones by "
                 f"{verdict.rms_px:.2f} px: too few views for model {images.model}; take more, or a simpler model"
             )
-    return [*out, *_bad_views(done, tuning)]
-
-
-def _bad_views(done: Adjusted, tuning: JudgeTuning) -> list[str]:
-    """The images whose corners fit much worse than those of the others of their camera."""
+    # The images whose corners fit much worse than those of the others of their camera
     rms = np.array([_rms([off]) for off in view_residuals(done.seen, done.state)])
     camera = np.array([view.camera for view in done.seen.views])
     usual = {int(c): float(np.median(rms[camera == c])) for c in np.unique(camera)}
-    return [
+    return out + [
         f"{view.name}: its corners are {off:.2f} px off (RMS), those of others {usual[view.camera]:.2f} px: is it "
         "blurred, or something before the board?"
         for view, off in zip(done.seen.views, rms)

@@ -85,18 +85,13 @@ def _rig(seen: Observations, poses: dict[tuple[int, int], np.ndarray]) -> np.nda
         pairs = [(a, b) for a in out for b in range(len(seen.cameras)) if b not in out]
         a, b = max(pairs, key=lambda pair: joint[pair])
         shared = [i for i in seen.instants() if (a, i) in poses and (b, i) in poses]
-        out[b] = _middle([poses[b, i] @ transforms.invert(poses[a, i]) for i in shared]) @ out[a]
+        # The statement from which the others differ least, by the median: half of them may be wrong.
+        each = np.stack([poses[b, i] @ transforms.invert(poses[a, i]) for i in shared])
+        length = max(float(np.median(np.linalg.norm(each[:, :3, 3], axis=1))), 1e-6)
+        turn = np.radians(transforms.angle_deg(each[:, None, :3, :3], each[None, :, :3, :3]))
+        place = np.linalg.norm(each[:, None, :3, 3] - each[None, :, :3, 3], axis=-1) / length
+        out[b] = each[int(np.argmin(np.median(turn + place, axis=1)))] @ out[a]
     return np.stack([out[k] for k in range(len(out))])
-
-
-def _middle(found: list[np.ndarray]) -> np.ndarray:
-    """Of several statements (4, 4) of one pose that from which the others differ least, by the median: it is one of
-    them, and half of them may be wrong."""
-    each = np.stack(found)
-    length = max(float(np.median(np.linalg.norm(each[:, :3, 3], axis=1))), 1e-6)
-    turn = np.radians(transforms.angle_deg(each[:, None, :3, :3], each[None, :, :3, :3]))
-    place = np.linalg.norm(each[:, None, :3, 3] - each[None, :, :3, 3], axis=-1) / length
-    return np.asarray(each[int(np.argmin(np.median(turn + place, axis=1)))])
 
 
 def _boards(

@@ -36,12 +36,20 @@ def summary(done: Adjusted, verdict: Verdict, board: str, notes: Sequence[str], 
         [name, v.views, v.corners, f"{v.rms_px:.3f}", f"{v.held_out_px:.3f}", f"{v.coverage:.0%}", f"{v.tilt_deg:.0f}"]
         for name, v in zip(names, verdict.cameras)
     ]
+    bend = []
+    if done.bent_m.any():  # how far the corners were found from a flat board
+        seen = 1000 * done.bent_m[done.seen.corners()]
+        across, inside = np.abs(seen[:, 2]), np.linalg.norm(seen[:, :2], axis=1)
+        bend.append(
+            f"The board is not held flat: its corners were found up to {across.max():.2f} mm off its plane (RMS "
+            f"{np.sqrt(np.mean(across**2)):.2f} mm) and up to {inside.max():.2f} mm from their places in it."
+        )
     parts = [
         "# Calibration",
         f"Board `{board}`, {len(done.seen.instants())} instants, {len(done.seen.views)} views. Sigma of one coordinate "
         f"of a corner: {done.sigma_px:.3f} px.",
         _word(lengths(done)),
-        *_bend(done),
+        *bend,
         _table(("camera", *_CAMERA), cameras),
         "RMS: of one coordinate, of all corners. Held out: instants that took no part in the adjustment, to which only "
         "the place of the board was fitted.",
@@ -73,18 +81,6 @@ def lengths(done: Adjusted) -> str:
         f"{names[far]} are {apart[far]:.4g} m apart, and the board was {min(depths):.2g} to {max(depths):.2g} m away: "
         "lay a ruler there, and over many squares."
     )
-
-
-def _bend(done: Adjusted) -> list[str]:
-    """How far the corners were found from a flat board."""
-    if not done.bent_m.any():
-        return []
-    seen = 1000 * done.bent_m[done.seen.corners()]
-    across, inside = np.abs(seen[:, 2]), np.linalg.norm(seen[:, :2], axis=1)
-    return [
-        f"The board is not held flat: its corners were found up to {across.max():.2f} mm off its plane (RMS "
-        f"{np.sqrt(np.mean(across**2)):.2f} mm) and up to {inside.max():.2f} mm from their places in it."
-    ]
 
 
 COLUMNS = ("camera", "parameter", "value", "sigma", "strongest correlation", "with")
@@ -140,7 +136,12 @@ def residual_picture(done: Adjusted, camera: int, tuning: JudgeTuning) -> bytes:
     xy = np.concatenate([done.seen.views[k].xy for k in own])
     off = np.concatenate([r for k, r in enumerate(view_residuals(done.seen, done.state)) if k in own])
     side = max(images.size) / tuning.cells
-    at, mean = _by_cell(xy, off, side)
+    # Mean places and residuals of the corners in each cell that holds three: one or two say nothing of the lens
+    good = np.isfinite(off).all(axis=1)
+    _, number = np.unique(np.floor(xy[good] / side), axis=0, return_inverse=True)
+    count, columns = np.bincount(number.ravel()), np.hstack([xy[good], off[good]]).T
+    means = np.stack([np.bincount(number.ravel(), column) / count for column in columns], axis=1)
+    at, mean = np.hsplit(means[count >= min(3, count.max())], 2)
     longest = max(float(np.hypot(*mean.T).max()), 1e-9)
     width, height = images.size
     figure = Figure(figsize=(7.0, 0.6 + 6.4 * height / width), dpi=_DPI, layout="constrained")
@@ -153,17 +154,6 @@ def residual_picture(done: Adjusted, camera: int, tuning: JudgeTuning) -> bytes:
     axes.set(xlim=(0, width), ylim=(height, 0), aspect="equal")
     axes.set_title(f"{images.name}: mean residuals, seen minus adjusted", loc="left", fontsize=10)
     return png(figure)
-
-
-def _by_cell(xy: np.ndarray, off: np.ndarray, side: float) -> tuple[np.ndarray, np.ndarray]:
-    """Mean places (C, 2) of the corners in each cell that holds three, and their mean residuals (C, 2)."""
-    good = np.isfinite(off).all(axis=1)
-    _, number = np.unique(np.floor(xy[good] / side), axis=0, return_inverse=True)
-    count = np.bincount(number.ravel())
-    columns = np.hstack([xy[good], off[good]]).T
-    means = np.stack([np.bincount(number.ravel(), column) / count for column in columns], axis=1)
-    means = means[count >= min(3, count.max())]
-    return means[:, :2], means[:, 2:]
 
 
 # --- calibrations for other programs ----------------------------------------------------------------------------------

@@ -161,7 +161,12 @@ def _match_pair(
         reference.mask.astype(np.uint8), pair.rect_from_reference, pair.size, cv2.INTER_NEAREST, replicate=False
     )
     disparity = matcher(left, right, pair.disparities, settings, tuning, use > 0)
-    disparity = _within_partner(disparity, right_mask, pair.disparities)
+    known = np.isfinite(disparity)  # whose right pixel is a usable pixel of the partner
+    for rows in row_strips(disparity.shape):
+        column = np.arange(disparity.shape[1]) + pair.disparities - np.rint(np.where(known[rows], disparity[rows], 0))
+        column = np.clip(column.astype(np.int64), 0, right_mask.shape[1] - 1)
+        known[rows] &= np.take_along_axis(right_mask[rows], column, axis=1)
+    disparity = np.where(known, disparity, np.float32(np.nan))
     return _to_reference(disparity, pair, (height, width), depth_range)
 
 
@@ -195,16 +200,6 @@ def _warp(
     matrix = np.linalg.inv(half) @ target_from_source @ half
     border = cv2.BORDER_REPLICATE if replicate else cv2.BORDER_CONSTANT
     return cv2.warpPerspective(image, matrix, size, flags=how, borderMode=border, borderValue=0)
-
-
-def _within_partner(disparity: np.ndarray, right_mask: np.ndarray, disparities: int) -> np.ndarray:
-    """Disparities whose right pixel is a usable pixel of the partner."""
-    known = np.isfinite(disparity)
-    for rows in row_strips(disparity.shape):
-        column = np.arange(disparity.shape[1]) + disparities - np.rint(np.where(known[rows], disparity[rows], 0))
-        column = np.clip(column.astype(np.int64), 0, right_mask.shape[1] - 1)
-        known[rows] &= np.take_along_axis(right_mask[rows], column, axis=1)
-    return np.where(known, disparity, np.float32(np.nan))
 
 
 def _to_reference(

@@ -37,8 +37,7 @@ def match_sgbm(
     mirror_left = np.ascontiguousarray(cv2.copyMakeBorder(wide_right, 0, 0, 0, count, cv2.BORDER_REPLICATE)[:, ::-1])
     mirror_right = np.ascontiguousarray(cv2.copyMakeBorder(wide_left, 0, 0, 0, count, cv2.BORDER_REPLICATE)[:, ::-1])
     backward = _run(mirror_left, mirror_right, count, settings)[:, count:][:, ::-1]
-    checked = _left_right(forward, backward, count)
-    return without_speckles(checked)
+    return without_speckles(_left_right(forward, backward, count))
 
 
 def _run(left: np.ndarray, right: np.ndarray, count: int, settings: DenseSettings) -> np.ndarray:
@@ -62,9 +61,8 @@ def _run(left: np.ndarray, right: np.ndarray, count: int, settings: DenseSetting
 
 def _left_right(forward: np.ndarray, backward: np.ndarray, count: int) -> np.ndarray:
     """Forward disparities (h, w) whose right pixel leads back to nearly the left one; backward is (h, w + count)."""
-    h, w = forward.shape
     known = np.isfinite(forward)
-    column = np.arange(w)[None, :] + count - np.rint(np.where(known, forward, 0)).astype(np.int64)
+    column = np.arange(forward.shape[1]) + count - np.rint(np.where(known, forward, 0)).astype(np.int64)
     back = np.take_along_axis(backward, np.clip(column, 0, backward.shape[1] - 1), axis=1)
     agrees = np.abs(back - forward) <= LEFT_RIGHT_PX  # NaN compares false
     return np.where(known & agrees, forward, np.float32(np.nan))

@@ -105,7 +105,8 @@ def _solve(
         part = (residual <= tolerance_px) & (np.abs(inverse - mean) <= tuning.max_relative * mean)
         robust = weight * part / np.maximum(1, np.where(part, residual, 0) / (_HUBER_SIGMAS * sigma_px))
         mean = _mean(value, robust, mean)
-    return mean, _sigma(value, weight * part, mean, sigma_px, tuning.shared_variance), _bits(part)
+    bits = np.packbits(part, axis=0, bitorder="little")[0]  # of eight partners at most
+    return mean, _sigma(value, weight * part, mean, sigma_px, tuning.shared_variance), bits
 
 
 def _consensus(
@@ -149,10 +150,3 @@ def _sigma(
     shared = shared_variance * sigma_px**2 * np.square(np.sum(np.sqrt(weight), axis=0) / safe)
     sigma = np.sqrt(own * inflation / safe + shared)
     return np.where(total > 0, sigma, np.nan).astype(np.float32)
-
-
-def _bits(part: np.ndarray) -> np.ndarray:
-    bits = np.zeros(part.shape[1], np.uint8)
-    for k, row in enumerate(part):
-        bits |= row.astype(np.uint8) << np.uint8(k)
-    return bits

@@ -53,7 +53,11 @@ def load_view(view: ViewPlan, images: Path, masks: Path | None, settings: DenseS
     params = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
     pinhole = CameraModel(model="PINHOLE", width=size[0], height=size[1], params=params)
     x, y, valid = _maps(camera, pinhole)
-    image, scale_x, scale_y = _reduced(image, K, camera)
+    ratio, scale_x, scale_y = K[0, 0] / _central_focal(camera), 1.0, 1.0
+    if ratio <= 0.75:  # shrunk by area averaging to about the working resolution first, against aliasing
+        width, height = max(2, round(camera.width * ratio)), max(2, round(camera.height * ratio))
+        image = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
+        scale_x, scale_y = width / camera.width, height / camera.height
     at_x, at_y = (x * scale_x - 0.5).astype(np.float32), (y * scale_y - 0.5).astype(np.float32)
     bgr = cv2.remap(image, at_x, at_y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
     whole_x, whole_y = x - np.float32(0.5), y - np.float32(0.5)
@@ -125,14 +129,3 @@ def _map_rows(camera: CameraModel, pinhole: CameraModel, rows: slice) -> tuple[n
     valid = inside & (error < 0.5 * (1 + np.sum(rays[:, :2] ** 2, axis=1)))
     at = np.where(np.isfinite(at), at, -1e4).astype(np.float32)
     return at[:, 0].reshape(u.shape), at[:, 1].reshape(u.shape), valid.reshape(u.shape)
-
-
-def _reduced(image: np.ndarray, K: np.ndarray, camera: CameraModel) -> tuple[np.ndarray, float, float]:
-    """The image shrunk by area averaging to about the working resolution (against aliasing) if that is less than
-    three quarters of its own, and its scales."""
-    ratio = K[0, 0] / _central_focal(camera)
-    if ratio > 0.75:
-        return image, 1.0, 1.0
-    width, height = max(2, round(camera.width * ratio)), max(2, round(camera.height * ratio))
-    small = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
-    return small, width / camera.width, height / camera.height

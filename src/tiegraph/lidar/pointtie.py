@@ -58,7 +58,11 @@ def tie_by_points(points: np.ndarray, surface: np.ndarray, start: Similarity, tu
             fit = Similarity(fit.scale * grow, turn @ fit.rotation, shift)
             if np.abs(step).max() < 1e-5:  # m or rad
                 break
-    covariance = _sandwich(matrix, slope * (weight * residual)[:, None], fit(points[rows]))
+    # A sandwich: points within a metre err together, as edges and texture make them.
+    _, cluster = np.unique(voxel_keys(fit(points[rows]), 1.0), return_inverse=True)
+    sums = np.stack([np.bincount(cluster, column) for column in (slope * (weight * residual)[:, None]).T], axis=1)
+    inverse = np.linalg.inv(matrix)
+    covariance = inverse @ (sums.T @ sums) @ inverse
     return PointTie(
         lidar_from_run=fit,
         place_sigma_m=float(np.sqrt(np.linalg.eigvalsh(covariance[3:6, 3:6]).max())),
@@ -67,14 +71,6 @@ def tie_by_points(points: np.ndarray, surface: np.ndarray, start: Similarity, tu
         points=len(rows),
         rms_m=float(np.sqrt(np.average(residual**2, weights=weight))),
     )
-
-
-def _sandwich(matrix: np.ndarray, score: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Covariance of the parameters where points (K, 3) within a metre err together, as edges and texture make them."""
-    _, cluster = np.unique(voxel_keys(places, 1.0), return_inverse=True)
-    sums = np.stack([np.bincount(cluster, column) for column in score.T], axis=1)
-    inverse = np.linalg.inv(matrix)
-    return inverse @ (sums.T @ sums) @ inverse
 
 
 def _surfaces(surface: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

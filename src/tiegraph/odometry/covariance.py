@@ -30,7 +30,10 @@ _BLOCK = 50  # keyframes solved for at once: bounds memory
 
 def keyframe_covariances(world: WorldMap, numbers: Sequence[int], loss_px: float, metric: bool) -> np.ndarray:
     """(K, 6, 6) of keyframes of one world: position in it (units), turn about its axes (rad); zero of the first."""
-    seen = _used(world, numbers)
+    seen = world.observations(numbers)
+    _, row, count = np.unique(seen.point, return_inverse=True, return_counts=True)
+    seen = seen.where(~np.isnan(world.xyz[seen.point, 0]) & (count[row] >= 2))
+    seen = seen.where(np.isfinite(world.errors_px(seen)))
     if len(numbers) < 2 or not len(seen.point):
         return np.full((len(numbers), 6, 6), np.nan)
     by_pose, by_point, residual = _jacobians(world, numbers, seen)
@@ -80,13 +83,6 @@ def resection_covariance(
     spread = robust_sigma(residual)
     normal = rows.T @ (weight[:, None] * rows)
     return np.asarray(spread**2 * np.linalg.pinv(normal, rcond=1e-15))
-
-
-def _used(world: WorldMap, numbers: Sequence[int]) -> Observations:
-    seen = world.observations(numbers)
-    _, row, count = np.unique(seen.point, return_inverse=True, return_counts=True)
-    seen = seen.where(~np.isnan(world.xyz[seen.point, 0]) & (count[row] >= 2))
-    return seen.where(np.isfinite(world.errors_px(seen)))
 
 
 def _derivatives(

@@ -98,7 +98,10 @@ class WorldMap:
         points, row, count = np.unique(seen.point, return_inverse=True, return_counts=True)
         if not len(points) or count.max() < 2:
             return
-        centre, ray = self._lines(seen)
+        world_from_rig = transforms.invert(np.stack([self.keyframes[k].rig_from_world for k in seen.keyframe]))
+        mounted = self.cameras.rig_from_sensor[seen.camera, :3, 3]
+        centre = np.einsum("kij,kj->ki", world_from_rig, np.insert(mounted, 3, 1, 1))[:, :3]
+        ray = np.einsum("kij,kj->ki", world_from_rig[:, :3, :3], self.cameras.rays(seen.camera, seen.xy))
         across = np.eye(3) - ray[:, :, None] * ray[:, None, :]
         matrix, side = np.zeros((len(points), 3, 3)), np.zeros((len(points), 3))
         np.add.at(matrix, row, across)
@@ -110,13 +113,3 @@ class WorldMap:
         self.xyz[points] = place
         off = self.errors_px(seen)
         self.xyz[np.unique(seen.point[off > outlier_px])] = np.nan
-
-    def _lines(self, seen: Observations) -> tuple[np.ndarray, np.ndarray]:
-        """Projection centres (M, 3) and unit rays (M, 3) of observations in the world."""
-        rays = self.cameras.rays(seen.camera, seen.xy)
-        poses = np.stack([self.keyframes[k].rig_from_world for k in seen.keyframe])
-        world_from_rig = transforms.invert(poses)
-        centre = np.einsum(
-            "kij,kj->ki", world_from_rig, np.insert(self.cameras.rig_from_sensor[seen.camera, :3, 3], 3, 1, 1)
-        )
-        return centre[:, :3], np.einsum("kij,kj->ki", world_from_rig[:, :3, :3], rays)

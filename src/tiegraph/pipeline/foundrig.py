@@ -59,7 +59,16 @@ def rig_file(folder: Path, form: str = TOML) -> RigFile:
     if (whole := run.folder / "whole.json").exists():
         rigs = [_with_hanging(run, rigs[0], load_scene(whole).rigs[0])]
     if form == CONFIG:
-        _check_prefixes(run, rigs)
+        # COLMAP's prefixes begin a name, and folders of passes come before them.
+        folders = [s.folder for r in rigs for s in r.sensors]
+        if any(f and not any(n.startswith(f"{f}/") for n in run.scene.names) for f in folders):
+            said = "put the folder of a pass before each, or move the images"
+            run.said.append(f"COLMAP's image_prefix begins a name: {said}")
+        if len(set(folders)) < len(folders):
+            raise InputError(
+                f"{run.folder}: its cameras are told by EXIF and share folders, and a rig_config.json goes by folder: "
+                "take the cameras of the COLMAP model in its folder sparse"
+            )
         return RigFile(rig_config(rigs), tuple(run.said))
     if run.unscaled:
         raise InputError(
@@ -100,7 +109,11 @@ def _found(run: FoundRun, index: int) -> Rig:
         found = _loose(run, given, index, mode)
     elif mode == "fixed":
         found = _scaled(held, 1 / _units(held, given))
-        _say_held(run, found, given)
+        pairs = [(s.name, s.sensor_from_rig, g.sensor_from_rig) for s, g in zip(found.sensors, given.sensors)]
+        moved = [n for n, a, b in pairs if a is not None and b is not None and not np.allclose(a, b, rtol=0, atol=1e-6)]
+        but = f" but for {', '.join(moved)}, which the images turned or moved"
+        said = f"held by the run{but}" if moved else "as given: the run held them"
+        run.said.append(f"{given.name}: its places {'were' if moved else 'are'} {said}")
     else:
         _say_scale(run, found)
         found = _with_sigmas(run, replace(found, fixed=False), index)
@@ -122,16 +135,6 @@ def _cameras(run: FoundRun, index: int, found: Rig) -> list[Sensor]:
         out.append(sensor)
         run.said += said
     return out
-
-
-def _say_held(run: FoundRun, found: Rig, given: Rig) -> None:
-    pairs = [(s.name, s.sensor_from_rig, g.sensor_from_rig) for s, g in zip(found.sensors, given.sensors)]
-    moved = [n for n, a, b in pairs if a is not None and b is not None and not np.allclose(a, b, rtol=0, atol=1e-6)]
-    if moved:
-        but = f"but for {', '.join(moved)}, which the images turned or moved"
-        run.said.append(f"{given.name}: its places were held by the run {but}")
-    else:
-        run.said.append(f"{given.name}: its places are as given: the run held them")
 
 
 def _with_hanging(run: FoundRun, found: Rig, whole: Rig) -> Rig:
@@ -263,15 +266,3 @@ def _with_sigmas(run: FoundRun, found: Rig, index: int) -> Rig:
 
 def _short(value: float) -> float:
     return float(f"{value:.{_DIGITS}g}")
-
-
-def _check_prefixes(run: FoundRun, rigs: list[Rig]) -> None:
-    """Say where COLMAP would not find the images: its prefixes begin a name, folders of passes come before them."""
-    folders = [s.folder for r in rigs for s in r.sensors]
-    if any(f and not any(n.startswith(f"{f}/") for n in run.scene.names) for f in folders):
-        run.said.append("COLMAP's image_prefix begins a name: put the folder of a pass before each, or move the images")
-    if len(set(folders)) < len(folders):
-        raise InputError(
-            f"{run.folder}: its cameras are told by EXIF and share folders, and a rig_config.json goes by folder: "
-            "take the cameras of the COLMAP model in its folder sparse"
-        )

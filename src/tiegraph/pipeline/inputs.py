@@ -12,7 +12,6 @@ from pathlib import Path
 import pycolmap
 
 from tiegraph.errors import InputError, SettingsError, UnreadableArtefact
-from tiegraph.evaluate.settings import EvaluateSettings
 from tiegraph.geometry.geodesy import ENU, check_vertical, parse_crs
 from tiegraph.masks.folder import candidates, find_mask
 from tiegraph.masks.plugin import read_model
@@ -88,19 +87,14 @@ def _read_settings(settings: Settings) -> None:
         pair_lines(settings.candidates.pairs_file)
     if settings.masks.model is not None:
         read_model(settings.masks.model)
-    if settings.evaluate.reference is not None or settings.evaluate.reference_cloud is not None:
-        _check_references(settings.evaluate)
+    if settings.evaluate.reference is not None:
+        from tiegraph.evaluate.reference import check_reference  # loads the engine
 
-
-def _check_references(settings: EvaluateSettings) -> None:
-    from tiegraph.evaluate.reference import check_reference  # loads the engine
-
-    if settings.reference is not None:
-        check_reference(settings.reference)
-    if settings.reference_cloud is not None:
+        check_reference(settings.evaluate.reference)
+    if settings.evaluate.reference_cloud is not None:
         from tiegraph.scene.cloudchunks import check_cloud  # laspy, a tenth of a second
 
-        check_cloud(settings.reference_cloud)
+        check_cloud(settings.evaluate.reference_cloud)
 
 
 def _read_inputs(run: Run) -> None:

@@ -152,7 +152,13 @@ def _propagate(
 def _cameras(request: CameraRequest, tuning: ScanTuning) -> Rigged:
     """The cameras of the rig. Raises InputError where their size, lens or place is not known."""
     size, focal = request.image_size(), request.focal_length_px()
-    spec = _spec(request.rig, tuning)
+    sizes = preset_sizes(request.rig or "single", tuning.rig)
+    if sizes:
+        spec = preset(request.rig or "single", tuple(f"cam{k}" for k in range(sizes[0])), tuning.rig)
+    else:
+        spec, *more = read_rig_file(Path(request.rig or ""), tuning.rig)
+        if more:
+            raise InputError(f"--rig {request.rig}: it has {1 + len(more)} rigs; a plan is of one")
     sensors, mounted = [], []
     for sensor in spec.sensors:
         camera = _camera(sensor, spec, size, focal, tuning)
@@ -171,16 +177,6 @@ def _cameras(request: CameraRequest, tuning: ScanTuning) -> Rigged:
         if s.camera is not None and (rig.fixed or calibrated(s.camera)) and not s.camera_sigma_px
     )
     return Rigged(mounted, held=held, fixed=rig.measured() and not rig.soft())
-
-
-def _spec(text: str | None, tuning: ScanTuning) -> RigSpec:
-    sizes = preset_sizes(text or "single", tuning.rig)
-    if sizes:
-        return preset(text or "single", tuple(f"cam{k}" for k in range(sizes[0])), tuning.rig)
-    rigs = read_rig_file(Path(text or ""), tuning.rig)
-    if len(rigs) > 1:
-        raise InputError(f"--rig {text}: it has {len(rigs)} rigs; a plan is of one")
-    return rigs[0]
 
 
 def _camera(
@@ -265,8 +261,12 @@ def forecast(run: Run) -> Forecast | None:
     count = len(names)
     cost = effort((sizes * (count // len(sizes) + 1))[:count], 1, 0.0, None, float(most.mean()), tuning)
     where = next(p for p in (run.folder, *run.folder.parents) if p.exists())
-    files = (p for p in run.folder.rglob("*") if p.is_file() and not p.is_symlink()) if run.folder.is_dir() else ()
-    return Forecast(cost, sum(p.stat().st_size for p in files), shutil.disk_usage(where).free)
+    return Forecast(cost, _size(run.folder), shutil.disk_usage(where).free)
+
+
+def _size(folder: Path) -> int:
+    files = (p for p in folder.rglob("*") if p.is_file() and not p.is_symlink()) if folder.is_dir() else ()
+    return sum(p.stat().st_size for p in files)
 
 
 def _gb(size: float) -> str:

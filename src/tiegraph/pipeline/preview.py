@@ -101,16 +101,14 @@ class Matcher:
         self._asked += len(asked)
         self._run.reporter.total(self._asked, self._asked - len(todo))
         made: dict[tuple[int, int], PreviewMatch] = {}
-        for first in range(0, len(todo), _CHUNK):
-            made |= self._matched(todo[first : first + _CHUNK])
-        return [made.get(pair) or self._before[pair] for pair in asked]
-
-    def _matched(self, pairs: list[tuple[int, int]]) -> dict[tuple[int, int], PreviewMatch]:
         settings, tuning = self._run.settings.preview, self._run.settings.tuning.features.preview
-        made = dict(zip(pairs, self._run.map(match_item, pairs, self._run.folder, settings, tuning)))
-        self._chunks += 1
-        save_npz(self._folder / f"{self._chunks:06d}.npz", **_to_arrays(made))
-        return made
+        for first in range(0, len(todo), _CHUNK):
+            part = todo[first : first + _CHUNK]
+            found = dict(zip(part, self._run.map(match_item, part, self._run.folder, settings, tuning)))
+            self._chunks += 1
+            save_npz(self._folder / f"{self._chunks:06d}.npz", **_to_arrays(found))
+            made |= found
+        return [made.get(pair) or self._before[pair] for pair in asked]
 
 
 def _to_arrays(made: dict[tuple[int, int], PreviewMatch]) -> dict[str, np.ndarray]:

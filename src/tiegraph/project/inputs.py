@@ -21,7 +21,8 @@ from tiegraph.errors import InputError
 from tiegraph.project.folder import names_run
 from tiegraph.project.receipts import digests
 from tiegraph.project.settings import Settings, sections, shortened
-from tiegraph.project.stages import digest, write_atomic
+from tiegraph.project.stages import PLACE as SOURCE_PLACE
+from tiegraph.project.stages import write_atomic
 from tiegraph.scene.bags import is_bag, source_of, split_topics
 from tiegraph.scene.images import searched
 from tiegraph.scene.namedposes import find_start
@@ -141,14 +142,6 @@ class Inputs:
     camera: str | None = None  # a calibration in words, or its file
     start: Path | None = None  # a model to go on from
 
-    def key(self, stamps: Stamps) -> str:
-        """Hash over all inputs, wherever they lie."""
-        return digest(self.parts(stamps))
-
-    def place(self) -> str:
-        """Where the images lie: links of the run folder lead there."""
-        return str(source_of(self.images).absolute())
-
     def parts(self, stamps: Stamps) -> dict[str, Any]:
         """What counts of each input, by what the user calls it: of files the names below what is given, sizes and
         times; None for what is not given."""
@@ -170,6 +163,7 @@ class Inputs:
             "--camera": (stamps.of(camera, words) or camera) if camera else None,
             **files,
             **({"--trajectory": str(FOLLOW)} if self.trajectory == FOLLOW else {}),
+            SOURCE_PLACE: str(source_of(self.images).absolute()),  # links of the run folder lead there
         }
 
     def given(self) -> dict[str, Path]:

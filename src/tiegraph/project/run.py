@@ -46,13 +46,11 @@ class Run:
 
     def keys(self, stages: Sequence[Stage]) -> dict[str, str]:
         """The key of every stage, by what its inputs and settings are now."""
-        source = self.inputs.key(self.stamps)
-        return stage_keys(stages, self.settings, source, self.stamps, self.inputs.place())
+        return stage_keys(stages, self.settings, self.inputs.parts(self.stamps), self.stamps)
 
     def parts(self, stage: Stage) -> dict[str, str]:
         """What the key of a stage counts beside the keys of what it needs."""
-        place = {"the place of the images": self.inputs.place()}
-        sources = {} if stage.needs else self.inputs.parts(self.stamps) | place
+        sources = {} if stage.needs else self.inputs.parts(self.stamps)
         return key_parts(stage, self.settings, sources, self.stamps)
 
     def path(self, *parts: str) -> Path:
@@ -202,13 +200,15 @@ def _run_through(
         key, error = keys[stage.name], None
         away = next((n for n in stage.needs if n in lost and n not in stage.spares and not stage.alone), "")
         known = artefacts.lost(stage, key) if stage.name != until else ""
+        after = [s for s in wanted if stage.name in s.needs]  # of files that were let go: who needs them again
+        back = artefacts.is_let_go(stage) and (not after or any(artefacts.why(s, keys[s.name]) for s in after))
         if away:
             error = ReconstructionError(f"it needs the stage {away}, of which nothing came")
             if known != str(error):
                 artefacts.begin(stage, key)  # what an earlier run made of it is no result of this one
         elif known:
             error = ReconstructionError(known)
-        elif (news and stage.alone) or artefacts.why(stage, key) or _wanted_back(stage, wanted, keys, artefacts):
+        elif (news and stage.alone) or artefacts.why(stage, key) or back:
             try:
                 _tried(stage, key, run, artefacts)
             except Exception as caught:
@@ -250,14 +250,6 @@ def _lose(stage: Stage, error: ReconstructionError, follows: bool, run: Run) -> 
     run.reporter.say(f"{stage.name:>9}  ! {why}")
     run.reporter.event("lost", stage=stage.name, why=why)
     return before.get(LOST) != why
-
-
-def _wanted_back(stage: Stage, wanted: list[Stage], keys: dict[str, str], artefacts: Artefacts) -> bool:
-    """Whether the files of a stage were let go and are needed: by a stage that is out of date, or asked for."""
-    if not artefacts.is_let_go(stage):
-        return False
-    after = [s for s in wanted if stage.name in s.needs]
-    return not after or any(artefacts.why(s, keys[s.name]) for s in after)
 
 
 def let_go(stages: Sequence[Stage], run: Run) -> int:
@@ -346,22 +338,17 @@ def status(stages: Sequence[Stage], run: Run) -> list[tuple[str, str, dict]]:
     artefacts = Artefacts(run.folder, stages)
     artefacts.look()
     stale: set[str] = set()
-    rows = []
+    rows, given = [], run.inputs.given()
     for stage in stages:
         why = artefacts.why(stage, keys[stage.name])
         others = next((f"{need} is out of date" for need in sorted(stale & set(stage.needs))), "")
         if why == OTHER_KEY:
-            why = _what_changed(stage, run, artefacts.receipts.read(stage.name).get("key_parts", {})) or others or why
+            before, now = artefacts.receipts.read(stage.name).get("key_parts", {}), run.parts(stage)
+            changed = [name for name in {**now, **before} if before.get(name) != now.get(name)]  # otherwise, gone, new
+            named = ", ".join(f"{n} {given[n]}" if n in given else n for n in changed)
+            why = f"changed: {named}" if before and changed else others or why
         why = why or others
         if why:
             stale.add(stage.name)
         rows.append((stage.name, why, artefacts.receipts.read(stage.name)))
     return rows
-
-
-def _what_changed(stage: Stage, run: Run, before: dict[str, str]) -> str:
-    """Which inputs and settings of its own a stage was made with otherwise; "" for none, or if that was not noted."""
-    given, now = run.inputs.given(), run.parts(stage)
-    changed = [name for name in {**now, **before} if before.get(name) != now.get(name)]  # otherwise, gone or new
-    named = ", ".join(f"{n} {given[n]}" if n in given else n for n in changed)
-    return f"changed: {named}" if before and changed else ""

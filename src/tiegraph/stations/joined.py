@@ -75,9 +75,13 @@ def join(
     poses, left_out = _in_world(stations, found)
     loops = _loops_m(found)
     rows = [loops[p.first, p.second] for p in pairs if not p.why_not]
+    sigma = np.full(len(stations), np.nan)
+    for part in found:
+        for k in part.members if len(part.members) > 1 else ():
+            sigma[k] = np.sqrt(np.trace(part.covariance[k, 3:, 3:]) / 3)
     return Joined(
         poses=poses,
-        sigma_m=_sigma_m(found, len(stations)),
+        sigma_m=sigma,
         pairs=pairs,
         loop_m=np.array(rows).reshape(-1, 2),
         left_out=left_out,
@@ -104,15 +108,6 @@ def _loops_m(found: Sequence[Part]) -> dict[tuple[int, int], np.ndarray]:
     return {(p.first, p.second): row for part in found for p, row in zip(part.pairs, part.loop_m)}
 
 
-def _sigma_m(found: Sequence[Part], count: int) -> np.ndarray:
-    """(count,) sigma of the middle of each cloud against the first of its part; NaN = it is a part alone."""
-    sigma = np.full(count, np.nan)
-    for part in found:
-        for k in part.members if len(part.members) > 1 else ():
-            sigma[k] = np.sqrt(np.trace(part.covariance[k, 3:, 3:]) / 3)
-    return sigma
-
-
 def _points_shown(stations: Sequence[Station]) -> list[np.ndarray]:
     """Some points (N, 3) of each station."""
     return [s.coarse.xyz[:: max(1, len(s.coarse.xyz) // _SHOWN)] for s in stations]
@@ -122,8 +117,15 @@ def _points_shown(stations: Sequence[Station]) -> list[np.ndarray]:
 
 
 def _first_pairs(stations: Sequence[Station], tuning: Tuning, told: Callable[[int, int], None]) -> list[Pair]:
-    """Pairs of stations by their known poses where both have one, else by their shapes."""
-    asked = _asked(stations, tuning)
+    """Pairs of stations by their known poses where both have one, else by their shapes: all, or of many stations those
+    that look alike or follow each other."""
+    asked = list(combinations(range(len(stations)), 2))
+    if len(stations) > tuning.all_pairs:
+        usual = np.array([s.shape.described.mean(axis=0) for s in stations])
+        off = np.linalg.norm(usual[:, None] - usual, axis=2)
+        rank = np.argsort(np.argsort(off, axis=1, kind="stable"), axis=1)
+        least = np.minimum(rank, rank.T)
+        asked = [(i, j) for i, j in asked if least[i, j] <= tuning.alike or j - i <= tuning.following]
     out = []
     for done, (i, j) in enumerate(asked, 1):
         known, other = stations[i].known, stations[j].known
@@ -135,18 +137,6 @@ def _first_pairs(stations: Sequence[Station], tuning: Tuning, told: Callable[[in
             out.append(pair)
         told(done, len(asked))
     return out
-
-
-def _asked(stations: Sequence[Station], tuning: Tuning) -> list[tuple[int, int]]:
-    """Which pairs are tried: all, or of many stations those that look alike or follow each other."""
-    count = len(stations)
-    every = list(combinations(range(count), 2))
-    if count <= tuning.all_pairs:
-        return every
-    usual = np.array([s.shape.described.mean(axis=0) for s in stations])
-    off = np.linalg.norm(usual[:, None] - usual, axis=2)
-    rank = np.argsort(np.argsort(off, axis=1, kind="stable"), axis=1)
-    return [(i, j) for i, j in every if min(rank[i, j], rank[j, i]) <= tuning.alike or j - i <= tuning.following]
 
 
 def _by_poses(stations: Sequence[Station], i: int, j: int, start: np.ndarray, tuning: Tuning) -> Pair | None:

@@ -153,7 +153,12 @@ def adjusted(members: list[int], pairs: list[Pair], count: int) -> Part:
             break
     jacobian, residual = _equations(pairs, roots, poses, free)
     loops = np.array([[np.linalg.norm(_off(p, q)[3:]) for q in (start, poses)] for p in pairs])
-    covariance = _covariances(jacobian, residual, free, members[0], count)
+    more = len(residual) - jacobian.shape[1]  # what the loops say of the pairs' own sigmas counts where that is more
+    factor = max(1.0, float(residual @ residual) / more) if more > 0 else 1.0
+    every, covariance = factor * np.linalg.pinv(jacobian.T @ jacobian), np.full((count, 6, 6), np.nan)
+    covariance[members[0]] = 0
+    for station, k in free.items():
+        covariance[station] = every[k : k + 6, k : k + 6]
     return Part(members=members, pairs=pairs, poses=poses, covariance=covariance, loop_m=loops)
 
 
@@ -206,15 +211,3 @@ def _off(pair: Pair, poses: np.ndarray) -> np.ndarray:
     error = said @ transforms.invert(pair.first_from_second)
     turn = Rotation.from_matrix(error[:3, :3]).as_rotvec()
     return np.r_[turn, transforms.apply(error, pair.middle[None])[0] - pair.middle]
-
-
-def _covariances(jacobian: np.ndarray, residual: np.ndarray, free: dict[int, int], held: int, count: int) -> np.ndarray:
-    """(count, 6, 6), scaled by what the loops say of the pairs' own sigmas where that is more."""
-    out = np.full((count, 6, 6), np.nan)
-    out[held] = 0
-    more = len(residual) - jacobian.shape[1]
-    factor = max(1.0, float(residual @ residual) / more) if more > 0 else 1.0
-    every = factor * np.linalg.pinv(jacobian.T @ jacobian)
-    for station, k in free.items():
-        out[station] = every[k : k + 6, k : k + 6]
-    return out
