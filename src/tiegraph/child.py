@@ -23,7 +23,6 @@ from tiegraph import forking
 from tiegraph.errors import ChildDied, ProcessLost, TiegraphError
 from tiegraph.limits import explained, explained_text
 
-_TAIL_LINES = 12
 _STACK_TRACE = ("@ ", "PC: @", "***")
 _PATIENCE_S = 10.0  # for a process to end that has nothing left to do
 STOPPING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
@@ -290,6 +289,6 @@ def _explain_end(task: str, exitcode: int | None, log: Path) -> None:
         )
     text = log.read_text(errors="replace") if log.exists() else ""
     # glog ends with a stack trace of the library, which would push the message out of the tail.
-    lines = [line for line in text.splitlines() if not line.lstrip().startswith(_STACK_TRACE)][-_TAIL_LINES:]
+    lines = [line for line in text.splitlines() if not line.lstrip().startswith(_STACK_TRACE)][-12:]
     said = f"{task}: the native library ended its process ({how})\nLast lines of {log}:\n  " + "\n  ".join(lines)
     raise explained_text(said, log.parent) or ChildDied(said)

@@ -12,7 +12,6 @@ from tiegraph.errors import ReconstructionError
 from tiegraph.geometry.align import CAUCHY_SIGMAS
 
 _DOWN, _ACROSS = ("upper", "middle", "lower"), ("left", "centre", "right")
-_CORNER = 1.18  # of half the shorter side: beyond it, what a fisheye lens may leave dark
 
 
 @dataclass(frozen=True)
@@ -158,7 +157,8 @@ def _empty_thirds(seen: Observations, camera: int) -> list[str]:
     """Parts of the image, thirds across and down, without a corner; of fisheye images those that the lens may light."""
     count = seen_cells(seen, camera, (3, 3))
     width, height = seen.cameras[camera].size
-    reach = _CORNER * min(width, height) / 2 if "FISHEYE" in seen.cameras[camera].model else np.inf
+    # Of half the shorter side: beyond it, what a fisheye lens may leave dark
+    reach = 1.18 * min(width, height) / 2 if "FISHEYE" in seen.cameras[camera].model else np.inf
     return [
         f"{_DOWN[row]} {_ACROSS[column]}"
         for row, column in zip(*np.nonzero(count == 0))

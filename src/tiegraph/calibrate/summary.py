@@ -20,8 +20,6 @@ from tiegraph.scene.figures import png
 from tiegraph.scene.targets import CENTRE
 from tiegraph.text import csv_text, one_line
 
-_DPI = 110
-_LONGEST = 0.8  # of a cell: the longest mean vector
 _CAMERA = ("views", "corners", "RMS px", "RMS held out px", "image covered", "largest tilt deg")
 _PLACES = (
     "Places: of the projection centre in the frame of the first camera. Turns: rotation vector of the camera against "
@@ -144,10 +142,10 @@ def residual_picture(done: Adjusted, camera: int, tuning: JudgeTuning) -> bytes:
     at, mean = np.hsplit(means[count >= min(3, count.max())], 2)
     longest = max(float(np.hypot(*mean.T).max()), 1e-9)
     width, height = images.size
-    figure = Figure(figsize=(7.0, 0.6 + 6.4 * height / width), dpi=_DPI, layout="constrained")
+    figure = Figure(figsize=(7.0, 0.6 + 6.4 * height / width), dpi=110, layout="constrained")
     axes = figure.add_subplot()
     axes.plot(*xy.T, ".", ms=2, color="#c9d1d9")
-    scale = longest / (_LONGEST * side)
+    scale = longest / (0.8 * side)  # of a cell: the longest mean vector
     arrows = axes.quiver(*at.T, *mean.T, angles="xy", scale_units="xy", scale=scale, color="#1b6ca8", width=0.004)
     rounded = float(f"{longest:.1g}")
     axes.quiverkey(arrows, 0.9, 1.03, rounded, f"{rounded:g} px", labelpos="W")

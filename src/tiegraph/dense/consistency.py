@@ -15,8 +15,6 @@ from tiegraph.scene.results import DepthMap, row_strips
 
 LoadDepth = Callable[[str], "DepthMap | None"]
 
-_STRIP_PIXELS = 1 << 16  # pixels compared together, so that the intermediate columns stay in the cache
-
 
 @dataclass(frozen=True)
 class Consistency:
@@ -65,7 +63,8 @@ def check(
     is none. Where fewer images than ``min_views`` have the point in their frame all of them must agree, two at least,
     and one other depth map must say the same: ``views`` tells these points.
     """
-    rows = row_strips(depth.depth_m.shape, _STRIP_PIXELS)
+    # Pixels compared together, so that the intermediate columns stay in the cache
+    rows = row_strips(depth.depth_m.shape, 1 << 16)
     names = ("depth_m", "sigma_m", "views", *(() if depth.support is None else ("support",)))
     strips = [replace(depth, **{n: getattr(depth, n)[r] for n in names}) for r in rows]  # the camera is of the whole
     tallies = [_Tally.begin(strip) for strip in strips]

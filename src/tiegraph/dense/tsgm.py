@@ -317,7 +317,6 @@ def _strips(volume: np.ndarray, overlap: int) -> list[tuple[slice, slice]]:
 
 
 _SMOOTHING_PX = 7  # window of the Gaussian that stands for the Parzen estimate, as in Hirschmueller 2008
-_SCALE_PERCENT = (1, 99)  # pairs of grey values at either end do not set the scale
 _WORST = 62  # the largest cost, that of two census windows of 9 x 7 which differ everywhere
 
 
@@ -329,7 +328,8 @@ def mutual_information(joint: np.ndarray) -> np.ndarray:
     share = count / max(1, joint.sum())
     entropy = _information(share)
     gain = entropy - _information(share.sum(axis=1))[:, None] - _information(share.sum(axis=0))[None, :]
-    low, high = np.percentile(gain[count > 0], _SCALE_PERCENT) if count.any() else (0.0, 1.0)
+    # Pairs of grey values at either end do not set the scale
+    low, high = np.percentile(gain[count > 0], (1, 99)) if count.any() else (0.0, 1.0)
     scaled = (gain - low) / max(high - low, 1e-6) * (_WORST / 2)  # the span of the others' costs
     return np.clip(np.rint(scaled), 0, _WORST).astype(np.uint8)
 

@@ -14,9 +14,6 @@ from tiegraph.geometry.stereo import Pinhole
 from tiegraph.scene.decoding import read_pixels
 from tiegraph.scene.results import row_strips
 
-_MAX_CACHED_MAPS = 8  # a rig of six and two to spare; a map takes 8 bytes a pixel
-_BORDER_SAMPLES = 65  # points of each side of an image that tell its field of view
-
 
 def pinhole_of(camera: CameraModel, settings: DenseSettings) -> tuple[np.ndarray, tuple[int, int]]:
     """K (3, 3) and size (width, height) of the undistorted image of a camera.
@@ -85,7 +82,7 @@ def _read(path: Path, flag: int, camera: CameraModel) -> np.ndarray:
 
 def _field(camera: CameraModel, limit: float) -> tuple[np.ndarray, np.ndarray]:
     """Corners (2,), (2,) on the plane z = 1 of the field of view seen through the image border."""
-    s = np.linspace(0.0, 1.0, _BORDER_SAMPLES)
+    s = np.linspace(0.0, 1.0, 65)  # points of each side of an image that tell its field of view
     zero, one = np.zeros_like(s), np.ones_like(s)
     border = np.concatenate([np.c_[s, zero], np.c_[s, one], np.c_[zero, s], np.c_[one, s]])
     rays = np.asarray(camera.to_pycolmap().cam_ray_from_img(border * [camera.width, camera.height]))
@@ -105,7 +102,7 @@ def _central_focal(camera: CameraModel) -> float:
     return float((np.linalg.norm(at[0] - at[1]) + np.linalg.norm(at[2] - at[3])) / (4 * step))
 
 
-@lru_cache(maxsize=_MAX_CACHED_MAPS)
+@lru_cache(maxsize=8)  # a rig of six and two to spare; a map takes 8 bytes a pixel
 def _maps(camera: CameraModel, pinhole: CameraModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Original pixel coordinates x, y (H, W) f4 of each undistorted pixel, and which lie in the image (H, W) bool."""
     shape = pinhole.height, pinhole.width

@@ -28,7 +28,6 @@ _FIELD_TYPES = ("i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8")  # by PointField
 _FOLDERS = ("velodyne", "velodyne_points/data", "lidar")  # of KITTI odometry, KITTI raw, PandaSet
 LEAST_POINTS = 50  # of a scan
 _MOST_SWEEP_S = 2.0  # a turn takes 0.05 to 0.2 s
-_ABSOLUTE_S = 1e6  # times of points above this count from an epoch and not from the scan's start
 _KINDS = f"a folder of scans ({', '.join(sorted(READERS))}), a ROS bag, or a .pcap file"
 _FILES = ("times.txt", "timestamps.txt", "times.csv", "timestamps.csv", "timestamps.json")
 
@@ -168,7 +167,7 @@ def _offsets(name: str, time_s: np.ndarray, stamp_s: float | None) -> tuple[np.n
         return time_s, 0.0 if stamp_s is None else stamp_s
     time_s = in_seconds(time_s)
     start = float(time_s.min())
-    if start > _ABSOLUTE_S:
+    if start > 1e6:  # times of points above this count from an epoch and not from the scan's start
         time_s, stamp_s = time_s - start, start if stamp_s is None else stamp_s
     span = float(np.ptp(time_s))
     if span > _MOST_SWEEP_S:

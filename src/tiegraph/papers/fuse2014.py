@@ -27,7 +27,6 @@ from tiegraph.sfm.tuning import TwoViewTuning
 WEAK = 25  # matches, paper 002 section 4.2.1
 SIMILAR = 500.0  # distance to the object over base length, paper 002 section 4.2.2
 PARTS = 5  # consecutive partial graphs cut beside the whole one, paper 002 section 4.2.3
-_LARGEST = 2.0e9  # scipy's maximum flow counts in 32 bit integers
 
 
 def thinned(pairs: Pairs, scene: Scene, expected: np.ndarray, safe: bool) -> DesignResult:
@@ -124,7 +123,8 @@ def _minimum_cut(pairs: Pairs, kept: np.ndarray, capacity: np.ndarray, nodes: np
     rows = kept & (a >= 0) & (b >= 0)
     a, b, n = a[rows], b[rows], len(nodes)
     degree = np.bincount(a, capacity[rows], n) + np.bincount(b, capacity[rows], n)
-    whole = np.maximum(np.rint(capacity[rows] * (_LARGEST / max(float(degree.max(initial=0.0)), 1e-300))), 1)
+    # Scipy's maximum flow counts in 32 bit integers
+    whole = np.maximum(np.rint(capacity[rows] * (2.0e9 / max(float(degree.max(initial=0.0)), 1e-300))), 1)
     graph = coo_array((np.tile(whole, 2), (np.r_[a, b], np.r_[b, a])), shape=(n, n)).tocsr()
     graph = csr_array((graph.data.astype(np.int32), graph.indices, graph.indptr), shape=(n, n))
     if n - 1 not in breadth_first_order(graph, 0, return_predecessors=False):

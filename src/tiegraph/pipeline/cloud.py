@@ -19,8 +19,6 @@ from tiegraph.scene.cloudfile import write_ply
 from tiegraph.scene.copc import write_copc
 from tiegraph.scene.results import Cloud
 
-_EVERY = 50  # points of the cloud looked at for its sigma in the world
-
 
 def cloud(run: Run) -> Outcome:
     """One cloud of all depth maps, tile by tile, as LAZ and PLY; and how two passes agree, where there are some."""
@@ -52,7 +50,7 @@ def _sigmas(run: Run, parts: Iterable[Cloud]) -> dict[str, float]:
     error, own, world = placement_error(run.folder), [], []
     inside = (load_json(run.path("world.json")).get("model_sigma") or {}).get("median", 0.0)
     for part in parts:
-        some = part.where(np.arange(0, len(part), _EVERY))
+        some = part.where(np.arange(0, len(part), 50))  # points of the cloud looked at for its sigma in the world
         own.append(some.sigma_m)
         if error is not None:
             placed = np.linalg.norm(error.sigma(some.xyz_m), axis=1)

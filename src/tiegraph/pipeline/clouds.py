@@ -89,9 +89,6 @@ def new_folder(out: Path | None) -> Iterator[Path | None]:
 # --- two surveys of one place --------------------------------------------------------------------------------------
 
 
-_LISTED = 50  # changes in the table, the largest first
-
-
 @dataclass(frozen=True)
 class EpochOptions:
     """How two epochs are compared."""
@@ -225,7 +222,7 @@ def _result(found: Differences, changed: Changes, pair: Pair) -> dict[str, Any]:
     return {
         "differences": {k: float(f"{v:.6g}") for k, v in found.summary().items()},
         "areas_and_volumes": {k: float(f"{v:.6g}") for k, v in changed.totals().items()},
-        "changes": changed.table(shift_of(pair.origin), _LISTED),
+        "changes": changed.table(shift_of(pair.origin), 50),  # changes in the table, the largest first
         "cylinders": asdict(found.cylinders),
         "registration": None if pair.fitted is None else pair.fitted.table(),
         "crs": None if pair.origin is None else pair.origin.crs,

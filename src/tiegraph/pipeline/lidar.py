@@ -46,7 +46,6 @@ from tiegraph.text import command, finite
 
 TRAJECTORY, MAP, RIG, SUMMARY = "trajectory.tum", "map.laz", "rig", "lidar.json"
 _RPE_M = (1.0, 10.0, 100.0)
-_SURE = 3  # images that a point is seen in: of two, a wrong match is not noticed
 _STAGES = {  # rows of paper 001's tables 1 and 5, and the stages they add up
     "Mask processing": ("masks", "refine"),
     "SfM": ("preview", "candidates", "coarse", "network", "design", "features", "match", "filter", "sparse", "georef"),
@@ -92,7 +91,8 @@ class SurveyRun:
             rig=Poses(scene.time_s[frame], rigs[frame], scene.sequence[frame]),
             frame=frame,
             used=registration(model, scene, tuning).registered,
-            points=np.array([p.xyz for p in model.points3D.values() if p.track.length() >= _SURE]).reshape(-1, 3),
+            # Images that a point is seen in: of two, a wrong match is not noticed
+            points=np.array([p.xyz for p in model.points3D.values() if p.track.length() >= 3]).reshape(-1, 3),
             cloud=load_cloud(cloud, world_origin(folder)) if cloud.exists() else None,
             seconds={**seconds, "Overall processing": sum(seconds.values())},
         )

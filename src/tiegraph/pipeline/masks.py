@@ -56,7 +56,8 @@ def masks(run: Run) -> Outcome:
     learnt = [f"{s.name}: {n}" for k, s in enumerate(scene.all_sensors) if (n := getattr(prepared.get(k), "note", ""))]
     counts = {"images": len(scene), "used_percent": round(float(100 * shares[:, USE].mean()), 1)}
     inverted = []
-    if source == "folder" and counts["used_percent"] < _FEW_PERCENT:
+    # Used of all pixels: what is seen of an object before a backdrop is more
+    if source == "folder" and counts["used_percent"] < 20:
         inverted.append("the masks leave little of the images: 255 (or 1) is used, 0 ignored; are they inverted?")
     ties = np.array(list(_known_ties(prepared).values())).reshape(-1, 3).sum(axis=0)
     lost = {"matches_masked_percent": round(float(100 * ties[1] / ties[2]), 2)} if ties[2] else {}
@@ -80,7 +81,6 @@ def masks_by(source: str, scene: Scene, images: Path, target: Path, tuning: Tuni
         save_png(target / f"{name}.png", keep)
 
 
-_FEW_PERCENT = 20  # used of all pixels: what is seen of an object before a backdrop is more
 _NEED_A_FILE = ("folder", "model")
 _LEFT_OUT = {"none": (), "blurred": ("blurred",), "similar": ("similar",), "both": ("blurred", "similar")}
 

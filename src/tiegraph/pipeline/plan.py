@@ -51,7 +51,6 @@ from tiegraph.sfm.systematic.lenses import AssumedErrors
 from tiegraph.sfm.tuning import Tuning as SfmTuning
 
 PLAN = "plan.json"
-_VIEWER_POINTS = 20_000
 
 
 def plan(request: PlanRequest, tunings: VerbTunings | None = None) -> Plan:
@@ -201,7 +200,7 @@ def _page(made: Plan) -> str:
     path, points = made.path.path, made.path.network.model.points3D.values()
     xyz = np.array([p.xyz for p in points])
     tracks = [Track(name, path.centres[path.leg == k], np.zeros((0, 3))) for k, name in enumerate(path.legs)]
-    data = viewer_data(xyz, np.full(xyz.shape, 128), tracks, _VIEWER_POINTS, "m")
+    data = viewer_data(xyz, np.full(xyz.shape, 128), tracks, 20_000, "m")
     packed = json.dumps(data).replace("<", "\\u003c")
     page = environment().get_template("planned.html.jinja")
     return page.render(data=packed, script=viewer_script(), lines=(*made.path.worst, *made.advice))
@@ -210,7 +209,6 @@ def _page(made: Plan) -> str:
 # --- what a run will need before it begins -------------------------------------------------------------------------
 
 
-_PROBED = 40  # images whose size stands for all
 _GB = 1e9
 
 
@@ -249,7 +247,7 @@ def forecast(run: Run) -> Forecast | None:
     if is_bag(source) or find_videos(source):
         return None
     names = find_images(source)
-    some = names[:: max(len(names) // _PROBED, 1)]
+    some = names[:: max(len(names) // 40, 1)]  # images whose size stands for all
     probes = [probe_image(source / name, run.settings.tuning.scene.images) for name in some]
     sizes = [(p.width, p.height) for p in probes if not p.reason]
     if not sizes:

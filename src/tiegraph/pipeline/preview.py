@@ -43,7 +43,6 @@ def _preview_item(name: str, folder: Path, settings: PreviewSettings, tuning: Tu
 
 
 _CHUNK = 2000  # previews, after which what was matched is kept: a second to some ten of work
-_CACHED_PREVIEWS = 512  # of about 110 kB each, in every worker; reading one costs a fifteenth of matching it
 
 
 def with_previews(
@@ -170,7 +169,8 @@ def scene_of(folder: Path) -> Scene:
     return load_scene(folder / "scene.json")
 
 
-@cached_by_file(_CACHED_PREVIEWS, preview_path)
+# Of about 110 kB each, in every worker; reading one costs a fifteenth of matching it
+@cached_by_file(512, preview_path)
 def preview_of(folder: Path, name: str) -> Preview:
     """The preview of an image."""
     return read_preview(folder, name)

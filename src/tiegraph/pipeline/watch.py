@@ -53,7 +53,6 @@ from tiegraph.watch.view import page
 
 KEPT, PAGE = "watch.npz", "watch.html"
 _BATCH = 8  # images of a step: a folder that is full already shows its first poses soon
-_RECENT = 100  # images of the median time
 
 log = logging.getLogger(__name__)
 
@@ -97,7 +96,7 @@ class Watched:
         self.scene: Scene | None = None
         self.poses: dict[str, np.ndarray] = {}
         self.said: list[str] = []
-        self.times: deque[float] = deque(maxlen=_RECENT)
+        self.times: deque[float] = deque(maxlen=100)  # images of the median time
         self._trouble = ""
         self._probes: dict[str, Probe] = {}
         self._file_of: dict[str, str] = {}  # as the file system calls it

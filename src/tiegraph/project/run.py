@@ -212,7 +212,7 @@ def _run_through(
             try:
                 _tried(stage, key, run, artefacts)
             except Exception as caught:
-                if ran.count(stage.name) < _TRIES and artefacts.damaged_by(caught):
+                if ran.count(stage.name) < 3 and artefacts.damaged_by(caught):
                     ran.append(stage.name)
                     run.reporter.say(f"{stage.name:>9}  {caught}")
                     run.close()  # items under way may still write
@@ -263,9 +263,6 @@ def let_go(stages: Sequence[Stage], run: Run) -> int:
             if stage.passing and done and not artefacts.is_let_go(stage):
                 freed += artefacts.let_go(stage)
     return freed
-
-
-_TRIES = 3
 
 
 def _run_one(stage: Stage, key: str, run: Run, artefacts: Artefacts) -> None:

@@ -14,8 +14,6 @@ from tiegraph.stations.pairs import Pair, from_shapes, from_start, met
 from tiegraph.stations.station import Level, Sample, Shot, Station, common_side, station_of
 from tiegraph.stations.tuning import PrecisionTuning, Tuning
 
-_SHOWN = 200  # points of a station that say how far an error moves it
-
 
 @dataclass(frozen=True)
 class Joined:
@@ -110,7 +108,8 @@ def _loops_m(found: Sequence[Part]) -> dict[tuple[int, int], np.ndarray]:
 
 def _points_shown(stations: Sequence[Station]) -> list[np.ndarray]:
     """Some points (N, 3) of each station."""
-    return [s.coarse.xyz[:: max(1, len(s.coarse.xyz) // _SHOWN)] for s in stations]
+    # Points of a station that say how far an error moves it
+    return [s.coarse.xyz[:: max(1, len(s.coarse.xyz) // 200)] for s in stations]
 
 
 # --- pairs -----------------------------------------------------------------------------------------------------------

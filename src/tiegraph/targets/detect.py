@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
 _NOISE = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)  # blind to edges and slopes (Immerkaer 1996)
 _LEAST_SIGMA_PX = 0.06  # of a corner, however sharp and noiseless, as in rendered images (tests/targets)
-_LEAST_NOISE = 0.5  # grey levels: rounding alone has 0.29
 
 
 @dataclass(frozen=True)
@@ -36,7 +35,7 @@ def find_targets(pixels: np.ndarray, families: Sequence[str], tuning: Tuning) ->
     """All targets of some families in an image (H, W) u1, in the order of families and numbers."""
     # Sigma of an image's noise, grey levels, from its quieter half
     high = cv2.filter2D(pixels, cv2.CV_32F, _NOISE) / 6.0  # root of the sum of its squares
-    noise = max(robust_sigma(high), _LEAST_NOISE)
+    noise = max(robust_sigma(high), 0.5)  # grey levels: rounding alone has 0.29
     rate = 4 * tuning.least_side_px / max(pixels.shape)
     out = []
     for family in families:

@@ -14,7 +14,6 @@ from tiegraph.scene.targets import Target, count_of, families
 from tiegraph.targets.detect import Seen, centre_of
 from tiegraph.text import some
 
-_SAME = 1e-3  # on the plane z = 1, between a ray and the way there and back: lenses fold beyond their images
 OTHERS = (
     "apriltag_16h5", "apriltag_25h9", "apriltag_36h10", "apriltag_36h11",
     "4x4_1000", "5x5_1000", "6x6_1000", "7x7_1000", "aruco_original", "aruco_mip_36h12",
@@ -116,7 +115,8 @@ def seen_in(
             continue
         size = np.array([camera.width, camera.height])
         inside = ((np.ravel(xy) >= 0) & (np.ravel(xy) <= size)).all()
-        if inside and np.abs(on_plane(camera, np.ravel(xy)[None])[0] - there[:2] / there[2]).max() < _SAME:
+        # On the plane z = 1, between a ray and the way there and back: lenses fold beyond their images
+        if inside and np.abs(on_plane(camera, np.ravel(xy)[None])[0] - there[:2] / there[2]).max() < 1e-3:
             found[k] = (float(xy[0]), float(xy[1]))
     middle = {k: np.linalg.norm(np.array(xy) / (views[k][1].width, views[k][1].height) - 0.5)
               for k, xy in found.items()}  # fmt: skip
