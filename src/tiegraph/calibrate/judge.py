@@ -7,10 +7,12 @@ import numpy as np
 from tiegraph.calibrate.adjust import Adjusted, State, adjust, place_boards, view_residuals
 from tiegraph.calibrate.covariance import Precision, precision
 from tiegraph.calibrate.observations import Observations
-from tiegraph.calibrate.tuning import JudgeTuning, Tuning
+from tiegraph.calibrate.tuning import Tuning
 from tiegraph.errors import ReconstructionError
 from tiegraph.geometry.align import CAUCHY_SIGMAS
 
+CELLS = 10
+"""Along the longer side of an image, for the coverage and the mean residuals."""
 _DOWN, _ACROSS = ("upper", "middle", "lower"), ("left", "centre", "right")
 
 
@@ -45,7 +47,7 @@ def judge(done: Adjusted, tuning: Tuning) -> Verdict:
     tilts = [_largest_tilt(done, k) for k in range(len(done.seen.cameras))]
     for number, images in enumerate(done.seen.cameras):
         share = relative_focal_sigma(done, exact, number)
-        if not share <= tuning.judge.undetermined:
+        if not share <= 0.01:
             focal = done.state.cameras[number].mean_focal_length()
             raise ReconstructionError(
                 f"{images.name}: these views do not determine its focal length: {focal:.0f} px with a sigma of "
@@ -57,7 +59,7 @@ def judge(done: Adjusted, tuning: Tuning) -> Verdict:
     for number, images in enumerate(done.seen.cameras):
         own = [k for k, view in enumerate(done.seen.views) if view.camera == number]
         longer = max(images.size)
-        across, down = (max(1, round(tuning.judge.cells * side / longer)) for side in images.size)
+        across, down = (max(1, round(CELLS * side / longer)) for side in images.size)
         cameras.append(
             CameraVerdict(
                 views=len(own),
@@ -68,7 +70,7 @@ def judge(done: Adjusted, tuning: Tuning) -> Verdict:
                 tilt_deg=tilts[number],
             )
         )
-    return Verdict(tuple(cameras), exact, tuple(_advice(done, cameras, exact, tuning.judge)))
+    return Verdict(tuple(cameras), exact, tuple(_advice(done, cameras, exact)))
 
 
 def _rms(found: list[np.ndarray]) -> float:
@@ -122,21 +124,21 @@ def seen_cells(seen: Observations, camera: int, cells: tuple[int, int]) -> np.nd
     return np.histogram2d(xy[:, 1], xy[:, 0], (down, across), ((0, height), (0, width)))[0]
 
 
-def _advice(done: Adjusted, cameras: list[CameraVerdict], exact: Precision, tuning: JudgeTuning) -> list[str]:
+def _advice(done: Adjusted, cameras: list[CameraVerdict], exact: Precision) -> list[str]:
     out = []
     for number, (images, verdict) in enumerate(zip(done.seen.cameras, cameras)):
         name = images.name
         empty = _empty_thirds(done.seen, number)
         if empty:
             out.append(f"{name}: no corner in the {' and the '.join(empty)} of the image: move the board there")
-        if verdict.views < tuning.few_views:
-            out.append(f"{name}: {verdict.views} views of the board: take {2 * tuning.few_views}")
-        if verdict.tilt_deg < tuning.tilt_deg:
+        if verdict.views < 10:  # the least of OpenCV's tutorial
+            out.append(f"{name}: {verdict.views} views of the board: take 20")
+        if verdict.tilt_deg < 20:
             out.append(f"{name}: the board was tilted by {verdict.tilt_deg:.0f} degrees at most: tilt it by 30 to 45")
         share = relative_focal_sigma(done, exact, number)
-        if share > tuning.weak:
+        if share > 0.001:
             out.append(f"{name}: the focal length has a sigma of {100 * share:.2g} %: more views, nearer and tilted")
-        if verdict.held_out_px > tuning.held_out_ratio * verdict.rms_px:
+        if verdict.held_out_px > 1.5 * verdict.rms_px:
             out.append(
                 f"{name}: held-out instants are off by {verdict.held_out_px:.2f} px, the adjusted ones by "
                 f"{verdict.rms_px:.2f} px: too few views for model {images.model}; take more, or a simpler model"
@@ -149,7 +151,7 @@ def _advice(done: Adjusted, cameras: list[CameraVerdict], exact: Precision, tuni
         f"{view.name}: its corners are {off:.2f} px off (RMS), those of others {usual[view.camera]:.2f} px: is it "
         "blurred, or something before the board?"
         for view, off in zip(done.seen.views, rms)
-        if off > tuning.bad_view * usual[view.camera]
+        if off > 3 * usual[view.camera]
     ]
 
 

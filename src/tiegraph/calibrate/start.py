@@ -6,20 +6,20 @@ import pycolmap
 
 from tiegraph.calibrate.adjust import State, adjust, residuals
 from tiegraph.calibrate.observations import Observations, View, joint_instants
-from tiegraph.calibrate.tuning import Tuning
+from tiegraph.calibrate.tuning import AdjustTuning
 from tiegraph.geometry import transforms
 from tiegraph.scene.rig import on_plane
 
 _CLIP_PX = 50.0
 
 
-def start(seen: Observations, tuning: Tuning) -> State:
+def start(seen: Observations, tuning: AdjustTuning) -> State:
     """Every camera by itself, then the cameras against each other, then the board at every instant."""
-    stages, single = tuning.adjust.stages_px, []
+    stages, single = tuning.stages_px, []
     for own in map(seen.of_camera, range(len(seen.cameras))):
-        state = adjust(own, _resected(own, _by_focal_length(own)), tuning.adjust, stages, principal_point=False)
+        state = adjust(own, _resected(own, _by_focal_length(own)), tuning, stages, principal_point=False)
         # Poses seen with a wrong lens may have fallen over: a plane has two resections that are nearly as good.
-        single.append(adjust(own, _resected(own, state.cameras[0]), tuning.adjust, stages))
+        single.append(adjust(own, _resected(own, state.cameras[0]), tuning, stages))
     cameras = tuple(state.cameras[0] for state in single)
     poses = {(v.camera, v.instant): _poses(cameras[v.camera], seen, v) for v in seen.views}
     for (camera, instant), said in poses.items():

@@ -12,8 +12,7 @@ from matplotlib.figure import Figure
 
 from tiegraph.calibrate.adjust import Adjusted, view_residuals
 from tiegraph.calibrate.covariance import PLACE, TURN, Parameter, Precision
-from tiegraph.calibrate.judge import Verdict
-from tiegraph.calibrate.tuning import JudgeTuning
+from tiegraph.calibrate.judge import CELLS, Verdict
 from tiegraph.geometry import transforms
 from tiegraph.geometry.transforms import invert
 from tiegraph.scene.figures import png
@@ -127,13 +126,13 @@ def _word(text: object) -> str:
     return re.sub(r"([\\`*_\[\]<>|$])", r"\\\1", one_line(str(text)))
 
 
-def residual_picture(done: Adjusted, camera: int, tuning: JudgeTuning) -> bytes:
+def residual_picture(done: Adjusted, camera: int) -> bytes:
     """PNG of one camera."""
     images = done.seen.cameras[camera]
     own = [k for k, view in enumerate(done.seen.views) if view.camera == camera]
     xy = np.concatenate([done.seen.views[k].xy for k in own])
     off = np.concatenate([r for k, r in enumerate(view_residuals(done.seen, done.state)) if k in own])
-    side = max(images.size) / tuning.cells
+    side = max(images.size) / CELLS
     # Mean places and residuals of the corners in each cell that holds three: one or two say nothing of the lens
     good = np.isfinite(off).all(axis=1)
     _, number = np.unique(np.floor(xy[good] / side), axis=0, return_inverse=True)

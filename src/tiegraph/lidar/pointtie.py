@@ -12,7 +12,6 @@ from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry.align import CAUCHY_SIGMAS, Similarity, robust_sigma
 from tiegraph.lidar.scans import first_of_voxels, voxel_keys
-from tiegraph.lidar.tuning import TieTuning
 
 
 @dataclass(frozen=True)
@@ -28,25 +27,25 @@ class PointTie:
     rms_m: float
 
 
-def tie_by_points(points: np.ndarray, surface: np.ndarray, start: Similarity, tuning: TieTuning) -> PointTie | None:
+def tie_by_points(points: np.ndarray, surface: np.ndarray, start: Similarity) -> PointTie | None:
     """Points (M, 3) of a run against the map (G, 3), point to plane, with scale, from a start; None where fewer than
-    ``least_points`` agree or a direction stays open."""
+    200 agree or a direction stays open."""
     middle, normal = _surfaces(surface)
     if not len(middle):
         return None
     tree = cKDTree(middle)
     fit, centre = start, np.median(middle, axis=0)
     rows = np.zeros(0, int)
-    for reach in tuning.reaches_m:
+    for reach in (1.0, 0.5, 0.3, 0.15, 0.1):  # m; at last within four sigmas of both sides' points
         for _ in range(10):
             at = fit(points)
             distance, near = tree.query(at, distance_upper_bound=reach)
             rows = np.flatnonzero(np.isfinite(distance))
-            if len(rows) < tuning.least_points:
+            if len(rows) < 200:
                 return None
             away, axis = at[rows] - centre, normal[near[rows]]
             residual = np.einsum("ni,ni->n", at[rows] - middle[near[rows]], axis)
-            sigma = max(robust_sigma(residual), tuning.least_sigma_m)
+            sigma = max(robust_sigma(residual), 0.005)
             weight = 1 / (1 + (residual / (CAUCHY_SIGMAS * sigma)) ** 2)
             slope = np.column_stack([np.cross(away, axis), axis, np.einsum("ni,ni->n", away, axis)])
             matrix = slope.T @ (slope * weight[:, None])

@@ -31,7 +31,7 @@ from tiegraph.calibrate.summary import (
     rig_sigmas,
     summary,
 )
-from tiegraph.calibrate.tuning import BoardTuning, JudgeTuning
+from tiegraph.calibrate.tuning import BoardTuning
 from tiegraph.errors import InputError
 from tiegraph.pipeline.foundrig import rig_file
 from tiegraph.project.pool import map_items, open_pool
@@ -91,12 +91,12 @@ def calibrate(
         names = [f.name for f in files if f.camera == number and f.name not in read]
         if names:
             unread.append(f"{camera.name}: no board in {len(names)} of {camera.count} images: {', '.join(names)}")
-    check_views(seen, tuning.start)
-    done = adjust_robustly(seen, start(seen, tuning), tuning.adjust, settings.board_sigma)
+    check_views(seen)
+    done = adjust_robustly(seen, start(seen, tuning.adjust), tuning.adjust, settings.board_sigma)
     verdict = judge(done, tuning)
     constants = [f"constants changed: {tunings.changed()}"] if tunings.changed() else []
     notes = (board, *constants, *found, *unread)
-    _write(out, done, verdict, notes, _rig(done, verdict, settings.wide), tuning.judge)
+    _write(out, done, verdict, notes, _rig(done, verdict, settings.wide))
     left_out = (f"left out: {name}: {why}" for name, why in done.left_out)
     scale = () if len(cameras) == 1 else (lengths(done),)
     written = f"written: {out}", f"summary: {folder / 'summary.md'}"
@@ -127,7 +127,7 @@ def _read_folder(
     tuning, report = tunings.scan, Report()
     found, passed_over = search_images(images)
     names = clean_names(found)
-    check_count(images, len(names), tunings.calibrate.start)
+    check_count(images, len(names))
     paths = [Path(images, f) for f in found]
     with reporter.stage("images"):
         reporter.total(len(paths))
@@ -142,7 +142,7 @@ def _read_folder(
     sequence = {k: place.sequence for k, place in zip(usable.images, layout.places) if place is not None}
     report.drop([names[k] for k in usable.images if k not in folder], "outside the camera folders")
     if len(layout.folders) == 1 and settings.layout == "auto":
-        check_one_camera([names[k] for k in kept], tunings.calibrate.start)
+        check_one_camera([names[k] for k in kept])
     owned = [[k for k in kept if folder[k] == f] for f in layout.folders]
     upright = [len({probes[k].exif.orientation for k in own}) == 1 for own in owned]
     models = _models(settings.model, [f or "camera" for f in layout.folders])
@@ -263,7 +263,7 @@ def _folder_beside(out: Path) -> Path:
     return folder
 
 
-def _write(out: Path, done: Adjusted, verdict: Verdict, said: Sequence[str], rig: Rig, tuning: JudgeTuning) -> None:
+def _write(out: Path, done: Adjusted, verdict: Verdict, said: Sequence[str], rig: Rig) -> None:
     board, *notes = said
     folder = out.with_name(out.stem + _FOLDER)
     names = [c.name for c in done.seen.cameras]
@@ -274,7 +274,7 @@ def _write(out: Path, done: Adjusted, verdict: Verdict, said: Sequence[str], rig
             notes.append(f"no OpenCV YAML of {names[k]}: OpenCV has no model {done.state.cameras[k].model.name}")
         else:
             write_atomic(folder / f"{stem}.yaml", text)
-        write_atomic(folder / f"{stem}_residuals.png", residual_picture(done, k, tuning))
+        write_atomic(folder / f"{stem}_residuals.png", residual_picture(done, k))
     chain = kalibr_yaml(done.state.cameras, done.state.sensor_from_rig)
     if chain is None:
         notes.append("no camchain.yaml: Kalibr has no such camera model")
@@ -345,14 +345,14 @@ def self_calibration(
     for other in others:
         (own,) = parse_rig_file(folder, found.text, tuning)
         rows = differences(*([_calibration(s) for s in rig.sensors] for rig in (other, own)))
-        said += [sentence(row, tunings.calibrate.judge) for row in rows]
+        said += [sentence(row) for row in rows]
     write_atomic(out, found.text)
     for text in (*said, f"written: {out}"):
         reporter.say(text)
     return rows
 
 
-def sentence(row: Difference, tuning: JudgeTuning) -> str:
+def sentence(row: Difference) -> str:
     """What the calibrations of a camera have in common, in words."""
     parts = []
     if np.isfinite(row.focal):
@@ -363,7 +363,7 @@ def sentence(row: Difference, tuning: JudgeTuning) -> str:
         parts.append(f"moved by {1000 * row.place_m:.1f} mm{_sigmas(row.place_sigmas)}")
     worst = row.worst_sigmas()
     if np.isfinite(worst):
-        parts.append("they agree" if worst <= tuning.agree_sigmas else "they contradict each other")
+        parts.append("they agree" if worst <= 3 else "they contradict each other")
     return f"{row.name}, against the board: {', '.join(parts) or 'nothing to compare'}"
 
 

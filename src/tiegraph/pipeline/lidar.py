@@ -135,7 +135,7 @@ def lidar(
     found = None
     if beside is not None:
         with reporter.stage("hand-eye"):
-            found = calibrated(beside, path, cloud, given, tuning)
+            found = calibrated(beside, path, cloud, given)
         told = compared(beside, path, cloud, found, tunings)
         summary = {**summary, **told, "tables": {**summary["tables"], **told["tables"]}}
     out.mkdir(parents=True, exist_ok=True)
@@ -237,16 +237,16 @@ def _against_given(poses: np.ndarray, given: np.ndarray, tuning: EvaluateTuning)
 # --- a run beside the LiDAR ----------------------------------------------------------------------------------------
 
 
-def calibrated(run: SurveyRun, lidar: Poses, reference: Cloud, given: Given, tuning: Tuning) -> HandEye:
+def calibrated(run: SurveyRun, lidar: Poses, reference: Cloud, given: Given) -> HandEye:
     """The LiDAR on the rig: by the two trajectories, then by the points that both sides have of one surface."""
-    found = hand_eye(run.rig, lidar, given, tuning.hand_eye)
+    found = hand_eye(run.rig, lidar, given)
     if given.rig_from_lidar is not None:
         return found
     by_lidar = rig_in_lidar_world(lidar, run.rig.time_s, found)
     inside = np.isfinite(by_lidar[:, 0, 0])
     start = lidar_from_run(run.rig.where(inside), by_lidar[inside], found.scale)
-    tie = tie_by_points(run.points, reference.xyz_m, start, tuning.tie)
-    return found if tie is None else settled(run.rig, lidar, found, tie, tuning.hand_eye)
+    tie = tie_by_points(run.points, reference.xyz_m, start)
+    return found if tie is None else settled(run.rig, lidar, found, tie)
 
 
 def compared(run: SurveyRun, lidar: Poses, reference: Cloud, found: HandEye, tunings: VerbTunings) -> dict[str, Any]:
