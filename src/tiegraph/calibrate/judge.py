@@ -44,7 +44,13 @@ def judge(done: Adjusted, tuning: Tuning) -> Verdict:
     Raises ReconstructionError if the views leave a focal length open.
     """
     exact = precision(done, tuning.adjust)
-    tilts = [_largest_tilt(done, k) for k in range(len(done.seen.cameras))]
+    # Largest angle, degrees, between the board's normal and the line of sight to its middle, of each camera
+    tilts = [0.0] * len(done.seen.cameras)
+    for view in done.seen.views:
+        pose = done.state.camera_from_board(view)
+        sight = pose[:3, :3] @ done.seen.board.points.mean(axis=0) + pose[:3, 3]
+        cosine = abs(float(pose[:3, 2] @ sight)) / float(np.linalg.norm(sight))
+        tilts[view.camera] = max(tilts[view.camera], float(np.degrees(np.arccos(min(cosine, 1.0)))))
     for number, images in enumerate(done.seen.cameras):
         share = relative_focal_sigma(done, exact, number)
         if not share <= 0.01:
@@ -91,18 +97,6 @@ def held_out_residuals(done: Adjusted, tuning: Tuning) -> list[np.ndarray]:
         placed = place_boards(asked, State(found.cameras, found.sensor_from_rig, boards), tuning.adjust, scale)
         out |= {v.name: r for v, r in zip(asked.views, view_residuals(asked, placed))}
     return [out[view.name] for view in done.seen.views]
-
-
-def _largest_tilt(done: Adjusted, camera: int) -> float:
-    """Largest angle, degrees, between the board's normal and the line of sight to its middle."""
-    tilts = []
-    for view in done.seen.views:
-        if view.camera == camera:
-            pose = done.state.camera_from_board(view)
-            sight = pose[:3, :3] @ done.seen.board.points.mean(axis=0) + pose[:3, 3]
-            cosine = abs(float(pose[:3, 2] @ sight)) / float(np.linalg.norm(sight))
-            tilts.append(float(np.degrees(np.arccos(min(cosine, 1.0)))))
-    return max(tilts)
 
 
 def relative_focal_sigma(done: Adjusted, exact: Precision, camera: int) -> float:

@@ -71,9 +71,12 @@ def stations(
             noise = [p.residual_m / np.sqrt(2) for p in joined.believed] or [s.levels[-1].rough for s in ready]
             merged = _merged(known, path, voxel, float(np.median(noise)), scratch, tunings.cloud)
             notes = write_cloud((replace(c, origin=origin) for c in merged.clouds()), folder / CLOUD, voxel)
+        first = ready[int(np.flatnonzero(np.isfinite(joined.poses[:, 0, 0]))[0])].name
+        frame = f"that of {first}" if poses is None else f"the world of {poses.name}"
+        frame = frame if origin is None else f"the world: {_called(origin)}"
         result = {
             **told,
-            "frame": _frame(origin, poses, ready, joined),
+            "frame": frame,
             "voxel_m": voxel,
             "cloud": merged.counts,
             "tuning": tunings.changed(),
@@ -209,15 +212,6 @@ def _points(
 
 
 # --- what is told ----------------------------------------------------------------------------------------------------
-
-
-def _frame(origin: Origin | None, prior: Path | None, ready: Sequence[Station], joined: Joined) -> str:
-    if origin is not None:
-        return f"the world: {_called(origin)}"
-    if prior is not None:
-        return f"the world of {prior.name}"
-    here = np.flatnonzero(np.isfinite(joined.poses[:, 0, 0]))
-    return f"that of {ready[here[0]].name}"
 
 
 def _told_of(

@@ -226,7 +226,14 @@ def _in_time(run: Run, videos: Sequence[_Video]) -> tuple[list[_Video], list[tup
                 if first.clock.known and out[k].clock.known and apart:
                     said = f"by its own clock it would begin {by_clock:+.0f} s after: that of the first is used"
                     notes.append(f"{out[k].name}: {said}")
-        _share_clock(out, group)
+        # The videos of a group go onto one clock: that of the first whose start is known.
+        first = out[group[0]]
+        lead = next((out[k] for k in group if out[k].clock.known), first)
+        begin = lead.clock.start_s - (0.0 if lead is first else lead.offset_s) + first.offset_s
+        for k in group:
+            late = 0.0 if k == group[0] else out[k].offset_s
+            clock = replace(out[k].clock, start_s=begin + late, known=lead.clock.known, utc=lead.clock.utc)
+            out[k] = replace(out[k], clock=clock)
     return out, groups, notes
 
 
@@ -245,17 +252,6 @@ def _groups(run: Run, videos: Sequence[_Video]) -> list[tuple[int, ...]]:
         broken = ", ".join(v.name for v in videos if not v.width)
         raise InputError(f"{error}" + (f"; {broken} cannot be decoded" if broken else "")) from None
     return [tuple(good[f] for f in g) for g in together] + alone
-
-
-def _share_clock(videos: list[_Video], group: Sequence[int]) -> None:
-    """Puts the videos of a group on one clock: that of the first whose start is known."""
-    first = videos[group[0]]
-    lead = next((videos[k] for k in group if videos[k].clock.known), first)
-    start = lead.clock.start_s - (0.0 if lead is first else lead.offset_s) + first.offset_s
-    for k in group:
-        late = 0.0 if k == group[0] else videos[k].offset_s
-        clock = replace(videos[k].clock, start_s=start + late, known=lead.clock.known, utc=lead.clock.utc)
-        videos[k] = replace(videos[k], clock=clock)
 
 
 def _curve(video: _Video, tuning: Tuning) -> MotionCurve:
