@@ -1,4 +1,4 @@
-"""What LiDAR odometry and the hand-eye calibration decide by: each constant with unit, meaning and origin."""
+"""What the adjustment of scans decides by: each constant with unit, meaning and origin."""
 
 from pydantic import Field
 
