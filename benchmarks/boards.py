@@ -131,7 +131,7 @@ def _arrays(seen: Observations) -> tuple[list[np.ndarray], tuple[list[np.ndarray
 
 def tiegraphs(seen: Observations) -> tuple[Stereo, Precision]:
     """By `tiegraph calibrate`'s adjustment."""
-    done = adjust_robustly(seen, start(seen, TUNING), TUNING.adjust)
+    done = adjust_robustly(seen, start(seen, TUNING.adjust), TUNING.adjust)
     lenses = [lens for camera in done.state.cameras if (lens := lens_of(camera)) is not None]
     matrices = tuple(np.array([[m[0], 0, m[2]], [0, m[1], m[3]], [0, 0, 1]]) for m in (lens.middle for lens in lenses))
     terms = tuple(np.array(lens.terms) for lens in lenses)
@@ -154,7 +154,7 @@ def opencvs(seen: Observations) -> Stereo:
 def single(seen: Observations, side: int) -> dict[str, Any]:
     """One camera by both: parameters, RMS of a coordinate, and how halves of the images differ in sigmas."""
     own = seen.of_camera(side)
-    done = adjust_robustly(own, start(own, TUNING), TUNING.adjust)
+    done = adjust_robustly(own, start(own, TUNING.adjust), TUNING.adjust)
     verdict = judge(done, TUNING)
     values, sigma, rms = _opencv_single(own)
     exact = verdict.precision
@@ -162,7 +162,7 @@ def single(seen: Observations, side: int) -> dict[str, Any]:
     apart = {"tiegraph": [], "opencv": []}
     for one, two in _drawn(own.instants()):
         halves_ = [own.among(instants) for instants in (one, two)]
-        found = [adjust_robustly(half, start(half, TUNING), TUNING.adjust) for half in halves_]
+        found = [adjust_robustly(half, start(half, TUNING.adjust), TUNING.adjust) for half in halves_]
         sigmas = [precision(half, TUNING.adjust).sigma for half in found]
         values_ = [np.array([p.value for p in parameters(half.state)]) for half in found]
         apart["tiegraph"].append((values_[0] - values_[1]) / np.hypot(*sigmas))

@@ -83,7 +83,7 @@ def free_space(
         a, b = stations[p.first], stations[p.second]
         true = a.shift @ transforms.invert(truth[p.first]) @ truth[p.second] @ b.shift_back
         off = motion(p.first_from_second @ transforms.invert(true), transforms.apply(true, b.coarse.xyz))
-        shares = [looked_through(a, b, fit, tuning.sight) for fit in (p.first_from_second, true)]
+        shares = [looked_through(a, b, fit) for fit in (p.first_from_second, true)]
         yield {
             "pair": [p.first, p.second],
             "off": round(off / a.coarse.side, 2),

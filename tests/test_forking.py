@@ -192,7 +192,7 @@ def _runs(pid):
 
 @pytest.mark.parametrize(("lacking", "forks"), [("", True), ("no_such_name", False)])
 def test_a_python_that_lacks_what_is_taken_from_inside_it_spawns(lacking, forks):
-    inside = f"forking._INSIDE = ((forking.spawn, {lacking!r}),)" if lacking else ""
+    inside = f"forking._INSIDE = ((forking.util, {lacking!r}),)" if lacking else ""
     code = f"from tiegraph import forking\nforking.allow()\n{inside}\nprint(forking.start())\nforking.stop()"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split() == [str(forks)]

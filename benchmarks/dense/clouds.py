@@ -72,8 +72,8 @@ def first_maps(plan: ImagePlan, out: Path, store: Path, variants: Sequence[str])
     """Write the depth maps of one image before comparison; CPU seconds of each variant."""
     masks = next(m for m in (out / "refine" / "masks", out / "masks") if m.exists())
     start = time.process_time()
-    reference = load_view(plan.view, out / "images", masks, _SETTINGS, _TUNING.views)
-    partners = [load_view(v, out / "images", masks, _SETTINGS, _TUNING.views) for v in plan.partners]
+    reference = load_view(plan.view, out / "images", masks, _SETTINGS)
+    partners = [load_view(v, out / "images", masks, _SETTINGS) for v in plan.partners]
     reading = time.process_time() - start
     spent, candidates = {}, {}
     for name, matcher, cells in (("sgbm", match_sgbm, MAX_CELLS), ("tsgm", match_tsgm, np.inf)):
@@ -188,7 +188,7 @@ def variant_cloud(out: Path, plans: dict[str, ImagePlan], folder: Path, truth: T
             truths.append(known)
     start = time.process_time()
     with tempfile.TemporaryDirectory() as scratch:
-        colours = coloured(plans, out / "images", _SETTINGS, _TUNING.views)
+        colours = coloured(plans, out / "images", _SETTINGS)
         maps = Maps(lambda name: load_depth(folder / f"{name}.npz"), colours)
         fused = fuse(sorted(plans), maps, Path(scratch), CloudSettings(), CloudTuning())
         cloud = fused.cloud()

@@ -22,7 +22,7 @@ from benchmarks.dense.score import score
 from tiegraph.dense import _sgm
 from tiegraph.dense.sgbm import without_speckles
 from tiegraph.dense.tsgm import match
-from tiegraph.dense.tuning import SpeckleTuning, TsgmTuning
+from tiegraph.dense.tuning import TsgmTuning
 
 Method = Callable[[Pair], np.ndarray]
 _MAX_HH_CELLS = 700e6  # OpenCV's 8-path mode holds about 4 bytes a cell: larger pairs are left out
@@ -45,7 +45,6 @@ def ours(tuning: TsgmTuning) -> Method:
 
 
 FULL = TsgmTuning(everywhere=True)
-SPECKLES = SpeckleTuning()
 METHODS: dict[str, Method] = {
     "SGBM HH": opencv(cv2.STEREO_SGBM_MODE_HH),
     "SGBM 3WAY": opencv(cv2.STEREO_SGBM_MODE_SGBM_3WAY),
@@ -71,7 +70,7 @@ def compare(pair: Pair, repeats: int, names: list[str]) -> dict[str, dict[str, f
             start = time.process_time()
             found[name] = METHODS[name](pair)
             least[name] = min(least[name], time.process_time() - start)
-    clean = {n: without_speckles(found[n], SPECKLES.size_px, SPECKLES.jump_px) for n in names}
+    clean = {n: without_speckles(found[n]) for n in names}
     return {n: {"cpu_ms": round(1000 * least[n], 1), **score(clean[n], pair)} for n in names}
 
 

@@ -175,7 +175,7 @@ def measure(run: Run, plans: dict[str, ImagePlan], size: int, truth: dict | None
             for name in plans:
                 step(name)
             spent[step.__name__] = meter.stop()
-        maps = Maps(lambda name: load(name, "last"), coloured(plans, images, settings, tuning.dense.views))
+        maps = Maps(lambda name: load(name, "last"), coloured(plans, images, settings))
         meter = Meter(0.1)
         (work / "tiles").mkdir()
         cloud = fuse(list(plans), maps, work / "tiles", run.settings.cloud, tuning.cloud)

@@ -10,7 +10,6 @@ from scipy.spatial import cKDTree
 
 from tiegraph.dense.plan import ImagePlan
 from tiegraph.dense.settings import DenseSettings
-from tiegraph.dense.tuning import ViewTuning
 from tiegraph.dense.undistort import pinhole_of
 from tiegraph.geometry.align import Similarity
 from tiegraph.geometry.transforms import apply
@@ -25,7 +24,7 @@ def scan_depth(plan: ImagePlan, xyz: np.ndarray, counted: np.ndarray, settings: 
     """(H, W) f4 depth at the pixels of the undistorted image that a counted (N,) bool point (N, 3), in the model's
     world, falls on; NaN elsewhere, where any point near by would hide it, and where the surface
     is not closed."""
-    K, (width, height) = pinhole_of(plan.view.camera, settings, ViewTuning())
+    K, (width, height) = pinhole_of(plan.view.camera, settings)
     local = apply(plan.view.cam_from_world, xyz)
     counted, local = counted[local[:, 2] > 0], local[local[:, 2] > 0]
     at = local @ K.T

@@ -20,7 +20,7 @@ from tiegraph.dense.depth import confirmed_map, depth_map
 from tiegraph.dense.neighbours import plan_images
 from tiegraph.dense.plan import ImagePlan
 from tiegraph.dense.settings import DenseSettings
-from tiegraph.dense.tuning import Tuning, ViewTuning
+from tiegraph.dense.tuning import Tuning
 from tiegraph.dense.undistort import pinhole_of
 from tiegraph.scene.results import DepthMap
 
@@ -41,7 +41,7 @@ def true_depth(plan: ImagePlan, folder: Path, settings: DenseSettings) -> np.nda
         metres[mask != _STATIC] = np.nan
     low, high = cv2.erode(metres, np.ones((3, 3))), cv2.dilate(metres, np.ones((3, 3)))
     metres = np.where(high < 1.1 * np.minimum(low, 1e6), metres, np.float32(np.nan))
-    K, (width, height) = pinhole_of(plan.view.camera, settings, ViewTuning())
+    K, (width, height) = pinhole_of(plan.view.camera, settings)
     u, v = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
     rays = np.stack([(u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1], np.ones_like(u)], -1).reshape(-1, 3)
     at = (

@@ -150,31 +150,28 @@ class Project:
         choose("baseline", name, dict.fromkeys(glue.BASELINES))
         folder = self.folder.with_name(f"{self.folder.name}_block{sample}") if out is None else Path(out).absolute()
         block = glue.lay_out(self.as_run(), sample, folder)
-        sides = {"tiegraph": (self.preset, self.settings), name: (name, self._as_given())}
+        # What says what the inputs are, not what is made of them
+        scan = self.settings.scan.model_dump(mode="json", exclude_defaults=True)
+        control = {"gcp": self.settings.georef.gcp, "marks": self.settings.georef.marks}
+        given = {"scan": scan, "georef": {k: v for k, v in control.items() if v is not None}}
+        sides: dict[str, tuple[str, Any]] = {"tiegraph": (self.preset, self.settings), name: (name, given)}
         notes = []
         for side, (preset, settings) in sides.items():
             if side == "colmap":
                 glue.run_colmap(block, block.side("tiegraph") / "images")
                 continue
-            project = self if block.side(side) == self.folder else self._of_block(block, side, preset, settings)
+            # The survey of the block's images; a model to start from is the survey's own method's.
+            silent = {*block.silent, *(("start",) if side != "tiegraph" else ())}
+            same = {n: getattr(self.inputs, n) for n in (*_NAMED, *_PATHS) if n not in silent}
+            how: dict[str, Any] = {"preset": preset, "settings": settings, "pool": self.pool}
+            other = block.side(side) != self.folder
+            project = open_project(block.images, block.side(side), **how, **same) if other else self
             notes.append(glue.interrupted_note(block, side, STAGES))
             try:
                 project.run(glue.UNTIL, reporter)
             except ReconstructionError as error:
                 notes.append(f"{side} made no model: {error}")
         return glue.judged(block, name, STAGES, [n for n in notes if n])
-
-    def _as_given(self) -> dict[str, dict[str, Any]]:
-        """The settings that say what the inputs are, not what is made of them."""
-        scan = self.settings.scan.model_dump(mode="json", exclude_defaults=True)
-        control = {"gcp": self.settings.georef.gcp, "marks": self.settings.georef.marks}
-        return {"scan": scan, "georef": {k: v for k, v in control.items() if v is not None}}
-
-    def _of_block(self, block: Any, side: str, preset: str, settings: Any) -> Project:
-        """The survey of a block's images with the same inputs; a model to start from is the survey's own method's."""
-        names = [n for n in (*_NAMED, *_PATHS) if n not in block.silent and (n != "start" or side == "tiegraph")]
-        given = {n: getattr(self.inputs, n) for n in names}
-        return open_project(block.images, block.side(side), preset=preset, settings=settings, pool=self.pool, **given)
 
     def export(self, folder: str | Path) -> int:
         """Write the depth maps as a dense workspace of COLMAP; their number. Raises InputError if there are none or the

@@ -23,7 +23,6 @@ from tiegraph import forking
 from tiegraph.errors import ChildDied, ProcessLost, TiegraphError
 from tiegraph.limits import explained, explained_text
 
-_TAIL_LINES = 12
 _STACK_TRACE = ("@ ", "PC: @", "***")
 _PATIENCE_S = 10.0  # for a process to end that has nothing left to do
 STOPPING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
@@ -36,21 +35,30 @@ class Helper(SpawnProcess):
     """A process of a run; see the module."""
 
     ended = False  # by us
+    _forked = False
 
     @staticmethod
     def _Popen(process_obj: Any) -> Any:
         """What starts it: the server where one runs, else a new interpreter."""
-        return forking.Popen(process_obj) if forking.running() else SpawnProcess._Popen(process_obj)
+        if not forking.running():
+            return SpawnProcess._Popen(process_obj)
+        from multiprocessing.popen_forkserver import Popen  # not on every system
+
+        return Popen(process_obj)
 
     @property
     def exitcode(self) -> int | None:
         """None while it runs."""
         with _LOOKING:
-            return super().exitcode
+            code = super().exitcode
+            # What multiprocessing says where the server was ended from outside, and its helpers with it.
+            lost = code == 255 and self._forked and not forking.running()
+            return -signal.SIGKILL if lost else code
 
     def start(self) -> None:
         """Start it deaf to the signals that stop a run: a terminal sends them to every process at once."""
         with _deaf(), _main_kept_out():
+            self._forked = forking.running()
             super().start()
 
     def run(self) -> None:
@@ -217,9 +225,12 @@ def run_in_children(
     """``run_in_child`` for several calls side by side, one process each; their results. The first error ends all."""
     context = Helpers()
     log.parent.mkdir(parents=True, exist_ok=True)
-    _allow_children()
+    # Dask's workers are daemonic, and multiprocessing lets no such process have children, which could outlive it; ours
+    # ends with it by itself (``die_with_parent``).
+    multiprocessing.current_process().daemon = False
     results: list[Any] = [None] * len(calls)
     running: dict[Any, tuple[int, Helper]] = {}
+    value: Any
     pipes: list[Any] = []
     try:
         for k, args in enumerate(calls):
@@ -231,7 +242,10 @@ def run_in_children(
             sender.close()
         while running:
             for ready in wait(list(running)):
-                kind, value = _receive(ready)
+                try:
+                    kind, value = ready.recv()  # type: ignore[union-attr]
+                except (EOFError, OSError):  # it has ended and said nothing, or within a message
+                    kind, value = "", None
                 if kind == "message":
                     if on_message is not None:
                         on_message(value)
@@ -250,22 +264,6 @@ def run_in_children(
         for receiver in pipes:
             receiver.close()
     return results
-
-
-def _allow_children() -> None:
-    """Dask's workers are daemonic, and multiprocessing lets no such process have children, which could outlive it; ours
-    ends with it by itself (``die_with_parent``)."""
-    process = multiprocessing.current_process()
-    if process.daemon:
-        process.daemon = False
-
-
-def _receive(receiver: Any) -> tuple[str, Any]:
-    """(what it is, content) of what a child sent; "" = it has ended and said nothing."""
-    try:
-        return receiver.recv()
-    except (EOFError, OSError):  # OSError: it ended within a message
-        return "", None
 
 
 def _child_main(sender: Any, log: str, function: Callable[..., Any], args: tuple) -> None:
@@ -291,6 +289,6 @@ def _explain_end(task: str, exitcode: int | None, log: Path) -> None:
         )
     text = log.read_text(errors="replace") if log.exists() else ""
     # glog ends with a stack trace of the library, which would push the message out of the tail.
-    lines = [line for line in text.splitlines() if not line.lstrip().startswith(_STACK_TRACE)][-_TAIL_LINES:]
+    lines = [line for line in text.splitlines() if not line.lstrip().startswith(_STACK_TRACE)][-12:]
     said = f"{task}: the native library ended its process ({how})\nLast lines of {log}:\n  " + "\n  ".join(lines)
     raise explained_text(said, log.parent) or ChildDied(said)

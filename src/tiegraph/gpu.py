@@ -6,7 +6,6 @@ from functools import lru_cache
 
 import pycolmap
 
-_SECONDS = 60  # a driver that does not answer within is not used
 _PROBE = """
 import ctypes, sys
 driver, count = ctypes.CDLL("libcuda.so.1"), ctypes.c_int()
@@ -21,7 +20,8 @@ def on_gpu() -> bool:
     if not pycolmap.has_cuda:
         return False
     try:
-        return subprocess.run([sys.executable, "-c", _PROBE], capture_output=True, timeout=_SECONDS).returncode == 0
+        # A driver that does not answer within is not used
+        return subprocess.run([sys.executable, "-c", _PROBE], capture_output=True, timeout=60).returncode == 0
     except (OSError, subprocess.SubprocessError):
         return False
 

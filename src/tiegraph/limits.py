@@ -17,7 +17,6 @@ from tiegraph.errors import EngineMissing, InputError, ProcessLost, SettingsErro
 
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _NO_ROOM_BYTES = 1 << 20
-_SMALL_LIMIT_BYTES = 1 << 28
 _SHOWN = 200  # characters of a library's words
 _STARVED = (errno.ENOMEM, errno.EAGAIN)
 _FULL_WORDS = re.compile(
@@ -152,7 +151,7 @@ def _tight(folder: Path) -> bool:
     """Whether room may have been short: what filled the disk can be gone again."""
     try:
         size, limit = sum(p.stat().st_size for p in folder.glob("*") if p.is_file()), size_limit()
-        low = limit is not None and limit < max(_SMALL_LIMIT_BYTES, 4 * size)
+        low = limit is not None and limit < max(1 << 28, 4 * size)
         return low or _full(folder) or _free(folder) < 2 * size
     except OSError:
         return True

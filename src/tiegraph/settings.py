@@ -4,7 +4,7 @@ What a user chooses is a section by stage. What an engine decides by is the clas
 ``tuning.py``, one group of constants for each of its modules or subpackages, each with unit, meaning and origin. It
 is passed in like settings. A table ``[tuning.<engine>]`` of ``tiegraph.toml`` changes values, for measurements: they
 count in the keys of the stages that follow them (``Stage.tuned``), and the receipt names those that differ. Numeric
-epsilons, seeds, bounds of memory and definitions stay in their modules.
+epsilons, seeds, bounds of memory, definitions and what nobody has a reason to tune stay in their modules.
 """
 
 from pathlib import Path

@@ -42,7 +42,7 @@ def lone(model: str, params: list[float], tilt_deg: float = 40.0, count: int = 2
 
 
 def calibrated(seen):
-    return adjust_robustly(seen, start(seen, TUNING), TUNING.adjust)
+    return adjust_robustly(seen, start(seen, TUNING.adjust), TUNING.adjust)
 
 
 @pytest.fixture(scope="module")
@@ -181,9 +181,9 @@ def test_what_cannot_be_calibrated_is_said_at_the_start():
 
     def refused(views, said, board=BOARD):
         with pytest.raises(InputError, match=said):
-            check_views(replace(seen, views=tuple(views), board=board), TUNING.start)
+            check_views(replace(seen, views=tuple(views), board=board))
 
-    check_views(seen, TUNING.start)
+    check_views(seen)
     refused([v for v in seen.views if v.camera != 2], "right: the board was found in none of its 12 images")
     first = next(v for v in seen.views if v.camera == 2)
     refused([*(v for v in seen.views if v.camera != 2), first], "right: the board was found in 1 of its 12 images")
@@ -238,7 +238,7 @@ def test_the_bend_of_a_board_is_found_and_taken_out():
     bent = replace(BOARD, points=BOARD.points + np.outer(sag - sag.mean(), [0, 0, 1]))
     truth = lone("OPENCV", OPENCV)
     seen = replace(observed(bent, truth, ["one"], noise_px=0.05), board=BOARD)
-    begin = start(seen, TUNING)
+    begin = start(seen, TUNING.adjust)
     flat, free = (adjust_robustly(seen, begin, TUNING.adjust, sigma) for sigma in (0.0, 0.001))
     assert flat.sigma_px > 3 * free.sigma_px and 0.04 < free.sigma_px < 0.06
     off = np.abs([f.state.cameras[0].params[0] / OPENCV[0] - 1 for f in (flat, free)])

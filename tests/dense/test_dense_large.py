@@ -31,7 +31,7 @@ from tiegraph.scene.results import DepthMap, row_strips
 WIDTH, HEIGHT = 8064, 6048
 CAMERA = CameraModel("SIMPLE_RADIAL", WIDTH, HEIGHT, (5376.0, WIDTH / 2, HEIGHT / 2, -0.02))
 SETTINGS, TUNING = DenseSettings(), Tuning()
-K, SIZE = pinhole_of(CAMERA, SETTINGS, TUNING.views)
+K, SIZE = pinhole_of(CAMERA, SETTINGS)
 PIXELS = SIZE[0] * SIZE[1]
 
 
@@ -65,7 +65,7 @@ def slope(normals: bool) -> DepthMap:
 
 def test_normals_take_the_memory_of_some_rows():
     depth = slope(normals=False)
-    assert 12 < bytes_a_pixel(lambda: with_normals(depth, TUNING.normals)) < 40
+    assert 12 < bytes_a_pixel(lambda: with_normals(depth)) < 40
 
 
 def test_strips_of_rows_give_the_bits_of_the_whole(monkeypatch):
@@ -79,8 +79,8 @@ def test_strips_of_rows_give_the_bits_of_the_whole(monkeypatch):
 
     def made() -> list[np.ndarray]:
         confirmed, _ = check(depth, ["b"], ["b"], {"b": replace(depth, image="b")}.get, SETTINGS, TUNING.rays)
-        found = [confirmed.depth_m, confirmed.sigma_m, confirmed.views, with_normals(depth, TUNING.normals).normal]
-        return [*found, *_maps.__wrapped__(camera, pinhole, TUNING.views.round_trip_px)]
+        found = [confirmed.depth_m, confirmed.sigma_m, confirmed.views, with_normals(depth).normal]
+        return [*found, *_maps.__wrapped__(camera, pinhole)]
 
     whole = made()
     for module in (consistency, dense_depth, undistort):
@@ -93,7 +93,7 @@ def test_strips_of_rows_give_the_bits_of_the_whole(monkeypatch):
 @pytest.mark.slow
 def test_the_way_from_pixels_of_the_image_takes_the_memory_of_some_rows():
     pinhole = CameraModel("PINHOLE", *SIZE, (K[0, 0], K[1, 1], K[0, 2], K[1, 2]))
-    assert 9 < bytes_a_pixel(lambda: _maps.__wrapped__(CAMERA, pinhole, TUNING.views.round_trip_px)) < 40
+    assert 9 < bytes_a_pixel(lambda: _maps.__wrapped__(CAMERA, pinhole)) < 40
 
 
 @pytest.mark.slow

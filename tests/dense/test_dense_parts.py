@@ -258,7 +258,7 @@ def test_triangulation_is_the_linear_solution_of_the_rays():
 def test_normal_of_a_plane_is_exact_with_holes():
     depth = plane_map("a", (0, 0, 0))
     holes = np.where(np.random.default_rng(0).random(SHAPE) < 0.2, np.float32(np.nan), depth.depth_m)
-    result = with_normals(DepthMap("a", holes, depth.sigma_m, depth.views, K, depth.cam_from_world), TUNING.normals)
+    result = with_normals(DepthMap("a", holes, depth.sigma_m, depth.views, K, depth.cam_from_world))
     truth = np.array([0.2, -0.1, -1.0]) / np.linalg.norm([0.2, -0.1, -1.0])
     known = np.isfinite(result.normal).all(axis=-1)
     assert known.sum() > 0.99 * np.isfinite(holes).sum()
@@ -270,7 +270,7 @@ def test_normal_at_an_edge_is_unknown():
     depth = plane_map("a", (0, 0, 0), normal=(0, 0, -1.0)).depth_m.copy()
     depth[:, 80:] *= 0.6
     base = plane_map("a", (0, 0, 0))
-    result = with_normals(DepthMap("a", depth, base.sigma_m, base.views, K, base.cam_from_world), TUNING.normals)
+    result = with_normals(DepthMap("a", depth, base.sigma_m, base.views, K, base.cam_from_world))
     assert np.isnan(result.normal[60, 79]).all()
     assert np.isfinite(result.normal[60, 60]).all()
 

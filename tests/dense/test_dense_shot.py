@@ -72,7 +72,7 @@ def test_the_rig_of_a_rendered_survey_needs_no_model(tmp_path):
     views = [
         ViewPlan(f"up/{s.name}/000002.jpg", CameraModel.of(s.camera), s.sensor_from_rig) for s in survey.rig.sensors
     ]
-    sought = depth_range(views, 3.0, 40.0, TUNING.shots)
+    sought = depth_range(views, 3.0, 40.0)
     try:
         plan = plan_shot(views, sought, SETTINGS, TUNING)
     except InputError as error:  # cameras of this rig look apart
@@ -82,22 +82,22 @@ def test_the_rig_of_a_rendered_survey_needs_no_model(tmp_path):
 
 
 def test_the_range_follows_from_the_rig_where_none_is_given():
-    found = depth_range(SQUARE, None, None, TUNING.shots)
+    found = depth_range(SQUARE, None, None)
     assert found.near == pytest.approx(5 * 0.075 * np.sqrt(2)) and found.far == pytest.approx(20 * found.near)
-    assert depth_range(SQUARE, 0.5, None, TUNING.shots).near == 0.5
+    assert depth_range(SQUARE, 0.5, None).near == 0.5
 
 
 @pytest.mark.parametrize("near, far", [(-1.0, 2.0), (2.0, 1.0), (0.0, 1.0), (np.nan, 2.0), (1.0, np.inf)])
 def test_a_range_that_is_none_is_refused(near, far):
     with pytest.raises(InputError, match="near"):
-        depth_range(SQUARE, near, far, TUNING.shots)
+        depth_range(SQUARE, near, far)
 
 
 def test_cameras_in_one_place_are_refused():
     with pytest.raises(InputError, match="two calibrated cameras"):
-        depth_range(SQUARE[:1], None, None, TUNING.shots)
+        depth_range(SQUARE[:1], None, None)
     with pytest.raises(InputError, match="two calibrated cameras"):
-        depth_range([SQUARE[0], view("again.png", (0, 0, 0))], None, None, TUNING.shots)
+        depth_range([SQUARE[0], view("again.png", (0, 0, 0))], None, None)
 
 
 def test_no_pair_to_match_says_why():

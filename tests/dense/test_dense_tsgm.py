@@ -79,12 +79,12 @@ def test_impossible_ranges_are_refused(size, changes, says):
 def test_mutual_information_knows_any_relation_of_greys():
     left = grey(texture((80, 120)))
     right = 255 - left // 2  # as unlike as it can be, but a function of it
-    table = mutual_information(sgm.joint_greys(left, right, np.zeros(left.shape, np.float32)), TUNING.tsgm)
+    table = mutual_information(sgm.joint_greys(left, right, np.zeros(left.shape, np.float32)))
     true = table[left, right].mean()
     wrong = table[left, np.roll(right, 30, axis=1)].mean()
     assert true + 10 < wrong
     nothing = sgm.joint_greys(left, right, np.full(left.shape, np.nan, np.float32))
-    assert nothing.sum() == 0 and mutual_information(nothing, TUNING.tsgm).shape == (256, 256)
+    assert nothing.sum() == 0 and mutual_information(nothing).shape == (256, 256)
 
 
 def test_grey_values_are_counted_where_the_disparity_leads():

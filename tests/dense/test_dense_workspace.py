@@ -33,11 +33,9 @@ def true_map(survey, plan):
     sensor = next(s for s in survey.rig.sensors if s.name == plan.view.name.split("/")[1])
     depth = survey.world.depth_m(sensor.camera, plan.view.cam_from_world).astype(np.float32)
     depth[~np.isfinite(depth)] = np.nan
-    K, _ = pinhole_of(plan.view.camera, SETTINGS, TUNING.views)
+    K, _ = pinhole_of(plan.view.camera, SETTINGS)
     full = np.full(depth.shape, 4, np.uint8)
-    return with_normals(
-        DepthMap(plan.view.name, depth, 0.01 * depth, full, K, plan.view.cam_from_world), TUNING.normals
-    )
+    return with_normals(DepthMap(plan.view.name, depth, 0.01 * depth, full, K, plan.view.cam_from_world))
 
 
 @pytest.mark.slow
@@ -45,7 +43,7 @@ def test_colmap_fuses_our_depth_maps(survey, tmp_path):
     model = true_model(survey)
     plans = plan_images(model, SETTINGS, TUNING.partners).images
     maps = {n: true_map(survey, p) for n, p in plans.items() if "/cam0/" in n}
-    assert write_workspace(tmp_path, model, survey.images, maps.get, SETTINGS, TUNING.views) == len(maps) == 5
+    assert write_workspace(tmp_path, model, survey.images, maps.get, SETTINGS) == len(maps) == 5
     assert (tmp_path / "stereo" / "fusion.cfg").read_text().split() == sorted(maps)
     xyz = fused(str(tmp_path))
     assert len(xyz) > 5000
@@ -63,7 +61,7 @@ def test_colmap_fuses_our_depth_maps(survey, tmp_path):
 def test_the_model_of_the_workspace_sees_the_same_points(survey):
     model = true_model(survey)
     names = {i.name for i in model.images.values() if "/cam0/" in i.name}
-    flat = undistorted(model, names, SETTINGS, TUNING.views)
+    flat = undistorted(model, names, SETTINGS)
     assert {i.name for i in flat.images.values()} == names
     assert all(c.model_name == "PINHOLE" for c in flat.cameras.values())
     assert 0 < flat.num_points3D() <= model.num_points3D()

@@ -3,11 +3,9 @@
 import numpy as np
 
 from tiegraph.dense.shotscale import Seen, in_camera, shot_scale
-from tiegraph.dense.tuning import ShotScaleTuning
 from tiegraph.geometry.transforms import apply, invert, rigid
 from tiegraph.scene.results import DepthMap
 
-TUNING = ShotScaleTuning()
 K = np.array([[400.0, 0, 160], [0, 400, 120], [0, 0, 1]])
 UNIT = 0.37  # metres
 
@@ -40,20 +38,20 @@ def seen(shot: int, far: int = 300, noise: float = 3e-4) -> Seen:
 
 
 def test_points_on_the_surface_tell_the_unit():
-    found = shot_scale([seen(0), seen(1), seen(2)], TUNING)
+    found = shot_scale([seen(0), seen(1), seen(2)])
     assert found.shots == 3 and 450 < found.points < 900  # not those that fall outside, or where the map has no depth
     assert 0 < abs(found.metres_per_unit / UNIT - 1) < 4e-4
     assert 0 < found.sigma < 3e-4
-    each = seen(0).scales(UNIT * 1.01, TUNING)
+    each = seen(0).scales(UNIT * 1.01)
     np.testing.assert_allclose(each[np.isfinite(each)], UNIT, rtol=0.05)
 
 
 def test_points_that_lie_on_no_map_tell_nothing():
     one = seen(0)
     off = Seen(0, one.points[300:], one.rig_from_camera, one.depth)
-    assert shot_scale([off], TUNING) is None
-    few = Seen(0, one.points[: TUNING.least_points - 1], one.rig_from_camera, one.depth)
-    assert shot_scale([few], TUNING) is None and shot_scale([], TUNING) is None
+    assert shot_scale([off]) is None
+    few = Seen(0, one.points[:9], one.rig_from_camera, one.depth)
+    assert shot_scale([few]) is None and shot_scale([]) is None
 
 
 def test_points_behind_the_camera_are_none():

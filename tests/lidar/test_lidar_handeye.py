@@ -12,9 +12,7 @@ from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity
 from tiegraph.lidar.handeye import Given, Poses, hand_eye, rig_in_lidar_world, settled
 from tiegraph.lidar.pointtie import tie_by_points
-from tiegraph.lidar.tuning import Tuning
 
-_TUNING = Tuning()
 _PLACE = transforms.rigid(
     Rotation.from_euler("xyz", [5, -88, 12], degrees=True).as_matrix(), np.array([0.3, -0.7, 0.1])
 )
@@ -44,7 +42,7 @@ def _both(seconds: float = 12, wobble: float = 1.0, noise: float = 1.0, seed: in
 @pytest.mark.slow
 def test_place_clock_and_scale_of_a_wobbling_path() -> None:
     rig, lidar = _both()
-    found = hand_eye(rig, lidar, Given(), _TUNING.hand_eye)
+    found = hand_eye(rig, lidar, Given())
     off = found.rig_from_lidar[:3, 3] - _PLACE[:3, 3]
     assert 0 < abs(found.clock_s - _CLOCK_S) < 0.005
     assert found.clock_sigma_s < 0.005
@@ -58,7 +56,7 @@ def test_place_clock_and_scale_of_a_wobbling_path() -> None:
 @pytest.mark.slow
 def test_a_straight_path_says_what_it_leaves_open() -> None:
     rig, lidar = _both(wobble=0.0)
-    found = hand_eye(rig, lidar, Given(clock_s=_CLOCK_S), _TUNING.hand_eye)
+    found = hand_eye(rig, lidar, Given(clock_s=_CLOCK_S))
     assert found.clock_s == _CLOCK_S and np.isnan(found.clock_sigma_s)
     assert sum("lever arm" in what for what in found.left_open) == 3
     assert any("turn about" in what for what in found.left_open)
@@ -67,21 +65,21 @@ def test_a_straight_path_says_what_it_leaves_open() -> None:
 
 def test_given_place_and_times_apart() -> None:
     rig, lidar = _both(seconds=6)
-    found = hand_eye(rig, lidar, Given(_PLACE, _CLOCK_S), _TUNING.hand_eye)
+    found = hand_eye(rig, lidar, Given(_PLACE, _CLOCK_S))
     np.testing.assert_allclose(found.rig_from_lidar, _PLACE, atol=1e-12)
     assert np.isnan(found.place_sigma_m).all() and found.left_open == ()
     there = rig_in_lidar_world(lidar, rig.time_s, found)
     assert np.isfinite(there).any()
     far = Poses(rig.time_s + 100, rig.poses, rig.group)
     with pytest.raises(InputError, match="frames in common.*--clock-s"):
-        hand_eye(far, lidar, Given(), _TUNING.hand_eye)
+        hand_eye(far, lidar, Given())
 
 
 @pytest.mark.slow
 def test_points_tell_the_lever_arm_where_the_motion_does_not() -> None:
     """Six frames: by the motion decimetres, by points of the run on the surfaces of the map a centimetre."""
     rig, lidar = _both(seconds=4, wobble=0.3, noise=2)
-    found = hand_eye(rig, lidar, Given(), _TUNING.hand_eye)
+    found = hand_eye(rig, lidar, Given())
     assert found.place_sigma_m.max() > 0.02
     rng = np.random.default_rng(5)
     sides = np.concatenate([_plane(rng, axis, at) for axis in range(3) for at in (-6.0, 6.0)])
@@ -91,9 +89,9 @@ def test_points_tell_the_lever_arm_where_the_motion_does_not() -> None:
     other = in_run(np.concatenate([_plane(rng, axis, at) for axis in range(3) for at in (-6.0, 6.0)]))
     true = Similarity(_SCALE, turn.T, -_SCALE * turn.T @ np.array([3.0, 4, 5]))
     start = Similarity(1.01 * _SCALE, true.rotation, true.translation + [0.1, -0.1, 0.1])
-    tie = tie_by_points(other, sides, start, _TUNING.tie)
+    tie = tie_by_points(other, sides, start)
     assert tie is not None and 0 < tie.place_sigma_m < 0.01
-    better = settled(rig, lidar, found, tie, _TUNING.hand_eye)
+    better = settled(rig, lidar, found, tie)
     assert better.tie is tie
     assert np.abs(better.rig_from_lidar[:3, 3] - _PLACE[:3, 3]).max() < 0.02
     assert better.place_sigma_m.max() < found.place_sigma_m.max()
@@ -103,7 +101,7 @@ def test_no_tie_along_a_bare_tunnel() -> None:
     rng = np.random.default_rng(1)
     tunnel = np.concatenate([_plane(rng, axis, at) for axis in (1, 2) for at in (-6.0, 6.0)])
     one = Similarity(1.0, np.eye(3), np.zeros(3))
-    assert tie_by_points(tunnel + rng.normal(0, 0.01, tunnel.shape), tunnel, one, _TUNING.tie) is None
+    assert tie_by_points(tunnel + rng.normal(0, 0.01, tunnel.shape), tunnel, one) is None
 
 
 def _plane(rng: np.random.Generator, axis: int, at: float) -> np.ndarray:

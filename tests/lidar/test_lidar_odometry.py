@@ -10,10 +10,11 @@ from lidar.lidar_world import HALL, Turn, turns, world_from_lidar
 from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import umeyama
+from tiegraph.lidar import odometry as module
 from tiegraph.lidar.adjust import adjust, adjusted
 from tiegraph.lidar.odometry import MapCloud, ThinScan, odometry
 from tiegraph.lidar.scans import Scan
-from tiegraph.lidar.tuning import AdjustTuning, MapTuning, Tuning
+from tiegraph.lidar.tuning import AdjustTuning, Tuning
 
 _TUNING = Tuning()
 
@@ -23,7 +24,7 @@ def _scans(made: list[Turn], timed: bool = True) -> list[Scan]:
 
 
 def _thin(made: list[Turn], timed: bool = True) -> list[ThinScan]:
-    return list(odometry(iter(_scans(made, timed)), 0.5, 60.0, _TUNING))
+    return list(odometry(iter(_scans(made, timed)), 0.5, 60.0))
 
 
 def _error_m(thin: list[ThinScan], poses: np.ndarray) -> float:
@@ -72,19 +73,21 @@ def test_times_of_points_count() -> None:
 
 def test_ranges_without_points() -> None:
     with pytest.raises(InputError, match="--near-m, --far-m"):
-        next(odometry(iter(_scans(turns(1, rings=4))), 200.0, 300.0, _TUNING))
+        next(odometry(iter(_scans(turns(1, rings=4))), 200.0, 300.0))
 
 
-def test_the_map_has_a_point_a_voxel_and_keeps_within_memory() -> None:
+def test_the_map_has_a_point_a_voxel_and_keeps_within_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(0)
     xyz = rng.uniform(HALL[0], HALL[1], (5000, 3))
-    fine = MapCloud(0.5, MapTuning(batch_points=900))
+    monkeypatch.setattr(module, "_BATCH_POINTS", 900)
+    fine = MapCloud(0.5)
     for part in np.array_split(xyz, 10):
         fine.add(part)
     cloud = fine.cloud()
     assert cloud.views.sum() == 5000
     cells = np.floor(cloud.xyz_m / 0.5)
     assert len(np.unique(cells, axis=0)) == len(cloud)
-    few = MapCloud(0.1, MapTuning(most_points=300))
+    monkeypatch.setattr(module, "_MOST_POINTS", 300)
+    few = MapCloud(0.1)
     few.add(xyz)
     assert 0 < len(few.cloud()) <= 300 and few.voxel_m > 0.1

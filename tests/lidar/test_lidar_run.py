@@ -10,7 +10,6 @@ import pytest
 from lidar.lidar_world import START_S, turns, world_from_lidar
 from tiegraph.geometry import transforms
 from tiegraph.lidar.handeye import Given, Poses
-from tiegraph.lidar.tuning import Tuning
 from tiegraph.pipeline.lidar import SurveyRun, calibrated, compared
 from tiegraph.project.verbtunings import VerbTunings
 from tiegraph.scene.results import Cloud
@@ -61,7 +60,7 @@ def test_a_run_beside_the_lidar() -> None:
         cloud=_cloud(hall[::5] + [0, 0, off_m]),
         seconds={"SfM": 60.0, "Overall processing": 90.0},
     )
-    found = calibrated(run, lidar, _cloud(hall), Given(), Tuning())
+    found = calibrated(run, lidar, _cloud(hall), Given())
     assert np.abs(found.rig_from_lidar[:3, 3] - _PLACE[:3, 3]).max() < 0.01
     assert abs(found.clock_s) < 0.005
     told = compared(run, lidar, _cloud(hall), found, VerbTunings())
@@ -94,7 +93,7 @@ def test_another_survey_is_noticed() -> None:
         seconds={},
     )
     lidar, reference = Poses(scans, world_from_lidar(scans), np.zeros(len(scans), int)), _cloud(np.ones((3, 3)))
-    found = calibrated(run, lidar, reference, Given(), Tuning())
+    found = calibrated(run, lidar, reference, Given())
     assert found.tie is None
     assert any(
         "are these one survey" in note for note in compared(run, lidar, reference, found, VerbTunings())["run_notes"]

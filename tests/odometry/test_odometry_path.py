@@ -57,8 +57,8 @@ def test_one_camera_gives_the_shape_without_a_scale():
 def test_cameras_without_a_common_view_are_followed_together():
     """Their scale is known only as far as they turn: hardly, on so short a drive; the sigma along the path says so."""
     rig = back_to_back()
-    assert rig.partners(Tuning().follow) == {0: (), 1: ()}
-    assert stereo().partners(Tuning().follow) == {0: (1,)}
+    assert rig.partners() == {0: (), 1: ()}
+    assert stereo().partners() == {0: (1,)}
     path, truth = drive(rig, ALL), true_path(ALL)
     assert path.metric and (path.segment == 0).all()
     places = path.world_from_rig[:, :3, 3]
@@ -101,11 +101,10 @@ def test_points_of_known_place_tell_the_length_of_a_base_line():
     )
     short = pose.copy()
     short[:3, 3] *= 0.01
-    tuning = Tuning().start
-    made = scaled(rig, short, seen, known, tuning)
+    made = scaled(rig, short, seen, known)
     assert 1e-6 < np.linalg.norm(made[:3, 3] - pose[:3, 3]) < 0.01 * 1.7
     known[5:] = np.nan
-    assert np.array_equal(scaled(rig, short, seen, known, tuning), short)
+    assert np.array_equal(scaled(rig, short, seen, known), short)
 
 
 def test_dark_frames_are_lost_and_the_path_goes_on():

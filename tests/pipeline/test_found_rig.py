@@ -430,10 +430,10 @@ def test_a_calibration_that_a_rig_file_names_counts_among_the_inputs(tmp_path: P
     (tmp_path / "rig.toml").write_text('[[sensors]]\nname = "a"\ncamera = {file = "left.yaml"}\n')
     (tmp_path / "left.yaml").write_text("one")
     given = Inputs(tmp_path / "images", rig=str(tmp_path / "rig.toml"))
-    before = given.key(Stamps(tmp_path))
-    assert given.key(Stamps(tmp_path)) == before
+    before = given.parts(Stamps(tmp_path))
+    assert given.parts(Stamps(tmp_path)) == before
     (tmp_path / "left.yaml").write_text("another")
-    assert given.key(Stamps(tmp_path)) != before
+    assert given.parts(Stamps(tmp_path)) != before
 
 
 def test_a_camera_with_a_sigma_is_adjusted_and_one_without_is_held() -> None:

@@ -1,14 +1,6 @@
 """Planned against reached compares like with like."""
 
-import numpy as np
-import pycolmap
-import pytest
-
 from tiegraph.plan.tables import comparison
-from tiegraph.scene.rig import Rig, Sensor
-from tiegraph.scene.scene import simple_scene
-from tiegraph.sfm.covariance import PointSigma, PositionSigma, SharedErrors
-from tiegraph.sfm.shape import Shape
 
 PLAN = {"stations": [{}], "path": {"position_shape_sigma_median_m": 0.002, "place_world_sigma_median_m": 0.03}}
 

@@ -17,7 +17,7 @@ import pytest
 
 import dask_world
 from tiegraph.errors import InputError, SettingsError, TiegraphError
-from tiegraph.project import daskpool, daskworker
+from tiegraph.project import daskpool
 from tiegraph.project.pool import Place, map_items, open_pool
 from tiegraph.project.progress import Elsewhere, Meter
 
@@ -138,8 +138,8 @@ def test_only_one_item_at_a_time_in_a_worker_of_many_threads(one_worker):
 
 @pytest.mark.parametrize("answers", [True, False], ids=["silent", "refused"])
 def test_an_address_that_does_not_answer_is_named_soon(answers, capfd, monkeypatch):
-    assert daskworker._CONNECT_S <= 10
-    monkeypatch.setattr(daskworker, "_CONNECT_S", 2.0)
+    assert daskpool._CONNECT_S <= 10
+    monkeypatch.setattr(daskpool, "_CONNECT_S", 2.0)
     with socket.socket() as listener:
         listener.bind(("127.0.0.1", 0))
         address = f"tcp://127.0.0.1:{listener.getsockname()[1]}"
@@ -165,7 +165,7 @@ def test_a_client_that_comes_too_late_is_closed_by_its_own_thread(cluster, monke
             may_end.wait(60)
 
     monkeypatch.setattr(distributed, "Client", Late)
-    monkeypatch.setattr(daskworker, "_CONNECT_S", 3.0)
+    monkeypatch.setattr(daskpool, "_CONNECT_S", 3.0)
     with pytest.raises(InputError, match="silent"):
         open_pool(f"dask:{cluster.scheduler_address}")
     assert made[0].status == "running"
@@ -187,7 +187,7 @@ def test_what_is_no_address_is_named(spec):
 
 
 def test_a_scheduler_without_workers_is_said(commands, monkeypatch):
-    monkeypatch.setattr(daskworker, "_CONNECT_S", 60.0)  # on a busy machine
+    monkeypatch.setattr(daskpool, "_CONNECT_S", 60.0)  # on a busy machine
     monkeypatch.setattr(daskpool, "_WORKERS_S", 1.0)
     with commands.cluster(0) as (address, _):
         with pytest.raises(InputError, match="no workers"):
@@ -211,10 +211,12 @@ def test_a_worker_with_another_version_is_named(cluster):
         on_workers(cluster, set_version, tiegraph.__version__)
 
 
-def test_only_the_series_of_python_must_be_the_same():
-    assert daskworker._series("python", "3.11.7") == daskworker._series("python", "3.11.9")
-    assert daskworker._series("python", "3.11.7") != daskworker._series("python", "3.12.7")
-    assert daskworker._series("numpy", "2.0.1") != daskworker._series("numpy", "2.0.2")
+def test_only_the_series_of_python_must_be_the_same(monkeypatch):
+    here = {"tiegraph": "1", "python": "3.11.7", "numpy": "2.0.1"}
+    monkeypatch.setattr(daskpool, "software", lambda: here)
+    assert daskpool.other_versions({**here, "python": "3.11.9"}) is None
+    assert "has python 3.12.7" in daskpool.other_versions({**here, "python": "3.12.7"})
+    assert "has numpy 2.0.2" in daskpool.other_versions({**here, "numpy": "2.0.2"})
 
 
 def hide_tiegraph(hidden):

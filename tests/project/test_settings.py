@@ -47,7 +47,7 @@ def test_the_constants_of_an_engine_are_in_reach_and_in_the_keys_of_its_stages(t
     assert open_project(out=out).settings == project.settings
     changed_values = {"filter": {"min_agree": 9, "motion": {"trials": 300, "steps": 4}}}
     assert read_file(out / SETTINGS)["tuning"] == changed_values == changed(project.settings)["tuning"]
-    before, after = (stage_keys(STAGES, s, "images", Stamps(out)) for s in (Settings(), project.settings))
+    before, after = (stage_keys(STAGES, s, {"images": 1}, Stamps(out)) for s in (Settings(), project.settings))
     needs_filter = {"filter", "sparse", "georef", "refine", "dense", "cloud", "evaluate", "report"}
     assert {name for name in before if before[name] != after[name]} == needs_filter
 

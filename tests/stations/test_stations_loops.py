@@ -7,9 +7,7 @@ from scipy.spatial.transform import Rotation
 from tiegraph.geometry import transforms
 from tiegraph.stations.loops import adjusted, contradicted, parts, taken_apart
 from tiegraph.stations.pairs import Pair
-from tiegraph.stations.tuning import LoopTuning
 
-TUNING = LoopTuning()
 POSES = [
     transforms.rigid(Rotation.random(random_state=k).as_matrix(), np.random.default_rng(k).normal(size=3))
     for k in range(9)
@@ -35,14 +33,14 @@ def pair(i, j, off_m=0.0, overlap=0.5, sigma_m=0.001):
 
 def test_the_one_wrong_pair_is_found():
     pairs = [pair(i, j, off_m=0.5 * ((i, j) == (1, 3))) for i in range(5) for j in range(i + 1, 5)]
-    judged = contradicted(pairs, POINTS, 0.05, TUNING)
+    judged = contradicted(pairs, POINTS, 0.05)
     wrong = [p for p in judged if p.why_not]
     assert [(p.first, p.second) for p in wrong] == [(1, 3)]
     assert wrong[0].why_not == "3 loops of three contradict it and 0 bear it out"
 
 
 def test_a_pair_without_loops_needs_more_overlap():
-    judged = contradicted([pair(0, 1, overlap=0.25), pair(1, 2, overlap=0.4)], POINTS, 0.05, TUNING)
+    judged = contradicted([pair(0, 1, overlap=0.25), pair(1, 2, overlap=0.4)], POINTS, 0.05)
     assert "no loop bears it out, and 25% overlap" in judged[0].why_not and not judged[1].why_not
     assert parts(5, judged)[1] == parts(5, judged)[2] != parts(5, judged)[0]
 
@@ -51,21 +49,21 @@ def test_groups_that_are_joined_in_two_ways_are_taken_apart():
     """Groups 0 to 3 and 4 to 7, joined by two pairs of which one is wrong; 8 hangs on 7 alone."""
     groups = [(i, j) for first in (0, 4) for i in range(first, first + 4) for j in range(i + 1, first + 4)]
     pairs = [pair(i, j, off_m=0.5 * ((i, j) == (3, 6))) for i, j in [*groups, (0, 4), (3, 6), (7, 8)]]
-    close = adjusted(list(range(9)), pairs, 9, TUNING)
+    close = adjusted(list(range(9)), pairs, 9)
     left = {(p.first, p.second): row[1] for p, row in zip(close.pairs, close.loop_m)}
-    judged = taken_apart(pairs, left, POINTS, 0.05, TUNING)
+    judged = taken_apart(pairs, left, POINTS, 0.05)
     assert [(p.first, p.second) for p in judged if p.why_not] == [(0, 4), (3, 6)]
     assert "contradict each other by up to" in judged[-2].why_not
     hanging = parts(9, judged)
     assert set(hanging[:4]) != set(hanging[4:]) and len(set(hanging)) == 2
-    assert taken_apart(pairs, dict.fromkeys(left, 0.01), POINTS, 0.05, TUNING) == pairs
+    assert taken_apart(pairs, dict.fromkeys(left, 0.01), POINTS, 0.05) == pairs
 
 
 @pytest.mark.slow
 def test_the_error_of_a_loop_is_distributed_by_what_is_known():
     """A ring that does not close by 40 mm: the pair known ten times worse takes nearly all of it."""
     ring = [pair(0, 1), pair(1, 2), pair(2, 3), pair(3, 4, sigma_m=0.01), pair(0, 4, off_m=0.04)]
-    part = adjusted([0, 1, 2, 3, 4], ring, 5, TUNING)
+    part = adjusted([0, 1, 2, 3, 4], ring, 5)
     np.testing.assert_allclose(part.poses[0], np.eye(4))
     before, after = part.loop_m.T
     assert before.max() == pytest.approx(0.04, abs=1e-6)

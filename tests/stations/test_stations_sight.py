@@ -28,5 +28,5 @@ def test_free_space_tells_one_bay_from_the_next(made):
     a, b, true, world = made
     along = np.eye(4)
     along[:3, 3] = -_BAY_M * world[0, :3]  # the hall's x axis in the first station's frame
-    assert looked_through(a, b, true, Tuning().sight) < 0.01
-    assert 0.02 < looked_through(a, b, along @ true, Tuning().sight) < 0.3
+    assert looked_through(a, b, true) < 0.01
+    assert 0.02 < looked_through(a, b, along @ true) < 0.3

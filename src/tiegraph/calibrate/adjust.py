@@ -82,13 +82,21 @@ def adjust_robustly(seen: Observations, start: State, tuning: AdjustTuning, boar
     state = adjust(seen, start, tuning, tuning.stages_px)
     left_out: dict[str, str] = {}
     kept = seen
-    for _ in range(tuning.doubt_rounds):
+    for _ in range(5):
         found = _doubtful(kept, state, tuning)
         if not found:
             break
         left_out |= found
         kept = seen.without(left_out)
-        _check_kept(seen, kept, left_out, tuning)
+        for number, camera in enumerate(seen.cameras):
+            before, after = (len(o.of_camera(number).views) for o in (seen, kept))
+            if after < tuning.most_doubted * before:
+                name, reason = next(iter(left_out.items()))
+                raise ReconstructionError(
+                    f"{camera.name}: {before - after} of {before} views of the board contradict the others ({name}: "
+                    f"{reason}): is the camera model right (--model), the board as --board says, and are images of "
+                    "one instant called alike?"
+                )
         state = adjust(kept, state.at(kept.instants()), tuning, tuning.stages_px[-1:])
     scale = max(CAUCHY_SIGMAS * _sigma(view_residuals(kept, state)), tuning.least_scale_px)
     state = adjust(kept, state, tuning, (scale,))
@@ -105,42 +113,24 @@ def _with_bent_board(
 ) -> tuple[Observations, State]:
     """Corners of the board adjusted with all else, each held to its place by a sigma. Place, turn and size of the board
     cost the priors and gain nothing, so they stay; what a corner does that no camera explains is the board's."""
-    for _ in range(tuning.board_rounds):  # the sigma of a pixel falls once the bend is no longer in it
+    import pyceres
+
+    for _ in range(2):  # the sigma of a pixel falls once the bend is no longer in it
         model = build(seen, state)
         adjuster = problem(model, tuning, scale_px, points=True)
         pixel = _sigma(view_residuals(seen, state))
-        kept = _add_flatness(adjuster.problem, model, sigma_m / pixel)
+        flat = [np.array(point.xyz) for point in model.points3D.values()]
+        priors = [pyceres.factors.NormalPrior(xyz, (sigma_m / pixel) ** 2 * np.eye(3)) for xyz in flat]
+        for point, prior in zip(model.points3D.values(), priors):
+            adjuster.problem.add_residual_block(prior, None, [point.xyz])
         adjuster.solve()
-        del kept  # the problem only borrows them
+        del priors  # the problem only borrows them
         points = np.array(seen.board.points)
         for key, corner in zip(sorted(model.point3D_ids()), seen.corners()):
             points[corner] = model.point3D(key).xyz
         seen, state = replace(seen, board=replace(seen.board, points=points)), _state(model, state)
         scale_px = max(CAUCHY_SIGMAS * _sigma(view_residuals(seen, state)), tuning.least_scale_px)
     return seen, state
-
-
-def _add_flatness(problem: Any, model: pycolmap.Reconstruction, sigma: float) -> list[Any]:
-    import pyceres
-
-    kept = []
-    for point in model.points3D.values():
-        prior = pyceres.factors.NormalPrior(np.array(point.xyz), sigma**2 * np.eye(3))
-        problem.add_residual_block(prior, None, [point.xyz])
-        kept.append(prior)
-    return kept
-
-
-def _check_kept(seen: Observations, kept: Observations, left_out: dict[str, str], tuning: AdjustTuning) -> None:
-    for number, camera in enumerate(seen.cameras):
-        before, after = (len(o.of_camera(number).views) for o in (seen, kept))
-        if after < tuning.most_doubted * before:
-            name, reason = next(iter(left_out.items()))
-            raise ReconstructionError(
-                f"{camera.name}: {before - after} of {before} views of the board contradict the others ({name}: "
-                f"{reason}): is the camera model right (--model), the board as --board says, and are images of one "
-                "instant called alike?"
-            )
 
 
 def _doubtful(seen: Observations, state: State, tuning: AdjustTuning) -> dict[str, str]:
@@ -189,7 +179,7 @@ def problem(
     """pycolmap's adjuster over all images, with the points held unless ``points``; ``free`` = False: cameras and rig
     held too."""
     options = options_of(
-        tuning.iterations,
+        200,
         1e-12,
         scale_px,
         refine_focal_length=free,

@@ -24,7 +24,6 @@ from tiegraph.scene.regular import regular
 CHARUCO, CHECKER, APRILGRID = "charuco", "checker", "aprilgrid"
 _EXAMPLES = {CHARUCO: "charuco:7x5:0.04:0.03:DICT_5X5_1000", CHECKER: "checker:9x6:0.025"}
 _FORMS = f"give {_EXAMPLES[CHARUCO]}, {_EXAMPLES[CHECKER]} or Kalibr's aprilgrid.yaml"
-_DEFAULT_DICTIONARY = "DICT_5X5_1000"
 _MOST_M = 1.0  # side of a square or tag: a larger one is in millimetres
 _MAX_COUNT = 100  # of squares, corners or tags along a side
 
@@ -72,7 +71,7 @@ def _charuco(text: str, words: list[str]) -> Board:
     square, marker = (_length(w, where) for w in words[1:3])
     if marker >= square:
         raise InputError(f"--board {text}: the marker ({marker:g} m) is not smaller than its square ({square:g} m)")
-    dictionary = (words[3:] or [_DEFAULT_DICTIONARY])[0].upper()
+    dictionary = (words[3:] or ["DICT_5X5_1000"])[0].upper()
     dictionary = dictionary if dictionary.startswith("DICT_") else f"DICT_{dictionary}"
     if not hasattr(cv2.aruco, dictionary):
         known = ", ".join(n for n in dir(cv2.aruco) if n.startswith("DICT_"))

@@ -19,7 +19,6 @@ from tiegraph.geometry.align import CAUCHY_SIGMAS
 from tiegraph.geometry.transforms import skew
 
 _POSE = 6
-_RIDGE = 1e-14  # of a parameter's own stiffness: one that no view holds gets a huge sigma, not a singular matrix
 
 
 @dataclass(frozen=True)
@@ -53,7 +52,8 @@ def precision(done: Adjusted, tuning: AdjustTuning) -> Precision:
     """Sigmas and correlations at the adjusted state, boards eliminated instant by instant."""
     normal, scatter, redundancy = _normal(done, tuning)
     root = np.sqrt(np.diag(normal) + 1e-300)
-    inverse = np.linalg.inv(normal / np.outer(root, root) + _RIDGE * np.eye(len(root))) / np.outer(root, root)
+    # Of a parameter's own stiffness: one that no view holds gets a huge sigma, not a singular matrix
+    inverse = np.linalg.inv(normal / np.outer(root, root) + 1e-14 * np.eye(len(root))) / np.outer(root, root)
     classical = done.sigma_px**2 * redundancy * inverse
     clustered = inverse @ scatter @ inverse
     lever = _lever(done.state)

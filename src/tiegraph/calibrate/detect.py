@@ -10,8 +10,6 @@ from tiegraph.calibrate.board import APRILGRID, CHARUCO, Board
 from tiegraph.calibrate.tuning import BoardTuning
 from tiegraph.scene.targets import CENTRE, refined
 
-_KALIBR_BORDER_BITS = 2
-_KALIBR_BITS = 10  # along the side of a tag, with its borders
 Corners = tuple[np.ndarray, np.ndarray]
 """Numbers (K,) of corners of the board, and where they are, (K, 2) COLMAP's pixels."""
 
@@ -20,15 +18,12 @@ def detect(pixels: np.ndarray, board: Board, tuning: BoardTuning) -> Corners:
     """The corners that are seen in an image (H, W) u1; none if they are too few to hold a pose."""
     find = {CHARUCO: _charuco, APRILGRID: _aprilgrid}.get(board.kind, _checker)
     numbers, xy = find(pixels, board, tuning)
-    if len(numbers) < tuning.least_corners or not _wide(board.points[numbers], tuning):
-        return np.zeros(0, int), np.zeros((0, 2))
-    return numbers, xy.astype(float) + CENTRE
-
-
-def _wide(points: np.ndarray, tuning: BoardTuning) -> bool:
-    """Whether places (K, 3) on the board spread over both of its directions: along a line they hold no pose."""
-    spread = np.linalg.svd(points[:, :2] - points[:, :2].mean(axis=0), compute_uv=False)
-    return bool(spread[1] >= tuning.least_area * spread[0])
+    if len(numbers) >= tuning.least_corners:
+        places = board.points[numbers, :2]
+        spread = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
+        if spread[1] >= 0.15 * spread[0]:  # along a line they hold no pose
+            return numbers, xy.astype(float) + CENTRE
+    return np.zeros(0, int), np.zeros((0, 2))
 
 
 def _charuco(pixels: np.ndarray, board: Board, tuning: BoardTuning) -> Corners:
@@ -72,7 +67,7 @@ def _aprilgrid(pixels: np.ndarray, board: Board, tuning: BoardTuning) -> Corners
         return np.zeros(0, int), np.zeros((0, 2))
     numbers = (4 * np.array([tag for tag, _ in inside])[:, None] + np.arange(4)).ravel()
     sides = [np.linalg.norm(q.reshape(4, 2) - np.roll(q.reshape(4, 2), 1, axis=0), axis=1).min() for _, q in inside]
-    bit = float(min(sides)) / _KALIBR_BITS
+    bit = float(min(sides)) / 10  # along the side of a tag, with its borders
     return numbers, _refined(pixels, np.concatenate([q.reshape(4, 2) for _, q in inside]), bit * 2, tuning)
 
 
@@ -89,5 +84,5 @@ def _refined(pixels: np.ndarray, xy: np.ndarray, free_px: float, tuning: BoardTu
 @lru_cache
 def _tag_detector(dictionary: str) -> cv2.aruco.ArucoDetector:
     parameters = cv2.aruco.DetectorParameters()
-    parameters.markerBorderBits = _KALIBR_BORDER_BITS
+    parameters.markerBorderBits = 2
     return cv2.aruco.ArucoDetector(_dictionary(dictionary), parameters)

@@ -68,7 +68,14 @@ def _difference(a: Calibration, b: Calibration, base: tuple[Calibration, Calibra
     nan = float("nan")
     focal = lens = focal_sigmas = turn = place = turn_sigmas = place_sigmas = nan
     if a.camera is not None and b.camera is not None:
-        other = _resized(b.camera, a.camera, a.name)
+        like, other = a.camera, copy.copy(b.camera)
+        if abs(other.width * like.height - other.height * like.width) > max(like.width, like.height):
+            raise InputError(
+                f"{a.name}: one calibration is of {like.width} x {like.height} pixels, the other of {other.width} x "
+                f"{other.height}, another shape: they are not of the same images"
+            )
+        if other.width != like.width:
+            other.rescale(like.width, like.height)
         focal = other.mean_focal_length() / a.camera.mean_focal_length() - 1
         lens = _lens_px(a.camera, other)
         sigma = _both(a.focal_sigma_px, b.focal_sigma_px)
@@ -100,19 +107,6 @@ def _from_first(camera: Calibration, first: Calibration) -> np.ndarray | None:
 
 def _both(a: float | None, b: float | None) -> float:
     return float(np.hypot(a or 0.0, b or 0.0))
-
-
-def _resized(camera: pycolmap.Camera, like: pycolmap.Camera, name: str) -> pycolmap.Camera:
-    """The camera for images of the size of another. Raises InputError for another shape."""
-    if abs(camera.width * like.height - camera.height * like.width) > max(like.width, like.height):
-        raise InputError(
-            f"{name}: one calibration is of {like.width} x {like.height} pixels, the other of {camera.width} x "
-            f"{camera.height}, another shape: they are not of the same images"
-        )
-    out = copy.copy(camera)
-    if out.width != like.width:
-        out.rescale(like.width, like.height)
-    return out
 
 
 def _lens_px(a: pycolmap.Camera, b: pycolmap.Camera) -> float:

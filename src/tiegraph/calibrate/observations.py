@@ -9,8 +9,11 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from tiegraph.calibrate.board import Board
-from tiegraph.calibrate.tuning import StartTuning
 from tiegraph.errors import InputError
+from tiegraph.scene.graph import parts
+
+LEAST_VIEWS = 3  # of a camera: two of a plane fix a focal length and no more
+_LEAST_JOINT = 2  # instants at which two cameras see the board together: a single one may be wrong unnoticed
 
 
 @dataclass(frozen=True)
@@ -67,7 +70,7 @@ class Observations:
         return replace(self, views=tuple(v for v in self.views if v.name not in views))
 
 
-def check_views(seen: Observations, tuning: StartTuning) -> None:
+def check_views(seen: Observations) -> None:
     """Raise InputError for a camera that sees the board in no image or too few, for cameras that number its corners
     differently, and for cameras that nothing ties together."""
     for number, camera in enumerate(seen.cameras):
@@ -78,9 +81,9 @@ def check_views(seen: Observations, tuning: StartTuning) -> None:
                 f"printed ({' x '.join(map(str, seen.board.counts))} {seen.board.counted}), and is the board sharp and "
                 "whole in them?"
             )
-        if views < tuning.least_views:
+        if views < LEAST_VIEWS:
             raise InputError(
-                f"{camera.name}: the board was found in {views} of its {camera.count} images, and {tuning.least_views} "
+                f"{camera.name}: the board was found in {views} of its {camera.count} images, and {LEAST_VIEWS} "
                 "are the least: take 20 or more, near and far, tilted, in every part of the image"
             )
     if len(seen.cameras) > 1 and seen.board.turnable:
@@ -89,19 +92,19 @@ def check_views(seen: Observations, tuning: StartTuning) -> None:
             "half a turn, so cameras may number its corners differently: take one with an odd and an even count, or "
             "ChArUco"
         )
-    check_ties(seen, tuning)
+    check_ties(seen)
 
 
-def check_count(folder: Path, images: int, tuning: StartTuning) -> None:
+def check_count(folder: Path, images: int) -> None:
     """Raise InputError for fewer images than views that a camera needs."""
-    if 0 < images < tuning.least_views:
+    if 0 < images < LEAST_VIEWS:
         raise InputError(
-            f"{folder}: {images} image{'s' * (images > 1)}, and a camera needs the board in {tuning.least_views} at "
+            f"{folder}: {images} image{'s' * (images > 1)}, and a camera needs the board in {LEAST_VIEWS} at "
             "least: take 20 or more, near and far, tilted, in every part of the image"
         )
 
 
-def check_one_camera(names: Sequence[str], tuning: StartTuning) -> None:
+def check_one_camera(names: Sequence[str]) -> None:
     """Raise InputError for images of one folder that are numbered like those of two cameras: left01 and right01."""
     numbers: dict[str, dict[str, set[int]]] = {}  # by folder and beginning of the name
     for name in map(PurePosixPath, names):
@@ -109,7 +112,7 @@ def check_one_camera(names: Sequence[str], tuning: StartTuning) -> None:
             numbers.setdefault(str(name.parent), {}).setdefault(found[1], set()).add(int(found[2]))
     for begun in numbers.values():
         for (a, one), (b, two) in combinations(sorted(begun.items()), 2):
-            if len(one & two) >= tuning.least_views:
+            if len(one & two) >= LEAST_VIEWS:
                 raise InputError(
                     f"images in one folder: {len(one & two)} numbers stand behind {a!r} and behind {b!r}. If two "
                     f"cameras took them, give each a folder of its own ({a.strip('_- ')}/, {b.strip('_- ')}/); if one "
@@ -125,21 +128,14 @@ def joint_instants(seen: Observations) -> np.ndarray:
     return there @ there.T
 
 
-def check_ties(seen: Observations, tuning: StartTuning) -> None:
+def check_ties(seen: Observations) -> None:
     """Raise InputError if some cameras hang together with no others, naming them."""
-    tied = joint_instants(seen) >= tuning.least_joint
-    parts: list[set[int]] = []
-    left = set(range(len(seen.cameras)))
-    while left:
-        part = {min(left)}
-        while more := {b for a in part for b in left - part if tied[a, b]}:
-            part |= more
-        parts.append(part)
-        left -= part
-    if len(parts) > 1:
-        named = " | ".join(", ".join(seen.cameras[k].name for k in sorted(part)) for part in parts)
+    a, b = np.nonzero(joint_instants(seen) >= _LEAST_JOINT)
+    part = parts(a, b, len(seen.cameras))
+    if part.any():
+        named = " | ".join(", ".join(c.name for c, own in zip(seen.cameras, part == k) if own) for k in np.unique(part))
         raise InputError(
-            f"nothing ties these cameras together: {named}. At {tuning.least_joint} instants or more one of each group "
+            f"nothing ties these cameras together: {named}. At {_LEAST_JOINT} instants or more one of each group "
             "must see the board together with one of another (a part of it will do with ChArUco and AprilGrid). Are "
             "images of one instant called alike?"
         )

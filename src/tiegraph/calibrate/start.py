@@ -5,64 +5,60 @@ import numpy as np
 import pycolmap
 
 from tiegraph.calibrate.adjust import State, adjust, residuals
-from tiegraph.calibrate.observations import CameraImages, Observations, View, joint_instants
-from tiegraph.calibrate.tuning import StartTuning, Tuning
+from tiegraph.calibrate.observations import Observations, View, joint_instants
+from tiegraph.calibrate.tuning import AdjustTuning
 from tiegraph.geometry import transforms
 from tiegraph.scene.rig import on_plane
 
+_CLIP_PX = 50.0
 
-def start(seen: Observations, tuning: Tuning) -> State:
+
+def start(seen: Observations, tuning: AdjustTuning) -> State:
     """Every camera by itself, then the cameras against each other, then the board at every instant."""
-    single = [_camera_alone(seen.of_camera(number), tuning) for number in range(len(seen.cameras))]
+    stages, single = tuning.stages_px, []
+    for own in map(seen.of_camera, range(len(seen.cameras))):
+        state = adjust(own, _resected(own, _by_focal_length(own)), tuning, stages, principal_point=False)
+        # Poses seen with a wrong lens may have fallen over: a plane has two resections that are nearly as good.
+        single.append(adjust(own, _resected(own, state.cameras[0]), tuning, stages))
     cameras = tuple(state.cameras[0] for state in single)
-    poses = {(v.camera, v.instant): _poses(cameras[v.camera], seen, v, tuning.start.clip_px) for v in seen.views}
+    poses = {(v.camera, v.instant): _poses(cameras[v.camera], seen, v) for v in seen.views}
     for (camera, instant), said in poses.items():
         said.insert(0, single[camera].rig_from_board[instant])  # adjusted: better than those of a resection
     sensors = _rig(seen, {key: found[0] for key, found in poses.items()})
-    return State(cameras, sensors, _boards(seen, cameras, sensors, poses, tuning.start.clip_px))
+    return State(cameras, sensors, _boards(seen, cameras, sensors, poses))
 
 
-def _camera_alone(own: Observations, tuning: Tuning) -> State:
-    """A camera, and where the board is in its frame, from its own views."""
-    camera = _by_focal_length(own, tuning.start)
-    state = adjust(own, _resected(own, camera, tuning.start), tuning.adjust, tuning.adjust.stages_px, False)
-    # Poses that were seen with a wrong lens may have fallen over: a plane has two resections that are nearly as good.
-    state = _resected(own, state.cameras[0], tuning.start)
-    return adjust(own, state, tuning.adjust, tuning.adjust.stages_px)
-
-
-def _resected(own: Observations, camera: pycolmap.Camera, tuning: StartTuning) -> State:
-    boards = {v.instant: _poses(camera, own, v, tuning.clip_px)[0] for v in own.views}
+def _resected(own: Observations, camera: pycolmap.Camera) -> State:
+    boards = {v.instant: _poses(camera, own, v)[0] for v in own.views}
     return State((camera,), np.eye(4)[None], boards)
 
 
-def _first_camera(images: CameraImages, focal: float) -> pycolmap.Camera:
-    """A camera without distortion; ``focal`` in longer sides of its image."""
-    camera = pycolmap.Camera.create_from_model_name(1, images.model, focal * max(images.size), *images.size)
-    camera.has_prior_focal_length = True
-    return camera
-
-
-def _by_focal_length(own: Observations, tuning: StartTuning) -> pycolmap.Camera:
+def _by_focal_length(own: Observations) -> pycolmap.Camera:
     """The camera without distortion whose focal length explains the views best."""
     images = own.cameras[0]
-    bounds = tuning.fisheye_focal if "FISHEYE" in images.model else tuning.focal
-    fullest = sorted(own.views, key=lambda v: -len(v.corners))[: tuning.most_views]
+    # In longer sides of the image: 380 to 29 degrees of view, or 127 to 7; neighbours of 24 are 16 % apart.
+    bounds = (0.15, 2.0) if "FISHEYE" in images.model else (0.25, 8.0)
+    fullest = sorted(own.views, key=lambda v: -len(v.corners))[:20]
 
     def cost(camera: pycolmap.Camera) -> float:
-        best = (_poses(camera, own, v, tuning.clip_px)[0] for v in fullest)
-        return sum(_error(camera, pose, own, v, tuning.clip_px) for v, pose in zip(fullest, best))
+        best = (_poses(camera, own, v)[0] for v in fullest)
+        return sum(_error(camera, pose, own, v) for v, pose in zip(fullest, best))
 
-    return min((_first_camera(images, float(f)) for f in np.geomspace(*bounds, tuning.focal_steps)), key=cost)
+    longer, cameras = max(images.size), []
+    for focal in np.geomspace(*bounds, 24):
+        camera = pycolmap.Camera.create_from_model_name(1, images.model, float(focal) * longer, *images.size)
+        camera.has_prior_focal_length = True
+        cameras.append(camera)
+    return min(cameras, key=cost)
 
 
-def _error(camera: pycolmap.Camera, pose: np.ndarray, seen: Observations, view: View, clip_px: float) -> float:
-    """Mean distance of a view's corners from where a pose (4, 4) of the board projects them, at most ``clip_px``."""
+def _error(camera: pycolmap.Camera, pose: np.ndarray, seen: Observations, view: View) -> float:
+    """Mean distance of a view's corners from where a pose (4, 4) of the board projects them, each at most 50 px."""
     off = residuals(camera, pose, seen.board.points[view.corners], view.xy)
-    return float(np.minimum(np.nan_to_num(np.hypot(*off.T), nan=clip_px), clip_px).mean())
+    return float(np.minimum(np.nan_to_num(np.hypot(*off.T), nan=_CLIP_PX), _CLIP_PX).mean())
 
 
-def _poses(camera: pycolmap.Camera, seen: Observations, view: View, clip_px: float) -> list[np.ndarray]:
+def _poses(camera: pycolmap.Camera, seen: Observations, view: View) -> list[np.ndarray]:
     """camera_from_board (4, 4): the resections of a view, the best one first."""
     plane, points = on_plane(camera, view.xy), seen.board.points[view.corners]
     good = np.isfinite(plane).all(axis=1)
@@ -73,13 +69,9 @@ def _poses(camera: pycolmap.Camera, seen: Observations, view: View, clip_px: flo
         )
         found = [transforms.rigid(cv2.Rodrigues(r)[0], t.ravel()) for r, t in zip(turns, places)]
         found = [pose for pose in found if np.isfinite(pose).all()]
-    return sorted(found, key=lambda p: _error(camera, p, seen, view, clip_px)) or [_before(points)]
-
-
-def _before(points: np.ndarray) -> np.ndarray:
-    """A board straight ahead: of a view that no resection explains, which the adjustment will leave out."""
-    size = float(np.ptp(points, axis=0).max())
-    return transforms.rigid(np.eye(3), np.append(-points.mean(axis=0)[:2], 2 * size))
+    # Of a view that no resection explains the board is straight ahead, and the adjustment will leave the view out.
+    ahead = np.append(-points.mean(axis=0)[:2], 2 * float(np.ptp(points, axis=0).max()))
+    return sorted(found, key=lambda p: _error(camera, p, seen, view)) or [transforms.rigid(np.eye(3), ahead)]
 
 
 # --- the rig --------------------------------------------------------------------------------------------------------
@@ -93,18 +85,13 @@ def _rig(seen: Observations, poses: dict[tuple[int, int], np.ndarray]) -> np.nda
         pairs = [(a, b) for a in out for b in range(len(seen.cameras)) if b not in out]
         a, b = max(pairs, key=lambda pair: joint[pair])
         shared = [i for i in seen.instants() if (a, i) in poses and (b, i) in poses]
-        out[b] = _middle([poses[b, i] @ transforms.invert(poses[a, i]) for i in shared]) @ out[a]
+        # The statement from which the others differ least, by the median: half of them may be wrong.
+        each = np.stack([poses[b, i] @ transforms.invert(poses[a, i]) for i in shared])
+        length = max(float(np.median(np.linalg.norm(each[:, :3, 3], axis=1))), 1e-6)
+        turn = np.radians(transforms.angle_deg(each[:, None, :3, :3], each[None, :, :3, :3]))
+        place = np.linalg.norm(each[:, None, :3, 3] - each[None, :, :3, 3], axis=-1) / length
+        out[b] = each[int(np.argmin(np.median(turn + place, axis=1)))] @ out[a]
     return np.stack([out[k] for k in range(len(out))])
-
-
-def _middle(found: list[np.ndarray]) -> np.ndarray:
-    """Of several statements (4, 4) of one pose that from which the others differ least, by the median: it is one of
-    them, and half of them may be wrong."""
-    each = np.stack(found)
-    length = max(float(np.median(np.linalg.norm(each[:, :3, 3], axis=1))), 1e-6)
-    turn = np.radians(transforms.angle_deg(each[:, None, :3, :3], each[None, :, :3, :3]))
-    place = np.linalg.norm(each[:, None, :3, 3] - each[None, :, :3, 3], axis=-1) / length
-    return np.asarray(each[int(np.argmin(np.median(turn + place, axis=1)))])
 
 
 def _boards(
@@ -112,7 +99,6 @@ def _boards(
     cameras: tuple[pycolmap.Camera, ...],
     sensors: np.ndarray,
     poses: dict[tuple[int, int], list[np.ndarray]],
-    clip_px: float,
 ) -> dict[int, np.ndarray]:
     """rig_from_board of every instant: of the poses that its views say, the one that explains all of them best."""
     out = {}
@@ -121,7 +107,7 @@ def _boards(
         said = [transforms.invert(sensors[v.camera]) @ p for v in views for p in poses[v.camera, instant]]
 
         def cost(board: np.ndarray, views: list[View] = views) -> float:
-            return sum(_error(cameras[v.camera], sensors[v.camera] @ board, seen, v, clip_px) for v in views)
+            return sum(_error(cameras[v.camera], sensors[v.camera] @ board, seen, v) for v in views)
 
         out[instant] = min(said, key=cost)
     return out

@@ -12,16 +12,13 @@ from matplotlib.figure import Figure
 
 from tiegraph.calibrate.adjust import Adjusted, view_residuals
 from tiegraph.calibrate.covariance import PLACE, TURN, Parameter, Precision
-from tiegraph.calibrate.judge import Verdict
-from tiegraph.calibrate.tuning import JudgeTuning
+from tiegraph.calibrate.judge import CELLS, Verdict
 from tiegraph.geometry import transforms
 from tiegraph.geometry.transforms import invert
 from tiegraph.scene.figures import png
 from tiegraph.scene.targets import CENTRE
 from tiegraph.text import csv_text, one_line
 
-_DPI = 110
-_LONGEST = 0.8  # of a cell: the longest mean vector
 _CAMERA = ("views", "corners", "RMS px", "RMS held out px", "image covered", "largest tilt deg")
 _PLACES = (
     "Places: of the projection centre in the frame of the first camera. Turns: rotation vector of the camera against "
@@ -36,12 +33,20 @@ def summary(done: Adjusted, verdict: Verdict, board: str, notes: Sequence[str], 
         [name, v.views, v.corners, f"{v.rms_px:.3f}", f"{v.held_out_px:.3f}", f"{v.coverage:.0%}", f"{v.tilt_deg:.0f}"]
         for name, v in zip(names, verdict.cameras)
     ]
+    bend = []
+    if done.bent_m.any():  # how far the corners were found from a flat board
+        seen = 1000 * done.bent_m[done.seen.corners()]
+        across, inside = np.abs(seen[:, 2]), np.linalg.norm(seen[:, :2], axis=1)
+        bend.append(
+            f"The board is not held flat: its corners were found up to {across.max():.2f} mm off its plane (RMS "
+            f"{np.sqrt(np.mean(across**2)):.2f} mm) and up to {inside.max():.2f} mm from their places in it."
+        )
     parts = [
         "# Calibration",
         f"Board `{board}`, {len(done.seen.instants())} instants, {len(done.seen.views)} views. Sigma of one coordinate "
         f"of a corner: {done.sigma_px:.3f} px.",
         _word(lengths(done)),
-        *_bend(done),
+        *bend,
         _table(("camera", *_CAMERA), cameras),
         "RMS: of one coordinate, of all corners. Held out: instants that took no part in the adjustment, to which only "
         "the place of the board was fitted.",
@@ -73,18 +78,6 @@ def lengths(done: Adjusted) -> str:
         f"{names[far]} are {apart[far]:.4g} m apart, and the board was {min(depths):.2g} to {max(depths):.2g} m away: "
         "lay a ruler there, and over many squares."
     )
-
-
-def _bend(done: Adjusted) -> list[str]:
-    """How far the corners were found from a flat board."""
-    if not done.bent_m.any():
-        return []
-    seen = 1000 * done.bent_m[done.seen.corners()]
-    across, inside = np.abs(seen[:, 2]), np.linalg.norm(seen[:, :2], axis=1)
-    return [
-        f"The board is not held flat: its corners were found up to {across.max():.2f} mm off its plane (RMS "
-        f"{np.sqrt(np.mean(across**2)):.2f} mm) and up to {inside.max():.2f} mm from their places in it."
-    ]
 
 
 COLUMNS = ("camera", "parameter", "value", "sigma", "strongest correlation", "with")
@@ -133,37 +126,31 @@ def _word(text: object) -> str:
     return re.sub(r"([\\`*_\[\]<>|$])", r"\\\1", one_line(str(text)))
 
 
-def residual_picture(done: Adjusted, camera: int, tuning: JudgeTuning) -> bytes:
+def residual_picture(done: Adjusted, camera: int) -> bytes:
     """PNG of one camera."""
     images = done.seen.cameras[camera]
     own = [k for k, view in enumerate(done.seen.views) if view.camera == camera]
     xy = np.concatenate([done.seen.views[k].xy for k in own])
     off = np.concatenate([r for k, r in enumerate(view_residuals(done.seen, done.state)) if k in own])
-    side = max(images.size) / tuning.cells
-    at, mean = _by_cell(xy, off, side, tuning.cell_corners)
+    side = max(images.size) / CELLS
+    # Mean places and residuals of the corners in each cell that holds three: one or two say nothing of the lens
+    good = np.isfinite(off).all(axis=1)
+    _, number = np.unique(np.floor(xy[good] / side), axis=0, return_inverse=True)
+    count, columns = np.bincount(number.ravel()), np.hstack([xy[good], off[good]]).T
+    means = np.stack([np.bincount(number.ravel(), column) / count for column in columns], axis=1)
+    at, mean = np.hsplit(means[count >= min(3, count.max())], 2)
     longest = max(float(np.hypot(*mean.T).max()), 1e-9)
     width, height = images.size
-    figure = Figure(figsize=(7.0, 0.6 + 6.4 * height / width), dpi=_DPI, layout="constrained")
+    figure = Figure(figsize=(7.0, 0.6 + 6.4 * height / width), dpi=110, layout="constrained")
     axes = figure.add_subplot()
     axes.plot(*xy.T, ".", ms=2, color="#c9d1d9")
-    scale = longest / (_LONGEST * side)
+    scale = longest / (0.8 * side)  # of a cell: the longest mean vector
     arrows = axes.quiver(*at.T, *mean.T, angles="xy", scale_units="xy", scale=scale, color="#1b6ca8", width=0.004)
     rounded = float(f"{longest:.1g}")
     axes.quiverkey(arrows, 0.9, 1.03, rounded, f"{rounded:g} px", labelpos="W")
     axes.set(xlim=(0, width), ylim=(height, 0), aspect="equal")
     axes.set_title(f"{images.name}: mean residuals, seen minus adjusted", loc="left", fontsize=10)
     return png(figure)
-
-
-def _by_cell(xy: np.ndarray, off: np.ndarray, side: float, least: int) -> tuple[np.ndarray, np.ndarray]:
-    """Mean places (C, 2) of the corners in each cell that holds so many, and their mean residuals (C, 2)."""
-    good = np.isfinite(off).all(axis=1)
-    _, number = np.unique(np.floor(xy[good] / side), axis=0, return_inverse=True)
-    count = np.bincount(number.ravel())
-    columns = np.hstack([xy[good], off[good]]).T
-    means = np.stack([np.bincount(number.ravel(), column) / count for column in columns], axis=1)
-    means = means[count >= min(least, count.max())]
-    return means[:, :2], means[:, 2:]
 
 
 # --- calibrations for other programs ----------------------------------------------------------------------------------

@@ -10,8 +10,6 @@ class BoardTuning(Section):
 
     least_corners: int = Field(8, ge=4)
     """Corners of a view: four hold a pose without telling anything of it."""
-    least_area: float = Field(0.15, ge=0, le=1)
-    """Smaller over larger side of the box around the seen corners, on the board: a row of corners holds no pose."""
     refine_share: float = Field(0.8, gt=0, lt=1)
     """Half window of the refinement of a corner, in the distance from it to other edges of the print ..."""
     refine_px: tuple[int, int] = (2, 11)
@@ -22,26 +20,6 @@ class BoardTuning(Section):
     left, and full windows are no better than 0.019 px for 0.021 (rendered, `tests/calibrate`)."""
 
 
-class StartTuning(Section):
-    """Start values (`start.py`)."""
-
-    focal: tuple[float, float] = (0.25, 8.0)
-    """Focal lengths that are tried, in longer sides of the image: 127 to 7 degrees of view ..."""
-    fisheye_focal: tuple[float, float] = (0.15, 2.0)
-    """... and those of fisheye lenses: 380 to 29 degrees."""
-    focal_steps: int = Field(24, ge=2)
-    """Focal lengths tried, in equal ratios: neighbours are 16 % apart, from where the adjustment converges."""
-    most_views: int = Field(20, ge=3)
-    """Views that decide between them."""
-    least_views: int = Field(3, ge=2)
-    """Views of a camera: two of a plane fix a focal length and no more."""
-    least_joint: int = Field(2, ge=1)
-    """Instants at which two cameras see the board together, for one to be tied to the other: a single one may be wrong
-    unnoticed."""
-    clip_px: float = Field(50.0, gt=0)
-    """A corner off by more counts no more when poses are compared."""
-
-
 class AdjustTuning(Section):
     """The adjustment (`adjust.py`)."""
 
@@ -49,49 +27,16 @@ class AdjustTuning(Section):
     """Scales of the Cauchy loss of the first adjustments: undistorted start values are tens of pixels off."""
     least_scale_px: float = Field(0.02, gt=0)
     """Lower bound of that of the last ones, which is told by the residuals."""
-    iterations: int = Field(200, gt=0)
-    """Of Ceres."""
     doubt_sigmas: float = Field(10.0, gt=0)
     """A view whose median residual is more, in sigmas of a corner, and ..."""
     doubt_px: float = Field(1.0, gt=0)
     """... more than this is left out: taken at another instant, or the board read wrongly."""
-    doubt_rounds: int = Field(5, ge=0)
-    """Times that the worst views are left out, one an instant, and the rest adjusted again."""
-    board_rounds: int = Field(2, ge=1)
-    """Adjustments with the board's corners, where they have a sigma."""
     most_doubted: float = Field(0.5, gt=0, le=1)
     """Share of a camera's views that must stay: else board, model or instants are wrong and not the views."""
-
-
-class JudgeTuning(Section):
-    """How good it is (`judge.py`)."""
-
-    folds: int = Field(5, ge=2)
-    """Parts of the instants, each held back once."""
-    undetermined: float = Field(0.01, gt=0)
-    """Relative sigma of a focal length that is an error ..."""
-    weak: float = Field(0.001, gt=0)
-    """... and one that is advice: half the 0.05 % a calibration should reach would need it four times smaller."""
-    few_views: int = Field(10, gt=0)
-    """Views of a camera below which more are advised (OpenCV's tutorial: at least 10)."""
-    tilt_deg: float = Field(20.0, gt=0)
-    """Tilt of the board against the image that some views should have."""
-    cells: int = Field(10, ge=3)
-    """Cells along the longer side of the image, for the coverage and the mean residuals."""
-    cell_corners: int = Field(3, ge=1)
-    """Corners of a cell whose mean residual is drawn: that of one or two says nothing of the lens."""
-    bad_view: float = Field(3.0, gt=1)
-    """RMS of a view over the median of its camera's from which the image is named."""
-    held_out_ratio: float = Field(1.5, gt=1)
-    """Error of held-out instants over that of the adjusted ones from which it is told."""
-    agree_sigmas: float = Field(3.0, gt=0)
-    """Two calibrations differ by less, in sigmas of both: by chance more in one of 370."""
 
 
 class Tuning(Section):
     """Constants of the engine that are the same for every user."""
 
     board: BoardTuning = Field(default_factory=BoardTuning)
-    start: StartTuning = Field(default_factory=StartTuning)
     adjust: AdjustTuning = Field(default_factory=AdjustTuning)
-    judge: JudgeTuning = Field(default_factory=JudgeTuning)

@@ -146,14 +146,10 @@ def without_coarse_duplicates(voxels: Voxels) -> Voxels:
         if len(taken):
             at = np.minimum(np.searchsorted(taken, mine), len(taken) - 1)
             keep[border[level] : border[level + 1]] = taken[at] != mine
-        taken = np.sort(_parents(np.concatenate([mine, taken]), level + 1))
+        held = np.concatenate([mine, taken])
+        parents = np.full(len(held), level + 1, np.uint32)  # the voxels of the next level that hold them
+        for index in _indices(held):
+            parents = parents << np.uint32(_BITS) | index >> np.uint32(1)
+        taken = np.sort(parents)
         taken = taken[run_starts(taken)]
     return voxels if keep.all() else voxels.where(keep)
-
-
-def _parents(cell: np.ndarray, level: int) -> np.ndarray:
-    """The voxels of ``level`` that hold voxels of the level below."""
-    number = np.full(len(cell), level, np.uint32)
-    for index in _indices(cell):
-        number = number << np.uint32(_BITS) | index >> np.uint32(1)
-    return number

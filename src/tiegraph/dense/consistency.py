@@ -15,8 +15,6 @@ from tiegraph.scene.results import DepthMap, row_strips
 
 LoadDepth = Callable[[str], "DepthMap | None"]
 
-_STRIP_PIXELS = 1 << 16  # pixels compared together, so that the intermediate columns stay in the cache
-
 
 @dataclass(frozen=True)
 class Consistency:
@@ -65,8 +63,10 @@ def check(
     is none. Where fewer images than ``min_views`` have the point in their frame all of them must agree, two at least,
     and one other depth map must say the same: ``views`` tells these points.
     """
-    rows = row_strips(depth.depth_m.shape, _STRIP_PIXELS)
-    strips = [_cut(depth, r) for r in rows]
+    # Pixels compared together, so that the intermediate columns stay in the cache
+    rows = row_strips(depth.depth_m.shape, 1 << 16)
+    names = ("depth_m", "sigma_m", "views", *(() if depth.support is None else ("support",)))
+    strips = [replace(depth, **{n: getattr(depth, n)[r] for n in names}) for r in rows]  # the camera is of the whole
     tallies = [_Tally.begin(strip) for strip in strips]
     unseen = set(partners)
     for name in witnesses:
@@ -91,27 +91,24 @@ def check(
     return joined, Consistency.total(counts for _, counts in judged)
 
 
-def _cut(depth: DepthMap, rows: slice) -> DepthMap:
-    """Some rows of a depth map; the camera stays that of the whole."""
-    support = None if depth.support is None else depth.support[rows]
-    own = depth.depth_m[rows], depth.sigma_m[rows], depth.views[rows]
-    return replace(depth, depth_m=own[0], sigma_m=own[1], views=own[2], support=support)
-
-
 def _judged(
     depth: DepthMap, tally: _Tally, mapless: Sequence[int], min_views: int, tuning: RayTuning
 ) -> tuple[DepthMap, Consistency]:
     """What stays when all witnesses were heard but the ``mapless`` partners, which have no depth map."""
     known = np.isfinite(depth.depth_m)
     possible = 1 + tally.possible + len(mapless)  # a partner without a depth map might see everything
-    needed = np.clip(possible, 2, min_views + (_relative_sigma(depth, tally) > tuning.vague_share))
+    relative = _relative_sigma(depth, tally)
+    needed = np.clip(possible, 2, min_views + (relative > tuning.vague_share))
     alone = (needed < min_views) & (tally.maps < 2)
     matched = np.sum([_bit(depth, k) for k in mapless], axis=0, dtype=np.int16)
     few = known & ((tally.maps + matched < needed) | alone)
     floating = known & ~few & (tally.against >= tally.views)
     kept = known & ~few & ~floating
     counts = [int(np.count_nonzero(m)) for m in (known, kept, few, floating, kept & (tally.views == 2))]
-    return _replaced(depth, kept, tally), Consistency(*counts)
+    mean = np.where(kept, tally.weight, np.nan) / np.where(kept, tally.weighted, 1)
+    sigma, views = relative * mean, np.where(kept, np.minimum(tally.views, 255), 0)
+    found = {"depth_m": mean.astype(np.float32), "sigma_m": sigma.astype(np.float32), "views": views.astype(np.uint8)}
+    return replace(depth, **found), Consistency(*counts)
 
 
 def _bit(depth: DepthMap, k: int) -> np.ndarray:
@@ -183,16 +180,6 @@ def _relative_sigma(depth: DepthMap, tally: _Tally) -> np.ndarray:
     return np.sqrt(tally.maps * gain * tally.weight) / np.where(known, tally.weighted, np.inf)
 
 
-def _replaced(depth: DepthMap, kept: np.ndarray, tally: _Tally) -> DepthMap:
-    mean = np.where(kept, tally.weight, np.nan) / np.where(kept, tally.weighted, 1)
-    return replace(
-        depth,
-        depth_m=mean.astype(np.float32),
-        sigma_m=(_relative_sigma(depth, tally) * mean).astype(np.float32),
-        views=np.where(kept, np.minimum(tally.views, 255), 0).astype(np.uint8),
-    )
-
-
 def _compare(depth: DepthMap, top: int, surface: _Surface, tolerance_px: float, tuning: RayTuning) -> _Said:
     """One witness beside some rows of our depth map, of which ``top`` is the first."""
     z, sigma_z = depth.depth_m, depth.sigma_m
@@ -210,9 +197,9 @@ def _compare(depth: DepthMap, top: int, surface: _Surface, tolerance_px: float, 
     spread = np.hypot(sigma_z / z / np.float32(depth.sigma_px), relative_sigma / np.float32(other.sigma_px))
     tolerance = np.clip(tolerance_px * spread, tuning.min_relative, tuning.max_relative)
     agrees = np.abs(relative) <= tolerance
-    through = relative > tuning.through_tolerances * tolerance
+    through = relative > 1.5 * tolerance
     # Our ray meets their surface, taken as parallel to their image, a little further on; oblique rays are held back.
-    said = z + np.where(agrees, relative * their_z, 0) / np.maximum(along[2], tuning.min_along)
+    said = z + np.where(agrees, relative * their_z, 0) / np.maximum(along[2], 0.3)
     said = np.where(agrees, 1 / np.where(agrees, said, 1), 0)
     variance = np.where(agrees, np.square(relative_sigma * said), 1)
     return _Said(possible=possible, agrees=agrees, through=through, inverse=said, variance=variance)

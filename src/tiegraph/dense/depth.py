@@ -10,7 +10,7 @@ from tiegraph.dense.consistency import Consistency, LoadDepth, check
 from tiegraph.dense.engine import ENGINES, installed
 from tiegraph.dense.plan import ImagePlan
 from tiegraph.dense.settings import DenseSettings
-from tiegraph.dense.tuning import NormalTuning, Tuning
+from tiegraph.dense.tuning import Tuning
 from tiegraph.dense.undistort import load_view
 from tiegraph.errors import choose
 from tiegraph.scene.results import DepthMap, row_strips
@@ -25,8 +25,8 @@ def depth_map(
     """
     cv2.setNumThreads(threads)
     engine = choose("dense engine", installed(settings.engine)[0], ENGINES)
-    reference = load_view(plan.view, images, masks, settings, tuning.views)
-    partners = [load_view(view, images, masks, settings, tuning.views) for view in plan.partners]
+    reference = load_view(plan.view, images, masks, settings)
+    partners = [load_view(view, images, masks, settings) for view in plan.partners]
     return engine(reference, partners, plan.depth_range, settings, tuning)  # type: ignore[operator]
 
 
@@ -37,13 +37,16 @@ def confirmed_map(
     normals."""
     partners = [view.name for view in plan.partners]
     confirmed, counts = check(depth, partners, plan.witnesses, load, settings, tuning.rays)
-    return with_normals(confirmed, tuning.normals), counts
+    return with_normals(confirmed), counts
 
 
 # --- surface normals of a depth map by local planes ------------------------------------------------------------------
 
 
-def with_normals(depth: DepthMap, tuning: NormalTuning) -> DepthMap:
+_RADIUS_PX = 3  # of the window that a plane is fitted in
+
+
+def with_normals(depth: DepthMap) -> DepthMap:
     """The depth map with normals (H, W, 3) f4 in the camera frame that face the camera; NaN where no plane fits.
 
     On a plane inverse depth is an affine function of the pixel: 1/z = a u + b v + c, and the normal is along
@@ -53,17 +56,17 @@ def with_normals(depth: DepthMap, tuning: NormalTuning) -> DepthMap:
     middle = float(np.median(found.astype(float))) if len(found) else 1.0
     normal = np.empty((*depth.depth_m.shape, 3), np.float32)
     for rows in row_strips(depth.depth_m.shape):
-        normal[rows] = _normals(depth, rows, middle, tuning)
+        normal[rows] = _normals(depth, rows, middle)
     return replace(depth, normal=normal)
 
 
-def _normals(depth: DepthMap, rows: slice, middle: float, tuning: NormalTuning) -> np.ndarray:
+def _normals(depth: DepthMap, rows: slice, middle: float) -> np.ndarray:
     """Normals of some rows, by inverse depths in units of ``middle``."""
-    top = max(0, rows.start - tuning.radius_px)
-    depth_m, inner = depth.depth_m[top : rows.stop + tuning.radius_px], slice(rows.start - top, rows.stop - top)
+    top = max(0, rows.start - _RADIUS_PX)
+    depth_m, inner = depth.depth_m[top : rows.stop + _RADIUS_PX], slice(rows.start - top, rows.stop - top)
     known = np.isfinite(depth_m)
     inverse = np.where(known, 1 / np.where(known, depth_m, 1), 0).astype(np.float64)
-    plane = _planes(known.astype(np.float64), inverse / middle, tuning).rows(inner)
+    plane = _planes(known.astype(np.float64), inverse / middle).rows(inner)
     u, v = np.arange(depth_m.shape[1]) + 0.5, (np.arange(rows.start, rows.stop) + 0.5)[:, None]
     K = depth.K
     # The window's plane is w = a (u' - u) + b (v' - v) + c about its centre (u, v).
@@ -88,11 +91,10 @@ class _Planes:
         return _Planes(**{name: values[rows] for name, values in self.__dict__.items()})
 
 
-def _planes(known: np.ndarray, w: np.ndarray, tuning: NormalTuning) -> _Planes:
+def _planes(known: np.ndarray, w: np.ndarray) -> _Planes:
     """The planes that fit the known pixels best."""
-    radius = tuning.radius_px
-    k0 = np.ones(2 * radius + 1)
-    k1 = np.arange(-radius, radius + 1, dtype=float)
+    k0 = np.ones(2 * _RADIUS_PX + 1)
+    k1 = np.arange(-_RADIUS_PX, _RADIUS_PX + 1, dtype=float)
     k2 = k1**2
 
     def moment(values: np.ndarray, kx: np.ndarray, ky: np.ndarray) -> np.ndarray:
@@ -112,5 +114,5 @@ def _planes(known: np.ndarray, w: np.ndarray, tuning: NormalTuning) -> _Planes:
     a, b = (cwu * cvv - cwv * cuv) / safe, (cwv * cuu - cwu * cuv) / safe
     c = mw - a * mu - b * mv
     residual = np.maximum(sww / count - mw**2 - a * cwu - b * cwv, 0)
-    good = (n >= tuning.min_pixels) & (det > 1e-3) & (residual <= (tuning.max_residual * mw) ** 2)
+    good = (n >= 12) & (det > 1e-3) & (residual <= (0.02 * mw) ** 2)  # more is an edge
     return _Planes(a=a, b=b, c=c, good=good)

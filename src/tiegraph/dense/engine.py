@@ -18,7 +18,7 @@ from tiegraph.dense.settings import DenseSettings
 from tiegraph.dense.sgbm import MAX_CELLS, match_sgbm
 from tiegraph.dense.triangulate import Candidates, triangulate
 from tiegraph.dense.tsgm import available, kernel_in_use, match_tsgm, volume_bytes
-from tiegraph.dense.tuning import PairTuning, RayTuning, Tuning
+from tiegraph.dense.tuning import RayTuning, Tuning
 from tiegraph.geometry.stereo import Pinhole, Rectification, rectify
 from tiegraph.scene.results import DepthMap, row_strips
 
@@ -82,7 +82,7 @@ def propose(
     disparities than ``max_cells`` are matched at a coarser resolution."""
     shape = reference.mask.shape
     most = int(min(tuning.pairs.max_disparities, max_cells / (shape[0] * shape[1] * tuning.pairs.max_pixels_ratio)))
-    most = max(most, tuning.pairs.least_disparities)
+    most = max(most, 16)
     found = [_match_pair(reference, p, depth_range, settings, tuning, matcher, most) for p in partners]
     return [f if f is not None else Candidates.nothing(shape) for f in found] or [Candidates.nothing(shape)]
 
@@ -161,8 +161,13 @@ def _match_pair(
         reference.mask.astype(np.uint8), pair.rect_from_reference, pair.size, cv2.INTER_NEAREST, replicate=False
     )
     disparity = matcher(left, right, pair.disparities, settings, tuning, use > 0)
-    disparity = _within_partner(disparity, right_mask, pair.disparities)
-    return _to_reference(disparity, pair, (height, width), depth_range, tuning.pairs)
+    known = np.isfinite(disparity)  # whose right pixel is a usable pixel of the partner
+    for rows in row_strips(disparity.shape):
+        column = np.arange(disparity.shape[1]) + pair.disparities - np.rint(np.where(known[rows], disparity[rows], 0))
+        column = np.clip(column.astype(np.int64), 0, right_mask.shape[1] - 1)
+        known[rows] &= np.take_along_axis(right_mask[rows], column, axis=1)
+    disparity = np.where(known, disparity, np.float32(np.nan))
+    return _to_reference(disparity, pair, (height, width), depth_range)
 
 
 def _rectified_images(
@@ -197,27 +202,16 @@ def _warp(
     return cv2.warpPerspective(image, matrix, size, flags=how, borderMode=border, borderValue=0)
 
 
-def _within_partner(disparity: np.ndarray, right_mask: np.ndarray, disparities: int) -> np.ndarray:
-    """Disparities whose right pixel is a usable pixel of the partner."""
-    known = np.isfinite(disparity)
-    for rows in row_strips(disparity.shape):
-        column = np.arange(disparity.shape[1]) + disparities - np.rint(np.where(known[rows], disparity[rows], 0))
-        column = np.clip(column.astype(np.int64), 0, right_mask.shape[1] - 1)
-        known[rows] &= np.take_along_axis(right_mask[rows], column, axis=1)
-    return np.where(known, disparity, np.float32(np.nan))
-
-
 def _to_reference(
     disparity: np.ndarray,
     pair: Rectification,
     shape: tuple[int, int],
     depth_range: DepthRange,
-    tuning: PairTuning,
 ) -> Candidates:
     """Inverse depth and its uncertainty at the reference's pixels, of disparities in the rectified window."""
-    at = _resample(disparity, pair.rect_from_reference, shape, tuning.blend_px)
+    at = _resample(disparity, pair.rect_from_reference, shape)
     found = Candidates.nothing(shape)
-    u, margin = np.arange(shape[1]) + 0.5, tuning.range_margin
+    u, margin = np.arange(shape[1]) + 0.5, 2.0  # beyond the range sought by more is dropped
     for rows in row_strips(shape):
         v = (np.arange(rows.start, rows.stop) + 0.5)[:, None]
         per_px = pair.inverse_depth_per_px(u, v)
@@ -228,10 +222,8 @@ def _to_reference(
     return found
 
 
-def _resample(
-    disparity: np.ndarray, rect_from_reference: np.ndarray, shape: tuple[int, int], blend_px: float
-) -> np.ndarray:
-    """Disparity (H, W) at each reference pixel: interpolated on surfaces, nearest at depth jumps and gaps."""
+def _resample(disparity: np.ndarray, rect_from_reference: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """Disparity (H, W) at each reference pixel: interpolated on surfaces, nearest at jumps of a pixel and gaps."""
     half = np.array([[1.0, 0, 0.5], [0, 1, 0.5], [0, 0, 1]])
     matrix = np.linalg.inv(half) @ rect_from_reference @ half
     size = (shape[1], shape[0])
@@ -245,5 +237,5 @@ def _resample(
     known = np.isfinite(disparity).astype(np.float32)
     weight = warp(known, cv2.INTER_LINEAR, 0.0)
     linear = warp(np.where(known > 0, disparity, np.float32(0)), cv2.INTER_LINEAR, 0.0)
-    smooth = (weight > 0.999) & (np.abs(linear - nearest) < blend_px)
+    smooth = (weight > 0.999) & (np.abs(linear - nearest) < 1)
     return np.where(smooth, linear, nearest)

@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pycolmap
@@ -60,15 +60,25 @@ def plan_images(reconstruction: pycolmap.Reconstruction, settings: DenseSettings
             dropped.append((view.name, _why_none(candidates, tuning.min_shared)))
             continue
         lonely += len(used) == 1
-        common = _in_common(table, k, [row[p.view.name] for p in used])
+        # Points that a partner sees too. Others may come from images closer to each other than the partners are: while
+        # a vehicle stands, what moves past it is triangulated to a few centimetres before the camera.
+        common = np.intersect1d(table.points[k], np.concatenate([table.points[row[p.view.name]] for p in used]))
+        # The partners, then those that share most points
+        rest = sorted((p for p in candidates if not p.used and p.reason != SCALE), key=lambda p: -p.shared)
+        witnesses = [p.view.name for p in (*used, *rest)][: max(tuning.witnesses, len(used))]
         images[view.name] = ImagePlan(
             view=view,
             partners=tuple(p.view for p in used),
-            witnesses=_witnesses(candidates, tuning.witnesses),
-            depth_range=range_of(table.depths(k, common), tuning),
+            witnesses=tuple(witnesses),
+            depth_range=range_of(table.depths(k, common)),
         )
     if not images:
-        raise ReconstructionError(_no_partners(dropped))
+        reason, count = Counter(reason for _, reason in dropped).most_common(1)[0] if dropped else ("no image", 0)
+        raise ReconstructionError(
+            f"no image has a partner to match with; most often ({count} of {len(dropped)} images): {reason}. Take "
+            "images from different places with overlap, lower --dense.min-angle-deg, or stop before the dense stage "
+            "with --until georef"
+        )
     if lonely:
         notes.append(f"{lonely} images have one partner only: their depths count if other depth maps confirm them")
     return DensePlan(images=images, dropped=tuple(dropped), notes=tuple(notes), refused=dict(refused))
@@ -104,8 +114,7 @@ def _table(reconstruction: pycolmap.Reconstruction) -> _Table:
 def _shared_counts(table: _Table) -> sparse.csr_matrix:
     """(N, N) number of sparse points two images share."""
     length = [len(p) for p in table.points]
-    rows = np.repeat(np.arange(len(length)), length)
-    columns = np.concatenate(table.points) if table.points else np.zeros(0, np.int64)
+    rows, columns = np.repeat(np.arange(len(length)), length), np.concatenate([*table.points, np.zeros(0, np.int64)])
     seen = sparse.csr_matrix((np.ones(len(rows), np.int32), (rows, columns)), (len(length), len(table.xyz)))
     return sparse.csr_matrix(seen @ seen.T)
 
@@ -123,11 +132,11 @@ def _candidates(
         return []
     depth = max(float(np.median(table.depths(image, table.points[image]))), 1e-12)
     rough_deg = np.degrees(np.linalg.norm(table.centres[others] - table.centres[image], axis=1) / depth)
-    order = np.argsort(-counts * angle_weight(rough_deg, tuning), kind="stable")[: tuning.considered]
+    order = np.argsort(-counts * angle_weight(rough_deg, tuning), kind="stable")[:32]  # are looked at point by point
     looked = [_look(table, image, int(others[k]), int(counts[k]), settings, tuning) for k in order]
     good = [(partner, seen, weight) for partner, seen, weight in looked if partner.used]
     chosen = _choose(good, len(table.points[image]), settings.partners, tuning)
-    surplus = [_refuse(good[k][0], SURPLUS) for k in range(len(good)) if k not in chosen]
+    surplus = [replace(good[k][0], reason=SURPLUS) for k in range(len(good)) if k not in chosen]
     return [good[k][0] for k in chosen] + surplus + [p for p, _, _ in looked if not p.used]
 
 
@@ -136,7 +145,7 @@ def _look(
 ) -> tuple[Partner, np.ndarray, np.ndarray]:
     """A candidate judged by the shared points: with their positions in the image's list and their weights."""
     common, seen, _ = np.intersect1d(table.points[image], table.points[other], True, return_indices=True)
-    step = -(-len(common) // tuning.points_a_pair)
+    step = -(-len(common) // 300)
     common, seen = common[::step], seen[::step]
     a, b = table.views[image].cam_from_world, table.views[other].cam_from_world
     from_a, from_b = table.xyz[common] - table.centres[image], table.xyz[common] - table.centres[other]
@@ -152,7 +161,7 @@ def _look(
     partner = Partner(view=table.views[other], shared=count, angle_deg=float(np.median(angle)), scale=scale)
     reason = refusal(partner, float(usable.mean()), settings, tuning)
     weight = angle_weight(angle, tuning) * usable * min(scale, 1 / scale) * step
-    return (_refuse(partner, reason) if reason else partner), seen, weight
+    return replace(partner, reason=reason), seen, weight
 
 
 def refusal(partner: Partner, usable: float, settings: DenseSettings, tuning: PartnerTuning) -> str:
@@ -168,17 +177,11 @@ def refusal(partner: Partner, usable: float, settings: DenseSettings, tuning: Pa
     return ""
 
 
-def _refuse(partner: Partner, reason: str) -> Partner:
-    return Partner(
-        view=partner.view, shared=partner.shared, angle_deg=partner.angle_deg, scale=partner.scale, reason=reason
-    )
-
-
 def angle_weight(angle_deg: np.ndarray, tuning: PartnerTuning) -> np.ndarray:
     """1 at the best angles, falling on both sides."""
     low, high = tuning.best_angles_deg
-    narrow = np.clip(angle_deg / low, tuning.least_narrow, 1.0)
-    wide = np.exp(-np.square(np.maximum(angle_deg - high, 0) / tuning.wide_fall_deg))
+    narrow = np.clip(angle_deg / low, 0.01, 1.0)
+    wide = np.exp(-np.square(np.maximum(angle_deg - high, 0) / 10.0))
     return narrow * wide
 
 
@@ -186,11 +189,11 @@ def _choose(
     good: Sequence[tuple[Partner, np.ndarray, np.ndarray]], points: int, most: int, tuning: PartnerTuning
 ) -> list[int]:
     """Greedy choice: each point of the image wants to be seen well by ``enough`` partners, more add little."""
-    covered, beyond = np.zeros(points), tuning.beyond_enough
+    covered = np.zeros(points)
     chosen: list[int] = []
     while len(chosen) < min(most, len(good)):
         gains = [
-            -1.0 if k in chosen else float(np.sum(weight * np.where(covered[seen] < tuning.enough, 1.0, beyond)))
+            -1.0 if k in chosen else float(np.sum(weight * np.where(covered[seen] < tuning.enough, 1.0, 0.3)))
             for k, (_, seen, weight) in enumerate(good)
         ]
         best = int(np.argmax(gains))
@@ -199,24 +202,12 @@ def _choose(
     return chosen
 
 
-def _witnesses(candidates: list[Partner], most: int) -> tuple[str, ...]:
-    """Names of images whose depth maps are compared: the partners, then those that share most points."""
-    used = [p.view.name for p in candidates if p.used]
-    rest = sorted((p for p in candidates if not p.used and p.reason != SCALE), key=lambda p: -p.shared)
-    return tuple((used + [p.view.name for p in rest])[: max(most, len(used))])
-
-
-def _in_common(table: _Table, image: int, partners: list[int]) -> np.ndarray:
-    """Points of an image that a partner sees too. Others may come from images closer to each other than the partners
-    are: while a vehicle stands, what moves past it is triangulated to a few centimetres before the camera."""
-    return np.intersect1d(table.points[image], np.concatenate([table.points[k] for k in partners]))
-
-
-def range_of(depths: np.ndarray, tuning: PartnerTuning) -> DepthRange:
-    """Where a surface is sought by the depths (P,) of sparse points on it."""
+def range_of(depths: np.ndarray) -> DepthRange:
+    """Where a surface is sought by the depths (P,) of sparse points on it: they do not cover everything, and 1 % at
+    either end may be errors. Twice as near costs no time: only the coarsest level is matched over the full range."""
     inverse = 1.0 / depths[depths > 0]
-    low, high = np.percentile(inverse, [tuning.range_percent, 100 - tuning.range_percent])
-    return DepthRange(near=float(1 / (high * tuning.near_margin)), far=float(tuning.far_margin / low))
+    low, high = np.percentile(inverse, [1.0, 99.0])
+    return DepthRange(near=float(1 / (high * 2.0)), far=float(1.35 / low))
 
 
 def _why_none(candidates: list[Partner], min_shared: int) -> str:
@@ -224,12 +215,3 @@ def _why_none(candidates: list[Partner], min_shared: int) -> str:
         return f"no other image shares {min_shared} sparse points with it"
     reason, count = Counter(p.reason for p in candidates).most_common(1)[0]
     return f"no partner to match with: {reason} ({count} of {len(candidates)} candidates)"
-
-
-def _no_partners(dropped: list[tuple[str, str]]) -> str:
-    reason, count = Counter(reason for _, reason in dropped).most_common(1)[0] if dropped else ("no image", 0)
-    return (
-        f"no image has a partner to match with; most often ({count} of {len(dropped)} images): {reason}. "
-        "Take images from different places with overlap, lower --dense.min-angle-deg, "
-        "or stop before the dense stage with --until georef"
-    )

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Collection, Sequence
+from dataclasses import replace
 
 import numpy as np
 import pycolmap
@@ -9,7 +10,7 @@ import pycolmap
 from tiegraph.dense.neighbours import angle_weight, range_of, refusal
 from tiegraph.dense.plan import CameraModel, DensePlan, DepthRange, ImagePlan, Partner, ViewPlan
 from tiegraph.dense.settings import DenseSettings
-from tiegraph.dense.tuning import ShotTuning, Tuning
+from tiegraph.dense.tuning import Tuning
 from tiegraph.dense.undistort import pinhole
 from tiegraph.errors import InputError
 from tiegraph.geometry.stereo import Pinhole, rectifying_rotation, usable_rays
@@ -19,16 +20,16 @@ from tiegraph.scene.colmapmodel import matrix
 NO_OVERLAP = "the images share no part at this distance"
 
 
-def depth_range(views: Sequence[ViewPlan], near: float | None, far: float | None, tuning: ShotTuning) -> DepthRange:
-    """The range given, or ``near_baselines`` to ``far_baselines`` times the longest baseline. Raises InputError for a
-    range that is none, or views in one place."""
+def depth_range(views: Sequence[ViewPlan], near: float | None, far: float | None) -> DepthRange:
+    """The range given, or 5 (11.5 degrees, where images still look alike) to 100 times (0.6 degrees, where rays hardly
+    intersect) the longest baseline. Raises InputError for a range that is none, or views in one place."""
     centres = centre(np.array([v.cam_from_world for v in views]))
     longest = float(np.linalg.norm(centres[:, None] - centres[None], axis=-1).max()) if len(views) else 0.0
     if longest == 0 or not np.isfinite(longest):
         raise InputError("a shot needs at least two calibrated cameras in different places: look at the rig file")
     found = DepthRange(
-        tuning.near_baselines * longest if near is None else near,
-        tuning.far_baselines * longest if far is None else far,
+        5 * longest if near is None else near,
+        100 * longest if far is None else far,
     )
     if not 0 < found.near < found.far < np.inf:
         raise InputError(f"depth range {found.near:g} to {found.far:g}: near must be above 0 and below far")
@@ -40,7 +41,7 @@ def plan_shot(views: Sequence[ViewPlan], sought: DepthRange, settings: DenseSett
 
     Raises InputError when no two images can be matched.
     """
-    cameras = [pinhole(v, settings, tuning.views) for v in views]
+    cameras = [pinhole(v, settings) for v in views]
     images: dict[str, ImagePlan] = {}
     dropped: list[tuple[str, str]] = []
     refused: Counter[str] = Counter()
@@ -75,17 +76,21 @@ def plan_hanging(
     for frame in model.frames.values():
         members = [model.image(d.id) for d in frame.data_ids]
         hanging = sorted((i for i in members if i.name in names), key=lambda i: i.name)
-        depths = [_point_depths(model, i) for i in members if i.name not in names]
+        depths = [np.zeros(0)]
+        for image in (i for i in members if i.name not in names):
+            ids = [p.point3D_id for p in image.get_observation_points2D()]
+            xyz, pose = np.array([model.points3D[k].xyz for k in ids]).reshape(-1, 3), matrix(image.cam_from_world())
+            depths.append(xyz @ pose[2, :3] + pose[2, 3])
         if not hanging:
             continue
         views = [
             ViewPlan(i.name, CameraModel.of(model.camera(i.camera_id)), matrix(i.cam_from_world())) for i in hanging
         ]
-        seen = np.concatenate([d[d > 0] for d in depths] or [np.zeros(0)])
+        seen = np.concatenate([d[d > 0] for d in depths])
         try:
             if len(seen) < tuning.partners.min_shared:
                 raise InputError(f"the wide images of its frame see {len(seen)} points: too few to tell where to look")
-            found = plan_shot(views, range_of(seen, tuning.partners), settings, tuning)
+            found = plan_shot(views, range_of(seen), settings, tuning)
         except InputError as error:
             dropped += [(v.name, str(error)) for v in views]
             continue
@@ -95,23 +100,16 @@ def plan_hanging(
     return DensePlan(images=images, dropped=tuple(dropped), refused=dict(refused))
 
 
-def _point_depths(model: pycolmap.Reconstruction, image: pycolmap.Image) -> np.ndarray:
-    """(P,) depths of the points that an image sees."""
-    pose = matrix(image.cam_from_world())
-    xyz = np.array([model.points3D[p.point3D_id].xyz for p in image.get_observation_points2D()]).reshape(-1, 3)
-    return np.asarray(xyz @ pose[2, :3] + pose[2, 3])
-
-
 def _look(
     reference: Pinhole, other: Pinhole, view: ViewPlan, sought: DepthRange, settings: DenseSettings, tuning: Tuning
 ) -> tuple[Partner, float]:
     """A candidate judged at points spread over the reference's frame and the depths sought, and its worth."""
-    world, size_ratio = _points(reference, sought, tuning.shots), other.K[0, 0] / reference.K[0, 0]
+    world, size_ratio = _points(reference, sought), other.K[0, 0] / reference.K[0, 0]
     there = apply(other.cam_from_world, world)
     front = there[:, 2] > 0
     at = (there[:, :2] / np.where(front, there[:, 2], 1)[:, None]) * other.K[[0, 1], [0, 1]] + other.K[:2, 2]
     seen = front & (at >= 0).all(axis=1) & (at <= other.size).all(axis=1)
-    if seen.mean() < tuning.shots.min_overlap:
+    if seen.mean() < 0.1:
         return Partner(view=view, shared=0, angle_deg=0.0, scale=1.0, reason=NO_OVERLAP), 0.0
     world, there = world[seen], there[seen]
     own = apply(reference.cam_from_world, world)
@@ -123,16 +121,16 @@ def _look(
     if rotations is not None:
         usable = usable_rays(own @ rotations[0].T) & usable_rays(there @ rotations[1].T)
     scale = float(size_ratio * np.median(own[:, 2] / there[:, 2]))
-    widest = float(np.percentile(angle, tuning.shots.angle_percentile))
+    widest = float(np.percentile(angle, 90))  # what is near can be measured though the far end cannot
     partner = Partner(view=view, shared=int(seen.sum()), angle_deg=widest, scale=scale)
     reason = refusal(partner, float(usable.mean()), settings, tuning.partners)
     worth = float(seen.mean() * angle_weight(angle, tuning.partners).mean())
-    return Partner(view=view, shared=partner.shared, angle_deg=partner.angle_deg, scale=scale, reason=reason), worth
+    return replace(partner, reason=reason), worth
 
 
-def _points(camera: Pinhole, sought: DepthRange, tuning: ShotTuning) -> np.ndarray:
+def _points(camera: Pinhole, sought: DepthRange) -> np.ndarray:
     """World points (n, 3) on a grid of the camera's rays."""
-    u, v = np.meshgrid(*((np.arange(tuning.grid_points) + 0.5) / tuning.grid_points * s for s in camera.size))
+    u, v = np.meshgrid(*((np.arange(24) + 0.5) / 24 * s for s in camera.size))
     rays = np.stack([u.ravel(), v.ravel(), np.ones(u.size)], axis=1) @ np.linalg.inv(camera.K).T
-    depths = 1 / np.linspace(1 / sought.far, 1 / sought.near, tuning.distances)
+    depths = 1 / np.linspace(1 / sought.far, 1 / sought.near, 5)
     return apply(invert(camera.cam_from_world), (rays[None] * depths[:, None, None]).reshape(-1, 3))

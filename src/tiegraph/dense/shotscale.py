@@ -7,10 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tiegraph.dense.tuning import ShotScaleTuning
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import robust_sigma
 from tiegraph.scene.results import DepthMap
+
+_LEAST_POINTS = 10  # that must fall onto the depth maps of a shot: its median is better than a point by three
+_GRID = 0.04  # relative step of the units tried first; half of it is how well a depth must agree there
 
 
 @dataclass(frozen=True)
@@ -45,7 +47,7 @@ class Seen:
         column, row = np.moveaxis(np.where(inside[..., None], place, 0).astype(int), -1, 0)
         return at[..., 2], np.where(inside, self.depth.depth_m[row, column], np.nan)
 
-    def scales(self, start: float, tuning: ShotScaleTuning) -> np.ndarray:
+    def scales(self, start: float) -> np.ndarray:
         """Metres per unit (P,) by which each point falls onto the map, sought from ``start``; NaN = none.
 
         A point runs along its ray with the scale: in steps, its scale is the one that gives it the depth read where it
@@ -54,26 +56,26 @@ class Seen:
         camera = self.depth.cam_from_world @ self.rig_from_camera
         along = self.points @ camera[2, :3]
         scale, step = np.full(len(self.points), start), np.full(len(self.points), np.inf)
-        for _ in range(tuning.rounds):
+        for _ in range(8):  # at a parallax of 6 degrees each shrinks the error ten times on slopes of 45
             with np.errstate(divide="ignore", invalid="ignore"):
                 found = (self.read(scale)[1] - camera[2, 3]) / along
                 step = np.abs(found / scale - 1)
             scale = np.where(found > 0, found, np.nan)
-        near = np.abs(scale / start - 1) < tuning.grid
-        return np.where((step < tuning.settled) & near, scale, np.nan)
+        near = np.abs(scale / start - 1) < _GRID
+        return np.where((step < 1e-3) & near, scale, np.nan)
 
 
-def shot_scale(seen: Sequence[Seen], tuning: ShotScaleTuning) -> ShotScale | None:
+def shot_scale(seen: Sequence[Seen]) -> ShotScale | None:
     """The unit at which most points lie on the depth maps, then the median over shots of the median of their points;
     None where too few tell."""
-    start = _most_agree([s for s in seen if len(s.points)], tuning)
+    start = _most_agree([s for s in seen if len(s.points)])
     if start is None:
         return None
     by_shot: dict[int, list[np.ndarray]] = {}
     for one in seen:
-        by_shot.setdefault(one.shot, []).append(one.scales(start, tuning))
+        by_shot.setdefault(one.shot, []).append(one.scales(start))
     every = [np.concatenate(parts) for parts in by_shot.values()]
-    good = [s for scales in every if len(s := scales[np.isfinite(scales)]) >= tuning.least_points]
+    good = [s for scales in every if len(s := scales[np.isfinite(scales)]) >= _LEAST_POINTS]
     if not good:
         return None
     medians = np.array([np.median(s) for s in good])
@@ -83,7 +85,7 @@ def shot_scale(seen: Sequence[Seen], tuning: ShotScaleTuning) -> ShotScale | Non
     return ShotScale(metres_per_unit=scale, sigma=sigma, points=sum(map(len, good)), shots=len(medians))
 
 
-def _most_agree(seen: Sequence[Seen], tuning: ShotScaleTuning) -> float | None:
+def _most_agree(seen: Sequence[Seen]) -> float | None:
     """Of units over a wide range the one at which most points have the depth of the maps where they fall.
 
     Depths alone do not tell: a wide camera sees much that the maps do not reach.
@@ -92,16 +94,16 @@ def _most_agree(seen: Sequence[Seen], tuning: ShotScaleTuning) -> float | None:
     ratios = [np.nanmedian(s.depth.depth_m) / np.median(s.points[:, 2]) for s in mapped]
     if not ratios:
         return None
-    count = int(np.ceil(np.log(tuning.widest) / np.log1p(tuning.grid)))
-    tried = float(np.median(ratios)) * (1 + tuning.grid) ** np.arange(-count, count + 1)
+    count = int(np.ceil(np.log(16) / np.log1p(_GRID)))
+    tried = float(np.median(ratios)) * (1 + _GRID) ** np.arange(-count, count + 1)
     agree = np.zeros(len(tried), int)
     for one in seen:
         depth, read = one.read(tried[:, None])
         with np.errstate(invalid="ignore"):
-            agree += (np.abs(read / depth - 1) < tuning.grid / 2).sum(axis=1)
+            agree += (np.abs(read / depth - 1) < _GRID / 2).sum(axis=1)
     best = int(agree.argmax())
-    rival = max(agree[: max(0, best - tuning.beside)].max(initial=0), agree[best + tuning.beside + 1 :].max(initial=0))
-    return float(tried[best]) if agree[best] > max(tuning.least_points, tuning.clearly * rival) else None
+    rival = max(agree[: max(0, best - 2)].max(initial=0), agree[best + 3 :].max(initial=0))
+    return float(tried[best]) if agree[best] > max(_LEAST_POINTS, 1.5 * rival) else None
 
 
 def in_camera(cam_from_world: np.ndarray, points: np.ndarray) -> np.ndarray:

@@ -15,10 +15,6 @@ import numpy as np
 from tiegraph.dense.tuning import RayTuning
 from tiegraph.scene.results import row_strips
 
-_STRIP_PIXELS = 1 << 15  # pixels solved together, so that the partners' columns stay in the cache
-_HUBER_SIGMAS = 1.345  # residual from which a ray loses weight, Huber's constant: 95 % efficient on normal errors
-_SIGMA_SAMPLES = 100_000  # pixels of an image that tell its sigma
-
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
@@ -68,9 +64,9 @@ def triangulate(candidates: Sequence[Candidates], tolerance_px: float, tuning: R
         return np.stack(inverse), np.stack(unit)
 
     count = candidates[0].inverse.size
-    some = proposals(slice(None, None, max(1, count // _SIGMA_SAMPLES)))
+    some = proposals(slice(None, None, max(1, count // 100_000)))  # pixels of an image that tell its sigma
     sigma_px = disparity_sigma_px(*some, tolerance_px, tuning)
-    parts = row_strips((count, 1), _STRIP_PIXELS)
+    parts = row_strips((count, 1), 1 << 15)  # pixels solved together, so that the partners' columns stay in the cache
     found = [_solve(*proposals(pixels), tolerance_px, sigma_px, tuning) for pixels in parts]
     depth, sigma, support = (np.concatenate(part).reshape(shape) for part in zip(*found, strict=True))
     return Triangulation(inverse=depth, sigma=sigma, support=support, sigma_px=sigma_px)
@@ -85,10 +81,10 @@ def disparity_sigma_px(inverse: np.ndarray, unit: np.ndarray, tolerance_px: floa
             apart = np.abs(inverse[j] - inverse[k]) / np.hypot(unit[j], unit[k])
             differences.append(apart[apart < tolerance_px])
     together = np.concatenate(differences)
-    if len(together) < tuning.few_pixels:
+    if len(together) < 1000:
         return tuning.sigma_px
     own = np.sqrt(1 - tuning.shared_variance)  # the shared part of an error does not differ
-    return float(np.clip(1.4826 * np.median(together) / own, *tuning.sigma_limits_px))
+    return float(np.clip(1.4826 * np.median(together) / own, 0.1, 0.5))
 
 
 def _solve(
@@ -100,12 +96,14 @@ def _solve(
     weight = np.where(known, 1 / np.square(unit), np.float32(0))
     part = _consensus(inverse, unit, weight, tolerance_px, tuning.max_relative)
     mean = _mean(value, weight * part)
-    for _ in range(tuning.refinements):
+    for _ in range(2):
         residual = np.abs(inverse - mean) / unit  # pixels of disparity; NaN = none
         part = (residual <= tolerance_px) & (np.abs(inverse - mean) <= tuning.max_relative * mean)
-        robust = weight * part / np.maximum(1, np.where(part, residual, 0) / (_HUBER_SIGMAS * sigma_px))
+        # Residual from which a ray loses weight, Huber's constant: 95 % efficient on normal errors
+        robust = weight * part / np.maximum(1, np.where(part, residual, 0) / (1.345 * sigma_px))
         mean = _mean(value, robust, mean)
-    return mean, _sigma(value, weight * part, mean, sigma_px, tuning.shared_variance), _bits(part)
+    bits = np.packbits(part, axis=0, bitorder="little")[0]  # of eight partners at most
+    return mean, _sigma(value, weight * part, mean, sigma_px, tuning.shared_variance), bits
 
 
 def _consensus(
@@ -149,10 +147,3 @@ def _sigma(
     shared = shared_variance * sigma_px**2 * np.square(np.sum(np.sqrt(weight), axis=0) / safe)
     sigma = np.sqrt(own * inflation / safe + shared)
     return np.where(total > 0, sigma, np.nan).astype(np.float32)
-
-
-def _bits(part: np.ndarray) -> np.ndarray:
-    bits = np.zeros(part.shape[1], np.uint8)
-    for k, row in enumerate(part):
-        bits |= row.astype(np.uint8) << np.uint8(k)
-    return bits

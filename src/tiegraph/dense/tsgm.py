@@ -90,7 +90,7 @@ def match_tsgm(
     matters. Raises EngineMissing where the native module was not built.
     """
     found = match(left, right, disparities, disparities, tuning.tsgm, use)
-    return without_speckles(found, tuning.speckles.size_px, tuning.speckles.jump_px)
+    return without_speckles(found)
 
 
 def match(
@@ -199,7 +199,8 @@ def _match(
     for level in (levels, 0) if tuning.everywhere else range(levels, -1, -1):
         rules = _sgm.RangeRules()
         rules.low, rules.count = -(aligned >> level), -(-disparities >> level)
-        rules.reach, rules.margin, rules.hole_limit = tuning.reach_px, tuning.margin_px, tuning.hole_disparities
+        # A pixel is given the disparities of the coarser level within 3 pixels, and one more on both sides.
+        rules.reach, rules.margin, rules.hole_limit = 3, 1, tuning.hole_disparities
         options = _options(tuning, level == 0 and levels > 0)
         pair = _Level(
             left=lefts[level],
@@ -214,7 +215,7 @@ def _match(
         else:
             above = (lefts[coarser], rights[coarser], found)
             blended = level == 0 and tuning.cost != "census"
-            mutual = mutual_information(kernels.joint_greys(*above), tuning) if blended else None
+            mutual = mutual_information(kernels.joint_greys(*above)) if blended else None
             found = pair.full(mutual) if tuning.everywhere else pair.within(found, mutual, uses[level])
         coarser = level
     assert found is not None
@@ -243,7 +244,7 @@ def _levels(disparities: int, tuning: TsgmTuning) -> int:
     full range at full size has one of a quarter of it, which tells what grey values belong together."""
     if tuning.everywhere:
         return 2
-    levels = 0 if disparities <= tuning.dense_below else 1
+    levels = 0 if disparities <= 16 else 1
     while disparities >> levels > tuning.full_disparities:
         levels += 1
     return levels
@@ -253,11 +254,9 @@ def _options(tuning: TsgmTuning, last: bool) -> _sgm.Options:
     options = _sgm.Options()
     options.radius_x, options.radius_y = tuning.radius_px
     options.small, options.large = tuning.small_jump, tuning.large_jump
-    steps = [max(1.0, 4 * k + 2) for k in range(16)]
-    options.large_by_step = [
-        max(tuning.small_jump, round(tuning.large_jump * max(tuning.large_floor, min(1.0, tuning.large_knee / step))))
-        for step in steps
-    ]
+    # P2 falls with the grey step between neighbours from 6 grey values on, to a quarter of itself.
+    falls = [max(0.25, min(1.0, 6 / (4 * k + 2))) for k in range(16)]
+    options.large_by_step = [max(tuning.small_jump, round(tuning.large_jump * share)) for share in falls]
     options.parabola = False  # equiangular lines below the pixel
     options.left_right = LEFT_RIGHT_PX
     options.mode = _MODES[tuning.cost] if last else 0
@@ -318,11 +317,10 @@ def _strips(volume: np.ndarray, overlap: int) -> list[tuple[slice, slice]]:
 
 
 _SMOOTHING_PX = 7  # window of the Gaussian that stands for the Parzen estimate, as in Hirschmueller 2008
-_SCALE_PERCENT = (1, 99)  # pairs of grey values at either end do not set the scale
 _WORST = 62  # the largest cost, that of two census windows of 9 x 7 which differ everywhere
 
 
-def mutual_information(joint: np.ndarray, tuning: TsgmTuning) -> np.ndarray:
+def mutual_information(joint: np.ndarray) -> np.ndarray:
     """Cost (256, 256) u1 of a left and a right grey value, from how often each two lie upon each other (256, 256). 0 =
     the most telling combination, _WORST = the least.
     """
@@ -330,8 +328,9 @@ def mutual_information(joint: np.ndarray, tuning: TsgmTuning) -> np.ndarray:
     share = count / max(1, joint.sum())
     entropy = _information(share)
     gain = entropy - _information(share.sum(axis=1))[:, None] - _information(share.sum(axis=0))[None, :]
-    low, high = np.percentile(gain[count > 0], _SCALE_PERCENT) if count.any() else (0.0, 1.0)
-    scaled = (gain - low) / max(high - low, 1e-6) * (tuning.mutual_span * _WORST)
+    # Pairs of grey values at either end do not set the scale
+    low, high = np.percentile(gain[count > 0], (1, 99)) if count.any() else (0.0, 1.0)
+    scaled = (gain - low) / max(high - low, 1e-6) * (_WORST / 2)  # the span of the others' costs
     return np.clip(np.rint(scaled), 0, _WORST).astype(np.uint8)
 
 

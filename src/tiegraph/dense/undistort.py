@@ -9,17 +9,13 @@ import numpy as np
 from tiegraph.dense.engine import DenseView
 from tiegraph.dense.plan import CameraModel, ViewPlan
 from tiegraph.dense.settings import DenseSettings
-from tiegraph.dense.tuning import ViewTuning
 from tiegraph.errors import InputError
 from tiegraph.geometry.stereo import Pinhole
 from tiegraph.scene.decoding import read_pixels
 from tiegraph.scene.results import row_strips
 
-_MAX_CACHED_MAPS = 8  # a rig of six and two to spare; a map takes 8 bytes a pixel
-_BORDER_SAMPLES = 65  # points of each side of an image that tell its field of view
 
-
-def pinhole_of(camera: CameraModel, settings: DenseSettings, tuning: ViewTuning) -> tuple[np.ndarray, tuple[int, int]]:
+def pinhole_of(camera: CameraModel, settings: DenseSettings) -> tuple[np.ndarray, tuple[int, int]]:
     """K (3, 3) and size (width, height) of the undistorted image of a camera.
 
     The resolution at the image centre is kept, and the field of view up to ``max_fov_deg``; then the whole is reduced
@@ -33,7 +29,7 @@ def pinhole_of(camera: CameraModel, settings: DenseSettings, tuning: ViewTuning)
     if camera.model in ("PINHOLE", "SIMPLE_PINHOLE"):
         focal = model.focal_length_x
     area = np.prod(focal * (high - low))
-    scale = min(1.0, np.sqrt(tuning.max_growth * camera.width * camera.height / area))
+    scale = min(1.0, np.sqrt(1.3 * camera.width * camera.height / area))  # more only stretches the corners
     scale = min(scale, settings.max_image_size / np.max(focal * (high - low)))
     size = np.maximum(np.round(focal * scale * (high - low)), 2)
     focals = size / (high - low)  # takes up the rounding, so that the field is exact
@@ -41,9 +37,7 @@ def pinhole_of(camera: CameraModel, settings: DenseSettings, tuning: ViewTuning)
     return K, (int(size[0]), int(size[1]))
 
 
-def load_view(
-    view: ViewPlan, images: Path, masks: Path | None, settings: DenseSettings, tuning: ViewTuning
-) -> DenseView:
+def load_view(view: ViewPlan, images: Path, masks: Path | None, settings: DenseSettings) -> DenseView:
     """Read, undistort and mask one image. ``masks`` holds COLMAP masks (``name.png``, 0 = ignore); a missing one means
     that all pixels are used. Raises InputError for an unreadable image or a size that is not the camera's."""
     camera = view.camera
@@ -52,11 +46,15 @@ def load_view(
     mask = np.full(image.shape[:2], 255, np.uint8)
     if mask_path is not None and mask_path.exists():
         mask = _read(mask_path, cv2.IMREAD_GRAYSCALE, camera)
-    K, size = pinhole_of(camera, settings, tuning)
+    K, size = pinhole_of(camera, settings)
     params = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
     pinhole = CameraModel(model="PINHOLE", width=size[0], height=size[1], params=params)
-    x, y, valid = _maps(camera, pinhole, tuning.round_trip_px)
-    image, scale_x, scale_y = _reduced(image, K, camera, tuning.averaged_below)
+    x, y, valid = _maps(camera, pinhole)
+    ratio, scale_x, scale_y = K[0, 0] / _central_focal(camera), 1.0, 1.0
+    if ratio <= 0.75:  # shrunk by area averaging to about the working resolution first, against aliasing
+        width, height = max(2, round(camera.width * ratio)), max(2, round(camera.height * ratio))
+        image = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
+        scale_x, scale_y = width / camera.width, height / camera.height
     at_x, at_y = (x * scale_x - 0.5).astype(np.float32), (y * scale_y - 0.5).astype(np.float32)
     bgr = cv2.remap(image, at_x, at_y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
     whole_x, whole_y = x - np.float32(0.5), y - np.float32(0.5)
@@ -64,9 +62,9 @@ def load_view(
     return DenseView(name=view.name, image_bgr=bgr, mask=(use > 0) & valid, K=K, cam_from_world=view.cam_from_world)
 
 
-def pinhole(view: ViewPlan, settings: DenseSettings, tuning: ViewTuning) -> Pinhole:
+def pinhole(view: ViewPlan, settings: DenseSettings) -> Pinhole:
     """The undistorted camera of an image, without reading it."""
-    K, size = pinhole_of(view.camera, settings, tuning)
+    K, size = pinhole_of(view.camera, settings)
     return Pinhole(K, view.cam_from_world, size)
 
 
@@ -84,7 +82,7 @@ def _read(path: Path, flag: int, camera: CameraModel) -> np.ndarray:
 
 def _field(camera: CameraModel, limit: float) -> tuple[np.ndarray, np.ndarray]:
     """Corners (2,), (2,) on the plane z = 1 of the field of view seen through the image border."""
-    s = np.linspace(0.0, 1.0, _BORDER_SAMPLES)
+    s = np.linspace(0.0, 1.0, 65)  # points of each side of an image that tell its field of view
     zero, one = np.zeros_like(s), np.ones_like(s)
     border = np.concatenate([np.c_[s, zero], np.c_[s, one], np.c_[zero, s], np.c_[one, s]])
     rays = np.asarray(camera.to_pycolmap().cam_ray_from_img(border * [camera.width, camera.height]))
@@ -104,19 +102,17 @@ def _central_focal(camera: CameraModel) -> float:
     return float((np.linalg.norm(at[0] - at[1]) + np.linalg.norm(at[2] - at[3])) / (4 * step))
 
 
-@lru_cache(maxsize=_MAX_CACHED_MAPS)
-def _maps(camera: CameraModel, pinhole: CameraModel, round_trip_px: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+@lru_cache(maxsize=8)  # a rig of six and two to spare; a map takes 8 bytes a pixel
+def _maps(camera: CameraModel, pinhole: CameraModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Original pixel coordinates x, y (H, W) f4 of each undistorted pixel, and which lie in the image (H, W) bool."""
     shape = pinhole.height, pinhole.width
     x, y, valid = np.empty(shape, np.float32), np.empty(shape, np.float32), np.empty(shape, bool)
     for rows in row_strips(shape):
-        x[rows], y[rows], valid[rows] = _map_rows(camera, pinhole, rows, round_trip_px)
+        x[rows], y[rows], valid[rows] = _map_rows(camera, pinhole, rows)
     return x, y, valid
 
 
-def _map_rows(
-    camera: CameraModel, pinhole: CameraModel, rows: slice, round_trip_px: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _map_rows(camera: CameraModel, pinhole: CameraModel, rows: slice) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     fx, fy, cx, cy = pinhole.params
     u, v = np.meshgrid(np.arange(pinhole.width) + 0.5, np.arange(rows.start, rows.stop) + 0.5)
     rays = np.stack([(u - cx) / fx, (v - cy) / fy, np.ones_like(u)], axis=-1).reshape(-1, 3)
@@ -126,17 +122,7 @@ def _map_rows(
     back = np.asarray(model.cam_ray_from_img(np.where(inside[:, None], at, 0.0)))
     back = back[:, :2] / np.maximum(back[:, 2:], 1e-6)
     error = np.abs(back - rays[:, :2]).max(axis=1) * model.mean_focal_length()
-    valid = inside & (error < round_trip_px * (1 + np.sum(rays[:, :2] ** 2, axis=1)))
+    # A ray that comes back from the image half a pixel off lies where the distortion polynomial folds over.
+    valid = inside & (error < 0.5 * (1 + np.sum(rays[:, :2] ** 2, axis=1)))
     at = np.where(np.isfinite(at), at, -1e4).astype(np.float32)
     return at[:, 0].reshape(u.shape), at[:, 1].reshape(u.shape), valid.reshape(u.shape)
-
-
-def _reduced(image: np.ndarray, K: np.ndarray, camera: CameraModel, below: float) -> tuple[np.ndarray, float, float]:
-    """The image shrunk by area averaging to about the working resolution (against aliasing) if that is less than
-    ``below`` of its own, and its scales."""
-    ratio = K[0, 0] / _central_focal(camera)
-    if ratio > below:
-        return image, 1.0, 1.0
-    width, height = max(2, round(camera.width * ratio)), max(2, round(camera.height * ratio))
-    small = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
-    return small, width / camera.width, height / camera.height

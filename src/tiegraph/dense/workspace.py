@@ -12,7 +12,6 @@ import pycolmap
 
 from tiegraph.dense.plan import CameraModel, ViewPlan
 from tiegraph.dense.settings import DenseSettings
-from tiegraph.dense.tuning import ViewTuning
 from tiegraph.dense.undistort import load_view, pinhole_of
 from tiegraph.scene.colmapmodel import matrix
 from tiegraph.scene.names import inside
@@ -28,7 +27,6 @@ def write_workspace(
     images: Path,
     load: Callable[[str], DepthMap | None],
     settings: DenseSettings,
-    tuning: ViewTuning,
 ) -> int:
     """Write undistorted images, the model with their pinhole cameras, depth and normal maps below ``target``; the
     number of depth maps.
@@ -47,12 +45,13 @@ def write_workspace(
         view = ViewPlan(image.name, CameraModel.of(model.camera(image.camera_id)), pose)
         path = inside(target / "images", image.name)
         path.parent.mkdir(parents=True, exist_ok=True)
-        _write_image(path, load_view(view, images, None, settings, tuning).image_bgr)
+        bgr = load_view(view, images, None, settings).image_bgr
+        path.write_bytes(cv2.imencode(path.suffix.lower(), bgr)[1].tobytes())  # OpenCV does not say that a disk is full
         _write_map(maps / f"{image.name}.{_KIND}.bin", depth.depth_m)
         normal = depth.normal if depth.normal is not None else np.zeros((*depth.depth_m.shape, 3), np.float32)
         _write_map(target / "stereo" / "normal_maps" / f"{image.name}.{_KIND}.bin", normal)
     (target / "sparse").mkdir(parents=True, exist_ok=True)
-    undistorted(model, set(names), settings, tuning).write(str(target / "sparse"))
+    undistorted(model, set(names), settings).write(str(target / "sparse"))
     folder = target / "stereo"
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "fusion.cfg").write_text("".join(f"{n}\n" for n in names), encoding="utf-8")
@@ -60,15 +59,13 @@ def write_workspace(
     return len(names)
 
 
-def undistorted(
-    model: pycolmap.Reconstruction, names: set[str], settings: DenseSettings, tuning: ViewTuning
-) -> pycolmap.Reconstruction:
+def undistorted(model: pycolmap.Reconstruction, names: set[str], settings: DenseSettings) -> pycolmap.Reconstruction:
     """A copy of the model with the pinhole cameras of the undistorted images, key points moved along; each of the
     images is a frame of its own, others and points without images left out."""
     result = pycolmap.Reconstruction()
     kept = {}
     for camera_id, camera in model.cameras.items():
-        K, (width, height) = pinhole_of(CameraModel.of(camera), settings, tuning)
+        K, (width, height) = pinhole_of(CameraModel.of(camera), settings)
         params = [K[0, 0], K[1, 1], K[0, 2], K[1, 2]]
         kept[camera_id] = pycolmap.Camera(
             model="PINHOLE", width=width, height=height, params=params, camera_id=camera_id
@@ -89,11 +86,6 @@ def undistorted(
         if len(elements) > 1:
             result.add_point3D(point.xyz, pycolmap.Track(elements), point.color)
     return result
-
-
-def _write_image(path: Path, bgr: np.ndarray) -> None:
-    """By the suffix; bytes are written here, for OpenCV does not say that a disk is full."""
-    path.write_bytes(cv2.imencode(path.suffix.lower(), bgr)[1].tobytes())
 
 
 def _write_map(path: Path, values: np.ndarray) -> None:

@@ -46,9 +46,9 @@ def adjust(scans: list[ThinScan], poses: np.ndarray, held: int, tuning: AdjustTu
     for side_m, thick_m in tuning.stages:
         rate = velocities(time_s, poses)
         seen = [deskew(s.xyz_m.astype(float), s.before_s, v) for s, v in zip(scans, rate)]
-        for _ in range(tuning.iterations):
-            before, poses = poses, _step(seen, poses, held, (side_m, thick_m), tuning)
-            if np.abs(poses - before).max() < tuning.still:
+        for _ in range(2):  # the voxels of the next stage tell more than a third step
+            before, poses = poses, _step(seen, poses, held, (side_m, thick_m), tuning.sigma_m)
+            if np.abs(poses - before).max() < 1e-4:  # m or rad
                 break
     return poses
 
@@ -76,39 +76,39 @@ class _Groups:
 
 
 def _step(
-    seen: list[np.ndarray], poses: np.ndarray, held: int, stage: tuple[float, float], tuning: AdjustTuning
+    seen: list[np.ndarray], poses: np.ndarray, held: int, stage: tuple[float, float], sigma_m: float
 ) -> np.ndarray:
     """One step of Gauss-Newton; poses as they were where no plane is seen twice."""
     scan = np.repeat(np.arange(len(seen)), [len(x) for x in seen])
     xyz = np.concatenate(seen)
     world = np.einsum("nij,nj->ni", poses[scan, :3, :3], xyz) + poses[scan, :3, 3]
-    planes = _find_planes(world, scan, stage, tuning)
+    planes = _find_planes(world, scan, stage, sigma_m)
     if not len(planes.middle):
         return poses
     groups = _moments(xyz[planes.row], scan[planes.row], planes.plane)
-    step = _solve(groups, planes, poses, held, tuning)
+    step = _solve(groups, planes, poses, held, sigma_m)
     out = poses.copy()
     out[held:, :3, :3] = Rotation.from_rotvec(step[:, :3]).as_matrix() @ poses[held:, :3, :3]
     out[held:, :3, 3] += step[:, 3:]
     return out
 
 
-def _find_planes(world: np.ndarray, scan: np.ndarray, stage: tuple[float, float], tuning: AdjustTuning) -> _Planes:
+def _find_planes(world: np.ndarray, scan: np.ndarray, stage: tuple[float, float], sigma_m: float) -> _Planes:
     """Flat voxels that two scans at least have points in."""
     side_m, thick_m = stage
     _, voxel = np.unique(voxel_keys(world, side_m), return_inverse=True)
     first = _scatter(world, voxel, np.ones(len(world), bool))
     off = np.abs(np.einsum("ni,ni->n", world - first.middle[voxel], first.axes[voxel, :, 0]))
-    near = off < tuning.trim_sigmas * np.sqrt(np.maximum(first.spread[:, 0], tuning.sigma_m**2))[voxel]
+    near = off < 3 * np.sqrt(np.maximum(first.spread[:, 0], sigma_m**2))[voxel]
     found = _scatter(world, voxel, near)
     count, spread = found.count, found.spread
     several = np.bincount(np.unique(voxel[near] * (scan[-1] + 1) + scan[near]) // (scan[-1] + 1), minlength=len(count))
     good = (
-        (count >= tuning.least_points)
+        (count >= 12)
         & (several >= 2)
         & (spread[:, 0] < thick_m**2)
-        & (spread[:, 0] < tuning.flat * spread[:, 1])
-        & (spread[:, 1] > (tuning.wide * side_m) ** 2)
+        & (spread[:, 0] < 0.04 * spread[:, 1])
+        & (spread[:, 1] > (0.08 * side_m) ** 2)  # a single ring is a line
     )
     number = np.cumsum(good) - 1
     row = np.flatnonzero(near & good[voxel])
@@ -157,7 +157,7 @@ def _moments(xyz: np.ndarray, scan: np.ndarray, plane: np.ndarray) -> _Groups:
     return _Groups(plane=both // scans, scan=both % scans, count=np.bincount(group), rows=rows)
 
 
-def _solve(groups: _Groups, planes: _Planes, poses: np.ndarray, held: int, tuning: AdjustTuning) -> np.ndarray:
+def _solve(groups: _Groups, planes: _Planes, poses: np.ndarray, held: int, sigma_m: float) -> np.ndarray:
     """(T - held, 6) turn about the world's axes and shift of each free pose."""
     middle, axes = planes.middle[groups.plane], planes.axes[groups.plane]
     normal, weight = axes[:, :, 0], groups.rows[:, :, 3:]
@@ -165,7 +165,7 @@ def _solve(groups: _Groups, planes: _Planes, poses: np.ndarray, held: int, tunin
     placed = turned + weight * (poses[groups.scan, :3, 3] - middle)[:, None]
     residual = np.einsum("gki,gi->gk", placed, normal)
     rms = np.sqrt(np.sum(residual**2, axis=1) / groups.count)
-    scale = 1 / np.sqrt(1 + (rms / (2 * tuning.sigma_m)) ** 2)  # Cauchy's weight: voxels that are two surfaces
+    scale = 1 / np.sqrt(1 + (rms / (2 * sigma_m)) ** 2)  # Cauchy's weight: voxels that are two surfaces
     by_pose = np.concatenate([np.cross(turned, normal[:, None]), weight * normal[:, None]], axis=2)
     by_plane = np.concatenate([placed @ axes[:, :, 1:], weight], axis=2)
     by_pose, by_plane, residual = (scale[:, None, None] * m for m in (by_pose, by_plane, residual[:, :, None]))

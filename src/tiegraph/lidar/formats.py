@@ -13,7 +13,6 @@ from tiegraph.scene.regular import regular
 
 BIN_COLUMNS = ("x", "y", "z", "intensity")
 TIME_COLUMNS = ("t", "time", "dt", "time_s", "offset_time", "timestamp", "timestamps", "times", "gps_time")
-_WIDTHS = range(3, 13)  # columns of a .bin that an error proposes
 _XYZ = {"xyz": 1.0, "xyz_m": 1.0, "points": 1.0, "pts": 1.0, "xyz_cm": 0.01, "xyz_mm": 0.001}  # name -> metres
 
 
@@ -46,7 +45,8 @@ def _read_bin(path: Path, columns: Sequence[str]) -> Points:
     width = len(columns)
     size = regular(path, None).stat().st_size
     if size % (4 * width) or not size:
-        fits = [str(w) for w in _WIDTHS if size and size % (4 * w) == 0]
+        # Columns of a .bin that an error proposes
+        fits = [str(w) for w in range(3, 13) if size and size % (4 * w) == 0]
         fit = f"; {' or '.join(fits)} columns would fit: name them by --columns" if fits else ": it is cut short"
         raise InputError(f"{path}: {size} bytes are not points of {width} columns ({', '.join(columns)}){fit}")
     rows = np.fromfile(path, "<f4").reshape(-1, width)

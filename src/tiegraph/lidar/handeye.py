@@ -21,11 +21,15 @@ from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import CAUCHY_SIGMAS, MAD, Similarity, l1_mean_rotation, rms_length
 from tiegraph.lidar.pointtie import PointTie
-from tiegraph.lidar.tuning import HandEyeTuning
 from tiegraph.scene.sorting import Columns
 
 _TURN, _PLACE, _SCALE, _CLOCK = slice(0, 3), slice(3, 6), 6, 7  # of the parameters
 _CLOCK_OPEN = "the clock offset"
+_SEARCH_S = 2.0  # clock offsets tried, on both sides of the start
+_LEAST_FRAMES = 4  # within the LiDAR's times: fewer hold no place
+# Sigma of the lever arm before anything is measured: LiDAR and cameras stand on one boat, car or person. It keeps what
+# the motion leaves open near zero.
+_PRIOR_PLACE_M = 2.0
 
 
 @dataclass(frozen=True)
@@ -72,14 +76,14 @@ class Fit:
     step_rms_m: float
 
 
-def hand_eye(rig: Poses, lidar: Poses, given: Given, tuning: HandEyeTuning) -> HandEye:
+def hand_eye(rig: Poses, lidar: Poses, given: Given) -> HandEye:
     """The place of a LiDAR on a rig by their trajectories.
 
     Raises InputError where too few frames were taken within the LiDAR's times.
     """
-    found = _Problem(rig, lidar, given, tuning)
+    found = _Problem(rig, lidar, given)
     values = found.best()
-    for _ in range(tuning.rounds):
+    for _ in range(4):  # of measuring the sigmas
         found.measure(values)
         values = found.refine(values)
     sigma, place_cov = found.sigmas(values)
@@ -94,12 +98,12 @@ def hand_eye(rig: Poses, lidar: Poses, given: Given, tuning: HandEyeTuning) -> H
         place_sigma_m=sigma[_PLACE],
         clock_sigma_s=float(sigma[_CLOCK]),
         scale_sigma=float(np.exp(values[_SCALE]) * sigma[_SCALE]),
-        left_open=_left_open(sigma, place_cov, tuning) if not held.all() else (),
+        left_open=_left_open(sigma, place_cov) if not held.all() else (),
         fit=Fit(found.inside(values[_CLOCK]), float(np.degrees(rms_length(turns))), rms_length(steps)),
     )
 
 
-def settled(rig: Poses, lidar: Poses, found: HandEye, tie: PointTie, tuning: HandEyeTuning) -> HandEye:
+def settled(rig: Poses, lidar: Poses, found: HandEye, tie: PointTie) -> HandEye:
     """The LiDAR's place on the rig at all frames by a tie of the two worlds; unchanged where the tie tells less than
     the motion does, or contradicts it."""
     path = _Path(lidar)
@@ -118,7 +122,7 @@ def settled(rig: Poses, lidar: Poses, found: HandEye, tie: PointTie, tuning: Han
     off = np.degrees(Rotation.from_matrix(each[:, :3, :3] @ turn.T).magnitude())
     turn_sigma = np.full(3, np.hypot(tie.turn_sigma_deg, np.median(off) / alike))
     both = np.hypot(found.place_sigma_m, place_sigma)
-    apart = np.abs(place - found.rig_from_lidar[:3, 3]) > tuning.agree_sigmas * both
+    apart = np.abs(place - found.rig_from_lidar[:3, 3]) > 4 * both
     if apart.any() or not place_sigma.max() < found.place_sigma_m.max():
         return found
     return replace(
@@ -169,10 +173,10 @@ class _Path:
 class _Problem:
     """Relative motions of both sides, and what is known of them."""
 
-    def __init__(self, rig: Poses, lidar: Poses, given: Given, tuning: HandEyeTuning) -> None:
-        self.rig, self.given, self.tuning = rig, given, tuning
+    def __init__(self, rig: Poses, lidar: Poses, given: Given) -> None:
+        self.rig, self.given = rig, given
         self.path = _Path(lidar)
-        self.sigma = np.radians(tuning.sigma_deg), tuning.sigma_m
+        self.sigma = np.radians(0.05), 0.01  # a first guess; then they are measured by the residuals
         self.free = np.ones(8, bool)
         self.free[:6] = given.rig_from_lidar is None
         self.free[_CLOCK] = given.clock_s is None
@@ -186,7 +190,7 @@ class _Problem:
         """The motions between frames that are inside for an offset; False if there are too few."""
         rows = np.flatnonzero(self.inside(clock_s) & kept)
         first, last = [np.zeros(0, int)], [np.zeros(0, int)]
-        for span in self.tuning.span_frames:
+        for span in (1, 2, 4, 8):  # frames: drift of either side matters little over them
             a, b = rows[:-span], rows[span:]
             same = self.rig.group[a] == self.rig.group[b]
             first.append(a[same])
@@ -195,7 +199,7 @@ class _Problem:
         self.frames = len(rows)
         step = transforms.invert(self.rig.poses[self.first]) @ self.rig.poses[self.last]
         self.turn, self.step = Rotation.from_matrix(step[:, :3, :3]) if len(step) else None, step[:, :3, 3]
-        return len(rows) >= self.tuning.least_frames and len(self.first) >= self.tuning.least_frames - 1
+        return len(rows) >= _LEAST_FRAMES and len(self.first) >= _LEAST_FRAMES - 1
 
     def _moved(self, clock_s: float) -> np.ndarray:
         at = np.clip(self.rig.time_s + clock_s, self.path.start, self.path.end)
@@ -214,13 +218,12 @@ class _Problem:
 
     def _weighted(self, values: np.ndarray) -> np.ndarray:
         turns, steps = self.residuals(values)
-        prior = values[_PLACE] / self.tuning.prior_place_m if self.free[0] else np.zeros(0)
+        prior = values[_PLACE] / _PRIOR_PLACE_M if self.free[0] else np.zeros(0)
         return np.concatenate([(turns / self.sigma[0]).ravel(), (steps / self.sigma[1]).ravel(), prior])
 
     def best(self) -> np.ndarray:
         """The best of starts with different clock offsets, refined."""
-        tuning = self.tuning
-        reach = np.arange(0, tuning.search_s + 1e-9, tuning.search_step_s)
+        reach = np.arange(0, _SEARCH_S + 1e-9, 0.05)
         clocks = np.concatenate([-reach[:0:-1], reach]) if self.given.clock_s is None else [self.given.clock_s]
         all_kept = np.ones(len(self.rig.time_s), bool)
         starts = []
@@ -232,7 +235,7 @@ class _Problem:
         if not starts:
             raise InputError(self._apart())
         refined = []
-        for _, clock, values in sorted(starts, key=lambda s: s[:2])[: tuning.refined]:
+        for _, clock, values in sorted(starts, key=lambda s: s[:2])[:3]:
             self._pairs(clock, all_kept)
             values = self.refine(values)
             cost = np.log1p((self._weighted(values) / CAUCHY_SIGMAS) ** 2).mean()
@@ -248,8 +251,8 @@ class _Problem:
         start, end = self.rig.time_s.min(), self.rig.time_s.max()
         return (
             f"the frames' times, {start:.3f} to {end:.3f} s, and the LiDAR's, {self.path.start:.3f} to "
-            f"{self.path.end:.3f} s, have less than {self.tuning.least_frames} frames in common, with an offset of up "
-            f"to {self.tuning.search_s:g} s: give what is to be added to the frames' times by --clock-s"
+            f"{self.path.end:.3f} s, have less than {_LEAST_FRAMES} frames in common, with an offset of up "
+            f"to {_SEARCH_S:g} s: give what is to be added to the frames' times by --clock-s"
         )
 
     def _start(self, clock_s: float) -> np.ndarray:
@@ -270,7 +273,7 @@ class _Problem:
         values[_TURN] = Rotation.from_matrix(turn).as_rotvec()
         left = (self.turn.as_matrix() - np.eye(3)).reshape(-1, 3)
         right = (moved[:, :3, 3] @ turn.T - scale * self.step).ravel()
-        weight = (self.sigma[1] / self.tuning.prior_place_m) ** 2
+        weight = (self.sigma[1] / _PRIOR_PLACE_M) ** 2
         values[_PLACE] = np.linalg.solve(left.T @ left + weight * np.eye(3), left.T @ right)
         return values
 
@@ -304,10 +307,9 @@ class _Problem:
         """Sigmas of turns and steps by their residuals."""
         turns, steps = self.residuals(values)
         share = np.sqrt(turns.size / max(turns.size - self.free.sum() / 2, 1))
-        tuning = self.tuning
         self.sigma = (
-            max(MAD * share * float(np.median(np.abs(turns))), np.radians(tuning.least_sigma_deg)),
-            max(MAD * share * float(np.median(np.abs(steps))), tuning.least_sigma_m),
+            max(MAD * share * float(np.median(np.abs(turns))), np.radians(0.002)),
+            max(MAD * share * float(np.median(np.abs(steps))), 0.0005),
         )
 
     def sigmas(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -325,7 +327,7 @@ class _Problem:
     def _jackknife(self, values: np.ndarray) -> np.ndarray:
         """Covariance of the free parameters by leaving parts of the time out."""
         inside = np.flatnonzero(self.inside(values[_CLOCK]))
-        parts = min(self.tuning.blocks, len(inside) - self.tuning.least_frames + 1)
+        parts = min(6, len(inside) - _LEAST_FRAMES + 1)
         blocks = np.array_split(inside, parts) if parts >= 3 else []
         kept = self.first, self.last, self.turn, self.step, self.jacobian, self.weight
         out = []
@@ -342,16 +344,16 @@ class _Problem:
         return (len(out) - 1) / len(out) * away.T @ away
 
 
-def _left_open(sigma: np.ndarray, place_cov: np.ndarray, tuning: HandEyeTuning) -> tuple[str, ...]:
+def _left_open(sigma: np.ndarray, place_cov: np.ndarray) -> tuple[str, ...]:
     out = []
-    if sigma[_CLOCK] > tuning.open_time_s:
+    if sigma[_CLOCK] > 0.1:
         out.append(f"{_CLOCK_OPEN} (sigma {sigma[_CLOCK]:.2g} s)")
     for axis, turn in zip("xyz", np.degrees(sigma[_TURN])):
-        if turn > tuning.open_turn_deg:
+        if turn > 2.0:
             out.append(f"the turn about {axis} of the rig (sigma {turn:.2g} degrees)")
     values, axes = np.linalg.eigh(place_cov)
     for variance, axis in zip(values[::-1], axes.T[::-1]):
-        if np.sqrt(max(variance, 0)) > tuning.open_place_m:
+        if np.sqrt(max(variance, 0)) > 0.5:
             said = ", ".join(f"{a:+.2f}" for a in axis)
             out.append(f"the lever arm along ({said}) of the rig (sigma {np.sqrt(variance):.2g} m)")
     return tuple(out)

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 
 from tiegraph.errors import EngineMissing, InputError, ReconstructionError
-from tiegraph.lidar.scans import Scan, first_of_voxels
-from tiegraph.lidar.tuning import MapTuning, Tuning
+from tiegraph.lidar.scans import LEAST_POINTS, Scan, first_of_voxels
 from tiegraph.scene.results import Cloud
 
 
@@ -31,20 +30,20 @@ def before_pose(scan: Scan) -> tuple[float, np.ndarray | None]:
     return scan.stamp_s + last, scan.offset_s - last
 
 
-def odometry(scans: Iterator[Scan], near_m: float, far_m: float, tuning: Tuning) -> Iterator[ThinScan]:
+def odometry(scans: Iterator[Scan], near_m: float, far_m: float) -> Iterator[ThinScan]:
     """Each scan with its pose in the frame of the first one.
 
     kiss-icp (Vizzo et al. 2023), on one thread, so that equal scans make equal poses. Raises EngineMissing without it,
     InputError for scans without points between the ranges, ReconstructionError where it loses its way.
     """
-    engine = _engine(far_m, tuning)
+    engine = _engine(far_m)
     for scan in scans:
         reach = np.linalg.norm(scan.xyz_m, axis=1)
         seen = (reach >= near_m) & (reach <= far_m)
-        if seen.sum() < tuning.scan.least_points:
+        if seen.sum() < LEAST_POINTS:
             raise InputError(
                 f"{scan.name}: {int(seen.sum())} points between {near_m:g} and {far_m:g} m (--near-m, --far-m), "
-                f"{tuning.scan.least_points} are needed; the nearest is {reach.min():.3g} m away, the furthest "
+                f"{LEAST_POINTS} are needed; the nearest is {reach.min():.3g} m away, the furthest "
                 f"{reach.max():.3g} m"
             )
         time_s, before = before_pose(scan)
@@ -53,8 +52,8 @@ def odometry(scans: Iterator[Scan], near_m: float, far_m: float, tuning: Tuning)
         pose = np.array(engine.last_pose)
         if not np.isfinite(pose).all():
             raise ReconstructionError(f"{scan.name}: kiss-icp lost its way here: are the scans of one place, in order?")
-        close = np.flatnonzero(reach[seen] <= tuning.adjust.range_m)
-        kept = close[first_of_voxels(xyz[close], tuning.adjust.thin_m)] if len(close) else close
+        close = np.flatnonzero(reach[seen] <= 60.0)  # points further away are sparse, and their spots wide
+        kept = close[first_of_voxels(xyz[close], 0.1)] if len(close) else close
         yield ThinScan(
             time_s=time_s,
             pose=pose,
@@ -63,7 +62,7 @@ def odometry(scans: Iterator[Scan], near_m: float, far_m: float, tuning: Tuning)
         )
 
 
-def _engine(far_m: float, tuning: Tuning) -> Any:
+def _engine(far_m: float) -> Any:
     try:
         from kiss_icp.config import KISSConfig
         from kiss_icp.kiss_icp import KissICP
@@ -73,20 +72,22 @@ def _engine(far_m: float, tuning: Tuning) -> Any:
         ) from None
     config = KISSConfig()
     config.data.max_range, config.data.min_range, config.data.deskew = far_m, 0.0, True
-    config.mapping.voxel_size = far_m * tuning.scan.voxel_share
+    config.mapping.voxel_size = far_m / 100  # kiss-icp's own default
     config.registration.max_num_threads = 1
     return KissICP(config)
 
 
 _SPAN = 1 << 20  # cells to both sides of the first scan that a key has room for
 _GREY, _MOST_VIEWS = 128, 255
+_MOST_POINTS = 20_000_000  # voxels held: 1 GiB
+_BATCH_POINTS = 2_000_000  # gathered before they are merged
 
 
 class MapCloud:
     """Points are added scan by scan, and merged from time to time; the voxel grows where they become too many."""
 
-    def __init__(self, voxel_m: float, tuning: MapTuning) -> None:
-        self.voxel_m, self._tuning = voxel_m, tuning
+    def __init__(self, voxel_m: float) -> None:
+        self.voxel_m = voxel_m
         self._keys = np.zeros(0, np.int64)
         self._sums: np.ndarray = np.zeros((0, 4))  # x, y, z, number
         self._waiting: list[np.ndarray] = []
@@ -96,7 +97,7 @@ class MapCloud:
         """Points (N, 3) in the world."""
         self._waiting.append(np.column_stack([xyz, np.ones(len(xyz))]))
         self._count += len(xyz)
-        if self._count > self._tuning.batch_points:
+        if self._count > _BATCH_POINTS:
             self._merge()
 
     def cloud(self) -> Cloud:
@@ -116,8 +117,8 @@ class MapCloud:
         rows = np.concatenate([self._sums, *self._waiting])
         self._waiting, self._count = [], 0
         self._gather(rows)
-        while len(self._keys) > self._tuning.most_points:
-            self.voxel_m *= self._tuning.growth
+        while len(self._keys) > _MOST_POINTS:
+            self.voxel_m *= 1.5
             self._gather(self._sums)
 
     def _gather(self, rows: np.ndarray) -> None:

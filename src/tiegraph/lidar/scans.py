@@ -15,7 +15,6 @@ from tiegraph.errors import EngineMissing, InputError
 from tiegraph.geometry import transforms
 from tiegraph.geometry.transforms import from_quaternion_wxyz
 from tiegraph.lidar.formats import BIN_COLUMNS, READERS, Points, points_of
-from tiegraph.lidar.tuning import ScanTuning
 from tiegraph.scene.bags import is_bag, open_bag, split_topics, stamp_ns
 from tiegraph.scene.cells import in_seconds, parse_time
 from tiegraph.scene.cells import times as times_by_content
@@ -27,7 +26,8 @@ from tiegraph.scene.times import times_in, times_of
 _CLOUD_KINDS = ("sensor_msgs/PointCloud2",)
 _FIELD_TYPES = ("i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8")  # by PointField.datatype, from 1
 _FOLDERS = ("velodyne", "velodyne_points/data", "lidar")  # of KITTI odometry, KITTI raw, PandaSet
-_ABSOLUTE_S = 1e6  # times of points above this count from an epoch and not from the scan's start
+LEAST_POINTS = 50  # of a scan
+_MOST_SWEEP_S = 2.0  # a turn takes 0.05 to 0.2 s
 _KINDS = f"a folder of scans ({', '.join(sorted(READERS))}), a ROS bag, or a .pcap file"
 _FILES = ("times.txt", "timestamps.txt", "times.csv", "timestamps.csv", "timestamps.json")
 
@@ -65,40 +65,38 @@ class Recording:
     notes: tuple[str, ...] = ()
 
 
-def open_scans(path: Path, how: Reading, tuning: ScanTuning) -> Recording:
+def open_scans(path: Path, how: Reading) -> Recording:
     """A recording; only lists of files, times and poses are read.
 
     Raises InputError for a path without scans, for times or poses that do not fit the scans, and, while it is gone
     through, for scans that are damaged, empty or out of order.
     """
     if is_bag(path):
-        return _stream(path, how, tuning, bag_scans)
+        return _stream(path, how, bag_scans)
     if not path.exists():
         raise InputError(f"{path}: no such file or folder; give {_KINDS}")
     if path.suffix.lower() == ".pcap":
-        return _stream(path, how, tuning, pcap_scans)
+        return _stream(path, how, pcap_scans)
     if not path.is_dir():
         raise InputError(f"{path}: one file; give {_KINDS}")
-    return _files(path, how, tuning)
+    return _files(path, how)
 
 
-def _stream(
-    path: Path, how: Reading, tuning: ScanTuning, read: Callable[[Path], Iterator[tuple[float, Points]]]
-) -> Recording:
+def _stream(path: Path, how: Reading, read: Callable[[Path], Iterator[tuple[float, Points]]]) -> Recording:
     if how.poses is not None or how.times is not None or how.rate_hz is not None:
         raise InputError(f"{path}: its scans have times of their own: leave --times, --rate-hz and --poses out")
 
     def scans() -> Iterator[Scan]:
         found = ((f"scan {k}", stamp, points) for k, (stamp, points) in enumerate(read(path), start=1))
-        return _in_order(path, (_scan(*one, tuning) for one in found))
+        return _in_order(path, (_scan(*one) for one in found))
 
     return Recording(scans)
 
 
-def _files(folder: Path, how: Reading, tuning: ScanTuning) -> Recording:
+def _files(folder: Path, how: Reading) -> Recording:
     files, notes = scan_files(folder)
-    if len(files) < tuning.least_scans:
-        raise InputError(f"{files[0]}: the only scan; a trajectory needs at least {tuning.least_scans}")
+    if len(files) < 2:
+        raise InputError(f"{files[0]}: the only scan; a trajectory needs at least 2")
     stems = [f.stem for f in files]
     stamps: list[float | None] = [None] * len(files)
     times = how.times or (None if how.rate_hz else find_times(files[0].parent))
@@ -116,7 +114,7 @@ def _files(folder: Path, how: Reading, tuning: ScanTuning) -> Recording:
         points = READERS[files[k].suffix.lower()](files[k], how.columns)
         if given is not None:  # points in a world were put there by their own times
             points = Points(transforms.apply(transforms.invert(given[k]), points.xyz_m), None)
-        return _scan(str(files[k]), stamps[k], points, tuning)
+        return _scan(str(files[k]), stamps[k], points)
 
     return Recording(read=scans, count=len(files), given=given, notes=tuple(notes))
 
@@ -141,17 +139,17 @@ def _pattern(file: Path) -> tuple[str, str]:
     return re.sub(r"\d+", "#", file.stem), file.suffix.lower()
 
 
-def _scan(name: str, stamp_s: float | None, points: Points, tuning: ScanTuning) -> Scan:
+def _scan(name: str, stamp_s: float | None, points: Points) -> Scan:
     """A scan without points at no place, its times in seconds from its stamp."""
     good = np.isfinite(points.xyz_m).all(axis=1) & (points.xyz_m != 0).any(axis=1)
     offset = None
     if points.time_s is not None:
         good &= np.isfinite(points.time_s)
-        offset, stamp_s = _offsets(name, points.time_s[good], stamp_s, tuning)
-    if good.sum() < tuning.least_points:
+        offset, stamp_s = _offsets(name, points.time_s[good], stamp_s)
+    if good.sum() < LEAST_POINTS:
         raise InputError(
             f"{name}: {int(good.sum())} of {len(good)} points are at a place (not NaN, not 0); "
-            f"{tuning.least_points} are needed: leave the scan out"
+            f"{LEAST_POINTS} are needed: leave the scan out"
         )
     if stamp_s is None:
         raise InputError(f"{name}: nothing says when it was taken: give --times FILE, or --rate-hz")
@@ -164,17 +162,17 @@ def _scan(name: str, stamp_s: float | None, points: Points, tuning: ScanTuning) 
     )
 
 
-def _offsets(name: str, time_s: np.ndarray, stamp_s: float | None, tuning: ScanTuning) -> tuple[np.ndarray, float]:
+def _offsets(name: str, time_s: np.ndarray, stamp_s: float | None) -> tuple[np.ndarray, float]:
     if not len(time_s):
         return time_s, 0.0 if stamp_s is None else stamp_s
     time_s = in_seconds(time_s)
     start = float(time_s.min())
-    if start > _ABSOLUTE_S:
+    if start > 1e6:  # times of points above this count from an epoch and not from the scan's start
         time_s, stamp_s = time_s - start, start if stamp_s is None else stamp_s
     span = float(np.ptp(time_s))
-    if span > tuning.most_sweep_s:
+    if span > _MOST_SWEEP_S:
         raise InputError(
-            f"{name}: its points were taken over {span:g} s, more than {tuning.most_sweep_s:g} s: is their time in "
+            f"{name}: its points were taken over {span:g} s, more than {_MOST_SWEEP_S:g} s: is their time in "
             "another unit than seconds, or are these several scans?"
         )
     if stamp_s is None:

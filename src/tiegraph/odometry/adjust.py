@@ -11,7 +11,6 @@ from tiegraph.scene.colmapmodel import add_rig, matrix, rigid3d
 from tiegraph.scene.solver import all_images, options_of
 
 _RIG = 1
-_TOLERANCE = 1e-4  # relative change of the cost at which Ceres stops: the next keyframe adjusts the same again
 
 
 def adjust(
@@ -73,7 +72,7 @@ def _build(
 def _solve(model: pycolmap.Reconstruction, held: Collection[int], loss_px: float, iterations: int) -> None:
     options = options_of(
         iterations,
-        _TOLERANCE,
+        1e-4,  # relative change of the cost at which Ceres stops: the next keyframe adjusts the same again
         loss_px,
         refine_focal_length=False,
         refine_extra_params=False,

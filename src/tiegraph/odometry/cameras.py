@@ -9,10 +9,11 @@ import pycolmap
 
 from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
-from tiegraph.odometry.tuning import FollowTuning
 from tiegraph.scene.colmapmodel import rigid3d
 from tiegraph.scene.rig import Rig
 
+FAR_BASELINES = 20.0
+"""Distance, in baselines, at which cameras of a rig see about the same."""
 _GRID = 12  # places along each side of an image at which the common view of two cameras is looked at
 
 
@@ -93,22 +94,23 @@ class Cameras:
             self._maps[a, b] = np.nan_to_num(there.T, nan=-1.0).reshape(2, height, width).astype(np.float32, order="C")
         return self._maps[a, b]
 
-    def partners(self, tuning: FollowTuning) -> dict[int, tuple[int, ...]]:
-        """Camera with corners of its own -> the others that see some of what it sees."""
-        share = np.array([[self._common(a, b, tuning) for b in range(len(self))] for a in range(len(self))])
+    def partners(self) -> dict[int, tuple[int, ...]]:
+        """Camera with corners of its own -> the others that see some of what it sees. A camera of whose view an earlier
+        one sees 60 % has no corners of its own."""
+        share = np.array([[self._common(a, b) for b in range(len(self))] for a in range(len(self))])
         own: list[int] = []
         for camera in range(len(self)):
-            if not any(share[camera, other] >= tuning.partner_share for other in own):
+            if not any(share[camera, other] >= 0.6 for other in own):
                 own.append(camera)
         return {a: tuple(b for b in range(len(self)) if b != a and share[a, b] > 0) for a in own}
 
-    def _common(self, a: int, b: int, tuning: FollowTuning) -> float:
+    def _common(self, a: int, b: int) -> float:
         """Share of a grid of pixels of camera a, far away, that b sees."""
         model = self.models[a]
         x, y = np.meshgrid(np.linspace(0, model.width - 1, _GRID), np.linspace(0, model.height - 1, _GRID))
         rays = self.rays(np.full(x.size, a), np.column_stack([x.ravel(), y.ravel()]))
         centres = self.rig_from_sensor[[a, b], :3, 3]
-        far = tuning.partner_far * np.linalg.norm(centres[0] - centres[1])
+        far = FAR_BASELINES * np.linalg.norm(centres[0] - centres[1])
         if far == 0:
             return 0.0
         return float(np.mean(self.inside(b, self.project(np.full(x.size, b), centres[0] + far * rays))))

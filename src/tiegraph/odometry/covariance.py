@@ -21,16 +21,15 @@ from tiegraph.odometry.cameras import Cameras
 from tiegraph.odometry.follow import Tracks
 from tiegraph.odometry.worldmap import Observations, WorldMap
 
-_STEP = 1e-6  # of a difference, in distances of the point
-_HELD = 1e12  # weight of what is held, over the largest of the normal matrix
-_RIDGE = 1e-12
-_LEAST = 3  # points that a pose has six unknowns from
 _BLOCK = 50  # keyframes solved for at once: bounds memory
 
 
 def keyframe_covariances(world: WorldMap, numbers: Sequence[int], loss_px: float, metric: bool) -> np.ndarray:
     """(K, 6, 6) of keyframes of one world: position in it (units), turn about its axes (rad); zero of the first."""
-    seen = _used(world, numbers)
+    seen = world.observations(numbers)
+    _, row, count = np.unique(seen.point, return_inverse=True, return_counts=True)
+    seen = seen.where(~np.isnan(world.xyz[seen.point, 0]) & (count[row] >= 2))
+    seen = seen.where(np.isfinite(world.errors_px(seen)))
     if len(numbers) < 2 or not len(seen.point):
         return np.full((len(numbers), 6, 6), np.nan)
     by_pose, by_point, residual = _jacobians(world, numbers, seen)
@@ -72,7 +71,7 @@ def resection_covariance(
     """
     by_pose, _, residual = _derivatives(cameras, pose, seen.camera, seen.xy, xyz)
     known = np.isfinite(residual).all(axis=1) & np.isfinite(by_pose).all(axis=(1, 2))
-    if known.sum() < _LEAST:
+    if known.sum() < 3:  # points that a pose has six unknowns from
         return np.full((6, 6), np.nan)
     by_pose, residual = by_pose[known], residual[known]
     weight = np.repeat(1 / (1 + np.sum(residual**2, axis=1) / loss_px**2), 2)
@@ -80,13 +79,6 @@ def resection_covariance(
     spread = robust_sigma(residual)
     normal = rows.T @ (weight[:, None] * rows)
     return np.asarray(spread**2 * np.linalg.pinv(normal, rcond=1e-15))
-
-
-def _used(world: WorldMap, numbers: Sequence[int]) -> Observations:
-    seen = world.observations(numbers)
-    _, row, count = np.unique(seen.point, return_inverse=True, return_counts=True)
-    seen = seen.where(~np.isnan(world.xyz[seen.point, 0]) & (count[row] >= 2))
-    return seen.where(np.isfinite(world.errors_px(seen)))
 
 
 def _derivatives(
@@ -99,7 +91,7 @@ def _derivatives(
     world_from_rig = transforms.invert(pose)
     by_point = np.empty((len(xy), 2, 3))
     centre = world_from_rig[:3, 3]
-    step = _STEP * np.maximum(np.linalg.norm(xyz - centre, axis=1), 1e-9)
+    step = 1e-6 * np.maximum(np.linalg.norm(xyz - centre, axis=1), 1e-9)  # of a difference, in distances of the point
     for axis in range(3):
         shift = np.zeros((len(xy), 3))
         shift[:, axis] = step
@@ -150,7 +142,7 @@ def _eliminated(
     blocks = np.zeros((points, 3, 3))
     of = np.repeat(np.arange(points), np.diff(own.indptr))
     blocks[of] = own.data
-    blocks += _RIDGE * np.trace(blocks, axis1=1, axis2=2)[:, None, None] * np.eye(3)
+    blocks += 1e-12 * np.trace(blocks, axis1=1, axis2=2)[:, None, None] * np.eye(3)
     inverse = sparse.bsr_matrix((np.linalg.inv(blocks), np.arange(points), np.arange(points + 1))).tocsr()
     cross = by_pose.T @ weighted @ by_point
     reduced = by_pose.T @ weighted @ by_pose - cross @ inverse @ cross.T
@@ -163,7 +155,7 @@ def _eliminated(
 
 def _gauge(world: WorldMap, numbers: Sequence[int], normal: sparse.spmatrix, metric: bool) -> sparse.spmatrix:
     """What holds the first keyframe, and for a single camera the length of the first base line."""
-    stiff = _HELD * float(normal.diagonal().max())
+    stiff = 1e12 * float(normal.diagonal().max())  # weight of what is held, over the largest of the normal matrix
     held = np.zeros(normal.shape[0])
     held[:6] = stiff
     out = sparse.diags(held).tolil()

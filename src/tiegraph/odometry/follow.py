@@ -7,11 +7,11 @@ import cv2
 import numpy as np
 
 from tiegraph.odometry.cameras import Cameras
-from tiegraph.odometry.tuning import FollowTuning
 from tiegraph.scene.sorting import Columns
 
 CORNER_PX = 0.5
 """The middle of the first pixel, from the corner of the image, where COLMAP begins to count; OpenCV begins there."""
+_EDGE_PX = 8  # closer to the edge of the image the window of a corner is cut
 Images = Mapping[int, np.ndarray]
 """Camera -> its grey image (H, W) u1; a camera whose image is missing is not there."""
 
@@ -35,43 +35,36 @@ class Tracks(Columns):
         return Tracks(*(np.concatenate(pair) for pair in both))
 
 
-def followed(
-    before: np.ndarray, after: np.ndarray, xy: np.ndarray, guess: np.ndarray, tuning: FollowTuning
-) -> tuple[np.ndarray, np.ndarray]:
+def followed(before: np.ndarray, after: np.ndarray, xy: np.ndarray, guess: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Where corners (K, 2) of an image are in another (K, 2), from a guess (K, 2); and whether (K,) they were found."""
     if not len(xy):
         return np.zeros((0, 2)), np.zeros(0, bool)
     start, first = (np.array(v[:, None] - CORNER_PX, np.float32) for v in (xy, guess))
-    size, flags = (tuning.window_px, tuning.window_px), cv2.OPTFLOW_USE_INITIAL_FLOW
-    there, found, _ = cv2.calcOpticalFlowPyrLK(
-        before, after, start, first.copy(), winSize=size, maxLevel=tuning.levels, flags=flags
-    )
+    how = {"winSize": (15, 15), "flags": cv2.OPTFLOW_USE_INITIAL_FLOW}  # OpenCV's 21 is slower, and no better on KITTI
+    there, found, _ = cv2.calcOpticalFlowPyrLK(before, after, start, first.copy(), maxLevel=4, **how)
     # The way back starts where it should end: a short one, which a level or two will do for.
-    back, returned, _ = cv2.calcOpticalFlowPyrLK(
-        after, before, there, start.copy(), winSize=size, maxLevel=1, flags=flags
-    )
+    back, returned, _ = cv2.calcOpticalFlowPyrLK(after, before, there, start.copy(), maxLevel=1, **how)
     off = np.linalg.norm((back - start)[:, 0], axis=1)
     place = there[:, 0].astype(float) + CORNER_PX
     height, width = after.shape
-    edge = tuning.margin_px
-    inside = (place >= edge).all(axis=1) & (place[:, 0] < width - edge) & (place[:, 1] < height - edge)
-    return place, (found[:, 0] > 0) & (returned[:, 0] > 0) & (off < tuning.back_px) & inside
+    inside = (place >= _EDGE_PX).all(axis=1) & (place < (width - _EDGE_PX, height - _EDGE_PX)).all(axis=1)
+    return place, (found[:, 0] > 0) & (returned[:, 0] > 0) & (off < 1.0) & inside
 
 
-def corners(image: np.ndarray, mask: np.ndarray | None, taken: np.ndarray, tuning: FollowTuning) -> np.ndarray:
-    """(N, 2) corners that fill an image up, away from those it has (K, 2) and where the mask (H, W) is not 0."""
-    spacing = tuning.spacing * max(image.shape)
+def corners(image: np.ndarray, mask: np.ndarray | None, taken: np.ndarray) -> np.ndarray:
+    """(N, 2) corners that fill an image up to 400, for more cost time and buy little; away from those it has (K, 2) and
+    where the mask (H, W) is not 0."""
+    spacing = 0.012 * max(image.shape)
     free = np.zeros(image.shape, np.uint8)
-    edge = tuning.margin_px
-    free[edge:-edge, edge:-edge] = 255
+    free[_EDGE_PX:-_EDGE_PX, _EDGE_PX:-_EDGE_PX] = 255
     if mask is not None:
         free[mask == 0] = 0
     for x, y in np.rint(taken - CORNER_PX).astype(int).tolist():
         cv2.circle(free, (x, y), round(spacing), 0, -1)
-    wanted = tuning.corners - len(taken)
+    wanted = 400 - len(taken)
     if wanted <= 0:
         return np.zeros((0, 2))
-    found = cv2.goodFeaturesToTrack(image, wanted, tuning.quality, spacing, mask=free)
+    found = cv2.goodFeaturesToTrack(image, wanted, 0.002, spacing, mask=free)
     return np.zeros((0, 2)) if found is None else found[:, 0].astype(float) + CORNER_PX
 
 
@@ -81,7 +74,6 @@ def in_partners(
     images: Images,
     tracks: Tracks,
     in_rig: np.ndarray,
-    tuning: FollowTuning,
 ) -> Tracks:
     """The corners as the other cameras of the rig see them at the same instant; in_rig (K, 3): about where they are."""
     out = Tracks.none()
@@ -90,29 +82,29 @@ def in_partners(
             guess = np.full((len(tracks), 2), np.nan)
             at = tracks.camera == camera
             guess[at] = cameras.project(np.full(at.sum(), other), in_rig[at])
-            there = at & cameras.inside(other, guess, tuning.margin_px)
+            there = at & cameras.inside(other, guess, _EDGE_PX)
             seen, guess = tracks.where(there), guess[there]
-            if cameras.angle_deg(camera, other) < tuning.turned_deg:
-                place, found = followed(images[camera], images[other], seen.xy, guess, tuning)
+            if cameras.angle_deg(camera, other) < 5.0:
+                place, found = followed(images[camera], images[other], seen.xy, guess)
             else:
-                place, found = _followed_turned(cameras, (camera, other), images, seen.xy, guess, tuning)
-            found &= _off_plane_px(cameras, camera, other, seen.xy, place) < tuning.off_plane_px
+                place, found = _followed_turned(cameras, (camera, other), images, seen.xy, guess)
+            found &= _off_plane_px(cameras, camera, other, seen.xy, place) < 1.0
             out = out.plus(Tracks(seen.point[found], np.full(found.sum(), other), place[found]))
     return out
 
 
 def _followed_turned(
-    cameras: Cameras, pair: tuple[int, int], images: Images, xy: np.ndarray, guess: np.ndarray, tuning: FollowTuning
+    cameras: Cameras, pair: tuple[int, int], images: Images, xy: np.ndarray, guess: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """``followed`` from one camera into another that looks elsewhere: its image is first turned to where the one looks,
     for at the edges of two wide images the same surface has shapes that no shift makes alike."""
     a, b = pair
     x, y = cameras.map_of(a, b)
     turned = cv2.remap(images[b], x, y, cv2.INTER_LINEAR)
-    place, found = followed(images[a], turned, xy, cameras.turned(b, a, guess), tuning)
+    place, found = followed(images[a], turned, xy, cameras.turned(b, a, guess))
     there = np.full_like(place, np.nan)
     there[found] = cameras.turned(a, b, place[found])
-    return there, found & cameras.inside(b, there, tuning.margin_px)
+    return there, found & cameras.inside(b, there, _EDGE_PX)
 
 
 def _off_plane_px(cameras: Cameras, a: int, b: int, xy_a: np.ndarray, xy_b: np.ndarray) -> np.ndarray:

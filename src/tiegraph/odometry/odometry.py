@@ -7,12 +7,15 @@ import numpy as np
 
 from tiegraph.geometry import transforms
 from tiegraph.odometry.adjust import adjust
-from tiegraph.odometry.cameras import Cameras
+from tiegraph.odometry.cameras import FAR_BASELINES, Cameras
 from tiegraph.odometry.follow import Images, Tracks, corners, followed, in_partners
 from tiegraph.odometry.recall import Read, Recall, Recalled, scale_to, thumbnails
-from tiegraph.odometry.resect import Resection, errors_px, moved_share, relative_pose, resect, scaled
+from tiegraph.odometry.resect import errors_px, moved_share, relative_pose, resect, scaled
 from tiegraph.odometry.tuning import Tuning
 from tiegraph.odometry.worldmap import Keyframe, WorldMap
+
+_LEAST_POINTS = 30  # with a place, from which a segment is begun
+_LONG = 60  # iterations of Ceres where the start is not the pose that was found a moment ago
 
 
 @dataclass(frozen=True)
@@ -42,7 +45,7 @@ class Odometry:
 
     def __init__(self, cameras: Cameras, read: Read, tuning: Tuning) -> None:
         self.cameras, self.world, self._tuning = cameras, WorldMap(cameras), tuning
-        self.partners = cameras.partners(tuning.follow)
+        self.partners = cameras.partners()
         self.posed: dict[int, Posed] = {}
         self.said: list[str] = []
         self.segment = 0
@@ -77,15 +80,16 @@ class Odometry:
         tracks = self._filled(images, Tracks.none(), masks)
         self._waiting, self._together, self._velocity = [(frame, tracks)], tracks, np.eye(4)
         self._first = len(self.world.keyframes)
-        self._before = _Before(images, tracks, None) if len(tracks) >= self._tuning.start.least_points else None
+        self._before = _Before(images, tracks, None) if len(tracks) >= _LEAST_POINTS else None
         if self._before is None or not any(self.partners.values()):
             return
         seen = tracks.plus(self._in_partners(images, tracks, np.eye(4)))
         self._together = seen
         self.world.keyframes.append(self._keyframe(frame, np.eye(4), seen, images))
-        self.world.triangulate([self._first], self._tuning.map)
+        self.world.triangulate([self._first], self._tuning.map.outlier_px)
         placed = self._placed(tracks)
-        if placed.sum() >= max(self._tuning.start.least_points, self._tuning.start.together * len(tracks)):
+        # A ring of cameras, which share the edges of their views only, is begun from two frames.
+        if placed.sum() >= max(_LEAST_POINTS, 0.25 * len(tracks)):
             self._begun(images, tracks, np.eye(4))
             self._look_back(images, self._first)
         else:
@@ -95,46 +99,43 @@ class Odometry:
     def _continue_start(self, frame: int, images: Images, masks: Mapping[int, np.ndarray]) -> None:
         """Follow the corners until the frame is far enough from the first to place them."""
         assert self._before is not None
-        tuning, first_frame, first = self._tuning.start, *self._waiting[0]
+        tuning, (first_frame, first) = self._tuning.map, self._waiting[0]
         tracks = self._followed(images, self._before.tracks, self._before.tracks.xy)
-        if len(tracks) < max(tuning.least_left * len(first), tuning.least_points):
+        if len(tracks) < max(0.2 * len(first), _LEAST_POINTS):
             self._begin(frame, images, masks)
             return
         self._waiting.append((frame, tracks))
         self._before = _Before(images, tracks, None)
         same = first.where(np.isin(first.point, tracks.point))
-        if moved_share(self.cameras, same, tracks) < tuning.moved:
+        if moved_share(self.cameras, same, tracks) < 0.04:
             return
-        pose = relative_pose(self.cameras, same, tracks, tuning)
+        pose = relative_pose(self.cameras, same, tracks)
         if pose is None:
             return
         numbers = [self._first, self._first + 1]
         self.world.keyframes.append(self._keyframe(first_frame, np.eye(4), self._together, {}))
         if self.metric:
-            self.world.triangulate(numbers[:1], self._tuning.map)
-            pose = scaled(self.cameras, pose, tracks, self.world.xyz[tracks.point], tuning)
+            self.world.triangulate(numbers[:1], tuning.outlier_px)
+            pose = scaled(self.cameras, pose, tracks, self.world.xyz[tracks.point])
             self.world.xyz[self._together.point] = np.nan
         self.world.keyframes.append(self._keyframe(frame, pose, tracks, images))
-        self.world.triangulate(numbers, self._tuning.map)
+        self.world.triangulate(numbers, tuning.outlier_px)
         held = numbers[:1] if self.metric else numbers
-        adjust(self.world, numbers, held, self._tuning.map, self._tuning.map.loss_px, self._tuning.map.loop_iterations)
-        if self._placed(tracks).sum() < tuning.least_points:
+        adjust(self.world, numbers, held, tuning, tuning.loss_px, _LONG)
+        if self._placed(tracks).sum() < _LEAST_POINTS:
             del self.world.keyframes[self._first :]
             self.world.xyz[first.point] = np.nan
             return
         for number, (waited, seen) in enumerate(self._waiting[:-1]):
-            self._pose_waited(waited, seen, number / max(len(self._waiting) - 1, 1))
+            seen = seen.where(self._placed(seen))
+            guess = _part(self.world.keyframes[-1].rig_from_world, number / max(len(self._waiting) - 1, 1))
+            found = resect(self.cameras, seen.camera, seen.xy, self.world.xyz[seen.point], guess, self._tuning.pose)
+            if found is not None:
+                self._hang(waited, self._first, found.rig_from_world, seen.where(found.inlier))
         last = self.world.keyframes[-1].rig_from_world
         self._velocity = _part(last, 1 / max(len(self._waiting) - 1, 1))
         self._begun(images, tracks, last)
         self._fill(frame, images, masks)
-
-    def _pose_waited(self, frame: int, seen: Tracks, share: float) -> None:
-        seen = seen.where(self._placed(seen))
-        guess = _part(self.world.keyframes[-1].rig_from_world, share)
-        found = resect(self.cameras, seen.camera, seen.xy, self.world.xyz[seen.point], guess, self._tuning.pose)
-        if found is not None:
-            self._hang(frame, self._first, found.rig_from_world, seen.where(found.inlier))
 
     def _begun(self, images: Images, tracks: Tracks, pose: np.ndarray) -> None:
         last = len(self.world.keyframes) - 1
@@ -156,15 +157,8 @@ class Odometry:
             return
         off = np.zeros(len(tracks), bool)
         off[self._placed(tracks)] = ~found.inlier
-        self._go_on(frame, images, masks, tracks.where(~off), found)
-
-    def _go_on(
-        self, frame: int, images: Images, masks: Mapping[int, np.ndarray], tracks: Tracks, found: Resection
-    ) -> None:
-        """The frame has a pose: note it, and make it a keyframe if one is needed."""
-        assert self._before is not None
-        pose = found.rig_from_world
-        if self._before.pose is not None and not self._lost:
+        tracks, pose = tracks.where(~off), found.rig_from_world
+        if not self._lost:
             self._velocity = pose @ transforms.invert(self._before.pose)
         self._lost, self._before = 0, _Before(images, tracks, pose)
         self._hang(frame, len(self.world.keyframes) - 1, pose, tracks.where(self._placed(tracks)))
@@ -177,9 +171,9 @@ class Odometry:
         own = last.where(np.isin(last.camera, list(self.partners)))
         own = own.where(self._placed(own))
         both, mine, theirs = np.intersect1d(tracks.point, own.point, return_indices=True)
-        if len(both) < self._tuning.map.kept * len(np.unique(own.point)):
+        if len(both) < 0.6 * len(np.unique(own.point)):
             return True
-        return moved_share(self.cameras, own.where(theirs), tracks.where(mine)) > self._tuning.map.moved
+        return moved_share(self.cameras, own.where(theirs), tracks.where(mine)) > 0.06
 
     def _fill(self, frame: int, images: Images, masks: Mapping[int, np.ndarray]) -> None:
         """Give the last keyframe new corners and what the other cameras see of all, place them, adjust the window."""
@@ -190,11 +184,11 @@ class Odometry:
         seen = tracks.plus(self._in_partners(images, tracks, last.rig_from_world))
         self.world.keyframes[number] = replace(last, seen=seen)
         tuning = self._tuning.map
-        window = list(range(max(self._first, number + 1 - tuning.window), number + 1))
-        self.world.triangulate(window, tuning)
+        window = list(range(max(self._first, number + 1 - 8), number + 1))
+        self.world.triangulate(window, tuning.outlier_px)
         whole = len(window) == number + 1 - self._first and self.metric
-        held = window[:1] if whole else window[: max(tuning.held, 2)]
-        adjust(self.world, window, held, tuning, tuning.loss_px, tuning.iterations)
+        held = window[:1] if whole else window[:3]
+        adjust(self.world, window, held, tuning, tuning.loss_px, iterations=8)
         pose = self.world.keyframes[number].rig_from_world
         placed = self._placed(tracks)
         off = errors_px(
@@ -212,8 +206,8 @@ class Odometry:
         """A frame that could not be followed: by what the last keyframes saw, else by any; else it is lost."""
         fresh = self._filled(images, Tracks.none(), masks)
         numbers = list(range(self._first, len(self.world.keyframes)))
-        alike = self._recall.most_alike(thumbnails(images, self._tuning.recall), numbers)
-        recent = numbers[-self._tuning.recall.recent :][::-1]
+        alike = self._recall.most_alike(thumbnails(images), numbers)
+        recent = numbers[-2:][::-1]
         found = self._recall.find(images, fresh, [*recent, *(k for k in alike if k not in recent)])
         if found is None:
             self._lost += 1
@@ -230,10 +224,10 @@ class Odometry:
 
     def _look_back(self, images: Images, number: int) -> None:
         """Join the segment to an earlier one, or close a loop, if the keyframe shows a known place."""
-        tuning, last = self._tuning.recall, self.world.keyframes[number]
+        last = self.world.keyframes[number]
         here = last.segment
         others = [k for k, other in enumerate(self.world.keyframes) if other.segment != here]
-        far = others or list(range(max(number + 1 - tuning.apart, 0)))
+        far = others or list(range(max(number - 19, 0)))  # nearer ones share points anyway
         candidates = self._recall.most_alike(last.thumbnails, far)
         if self._first - 1 in others:  # the place of the loss may be near
             candidates = list(dict.fromkeys([self._first - 1, *candidates]))
@@ -287,8 +281,8 @@ class Odometry:
         for segment in sorted({k.segment for k in self.world.keyframes}):
             numbers = [n for n, k in enumerate(self.world.keyframes) if k.segment == segment]
             held = numbers[: 1 if self.metric else 2]
-            for loss in self._tuning.map.loop_px:
-                adjust(self.world, numbers, held, self._tuning.map, loss, self._tuning.map.loop_iterations)
+            for loss in (30.0, 3.0, 1.0):  # a loop stands off by the drift at first
+                adjust(self.world, numbers, held, self._tuning.map, loss, _LONG)
 
     # --- parts ------------------------------------------------------------------------------------------------------
 
@@ -296,7 +290,7 @@ class Odometry:
         return np.asarray(~np.isnan(self.world.xyz[tracks.point, 0]))
 
     def _keyframe(self, frame: int, pose: np.ndarray, seen: Tracks, images: Images) -> Keyframe:
-        thumbs = thumbnails(images, self._tuning.recall)
+        thumbs = thumbnails(images)
         return Keyframe(frame=frame, segment=self.segment, rig_from_world=pose, seen=seen, thumbnails=thumbs)
 
     def _hang(self, frame: int, keyframe: int, pose: np.ndarray, seen: Tracks) -> None:
@@ -306,7 +300,7 @@ class Odometry:
     def _filled(self, images: Images, tracks: Tracks, masks: Mapping[int, np.ndarray]) -> Tracks:
         for camera in (c for c in self.partners if c in images):
             taken = tracks.xy[tracks.camera == camera]
-            xy = corners(images[camera], masks.get(camera), taken, self._tuning.follow)
+            xy = corners(images[camera], masks.get(camera), taken)
             tracks = tracks.plus(Tracks(self.world.new_points(len(xy)), np.full(len(xy), camera), xy))
         return tracks
 
@@ -315,9 +309,7 @@ class Odometry:
         keep, xy = np.zeros(len(tracks), bool), tracks.xy.copy()
         for camera in (c for c in self.partners if c in images and c in self._before.images):
             at = np.flatnonzero(tracks.camera == camera)
-            place, found = followed(
-                self._before.images[camera], images[camera], tracks.xy[at], guess[at], self._tuning.follow
-            )
+            place, found = followed(self._before.images[camera], images[camera], tracks.xy[at], guess[at])
             xy[at], keep[at] = place, found
         return Tracks(tracks.point, tracks.camera, xy).where(keep)
 
@@ -338,22 +330,19 @@ class Odometry:
         rays = self.cameras.rays(tracks.camera, tracks.xy) @ world_from_rig[:3, :3].T
         centres = transforms.apply(world_from_rig, self.cameras.rig_from_sensor[:, :3, 3])[tracks.camera]
         distance = np.linalg.norm(out - centres, axis=1)
+        baseline = np.linalg.norm(self.cameras.rig_from_sensor[:, :3, 3], axis=1).max()
+        usual = float(max(FAR_BASELINES * baseline, 1.0))  # where the cameras of the rig see about the same, m
         for camera in np.unique(tracks.camera).tolist():
             at = tracks.camera == camera
             known = distance[at & ~np.isnan(distance)]
-            far = float(np.median(known)) if len(known) else self._far()
+            far = float(np.median(known)) if len(known) else usual
             missing = at & np.isnan(distance)
             out[missing] = centres[missing] + far * rays[missing]
         return out
 
-    def _far(self) -> float:
-        """A distance at which the cameras of the rig see about the same, m."""
-        baseline = np.linalg.norm(self.cameras.rig_from_sensor[:, :3, 3], axis=1).max()
-        return float(max(self._tuning.follow.partner_far * baseline, 1.0))
-
     def _in_partners(self, images: Images, tracks: Tracks, pose: np.ndarray) -> Tracks:
         in_rig = transforms.apply(pose, self._about(tracks, pose))
-        return in_partners(self.cameras, self.partners, images, tracks, in_rig, self._tuning.follow)
+        return in_partners(self.cameras, self.partners, images, tracks, in_rig)
 
 
 def _part(motion: np.ndarray, share: float) -> np.ndarray:

@@ -54,7 +54,9 @@ def path_of(odometry: Odometry, frames: Sequence[int], tuning: MapTuning) -> Odo
         at = world.keyframes[posed.keyframe]
         pose = posed.rig_from_keyframe @ at.rig_from_world
         poses[row], segment[row], keyframe[row] = transforms.invert(pose), at.segment, at.frame == frame
-        carried = _carried(of_keyframe[posed.keyframe], at.rig_from_world, pose)
+        step = np.eye(6)  # the frame hangs on its keyframe rigidly: a turn of the one moves the other
+        step[:3, 3:] = -transforms.skew(transforms.centre(pose) - transforms.centre(at.rig_from_world))
+        carried = step @ of_keyframe[posed.keyframe] @ step.T
         if at.frame != frame:
             seen = posed.seen.where(~np.isnan(world.xyz[posed.seen.point, 0]))
             carried = carried + resection_covariance(world.cameras, pose, seen, world.xyz[seen.point], tuning.loss_px)
@@ -65,11 +67,3 @@ def path_of(odometry: Odometry, frames: Sequence[int], tuning: MapTuning) -> Odo
         world_from_rig=poses, segment=named, keyframe=keyframe, covariance=covariance,
         metric=odometry.metric, loops=odometry.loops,
     )  # fmt: skip
-
-
-def _carried(covariance: np.ndarray, keyframe: np.ndarray, pose: np.ndarray) -> np.ndarray:
-    """The covariance (6, 6) of a pose that hangs on a keyframe rigidly: a turn of the one moves the other."""
-    way = transforms.centre(pose) - transforms.centre(keyframe)
-    step = np.eye(6)
-    step[:3, 3:] = -transforms.skew(way)
-    return np.asarray(step @ covariance @ step.T)

@@ -31,11 +31,11 @@ class Recalled:
     row: np.ndarray
 
 
-def thumbnails(images: Images, tuning: RecallTuning) -> dict[int, np.ndarray]:
-    """Camera -> small image of mean 0 and length 1."""
+def thumbnails(images: Images) -> dict[int, np.ndarray]:
+    """Camera -> small image of mean 0 and length 1, of about the size of Klein and Murray's (2008)."""
     out = {}
     for camera, image in images.items():
-        reduced = cv2.resize(image, tuning.thumbnail, interpolation=cv2.INTER_AREA)
+        reduced = cv2.resize(image, (40, 24), interpolation=cv2.INTER_AREA)
         small = np.asarray(cv2.GaussianBlur(reduced, (0, 0), 1.0), np.float32)
         small -= small.mean()
         out[camera] = small / max(float(np.linalg.norm(small)), 1e-6)
@@ -61,14 +61,14 @@ class Recall:
     def most_alike(self, thumbs: dict[int, np.ndarray], numbers: Sequence[int]) -> list[int]:
         """Of some keyframes those whose thumbnails are most like these, the best first."""
         scores = [(likeness(thumbs, self._world.keyframes[k].thumbnails), k) for k in numbers]
-        good = sorted((s for s in scores if s[0] >= self._tuning.alike), key=lambda s: (-s[0], s[1]))
-        return [k for _, k in good[: self._tuning.candidates]]
+        good = sorted((s for s in scores if s[0] >= 0.6), key=lambda s: (-s[0], s[1]))
+        return [k for _, k in good[:3]]
 
     def find(self, images: Images, corners: Tracks, numbers: Sequence[int]) -> Recalled | None:
         """The place of a frame with corners (their points do not matter), by the first keyframe that tells it."""
         if not numbers or len(corners) < self._tuning.least_points:
             return None
-        described = [self._describe(images, corners, scale) for scale in self._tuning.scales]
+        described = [self._describe(images, corners, scale) for scale in (0.71, 1.0, 1.41)]  # it may stand nearer
         for number in numbers:
             found = self._by(number, corners, described)
             if found is not None:
@@ -79,7 +79,7 @@ class Recall:
         seen, known = self._of(number)
         if len(seen) < self._tuning.least_points:
             return None
-        theirs, ours = _matches(known, described, self._tuning.ratio)
+        theirs, ours = _matches(known, described)
         if len(ours) < self._tuning.least_points:
             return None
         point, camera, xy = seen.point[theirs], corners.camera[ours], corners.xy[ours]
@@ -98,7 +98,7 @@ class Recall:
         loss = self._tuning.inlier_px
         sigma = np.sqrt(np.trace(resection_covariance(self._world.cameras, pose, seen, xyz[good], loss)[:3, :3]))
         away = np.median(np.linalg.norm(transforms.apply(pose, xyz[good]), axis=1))
-        return bool(sigma < self._tuning.sigma * away)
+        return bool(sigma < 0.01 * away)
 
     def _of(self, number: int) -> tuple[Tracks, np.ndarray]:
         """Points with places that a keyframe sees, and their descriptors."""
@@ -116,16 +116,14 @@ class Recall:
         out = np.zeros((len(corners), 128), np.float32)
         for camera, image in images.items():
             at = np.flatnonzero(corners.camera == camera)
-            points = [
-                cv2.KeyPoint(x, y, scale * self._tuning.patch_px) for x, y in (corners.xy[at] - CORNER_PX).tolist()
-            ]
+            points = [cv2.KeyPoint(x, y, 12 * scale) for x, y in (corners.xy[at] - CORNER_PX).tolist()]
             kept, described = self._sift.compute(image, points)
             if len(kept) == len(at) and described is not None:
                 out[at] = described / np.maximum(np.linalg.norm(described, axis=1, keepdims=True), 1e-6)
         return out
 
 
-def _matches(known: np.ndarray, described: Sequence[np.ndarray], ratio: float) -> tuple[np.ndarray, np.ndarray]:
+def _matches(known: np.ndarray, described: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """Rows of known descriptors (K, 128) and of those of corners (N, 128), at several scales, that are each other's
     nearest, and much nearer than the next."""
     alike = np.max([known @ d.T for d in described], axis=0)
@@ -135,8 +133,8 @@ def _matches(known: np.ndarray, described: Sequence[np.ndarray], ratio: float) -
     alike[rows, best] = -1.0
     second = alike.max(axis=1)
     alike[rows, best] = nearest
-    # of unit vectors the squared distance is twice what the product lacks to one
-    clear = (1 - nearest < ratio**2 * (1 - second)) & (np.argmax(alike, axis=0)[best] == rows)
+    # Lowe (2004): 0.8 of the distance of the next; of unit vectors its square is twice what the product lacks to one
+    clear = (1 - nearest < 0.8**2 * (1 - second)) & (np.argmax(alike, axis=0)[best] == rows)
     return rows[clear], best[clear]
 
 

@@ -8,10 +8,8 @@ import pycolmap
 from tiegraph.geometry import transforms
 from tiegraph.odometry.cameras import Cameras
 from tiegraph.odometry.follow import Tracks
-from tiegraph.odometry.tuning import PoseTuning, StartTuning
+from tiegraph.odometry.tuning import PoseTuning
 from tiegraph.scene.colmapmodel import matrix, rigid3d
-
-_SEED = 0
 
 
 @dataclass(frozen=True)
@@ -42,15 +40,16 @@ def resect(
 
     ``guess``: the predicted pose, which is refined; RANSAC is asked where that explains too few.
     """
-    found = None
-    if guess is not None:
-        found = _refined(cameras, camera, xy, points, guess, tuning)
-    if (found is None or found.inlier.mean() < tuning.share) and len(xy) >= tuning.least_points:
-        pose = _ransac(cameras, camera, xy, points, tuning)
+    found = None if guess is None else _refined(cameras, camera, xy, points, guess, tuning)
+    if (found is None or found.inlier.mean() < 0.5) and len(xy) >= tuning.least_points:
+        options = _ransac_options(tuning.inlier_px, 50, 2000)
+        known = camera.tolist(), cameras.rigid, list(cameras.models)
+        made = pycolmap.estimate_generalized_absolute_pose(xy, points, *known, options)
+        pose = None if made is None else matrix(made["rig_from_world"])
         other = None if pose is None else _refined(cameras, camera, xy, points, pose, tuning)
         if other is not None and (found is None or other.inlier.sum() > found.inlier.sum()):
             found = other
-    good = found is not None and found.inlier.sum() >= tuning.least_points and found.inlier.mean() >= tuning.least_share
+    good = found is not None and found.inlier.sum() >= tuning.least_points and found.inlier.mean() >= 0.3
     return found if good else None
 
 
@@ -71,19 +70,6 @@ def _refined(
     return Resection(pose, errors_px(cameras, pose, camera, xy, points) < tuning.inlier_px)
 
 
-def _ransac(
-    cameras: Cameras, camera: np.ndarray, xy: np.ndarray, points: np.ndarray, tuning: PoseTuning
-) -> np.ndarray | None:
-    low, high = tuning.trials
-    options = pycolmap.RANSACOptions(
-        max_error=tuning.inlier_px, min_num_trials=low, max_num_trials=high, random_seed=_SEED
-    )
-    made = pycolmap.estimate_generalized_absolute_pose(
-        xy, points, camera.tolist(), cameras.rigid, list(cameras.models), options
-    )
-    return None if made is None else matrix(made["rig_from_world"])
-
-
 def moved_share(cameras: Cameras, before: Tracks, after: Tracks) -> float:
     """Median shift of the same corners in longer sides of their images; 0 for none."""
     if not len(before):
@@ -92,15 +78,17 @@ def moved_share(cameras: Cameras, before: Tracks, after: Tracks) -> float:
     return float(np.median(np.linalg.norm(after.xy - before.xy, axis=1) / sides))
 
 
-def relative_pose(cameras: Cameras, before: Tracks, after: Tracks, tuning: StartTuning) -> np.ndarray | None:
+def _ransac_options(inlier_px: float, least: int, most: int) -> pycolmap.RANSACOptions:
+    return pycolmap.RANSACOptions(max_error=inlier_px, min_num_trials=least, max_num_trials=most, random_seed=0)
+
+
+def relative_pose(cameras: Cameras, before: Tracks, after: Tracks) -> np.ndarray | None:
     """after_from_before (4, 4) of the rig by the same corners in two frames; None if they do not tell it.
 
     The base line of a single camera has length one; that of a rig is in metres, by its own size: hardly where that is
     small (``scaled``).
     """
-    options = pycolmap.RANSACOptions(
-        max_error=tuning.inlier_px, min_num_trials=100, max_num_trials=3000, random_seed=_SEED
-    )
+    options = _ransac_options(2.0, 100, 3000)
     if len(cameras) == 1:
         model = cameras.models[0]
         made = pycolmap.estimate_relative_pose(model, before.xy, model, after.xy, options)
@@ -111,23 +99,23 @@ def relative_pose(cameras: Cameras, before: Tracks, after: Tracks, tuning: Start
             before.xy, after.xy, camera, camera, cameras.rigid, list(cameras.models), options
         )
         pose = None if made is None or "rig2_from_rig1" not in made else matrix(made["rig2_from_rig1"])
-    if made is None or pose is None or np.mean(made["inlier_mask"]) < tuning.share:
+    if made is None or pose is None or np.mean(made["inlier_mask"]) < 0.6:
         return None
     good = np.asarray(made["inlier_mask"], bool)
     rays = [cameras.rays(t.camera[good], t.xy[good]) for t in (before, after)]
     turned = rays[1] @ transforms.invert(pose)[:3, :3].T
     angle = np.degrees(np.arccos(np.clip(np.sum(rays[0] * turned, axis=1), -1, 1)))
-    return pose if np.median(angle) >= tuning.angle_deg else None
+    return pose if np.median(angle) >= 0.6 else None  # less tells no depth
 
 
-def scaled(cameras: Cameras, pose: np.ndarray, after: Tracks, known: np.ndarray, tuning: StartTuning) -> np.ndarray:
+def scaled(cameras: Cameras, pose: np.ndarray, after: Tracks, known: np.ndarray) -> np.ndarray:
     """A pose of ``relative_pose`` with the length of its base line by points (K, 3) whose places in the first frame the
     cameras tell, NaN = they do not; as it was where they are too few.
 
     A point X that lies along the ray r from the centre c says s of r x (R X + s t - c) = 0; the median counts.
     """
     there = ~np.isnan(known[:, 0])
-    if there.sum() < tuning.least_known:
+    if there.sum() < 8:
         return pose
     camera = after.camera[there]
     ray = cameras.rays(camera, after.xy[there])

@@ -9,7 +9,6 @@ from tiegraph.geometry import transforms
 from tiegraph.odometry.cameras import Cameras
 from tiegraph.odometry.follow import Tracks
 from tiegraph.odometry.resect import errors_px
-from tiegraph.odometry.tuning import MapTuning
 from tiegraph.scene.sorting import Columns
 
 
@@ -88,7 +87,7 @@ class WorldMap:
         hit = np.unique(seen.point[bad])
         self.xyz[hit[left[hit] < 2]] = np.nan
 
-    def triangulate(self, numbers: Sequence[int], tuning: MapTuning) -> None:
+    def triangulate(self, numbers: Sequence[int], outlier_px: float) -> None:
         """Give places to points without, by all that some keyframes see of them.
 
         The place is where the squared distances to the rays are least; it is taken if the rays are not parallel and
@@ -99,25 +98,18 @@ class WorldMap:
         points, row, count = np.unique(seen.point, return_inverse=True, return_counts=True)
         if not len(points) or count.max() < 2:
             return
-        centre, ray = self._lines(seen)
+        world_from_rig = transforms.invert(np.stack([self.keyframes[k].rig_from_world for k in seen.keyframe]))
+        mounted = self.cameras.rig_from_sensor[seen.camera, :3, 3]
+        centre = np.einsum("kij,kj->ki", world_from_rig, np.insert(mounted, 3, 1, 1))[:, :3]
+        ray = np.einsum("kij,kj->ki", world_from_rig[:, :3, :3], self.cameras.rays(seen.camera, seen.xy))
         across = np.eye(3) - ray[:, :, None] * ray[:, None, :]
         matrix, side = np.zeros((len(points), 3, 3)), np.zeros((len(points), 3))
         np.add.at(matrix, row, across)
         np.add.at(side, row, np.einsum("kij,kj->ki", across, centre))
         least = np.linalg.eigvalsh(matrix)[:, 0] / count  # of two rays: 1 - cos of half the angle between them, twice
-        wide = (count >= 2) & (np.sqrt(np.maximum(4 * least, 0)) > np.radians(tuning.angle_deg))
+        wide = (count >= 2) & (np.sqrt(np.maximum(4 * least, 0)) > np.radians(0.2))
         place = np.full((len(points), 3), np.nan)
         place[wide] = np.linalg.solve(matrix[wide], side[wide][:, :, None])[:, :, 0]
         self.xyz[points] = place
         off = self.errors_px(seen)
-        self.xyz[np.unique(seen.point[off > tuning.outlier_px])] = np.nan
-
-    def _lines(self, seen: Observations) -> tuple[np.ndarray, np.ndarray]:
-        """Projection centres (M, 3) and unit rays (M, 3) of observations in the world."""
-        rays = self.cameras.rays(seen.camera, seen.xy)
-        poses = np.stack([self.keyframes[k].rig_from_world for k in seen.keyframe])
-        world_from_rig = transforms.invert(poses)
-        centre = np.einsum(
-            "kij,kj->ki", world_from_rig, np.insert(self.cameras.rig_from_sensor[seen.camera, :3, 3], 3, 1, 1)
-        )
-        return centre[:, :3], np.einsum("kij,kj->ki", world_from_rig[:, :3, :3], rays)
+        self.xyz[np.unique(seen.point[off > outlier_px])] = np.nan

@@ -79,15 +79,11 @@ def exhaustive(images: Path, out: Path, record: Path, seed: int = 0, *, send: Ca
 def _extract(database: Path, images: Path, given: Given) -> None:
     mode = pycolmap.CameraMode.AUTO if given.mixed else pycolmap.CameraMode.PER_FOLDER
     pycolmap.extract_features(database, images, camera_mode=mode)
-    if given.cameras:
-        _give_calibration(database, given.cameras)
-
-
-def _give_calibration(database: Path, cameras: Mapping[str, Mapping[str, Any]]) -> None:
-    """Replace the guessed cameras by calibrated ones, found by the folder of the images."""
+    if not given.cameras:
+        return
     with pycolmap.Database.open(str(database)) as opened:
         for image in opened.read_all_images():
-            camera = pycolmap.Camera(**cameras[image.name.rpartition("/")[0]])
+            camera = pycolmap.Camera(**given.cameras[image.name.rpartition("/")[0]])
             camera.camera_id = image.camera_id
             camera.has_prior_focal_length = True
             opened.update_camera(camera)

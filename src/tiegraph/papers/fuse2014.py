@@ -27,7 +27,6 @@ from tiegraph.sfm.tuning import TwoViewTuning
 WEAK = 25  # matches, paper 002 section 4.2.1
 SIMILAR = 500.0  # distance to the object over base length, paper 002 section 4.2.2
 PARTS = 5  # consecutive partial graphs cut beside the whole one, paper 002 section 4.2.3
-_LARGEST = 2.0e9  # scipy's maximum flow counts in 32 bit integers
 
 
 def thinned(pairs: Pairs, scene: Scene, expected: np.ndarray, safe: bool) -> DesignResult:
@@ -40,12 +39,22 @@ def thinned(pairs: Pairs, scene: Scene, expected: np.ndarray, safe: bool) -> Des
     before = pairs.kept()
     weak = pairs.drop(expected < WEAK, "weak")
     order = image_order(scene)
-    gone = _similar_images(weak, order)
+    place, gone = np.argsort(order), np.zeros(len(order), bool)
+    for k in np.flatnonzero((weak.dropped == 0) & (weak.h_over_b > SIMILAR)):
+        i, j = weak.i[k], weak.j[k]  # of two images whose base is too short for their distance the later one goes
+        if not gone[i] and not gone[j]:
+            gone[i if place[i] > place[j] else j] = True
     similar = weak.drop(gone[weak.i] | gone[weak.j], "similar")
     thin = similar.drop(_cut_rows(similar, capacities(similar, expected), order), "cut")
     taken_back = 0
     if safe:
-        thin, taken_back = _reconnected(pairs, thin, expected, len(scene))
+        # The strongest dropped pairs that tie what was connected before
+        label = parts(thin.kept().i, thin.kept().j, len(scene))
+        lost = np.flatnonzero((pairs.dropped == 0) & (thin.dropped != 0))
+        back = lost[forest(label[pairs.i[lost]], label[pairs.j[lost]], expected[lost], len(scene))]
+        dropped = thin.dropped.copy()
+        dropped[back] = 0
+        thin, taken_back = thin.with_(dropped=dropped), len(back)
     kept, n = thin.kept(), len(scene)
     counts: dict[str, float] = {
         "weak": _count(pairs, weak),
@@ -92,17 +101,6 @@ def capacities(pairs: Pairs, expected: np.ndarray) -> np.ndarray:
     return np.where(known, exact, guess * scale)
 
 
-def _similar_images(pairs: Pairs, order: np.ndarray) -> np.ndarray:
-    """(N,) bool images removed: of two whose base is too short for their distance the later one goes (002, 2.3)."""
-    place = np.argsort(order)
-    gone = np.zeros(len(order), bool)
-    for k in np.flatnonzero((pairs.dropped == 0) & (pairs.h_over_b > SIMILAR)):
-        i, j = pairs.i[k], pairs.j[k]
-        if not gone[i] and not gone[j]:
-            gone[i if place[i] > place[j] else j] = True
-    return gone
-
-
 def _cut_rows(pairs: Pairs, capacity: np.ndarray, order: np.ndarray) -> np.ndarray:
     """(P,) bool: pairs in the minimum cut of the whole graph or of one of its parts (002, 3.2 and 4.2.3)."""
     used = np.zeros(len(order), bool)
@@ -125,7 +123,8 @@ def _minimum_cut(pairs: Pairs, kept: np.ndarray, capacity: np.ndarray, nodes: np
     rows = kept & (a >= 0) & (b >= 0)
     a, b, n = a[rows], b[rows], len(nodes)
     degree = np.bincount(a, capacity[rows], n) + np.bincount(b, capacity[rows], n)
-    whole = np.maximum(np.rint(capacity[rows] * (_LARGEST / max(float(degree.max(initial=0.0)), 1e-300))), 1)
+    # Scipy's maximum flow counts in 32 bit integers
+    whole = np.maximum(np.rint(capacity[rows] * (2.0e9 / max(float(degree.max(initial=0.0)), 1e-300))), 1)
     graph = coo_array((np.tile(whole, 2), (np.r_[a, b], np.r_[b, a])), shape=(n, n)).tocsr()
     graph = csr_array((graph.data.astype(np.int32), graph.indices, graph.indptr), shape=(n, n))
     if n - 1 not in breadth_first_order(graph, 0, return_predecessors=False):
@@ -134,16 +133,6 @@ def _minimum_cut(pairs: Pairs, kept: np.ndarray, capacity: np.ndarray, nodes: np
     out = np.zeros(len(pairs), bool)
     out[np.flatnonzero(rows)[near[a] != near[b]]] = True
     return out
-
-
-def _reconnected(pairs: Pairs, thin: Pairs, expected: np.ndarray, images: int) -> tuple[Pairs, int]:
-    """Give back the strongest dropped pairs that tie what was connected before; how many."""
-    label = parts(thin.kept().i, thin.kept().j, images)
-    lost = np.flatnonzero((pairs.dropped == 0) & (thin.dropped != 0))
-    back = lost[forest(label[pairs.i[lost]], label[pairs.j[lost]], expected[lost], images)]
-    dropped = thin.dropped.copy()
-    dropped[back] = 0
-    return thin.with_(dropped=dropped), len(back)
 
 
 def _count(before: Pairs, after: Pairs) -> int:

@@ -26,8 +26,6 @@ from tiegraph.network.sections.light import UpLight, otsu
 from tiegraph.papers import colmap_alone
 from tiegraph.scene.scene import Scene
 
-_PIXELS = 1 << 16  # that stand for those of all upward images
-_LIGHT_PX = 640  # longer side of images whose brightness is counted
 _SOBEL_GAIN = 8.0  # response of the 3x3 Sobel kernels to a ramp of one grey level a pixel
 
 # Wang et al. 2004, section III, define it so: window of 11 pixels with sigma 1.5, K1 = 0.01, K2 = 0.03, grey levels
@@ -146,7 +144,8 @@ def light(scene: Scene, images: Path, apply: Callable[..., list[Any]]) -> UpLigh
 
 def brightness_counts(image: Path) -> np.ndarray:
     """(256,) i8 pixels of each brightness, the V of HSV, of an image at reduced size."""
-    return np.bincount(read_small(image, _LIGHT_PX).max(axis=2).ravel(), minlength=256)
+    # Longer side of images whose brightness is counted
+    return np.bincount(read_small(image, 640).max(axis=2).ravel(), minlength=256)
 
 
 def bright_share(counts: np.ndarray) -> np.ndarray:
@@ -154,7 +153,8 @@ def bright_share(counts: np.ndarray) -> np.ndarray:
     threshold that divides the pixels of all images best (Otsu 1979)."""
     share = counts / counts.sum(axis=1, keepdims=True)
     levels = np.arange(counts.shape[1])
-    pixels = np.repeat(levels, np.rint(_PIXELS * share.mean(axis=0)).astype(int))
+    # That stand for those of all upward images
+    pixels = np.repeat(levels, np.rint(2**16 * share.mean(axis=0)).astype(int))
     return share[:, levels > otsu(pixels).threshold].sum(axis=1)
 
 

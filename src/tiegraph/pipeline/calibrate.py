@@ -31,7 +31,7 @@ from tiegraph.calibrate.summary import (
     rig_sigmas,
     summary,
 )
-from tiegraph.calibrate.tuning import BoardTuning, JudgeTuning
+from tiegraph.calibrate.tuning import BoardTuning
 from tiegraph.errors import InputError
 from tiegraph.pipeline.foundrig import rig_file
 from tiegraph.project.pool import map_items, open_pool
@@ -44,7 +44,7 @@ from tiegraph.scan.frames import match_frames
 from tiegraph.scan.rigfiles.camerafile import MODELS
 from tiegraph.scan.rigfiles.rigfaults import nearest
 from tiegraph.scan.rigfiles.rigfile import parse_rig_file, read_rig_file
-from tiegraph.scan.rigfiles.rigspec import RigSpec, SensorSpec, rig_config, rig_toml
+from tiegraph.scan.rigfiles.rigspec import SensorSpec, rig_config, rig_toml
 from tiegraph.scan.tuning import Tuning as ScanTuning
 from tiegraph.scene.atomic import must_be_new
 from tiegraph.scene.decoding import Levels, eight_bit, opened, turned
@@ -80,19 +80,23 @@ def calibrate(
     with reporter.stage("corners"):
         reporter.total(len(files))
         corners = _map(pool, reporter, _corners, files, pattern, tuning.board)
-    views = (
+    views = tuple(
         View(camera=f.camera, instant=f.instant, name=f.name, corners=numbers, xy=xy)
         for f, (numbers, xy) in zip(files, corners)
         if len(numbers)
     )
-    seen = Observations(pattern, cameras, tuple(views))
-    unread = _without_board(files, seen)
-    check_views(seen, tuning.start)
-    done = adjust_robustly(seen, start(seen, tuning), tuning.adjust, settings.board_sigma)
+    seen = Observations(pattern, cameras, views)
+    unread, read = [], {view.name for view in views}
+    for number, camera in enumerate(cameras):
+        names = [f.name for f in files if f.camera == number and f.name not in read]
+        if names:
+            unread.append(f"{camera.name}: no board in {len(names)} of {camera.count} images: {', '.join(names)}")
+    check_views(seen)
+    done = adjust_robustly(seen, start(seen, tuning.adjust), tuning.adjust, settings.board_sigma)
     verdict = judge(done, tuning)
     constants = [f"constants changed: {tunings.changed()}"] if tunings.changed() else []
     notes = (board, *constants, *found, *unread)
-    _write(out, done, verdict, notes, _rig(done, verdict, settings.wide), tuning.judge)
+    _write(out, done, verdict, notes, _rig(done, verdict, settings.wide))
     left_out = (f"left out: {name}: {why}" for name, why in done.left_out)
     scale = () if len(cameras) == 1 else (lengths(done),)
     written = f"written: {out}", f"summary: {folder / 'summary.md'}"
@@ -123,7 +127,7 @@ def _read_folder(
     tuning, report = tunings.scan, Report()
     found, passed_over = search_images(images)
     names = clean_names(found)
-    check_count(images, len(names), tunings.calibrate.start)
+    check_count(images, len(names))
     paths = [Path(images, f) for f in found]
     with reporter.stage("images"):
         reporter.total(len(paths))
@@ -138,7 +142,7 @@ def _read_folder(
     sequence = {k: place.sequence for k, place in zip(usable.images, layout.places) if place is not None}
     report.drop([names[k] for k in usable.images if k not in folder], "outside the camera folders")
     if len(layout.folders) == 1 and settings.layout == "auto":
-        check_one_camera([names[k] for k in kept], tunings.calibrate.start)
+        check_one_camera([names[k] for k in kept])
     owned = [[k for k in kept if folder[k] == f] for f in layout.folders]
     upright = [len({probes[k].exif.orientation for k in own}) == 1 for own in owned]
     models = _models(settings.model, [f or "camera" for f in layout.folders])
@@ -238,17 +242,6 @@ def _map(pool: str, reporter: Reporter, function: object, items: Sequence, *args
 # --- the corners ----------------------------------------------------------------------------------------------------
 
 
-def _without_board(files: Sequence[_File], seen: Observations) -> list[str]:
-    """Of each camera the images in which no board was found."""
-    views = {view.name for view in seen.views}
-    out = []
-    for number, camera in enumerate(seen.cameras):
-        names = [f.name for f in files if f.camera == number and f.name not in views]
-        if names:
-            out.append(f"{camera.name}: no board in {len(names)} of {camera.count} images: {', '.join(names)}")
-    return out
-
-
 def _corners(file: _File, board: Board, tuning: BoardTuning) -> Corners:
     """The corners in one image."""
     found = opened(file.path.read_bytes(), file.path.suffix)
@@ -270,7 +263,7 @@ def _folder_beside(out: Path) -> Path:
     return folder
 
 
-def _write(out: Path, done: Adjusted, verdict: Verdict, said: Sequence[str], rig: Rig, tuning: JudgeTuning) -> None:
+def _write(out: Path, done: Adjusted, verdict: Verdict, said: Sequence[str], rig: Rig) -> None:
     board, *notes = said
     folder = out.with_name(out.stem + _FOLDER)
     names = [c.name for c in done.seen.cameras]
@@ -281,7 +274,7 @@ def _write(out: Path, done: Adjusted, verdict: Verdict, said: Sequence[str], rig
             notes.append(f"no OpenCV YAML of {names[k]}: OpenCV has no model {done.state.cameras[k].model.name}")
         else:
             write_atomic(folder / f"{stem}.yaml", text)
-        write_atomic(folder / f"{stem}_residuals.png", residual_picture(done, k, tuning))
+        write_atomic(folder / f"{stem}_residuals.png", residual_picture(done, k))
     chain = kalibr_yaml(done.state.cameras, done.state.sensor_from_rig)
     if chain is None:
         notes.append("no camchain.yaml: Kalibr has no such camera model")
@@ -343,21 +336,23 @@ def self_calibration(
     reporter, tunings = reporter or Reporter("quiet"), tunings or VerbTunings()
     tuning = tunings.scan.rig
     _folder_beside(out)
-    other = None if against is None else _only(against, read_rig_file(against, tuning))
+    others = () if against is None else read_rig_file(against, tuning)
+    if len(others) > 1:
+        raise InputError(f"--against {against}: {len(others)} rigs in it, and a run's rig is compared with one")
     found = rig_file(folder)
     said = [f"the run says: {text}" for text in found.said]
     rows: tuple[Difference, ...] = ()
-    if other is not None:
+    for other in others:
         (own,) = parse_rig_file(folder, found.text, tuning)
         rows = differences(*([_calibration(s) for s in rig.sensors] for rig in (other, own)))
-        said += [sentence(row, tunings.calibrate.judge) for row in rows]
+        said += [sentence(row) for row in rows]
     write_atomic(out, found.text)
     for text in (*said, f"written: {out}"):
         reporter.say(text)
     return rows
 
 
-def sentence(row: Difference, tuning: JudgeTuning) -> str:
+def sentence(row: Difference) -> str:
     """What the calibrations of a camera have in common, in words."""
     parts = []
     if np.isfinite(row.focal):
@@ -368,18 +363,12 @@ def sentence(row: Difference, tuning: JudgeTuning) -> str:
         parts.append(f"moved by {1000 * row.place_m:.1f} mm{_sigmas(row.place_sigmas)}")
     worst = row.worst_sigmas()
     if np.isfinite(worst):
-        parts.append("they agree" if worst <= tuning.agree_sigmas else "they contradict each other")
+        parts.append("they agree" if worst <= 3 else "they contradict each other")
     return f"{row.name}, against the board: {', '.join(parts) or 'nothing to compare'}"
 
 
 def _sigmas(value: float) -> str:
     return f" ({value:.1f} sigmas)" if np.isfinite(value) else ""
-
-
-def _only(path: Path, rigs: tuple[RigSpec, ...]) -> RigSpec:
-    if len(rigs) != 1:
-        raise InputError(f"--against {path}: {len(rigs)} rigs in it, and a run's rig is compared with one")
-    return rigs[0]
 
 
 def _calibration(sensor: SensorSpec) -> Calibration:

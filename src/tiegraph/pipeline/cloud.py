@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,16 +19,16 @@ from tiegraph.scene.cloudfile import write_ply
 from tiegraph.scene.copc import write_copc
 from tiegraph.scene.results import Cloud
 
-_EVERY = 50  # points of the cloud looked at for its sigma in the world
-
 
 def cloud(run: Run) -> Outcome:
-    """One cloud of all depth maps, tile by tile, as LAZ and PLY."""
+    """One cloud of all depth maps, tile by tile, as LAZ and PLY; and how two passes agree, where there are some."""
+    from tiegraph.pipeline.passes import write_agreement  # matplotlib, which no worker of this stage needs
+
     plans = {n: p for n, p in plan_of(run).images.items() if depth_path(run.folder, n).exists()}
     scratch = run.path(".tiles")
     remove(scratch)
     scratch.mkdir(parents=True)
-    colours = coloured(plans, run.path("images"), run.settings.dense, run.settings.tuning.dense.views)
+    colours = coloured(plans, run.path("images"), run.settings.dense)
     maps = Maps(partial(read_depth, folder=run.folder), colours)
     settings, tuning = run.settings.cloud, run.settings.tuning.cloud
     fused = fuse(sorted(plans), maps, scratch, settings, tuning, world_origin(run.folder), _mapper(run))
@@ -38,17 +37,11 @@ def cloud(run: Run) -> Outcome:
     notes = [*write_copc(fused.clouds, run.path("cloud.copc.laz"), fused.voxel, scratch, said)]
     same_file(run.path("cloud.copc.laz"), run.path("cloud.laz"))
     notes += write_ply(fused.clouds(), run.path("cloud.ply"), said)
-    agreement = _passes(run, scratch, fused.voxel)
+    agreement = write_agreement(run, scratch, fused.voxel, _mapper(run))
+    if agreement is not None and agreement.why_not:
+        notes.append(agreement.note())
     counts = {"points": fused.counts["points"], **{k: v for k, v in fused.counts.items() if k != "points"}, **sigmas}
-    return Outcome({**counts, "voxel": float(f"{fused.voxel:.3g}")}, notes=tuple(dict.fromkeys([*notes, *agreement])))
-
-
-def _passes(run: Run, scratch: Path, voxel_m: float) -> list[str]:
-    """Compare two passes with each other, where there are some; what is to be said if that was not possible."""
-    from tiegraph.pipeline.passes import write_agreement  # matplotlib, which no worker of this stage needs
-
-    found = write_agreement(run, scratch, voxel_m, _mapper(run))
-    return [found.note()] if found is not None and found.why_not else []
+    return Outcome({**counts, "voxel": float(f"{fused.voxel:.3g}")}, notes=tuple(dict.fromkeys(notes)))
 
 
 def _sigmas(run: Run, parts: Iterable[Cloud]) -> dict[str, float]:
@@ -57,7 +50,7 @@ def _sigmas(run: Run, parts: Iterable[Cloud]) -> dict[str, float]:
     error, own, world = placement_error(run.folder), [], []
     inside = (load_json(run.path("world.json")).get("model_sigma") or {}).get("median", 0.0)
     for part in parts:
-        some = part.where(np.arange(0, len(part), _EVERY))
+        some = part.where(np.arange(0, len(part), 50))  # points of the cloud looked at for its sigma in the world
         own.append(some.sigma_m)
         if error is not None:
             placed = np.linalg.norm(error.sigma(some.xyz_m), axis=1)

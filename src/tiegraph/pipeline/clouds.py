@@ -52,7 +52,10 @@ def evaluate_clouds(files: tuple[Path, Path], out: Path | None, question: Questi
         notes.append(f"only one of both names a CRS ({own.crs or truth.crs}): they are compared as they are")
     notes += [f"{cloud.name}: {cloud.note}" for cloud in (own, truth) if cloud.note and own.note != truth.note]
     with new_folder(out) as folder, scratch_folder(folder) as scratch:
-        found = judge_cloud(own, _into(truth, own.crs), scratch, question, tuning)
+        if own.crs and truth.crs and own.crs != truth.crs:
+            frames = _place(truth.crs), _place(own.crs)
+            truth = truth.moved(lambda xyz: to_world(xyz, *frames), own.crs)
+        found = judge_cloud(own, truth, scratch, question, tuning)
         result = metrics_to_dict(found.metrics(), found.tables(), [found.notes(), *notes])
         if folder is not None:
             write_judgement(found, folder, _place(own.crs))
@@ -64,14 +67,6 @@ def refuse_coarse_alone(register: str, coarse: bool, remedy: str) -> None:
     """Raise InputError for a coarse start of no registration."""
     if coarse and register == "none":
         raise InputError(f"--coarse starts a registration: add {remedy}")
-
-
-def _into(source: PointSource, crs: str | None) -> PointSource:
-    """A cloud in the coordinates of a CRS."""
-    if source.crs is None or crs is None or source.crs == crs:
-        return source
-    frames = _place(source.crs), _place(crs)
-    return source.moved(lambda xyz: to_world(xyz, *frames), crs)
 
 
 def _place(crs: str | None) -> Origin:
@@ -92,9 +87,6 @@ def new_folder(out: Path | None) -> Iterator[Path | None]:
 
 
 # --- two surveys of one place --------------------------------------------------------------------------------------
-
-
-_LISTED = 50  # changes in the table, the largest first
 
 
 @dataclass(frozen=True)
@@ -143,7 +135,9 @@ def compare_epochs(folders: tuple[Path, Path], out: Path, options: EpochOptions)
     tuning = read_settings(folders[0] / SETTINGS).tuning.evaluate
     first, second = (_read(folder) for folder in folders)
     other = _in_world_of(first, second, options)
-    common: dict[str, Any] = {"first": first.cloud, "cameras": _cameras(first), "origin": first.origin}
+    centres = model_centres(load_model(first.folder / "sparse" / "world"))
+    cameras = Cameras(centres, ("",) * len(centres))
+    common: dict[str, Any] = {"first": first.cloud, "cameras": cameras, "origin": first.origin}
     if options.register == "none":
         held = "as the surveys stand on the Earth, with both their sigmas"
         pair = Pair(**common, second=other, held=held, sigma=_placed(first, second))
@@ -224,16 +218,11 @@ def _placed(first: _Epoch, second: _Epoch) -> Sigma:
     return sigma
 
 
-def _cameras(epoch: _Epoch) -> Cameras:
-    centres = model_centres(load_model(epoch.folder / "sparse" / "world"))
-    return Cameras(centres, ("",) * len(centres))
-
-
 def _result(found: Differences, changed: Changes, pair: Pair) -> dict[str, Any]:
     return {
         "differences": {k: float(f"{v:.6g}") for k, v in found.summary().items()},
         "areas_and_volumes": {k: float(f"{v:.6g}") for k, v in changed.totals().items()},
-        "changes": changed.table(shift_of(pair.origin), _LISTED),
+        "changes": changed.table(shift_of(pair.origin), 50),  # changes in the table, the largest first
         "cylinders": asdict(found.cylinders),
         "registration": None if pair.fitted is None else pair.fitted.table(),
         "crs": None if pair.origin is None else pair.origin.crs,

@@ -7,8 +7,6 @@ the next block, and a try whose ties changed in one block maps only that one aga
 
 import hashlib
 import logging
-from functools import partial
-from pathlib import Path
 from typing import cast
 
 import numpy as np
@@ -67,13 +65,10 @@ def surface_seen(run: Run, found: Coarse, ties: PreviewMatches) -> Visibility:
     if in_one_piece(found.scene, tuning.scene.blocks):
         kept, names = found.pairs.kept(), found.scene.names
         believed = np.isin(np.arange(len(ties)), ties.find(kept.i, kept.j))
-        features = partial(_pixels, folder=run.folder, names=names)
-        model = with_surface(model, ties.where(believed), features, tuning.network.coarse.tracks)
+        model = with_surface(
+            model, ties.where(believed), lambda k: read_preview(run.folder, names[k]).xy, tuning.network.coarse.tracks
+        )
     return model.visibility(tuning.network.coarse)
-
-
-def _pixels(image: int, folder: Path, names: tuple[str, ...]) -> np.ndarray:
-    return read_preview(folder, names[image]).xy
 
 
 def judged_by_model(run: Run, candidates: tuple[Pairs, Scene], cache: MatchCache) -> Coarse:
@@ -114,20 +109,15 @@ class _Mapper:
         """The model of a block: that of an earlier try, or of a run that was interrupted, if its ties are the same."""
         whole = is_whole(self._blocks, self._scene)
         part, inside = (self._scene, ties) if whole else block.part_of(self._scene, ties)
-        kept = self._run.path("coarse/blocks", f"{_key(block, inside)}.npz")
+        key = hashlib.blake2b(digest_size=8)
+        for array in (block.images, inside.i, inside.j, inside.start, inside.matches):
+            key.update(np.ascontiguousarray(array).tobytes())
+        kept = self._run.path("coarse/blocks", f"{key.hexdigest()}.npz")
         if kept.exists():
             return load_as(kept, lambda data: CoarseModel.from_npz(data) if data else None)
         model = coarse_model(self._run, part, inside) if len(inside) else None
         save_npz(kept, **({} if model is None else model.to_npz()))
         return model
-
-
-def _key(block: Block, ties: PreviewMatches) -> str:
-    """16 hex digits over the images of a block and the ties between them."""
-    said = hashlib.blake2b(digest_size=8)
-    for array in (block.images, ties.i, ties.j, ties.start, ties.matches):
-        said.update(np.ascontiguousarray(array).tobytes())
-    return said.hexdigest()
 
 
 def coarse_model(run: Run, scene: Scene, ties: PreviewMatches) -> CoarseModel | None:

@@ -18,7 +18,7 @@ from tiegraph.dense.neighbours import plan_images
 from tiegraph.dense.plan import DensePlan, ImagePlan
 from tiegraph.dense.settings import DenseSettings
 from tiegraph.dense.shot import plan_hanging
-from tiegraph.dense.tuning import Tuning, ViewTuning
+from tiegraph.dense.tuning import Tuning
 from tiegraph.dense.undistort import load_view, pinhole
 from tiegraph.dense.workspace import write_workspace
 from tiegraph.errors import InputError, ReconstructionError, TiegraphError
@@ -46,14 +46,18 @@ def dense(run: Run) -> Outcome:
     names = sorted(plan.images)
     settings, tuning = run.settings.dense, run.settings.tuning.dense
     args = (run.folder, plan.images, settings, tuning)
-    todo = _to_confirm(names, run.folder)
+    todo = [n for n in names if not depth_path(run.folder, n).exists()]
+    if todo:  # the first maps of all are made then, so those whose reasons for what was dropped are gone come again too
+        todo = [n for n in names if n in set(todo) or not _counts_path(run.folder, n).exists()]
     first = [n for n in names if not depth_path(run.folder, n, FIRST).exists()] if todo else []
     sizes = _sizes(plan.images, settings, tuning)
     _log.info("%d images; %s", len(names), "; ".join(sizes))
     run.reporter.total(2 * len(names), 2 * len(names) - len(first) - len(todo))
     kernels = Counter(run.map(_first_item, first, *args))
     run.map(_confirm_item, todo, *args)
-    found = _what_became(names, run.folder)
+    paths = [_counts_path(run.folder, n) for n in names]
+    told = all(p.exists() for p in paths)  # else nothing was to be done any more
+    found = Consistency.total(Consistency(**load_json(p)) for p in paths) if told else None
     # A confirmed map's first form may still be asked for as a witness, so all of them stay until the end.
     remove(run.path("depth", FIRST))
     pixels = run.map(_known_pixels, names, run.folder)
@@ -91,7 +95,7 @@ def plan_of(run: Run) -> DensePlan:
 
 def _sizes(plans: dict[str, ImagePlan], settings: DenseSettings, tuning: Tuning) -> list[str]:
     """Which images are reduced, and what the matcher will hold at most; known before it starts."""
-    sizes = {plan.view.camera: pinhole(plan.view, settings, tuning.views).size for plan in plans.values()}
+    sizes = {plan.view.camera: pinhole(plan.view, settings).size for plan in plans.values()}
     reduced = {
         f"depth maps of {size[0]} x {size[1]} pixels, of images of {camera.width} x {camera.height} "
         "(dense.max_image_size)"
@@ -125,23 +129,6 @@ def _counts_path(folder: Path, name: str) -> Path:
     return inside(folder / "depth" / FIRST, f"{name}.json")
 
 
-def _to_confirm(names: list[str], folder: Path) -> list[str]:
-    """Images without a finished depth map, and if there are some those whose reasons for what was dropped are gone:
-    one map was lost after the stage was done, and the first maps of all are to be made again anyway."""
-    missing = [n for n in names if not depth_path(folder, n).exists()]
-    if not missing:
-        return []
-    return [n for n in names if not depth_path(folder, n).exists() or not _counts_path(folder, n).exists()]
-
-
-def _what_became(names: list[str], folder: Path) -> Consistency | None:
-    """What the comparison dropped of all depth maps, and why; None where nothing was to be done any more."""
-    paths = [_counts_path(folder, n) for n in names]
-    if not all(p.exists() for p in paths):
-        return None
-    return Consistency.total(Consistency(**load_json(p)) for p in paths)
-
-
 def _known_pixels(name: str, folder: Path) -> int:
     return int(np.isfinite(load_map(depth_path(folder, name)).depth_m).sum())
 
@@ -153,24 +140,19 @@ def hand_over(run: Run, target: Path) -> int:
         raise InputError(f"{target} is there and not empty: give a new folder for the workspace")
     model, load = load_model(run.path("sparse", "world")), partial(_known_map, folder=run.folder)
     try:
-        settings, tuning = run.settings.dense, run.settings.tuning.dense.views
-        return write_workspace(target, model, run.path("images"), load, settings, tuning)
+        return write_workspace(target, model, run.path("images"), load, run.settings.dense)
     except (OSError, RuntimeError) as error:
         told = explained(error, target) or InputError(f"{target}: cannot be written: {error}; choose another folder")
         raise error if isinstance(error, TiegraphError) else told from error
 
 
-def coloured(
-    plans: dict[str, ImagePlan], images: Path, settings: DenseSettings, tuning: ViewTuning
-) -> Callable[[str], np.ndarray]:
+def coloured(plans: dict[str, ImagePlan], images: Path, settings: DenseSettings) -> Callable[[str], np.ndarray]:
     """Colours (H, W, 3) u1 RGB of the undistorted images by name."""
-    return partial(_colours, plans=plans, images=images, settings=settings, tuning=tuning)
+    return partial(_colours, plans=plans, images=images, settings=settings)
 
 
-def _colours(
-    name: str, plans: dict[str, ImagePlan], images: Path, settings: DenseSettings, tuning: ViewTuning
-) -> np.ndarray:
-    return cv2.cvtColor(load_view(plans[name].view, images, None, settings, tuning).image_bgr, cv2.COLOR_BGR2RGB)
+def _colours(name: str, plans: dict[str, ImagePlan], images: Path, settings: DenseSettings) -> np.ndarray:
+    return cv2.cvtColor(load_view(plans[name].view, images, None, settings).image_bgr, cv2.COLOR_BGR2RGB)
 
 
 def read_depth(name: str, folder: Path) -> DepthMap:

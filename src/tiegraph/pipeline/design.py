@@ -35,8 +35,15 @@ def design(run: Run) -> Outcome:
     # than time (canal_demo with all 2734 pairs 9.1 mm, with the 1604 chosen ones 4.8 mm)
     loose = bool(np.all(scene.sequence[scene.frame] < 0))
     spent = _cost(run, scene, candidates) if loose else None
-    candidates, ties, previews = _previewed(run, candidates, known, spent)
-    made = _selected(run, scene, candidates, ties, spent)
+    settings, tuning = run.settings, run.settings.tuning
+    ties, previews, method = known, 0, settings.design.method
+    if not takes_all(settings.design, spent, tuning.design.cost):
+        how = run.folder, settings.preview, tuning.features.preview, run.map
+        candidates, ties, previews = with_previews(candidates, known, *how)
+    papers.plug_in(papers.DESIGNS, method, METHODS)
+    if method in papers.DESIGNS:  # a paper's method goes by an accuracy of its own
+        candidates = with_accuracy(candidates, scene, ties, run.folder, run.map, tuning.sfm.two_view)
+    made = select_pairs(candidates, scene, ties, settings.design, tuning.design, visibility_of(run), spent)
     made, ties = _covered(run, made, scene, ties)
     _save(run, scene, made.pairs, ties.where(known.find(ties.i, ties.j) < 0))
     # The pairs on a map, the weak ones marked
@@ -44,30 +51,16 @@ def design(run: Run) -> Outcome:
     weak = weak_pairs(made.tables.get("weak links", {}), scene)
     picture = map_png(made.pairs, positions if np.isfinite(positions).any() else None, scene, weak=weak)
     write_atomic(run.path("design", "map.png"), picture)
-    again, said = _surface_drawn(run)
+    again, said = {}, ()
+    if (surface := surface_of(run)) is not None:
+        poses = load_npz(run.path("coarse", "model.npz"))["cam_from_world"]
+        drawn = surface_png(surface.cells, surface.places, poses, scene.frame)
+        write_atomic(run.path("design", "surface.png"), drawn)
+        again, said = {"where to go again": surface.table()}, surface.lines()
     without = int(np.sum(made.pairs.degree(len(scene)) == 0))
     counts = {"images_without": without, "previews": previews, **made.counts}
     looked = (f"{previews} pairs of which nothing was known were previewed first",) if previews else ()
     return Outcome(counts, notes=(*looked, *made.notes, *said), tables={**made.tables, **again})
-
-
-def _previewed(
-    run: Run, candidates: Pairs, ties: PreviewMatches, spent: Cost | None
-) -> tuple[Pairs, PreviewMatches, int]:
-    """Candidates and ties after previews of what nothing is known of, where a choice is to be made; how many."""
-    settings, tuning = run.settings, run.settings.tuning
-    if takes_all(settings.design, spent, tuning.design.cost):
-        return candidates, ties, 0
-    return with_previews(candidates, ties, run.folder, settings.preview, tuning.features.preview, run.map)
-
-
-def _selected(run: Run, scene: Scene, candidates: Pairs, ties: PreviewMatches, spent: Cost | None) -> DesignResult:
-    """The engine's choice; a paper's method is plugged in first, with the accuracy that it goes by."""
-    settings, tuning = run.settings.design, run.settings.tuning
-    papers.plug_in(papers.DESIGNS, settings.method, METHODS)
-    if settings.method in papers.DESIGNS:
-        candidates = with_accuracy(candidates, scene, ties, run.folder, run.map, tuning.sfm.two_view)
-    return select_pairs(candidates, scene, ties, settings, tuning.design, visibility_of(run), spent)
 
 
 def _save(run: Run, scene: Scene, pairs: Pairs, looked: PreviewMatches) -> None:
@@ -100,17 +93,6 @@ def surface_of(run: Run) -> CoveredSurface | None:
     scene, tuning = checked(run), run.settings.tuning.design.surface
     cells = surface_map(seen, scene.focal_px, tuning)
     return CoveredSurface(cells, weak_places(cells, tuning), scene.names) if len(cells) else None
-
-
-def _surface_drawn(run: Run) -> tuple[dict[str, dict], tuple[str, ...]]:
-    """Draw how the surface is covered; the table of places to go to again, and what to say of it."""
-    surface = surface_of(run)
-    if surface is None:
-        return {}, ()
-    poses = load_npz(run.path("coarse", "model.npz"))["cam_from_world"]
-    drawn = surface_png(surface.cells, surface.places, poses, checked(run).frame)
-    write_atomic(run.path("design", "surface.png"), drawn)
-    return {"where to go again": surface.table()}, surface.lines()
 
 
 def _covered(run: Run, made: DesignResult, scene: Scene, ties: PreviewMatches) -> tuple[DesignResult, PreviewMatches]:

@@ -52,7 +52,9 @@ def evaluate(run: Run) -> Outcome:
     if settings.reference_cloud is not None:
         scratch.mkdir(parents=True)
     made = Products(model=model, images=images, cloud=cloud, origin=placed, gsd_m=counts.get("voxel"), scratch=scratch)
-    of_run, unfit = (tuning.evaluate, stated(run, counts), _agreement(run)), []
+    passes = run.path(PASSES, "agreement.json")
+    agreement = PassAgreement.from_dict(load_json(passes)) if passes.exists() else None  # of one pass
+    of_run, unfit = (tuning.evaluate, stated(run, counts), agreement), []
     try:
         found = evaluate_survey(scene, made, settings, *of_run)
     except InputError as error:
@@ -87,12 +89,6 @@ def evaluate_poses(run: Run, reference: Path, origin: tuple[float, float, float]
     placed = world_origin(run.folder) if load_json(run.path("world.json"))["placed"] else None
     made = Products(model=model, images=images, cloud=None, origin=placed)
     return evaluate_survey(scene, made, settings, tuning.evaluate, stated(run, {})).metrics
-
-
-def _agreement(run: Run) -> PassAgreement | None:
-    """How well two passes agree; None for one pass."""
-    path = run.path(PASSES, "agreement.json")
-    return PassAgreement.from_dict(load_json(path)) if path.exists() else None
 
 
 def write_judgement(

@@ -24,7 +24,7 @@ from tiegraph.scene.colmapmodel import read_model
 from tiegraph.scene.decoding import read_pixels
 from tiegraph.scene.matches import PreviewMatches, Visibility
 from tiegraph.scene.pairs import REASONS, Pairs
-from tiegraph.scene.results import DepthMap, load_depth
+from tiegraph.scene.results import Cloud, DepthMap, load_depth
 from tiegraph.scene.scene import Scene
 
 T = TypeVar("T")
@@ -81,6 +81,14 @@ def load_map(path: Path) -> DepthMap:
     """A depth map. Raises UnreadableArtefact."""
     with reading(path):
         return load_depth(path)
+
+
+def load_cloud(path: Path, origin: Origin | None) -> Cloud:
+    """A cloud, in a world about ``origin``. Raises UnreadableArtefact."""
+    from tiegraph.scene.cloudfile import read_cloud  # laspy, a tenth of a second
+
+    with reading(path):
+        return read_cloud(path, origin)
 
 
 def scanned(run: Run) -> Scene:

@@ -57,7 +57,16 @@ def rig_file(folder: Path, form: str = TOML) -> RigFile:
     if (whole := run.folder / "whole.json").exists():
         rigs = [_with_hanging(run, rigs[0], load_scene(whole).rigs[0])]
     if form == CONFIG:
-        _check_prefixes(run, rigs)
+        # COLMAP's prefixes begin a name, and folders of passes come before them.
+        folders = [s.folder for r in rigs for s in r.sensors]
+        if any(f and not any(n.startswith(f"{f}/") for n in run.scene.names) for f in folders):
+            said = "put the folder of a pass before each, or move the images"
+            run.said.append(f"COLMAP's image_prefix begins a name: {said}")
+        if len(set(folders)) < len(folders):
+            raise InputError(
+                f"{run.folder}: its cameras are told by EXIF and share folders, and a rig_config.json goes by folder: "
+                "take the cameras of the COLMAP model in its folder sparse"
+            )
         return RigFile(rig_config(rigs), tuple(run.said))
     if run.unscaled:
         raise InputError(
@@ -86,7 +95,9 @@ def _found(run: FoundRun, index: int) -> Rig:
     """A rig with the cameras, places and sigmas of the model."""
     given, several = run.scene.rigs[index], len(run.scene.rigs[index].sensors) > 1
     mode = rig_modes(run.scene.measured(), run.receipt.get("settings", {}).get("rig", "auto")).get(index, "")
-    rigid = several and bool(mode) and _in_model(run, index)
+    reference = pycolmap.sensor_t(pycolmap.SensorType.CAMERA, 1 + run.scene.first_sensor(index))
+    in_model = index + 1 in run.mapped.rigs and run.mapped.rigs[index + 1].is_ref_sensor(reference)
+    rigid = several and bool(mode) and in_model
     held = model_rigs(run.mapped, run.scene)[index]
     found = model_rigs(run.world, run.scene)[index]
     cameras = _cameras(run, index, found)
@@ -98,7 +109,11 @@ def _found(run: FoundRun, index: int) -> Rig:
         found = given
     elif mode == "fixed":
         found = _scaled(held, 1 / _units(held, given))
-        _say_held(run, found, given)
+        pairs = [(s.name, s.sensor_from_rig, g.sensor_from_rig) for s, g in zip(found.sensors, given.sensors)]
+        moved = [n for n, a, b in pairs if a is not None and b is not None and not np.allclose(a, b, rtol=0, atol=1e-6)]
+        but = f" but for {', '.join(moved)}, which the images turned or moved"
+        said = f"held by the run{but}" if moved else "as given: the run held them"
+        run.said.append(f"{given.name}: its places {'were' if moved else 'are'} {said}")
     else:
         _say_scale(run, found)
         found = _with_sigmas(run, replace(found, fixed=False), index)
@@ -120,16 +135,6 @@ def _cameras(run: FoundRun, index: int, found: Rig) -> list[Sensor]:
         out.append(sensor)
         run.said += said
     return out
-
-
-def _say_held(run: FoundRun, found: Rig, given: Rig) -> None:
-    pairs = [(s.name, s.sensor_from_rig, g.sensor_from_rig) for s, g in zip(found.sensors, given.sensors)]
-    moved = [n for n, a, b in pairs if a is not None and b is not None and not np.allclose(a, b, rtol=0, atol=1e-6)]
-    if moved:
-        but = f"but for {', '.join(moved)}, which the images turned or moved"
-        run.said.append(f"{given.name}: its places were held by the run {but}")
-    else:
-        run.said.append(f"{given.name}: its places are as given: the run held them")
 
 
 def _with_hanging(run: FoundRun, found: Rig, whole: Rig) -> Rig:
@@ -171,13 +176,6 @@ def _late_ms(run: FoundRun, rig: Rig) -> dict[str, float]:
 def _with_scale(run: FoundRun, sigma_m: float, length_m: float) -> float:
     """Sigma of a coordinate with that of the scale of all lengths."""
     return float(np.hypot(sigma_m, length_m * float(np.nan_to_num(run.metres.sigma)) / np.sqrt(3)))
-
-
-def _in_model(run: FoundRun, index: int) -> bool:
-    """Whether the model has the rig as one, with the reference of the scene."""
-    first = 1 + run.scene.first_sensor(index)
-    reference = pycolmap.sensor_t(pycolmap.SensorType.CAMERA, first)
-    return index + 1 in run.mapped.rigs and run.mapped.rigs[index + 1].is_ref_sensor(reference)
 
 
 def _say_scale(run: FoundRun, rig: Rig) -> None:
@@ -227,10 +225,14 @@ def _with_sigmas(run: FoundRun, found: Rig, index: int) -> Rig:
         run.said.append(f"{found.name}: the run has no sigmas of the places of {', '.join(untold)}")
         return found
     sensors, kept = [found.sensors[0]], []
+    scale = float(np.nan_to_num(run.metres.scale, nan=1.0))
     for place, sensor in enumerate(found.sensors[1:], start=1):
         before = given.sensors[place]
-        sigma_deg, sigma_m = _sigmas(run, table[sensor.name])
-        if _unmoved(sensor, before):
+        *xyz, sigma, turn = table[sensor.name][:5]
+        metres = _with_scale(run, scale * sigma / np.sqrt(3), scale * float(np.linalg.norm(xyz)))
+        sigma_deg, sigma_m = min(turn / np.sqrt(3), SIGMA_DEG[1]), min(metres, SIGMA_M[1])  # of an axis, a coordinate
+        looks = [s.sensor_from_rig[:3, :3] for s in (sensor, before) if s.sensor_from_rig is not None]
+        if len(looks) == 2 and np.allclose(*looks, rtol=0, atol=1e-12):  # exactly where it was given
             kept.append(sensor.name)
             sigma_deg, sigma_m = before.sigma_deg or sigma_deg, before.sigma_m or sigma_m
             if given.nominal:  # the coarse model may have turned it by ties that did not hold
@@ -243,31 +245,5 @@ def _with_sigmas(run: FoundRun, found: Rig, index: int) -> Rig:
     return replace(found, sensors=tuple(sensors), nominal=False, pairs=())
 
 
-def _sigmas(run: FoundRun, row: list) -> tuple[float, float]:
-    """Sigma of each axis in degrees, and of each coordinate in metres with that of the scale: x, y, z, sigma, turn."""
-    scale = float(np.nan_to_num(run.metres.scale, nan=1.0))
-    place = _with_scale(run, scale * row[3] / np.sqrt(3), scale * float(np.linalg.norm(row[:3])))
-    return min(row[4] / np.sqrt(3), SIGMA_DEG[1]), min(place, SIGMA_M[1])
-
-
-def _unmoved(sensor: Sensor, before: Sensor) -> bool:
-    """Whether a sensor of an adjusted rig looks exactly where it was given."""
-    if sensor.sensor_from_rig is None or before.sensor_from_rig is None:
-        return False
-    return bool(np.allclose(sensor.sensor_from_rig[:3, :3], before.sensor_from_rig[:3, :3], rtol=0, atol=1e-12))
-
-
 def _short(value: float) -> float:
     return float(f"{value:.{_DIGITS}g}")
-
-
-def _check_prefixes(run: FoundRun, rigs: list[Rig]) -> None:
-    """Say where COLMAP would not find the images: its prefixes begin a name, folders of passes come before them."""
-    folders = [s.folder for r in rigs for s in r.sensors]
-    if any(f and not any(n.startswith(f"{f}/") for n in run.scene.names) for f in folders):
-        run.said.append("COLMAP's image_prefix begins a name: put the folder of a pass before each, or move the images")
-    if len(set(folders)) < len(folders):
-        raise InputError(
-            f"{run.folder}: its cameras are told by EXIF and share folders, and a rig_config.json goes by folder: "
-            "take the cameras of the COLMAP model in its folder sparse"
-        )

@@ -129,7 +129,10 @@ def with_camera(
     if not given.camera.has_prior_focal_length and _same(camera, given.camera):
         text = f"{given.name}: its camera was guessed and not adjusted: left away"
         return replace(given, camera=None, source=None if source is None else replace(source, camera=None)), [text]
-    if source is not None and source.camera is not None and not _as_cropped(given, source.camera):
+    if source is not None and source.camera is not None:
+        own, cropped = given.camera, crop_camera(source.camera, *source.crop_px)
+        alike = cropped.model == own.model and (cropped.width, cropped.height) == (own.width, own.height)
+    if source is not None and source.camera is not None and not alike:
         return given, [f"{given.name}: its images were undistorted by the camera given, which stands here"]
     if held:
         off = difference_px(given.camera, camera)
@@ -139,7 +142,11 @@ def with_camera(
     camera, said = crop_camera(camera, -left, -top, -right, -bottom), []
     if wrong := lens_fault(camera, tuning):
         said = [f"{given.name}: only the focal length is written, for {wrong}"]
-        camera = _undistorted(camera, camera.mean_focal_length())
+        model = "SIMPLE_RADIAL_FISHEYE" if "FISHEYE" in camera.model.name else "SIMPLE_RADIAL"
+        size = camera.width, camera.height
+        made = pycolmap.Camera.create_from_model_name(0, model, camera.mean_focal_length(), *size)
+        camera = pycolmap.Camera(model=model, width=size[0], height=size[1], params=made.params)
+        camera.has_prior_focal_length = True
     else:
         rows = [r for r in sigmas if r[0] == given.name]
         sigma_px = next((r[3] for r in rows if r[1] in ("f", "fx")), given.camera_sigma_px)
@@ -151,22 +158,3 @@ def with_camera(
 
 def _same(a: pycolmap.Camera, b: pycolmap.Camera) -> bool:
     return a.model == b.model and np.array_equal(a.params, b.params)
-
-
-def _as_cropped(sensor: Sensor, whole: pycolmap.Camera) -> bool:
-    """Whether the images of a sensor are those of its files but for what was cut off."""
-    assert sensor.source is not None and sensor.camera is not None
-    made = crop_camera(whole, *sensor.source.crop_px)
-    return made.model == sensor.camera.model and (made.width, made.height) == (
-        sensor.camera.width,
-        sensor.camera.height,
-    )
-
-
-def _undistorted(camera: pycolmap.Camera, focal_px: float) -> pycolmap.Camera:
-    fisheye = "FISHEYE" in camera.model.name
-    model = "SIMPLE_RADIAL_FISHEYE" if fisheye else "SIMPLE_RADIAL"
-    made = pycolmap.Camera.create_from_model_name(0, model, focal_px, camera.width, camera.height)
-    out = pycolmap.Camera(model=model, width=camera.width, height=camera.height, params=made.params)
-    out.has_prior_focal_length = True
-    return out

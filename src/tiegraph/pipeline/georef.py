@@ -201,7 +201,13 @@ def stated(run: Run, points: Mapping[str, float]) -> Stated:
     """All of it; ``points``: what the cloud's receipt counts of the sigmas of its points."""
     world = load_json(run.path("world.json"))
     predicted = _predicted(run, world, points)
-    return Stated(predicted=predicted, hold=_hold(run, world), world=world, rig=_rig(run))
+    # Scatter of the cameras about their places in the rig and its expected value, metres, middle of the cameras
+    table = run.receipts.read("sparse").get("tables", {}).get("rig diagnostics")
+    scatter = expected = np.nan
+    if table and table["rows"]:
+        at = [table["columns"].index(name) for name in ("scatter m", "expected m")]
+        scatter, expected = (float(np.median([row[k] for row in table["rows"]])) for k in at)
+    return Stated(predicted=predicted, hold=_hold(run, world), world=world, rig=(scatter, expected))
 
 
 def _predicted(run: Run, world: dict, points: Mapping[str, float]) -> Predicted:
@@ -240,13 +246,3 @@ def _hold(run: Run, world: dict) -> Hold:
     found = [row["role"] for row in world["control"] if row["off_m"] is not None and not row["why_not"]]
     points = {"control": found.count("gcp"), "checks": found.count("check")}
     return Hold(source=source, positions=len(rows), frames=scene.frames, covered=under, **points)
-
-
-def _rig(run: Run) -> tuple[float, float]:
-    """Scatter of the cameras about their places in the rig and its expected value, metres, middle of the cameras."""
-    table = run.receipts.read("sparse").get("tables", {}).get("rig diagnostics")
-    if not table or not table["rows"]:
-        return np.nan, np.nan
-    at = [table["columns"].index(name) for name in ("scatter m", "expected m")]
-    scatter, expected = (float(np.median([row[k] for row in table["rows"]])) for k in at)
-    return scatter, expected

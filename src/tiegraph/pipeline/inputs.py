@@ -12,7 +12,6 @@ from pathlib import Path
 import pycolmap
 
 from tiegraph.errors import InputError, SettingsError, UnreadableArtefact
-from tiegraph.evaluate.settings import EvaluateSettings
 from tiegraph.geometry.geodesy import ENU, check_vertical, parse_crs
 from tiegraph.masks.folder import candidates, find_mask
 from tiegraph.masks.plugin import read_model
@@ -88,19 +87,14 @@ def _read_settings(settings: Settings) -> None:
         pair_lines(settings.candidates.pairs_file)
     if settings.masks.model is not None:
         read_model(settings.masks.model)
-    if settings.evaluate.reference is not None or settings.evaluate.reference_cloud is not None:
-        _check_references(settings.evaluate)
+    if settings.evaluate.reference is not None:
+        from tiegraph.evaluate.reference import check_reference  # loads the engine
 
-
-def _check_references(settings: EvaluateSettings) -> None:
-    from tiegraph.evaluate.reference import check_reference  # loads the engine
-
-    if settings.reference is not None:
-        check_reference(settings.reference)
-    if settings.reference_cloud is not None:
+        check_reference(settings.evaluate.reference)
+    if settings.evaluate.reference_cloud is not None:
         from tiegraph.scene.cloudchunks import check_cloud  # laspy, a tenth of a second
 
-        check_cloud(settings.reference_cloud)
+        check_cloud(settings.evaluate.reference_cloud)
 
 
 def _read_inputs(run: Run) -> None:
@@ -182,7 +176,7 @@ def target_marks(
     if not any(s.target in named.values() for one in found for s in one) and len(images) == len(scene):
         _say_family(run, scene, file, families, tuning)
     cameras = {} if model is None else {i.name: i.camera for i in model.images.values()}
-    return marks_of(seen, named, lambda k: cameras.get(scene.names[k]), scene.names, tuning)
+    return marks_of(seen, named, lambda k: cameras.get(scene.names[k]), scene.names)
 
 
 def _search(path: Path, families: Sequence[str], tuning: Tuning) -> list[Seen]:
@@ -191,7 +185,7 @@ def _search(path: Path, families: Sequence[str], tuning: Tuning) -> list[Seen]:
 
 def _say_family(run: Run, scene: Scene, file: GcpFile, families: Sequence[str], tuning: Tuning) -> None:
     """Raise InputError: no target is seen; with what else is."""
-    images = evenly(len(scene), tuning.other_families_in).tolist()
+    images = evenly(len(scene), 12).tolist()
     others = [f for f in OTHERS if f not in families]
     found = run.map(_search, [run.path("images", scene.names[k]) for k in images], others, tuning)
     likely = likely_family([s for one in found for s in one])

@@ -28,7 +28,7 @@ from tiegraph.lidar.scans import Reading, Recording, deskew, open_scans, velocit
 from tiegraph.lidar.settings import LidarSettings
 from tiegraph.lidar.tables import Column, hand_eye_table, survey_table
 from tiegraph.lidar.tuning import Tuning
-from tiegraph.pipeline.files import load_json, load_model, load_scene, reading, world_origin
+from tiegraph.pipeline.files import load_cloud, load_json, load_model, load_scene, world_origin
 from tiegraph.project.folder import check_format
 from tiegraph.project.progress import Reporter
 from tiegraph.project.receipts import Receipts
@@ -37,7 +37,7 @@ from tiegraph.project.verbtunings import VerbTunings
 from tiegraph.scan.priors.trajectory import write_tum
 from tiegraph.scene.atomic import scratch_folder
 from tiegraph.scene.cloudchunks import Points, PointSource
-from tiegraph.scene.cloudfile import read_cloud, write_cloud
+from tiegraph.scene.cloudfile import write_cloud
 from tiegraph.scene.registered import registration
 from tiegraph.scene.results import Cloud
 from tiegraph.scene.scene import Scene
@@ -46,7 +46,6 @@ from tiegraph.text import command, finite
 
 TRAJECTORY, MAP, RIG, SUMMARY = "trajectory.tum", "map.laz", "rig", "lidar.json"
 _RPE_M = (1.0, 10.0, 100.0)
-_SURE = 3  # images that a point is seen in: of two, a wrong match is not noticed
 _STAGES = {  # rows of paper 001's tables 1 and 5, and the stages they add up
     "Mask processing": ("masks", "refine"),
     "SfM": ("preview", "candidates", "coarse", "network", "design", "features", "match", "filter", "sparse", "georef"),
@@ -84,30 +83,19 @@ class SurveyRun:
                 f"--run {folder}: none of its {int(placed.sum())} placed frames has a time: run it with --times"
             )
         frame = timed[np.argsort(scene.time_s[timed], kind="stable")]
+        cloud, receipts = folder / "cloud.laz", Receipts(folder)
+        told = {row: [receipts.read(s).get("seconds") for s in names] for row, names in _STAGES.items()}
+        seconds = {row: float(sum(t for t in found if t)) for row, found in told.items() if any(found)}
         return cls(
             scene=scene,
             rig=Poses(scene.time_s[frame], rigs[frame], scene.sequence[frame]),
             frame=frame,
             used=registration(model, scene, tuning).registered,
-            points=np.array([p.xyz for p in model.points3D.values() if p.track.length() >= _SURE]).reshape(-1, 3),
-            cloud=_cloud(folder),
-            seconds=_seconds(folder),
+            # Images that a point is seen in: of two, a wrong match is not noticed
+            points=np.array([p.xyz for p in model.points3D.values() if p.track.length() >= 3]).reshape(-1, 3),
+            cloud=load_cloud(cloud, world_origin(folder)) if cloud.exists() else None,
+            seconds={**seconds, "Overall processing": sum(seconds.values())},
         )
-
-
-def _cloud(folder: Path) -> Cloud | None:
-    path = folder / "cloud.laz"
-    if not path.exists():
-        return None
-    with reading(path):
-        return read_cloud(path, world_origin(folder))
-
-
-def _seconds(folder: Path) -> dict[str, float]:
-    receipts = Receipts(folder)
-    told = {row: [receipts.read(s).get("seconds") for s in names] for row, names in _STAGES.items()}
-    out = {row: float(sum(t for t in found if t)) for row, found in told.items() if any(found)}
-    return {**out, "Overall processing": sum(out.values())}
 
 
 def lidar(
@@ -128,7 +116,7 @@ def lidar(
     beside = None if settings.run is None else SurveyRun.read(settings.run, tunings.scene.registered)
     given = _given(settings)
     how = Reading(columns=settings.columns, times=settings.times, rate_hz=settings.rate_hz, poses=settings.poses)
-    recording = open_scans(scans, how, tuning.scan)
+    recording = open_scans(scans, how)
     start = time.monotonic()
     path, cloud, notes = _trajectory(recording, settings, tuning, reporter)
     summary: dict[str, Any] = {
@@ -147,25 +135,21 @@ def lidar(
     found = None
     if beside is not None:
         with reporter.stage("hand-eye"):
-            found = calibrated(beside, path, cloud, given, tuning)
+            found = calibrated(beside, path, cloud, given)
         told = compared(beside, path, cloud, found, tunings)
         summary = {**summary, **told, "tables": {**summary["tables"], **told["tables"]}}
     out.mkdir(parents=True, exist_ok=True)
     write_tum(out / TRAJECTORY, path.time_s, path.poses)
     write_cloud(cloud, out / MAP, settings.voxel_m)
     if beside is not None and found is not None:
-        _write_rig(out / RIG, beside, rig_in_lidar_world(path, beside.rig.time_s, found))
+        poses = rig_in_lidar_world(path, beside.rig.time_s, found)
+        (out / RIG).mkdir()
+        for number, name in enumerate(beside.scene.sequences):  # a file a pass that the LiDAR saw
+            rows = np.flatnonzero((beside.rig.group == number) & np.isfinite(poses[:, 0, 0]))
+            if len(rows):
+                write_tum(out / RIG / f"{Path(name).name}.tum", beside.rig.time_s[rows], poses[rows])
     save_json(out / SUMMARY, finite(summary))
     return summary
-
-
-def _write_rig(folder: Path, run: SurveyRun, poses: np.ndarray) -> None:
-    """Poses of the rig (F, 4, 4) by the LiDAR, one file a pass that it saw, as ``evaluate`` reads them."""
-    folder.mkdir()
-    for number, name in enumerate(run.scene.sequences):
-        rows = np.flatnonzero((run.rig.group == number) & np.isfinite(poses[:, 0, 0]))
-        if len(rows):
-            write_tum(folder / f"{Path(name).name}.tum", run.rig.time_s[rows], poses[rows])
 
 
 def _given(settings: LidarSettings) -> Given:
@@ -194,19 +178,19 @@ def _trajectory(
         reporter.total(2 * (recording.count or 0))
 
         def told() -> Any:
-            for scan in odometry(recording.read(), settings.near_m, settings.far_m, tuning):
+            for scan in odometry(recording.read(), settings.near_m, settings.far_m):
                 times.append(scan.time_s)
                 reporter.advance()
                 yield scan
 
         poses = np.array(list(adjusted(told(), tuning.adjust)) if settings.adjust else [s.pose for s in told()])
         time_s = np.array(times)
-        cloud, lost = _map(recording, time_s, poses, settings, tuning, reporter)
+        cloud, lost = _map(recording, time_s, poses, settings, reporter)
     notes = [*recording.notes]
     if lost:
         notes.append(f"{lost} points at no place (NaN or 0) left out")
     usual = float(np.median(np.diff(time_s)))
-    gaps = np.flatnonzero(np.diff(time_s) > tuning.scan.gap_intervals * usual)
+    gaps = np.flatnonzero(np.diff(time_s) > 5 * usual)
     if len(gaps):
         notes.append(f"{len(gaps)} gaps between scans, the first of {np.diff(time_s)[gaps[0]]:.3g} s after "
                      f"{time_s[gaps[0]]:.3f} s: the motion across them was taken as constant")  # fmt: skip
@@ -216,14 +200,9 @@ def _trajectory(
 
 
 def _map(
-    recording: Recording,
-    time_s: np.ndarray,
-    poses: np.ndarray,
-    settings: LidarSettings,
-    tuning: Tuning,
-    reporter: Reporter,
+    recording: Recording, time_s: np.ndarray, poses: np.ndarray, settings: LidarSettings, reporter: Reporter
 ) -> tuple[MapCloud, int]:
-    cloud, lost = MapCloud(settings.voxel_m, tuning.map), 0
+    cloud, lost = MapCloud(settings.voxel_m), 0
     for scan, pose, rate in zip(recording.read(), poses, velocities(time_s, poses)):
         reach = np.linalg.norm(scan.xyz_m, axis=1)
         seen = (reach >= settings.near_m) & (reach <= settings.far_m)
@@ -258,16 +237,16 @@ def _against_given(poses: np.ndarray, given: np.ndarray, tuning: EvaluateTuning)
 # --- a run beside the LiDAR ----------------------------------------------------------------------------------------
 
 
-def calibrated(run: SurveyRun, lidar: Poses, reference: Cloud, given: Given, tuning: Tuning) -> HandEye:
+def calibrated(run: SurveyRun, lidar: Poses, reference: Cloud, given: Given) -> HandEye:
     """The LiDAR on the rig: by the two trajectories, then by the points that both sides have of one surface."""
-    found = hand_eye(run.rig, lidar, given, tuning.hand_eye)
+    found = hand_eye(run.rig, lidar, given)
     if given.rig_from_lidar is not None:
         return found
     by_lidar = rig_in_lidar_world(lidar, run.rig.time_s, found)
     inside = np.isfinite(by_lidar[:, 0, 0])
     start = lidar_from_run(run.rig.where(inside), by_lidar[inside], found.scale)
-    tie = tie_by_points(run.points, reference.xyz_m, start, tuning.tie)
-    return found if tie is None else settled(run.rig, lidar, found, tie, tuning.hand_eye)
+    tie = tie_by_points(run.points, reference.xyz_m, start)
+    return found if tie is None else settled(run.rig, lidar, found, tie)
 
 
 def compared(run: SurveyRun, lidar: Poses, reference: Cloud, found: HandEye, tunings: VerbTunings) -> dict[str, Any]:
@@ -293,7 +272,7 @@ def compared(run: SurveyRun, lidar: Poses, reference: Cloud, found: HandEye, tun
     columns = [whole, *(judged.column(f"section {s}", int(s)) for s in sections if len(sections) > 1)]
     tables = {"hand-eye": hand_eye_table(found), "survey": survey_table(columns), **error.tables(), **judged.tables}
     notes = [f"left open by the motion, and not to be used: {what}" for what in found.left_open]
-    if found.fit.turn_rms_deg > tunings.lidar.hand_eye.unlike_deg:
+    if found.fit.turn_rms_deg > 1.0:
         off = f"the turns of rig and LiDAR differ by {found.fit.turn_rms_deg:.2g} degrees RMS"
         notes.insert(0, f"{off}: are these one survey, and are the times right? Trust nothing below until then")
     if found.tie is not None:

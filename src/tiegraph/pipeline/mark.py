@@ -28,7 +28,6 @@ from tiegraph.targets.marks import seen_in
 from tiegraph.text import csv_text
 
 _THREE = 3  # places, for a similarity
-_ALONG_LINE = 0.02  # of their length
 
 
 class ChangedMeanwhile(InputError):
@@ -98,10 +97,15 @@ class Marking:
                 f"{self.target} was changed by another program: nothing was written over it. End, look at the file, "
                 "and start again"
             )
+
+        def rendered(image: int) -> bool:
+            source = self.scene.sensor_of(image).source
+            return source is not None and source.rendered
+
         marks = [
             FileMark(
                 name=self.file.points[p].name,
-                image=self._image_name(k),
+                image=self.scene.names[k] if rendered(k) else self.scene.source_name(k),
                 xy=source_pixel(xy, self.scene.sensor_of(k)),
                 line=0,
             )
@@ -110,11 +114,6 @@ class Marking:
         make = gcp_csv if self.target.suffix.lower() == ".csv" else odm_text
         write_atomic(self.target, make(self.file, self.crs, marks))
         self.written = _digest(self.target)
-
-    def _image_name(self, image: int) -> str:
-        source = self.scene.sensor_of(image).source
-        own = source is not None and source.rendered
-        return self.scene.names[image] if own else self.scene.source_name(image)
 
     def _found(self) -> list[Target]:
         """The points in the model by their marks."""
@@ -140,7 +139,10 @@ class Marking:
     def _model_from_survey(self, found: list[Target]) -> Similarity | None:
         """From surveyed coordinates to the model: by three points that are marked, else as the model is placed."""
         known = [k for k, t in enumerate(found) if not t.why_not]
-        if len(known) >= _THREE and _wide(self.surveyed[known]):
+        if len(known) >= _THREE:
+            places = self.surveyed[known]
+            spread = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
+        if len(known) >= _THREE and spread[1] > 0.02 * spread[0]:  # not along one line, about which it could turn
             return umeyama(self.surveyed[known], np.array([found[k].place for k in known]))
         return Similarity() if self.placed else None
 
@@ -225,12 +227,6 @@ def _go_on(session: Marking, given: GcpFile) -> None:
                 "this session and would be lost: give another -o"
             )
         session.marks[names[mark.name], image] = prepared_pixel(mark.xy, session.scene.sensor_of(image))
-
-
-def _wide(places: np.ndarray) -> bool:
-    """Whether places (K, 3) do not lie along one line, about which a similarity could turn."""
-    spread = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
-    return bool(spread[1] > _ALONG_LINE * spread[0])
 
 
 def _digest(path: Path) -> str:

@@ -47,15 +47,24 @@ def masks(run: Run) -> Outcome:
     )
     write_atomic(run.path("masks.csv"), csv_text(["image", *(f"{n}_percent" for n in NAMES), "flag"], rows))
     empty = {n: "the mask leaves nothing of it" for n, s in zip(scene.names, shares[:, USE]) if s == 0}
+    flags_said = []
+    if flagged:
+        kinds = {kind: sum(why.startswith(kind) for why in flagged.values()) for kind in ("blurred", "similar")}
+        text = " and ".join(f"{n} {kind}" for kind, n in kinds.items() if n)
+        done = f"{len(left_out)} of them left out" if left_out else "kept; masks.leave_out leaves them out"
+        flags_said.append(f"hardly worth keeping: {text} images ({done}); masks.csv names them")
     learnt = [f"{s.name}: {n}" for k, s in enumerate(scene.all_sensors) if (n := getattr(prepared.get(k), "note", ""))]
     counts = {"images": len(scene), "used_percent": round(float(100 * shares[:, USE].mean()), 1)}
     inverted = []
-    if source == "folder" and counts["used_percent"] < _FEW_PERCENT:
+    # Used of all pixels: what is seen of an object before a backdrop is more
+    if source == "folder" and counts["used_percent"] < 20:
         inverted.append("the masks leave little of the images: 255 (or 1) is used, 0 ignored; are they inverted?")
+    ties = np.array(list(_known_ties(prepared).values())).reshape(-1, 3).sum(axis=0)
+    lost = {"matches_masked_percent": round(float(100 * ties[1] / ties[2]), 2)} if ties[2] else {}
     return Outcome(
-        {**counts, "flagged": len(flagged), **_ties_lost(prepared)},
+        {**counts, "flagged": len(flagged), **lost},
         dropped=tuple((empty | left_out).items()),
-        notes=(f"source {source}: {why}", *inverted, *learnt, *_flag_note(flagged, left_out)),
+        notes=(f"source {source}: {why}", *inverted, *learnt, *flags_said),
         tables={"shares of the images": _by_camera(scene, shares), **_ties(scene, prepared)},
     )
 
@@ -72,7 +81,6 @@ def masks_by(source: str, scene: Scene, images: Path, target: Path, tuning: Tuni
         save_png(target / f"{name}.png", keep)
 
 
-_FEW_PERCENT = 20  # used of all pixels: what is seen of an object before a backdrop is more
 _NEED_A_FILE = ("folder", "model")
 _LEFT_OUT = {"none": (), "blurred": ("blurred",), "similar": ("similar",), "both": ("blurred", "similar")}
 
@@ -147,24 +155,10 @@ def _quality(pair: tuple[str, str | None], folder: Path, tuning: Tuning) -> Qual
     return image_quality(images / name, other, read_mask(folder, name), tuning)
 
 
-def _flag_note(flagged: dict[str, str], left_out: dict[str, str]) -> list[str]:
-    if not flagged:
-        return []
-    kinds = {kind: sum(why.startswith(kind) for why in flagged.values()) for kind in ("blurred", "similar")}
-    text = " and ".join(f"{n} {kind}" for kind, n in kinds.items() if n)
-    done = f"{len(left_out)} of them left out" if left_out else "kept; masks.leave_out leaves them out"
-    return [f"hardly worth keeping: {text} images ({done}); masks.csv names them"]
-
-
 def _known_ties(prepared: dict[int, Any]) -> dict[int, tuple[int, int, int]]:
     """By camera: verified matches masked before classes were refuted, masked now, all; of sources that know them."""
     found = {key: getattr(made, "ties", (0, 0, 0)) for key, made in prepared.items()}
     return {key: ties for key, ties in found.items() if ties[2]}
-
-
-def _ties_lost(prepared: dict[int, Any]) -> dict[str, float]:
-    ties = np.array(list(_known_ties(prepared).values())).reshape(-1, 3).sum(axis=0)
-    return {"matches_masked_percent": round(float(100 * ties[1] / ties[2]), 2)} if ties[2] else {}
 
 
 def _ties(scene: Scene, prepared: dict[int, Any]) -> dict[str, dict]:

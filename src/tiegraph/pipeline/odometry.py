@@ -67,7 +67,9 @@ def odometry(run: Run, out: Path) -> tuple[Made, ...]:
             raise ReconstructionError(f"{name or 'the images'}: {_NO_POSE}. {'; '.join(said)}")
         rate = len(frames) / (time.perf_counter() - started)
         _write(target, scene, frames, found, rig_from_body)
-        made.append(Made(target, tuple(_said(name, scene, frames, found, rate) + said), rate))
+        first, *more = _told(name, scene, frames, found)
+        lost = (f"left out: {d.name}: {d.reason}" for d in scene.dropped)
+        made.append(Made(target, (f"{first}, {rate:.1f} frames/s", *more, *lost, *said), rate))
     return tuple(made)
 
 
@@ -185,12 +187,6 @@ def _write(tum: Path, scene: Scene, frames: np.ndarray, path: OdometryPath, rig_
     tum.parent.mkdir(parents=True, exist_ok=True)
     write_atomic(tum, "\n".join([*head, "# time x y z qx qy qz qw", *rows]) + "\n")
     write_atomic(tum.with_suffix(".csv"), csv_text(_COLUMNS, table))
-
-
-def _said(name: str, scene: Scene, frames: np.ndarray, path: OdometryPath, rate: float) -> list[str]:
-    """What people should know of a path that they asked for."""
-    first, *more = _told(name, scene, frames, path)
-    return [f"{first}, {rate:.1f} frames/s", *more, *(f"left out: {d.name}: {d.reason}" for d in scene.dropped)]
 
 
 def _told(name: str, scene: Scene, frames: np.ndarray, path: OdometryPath) -> list[str]:

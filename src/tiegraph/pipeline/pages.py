@@ -21,7 +21,6 @@ from tiegraph.errors import InputError, TiegraphError
 from tiegraph.pipeline.mark import ChangedMeanwhile, Marking
 from tiegraph.watch.view import page
 
-_MOST_BODY = 4096  # bytes of a mark
 _PATCH_PX, _MOST_PATCH_PX, _MOST_WIDTH_PX = 120, 2048, 2048
 _HTML = "text/html; charset=utf-8"
 _POLICY = (
@@ -166,7 +165,7 @@ class _MarkHandler(_Handler):
         if not self._allowed(changes=True):
             return
         length = self.headers.get("Content-Length", "")
-        if not length.isdigit() or int(length) > _MOST_BODY or urlsplit(self.path).path != "/mark":
+        if not length.isdigit() or int(length) > 4096 or urlsplit(self.path).path != "/mark":  # bytes of a mark
             self.close_connection = True
             self._refuse(HTTPStatus.BAD_REQUEST, "not a mark")
             return

@@ -51,7 +51,6 @@ from tiegraph.sfm.systematic.lenses import AssumedErrors
 from tiegraph.sfm.tuning import Tuning as SfmTuning
 
 PLAN = "plan.json"
-_VIEWER_POINTS = 20_000
 
 
 def plan(request: PlanRequest, tunings: VerbTunings | None = None) -> Plan:
@@ -108,7 +107,11 @@ def reached(folder: Path) -> dict[str, float | None]:
         out |= {"base_m": base, "overlap": max(0.0, 1 - base / (float(out["tie_gsd_m"] or 0) * camera.width))}
     inside, sigma = world.get("model_sigma") or {}, world.get("sigma") or {}
     shape = inside.get("median")
-    path = _own_path(folder)
+    # Where the rig was relaxed the sigma of all positions is how well the cameras' places in the rig are known, which a
+    # plan does not ask: there the sigma of a camera's way counts.
+    file = folder / "sparse" / SHAPE
+    way = ModelShape(**load_npz(file)).of_path() if file.exists() else None
+    path = None if way is None else way.sizes()["median"]
     out["relaxed"] = None if path is None else 1.0
     out["position_shape_sigma_median_m"] = shape if path is None else world["scale"] * path
     if shape is not None and "position_m" in sigma:
@@ -118,27 +121,16 @@ def reached(folder: Path) -> dict[str, float | None]:
     return out
 
 
-def _own_path(folder: Path) -> float | None:
-    """Median sigma of a camera's way, model units, of a run whose rig was relaxed: there the sigma of all positions is
-    how well the cameras' places in the rig are known, which a plan does not ask. None = it was not."""
-    file = folder / "sparse" / SHAPE
-    path = ModelShape(**load_npz(file)).of_path() if file.exists() else None
-    return None if path is None else path.sizes()["median"]
-
-
 def _propagate(
     model: pycolmap.Reconstruction, calibrated: bool, *, rigged: Rigged, errors: ErrorTuning, tuning: SfmTuning
 ) -> Shape:
     """What the stage `sparse` would say of an adjusted model: rig and lenses unknown where nobody calibrated them."""
     free = set() if calibrated else free_cameras(model, tuning.adjust) - set(rigged.held)
+    here = set(model.cameras) if calibrated else free  # lenses that are adjusted or calibrated for this survey
+    lens_px = {k: errors.lens_px if k in here else errors.calibration_px for k in model.cameras}
+    shared = AssumedErrors(lens_px=lens_px, reach=errors.reach, tracks=errors.tracks)
     try:
-        found = planned_sigma(
-            model,
-            free,
-            not rigged.fixed,
-            _assumed(model, set(model.cameras) if calibrated else free, errors),
-            tuning=tuning,
-        )
+        found = planned_sigma(model, free, not rigged.fixed, shared, tuning=tuning)
     except (ValueError, RuntimeError, np.linalg.LinAlgError) as error:
         raise InputError(
             f"the network of this path cannot be adjusted ({error}): give more overlap or frames"
@@ -153,19 +145,19 @@ def _propagate(
     )
 
 
-def _assumed(model: pycolmap.Reconstruction, free: set[int], errors: ErrorTuning) -> AssumedErrors:
-    """Shared errors: of lenses that are adjusted or calibrated for this survey (``free``), of those held as given."""
-    lens_px = {k: errors.lens_px if k in free else errors.calibration_px for k in model.cameras}
-    return AssumedErrors(lens_px=lens_px, reach=errors.reach, tracks=errors.tracks)
-
-
 # --- the cameras ----------------------------------------------------------------------------------------------------
 
 
 def _cameras(request: CameraRequest, tuning: ScanTuning) -> Rigged:
     """The cameras of the rig. Raises InputError where their size, lens or place is not known."""
     size, focal = request.image_size(), request.focal_length_px()
-    spec = _spec(request.rig, tuning)
+    sizes = preset_sizes(request.rig or "single", tuning.rig)
+    if sizes:
+        spec = preset(request.rig or "single", tuple(f"cam{k}" for k in range(sizes[0])), tuning.rig)
+    else:
+        spec, *more = read_rig_file(Path(request.rig or ""), tuning.rig)
+        if more:
+            raise InputError(f"--rig {request.rig}: it has {1 + len(more)} rigs; a plan is of one")
     sensors, mounted = [], []
     for sensor in spec.sensors:
         camera = _camera(sensor, spec, size, focal, tuning)
@@ -184,16 +176,6 @@ def _cameras(request: CameraRequest, tuning: ScanTuning) -> Rigged:
         if s.camera is not None and (rig.fixed or calibrated(s.camera)) and not s.camera_sigma_px
     )
     return Rigged(mounted, held=held, fixed=rig.measured() and not rig.soft())
-
-
-def _spec(text: str | None, tuning: ScanTuning) -> RigSpec:
-    sizes = preset_sizes(text or "single", tuning.rig)
-    if sizes:
-        return preset(text or "single", tuple(f"cam{k}" for k in range(sizes[0])), tuning.rig)
-    rigs = read_rig_file(Path(text or ""), tuning.rig)
-    if len(rigs) > 1:
-        raise InputError(f"--rig {text}: it has {len(rigs)} rigs; a plan is of one")
-    return rigs[0]
 
 
 def _camera(
@@ -218,7 +200,7 @@ def _page(made: Plan) -> str:
     path, points = made.path.path, made.path.network.model.points3D.values()
     xyz = np.array([p.xyz for p in points])
     tracks = [Track(name, path.centres[path.leg == k], np.zeros((0, 3))) for k, name in enumerate(path.legs)]
-    data = viewer_data(xyz, np.full(xyz.shape, 128), tracks, _VIEWER_POINTS, "m")
+    data = viewer_data(xyz, np.full(xyz.shape, 128), tracks, 20_000, "m")
     packed = json.dumps(data).replace("<", "\\u003c")
     page = environment().get_template("planned.html.jinja")
     return page.render(data=packed, script=viewer_script(), lines=(*made.path.worst, *made.advice))
@@ -227,7 +209,6 @@ def _page(made: Plan) -> str:
 # --- what a run will need before it begins -------------------------------------------------------------------------
 
 
-_PROBED = 40  # images whose size stands for all
 _GB = 1e9
 
 
@@ -266,7 +247,7 @@ def forecast(run: Run) -> Forecast | None:
     if is_bag(source) or find_videos(source):
         return None
     names = find_images(source)
-    some = names[:: max(len(names) // _PROBED, 1)]
+    some = names[:: max(len(names) // 40, 1)]  # images whose size stands for all
     probes = [probe_image(source / name, run.settings.tuning.scene.images) for name in some]
     sizes = [(p.width, p.height) for p in probes if not p.reason]
     if not sizes:

@@ -43,7 +43,6 @@ def _preview_item(name: str, folder: Path, settings: PreviewSettings, tuning: Tu
 
 
 _CHUNK = 2000  # previews, after which what was matched is kept: a second to some ten of work
-_CACHED_PREVIEWS = 512  # of about 110 kB each, in every worker; reading one costs a fifteenth of matching it
 
 
 def with_previews(
@@ -101,16 +100,14 @@ class Matcher:
         self._asked += len(asked)
         self._run.reporter.total(self._asked, self._asked - len(todo))
         made: dict[tuple[int, int], PreviewMatch] = {}
-        for first in range(0, len(todo), _CHUNK):
-            made |= self._matched(todo[first : first + _CHUNK])
-        return [made.get(pair) or self._before[pair] for pair in asked]
-
-    def _matched(self, pairs: list[tuple[int, int]]) -> dict[tuple[int, int], PreviewMatch]:
         settings, tuning = self._run.settings.preview, self._run.settings.tuning.features.preview
-        made = dict(zip(pairs, self._run.map(match_item, pairs, self._run.folder, settings, tuning)))
-        self._chunks += 1
-        save_npz(self._folder / f"{self._chunks:06d}.npz", **_to_arrays(made))
-        return made
+        for first in range(0, len(todo), _CHUNK):
+            part = todo[first : first + _CHUNK]
+            found = dict(zip(part, self._run.map(match_item, part, self._run.folder, settings, tuning)))
+            self._chunks += 1
+            save_npz(self._folder / f"{self._chunks:06d}.npz", **_to_arrays(found))
+            made |= found
+        return [made.get(pair) or self._before[pair] for pair in asked]
 
 
 def _to_arrays(made: dict[tuple[int, int], PreviewMatch]) -> dict[str, np.ndarray]:
@@ -172,7 +169,8 @@ def scene_of(folder: Path) -> Scene:
     return load_scene(folder / "scene.json")
 
 
-@cached_by_file(_CACHED_PREVIEWS, preview_path)
+# Of about 110 kB each, in every worker; reading one costs a fifteenth of matching it
+@cached_by_file(512, preview_path)
 def preview_of(folder: Path, name: str) -> Preview:
     """The preview of an image."""
     return read_preview(folder, name)

@@ -14,7 +14,6 @@ from tiegraph.masks.tuning import Tuning
 from tiegraph.masks.waterline import (
     Lines,
     View,
-    Water,
     camera_rays,
     final_classes,
     find_water,
@@ -96,8 +95,12 @@ def _lines(
     if up is None or not up.ring:
         return {}, ("no ring of cameras shows which way is up: the water stays as it was learnt",)
     views = _views(run, scene, model, matrices)
-    water = _water(run, scene, views, points, up.direction)
     tuning = run.settings.tuning.masks.waterline
+    level = [n for n in views if scene.sensor_of(scene.image_index[n]).role == "side"]
+    count = min(run.settings.tuning.masks.refine.most_views, len(level))
+    chosen = [level[k] for k in np.unique(np.linspace(0, len(level) - 1, count).astype(int))]
+    first = run.map(read_image, [classes_path(run.folder, n) for n in chosen])
+    water = find_water([views[n] for n in chosen], [first_line(c, tuning) for c in first], points, up.direction, tuning)
     lines = {name: lines_of(view, up.direction, water, tuning) for name, view in views.items()}
     if water is None:
         return lines, ("no sky below the horizon; no water level was found, so the water stays as it was learnt",)
@@ -126,26 +129,13 @@ def _views(run: Run, scene: Scene, model: pycolmap.Reconstruction, matrices: np.
     return views
 
 
-def _water(run: Run, scene: Scene, views: dict[str, View], points: np.ndarray, up: np.ndarray) -> Water | None:
-    tuning = run.settings.tuning.masks
-    level = [n for n in views if scene.sensor_of(scene.image_index[n]).role == "side"]
-    count = min(tuning.refine.most_views, len(level))
-    chosen = [level[k] for k in np.unique(np.linspace(0, len(level) - 1, count).astype(int))]
-    lines = [first_line(c, tuning.waterline) for c in run.map(_first_classes, chosen, run.folder)]
-    return find_water([views[n] for n in chosen], lines, points, up, tuning.waterline)
-
-
-def _first_classes(name: str, folder: Path) -> np.ndarray:
-    return read_image(classes_path(folder, name))
-
-
 def _final_item(item: tuple[str, tuple[np.ndarray, Lines | None] | None], folder: Path, tuning: Tuning) -> None:
     name, known = item
     final = folder / FINAL
     classes, mask = classes_path(folder, name), mask_path(folder, name)
     if known is not None and classes.exists():
         points, lines = known
-        first, use = _first_classes(name, folder), read_mask(folder, name)
+        first, use = read_image(classes), read_mask(folder, name)
         found = first if lines is None else final_classes(first, lines, tuning.waterline)
         found = without_points(found, points, tuning.sky_points)
         if use.any() and (found != first).any():

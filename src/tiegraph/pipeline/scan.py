@@ -69,9 +69,10 @@ def scan(run: Run) -> Outcome:
         write_atomic(run.path("whole.json"), whole.to_json())
     write_atomic(run.path("scene.json"), scene.to_json())
     counts = {"found": len(names), "images": len(scene), "frames": scene.frames, "passes": len(scene.sequences)}
+    placed = int(np.isfinite(scene.world_from_rig[:, :3, 3]).all(axis=1).sum())
     hanging = {} if whole is scene else {"hanging": len(whole) - len(scene)}
     return Outcome(
-        {**counts, "cameras": len(whole.all_sensors), "positions": _placed(scene.world_from_rig), **hanging},
+        {**counts, "cameras": len(whole.all_sensors), "positions": placed, **hanging},
         dropped=tuple((d.name, d.reason) for d in scene.dropped),
         notes=(
             *said_of_images,
@@ -93,10 +94,6 @@ def _unreadable_names(names: Sequence[str], files: Sequence[str]) -> list[str]:
         "have the names of others but for the normal form of Unicode (NFC, NFD; copied twice?): numbered here": twins,
     }
     return [f"{len(of)} images {text}, as in {of[0]}" for text, of in texts.items() if of]
-
-
-def _placed(world_from_rig: np.ndarray) -> int:
-    return int(np.isfinite(world_from_rig[:, :3, 3]).all(axis=1).sum())
 
 
 def _prepare_item(

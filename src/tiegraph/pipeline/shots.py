@@ -41,11 +41,11 @@ def shots(run: Run) -> Outcome:
 
     Finished shots are skipped. Raises InputError for a rig whose cameras are not all calibrated.
     """
-    scene, sought, tuning = whole(run), run.settings.shots, run.settings.tuning.dense.shots
+    scene, sought = whole(run), run.settings.shots
     items = []
     for frame in range(scene.frames):
         views = shot_views(scene, frame)
-        found = depth_range(views, sought.near_m, sought.far_m, tuning)
+        found = depth_range(views, sought.near_m, sought.far_m)
         items.append(_Shot(cloud_path(run.folder, scene, frame), views, found))
     todo = [item for item in items if not item.cloud.exists()]
     run.reporter.total(len(items), len(items) - len(todo))
@@ -94,7 +94,7 @@ def _shot(item: _Shot, folder: Path, settings: Settings) -> None:
     first = {n: depth_map(p, images, masks, dense, tuning, cv2.getNumThreads()) for n, p in plan.images.items()}
     for name, image in plan.images.items():
         save_depth(confirmed_map(image, first[name], first.get, dense, tuning)[0], depth_path(folder, name))
-    colours = coloured(plan.images, images, dense, tuning.views)
+    colours = coloured(plan.images, images, dense)
     maps = Maps(lambda name: load_map(depth_path(folder, name)), colours)
     tiles = folder / _FOLDER / ".tiles"
     tiles.mkdir(parents=True, exist_ok=True)
@@ -172,7 +172,7 @@ def _write(run: Run, folder: Path, poses: dict[int, np.ndarray], scene: Scene) -
 def _scale_by_shots(run: Run, scene: Scene, model: Any, poses: np.ndarray) -> ShotScale | None:
     """Metres in a unit of a model by the depth maps of its shots; None where it has no points on them."""
     xyz, image, point = tracks(model, scene)
-    mounted, tuning = rig_from_sensor(scene), run.settings.tuning.dense.shot_scale
+    mounted = rig_from_sensor(scene)
     seen = []
     for k in np.flatnonzero(np.isfinite(poses).all(axis=(1, 2))):
         frame, local = int(scene.frame[k]), in_camera(poses[k], xyz[point[image == k]])
@@ -180,4 +180,4 @@ def _scale_by_shots(run: Run, scene: Scene, model: Any, poses: np.ndarray) -> Sh
             path = depth_path(run.folder, view.name)
             if path.exists():
                 seen.append(Seen(shot=frame, points=local, rig_from_camera=mounted[k], depth=load_map(path)))
-    return shot_scale(seen, tuning)
+    return shot_scale(seen)

@@ -28,12 +28,17 @@ def sparse(run: Run) -> Outcome:
     def progress(registered: int, total: int) -> None:
         run.reporter.total(total, registered)
 
+    scene, apart = checked(run), ()
+    if run.settings.network.sections == "split":  # pairs that run between sections, which are mapped apart
+        pairs, of_image = pairs_of(run, "filter.npz"), scene.section[scene.frame]
+        across = of_image[pairs.i] != of_image[pairs.j]
+        apart = tuple(sorted(zip(pairs.i[across].tolist(), pairs.j[across].tolist())))
     coarse = trusted_poses(run.folder)
     source = Source(
         run.path("database.db"),
         run.path("images"),
         refused_pairs(run),
-        apart=_between_sections(run),
+        apart=apart,
         preview=None if coarse is None else coarse[0],
         run_map=run.map,
         on_progress=progress,
@@ -41,7 +46,7 @@ def sparse(run: Run) -> Outcome:
     made = reconstruct(
         source,
         run.path("sparse"),
-        checked(run).measured(),
+        scene.measured(),
         run.settings.sparse,
         run.settings.tuning.sfm,
         run.settings.tuning.scene,
@@ -81,13 +86,3 @@ def _against_start(run: Run) -> Outcome:
     text, contradicts = told(found, scene, tuning)
     counts = {"start_images": int(found.both.sum()), "start_disagrees": int(found.bad.sum())}
     return Outcome(counts, notes=() if contradicts else (text,), contradictions=(text,) if contradicts else ())
-
-
-def _between_sections(run: Run) -> tuple[tuple[int, int], ...]:
-    """Pairs (scene indices) that run between sections, where these are mapped apart (``network.sections = split``)."""
-    if run.settings.network.sections != "split":
-        return ()
-    scene, pairs = checked(run), pairs_of(run, "filter.npz")
-    of_image = scene.section[scene.frame]
-    across = of_image[pairs.i] != of_image[pairs.j]
-    return tuple(sorted(zip(pairs.i[across].tolist(), pairs.j[across].tolist())))

@@ -11,6 +11,7 @@ import numpy as np
 
 from tiegraph.cloud.fuse import FusionResult, MapPoints, fuse_points
 from tiegraph.cloud.settings import CloudSettings
+from tiegraph.cloud.tuning import Tuning as CloudTuning
 from tiegraph.errors import InputError, ReconstructionError
 from tiegraph.geometry import transforms
 from tiegraph.geometry.geodesy import ENU, Origin
@@ -25,7 +26,6 @@ from tiegraph.scene.posefile import read_poses
 from tiegraph.stations.joined import Band, Joined, by_distance, join, prepared
 from tiegraph.stations.pairs import Pair
 from tiegraph.stations.station import Shot, Station, spacing_of
-from tiegraph.stations.tuning import SpacingTuning, Tuning
 from tiegraph.text import finite
 
 ENDINGS = (".ply", ".las", ".laz")
@@ -53,7 +53,7 @@ def stations(
     with new_folder(out) as folder:
         assert folder is not None
         with reporter.stage("read"):
-            shots, origin, spacing_m = _read(files, tuning)
+            shots, origin, spacing_m = _read(files)
             shots = shots if poses is None else _with_poses(shots, poses)
         try:
             with reporter.stage("join"):
@@ -67,11 +67,16 @@ def stations(
             path = {s.name: p for s, p in zip(ready, joined.poses) if np.isfinite(p).all()}
             known = {file.stem: file for file in files}
             voxel = voxel_m or spacing_m
-            merged = _merged(known, path, voxel, _noise(ready, joined), scratch, tunings)
+            # Sigma of points that state none
+            noise = [p.residual_m / np.sqrt(2) for p in joined.believed] or [s.levels[-1].rough for s in ready]
+            merged = _merged(known, path, voxel, float(np.median(noise)), scratch, tunings.cloud)
             notes = write_cloud((replace(c, origin=origin) for c in merged.clouds()), folder / CLOUD, voxel)
+        first = ready[int(np.flatnonzero(np.isfinite(joined.poses[:, 0, 0]))[0])].name
+        frame = f"that of {first}" if poses is None else f"the world of {poses.name}"
+        frame = frame if origin is None else f"the world: {_called(origin)}"
         result = {
             **told,
-            "frame": _frame(origin, poses, ready, joined),
+            "frame": frame,
             "voxel_m": voxel,
             "cloud": merged.counts,
             "tuning": tunings.changed(),
@@ -120,7 +125,7 @@ def pose_numbers(names: Sequence[str]) -> list[int]:
     return list(numbers) if len(numbers) == len(names) else list(range(len(names)))
 
 
-def _read(files: Sequence[Path], tuning: Tuning) -> tuple[list[Shot], Origin | None, float]:
+def _read(files: Sequence[Path]) -> tuple[list[Shot], Origin | None, float]:
     """The shots, the world that some are in (None = none is), and the spacing of the usual point, two digits."""
     shots, spacings, origin, first = [], [], None, files[0]
     for file in files:
@@ -140,8 +145,8 @@ def _read(files: Sequence[Path], tuning: Tuning) -> tuple[list[Shot], Origin | N
                     f"{file} is in {_called(cloud.origin)} and {first} in {_called(origin)}: bring all into one CRS"
                 )
             known = transforms.rigid(np.eye(3), shift_of(cloud.origin) - shift_of(origin))
-        spacings.append(float(np.median(spacing_of(cloud.xyz_m, known is None, tuning.spacing))))
-        some = slice(None, None, -(-len(cloud) // tuning.read))
+        spacings.append(float(np.median(spacing_of(cloud.xyz_m, known is None))))
+        some = slice(None, None, -(-len(cloud) // 400_000))
         normal = cloud.normal[some].astype(float)
         shots.append(
             Shot(
@@ -181,53 +186,32 @@ def _with_poses(shots: list[Shot], path: Path) -> list[Shot]:
 # --- one cloud -------------------------------------------------------------------------------------------------------
 
 
-def _noise(ready: Sequence[Station], joined: Joined) -> float:
-    """Sigma of points that state none."""
-    found = [p.residual_m / np.sqrt(2) for p in joined.believed] or [s.levels[-1].rough for s in ready]
-    return float(np.median(found))
-
-
 def _merged(
     files: dict[str, Path],
     poses: dict[str, np.ndarray],
     voxel: float,
     noise: float,
     scratch: Path,
-    tuning: VerbTunings,
+    tuning: CloudTuning,
 ) -> FusionResult:
     """The clouds added up by voxel, weighted by their sigmas, and filtered (SOR and radius) as those of a run."""
     settings = CloudSettings(voxel_size=voxel)
-    spacing = tuning.stations.spacing
-    points = partial(_points, files=files, poses=poses, noise=noise, voxel=voxel, tuning=spacing)
-    found = fuse_points(sorted(poses), points, scratch, settings, tuning.cloud)
+    points = partial(_points, files=files, poses=poses, noise=noise, voxel=voxel)
+    found = fuse_points(sorted(poses), points, scratch, settings, tuning)
     assert found is not None  # no cloud is empty
     return found
 
 
 def _points(
-    name: str,
-    files: dict[str, Path],
-    poses: dict[str, np.ndarray],
-    noise: float,
-    voxel: float,
-    tuning: SpacingTuning,
+    name: str, files: dict[str, Path], poses: dict[str, np.ndarray], noise: float, voxel: float
 ) -> list[MapPoints]:
     cloud, pose = read_cloud(files[name]), poses[name]
     sigma = np.where(np.isfinite(cloud.sigma_m) & (cloud.sigma_m > 0), cloud.sigma_m, noise).astype(np.float32)
     moved = replace(cloud.moved(pose), sigma_m=sigma, views=np.maximum(cloud.views, 1))
-    return [(moved, np.maximum(spacing_of(cloud.xyz_m, cloud.origin is None, tuning), voxel), 0)]
+    return [(moved, np.maximum(spacing_of(cloud.xyz_m, cloud.origin is None), voxel), 0)]
 
 
 # --- what is told ----------------------------------------------------------------------------------------------------
-
-
-def _frame(origin: Origin | None, prior: Path | None, ready: Sequence[Station], joined: Joined) -> str:
-    if origin is not None:
-        return f"the world: {_called(origin)}"
-    if prior is not None:
-        return f"the world of {prior.name}"
-    here = np.flatnonzero(np.isfinite(joined.poses[:, 0, 0]))
-    return f"that of {ready[here[0]].name}"
 
 
 def _told_of(
@@ -236,18 +220,19 @@ def _told_of(
     """What stations.json says of clouds, pairs and precision."""
     number = {s.name: k for k, s in enumerate(ready)}
     loops = {(p.first, p.second): row for p, row in zip(joined.believed, joined.loop_m)}
+
+    def cloud(name: str) -> dict[str, Any]:
+        k = number.get(name)
+        why = unfit[name] if k is None else joined.left_out.get(k, "")
+        pairs = sum(k in (p.first, p.second) for p in joined.believed)
+        sigma = np.nan if k is None else float(joined.sigma_m[k])
+        return finite({"name": name, "joined": not why, "why_not": why, "pairs": pairs, "sigma_m": sigma})
+
     return {
-        "clouds": [_cloud_told(f.stem, number.get(f.stem), joined, unfit) for f in files],
+        "clouds": [cloud(f.stem) for f in files],
         "pairs": [_pair_told(p, ready, loops.get((p.first, p.second), (None, None))) for p in joined.pairs],
         "precision": [finite(b.__dict__) for b in bands],
     }
-
-
-def _cloud_told(name: str, k: int | None, joined: Joined, unfit: dict[str, str]) -> dict[str, Any]:
-    why = unfit[name] if k is None else joined.left_out.get(k, "")
-    pairs = sum(k in (p.first, p.second) for p in joined.believed)
-    sigma = np.nan if k is None else float(joined.sigma_m[k])
-    return finite({"name": name, "joined": not why, "why_not": why, "pairs": pairs, "sigma_m": sigma})
 
 
 def _pair_told(pair: Pair, ready: Sequence[Station], loop: Sequence[float | None]) -> dict[str, Any]:

@@ -190,12 +190,17 @@ def _in_time(run: Run, videos: Sequence[_Video]) -> tuple[list[_Video], list[tup
     told = offsets_given([v.folder for v in videos], run.settings.scan)
     out = [replace(v, offset_s=told.get(k, 0.0)) for k, v in enumerate(videos)]
     lenses = {k for k, v in enumerate(videos) if is_of_lens(v.recording)} - told.keys()  # of one recording
-    stamped = {k: by for g in groups for k in g[1:] if (by := _by_stamps(videos[g[0]], videos[k])) is not None}
+    stamped = {  # topics whose stamps are of one clock
+        k: videos[k].clock.start_s - videos[g[0]].clock.start_s
+        for g in groups
+        for k in g[1:]
+        if videos[g[0]].clock.shared and videos[k].clock.shared
+    }
     asked = {k: g[0] for g in groups for k in g[1:] if k not in told.keys() | lenses | stamped.keys()}
     moving = sorted({*asked, *asked.values()})
     curves = dict(zip(moving, run.map(_curve, [videos[k] for k in moving], tuning)))
     pairs = [(curves[first], curves[k]) for k, first in asked.items()]
-    offsets = dict(zip(asked, run.map(_offset, pairs, tuning.offset)))
+    offsets = dict(zip(asked, run.map(_offset_of, pairs, tuning.offset)))
     notes = []
     for group in groups:
         first = out[group[0]]
@@ -205,21 +210,31 @@ def _in_time(run: Run, videos: Sequence[_Video]) -> tuple[list[_Video], list[tup
                 out[k], how = replace(out[k], offset_s=stamped[k]), "by the stamps of their messages"
             if k in asked:
                 found = offsets[k]
-                _check(found, first, out[k])
+                if found.refused:
+                    raise InputError(
+                        f"{out[k].name}: the motion of its pictures does not tell when it began after {first.name}, "
+                        f"whose rig it is of: {found.refused}. Give --scan.video-offset {out[k].folder}=SECONDS (0 if "
+                        "they began together), or --scan.layout sequence if they are passes of one camera"
+                    )
                 out[k] = replace(out[k], offset_s=found.seconds)
                 sigma = f"{1e3 * found.sigma_s:.1f} ms"
                 how = f"sigma {sigma}, by the motion of the pictures in the {found.shared_s:.1f} s that both show"
             notes.append(f"{out[k].name} begins {out[k].offset_s:+.4f} s after {first.name} ({how})")
             if k not in lenses:  # the fixes that mend a clock stand in the file of one lens only
-                notes += _contradiction(first.clock, out[k], tuning.pictures.creation_apart_s)
-        _share_clock(out, group)
+                by_clock = out[k].clock.start_s - first.clock.start_s
+                apart = abs(by_clock - out[k].offset_s) > tuning.pictures.creation_apart_s
+                if first.clock.known and out[k].clock.known and apart:
+                    said = f"by its own clock it would begin {by_clock:+.0f} s after: that of the first is used"
+                    notes.append(f"{out[k].name}: {said}")
+        # The videos of a group go onto one clock: that of the first whose start is known.
+        first = out[group[0]]
+        lead = next((out[k] for k in group if out[k].clock.known), first)
+        begin = lead.clock.start_s - (0.0 if lead is first else lead.offset_s) + first.offset_s
+        for k in group:
+            late = 0.0 if k == group[0] else out[k].offset_s
+            clock = replace(out[k].clock, start_s=begin + late, known=lead.clock.known, utc=lead.clock.utc)
+            out[k] = replace(out[k], clock=clock)
     return out, groups, notes
-
-
-def _by_stamps(first: _Video, other: _Video) -> float | None:
-    """Offset of two topics whose stamps are of one clock; None of others."""
-    shared = first.clock.shared and other.clock.shared
-    return other.clock.start_s - first.clock.start_s if shared else None
 
 
 def _groups(run: Run, videos: Sequence[_Video]) -> list[tuple[int, ...]]:
@@ -239,40 +254,12 @@ def _groups(run: Run, videos: Sequence[_Video]) -> list[tuple[int, ...]]:
     return [tuple(good[f] for f in g) for g in together] + alone
 
 
-def _check(offset: Offset, first: _Video, other: _Video) -> None:
-    if offset.refused:
-        raise InputError(
-            f"{other.name}: the motion of its pictures does not tell when it began after {first.name}, whose rig it is "
-            f"of: {offset.refused}. Give --scan.video-offset {other.folder}=SECONDS (0 if they began together), or "
-            "--scan.layout sequence if they are passes of one camera"
-        )
-
-
-def _contradiction(first: VideoClock, other: _Video, most_s: float) -> list[str]:
-    """A note if the times at which two videos say that they began differ otherwise than they do."""
-    by_clock = other.clock.start_s - first.start_s
-    if not (first.known and other.clock.known) or abs(by_clock - other.offset_s) <= most_s:
-        return []
-    return [f"{other.name}: by its own clock it would begin {by_clock:+.0f} s after: that of the first is used"]
-
-
-def _share_clock(videos: list[_Video], group: Sequence[int]) -> None:
-    """Puts the videos of a group on one clock: that of the first whose start is known."""
-    first = videos[group[0]]
-    lead = next((videos[k] for k in group if videos[k].clock.known), first)
-    start = lead.clock.start_s - (0.0 if lead is first else lead.offset_s) + first.offset_s
-    for k in group:
-        late = 0.0 if k == group[0] else videos[k].offset_s
-        clock = replace(videos[k].clock, start_s=start + late, known=lead.clock.known, utc=lead.clock.utc)
-        videos[k] = replace(videos[k], clock=clock)
-
-
 def _curve(video: _Video, tuning: Tuning) -> MotionCurve:
     with open_film(video.recording) as opened:
         return motion_curve(opened.frames(), tuning.motion)
 
 
-def _offset(curves: tuple[MotionCurve, MotionCurve], tuning: OffsetTuning) -> Offset:
+def _offset_of(curves: tuple[MotionCurve, MotionCurve], tuning: OffsetTuning) -> Offset:
     return find_offset(*curves, tuning)
 
 

@@ -53,7 +53,6 @@ from tiegraph.watch.view import page
 
 KEPT, PAGE = "watch.npz", "watch.html"
 _BATCH = 8  # images of a step: a folder that is full already shows its first poses soon
-_RECENT = 100  # images of the median time
 
 log = logging.getLogger(__name__)
 
@@ -97,7 +96,7 @@ class Watched:
         self.scene: Scene | None = None
         self.poses: dict[str, np.ndarray] = {}
         self.said: list[str] = []
-        self.times: deque[float] = deque(maxlen=_RECENT)
+        self.times: deque[float] = deque(maxlen=100)  # images of the median time
         self._trouble = ""
         self._probes: dict[str, Probe] = {}
         self._file_of: dict[str, str] = {}  # as the file system calls it
@@ -125,7 +124,13 @@ class Watched:
             self._place()
             self._last = now if new else self._last
         for name in new:
-            self._report(name)
+            assert self.scene is not None
+            source = self.scene.source_name(self.scene.image_index[name])
+            self.times.append(time.monotonic() - self.arrivals.came(self._file_of[source]))
+            self.run.reporter.event(
+                "image", name=source, seconds=round(self.times[-1], 3), waiting=self.arrivals.waiting(),
+                pose=name in self.poses, cpu_s=round(time.process_time(), 3),
+            )  # fmt: skip
         self._model_if_due(now)
         news = bool(names) or made is not None or before != (self.arrivals.trouble, self._trouble)
         self._unsaved = self._unsaved or news
@@ -133,17 +138,6 @@ class Watched:
             self.keep()
             self._saved = now
         return news or was_busy != self._models.busy
-
-    def _report(self, name: str) -> None:
-        assert self.scene is not None
-        source = self.scene.source_name(self.scene.image_index[name])
-        seconds = time.monotonic() - self.arrivals.came(self._file_of[source])
-        self.times.append(seconds)
-        waiting = self.arrivals.waiting()
-        self.run.reporter.event(
-            "image", name=source, seconds=round(seconds, 3), waiting=waiting, pose=name in self.poses,
-            cpu_s=round(time.process_time(), 3),
-        )  # fmt: skip
 
     def _taken_in(self, files: list[str], now: float) -> list[str]:
         """Open files, sort all that are known into the scene, and make the previews; names of the new images."""
@@ -165,7 +159,9 @@ class Watched:
                 if file in files:
                     new.append(name)
                 continue
-            self._forget(name)
+            self._digest.pop(name, None)  # what was known of an image that is another now goes
+            self.poses.pop(name, None)
+            self._ties = {pair: matches for pair, matches in self._ties.items() if name not in pair}
             try:
                 make_preview(self.scene, image, root / file, self.run.folder, self.run.settings)
                 self._digest[name] = digest
@@ -199,13 +195,6 @@ class Watched:
             if str(error) != self._trouble:
                 self.run.reporter.say(f"waiting, for what is there does not fit: {error}")
             self._trouble = str(error)
-
-    def _forget(self, name: str) -> None:
-        """An image that is another now: what was known of it goes."""
-        self._digest.pop(name, None)
-        self.poses.pop(name, None)
-        for pair in [pair for pair in self._ties if name in pair]:
-            del self._ties[pair]
 
     # --- ties and poses ---------------------------------------------------------------------------------------------
 

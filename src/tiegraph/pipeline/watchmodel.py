@@ -38,13 +38,11 @@ from tiegraph.scene.scene import Scene
 from tiegraph.watch.tuning import FramesTuning, ModelTuning
 from tiegraph.watch.view import path_and_ties, plan_from_world, rounded
 
-_PREPARED = "images"  # only while their preview is made
-
 
 def make_preview(scene: Scene, image: int, source: Path, folder: Path, settings: Settings) -> None:
     """The preview of an image into the run folder. Raises InputError for a file that can no longer be read."""
     name = scene.names[image]
-    prepared = folder / _PREPARED / name
+    prepared = folder / "images" / name  # only while their preview is made
     prepare_image(source, prepared, scene.sensor_of(image), settings.scan)
     try:
         made = extract_preview(read_image(prepared), None, settings.preview, settings.tuning.features)
@@ -199,10 +197,6 @@ class CoarseModels:
         return made
 
 
-_DRAWN_TIES = 4000  # on the page at most, the strongest
-_PLACES = 20  # listed: more than anybody goes to again
-
-
 def shown_scene(
     scene: Scene, ties: PreviewMatches, poses: np.ndarray, models: CoarseModels, least: int
 ) -> dict[str, Any]:
@@ -210,7 +204,7 @@ def shown_scene(
     plan, scale = plan_from_world(poses, scene)
     places = transforms.apply(plan, transforms.centre(poses))
     by_model = np.array([name in models.of for name in scene.names], bool)
-    out = path_and_ties(scene, ties, places, by_model, least, _DRAWN_TIES)
+    out = path_and_ties(scene, ties, places, by_model, least, 4000)  # on the page at most, the strongest
     images = len(scene)
     out["counts"] = {
         "images": images, "tied": images - len(out["untied"]), "posed": int(np.isfinite(places[:, 0]).sum()),
@@ -234,7 +228,7 @@ def shown_surface(models: CoarseModels, plan: np.ndarray, scale: float) -> dict[
     out["shares"] = list(surface.shares().values())
     out["side"] = surface.side * scale
     out["median"] = _typical(surface, np.arange(len(surface)), scale)
-    for place in made.places[:_PLACES]:
+    for place in made.places[:20]:  # listed: more than anybody goes to again
         x, y, _ = transforms.apply(plan, place.xyz[None])[0]
         out["places"].append({
             "x": float(x), "y": float(y), "near": models.names[place.image], "verdict": place.verdict,

@@ -159,7 +159,9 @@ class Artefacts:
             take_away(self.folder, names)
             ledger = {}
         else:
-            whole = self._of_items(stage, ledger, troubles)
+            # An item is missing if one of its files is, and it has one of a name in each folder of its stage.
+            tails = {n[len(top) :] for n in troubles for top in stage.makes if covered(n, (top,))} - {""}
+            whole = {f"{top}{tail}" for top in stage.makes for tail in tails} & set(ledger)
             take_away(self.folder, [*filter(is_temporary, names), *whole])
             ledger = {n: e for n, e in ledger.items() if n not in whole}
         # In this order: a finished receipt never stands beside a list that lacks its files.
@@ -187,13 +189,6 @@ class Artefacts:
     def end_journal(self) -> None:
         """Forget what was noted: it stands in the lists, and no worker writes."""
         (self.folder / JOURNAL).unlink(missing_ok=True)
-
-    @staticmethod
-    def _of_items(stage: Stage, ledger: Ledger, troubles: Iterable[str]) -> set[str]:
-        """What else the items made of which files are to be made again: an item is missing if its file is, and it has
-        one of a name in each folder of its stage."""
-        tails = {n[len(top) :] for n in troubles for top in stage.makes if covered(n, (top,))} - {""}
-        return {f"{top}{tail}" for top in stage.makes for tail in tails} & set(ledger)
 
     # --- inside -------------------------------------------------------------------------------------------------------
 

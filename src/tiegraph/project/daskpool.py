@@ -11,13 +11,15 @@ import asyncio
 import logging
 import os
 import pickle
+import shutil
 import socket
+import threading
 import time
 import uuid
-from collections.abc import Callable, Iterator
-from concurrent.futures import CancelledError, Executor, Future
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+import warnings
+from collections.abc import Callable
+from concurrent.futures import CancelledError, Executor, Future, InvalidStateError
+from contextlib import suppress
 from functools import partial
 from typing import Any
 
@@ -25,18 +27,21 @@ import psutil
 
 from tiegraph.errors import EngineMissing, InputError, SettingsError, TiegraphError
 from tiegraph.project import daskworker
-from tiegraph.project.daskworker import FREE_S, GOES_ON, Quiet, connect, other_versions, unfit, visible
 from tiegraph.project.pool import Place
 from tiegraph.project.progress import Elsewhere
 from tiegraph.project.receipts import software
 
 log = logging.getLogger(__name__)
 
+_GOES_ON = "finished work is kept, run the same command again"
+_CONNECT_S = 8.0
 _WORKERS_S = 8.0  # until the scheduler has a worker
+_FREE_S = 60.0  # for a worker to become free of what it does and to load tiegraph
 _END_S = 30.0  # for the items under way to end after an error
 _LOOK_S = 1.0  # between two looks whether all workers are there
 _ANSWER_S = 60.0  # for the scheduler to say so
 _SHARED_BYTES = 2**18  # what is larger goes to each worker once
+_LOGGERS = ("distributed", "distributed.client", "distributed.gc", "tornado", "tornado.application", "asyncio")
 
 
 def open_dask(address: str, place: Place | None) -> tuple[Executor, int]:
@@ -63,7 +68,7 @@ def open_dask(address: str, place: Place | None) -> tuple[Executor, int]:
 class DaskExecutor(Executor):
     """Runs calls on the workers that ``begin`` found and those that came since. Made by ``open_dask``."""
 
-    def __init__(self, client: Any, address: str, quiet: Quiet) -> None:
+    def __init__(self, client: Any, address: str, quiet: "Quiet") -> None:
         self._client, self._address, self._quiet = client, address, quiet
         self._run = uuid.uuid4().hex
         self._place: Place | None = None
@@ -73,17 +78,25 @@ class DaskExecutor(Executor):
         self._below: set[str] = set()  # workers whose processes are below this one: their use is counted already
         self._elsewhere = Elsewhere()
         self._doing = "items"
-        self._unfinished = False
-        self._lost: asyncio.Future[str] | None = None
-        self._watcher: Future | None = None
+        self._waiting: set[Future] = set()
+        self._unfinished = self._over = False
+        self._lost = ""  # why the run cannot go on
 
     def begin(self, place: Place | None) -> int:
         """Look at every worker and prepare it; their number. Raises InputError naming the worker that cannot serve."""
         self._place = place
         self._elsewhere = place.elsewhere if place is not None and place.elsewhere is not None else Elsewhere()
-        if wrong := self._take_on(self._threads()):
+        try:
+            self._client.wait_for_workers(1, timeout=_WORKERS_S)
+            threads = dict(sorted(self._client.nthreads().items()))
+        except Exception:
+            raise InputError(
+                f"pool dask:{self._address}: the scheduler has no workers; "
+                f"start some with `dask worker {self._address} --nworkers N --nthreads 1`"
+            ) from None
+        if wrong := self._take_on(threads):
             raise InputError(next(iter(wrong.values())))
-        self._watcher = asyncio.run_coroutine_threadsafe(self._watch(), self._loop)
+        self._client.loop.add_callback(self._watch)
         log.info("pool dask:%s: %d workers: %s", self._address, len(self._workers), ", ".join(self._workers))
         return len(self._workers)
 
@@ -94,56 +107,69 @@ class DaskExecutor(Executor):
         Dask's dashboard shows.
         """
         function, args = data
-        self._doing = _name(function)
+        named = function
+        while isinstance(named, partial):
+            named = named.func
+        self._doing = getattr(named, "__name__", type(named).__name__).strip("_").removesuffix("_item")
         self._look_for_more()
         call = (partial(daskworker.while_wanted, function), args)
         pickled = pickle.dumps(call)
         if len(pickled) <= _SHARED_BYTES:
             return call
-        with _as_errors(self._gone):
-            there = [w for w in self._workers if w not in self._missing]
-            return _Shared(self._client.scatter([pickled], broadcast=True, hash=False, workers=there)[0])
+        there = [w for w in self._workers if w not in self._missing]
+        return self._asked(self._client.scatter, [pickled], broadcast=True, hash=False, workers=there)[0]
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future:
         """Run ``fn(*args)`` on a worker; ``fn`` must be at module level."""
-        shared = [k for k, a in enumerate(args) if isinstance(a, _Shared)]
+        from distributed import Future as Handle
+
+        shared = [k for k, a in enumerate(args) if isinstance(a, Handle)]
         plain = [None if k in shared else a for k, a in enumerate(args)]
         packed = pickle.dumps((self._run, os.getcwd(), partial(fn, **kwargs), plain, shared))
-        handles = [args[k].future for k in shared]
-        with _as_errors(self._gone):
-            key = f"{self._doing}-{uuid.uuid4().hex}"
-            task = self._client.submit(daskworker.on_worker, packed, *handles, workers=self._workers, key=key)
-        future = asyncio.run_coroutine_threadsafe(self._follow(task), self._loop)
-        future.add_done_callback(self._note)
+        given = packed, *(args[k] for k in shared)
+        key = f"{self._doing}-{uuid.uuid4().hex}"
+        task = self._asked(self._client.submit, daskworker.on_worker, *given, workers=self._workers, key=key)
+        future: Future = Future()
+        self._waiting.add(future)
+        future.add_done_callback(partial(self._ended, task))
+        self._client.loop.add_callback(self._follow, task, future)
         return future
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """Leave the cluster. After an error or an interrupt, once the items under way have ended (30 s at most)."""
         if self._client.status == "closed":
             return
+        self._over = True
         try:
             if self._unfinished and wait and self._client.status == "running":
                 there = set(self._client.nthreads())
                 self._on_each({w: daskworker.idle for w in self._workers if w in there}, _END_S)
         finally:
-            if self._watcher is not None:
-                self._watcher.cancel()
             with suppress(Exception):
                 self._client.close(timeout=5)
             self._quiet.end()
 
-    @property
-    def _loop(self) -> asyncio.AbstractEventLoop:
-        return self._client.loop.asyncio_loop
+    def _asked(self, ask: Callable[..., Any], *args: Any, **more: Any) -> Any:
+        if self._lost:
+            raise TiegraphError(self._lost)
+        try:
+            return ask(*args, **more)
+        except Exception as error:
+            raise TiegraphError(self._gone(error)) from None
 
     def _take_on(self, threads: dict[str, int]) -> dict[str, str]:
         """Prepare workers (address -> threads) for the run; those that cannot serve, and why."""
-        wrong = self._other_versions(list(threads))
-        with visible(self._place) as probe:
-            calls: dict[str, Callable[..., Any]] = {
-                a: partial(daskworker.prepare, self._run, n, probe) for a, n in threads.items() if a not in wrong
-            }
-            seen = self._on_each(calls, FREE_S)
+        wrong, place, probe = self._other_versions(list(threads)), self._place, None
+        if place is not None:  # a folder to write into is new, so that no other of the same name serves
+            folder = place.folder / f".dask-{uuid.uuid4().hex}"
+            folder.mkdir(parents=True)
+            probe = str(folder), [str(p.absolute()) for p in place.reads]
+        try:
+            prepare = partial(daskworker.prepare, self._run)
+            seen = self._on_each({a: partial(prepare, n, probe) for a, n in threads.items() if a not in wrong}, _FREE_S)
+        finally:
+            if probe is not None:
+                shutil.rmtree(probe[0], ignore_errors=True)
         for worker, answer in seen.items():
             if (why := unfit(answer)) is not None:
                 wrong[worker] = f"pool dask:{self._address}: the worker {worker} {why}"
@@ -152,7 +178,8 @@ class DaskExecutor(Executor):
             if threads[worker] > 1:
                 log.warning("dask worker %s: %d threads for one item at a time; better: more workers with "
                             "--nthreads 1", worker, threads[worker])  # fmt: skip
-            if seen[worker].host == socket.gethostname() and seen[worker].pid in own:
+            host, pid, _ = seen[worker]
+            if host == socket.gethostname() and pid in own:
                 self._below.add(worker)
             self._workers.append(worker)
         return wrong
@@ -182,22 +209,12 @@ class DaskExecutor(Executor):
                 return {"scheduler": error, **out}
 
         try:
-            found = asyncio.run_coroutine_threadsafe(ask(), self._loop).result(FREE_S)
+            found = self._client.sync(ask, callback_timeout=_FREE_S)
         except Exception as error:
             raise InputError(self._gone(error)) from None
         who = {name: name if name == "scheduler" else f"worker {name}" for name in found}
         wrong = {name: other_versions(versions) for name, versions in found.items()}
         return {n: f"pool dask:{self._address}: the {who[n]} {why}" for n, why in wrong.items() if why is not None}
-
-    def _threads(self) -> dict[str, int]:
-        try:
-            self._client.wait_for_workers(1, timeout=_WORKERS_S)
-            return dict(sorted(self._client.nthreads().items()))
-        except Exception:
-            raise InputError(
-                f"pool dask:{self._address}: the scheduler has no workers; "
-                f"start some with `dask worker {self._address} --nworkers N --nthreads 1`"
-            ) from None
 
     def _on_each(self, calls: dict[str, Callable[..., Any]], seconds: float) -> dict[str, Any]:
         """What each worker's call returns, or the error it raised, before what else waits there."""
@@ -213,102 +230,148 @@ class DaskExecutor(Executor):
                 out[worker] = error
         return out
 
-    async def _follow(self, task: Any) -> Any:
-        """The result of a task, or the error of the item, or that the worker was lost."""
-        lost = self._lost_future()
-        waiting = asyncio.ensure_future(_outcome(task))
-        both: set[asyncio.Future[Any]] = {waiting, lost}
-        try:
-            await asyncio.wait(both, return_when=asyncio.FIRST_COMPLETED)
-        finally:
-            if not waiting.done():
-                waiting.cancel()
-                with suppress(Exception, CancelledError):
-                    await self._client.cancel([task], asynchronous=True)
-        if lost.done():
-            raise TiegraphError(lost.result())
-        value, error = waiting.result()
-        if error is not None:
-            raise error if isinstance(error, Exception) and not _of_dask(error) else TiegraphError(self._gone(error))
-        result, worker, used = value
-        if worker not in self._below:
-            self._elsewhere.add(worker, used)
-        return result
+    async def _follow(self, task: Any, future: Future) -> None:
+        """Hand the result of a task on, or the error of the item."""
+        with suppress(InvalidStateError):  # nobody waits any more, or the run cannot go on
+            try:
+                result, worker, used = await task
+            except (Exception, CancelledError) as error:
+                dask = type(error).__module__.partition(".")[0] in ("distributed", "tornado")
+                lost = dask or isinstance(error, CancelledError)
+                future.set_exception(TiegraphError(self._gone(error)) if lost else error)
+                return
+            if worker not in self._below:
+                self._elsewhere.add(worker, used)
+            future.set_result(result)
 
-    def _lost_future(self) -> asyncio.Future[str]:
-        if self._lost is None:
-            self._lost = asyncio.get_running_loop().create_future()
-        return self._lost
+    def _ended(self, task: Any, future: Future) -> None:
+        self._waiting.discard(future)
+        self._unfinished |= future.cancelled() or future.exception() is not None
+        task.release()  # the scheduler drops what nobody waits for
 
     async def _watch(self) -> None:
-        lost = self._lost_future()
-        while not lost.done():
+        while not (self._over or self._lost):
             await asyncio.sleep(_LOOK_S)
-            if (text := await self._look()) is not None:
-                lost.set_result(text)
+            self._lost = await self._look()
+        for future in list(self._waiting) if self._lost else ():
+            with suppress(InvalidStateError):
+                future.set_exception(TiegraphError(self._lost))
 
-    async def _look(self) -> str | None:
-        """Why the run cannot go on, None while it can. A worker that has gone is named once."""
+    async def _look(self) -> str:
+        """Why the run cannot go on, "" while it can. A worker that has gone is named once."""
         try:
             there = await asyncio.wait_for(self._client.nthreads(), _ANSWER_S)
         except Exception as error:
-            return self._gone(error)
+            return "" if self._over else self._gone(error)
         gone = [w for w in self._workers if w not in there]
         for worker in set(gone) - self._missing:
             log.warning("pool dask:%s: the worker %s was lost, stopped from outside or for lack of memory; "
                         "the others do its work", self._address, worker)  # fmt: skip
         self._missing = set(gone)
         if len(gone) < len(self._workers):
-            return None
+            return ""
         return (
             f"pool dask:{self._address}: the worker {gone[-1]} was lost, stopped from outside or for lack of memory, "
-            f"and no other is left: start it again, or fewer workers on a machine; {GOES_ON}"
+            f"and no other is left: start it again, or fewer workers on a machine; {_GOES_ON}"
         )
 
     def _gone(self, error: BaseException) -> str:
         if type(error).__name__ == "KilledWorker":
             return f"pool dask:{self._address}: workers ended at the same item, most likely for lack of memory: {error}"
         why = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
-        return f"pool dask:{self._address}: the connection to the scheduler was lost ({why}); {GOES_ON}"
-
-    def _note(self, future: Future) -> None:
-        if future.cancelled() or future.exception() is not None:
-            self._unfinished = True
+        return f"pool dask:{self._address}: the connection to the scheduler was lost ({why}); {_GOES_ON}"
 
 
-@dataclass(frozen=True)
-class _Shared:
-    """An argument that the workers have already, pickled."""
-
-    future: Any
+# --- the cluster before it works for a run -------------------------------------------------------------------------
 
 
-def _name(function: Callable[..., Any]) -> str:
-    """What a function of items does, in a word."""
-    while isinstance(function, partial):
-        function = function.func
-    return getattr(function, "__name__", type(function).__name__).strip("_").removesuffix("_item")
+def connect(address: str) -> Any:
+    """The client of a scheduler. Raises InputError if none answers within ``_CONNECT_S``.
+
+    A client that is of no use is closed where it was made: left to the garbage collector it is closed by whatever
+    thread that runs in, and Dask waits for itself without end if this is the one that starts another client's loop
+    (``LoopRunner`` of distributed holds one lock for all).
+    """
+    from distributed import Client
+
+    found: list[Any] = []
+    given_up, deciding = threading.Event(), threading.Lock()
+
+    def connect() -> None:
+        client: Any = Client.__new__(Client)
+        result: Any = client
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # of versions: those that matter are compared in ``begin``
+                client.__init__(address, timeout=_CONNECT_S, set_as_default=False)
+        except Exception as error:
+            result = error
+        with deciding:
+            found.append(result)
+            wanted = result is client and not given_up.is_set()
+        if not wanted:
+            with suppress(Exception):
+                client.close(timeout=5)
+
+    # Dask waits without end for something that takes the connection and says nothing.
+    thread = threading.Thread(target=connect, daemon=True, name="dask-connect")
+    thread.start()
+    thread.join(_CONNECT_S + 1)
+    with deciding:
+        given_up.set()
+    if found and isinstance(found[0], Client):
+        return found[0]
+    why = f"{type(found[0]).__name__}: {found[0]}" if found else "silent"
+    raise InputError(
+        f"pool dask:{address}: no Dask scheduler answers there ({why}); "
+        "give the address that `dask scheduler` prints, such as tcp://127.0.0.1:8786"
+    )
 
 
-async def _outcome(task: Any) -> tuple[Any, BaseException | None]:
-    try:
-        return await task, None
-    except (Exception, CancelledError) as error:
-        return None, error
+def other_versions(versions: Any) -> str | None:
+    """What a process of the cluster lacks, None if nothing. ``versions``: its ``software`` or the error it answered."""
+    if not isinstance(versions, dict):
+        return (
+            f"cannot run tiegraph ({type(versions).__name__}: {versions}): "
+            f"install tiegraph {software()['tiegraph']} in its environment and start it again"
+        )
+    for name, own in software().items():
+        theirs = versions.get(name, "none")
+        parts = 2 if name == "python" else None  # of Python the series must be the same
+        if own.split(".")[:parts] != theirs.split(".")[:parts]:
+            return f"has {name} {theirs}, this process {own}: install the same there and start it again"
+    return None
 
 
-def _of_dask(error: BaseException) -> bool:
-    return isinstance(error, CancelledError) or type(error).__module__.partition(".")[0] in ("distributed", "tornado")
+def unfit(seen: Any) -> str | None:
+    """Why a worker cannot serve, None if it can. ``seen``: what ``prepare`` said or the error it answered with."""
+    if isinstance(seen, (TimeoutError, asyncio.TimeoutError)):
+        return f"did not begin within {_FREE_S:.0f} s: it is busy with something else or hangs; wait, or start it again"
+    if not isinstance(seen, tuple):
+        return f"could not begin ({type(seen).__name__}: {seen}): look at what it says, and start it again"
+    if seen[2]:
+        return f"{seen[2]}: workers need the run folder and the images under the same paths (a shared file system)"
+    return None
 
 
-@contextmanager
-def _as_errors(text: Callable[[BaseException], str]) -> Iterator[None]:
-    """What Dask raises when the scheduler has gone, as a TiegraphError."""
-    try:
-        yield
-    except TiegraphError:
-        raise
-    except (pickle.PicklingError, AttributeError, TypeError):
-        raise
-    except Exception as error:
-        raise TiegraphError(text(error)) from None
+class Quiet(logging.Handler):
+    """Dask's messages go to the run's log, not to the terminal, until ``end``."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.WARNING)
+        loggers = [logging.getLogger(name) for name in _LOGGERS]
+        self._before = [(logger, logger.handlers, logger.propagate) for logger in loggers]
+        handlers: list[logging.Handler] = [self]
+        for logger in loggers:
+            logger.handlers, logger.propagate = list(handlers), False
+
+    def end(self) -> None:
+        """Put the handlers back."""
+        for logger, handlers, propagate in self._before:
+            logger.handlers, logger.propagate = handlers, propagate
+        self._before = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """To the log."""
+        for handler in logging.getLogger("tiegraph").handlers:
+            handler.handle(record)

@@ -49,7 +49,10 @@ def check_folder(folder: Path) -> None:
     if not folder.is_dir():
         raise InputError(f"-o {folder} is not a folder: give a new or empty folder for the results")
     try:
-        there = sorted(p.name for p in folder.iterdir() if p.name.lower() not in _HARMLESS and not _is_begun(p))
+        there = sorted(p.name for p in folder.iterdir() if p.name.lower() not in _HARMLESS)
+        receipts = folder / "receipts"  # of a run that was killed before it had marked its folder
+        if receipts.is_dir() and all(is_temporary(p.name) for p in receipts.iterdir()):
+            there.remove(receipts.name)
     except OSError as error:
         raise InputError(f"cannot read {folder}: {error.strerror}; give another -o folder") from error
     if not there or is_marked(folder):
@@ -61,11 +64,6 @@ def check_folder(folder: Path) -> None:
         f"-o {folder} holds files that tiegraph did not make ({some(there, 3)}): give a new or empty folder for the "
         f"results, such as {folder / 'tiegraph_out'}"
     )
-
-
-def _is_begun(path: Path) -> bool:
-    """Whether this is the folder of receipts of a run that was killed before it had marked its own."""
-    return path.name == "receipts" and path.is_dir() and all(is_temporary(p.name) for p in path.iterdir())
 
 
 def check_format(folder: Path) -> None:
@@ -216,8 +214,10 @@ def libraries_to(descriptor: int) -> Iterator[None]:
         yield
         return
     before = sys.stderr
-    own = _over(saved) if _is_on(before) else None
-    if own is not None:
+    own = None
+    if _is_on(before):
+        encoding = before.encoding or "utf-8"
+        own = open(saved, "w", buffering=1, encoding=encoding, errors="backslashreplace", closefd=False)
         sys.stderr = own
     os.dup2(descriptor, _STDERR)
     try:
@@ -241,8 +241,3 @@ def _is_on(stream: TextIO | None) -> bool:
         return True
     except (OSError, ValueError):
         return False
-
-
-def _over(descriptor: int) -> TextIO:
-    encoding = sys.stderr.encoding or "utf-8"
-    return open(descriptor, "w", buffering=1, encoding=encoding, errors="backslashreplace", closefd=False)

@@ -21,7 +21,8 @@ from tiegraph.errors import InputError
 from tiegraph.project.folder import names_run
 from tiegraph.project.receipts import digests
 from tiegraph.project.settings import Settings, sections, shortened
-from tiegraph.project.stages import digest, write_atomic
+from tiegraph.project.stages import PLACE as SOURCE_PLACE
+from tiegraph.project.stages import write_atomic
 from tiegraph.scene.bags import is_bag, source_of, split_topics
 from tiegraph.scene.images import searched
 from tiegraph.scene.namedposes import find_start
@@ -141,27 +142,28 @@ class Inputs:
     camera: str | None = None  # a calibration in words, or its file
     start: Path | None = None  # a model to go on from
 
-    def key(self, stamps: Stamps) -> str:
-        """Hash over all inputs, wherever they lie."""
-        return digest(self.parts(stamps))
-
-    def place(self) -> str:
-        """Where the images lie: links of the run folder lead there."""
-        return str(source_of(self.images).absolute())
-
     def parts(self, stamps: Stamps) -> dict[str, Any]:
         """What counts of each input, by what the user calls it: of files the names below what is given, sizes and
         times; None for what is not given."""
         (images, topics), rig, camera, start = split_topics(self.images), self.rig or "", self.camera or "", self.start
-        files = {n: _files_stamp(p, stamps) if p else None for n, p in self._files().items()}
+        files: dict[str, Any] = {n: None for n in self._files()}
+        for name, path in self._files().items():
+            if path is not None:
+                source, of_bag = split_topics(path)
+                files[name] = [list(of_bag), stamps(source)] if of_bag else stamps(source)
+
+        def words() -> Any:
+            return stamps.now(Path(camera)) if names_file(camera) else None
+
         if start is not None:
             files["--start"] = stamps.of(start, lambda: files["--start"])
         return {
             _IMAGES: [list(topics), stamps.of(images, lambda: stamps.now(searched(images)))],
             "--rig": (stamps.of(rig, lambda: _rig_stamp(Path(rig), stamps)) or rig) if rig else None,
-            "--camera": (stamps.of(camera, lambda: _words_stamp(camera, stamps)) or camera) if camera else None,
+            "--camera": (stamps.of(camera, words) or camera) if camera else None,
             **files,
             **({"--trajectory": str(FOLLOW)} if self.trajectory == FOLLOW else {}),
+            SOURCE_PLACE: str(source_of(self.images).absolute()),  # links of the run folder lead there
         }
 
     def given(self) -> dict[str, Path]:
@@ -194,16 +196,6 @@ class Inputs:
         with suppress(InputError, OSError):  # of a project folder only the model is read; reading says if there is none
             files["--start"] = None if self.start is None else find_start(self.start)[1]
         return files
-
-
-def _files_stamp(path: Path, stamps: Stamps) -> Any:
-    """Of a file or folder, and the topics of a bag that its path names."""
-    source, topics = split_topics(path)
-    return [list(topics), stamps(source)] if topics else stamps(source)
-
-
-def _words_stamp(text: str, stamps: Stamps) -> Any:
-    return stamps.now(Path(text)) if names_file(text) else None
 
 
 def _rig_stamp(rig: Path, stamps: Stamps) -> Any:

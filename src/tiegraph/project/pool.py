@@ -14,7 +14,6 @@ from tiegraph.errors import ProcessLost, SettingsError
 from tiegraph.forking import keep_memory
 from tiegraph.project.progress import Elsewhere
 
-_TASKS_PER_WORKER = 8  # enough to balance the load, few enough that a task takes about a second
 _LOOK_S = 2.0  # between two looks whether the workers live
 _MOST_PER_CORE, _MOST = 4, 64  # workers: more is a slip of the keyboard; on a small machine this many are let pass
 
@@ -142,7 +141,8 @@ def map_items(
     """
     # What is the same for all chunks may be large; an executor over a network sends it once (``share``).
     call = getattr(executor, "share", lambda data: data)((function, args))
-    size = max(1, -(-len(items) // (workers * _TASKS_PER_WORKER)))
+    # Enough to balance the load, few enough that a task takes about a second
+    size = max(1, -(-len(items) // (workers * 8)))
     chunks = [items[k : k + size] for k in range(0, len(items), size)]
     futures: dict[Future, int] = {}
     results: list[list[Any]] = [[] for _ in chunks]

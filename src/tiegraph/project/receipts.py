@@ -25,7 +25,6 @@ Ledger = dict[str, list]
 """Name below the run folder -> [size, time in ns, digest], ["link", target], or [] for one not looked at yet."""
 
 SET_ASIDE = "set_aside"
-_CHUNK_BYTES = 1 << 20
 _THREADS = 4  # reading and hashing let go of the interpreter's lock
 
 
@@ -87,7 +86,7 @@ def _entry(path: Path, safe: bool = False) -> list:
 def _digest(path: Path) -> str:
     found = hashlib.blake2b(digest_size=16)
     with open(path, "rb") as file:
-        while chunk := file.read(_CHUNK_BYTES):
+        while chunk := file.read(1 << 20):
             found.update(chunk)
     return found.hexdigest()
 

@@ -46,13 +46,11 @@ class Run:
 
     def keys(self, stages: Sequence[Stage]) -> dict[str, str]:
         """The key of every stage, by what its inputs and settings are now."""
-        source = self.inputs.key(self.stamps)
-        return stage_keys(stages, self.settings, source, self.stamps, self.inputs.place())
+        return stage_keys(stages, self.settings, self.inputs.parts(self.stamps), self.stamps)
 
     def parts(self, stage: Stage) -> dict[str, str]:
         """What the key of a stage counts beside the keys of what it needs."""
-        place = {"the place of the images": self.inputs.place()}
-        sources = {} if stage.needs else self.inputs.parts(self.stamps) | place
+        sources = {} if stage.needs else self.inputs.parts(self.stamps)
         return key_parts(stage, self.settings, sources, self.stamps)
 
     def path(self, *parts: str) -> Path:
@@ -132,14 +130,10 @@ class Run:
 def check_run(stages: Sequence[Stage], run: Run) -> None:
     """Raise InputError, before anything is written, for a run folder that is not ours or where inputs lie."""
     check_folder(run.folder)
-    given = run.inputs.given() | _given_by_settings(run.settings)
-    check_inputs(run.folder, given, [made for s in stages for made in (*s.makes, *s.scratch)])
-
-
-def _given_by_settings(settings: Any) -> dict[str, Path]:
-    sections = {name: getattr(settings, name) for name in type(settings).model_fields}
+    sections = {name: getattr(run.settings, name) for name in type(run.settings).model_fields}
     named = ((s, n, getattr(v, n)) for s, v in sections.items() for n in type(v).model_fields)
-    return {f"--{s}.{n.replace('_', '-')}": value for s, n, value in named if isinstance(value, Path)}
+    files = {f"--{s}.{n.replace('_', '-')}": value for s, n, value in named if isinstance(value, Path)}
+    check_inputs(run.folder, run.inputs.given() | files, [made for s in stages for made in (*s.makes, *s.scratch)])
 
 
 def without_inputs(stages: Sequence[Stage], run: Run, until: str | None) -> bool:
@@ -206,17 +200,19 @@ def _run_through(
         key, error = keys[stage.name], None
         away = next((n for n in stage.needs if n in lost and n not in stage.spares and not stage.alone), "")
         known = artefacts.lost(stage, key) if stage.name != until else ""
+        after = [s for s in wanted if stage.name in s.needs]  # of files that were let go: who needs them again
+        back = artefacts.is_let_go(stage) and (not after or any(artefacts.why(s, keys[s.name]) for s in after))
         if away:
             error = ReconstructionError(f"it needs the stage {away}, of which nothing came")
             if known != str(error):
                 artefacts.begin(stage, key)  # what an earlier run made of it is no result of this one
         elif known:
             error = ReconstructionError(known)
-        elif (news and stage.alone) or artefacts.why(stage, key) or _wanted_back(stage, wanted, keys, artefacts):
+        elif (news and stage.alone) or artefacts.why(stage, key) or back:
             try:
                 _tried(stage, key, run, artefacts)
             except Exception as caught:
-                if ran.count(stage.name) < _TRIES and artefacts.damaged_by(caught):
+                if ran.count(stage.name) < 3 and artefacts.damaged_by(caught):
                     ran.append(stage.name)
                     run.reporter.say(f"{stage.name:>9}  {caught}")
                     run.close()  # items under way may still write
@@ -256,14 +252,6 @@ def _lose(stage: Stage, error: ReconstructionError, follows: bool, run: Run) -> 
     return before.get(LOST) != why
 
 
-def _wanted_back(stage: Stage, wanted: list[Stage], keys: dict[str, str], artefacts: Artefacts) -> bool:
-    """Whether the files of a stage were let go and are needed: by a stage that is out of date, or asked for."""
-    if not artefacts.is_let_go(stage):
-        return False
-    after = [s for s in wanted if stage.name in s.needs]
-    return not after or any(artefacts.why(s, keys[s.name]) for s in after)
-
-
 def let_go(stages: Sequence[Stage], run: Run) -> int:
     """Remove what serves no stage any more, where all that need it are up to date; the bytes that this freed."""
     keys, artefacts, freed = run.keys(stages), Artefacts(run.folder, stages), 0
@@ -275,9 +263,6 @@ def let_go(stages: Sequence[Stage], run: Run) -> int:
             if stage.passing and done and not artefacts.is_let_go(stage):
                 freed += artefacts.let_go(stage)
     return freed
-
-
-_TRIES = 3
 
 
 def _run_one(stage: Stage, key: str, run: Run, artefacts: Artefacts) -> None:
@@ -293,7 +278,8 @@ def _run_one(stage: Stage, key: str, run: Run, artefacts: Artefacts) -> None:
         with run.reporter.stage(stage.name):
             outcome = stage.run(run)
     except BaseException as error:
-        _log_error(stage, error)
+        own = isinstance(error, (TiegraphError, KeyboardInterrupt))
+        log.error("stage %s%s", stage.name, f": {error or 'stopped'}" if own else "", exc_info=None if own else error)
         with suppress(OSError, TiegraphError):  # on a full disk the journal stays, and tells the same
             artefacts.recover()
         told = explained(error, run.folder) if isinstance(error, Exception) else None
@@ -322,15 +308,13 @@ def _run_one(stage: Stage, key: str, run: Run, artefacts: Artefacts) -> None:
     _say_done(stage, receipt, run.reporter)
 
 
-def _log_error(stage: Stage, error: BaseException) -> None:
-    if isinstance(error, (TiegraphError, KeyboardInterrupt)):
-        log.error("stage %s: %s", stage.name, error or "stopped")
-    else:
-        log.error("stage %s", stage.name, exc_info=error)
-
-
 def _say_done(stage: Stage, receipt: dict, reporter: Reporter) -> None:
-    counts = ", ".join(f"{_short(v)} {k.replace('_', ' ')}" for k, v in receipt["counts"].items())
+    def short(value: Any) -> str:
+        if isinstance(value, float) and not value.is_integer():
+            return f"{value:.3g}"
+        return f"{int(value)}" if isinstance(value, (int, float)) else str(value)
+
+    counts = ", ".join(f"{short(v)} {k.replace('_', ' ')}" for k, v in receipt["counts"].items())
     reporter.say(f"{stage.name:>9}  {receipt['seconds']:7.1f} s  {receipt['peak_mib']:6.0f} MiB  {counts}")
     for note in receipt["notes"]:
         reporter.say(f"{'':>9}  . {note}")
@@ -351,28 +335,17 @@ def status(stages: Sequence[Stage], run: Run) -> list[tuple[str, str, dict]]:
     artefacts = Artefacts(run.folder, stages)
     artefacts.look()
     stale: set[str] = set()
-    rows = []
+    rows, given = [], run.inputs.given()
     for stage in stages:
         why = artefacts.why(stage, keys[stage.name])
         others = next((f"{need} is out of date" for need in sorted(stale & set(stage.needs))), "")
         if why == OTHER_KEY:
-            why = _what_changed(stage, run, artefacts.receipts.read(stage.name).get("key_parts", {})) or others or why
+            before, now = artefacts.receipts.read(stage.name).get("key_parts", {}), run.parts(stage)
+            changed = [name for name in {**now, **before} if before.get(name) != now.get(name)]  # otherwise, gone, new
+            named = ", ".join(f"{n} {given[n]}" if n in given else n for n in changed)
+            why = f"changed: {named}" if before and changed else others or why
         why = why or others
         if why:
             stale.add(stage.name)
         rows.append((stage.name, why, artefacts.receipts.read(stage.name)))
     return rows
-
-
-def _what_changed(stage: Stage, run: Run, before: dict[str, str]) -> str:
-    """Which inputs and settings of its own a stage was made with otherwise; "" for none, or if that was not noted."""
-    given, now = run.inputs.given(), run.parts(stage)
-    changed = [name for name in {**now, **before} if before.get(name) != now.get(name)]  # otherwise, gone or new
-    named = ", ".join(f"{n} {given[n]}" if n in given else n for n in changed)
-    return f"changed: {named}" if before and changed else ""
-
-
-def _short(value: Any) -> str:
-    if isinstance(value, float) and not value.is_integer():
-        return f"{value:.3g}"
-    return f"{int(value)}" if isinstance(value, (int, float)) else str(value)

@@ -124,7 +124,8 @@ def merged(*layers: dict[str, dict[str, Any]], where: str = "settings") -> Setti
     for layer in layers:
         for section, values in layer.items():
             if not isinstance(values, dict):
-                name = section if section in Settings.model_fields else _nearest(section)
+                near = difflib.get_close_matches(section, list(Settings.model_fields), n=1) or ["masks"]
+                name = section if section in Settings.model_fields else near[0]
                 raise SettingsError(
                     f"{where}: {section!r} must be a section such as [{name}], and is {shortened(values)}"
                 )
@@ -187,20 +188,14 @@ def run_table(data: dict[str, Any], where: str) -> dict[str, str]:
         raise SettingsError(f"{where}: run = {shortened(run)} must be a section [run] that holds {', '.join(RUN_KEYS)}")
     for name, value in run.items():
         if name not in RUN_KEYS:
-            raise SettingsError(f"{where}: unknown name {name!r} in [run]: {_remedy(name)}")
+            own = next((s for s, fields in sections() if name in fields), "")
+            remedy = f"it is the setting {name} of [{own}]" if own else _meant(name, RUN_KEYS, "?")
+            raise SettingsError(f"{where}: unknown name {name!r} in [run]: {remedy}")
         if not isinstance(value, str) or not value.strip() or "\0" in value:
             raise SettingsError(
                 f"{where}: run.{name} = {shortened(value)}: give a path or name in quotes, or take it out"
             )
     return run
-
-
-def _remedy(name: str) -> str:
-    own = next((f"{s}.{name}" for s, f in sections() if name in f), "")
-    if own:
-        section, _, key = own.partition(".")
-        return f"it is the setting {key} of [{section}]"
-    return _meant(name, RUN_KEYS, "?")
 
 
 def without(stored: dict[str, Any], keys: Iterable[str]) -> dict[str, Any]:
@@ -251,10 +246,6 @@ def file_text(run: dict[str, Any], settings: dict[str, dict[str, Any]]) -> str:
 
 def _without_none(values: dict[str, Any]) -> dict[str, Any]:
     return {k: v for k, v in values.items() if v is not None}
-
-
-def _nearest(name: str) -> str:
-    return (difflib.get_close_matches(name, list(Settings.model_fields), n=1) or ["masks"])[0]
 
 
 def explain(error: Any, root: type[Section]) -> str:

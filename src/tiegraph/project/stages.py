@@ -15,6 +15,8 @@ from typing import Any
 from tiegraph.errors import InputError
 from tiegraph.scene.atomic import replacing
 
+PLACE = "the place of the images"  # among the sources of a run
+
 
 @dataclass(frozen=True)
 class Outcome:
@@ -94,6 +96,21 @@ def key_parts(stage: Stage, settings: Any, sources: Mapping[str, Any], stamp: Ca
     return {"version of tiegraph": digest(stage.version), **{name: digest(part) for name, part in parts.items()}}
 
 
+def stage_keys(
+    stages: Sequence[Stage], settings: Any, sources: Mapping[str, Any], stamp: Callable[[Path], Any]
+) -> dict[str, str]:
+    """The key of every stage, over its parts and the keys of what it needs.
+
+    Where the sources lie (``PLACE``) counts for the stages that need no other alone: these are made again for it, and
+    what they make is the same.
+    """
+    keys: dict[str, str] = {}
+    for stage in stages:
+        parts = key_parts(stage, settings, {n: v for n, v in sources.items() if n != PLACE}, stamp)
+        keys[stage.name] = digest([stage.name, parts, [keys[n] for n in stage.needs]])
+    return keys | {s.name: digest([keys[s.name], sources.get(PLACE)]) for s in stages if not s.needs}
+
+
 def write_atomic(path: Path, data: bytes | str) -> None:
     """Write a whole file or none of it. Raises InputError for a full disk or a folder that cannot be made."""
     try:
@@ -118,16 +135,3 @@ def read_object(path: Path) -> dict | None:
     except (OSError, ValueError):
         return None
     return found if isinstance(found, dict) else None
-
-
-def stage_keys(
-    stages: Sequence[Stage], settings: Any, source_key: str, stamp: Callable[[Path], Any], place: str = ""
-) -> dict[str, str]:
-    """The key of every stage; ``stamp``: by what a change of a file is noticed. ``place``: where the sources lie; it
-    counts for the stages that need no other, which are made again for it, and what they make is the same."""
-    keys = {"source": source_key}
-    for stage in stages:
-        sections = [settings_key(getattr(settings, name), stamp) for name in (stage.name, *stage.uses)]
-        sections += [settings_key(getattr(settings.tuning, engine), stamp) for engine in engines(stage, settings)]
-        keys[stage.name] = digest([stage.name, stage.version, sections, [keys[n] for n in ("source", *stage.needs)]])
-    return keys | {s.name: digest([keys[s.name], place]) for s in stages if not s.needs}

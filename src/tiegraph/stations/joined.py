@@ -14,8 +14,6 @@ from tiegraph.stations.pairs import Pair, from_shapes, from_start, met
 from tiegraph.stations.station import Level, Sample, Shot, Station, common_side, station_of
 from tiegraph.stations.tuning import PrecisionTuning, Tuning
 
-_SHOWN = 200  # points of a station that say how far an error moves it
-
 
 @dataclass(frozen=True)
 class Joined:
@@ -64,20 +62,24 @@ def join(
     The frame is that of the known poses, if there are some; else that of the first station of the largest part that
     hangs together. Raises ValueError if no two join and no pose is known.
     """
-    agreeing = _points_shown(stations), _close_m(stations, tuning), tuning.loops
+    agreeing = _points_shown(stations), stations[0].coarse.side
     pairs = contradicted(_first_pairs(stations, tuning, told), *agreeing)
-    found = _adjusted_parts(pairs, len(stations), tuning)
+    found = _adjusted_parts(pairs, len(stations))
     pairs, found = _grown(pairs, found, stations, tuning)
     # The pairs, of which those have a reason not to be believed that lay a shape that repeats on itself
     left = {ends: float(row[1]) for ends, row in _loops_m(found).items()}
     pairs = taken_apart(pairs, left, *agreeing)
-    found = _adjusted_parts(pairs, len(stations), tuning)
+    found = _adjusted_parts(pairs, len(stations))
     poses, left_out = _in_world(stations, found)
     loops = _loops_m(found)
     rows = [loops[p.first, p.second] for p in pairs if not p.why_not]
+    sigma = np.full(len(stations), np.nan)
+    for part in found:
+        for k in part.members if len(part.members) > 1 else ():
+            sigma[k] = np.sqrt(np.trace(part.covariance[k, 3:, 3:]) / 3)
     return Joined(
         poses=poses,
-        sigma_m=_sigma_m(found, len(stations)),
+        sigma_m=sigma,
         pairs=pairs,
         loop_m=np.array(rows).reshape(-1, 2),
         left_out=left_out,
@@ -88,14 +90,14 @@ def _grown(
     pairs: list[Pair], found: list[Part], stations: Sequence[Station], tuning: Tuning
 ) -> tuple[list[Pair], list[Part]]:
     """Pairs and adjusted parts after further pairs that the adjusted poses say overlap, until there are none."""
-    for _ in range(tuning.loops.rounds):
+    for _ in range(3):
         more = _further(stations, pairs, found, tuning)
         if not more:
             break
         anew = {(p.first, p.second) for p in more}
         others = [p for p in pairs if (p.first, p.second) not in anew]
-        pairs = contradicted(others + more, _points_shown(stations), _close_m(stations, tuning), tuning.loops)
-        found = _adjusted_parts(pairs, len(stations), tuning)
+        pairs = contradicted(others + more, _points_shown(stations), stations[0].coarse.side)
+        found = _adjusted_parts(pairs, len(stations))
     return pairs, found
 
 
@@ -104,31 +106,25 @@ def _loops_m(found: Sequence[Part]) -> dict[tuple[int, int], np.ndarray]:
     return {(p.first, p.second): row for part in found for p, row in zip(part.pairs, part.loop_m)}
 
 
-def _sigma_m(found: Sequence[Part], count: int) -> np.ndarray:
-    """(count,) sigma of the middle of each cloud against the first of its part; NaN = it is a part alone."""
-    sigma = np.full(count, np.nan)
-    for part in found:
-        for k in part.members if len(part.members) > 1 else ():
-            sigma[k] = np.sqrt(np.trace(part.covariance[k, 3:, 3:]) / 3)
-    return sigma
-
-
-def _close_m(stations: Sequence[Station], tuning: Tuning) -> float:
-    """How far at most an error moves stations that agree."""
-    return tuning.loops.close * stations[0].coarse.side
-
-
 def _points_shown(stations: Sequence[Station]) -> list[np.ndarray]:
     """Some points (N, 3) of each station."""
-    return [s.coarse.xyz[:: max(1, len(s.coarse.xyz) // _SHOWN)] for s in stations]
+    # Points of a station that say how far an error moves it
+    return [s.coarse.xyz[:: max(1, len(s.coarse.xyz) // 200)] for s in stations]
 
 
 # --- pairs -----------------------------------------------------------------------------------------------------------
 
 
 def _first_pairs(stations: Sequence[Station], tuning: Tuning, told: Callable[[int, int], None]) -> list[Pair]:
-    """Pairs of stations by their known poses where both have one, else by their shapes."""
-    asked = _asked(stations, tuning)
+    """Pairs of stations by their known poses where both have one, else by their shapes: all, or of many stations those
+    that look alike or follow each other."""
+    asked = list(combinations(range(len(stations)), 2))
+    if len(stations) > tuning.all_pairs:
+        usual = np.array([s.shape.described.mean(axis=0) for s in stations])
+        off = np.linalg.norm(usual[:, None] - usual, axis=2)
+        rank = np.argsort(np.argsort(off, axis=1, kind="stable"), axis=1)
+        least = np.minimum(rank, rank.T)
+        asked = [(i, j) for i, j in asked if least[i, j] <= tuning.alike or j - i <= tuning.following]
     out = []
     for done, (i, j) in enumerate(asked, 1):
         known, other = stations[i].known, stations[j].known
@@ -142,18 +138,6 @@ def _first_pairs(stations: Sequence[Station], tuning: Tuning, told: Callable[[in
     return out
 
 
-def _asked(stations: Sequence[Station], tuning: Tuning) -> list[tuple[int, int]]:
-    """Which pairs are tried: all, or of many stations those that look alike or follow each other."""
-    count = len(stations)
-    every = list(combinations(range(count), 2))
-    if count <= tuning.all_pairs:
-        return every
-    usual = np.array([s.shape.described.mean(axis=0) for s in stations])
-    off = np.linalg.norm(usual[:, None] - usual, axis=2)
-    rank = np.argsort(np.argsort(off, axis=1, kind="stable"), axis=1)
-    return [(i, j) for i, j in every if min(rank[i, j], rank[j, i]) <= tuning.alike or j - i <= tuning.following]
-
-
 def _by_poses(stations: Sequence[Station], i: int, j: int, start: np.ndarray, tuning: Tuning) -> Pair | None:
     """A pair from poses; None if these say that the clouds do not overlap."""
     a, b, limits = stations[i], stations[j], tuning.pair
@@ -164,7 +148,7 @@ def _by_poses(stations: Sequence[Station], i: int, j: int, start: np.ndarray, tu
 
 def _further(stations: Sequence[Station], pairs: Sequence[Pair], found: Sequence[Part], tuning: Tuning) -> list[Pair]:
     """Pairs that overlap by the adjusted poses and have not been believed yet, laid on each other from there."""
-    close, points = _close_m(stations, tuning), _points_shown(stations)
+    close, points = stations[0].coarse.side, _points_shown(stations)
     believed = {(p.first, p.second) for p in pairs if not p.why_not}
     out = []
     for part in found:
@@ -183,12 +167,12 @@ def _further(stations: Sequence[Station], pairs: Sequence[Pair], found: Sequence
 # --- one frame -------------------------------------------------------------------------------------------------------
 
 
-def _adjusted_parts(pairs: list[Pair], count: int, tuning: Tuning) -> list[Part]:
+def _adjusted_parts(pairs: list[Pair], count: int) -> list[Part]:
     """The parts that hang together, largest first, each adjusted in the frame of its first station."""
     label = parts(count, pairs)
     members = [np.flatnonzero(label == k).tolist() for k in range(label.max() + 1)]
     members.sort(key=lambda m: (-len(m), m[0]))
-    return [adjusted(m, [p for p in pairs if not p.why_not and p.first in m], count, tuning.loops) for m in members]
+    return [adjusted(m, [p for p in pairs if not p.why_not and p.first in m], count) for m in members]
 
 
 def _in_world(stations: Sequence[Station], found: list[Part]) -> tuple[np.ndarray, dict[int, str]]:
@@ -267,7 +251,7 @@ def _off(sample: Sample, level: Level, fit: np.ndarray, tuning: Tuning) -> np.nd
     sight = sample.ray[near] @ fit[:3, :3].T
     straight = np.abs(np.einsum("ij,ij->i", normal, sight))
     off = np.einsum("ij,ij->i", normal, moved[near] - level.xyz[at[near]])
-    seen = straight > np.cos(np.radians(tuning.precision.oblique_deg))
+    seen = straight > np.cos(np.radians(60.0))
     return np.column_stack([sample.distance_m[near], off / np.maximum(straight, 1e-3), sample.sigma_m[near]])[seen]
 
 

@@ -11,7 +11,6 @@ from tiegraph.geometry import transforms
 from tiegraph.geometry.align import rms_length
 from tiegraph.scene import graph
 from tiegraph.stations.pairs import Pair
-from tiegraph.stations.tuning import LoopTuning
 
 
 def motion(error: np.ndarray, xyz: np.ndarray) -> float:
@@ -19,7 +18,7 @@ def motion(error: np.ndarray, xyz: np.ndarray) -> float:
     return rms_length(transforms.apply(error, xyz) - xyz)
 
 
-def contradicted(pairs: Sequence[Pair], points: Sequence[np.ndarray], close_m: float, tuning: LoopTuning) -> list[Pair]:
+def contradicted(pairs: Sequence[Pair], points: Sequence[np.ndarray], close_m: float) -> list[Pair]:
     """The pairs; those that are contradicted by more loops of three than bear them out, worst first, have a reason.
 
     ``points``: some (N, 3) of each station, which say what a loop that does not close moves; ``close_m``: how far at
@@ -40,25 +39,21 @@ def contradicted(pairs: Sequence[Pair], points: Sequence[np.ndarray], close_m: f
             break
         refused[worst] = f"{bad[worst]} loops of three contradict it and {good[worst]} bear it out"
     for ends, pair in by_ends.items():
-        if ends not in refused and not good[ends] and pair.overlap < tuning.alone_overlap:
+        if ends not in refused and not good[ends] and pair.overlap < 0.3:
             refused[ends] = f"no loop bears it out, and {pair.overlap:.0%} overlap is too little for a pair alone"
     return [p.refused(refused[p.first, p.second]) if (p.first, p.second) in refused else p for p in pairs]
 
 
 def taken_apart(
-    pairs: Sequence[Pair],
-    left: dict[tuple[int, int], float],
-    points: Sequence[np.ndarray],
-    close_m: float,
-    tuning: LoopTuning,
+    pairs: Sequence[Pair], left: dict[tuple[int, int], float], points: Sequence[np.ndarray], close_m: float
 ) -> list[Pair]:
     """The pairs, without those that join groups in more than one way.
 
     ``left``: by how much (metres) each believed pair contradicts the adjusted poses. Where one does by more than
     ``close_m``, a shape that repeats has been laid on itself, and loops of three may bear that out (a plain body on a
     round foot: two groups of stations joined in four ways, each with less than the noise between the surfaces). Then
-    only groups within which every pair closes ``sure_loops`` loops are sure. Pairs between them go if a ring of groups
-    that they close holds one that is contradicted; those that close none stay.
+    only groups within which every pair closes two loops are sure: one more than two wrong pairs and a right one make.
+    Pairs between them go if a ring of groups that they close holds one that is contradicted; others stay.
     """
     worst = max(left.values(), default=0.0)
     if worst <= close_m:
@@ -68,7 +63,7 @@ def taken_apart(
     for around, off in _loops(by_ends, points):
         for e in around:
             closed[e] += off <= close_m
-    group = parts(len(points), [p for e, p in by_ends.items() if closed[e] >= tuning.sure_loops])
+    group = parts(len(points), [p for e, p in by_ends.items() if closed[e] >= 2])
     why = f"pairs between these groups of clouds contradict each other by up to {worst:.3g} m: the shape repeats"
     between = {e: p for e, p in by_ends.items() if group[e[0]] != group[e[1]]}
     ring = _rings(list(between), group)
@@ -138,7 +133,7 @@ class Part:
     loop_m: np.ndarray
 
 
-def adjusted(members: list[int], pairs: list[Pair], count: int, tuning: LoopTuning) -> Part:
+def adjusted(members: list[int], pairs: list[Pair], count: int) -> Part:
     """Adjust the stations that hang together; the first of ``members`` is held at its own frame."""
     start = _along_tree(members, pairs, count)
     if len(members) == 1:
@@ -149,8 +144,8 @@ def adjusted(members: list[int], pairs: list[Pair], count: int, tuning: LoopTuni
     poses = start
     for _ in range(_ITERATIONS):
         jacobian, residual = _equations(pairs, roots, poses, free)
-        # Cauchy's weight, of all six of a pair together.
-        far = np.sum(residual.reshape(-1, 6) ** 2, axis=1) / (6 * tuning.robust**2)
+        # Cauchy's weight from three sigmas on, of all six of a pair together.
+        far = np.sum(residual.reshape(-1, 6) ** 2, axis=1) / (6 * 3.0**2)
         weight = np.repeat(1 / (1 + far), 6)
         step = -np.linalg.lstsq(jacobian * np.sqrt(weight)[:, None], residual * np.sqrt(weight), rcond=None)[0]
         poses = _moved(poses, free, step)
@@ -158,7 +153,12 @@ def adjusted(members: list[int], pairs: list[Pair], count: int, tuning: LoopTuni
             break
     jacobian, residual = _equations(pairs, roots, poses, free)
     loops = np.array([[np.linalg.norm(_off(p, q)[3:]) for q in (start, poses)] for p in pairs])
-    covariance = _covariances(jacobian, residual, free, members[0], count)
+    more = len(residual) - jacobian.shape[1]  # what the loops say of the pairs' own sigmas counts where that is more
+    factor = max(1.0, float(residual @ residual) / more) if more > 0 else 1.0
+    every, covariance = factor * np.linalg.pinv(jacobian.T @ jacobian), np.full((count, 6, 6), np.nan)
+    covariance[members[0]] = 0
+    for station, k in free.items():
+        covariance[station] = every[k : k + 6, k : k + 6]
     return Part(members=members, pairs=pairs, poses=poses, covariance=covariance, loop_m=loops)
 
 
@@ -211,15 +211,3 @@ def _off(pair: Pair, poses: np.ndarray) -> np.ndarray:
     error = said @ transforms.invert(pair.first_from_second)
     turn = Rotation.from_matrix(error[:3, :3]).as_rotvec()
     return np.r_[turn, transforms.apply(error, pair.middle[None])[0] - pair.middle]
-
-
-def _covariances(jacobian: np.ndarray, residual: np.ndarray, free: dict[int, int], held: int, count: int) -> np.ndarray:
-    """(count, 6, 6), scaled by what the loops say of the pairs' own sigmas where that is more."""
-    out = np.full((count, 6, 6), np.nan)
-    out[held] = 0
-    more = len(residual) - jacobian.shape[1]
-    factor = max(1.0, float(residual @ residual) / more) if more > 0 else 1.0
-    every = factor * np.linalg.pinv(jacobian.T @ jacobian)
-    for station, k in free.items():
-        out[station] = every[k : k + 6, k : k + 6]
-    return out

@@ -15,7 +15,7 @@ from tiegraph.geometry import transforms
 from tiegraph.geometry.align import rms_length, robust_sigma
 from tiegraph.geometry.coarse import motions
 from tiegraph.stations.station import Level, Station, engine
-from tiegraph.stations.tuning import PairTuning, SightTuning, Tuning
+from tiegraph.stations.tuning import PairTuning, Tuning
 
 _TURN, _SHIFT = 1e-6, 1e-5  # rad and voxels: GICP has converged
 
@@ -40,7 +40,7 @@ class Met:
         return self.overlap * float(np.mean(np.abs(self.residual_m) < limit_m)) if len(self.residual_m) else 0.0
 
 
-def refined(target: Level, source: Level, start: np.ndarray, tuning: PairTuning) -> np.ndarray:
+def refined(target: Level, source: Level, start: np.ndarray) -> np.ndarray:
     """target_from_source (4, 4) after GICP from a start."""
     scaled = start.copy()
     scaled[:3, 3] /= target.side
@@ -50,9 +50,9 @@ def refined(target: Level, source: Level, start: np.ndarray, tuning: PairTuning)
         target.gicp_tree,
         scaled,
         registration_type="GICP",
-        max_correspondence_distance=tuning.reach,
+        max_correspondence_distance=2.5,
         num_threads=1,
-        max_iterations=tuning.iterations,
+        max_iterations=40,
         rotation_epsilon=_TURN,
         translation_epsilon=_SHIFT,
     )
@@ -68,7 +68,7 @@ def met(target: Level, source: Level, fit: np.ndarray, tuning: PairTuning) -> Me
     away, at = target.tree.query(moved, distance_upper_bound=reach)
     near = np.flatnonzero(np.isfinite(away))
     turned = source.normal[near] @ fit[:3, :3].T
-    alike = np.abs(np.einsum("ij,ij->i", turned, target.normal[at[near]])) > np.cos(np.radians(tuning.normal_deg))
+    alike = np.abs(np.einsum("ij,ij->i", turned, target.normal[at[near]])) > np.cos(np.radians(30.0))
     rows, planes = near[alike], at[near[alike]]
     residual = np.einsum("ij,ij->i", target.normal[planes], target.xyz[planes] - moved[rows])
     back = transforms.apply(transforms.invert(fit), target.xyz)
@@ -88,8 +88,9 @@ class Held:
     open_share: float
 
 
-def held(target: Level, source: Level, fit: np.ndarray, found: Met, tuning: PairTuning) -> Held:
-    """By the equations of points against planes; points of a cell err together (a sandwich of clusters)."""
+def held(target: Level, source: Level, fit: np.ndarray, found: Met) -> Held:
+    """By the equations of points against planes; points of a sixth of the longest side err together (a sandwich of
+    clusters)."""
     xyz = transforms.apply(fit, source.xyz[found.source])
     normal = target.normal[found.target]
     middle = xyz.mean(axis=0)
@@ -100,7 +101,7 @@ def held(target: Level, source: Level, fit: np.ndarray, found: Met, tuning: Pair
     design, residual, from_middle = design[keep], found.residual_m[keep], from_middle[keep]
     matrix = design.T @ design
     values = np.linalg.eigvalsh(matrix)
-    side = np.ptp(from_middle, axis=0).max() / tuning.cells
+    side = np.ptp(from_middle, axis=0).max() / 6
     _, cell = np.unique(np.floor(from_middle / side).astype(int), axis=0, return_inverse=True)
     pull = np.zeros((cell.max() + 1, 6))
     np.add.at(pull, cell.ravel(), design * (residual - residual.mean())[:, None])
@@ -144,7 +145,7 @@ def from_shapes(first: int, second: int, stations: Sequence[Station], tuning: Tu
     limit = tuning.pair.residual * float(np.hypot(a.coarse.rough, b.coarse.rough))
     places = []
     for motion in motions(b.shape, a.shape, a.coarse.side, tuning.coarse):
-        fit = refined(a.coarse, b.coarse, motion.target_from_source, tuning.pair)
+        fit = refined(a.coarse, b.coarse, motion.target_from_source)
         places.append((met(a.coarse, b.coarse, fit, tuning.pair).agree(limit), fit))
     if not places:
         return None
@@ -154,22 +155,20 @@ def from_shapes(first: int, second: int, stations: Sequence[Station], tuning: Tu
     if pair.why_not:
         return pair
     apart = tuning.coarse.apart * a.coarse.side
-    rival = max((share for share, fit in others if _apart(fit, best, b.coarse.xyz) > apart), default=0.0)
-    if rival > tuning.pair.rival * agree:
+    here = transforms.apply(best, b.coarse.xyz)
+    away = [np.linalg.norm(transforms.apply(fit, b.coarse.xyz) - here, axis=1).max() for _, fit in others]
+    rival = max((share for (share, _), far in zip(others, away) if far > apart), default=0.0)
+    # A surface of eight equal waves, shifted by one, has 0.75 to 0.85; other places of bumpy objects 0.5.
+    if rival > 0.7 * agree:
         return pair.refused(f"fits in another place too: {agree:.0%} of the surface agree here, {rival:.0%} there")
     return pair
-
-
-def _apart(fit: np.ndarray, other: np.ndarray, xyz: np.ndarray) -> float:
-    """The largest distance between points (N, 3) moved by one and the other fit (4, 4)."""
-    return float(np.linalg.norm(transforms.apply(fit, xyz) - transforms.apply(other, xyz), axis=1).max())
 
 
 def from_start(first: int, second: int, stations: Sequence[Station], start: np.ndarray, tuning: Tuning) -> Pair:
     """Two stations from a start (4, 4), refined level by level and judged at each."""
     a, b, limits, fit = stations[first], stations[second], tuning.pair, np.asarray(start, float)
     for target, source in zip(a.levels, b.levels):
-        fit = refined(target, source, fit, limits)
+        fit = refined(target, source, fit)
         found = met(target, source, fit, limits)
         rough = float(np.hypot(target.rough, source.rough))
         why = _not_the_same(found, rough, limits)
@@ -187,15 +186,17 @@ def from_start(first: int, second: int, stations: Sequence[Station], start: np.n
     )
     if why:
         return pair
-    fine = held(target, source, fit, found, limits)
-    through = looked_through(a, b, fit, tuning.sight)
+    fine = held(target, source, fit, found)
+    through = looked_through(a, b, fit)
     pair = replace(pair, middle=fine.middle, information=fine.information, through=through)
-    coarse = held(a.coarse, b.coarse, fit, met(a.coarse, b.coarse, fit, limits), limits)
-    if coarse.open_share < limits.open_share:
+    coarse = held(a.coarse, b.coarse, fit, met(a.coarse, b.coarse, fit, limits))
+    # A plane, sphere, cylinder or edge has 0.00007 to 0.0004, a relief of 10 mm on 0.4 m 0.0024, an object 0.007.
+    if coarse.open_share < 0.001:
         return pair.refused(
             f"the surfaces slide along each other (held to {coarse.open_share:.1g} of what a corner holds)"
         )
-    if pair.sigma_m > limits.systematic * pair.residual_m:
+    # Residuals of a whole cell have one sign there, and tens of thousands of points hold no better than one.
+    if pair.sigma_m > 0.4 * pair.residual_m:
         return pair.refused("the distances between the surfaces are no noise: they are not the same surface")
     return pair
 
@@ -211,25 +212,25 @@ def _not_the_same(found: Met, rough: float, limits: PairTuning) -> str:
 # --- what one station saw where another looked through ---------------------------------------------------------------
 
 
-def looked_through(a: Station, b: Station, a_from_b: np.ndarray, tuning: SightTuning) -> float:
+def looked_through(a: Station, b: Station, a_from_b: np.ndarray) -> float:
     """Share of the points of either station that stand in free space of the other, of those that are in its view; the
     larger of both. NaN where it is not known from where a cloud was taken, or too few points are in view."""
-    both = [_share(a, b, a_from_b, tuning), _share(b, a, transforms.invert(a_from_b), tuning)]
+    both = [_share(a, b, a_from_b), _share(b, a, transforms.invert(a_from_b))]
     return float(np.nanmax(both)) if np.isfinite(both).any() else np.nan
 
 
-def _share(looking: Station, other: Station, fit: np.ndarray, tuning: SightTuning) -> float:
+def _share(looking: Station, other: Station, fit: np.ndarray) -> float:
     """Of the other's points in view of the one that looks: the share nearer than all its own in their direction."""
     eye, side = looking.eye, looking.coarse.side
     if eye is None:
         return np.nan
     own, ray = _distances(looking.coarse.xyz - eye)
     away, towards = _distances(transforms.apply(fit, other.coarse.xyz) - eye)
-    apart, at = cKDTree(ray).query(towards, k=tuning.neighbours)
-    view = (apart * own[at] < tuning.apart * side).all(axis=1)  # chords as lengths at the distance of the own point
-    if np.count_nonzero(view) < tuning.least_points:
+    apart, at = cKDTree(ray).query(towards, k=4)
+    view = (apart * own[at] < 1.5 * side).all(axis=1)  # chords as lengths at the distance of the own point
+    if np.count_nonzero(view) < 50:
         return np.nan
-    before = away[view] < own[at[view]].min(axis=1) - tuning.before * side
+    before = away[view] < own[at[view]].min(axis=1) - 3 * side
     return float(before.mean())
 
 

@@ -14,7 +14,7 @@ from tiegraph.errors import EngineMissing
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import robust_sigma
 from tiegraph.geometry.coarse import Shape, normals, shape_of, side_for, thinned
-from tiegraph.stations.tuning import SpacingTuning, Tuning
+from tiegraph.stations.tuning import Tuning
 
 _UPWARDS = np.array([0.36, 0.48, 0.8])  # walls have a side too
 
@@ -126,14 +126,14 @@ def station_of(shot: Shot, side: float, tuning: Tuning) -> Station:
         middle=middle,
         shape=shape,
         levels=levels,
-        sample=_sample(shot, middle, tuning.precision.asked),
+        sample=_sample(shot, middle),
         known=known,
         eye=-middle if shot.own_frame else None,
     )
 
 
-def _sample(shot: Shot, middle: np.ndarray, most: int) -> Sample:
-    some = slice(None, None, max(1, len(shot.xyz) // most))
+def _sample(shot: Shot, middle: np.ndarray) -> Sample:
+    some = slice(None, None, max(1, len(shot.xyz) // 20_000))
     xyz = shot.xyz[some]
     unknown = np.full(len(xyz), np.nan)
     distance = np.linalg.norm(xyz, axis=1) if shot.own_frame else unknown
@@ -157,17 +157,17 @@ def engine() -> Any:
 # --- how far the points of a shot stand apart ------------------------------------------------------------------------
 
 
-def spacing_of(xyz: np.ndarray, from_origin: bool, tuning: SpacingTuning) -> np.ndarray:
+def spacing_of(xyz: np.ndarray, from_origin: bool) -> np.ndarray:
     """(N,) the usual spacing of points (N, 3) as far away as each: a stray point has that of its distance, not its own.
 
     ``from_origin``: the points are in the frame of what took them; else one spacing for all.
     """
-    some = slice(None, None, max(1, len(xyz) // tuning.asked))
+    some = slice(None, None, max(1, len(xyz) // 10_000))
     third = cKDTree(xyz).query(xyz[some], k=min(4, len(xyz)))[0][:, -1]  # a disc that wide holds three others
     if not from_origin:
         return np.full(len(xyz), float(np.median(third)))
     away = np.linalg.norm(xyz, axis=1)
     order = np.argsort(away[some], kind="stable")
-    parts = np.array_split(order, min(tuning.bands, len(order)))
+    parts = np.array_split(order, min(20, len(order)))
     middle = [float(np.median(away[some][p])) for p in parts]
     return np.interp(away, middle, [float(np.median(third[p])) for p in parts])

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     import pycolmap
 
 _NOISE = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)  # blind to edges and slopes (Immerkaer 1996)
-_LEAST_NOISE = 0.5  # grey levels: rounding alone has 0.29
+_LEAST_SIGMA_PX = 0.06  # of a corner, however sharp and noiseless, as in rendered images (tests/targets)
 
 
 @dataclass(frozen=True)
@@ -35,18 +35,18 @@ def find_targets(pixels: np.ndarray, families: Sequence[str], tuning: Tuning) ->
     """All targets of some families in an image (H, W) u1, in the order of families and numbers."""
     # Sigma of an image's noise, grey levels, from its quieter half
     high = cv2.filter2D(pixels, cv2.CV_32F, _NOISE) / 6.0  # root of the sum of its squares
-    noise = max(robust_sigma(high), _LEAST_NOISE)
+    noise = max(robust_sigma(high), 0.5)  # grey levels: rounding alone has 0.29
     rate = 4 * tuning.least_side_px / max(pixels.shape)
     out = []
     for family in families:
-        quads, numbers, _ = _detector(family, rate, tuning.error_correction).detectMarkers(pixels)
+        quads, numbers, _ = _detector(family, rate).detectMarkers(pixels)
         for number, quad in zip(np.zeros(0, int) if numbers is None else numbers.ravel(), quads):
             xy = quad.reshape(4, 2)
             side = float(np.linalg.norm(xy - np.roll(xy, 1, axis=0), axis=1).min())
-            free = side / tuning.bits  # the border, one bit wide
+            free = side / 8  # the border, one bit of an AprilTag 36h11 wide; others are near
             corners = refined(pixels, xy, free, tuning.refine_share, tuning.refine_px)
             half = int(np.clip(round(tuning.refine_share * free), *tuning.refine_px))
-            sigma = float(np.hypot(np.median([_sigma(pixels, c, half, noise) for c in corners]), tuning.least_sigma_px))
+            sigma = float(np.hypot(np.median([_sigma(pixels, c, half, noise) for c in corners]), _LEAST_SIGMA_PX))
             out.append(Seen(Target(family, int(number)), corners.astype(float) + CENTRE, sigma))
     return sorted(out, key=lambda s: (s.target, *s.corners[0]))
 
@@ -67,10 +67,10 @@ def _crossing(corners: np.ndarray) -> np.ndarray:
 
 
 @lru_cache
-def _detector(family: str, least_rate: float, correction: float) -> cv2.aruco.ArucoDetector:
+def _detector(family: str, least_rate: float) -> cv2.aruco.ArucoDetector:
     parameters = cv2.aruco.DetectorParameters()
     parameters.minMarkerPerimeterRate = least_rate
-    parameters.errorCorrectionRate = correction
+    parameters.errorCorrectionRate = 0.3  # OpenCV's 0.6 finds small families in gravel
     return cv2.aruco.ArucoDetector(dictionary(family), parameters)
 
 

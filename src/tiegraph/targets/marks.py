@@ -12,10 +12,8 @@ from tiegraph.scene.control import TargetMark
 from tiegraph.scene.rig import on_plane
 from tiegraph.scene.targets import Target, count_of, families
 from tiegraph.targets.detect import Seen, centre_of
-from tiegraph.targets.tuning import Tuning
 from tiegraph.text import some
 
-_SAME = 1e-3  # on the plane z = 1, between a ray and the way there and back: lenses fold beyond their images
 OTHERS = (
     "apriltag_16h5", "apriltag_25h9", "apriltag_36h10", "apriltag_36h11",
     "4x4_1000", "5x5_1000", "6x6_1000", "7x7_1000", "aruco_original", "aruco_mip_36h12",
@@ -36,7 +34,6 @@ def marks_of(
     named: Mapping[str, Target],
     camera_of: Callable[[int], pycolmap.Camera | None],
     names: Sequence[str],
-    tuning: Tuning,
 ) -> TargetMarks:
     """Marks of the targets ``named`` in a file, of what was ``seen`` by scene index; ``names`` of the images.
 
@@ -47,15 +44,26 @@ def marks_of(
         for one in found:
             by_target[one.target][image].append(one)
     marks, notes = [], []
+
+    def apart(found: Sequence[Seen]) -> bool:
+        """Whether a target is at two places, and not at one with two outlines."""
+        first = found[0].corners
+        side = float(np.linalg.norm(first[1] - first[0]))
+        return any(np.linalg.norm((s.corners - first).mean(axis=0)) > side / 2 for s in found[1:])
+
     for name, target in named.items():
         places = by_target.pop(target, {})
-        twice = [k for k, found in places.items() if _apart(found, tuning)]
+        twice = [k for k, found in places.items() if apart(found)]
         if twice:
             more = f" and of {len(twice) - 1} more" if len(twice) > 1 else ""
             text = f"target {name} is seen at two places of {names[twice[0]]}{more}: printed twice? It is not used"
             notes.append(text)
             continue
-        notes += _seen_little(name, places, names, len(seen))
+        if not places:
+            notes.append(f"target {name} is seen in none of {len(seen)} images")
+        elif len(places) == 1:
+            only = names[next(iter(places))]
+            notes.append(f"target {name} is seen in one image only, {only}: two are needed for a place")
         for k, found in places.items():
             best = min(found, key=lambda s: s.sigma_px)
             x, y = centre_of(best.corners, camera_of(k))
@@ -65,21 +73,6 @@ def marks_of(
                 )
     notes += _not_named(by_target)
     return TargetMarks(tuple(marks), tuple(notes))
-
-
-def _apart(found: Sequence[Seen], tuning: Tuning) -> bool:
-    """Whether a target is at two places, and not at one with two outlines."""
-    first = found[0].corners
-    side = float(np.linalg.norm(first[1] - first[0]))
-    return any(np.linalg.norm((s.corners - first).mean(axis=0)) > tuning.apart_sides * side for s in found[1:])
-
-
-def _seen_little(name: str, places: Mapping[int, Sequence[Seen]], names: Sequence[str], images: int) -> list[str]:
-    if not places:
-        return [f"target {name} is seen in none of {images} images"]
-    if len(places) == 1:
-        return [f"target {name} is seen in one image only, {names[next(iter(places))]}: two are needed for a place"]
-    return []
 
 
 def _not_named(by_target: Mapping[Target, Mapping[int, Sequence[Seen]]]) -> list[str]:
@@ -122,7 +115,8 @@ def seen_in(
             continue
         size = np.array([camera.width, camera.height])
         inside = ((np.ravel(xy) >= 0) & (np.ravel(xy) <= size)).all()
-        if inside and np.abs(on_plane(camera, np.ravel(xy)[None])[0] - there[:2] / there[2]).max() < _SAME:
+        # On the plane z = 1, between a ray and the way there and back: lenses fold beyond their images
+        if inside and np.abs(on_plane(camera, np.ravel(xy)[None])[0] - there[:2] / there[2]).max() < 1e-3:
             found[k] = (float(xy[0]), float(xy[1]))
     middle = {k: np.linalg.norm(np.array(xy) / (views[k][1].width, views[k][1].height) - 0.5)
               for k, xy in found.items()}  # fmt: skip
