@@ -15,8 +15,6 @@ from tiegraph.network.offsets.surface import minimum_cost_path, surfaces_of
 from tiegraph.network.passes import MatchCache, find_passes
 from tiegraph.network.plots import (
     _matrix,
-    funnel_png,
-    funnel_steps,
     map_png,
     matrix_png,
     sections_png,
@@ -145,14 +143,6 @@ def test_weak_links_are_read_from_the_table() -> None:
     rows = [["single link", f"{names[3]} - {names[40]}", 2, 1], ["joint", names[2], 1, 1], ["camera", "cam0", 4, 0]]
     assert weak_pairs({"columns": [], "rows": rows}, surveyed()[0].scene).tolist() == [[3, 40]]
     assert weak_pairs({}, surveyed()[0].scene).shape == (0, 2)
-
-
-def test_the_funnel_adds_up() -> None:
-    world, network = surveyed()
-    _, left, dropped, _ = zip(*funnel_steps(network.pairs, len(world.scene)))
-    assert left[0] == len(world.scene) * (len(world.scene) - 1) // 2 and left[1] == len(network.pairs)
-    assert left[1] - sum(dropped) == left[-1] == len(network.pairs.kept())
-    assert opened(funnel_png(network.pairs, len(world.scene))).shape[1] > 800
 
 
 @pytest.mark.slow

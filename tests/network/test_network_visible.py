@@ -10,13 +10,7 @@ from scipy.spatial.transform import Rotation
 from tiegraph.geometry import transforms
 from tiegraph.network.coarse import boxes, pairshare, visible
 from tiegraph.network.coarse.pairshare import pair_share
-from tiegraph.network.coarse.visible import (
-    Overlap,
-    Proxy,
-    assumed_proxy,
-    observed_proxy,
-    shared_surface,
-)
+from tiegraph.network.coarse.visible import Overlap, Proxy, assumed_proxy, observed_proxy, shared_surface
 from tiegraph.network.tuning import Tuning
 
 TUNING = Tuning().coarse

@@ -251,12 +251,7 @@ class Predicted:
 
 
 def judge(
-    item: Predicted,
-    database: str,
-    calibration: Calibration,
-    bound_rad: float,
-    turn_deg: float,
-    tuning: Tuning,
+    item: Predicted, database: str, calibration: Calibration, bound_rad: float, turn_deg: float, tuning: Tuning
 ) -> MotionTest:
     """Ask two units under their predicted rotation, and each doubtful image pair for its own rotation."""
     task, rotation, doubtful = item.task, item.rotation, item.doubtful

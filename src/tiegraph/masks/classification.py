@@ -33,8 +33,6 @@ class Classifier:
     """Why what looks like sky is none; "" where nothing refutes it."""
     white_matches: bool = False
     """Whether overexposed areas of the survey tie: then they are used."""
-    matches: tuple[int, int, int] = (0, 0, 0)
-    """Verified matches in its images: masked before classes were refuted, masked now, all."""
 
 
 def classify(image: np.ndarray, learnt: Classifier, settings: MasksSettings, tuning: Tuning) -> np.ndarray:

@@ -133,18 +133,6 @@ def second_labels(job: TriedJob) -> Labels:
     return replace(seeds, matches=matches_in(classes, classes == SKY, seed.matchability, tuning.proof), edges=edges)
 
 
-def ties_of(job: TriedJob) -> MatchCounts:
-    """Where the matches of an image lie in what ``learnt`` makes of it."""
-    seed, learnt, settings = job.seed, job.learnt, job.settings
-    if seed.matchability is None:
-        return NONE
-    tuning = seed.tuning
-    labels = classify(read_small(seed.image, tuning.frames.look_px), learnt, settings, tuning)
-    if learnt.platform is not None:
-        labels[scaled(learnt.platform, labels.shape)] = EGO
-    return matches_in(labels, labels == SKY, seed.matchability, tuning.proof)
-
-
 def _like_sky(
     image: np.ndarray, sky: np.ndarray, matchability: Matchability | None, tuning: LabelTuning, lowest: float = -1.0
 ) -> np.ndarray:

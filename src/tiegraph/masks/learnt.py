@@ -11,10 +11,10 @@ import numpy as np
 from tiegraph.masks import SKY, USE, WATER, appearance
 from tiegraph.masks.appearance import Appearance
 from tiegraph.masks.classification import Classifier
-from tiegraph.masks.labels import LabelJob, Labels, TriedJob, first_labels, not_above, second_labels, ties_of
+from tiegraph.masks.labels import LabelJob, Labels, TriedJob, first_labels, not_above, second_labels
 from tiegraph.masks.matchability import Matchability, choose_pairs, pair_matchability
 from tiegraph.masks.platform import PlatformMask, different_frames, learn_platform
-from tiegraph.masks.proof import NONE, MatchCounts, cost, moves, white_ties, without_sky
+from tiegraph.masks.proof import NONE, moves, white_ties, without_sky
 from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.tuning import Tuning
 from tiegraph.masks.tuning_learnt import LabelTuning, MatchabilityTuning
@@ -47,11 +47,7 @@ def learn(
     # Once more, with what the first try calls water, sky and scene as seeds: they cover the images, the first did not.
     again = list(apply(second_labels, [TriedJob(job, first[job.camera], settings) for job in jobs]))
     made = _proven(first, jobs, again, settings.water == "on", tuning)
-    told = list(apply(ties_of, [TriedJob(job, made[job.camera], settings) for job in jobs]))
-    return {
-        k: _with_notes(made[k], platforms[k], _of(k, jobs, [s.matches for s in again]), _of(k, jobs, told))
-        for k in cameras
-    }
+    return {k: replace(made[k], note=_note(made[k], platforms[k])) for k in cameras}
 
 
 def _platforms(
@@ -167,12 +163,9 @@ def _unproven(ego: PlatformMask) -> PlatformMask:
     return PlatformMask(None, ego.frames, "no platform learnt (no frames show that the camera moves)")
 
 
-def _with_notes(
-    learnt: Classifier, ego: PlatformMask, before: Sequence[MatchCounts], now: Sequence[MatchCounts]
-) -> Classifier:
+def _note(learnt: Classifier, ego: PlatformMask) -> str:
     water = ", water" if learnt.water is not None else ", no water seen"
-    sky = f", no sky: {learnt.no_sky}" if learnt.no_sky else ""
-    return replace(learnt, note=ego.note + sky + water, matches=(cost(before)[0], *cost(now)))
+    return ego.note + (f", no sky: {learnt.no_sky}" if learnt.no_sky else "") + water
 
 
 def lowest_agreed(rows: Sequence[float], tuning: LabelTuning) -> float:

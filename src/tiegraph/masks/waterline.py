@@ -90,11 +90,7 @@ def first_line(classes: np.ndarray, tuning: WaterlineTuning) -> np.ndarray:
 
 
 def find_water(
-    views: Sequence[View],
-    lines: Sequence[np.ndarray],
-    points: np.ndarray,
-    up: np.ndarray,
-    tuning: WaterlineTuning,
+    views: Sequence[View], lines: Sequence[np.ndarray], points: np.ndarray, up: np.ndarray, tuning: WaterlineTuning
 ) -> Water | None:
     """The water's plane and the banks, from ``first_line`` of level views and the points (P, 3) of the model.
 

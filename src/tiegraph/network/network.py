@@ -39,7 +39,7 @@ class Network:
     tables: dict[str, dict] = field(default_factory=dict)
 
     def plots(self, cam_from_world: np.ndarray | None) -> list[tuple[str, bytes]]:
-        """(name, PNG) of the correspondence matrix, the map, the sections and the funnel. ``cam_from_world``
+        """(name, PNG) of the correspondence matrix, the map and the sections. ``cam_from_world``
         (N, 4, 4): poses of the coarse model, where no prior says where the frames are; NaN = none."""
         from tiegraph.network import plots as draw  # loads matplotlib
 
@@ -48,7 +48,6 @@ class Network:
         out.append(("map", draw.map_png(self.pairs, positions, self.scene, unit=unit)))
         if self.cut.cues:
             out.append(("sections", draw.sections_png(self.scene, self.cut.sections, self.cut.cues)))
-        out.append(("funnel", draw.funnel_png(self.pairs, len(self.scene))))
         return out
 
 

@@ -190,12 +190,7 @@ def _seed_same(p: Pass, stride: int, cache: MatchCache, settings: CandidatesSett
 
 
 def _seed_across(
-    couple: tuple[Pass, Pass],
-    stride: int,
-    cache: MatchCache,
-    settings: CandidatesSettings,
-    tuning: Tuning,
-    budget: int,
+    couple: tuple[Pass, Pass], stride: int, cache: MatchCache, settings: CandidatesSettings, tuning: Tuning, budget: int
 ) -> tuple[ScoreMatrix, bool, np.ndarray | None]:
     """A coarse grid over both passes gives the path and the heading; then sampled frames around the path."""
     (p, q), offsets, least = couple, tuning.offsets, settings.min_matches

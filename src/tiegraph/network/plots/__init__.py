@@ -1,7 +1,5 @@
 """Pictures of the network as PNG: correspondence matrix, offset curves and surfaces, sections and what the up
 camera showed along the passes; the map by name from here too.
-
-The funnel: how many pairs each filter leaves (paper 002, table 1).
 """
 
 import os.path
@@ -16,14 +14,14 @@ from matplotlib.ticker import FuncFormatter, LogFormatter, MaxNLocator
 
 from tiegraph.network.offsets.curves import OffsetCurve
 from tiegraph.network.offsets.surface import OffsetSurface
-from tiegraph.network.plots.map import BLUE, DPI, INK, RED, edges_of, grouped, map_png, weak_pairs
+from tiegraph.network.plots.map import BLUE, DPI, INK, RED, edges_of, map_png, weak_pairs
 from tiegraph.network.sections.light import Cue
 from tiegraph.network.sections.sections import Section
 from tiegraph.scene.figures import png
 from tiegraph.scene.pairs import REASON_LOOKS, REASONS, Pairs
 from tiegraph.scene.scene import Scene
 
-__all__ = ["curves_png", "funnel_png", "map_png", "matrix_png", "sections_png", "surfaces_png", "weak_pairs"]
+__all__ = ["curves_png", "map_png", "matrix_png", "sections_png", "surfaces_png", "weak_pairs"]
 MATRIX_CELLS = 1200  # cells a side at most: larger matrices are reduced by their most telling entry
 MAX_PANELS = 60
 NEVER = "#ffffff"
@@ -171,46 +169,6 @@ def _draw_curve(axes: object, curve: OffsetCurve, top: float, left: bool) -> Non
 def _root(values: np.ndarray) -> np.ndarray:
     """Square root, for an axis on which faint peaks stay visible."""
     return np.sqrt(np.maximum(values, 0))
-
-
-# --- the funnel ------------------------------------------------------------------------------------------------------
-
-
-def funnel_steps(pairs: Pairs, images: int) -> list[tuple[str, int, int, str]]:
-    """(what, pairs left, pairs dropped, colour of the dropped) from all pairs of ``images`` to the used ones."""
-    funnel = pairs.funnel()
-    every = images * (images - 1) // 2
-    left = funnel["candidates"]
-    steps = [("all pairs of images", every, 0, BLUE), ("candidates", left, 0, BLUE)]
-    for reason, count in funnel.items():
-        if reason not in ("candidates", "used"):
-            left -= count
-            words, colour = REASON_LOOKS[reason]
-            steps.append((f"without: {words}", left, count, colour))
-    return [*steps, ("used", funnel["used"], 0, BLUE)]
-
-
-def funnel_png(pairs: Pairs, images: int) -> bytes:
-    """Bars of what is left after each filter, with what it dropped; all pairs of images are only a number."""
-    (_, every, _, _), *steps = funnel_steps(pairs, images)
-    figure = Figure(figsize=(9.5, 0.95 + 0.36 * len(steps)), dpi=DPI, layout="constrained")
-    axes = figure.add_subplot()
-    y = np.arange(len(steps))
-    names, left, dropped, colours = zip(*steps)
-    axes.barh(y, left, color=BLUE, height=0.68)
-    axes.barh(y, dropped, left=left, color=list(colours), height=0.68, edgecolor="#b0b0b0", lw=0.5)
-    top = max(max(left), 1)
-    for k, (value, lost) in enumerate(zip(left, dropped)):
-        text = grouped(value) + (f"   (\N{MINUS SIGN}{grouped(lost)})" if lost else "")
-        axes.text(value + lost + 0.01 * top, k, text, va="center", fontsize=9)
-    axes.set_yticks(y, names)
-    axes.invert_yaxis()
-    axes.set_xlim(0, 1.2 * top)
-    axes.set_xlabel("pairs of images")
-    axes.spines[["top", "right"]].set_visible(False)
-    share = 100 * left[-1] / max(every, 1)
-    axes.set_title(f"From {grouped(every)} pairs of images to {grouped(left[-1])} ({share:.1f} %)", loc="left")
-    return png(figure)
 
 
 def surfaces_png(surfaces: Sequence[OffsetSurface]) -> bytes:

@@ -228,12 +228,7 @@ class _Page:
             else (width, count * (height + 0.3) + _HEAD_IN + 0.3)
         )
         return _Page(
-            figure=Figure(figsize=size, dpi=DPI),
-            low=low,
-            high=high,
-            width=width,
-            height=height,
-            across=across,
+            figure=Figure(figsize=size, dpi=DPI), low=low, high=high, width=width, height=height, across=across
         )
 
     def panel(self, n: int) -> Axes:

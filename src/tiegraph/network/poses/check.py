@@ -61,11 +61,7 @@ class PriorCheck:
 
 
 def checked_pose_pairs(
-    scene: Scene,
-    passes: Sequence[Pass],
-    cache: MatchCache,
-    settings: CandidatesSettings,
-    tuning: Tuning,
+    scene: Scene, passes: Sequence[Pass], cache: MatchCache, settings: CandidatesSettings, tuning: Tuning
 ) -> PoseResult:
     """``pose_pairs``, checked. A bad prior refuses nothing: all its frames count as without prior (``world``), its
     proposals stay, and so do all sampled pairs that tie. One that is bad between passes alone says nothing of them."""

@@ -32,10 +32,7 @@ class BagsOfWords:
         return BagsOfWords(csr_array(self.weights[images]))
 
     def nearest(
-        self,
-        count: int,
-        queries: np.ndarray | None = None,
-        wanted: Callable[[np.ndarray], np.ndarray] | None = None,
+        self, count: int, queries: np.ndarray | None = None, wanted: Callable[[np.ndarray], np.ndarray] | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
         """The ``count`` most similar other images of each query: indices (Q, C) i4, -1 = no more, cosines (Q, C) f4.
 

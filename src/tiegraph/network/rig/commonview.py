@@ -64,10 +64,7 @@ def _frames(scores: ScoreMatrix, excess: np.ndarray, tuning: CommonViewTuning) -
     """The frames in common, where they are not nearly all of both passes."""
     weight = excess.sum(axis=(0, 1))
     said, partly = [], False
-    for p, ranks, own in (
-        (scores.p, scores.rows, weight.sum(axis=1)),
-        (scores.q, scores.columns, weight.sum(axis=0)),
-    ):
+    for p, ranks, own in ((scores.p, scores.rows, weight.sum(axis=1)), (scores.q, scores.columns, weight.sum(axis=0))):
         hot = ranks[own > tuning.rim * own.max()]
         partly |= bool(hot[-1] - hot[0] + 1 < tuning.whole * len(p))
         said.append(f"frames {hot[0] + 1} to {hot[-1] + 1} of {len(p)} of {p.name}")
