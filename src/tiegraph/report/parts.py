@@ -4,6 +4,7 @@ references; the rig, its cameras as adjusted and along the run; time and memory,
 
 import csv
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -42,7 +43,6 @@ CAPTIONS = {
     "section": "What the upward camera sees along the way, and the bridge and open sections cut from it.",
     "funnel": "How many pairs of images each filter of the network left.",
 }
-_SECTION_LINKS = "Are neighbouring sections tied to each other? Two pairs without a common image are what holds them."
 _WEAK_LINKS = "Weak links: places where the survey falls apart, or hangs on very little, if one tie or frame is lost."
 _SOUND = "No weak links: no place hangs on a single tie or frame."
 
@@ -70,7 +70,7 @@ def network_part(run: RunFolder) -> dict[str, Any]:
 
 
 def _sort_tables(stage: str, receipt: dict, out: dict[str, Any]) -> None:
-    """Section links and weak links to the front, with a sentence; the rest under the name of its stage."""
+    """Weak links to the front, with a sentence; the rest under the name of its stage."""
     found = receipt.get("tables")
     for name, data in (found if isinstance(found, dict) else {}).items():
         plain = str(name).replace("_", " ")
@@ -82,13 +82,10 @@ def _sort_tables(stage: str, receipt: dict, out: dict[str, Any]) -> None:
         table = formatting.table(data, f"{title}: {said(plain)}", f"receipts.{stage}.{name}")
         if table is None:
             continue
-        sentence = {"section links": _SECTION_LINKS, "weak links": _WEAK_LINKS}.get(plain)
-        if sentence is None:
-            out["tables"].append(table)
+        if plain == "weak links":
+            out["links"].append(replace(table, title=t(_WEAK_LINKS)))
         else:
-            out["links"].append(
-                formatting.Table(columns=table.columns, rows=table.rows, numeric=table.numeric, title=t(sentence))
-            )
+            out["tables"].append(table)
 
 
 def _pictures(run: RunFolder, drawn: bool) -> list[tuple[str, str]]:

@@ -194,8 +194,6 @@ class SectionsTuning(Section):
     """... against leaving a state and coming back."""
     min_shared: float = Field(0.2, ge=0)
     """Of the density of pairs within sections: what two sections must share to be one place."""
-    min_links: int = Field(2, gt=0)
-    """Independent ties across a border."""
 
 
 class CountsTuning(Section):
