@@ -64,7 +64,7 @@ STAGES = (
     _stage("features", ("scan", "masks"), ("database.db",), "image", version=3, scratch=_BESIDE_DATABASE),
     _stage("match", ("network", "design", "features"), ("match.npz",), "block of pairs", version=2,
            changes=("database.db",), clear=_forget_matches, scratch=("database.db.match",), tuned=("features",)),
-    _stage("filter", ("coarse", "network", "match"), ("filter.npz",), "pair", version=3),
+    _stage("filter", ("coarse", "network", "match"), ("filter.npz",), "pair", version=4),
     _stage("sparse", ("coarse", "network", "match", "filter"), ("sparse",), version=28, scratch=("sparse/.run",),
            tuned=("scene", "sfm")),
     _stage("georef", ("network", "match", "filter", "sparse"), ("sparse/world", "world.json"), version=24,
