@@ -8,32 +8,6 @@ from pydantic import Field
 from tiegraph.settings import Section
 
 
-class CostTuning(Section):
-    """What matching costs of a run (`Cost`): CPU seconds of a core that compares 4096 with 4096 key points in 13 ms.
-
-    Only ratios count. They give the runs in benchmarks/results (8 to 300 images; rendered, vehicle, facades, telephone)
-    within a factor of two.
-    """
-
-    pair_s: float = Field(0.004, ge=0)
-    """Of matching a pair: mostly its verification."""
-    product_s: float = Field(0.8e-9, ge=0)
-    """Of matching, for each product of the pair's key points."""
-    start_s: float = Field(15.0, gt=0)
-    """Of a run, of everything else from scan to report."""
-    image_s: float = Field(1.2, ge=0)
-    """Of an image, of everything else."""
-    megapixel_s: float = Field(1.5, ge=0)
-    """Of an image's pixels, of everything else."""
-    large_mpx: float = Field(2.0, gt=0)
-    """More megapixels of an image cost little more: stages that work by the pixel reduce the images."""
-    keypoints_a_megapixel: float = Field(12000.0, gt=0)
-    """Key points of used area to expect at full resolution, on rich texture."""
-    little: float = Field(0.08, ge=0, le=1)
-    """Share of the run that matching all candidates may cost before it is worth choosing among them. At 0.2 oppaiyama
-    took them all: 124 CPU s for 100, with the same errors."""
-
-
 class MatchPredictionTuning(Section):
     """Matches by the points of the coarse model that two images should both see, and by the overlap, of pairs that were
     never previewed (`matchprediction.py`)."""
@@ -62,10 +36,6 @@ class MatchPredictionTuning(Section):
     """Preview matches with which every second pair is verified: full images find twice as many, 15 are needed."""
     least_variance: float = Field(5.0, gt=0)
     """Matches: the variance of a count is the count itself, and not less than this."""
-    bins: int = Field(12, gt=0)
-    """Of the curve of matches over overlap, with equal numbers of previewed pairs."""
-    least_a_bin: int = Field(30, gt=0)
-    """Previewed pairs a bin should hold."""
     at_full_overlap: float = Field(60.0, gt=0)
     """Matches at full overlap if nothing was previewed: only ratios matter then."""
     floor: float = Field(0.25, ge=0, le=1)
@@ -161,8 +131,9 @@ class Tuning(Section):
     shares 0 to 36. Views of an object with little texture (40 of dino) share 63 and more."""
     start_share: float = Field(0.5, ge=0, le=1)
     """Of a budget of pairs that the pairs may take which stay whatever a design is after."""
-    cost: CostTuning = Field(default_factory=CostTuning)
-    """The cost of matching."""
+    few_pairs: float = Field(15.0, ge=0)
+    """Candidates an image of loose photographs up to which all are matched: less than a tenth of the run (25 images
+    with 300 pairs), while 79 images with 2848 pairs took a quarter longer with the same errors."""
     match_prediction: MatchPredictionTuning = Field(default_factory=MatchPredictionTuning)
     """Expected matches by the coarse model, or by overlap."""
     holding: HoldingTuning = Field(default_factory=HoldingTuning)

@@ -1,6 +1,5 @@
 """Glue of design: which of the candidate pairs are matched."""
 
-import csv
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -9,13 +8,12 @@ import numpy as np
 
 from tiegraph import papers
 from tiegraph.design.coverage import Coverage, coverage, on_few_points, unknown_across
-from tiegraph.design.design import METHODS, Cost, DesignResult, cost, predicted_keypoints, takes_all, with_coverage
+from tiegraph.design.design import METHODS, DesignResult, takes_all, with_coverage
 from tiegraph.design.design import design as select_pairs
 from tiegraph.design.surface import CoveredSurface, surface_map, surface_png, weak_places
-from tiegraph.features.sift import most_features
 from tiegraph.network.plots import map_png, weak_pairs
 from tiegraph.papers.fuse2014 import two_view
-from tiegraph.pipeline.files import checked, load_npz, load_scene, pairs_of, reading, save_npz, ties_of, visibility_of
+from tiegraph.pipeline.files import checked, load_npz, load_scene, pairs_of, save_npz, ties_of, visibility_of
 from tiegraph.pipeline.preview import preview_of, previews_of, with_previews
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, write_atomic
@@ -31,12 +29,12 @@ LOOKED = "design/matches.npz"
 def design(run: Run) -> Outcome:
     """Which of the candidate pairs are matched at full resolution; COLMAP pair lists, one a section and one for all."""
     scene, candidates, known = checked(run), pairs_of(run, "network.npz"), ties_of(run)
-    # Of matching all candidates, if these are loose photographs: in passes false pairs of walls that repeat cost more
-    # than time (canal_demo with all 2734 pairs 9.1 mm, with the 1604 chosen ones 4.8 mm)
-    loose = bool(np.all(scene.sequence[scene.frame] < 0))
-    spent = _cost(run, scene, candidates) if loose else None
-    candidates, ties, previews = _previewed(run, candidates, known, spent)
-    made = _selected(run, scene, candidates, ties, spent)
+    settings, tuning = run.settings, run.settings.tuning
+    ties, previews = known, 0
+    if not takes_all(candidates, scene, settings.design, tuning.design):  # of what is chosen from something is known
+        look = settings.preview, tuning.features.preview
+        candidates, ties, previews = with_previews(candidates, known, run.folder, *look, run.map)
+    made = _selected(run, scene, candidates, ties)
     made, ties = _covered(run, made, scene, ties)
     _save(run, scene, made.pairs, ties.where(known.find(ties.i, ties.j) < 0))
     # The pairs on a map, the weak ones marked
@@ -51,23 +49,13 @@ def design(run: Run) -> Outcome:
     return Outcome(counts, notes=(*looked, *made.notes, *said), tables={**made.tables, **again})
 
 
-def _previewed(
-    run: Run, candidates: Pairs, ties: PreviewMatches, spent: Cost | None
-) -> tuple[Pairs, PreviewMatches, int]:
-    """Candidates and ties after previews of what nothing is known of, where a choice is to be made; how many."""
-    settings, tuning = run.settings, run.settings.tuning
-    if takes_all(settings.design, spent, tuning.design.cost):
-        return candidates, ties, 0
-    return with_previews(candidates, ties, run.folder, settings.preview, tuning.features.preview, run.map)
-
-
-def _selected(run: Run, scene: Scene, candidates: Pairs, ties: PreviewMatches, spent: Cost | None) -> DesignResult:
+def _selected(run: Run, scene: Scene, candidates: Pairs, ties: PreviewMatches) -> DesignResult:
     """The engine's choice; a paper's method is plugged in first, with the accuracy that it goes by."""
     settings, tuning = run.settings.design, run.settings.tuning
     papers.plug_in(papers.DESIGNS, settings.method, METHODS)
     if settings.method in papers.DESIGNS:
         candidates = with_accuracy(candidates, scene, ties, run.folder, run.map, tuning.sfm.two_view)
-    return select_pairs(candidates, scene, ties, settings, tuning.design, visibility_of(run), spent)
+    return select_pairs(candidates, scene, ties, settings, tuning.design, visibility_of(run))
 
 
 def _save(run: Run, scene: Scene, pairs: Pairs, looked: PreviewMatches) -> None:
@@ -123,20 +111,6 @@ def _covered(run: Run, made: DesignResult, scene: Scene, ties: PreviewMatches) -
         ties = ties | previews_of(made.pairs.where(unknown), run.folder, settings, tuning.features.preview, run.map)
         weak = on_few_points(made.pairs, scene, ties, tuning.design)
     return with_coverage(made, coverage(made.pairs, scene, weak)), ties
-
-
-def _cost(run: Run, scene: Scene, pairs: Pairs) -> Cost:
-    """Of matching all kept pairs, by the images' sizes and the shares of them that the masks leave."""
-    cameras = [s.camera for s in scene.all_sensors]
-    sizes = np.array([0.0 if c is None else c.width * c.height / 1e6 for c in cameras])
-    with reading(run.path("masks.csv")), run.path("masks.csv").open(newline="") as file:
-        percent = {row["image"]: float(row["used_percent"]) for row in csv.DictReader(file)}
-        used = np.array([percent[name] / 100 for name in scene.names])
-    megapixels, kept = sizes[scene.sensor_key], pairs.kept()
-    most = most_features(megapixels, run.settings.features.max_features, run.settings.tuning.features.sift)
-    tuning = run.settings.tuning.design.cost
-    keypoints = predicted_keypoints(megapixels, used, most, tuning)
-    return cost(kept.i, kept.j, keypoints, megapixels, tuning)
 
 
 def with_accuracy(
