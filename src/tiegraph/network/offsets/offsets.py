@@ -319,31 +319,28 @@ def find_copies(
     scores: ScoreMatrix, cache: MatchCache, min_matches: int, tuning: CopiesTuning
 ) -> tuple[np.ndarray, np.ndarray, str] | None:
     """Image pairs i, j (K,) of the same picture in two passes of one rig, and what to say; None within a pass and where
-    the first look finds none."""
+    some frames of the camera that matches itself best show none, at no offset and at those of its best nodes."""
     p, q = scores.p, scores.q
     if scores.same or len(p.images) != len(q.images):
         return None
-    camera, offset = _best_offset(scores, min_matches, tuning)
-    for step in dict.fromkeys((0, *offset)):
-        m = np.arange(max(0, -step), min(len(p), len(q) - step))
-        some = m[evenly(len(m), tuning.samples)]
-        if camera is None or not len(some):
-            continue
-        first = _copies(p.images[camera, some], q.images[camera, some + step], cache, min_matches, tuning)
-        if first.sum() >= max(tuning.least, tuning.many * len(some)):
-            return _all(scores, m, step, cache, min_matches, tuning)
-    return None
-
-
-def _best_offset(scores: ScoreMatrix, min_matches: int, tuning: CopiesTuning) -> tuple[int | None, tuple[int, ...]]:
-    """The camera that matches itself best, and frame offsets n - m of its best nodes; None = no strong match."""
-    own = np.stack([np.nan_to_num(scores.inliers[c, c]) for c in range(len(scores.inliers))])
+    cameras = np.arange(len(p.images))
+    own = np.nan_to_num(scores.inliers[cameras, cameras])
     camera = int(own.max(axis=(1, 2)).argmax())
     a, b = np.nonzero(own[camera] >= max(tuning.strong * min_matches, tuning.near_best * own.max()))
     if not len(a):
-        return None, ()
-    values, counts = np.unique(scores.columns[b] - scores.rows[a], return_counts=True)
-    return camera, tuple(int(v) for v in values[np.argsort(-counts, kind="stable")][: tuning.offsets])
+        return None
+    steps, nodes = np.unique(scores.columns[b] - scores.rows[a], return_counts=True)
+    for step in dict.fromkeys((0, *steps[np.argsort(-nodes, kind="stable")][: tuning.offsets].tolist())):
+        m = np.arange(max(0, -step), min(len(p), len(q) - step))
+        some = m[evenly(len(m), tuning.samples)]
+        first = _copies(p.images[camera, some], q.images[camera, some + step], cache, min_matches, tuning)
+        if first.sum() >= max(tuning.least, tuning.many * len(some)):
+            i, j = p.images[:, m].ravel(), q.images[:, m + step].ravel()
+            same = _copies(i, j, cache, min_matches, tuning)
+            count, total = int(same.sum()), int((q.images >= 0).sum())
+            note = f"pass {q.name} repeats pass {p.name}: {count} of {total} images show the same picture; pairs of "
+            return i[same], j[same], note + "them carry no base and are dropped: leave one of the passes out"
+    return None
 
 
 def _copies(i: np.ndarray, j: np.ndarray, cache: MatchCache, min_matches: int, tuning: CopiesTuning) -> np.ndarray:
@@ -354,14 +351,3 @@ def _copies(i: np.ndarray, j: np.ndarray, cache: MatchCache, min_matches: int, t
         results = cache.results(np.minimum(i, j)[there], np.maximum(i, j)[there])
         out[there] = [is_copy(r, min_matches, tuning) for r in results]
     return out
-
-
-def _all(
-    scores: ScoreMatrix, m: np.ndarray, step: int, cache: MatchCache, min_matches: int, tuning: CopiesTuning
-) -> tuple[np.ndarray, np.ndarray, str]:
-    p, q = scores.p, scores.q
-    i, j = p.images[:, m].ravel(), q.images[:, m + step].ravel()
-    same = _copies(i, j, cache, min_matches, tuning)
-    count, total = int(same.sum()), int((q.images >= 0).sum())
-    note = f"pass {q.name} repeats pass {p.name}: {count} of {total} images show the same picture; "
-    return i[same], j[same], note + "pairs of them carry no base and are dropped: leave one of the passes out"

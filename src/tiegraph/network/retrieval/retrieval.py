@@ -12,7 +12,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from tiegraph.network.offsets.background import Far
+from tiegraph.network.offsets.background import noise_floor
 from tiegraph.network.offsets.curves import Proposal
 from tiegraph.network.passes import MatchCache, Pass, loose_images
 from tiegraph.network.retrieval.loose import scored_pairs
@@ -295,8 +295,7 @@ def unrelated(
         return None
     c, d, count = c[fine], d[fine], cache.measure(left[fine], right[fine])
     shape = (line.image_at.shape[1],) * 2
-    far = Far(np.concatenate([c, d]), np.concatenate([d, c]), np.tile(count, 2))
-    return far.noise_floor(shape, min_matches, tuning)
+    return noise_floor((np.r_[c, d], np.r_[d, c]), np.tile(count, 2), shape, min_matches, tuning)
 
 
 def seen_by_the_rig(
@@ -304,7 +303,7 @@ def seen_by_the_rig(
     ends: tuple[np.ndarray, np.ndarray],
     patch: np.ndarray,
     cache: MatchCache,
-    noise_floor: NoiseFloor,
+    floor: NoiseFloor,
     tuning: SignificanceTuning,
 ) -> np.ndarray:
     """(P,) bool: patches of image pairs ``ends`` i (K,), j (K,) that most cameras of the rig bear out; ``patch`` (K,).
@@ -316,7 +315,7 @@ def seen_by_the_rig(
     out = np.zeros(len(size), bool)
     for k in np.argsort(-size, kind="stable")[:most]:
         a, b = _frame_pairs(line, ends[0][patch == k], ends[1][patch == k], tuning.frame_pairs)
-        out[k] = _share_speaking(line, (a, b), cache, noise_floor, tuning.speaks) >= tuning.most_cameras
+        out[k] = _share_speaking(line, (a, b), cache, floor, tuning.speaks) >= tuning.most_cameras
     return out
 
 
@@ -331,7 +330,7 @@ def _frame_pairs(line: Timeline, i: np.ndarray, j: np.ndarray, most: int) -> tup
 
 
 def _share_speaking(
-    line: Timeline, places: tuple[np.ndarray, np.ndarray], cache: MatchCache, noise_floor: NoiseFloor, speaks: float
+    line: Timeline, places: tuple[np.ndarray, np.ndarray], cache: MatchCache, floor: NoiseFloor, speaks: float
 ) -> float:
     """Share of the cameras that tie at ``places`` a (K,), b (K,) with a camera of the other place; of both the
     lower one.
@@ -344,8 +343,8 @@ def _share_speaking(
     there = (left >= 0) & (right >= 0)
     count = np.full(left.shape, np.nan)
     count[there] = cache.measure(left[there], right[there])
-    high = noise_floor.highest
-    above = (np.clip(count, noise_floor.lowest, high) - noise_floor.told) / (high - noise_floor.told)
+    high = floor.highest
+    above = (np.clip(count, floor.lowest, high) - floor.told) / (high - floor.told)
     middle = len(a) // 2
     halves = [_mean(above[:middle]), _mean(above[middle:])] if middle else [_mean(above)] * 2
     shares = []
