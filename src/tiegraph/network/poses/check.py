@@ -220,7 +220,7 @@ def _possible(scene: Scene, passes: Sequence[Pass], shifts: Sequence[int]) -> It
     """The likely mistakes, by what to say about them, and the poses (F, 4, 4) without them."""
     poses, oriented = np.array(scene.world_from_rig), scene.has_orientations()
     if oriented:
-        known = np.isfinite(poses[:, :3]).all(axis=(1, 2))
+        known = np.asarray(np.isfinite(poses[:, :3]).all(axis=(1, 2)))
         inverted = np.where(known[:, None, None], transforms.invert(poses), np.nan)
         yield "it holds world-to-camera poses (expected: camera-to-world)", inverted
         for name, (axes, _) in _AXES.items():
