@@ -151,7 +151,7 @@ def _refine(data: MaskSet, camera_of: Mapping[str, str], folder: Path, out: Path
         found = first[name]
         if name in views:
             seen = places(images[name], model.cameras[images[name].camera_id], points, TUNING.sky_points)
-            lines = lines_of(views[name], up, water, TUNING.waterline)
+            lines = lines_of(views[name], up, water)
             found = without_points(final_classes(found, lines, TUNING.waterline), seen, TUNING.sky_points)
         _save(out / GEOMETRY / "classes" / f"{name}.png", found)
         keep = full_size(found == USE, image_size(data.folder / name))

@@ -16,12 +16,6 @@ class MatchPredictionTuning(Section):
     """Angles between the rays that are tried for the law: where chances fall to 1 / e."""
     octaves: tuple[float, ...] = Field((0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 3.0), min_length=1)
     """Ratios of the distances that are tried for the law, octaves: where chances fall to 1 / e."""
-    usual_angle_deg: float = Field(20.0, gt=0)
-    """Angle of the law where too few pairs were previewed to tell."""
-    usual_octaves: float = Field(0.7, gt=0)
-    """Octaves of the law where too few pairs were previewed to tell."""
-    usual_rate: float = Field(0.5, gt=0, le=1)
-    """Rate of the law where too few pairs were previewed to tell: 0.7 found in each image, as SIFT repeats."""
     cell_deg: float = Field(1.75, gt=0)
     """Width in angle of the cells of the tables the law is fitted to."""
     cell_octaves: float = Field(0.1, gt=0)
@@ -34,10 +28,6 @@ class MatchPredictionTuning(Section):
     """Previewed pairs with common points below which the law is the usual one."""
     even_matches: float = Field(7.5, gt=0)
     """Preview matches with which every second pair is verified: full images find twice as many, 15 are needed."""
-    least_variance: float = Field(5.0, gt=0)
-    """Matches: the variance of a count is the count itself, and not less than this."""
-    at_full_overlap: float = Field(60.0, gt=0)
-    """Matches at full overlap if nothing was previewed: only ratios matter then."""
     floor: float = Field(0.25, ge=0, le=1)
     """Of its expectation that a pair has at least: a preview that failed does not prove that full resolution does."""
 
@@ -84,16 +74,10 @@ class GrowthTuning(Section):
     time within 1 %, measured with 0.03."""
     coarse: float = Field(0.10, gt=0)
     """The same for networks of many images, and for those that are dense already."""
-    many_images: int = Field(20_000, ge=0)
-    """Images beyond which rounds are coarse from the start."""
     dense_pairs: float = Field(4.0, ge=0)
     """Pairs an image from which on rounds are coarse in small networks too."""
     look: float = Field(0.20, ge=0)
     """Growth of the network between two looks at its accuracy, which cost more than a round."""
-    halvings: int = Field(4, ge=0)
-    """Of the last step, to find where the budget was met."""
-    sorted_times: int = Field(20, gt=0)
-    """Times the pairs wanted: so many of the best gains a round sorts first, for sorting all would cost too much."""
 
 
 class SurfaceTuning(Section):

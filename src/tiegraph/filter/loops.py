@@ -104,7 +104,7 @@ def pair_rotation(pair: tuple[int, int], matches: Matches, bound_rad: float, tun
     """The rotation between two images by five-point RANSAC and least squares."""
     a, b = matches.rays(*pair)
     options = pycolmap.RANSACOptions(max_error=bound_rad, random_seed=_SEED)
-    options.max_num_trials, options.min_num_trials = tuning.trials, tuning.least_trials
+    options.max_num_trials, options.min_num_trials = tuning.trials, 60
     found = pycolmap.estimate_relative_pose(a, b, options) if len(a) >= tuning.least_matches else None
     if not found:
         return PairRotation(np.eye(3), 0)

@@ -12,8 +12,6 @@ class LoopTuning(Section):
     """Matches of a pair below which it tells no rotation."""
     trials: int = Field(500, gt=0)
     """Of the RANSAC, at most: five of a share of 0.4 are met by 1 in 98."""
-    least_trials: int = Field(60, gt=0)
-    """Of the RANSAC, at least."""
     votes_a_pair: int = Field(100, gt=0)
     """Matches of one pair that count in a vote: a wall full of windows is one opinion."""
     directions: int = Field(200, gt=0)

@@ -175,7 +175,7 @@ def lowest_agreed(rows: Sequence[float], tuning: LabelTuning) -> float:
     """
     known = np.array([r for r in rows if r > 0])
     near = [int(((known <= r) & (known > r - tuning.agreed)).sum()) for r in known]
-    enough = max(tuning.agreed_images, tuning.agreed_share * len(known))
+    enough = max(2, 0.1 * len(known))
     agreed = known[np.array(near) >= enough] if len(known) else known
     return float(agreed.max()) if len(agreed) else float(known.max(initial=0))
 
@@ -222,9 +222,7 @@ def _places(jobs: Sequence[LabelJob], seeds: Sequence[Labels], tuning: LabelTuni
     for camera in {job.camera for job in jobs if not job.upward}:
         own = [s.places for job, s in zip(jobs, seeds) if job.camera == camera and s.places[SKY].any()]
         if own:
-            sky, scene = (
-                cv2.GaussianBlur(np.sum([p[c] for p in own], axis=0), (0, 0), tuning.place_sigma) for c in (SKY, USE)
-            )
+            sky, scene = (cv2.GaussianBlur(np.sum([p[c] for p in own], axis=0), (0, 0), 0.7) for c in (SKY, USE))
             ratio = np.log((sky + tuning.place_seeds) / (scene + tuning.place_seeds))
             found[camera] = np.clip(ratio, -tuning.place_clip, tuning.place_clip).astype(np.float32)
     return found

@@ -97,8 +97,7 @@ def _lines(
         return {}, ("no ring of cameras shows which way is up: the water stays as it was learnt",)
     views = _views(run, scene, model, matrices)
     water = _water(run, scene, views, points, up.direction)
-    tuning = run.settings.tuning.masks.waterline
-    lines = {name: lines_of(view, up.direction, water, tuning) for name, view in views.items()}
+    lines = {name: lines_of(view, up.direction, water) for name, view in views.items()}
     if water is None:
         return lines, ("no sky below the horizon; no water level was found, so the water stays as it was learnt",)
     unit = world_unit(run.folder)
@@ -109,7 +108,6 @@ def _lines(
 
 
 def _views(run: Run, scene: Scene, model: pycolmap.Reconstruction, matrices: np.ndarray) -> dict[str, View]:
-    tuning = run.settings.tuning.masks.waterline
     grids: dict[int, np.ndarray] = {}
     ids = {i.name: i.camera_id for i in model.images.values()}
     views = {}
@@ -120,7 +118,7 @@ def _views(run: Run, scene: Scene, model: pycolmap.Reconstruction, matrices: np.
         camera = ids[name]
         if camera not in grids:
             shape = read_image(classes_path(run.folder, name)).shape[:2]
-            grids[camera] = camera_rays(model.cameras[camera], shape, tuning)
+            grids[camera] = camera_rays(model.cameras[camera], shape, run.settings.tuning.masks.waterline)
         rotation, shift = matrices[k, :3, :3], matrices[k, :3, 3]
         views[name] = View(grids[camera] @ rotation, -rotation.T @ shift)
     return views

@@ -34,16 +34,16 @@ class CoarseModel:
         """(N,) bool: images in the model."""
         return np.all(np.isfinite(self.cam_from_world), axis=(1, 2))
 
-    def reach(self, tuning: CoarseTuning) -> np.ndarray:
+    def reach(self) -> np.ndarray:
         """(N, 2) distances to the nearest and farthest points an image sees (percentiles); NaN without points."""
         centre = transforms.centre(self.cam_from_world)
         distance = np.linalg.norm(self.points[self.point] - centre[self.image], axis=1)
         out = np.full((len(self.cam_from_world), 2), np.nan)
         order = np.argsort(self.image, kind="stable")
         ends = np.searchsorted(self.image[order], np.arange(len(out) + 1))
-        for k in np.flatnonzero(np.diff(ends) >= tuning.reach_points):
+        for k in np.flatnonzero(np.diff(ends) >= 10):
             own = order[ends[k] : ends[k + 1]]
-            out[k] = np.percentile(distance[own], tuning.reach_percentiles)
+            out[k] = np.percentile(distance[own], (5.0, 95.0))
         return out
 
     def proxy(self, tuning: ProxyTuning) -> Proxy:

@@ -138,7 +138,7 @@ def assumed_proxy(
         )
     return Proxy(
         points=np.concatenate(points),
-        reach=np.repeat(tuning.proxy.assumed_reach * ranges[known], count),
+        reach=np.repeat(3.0 * ranges[known], count),
         towards=np.concatenate(towards),
         image=np.repeat(known, count),
         point=np.arange(sum(count)),

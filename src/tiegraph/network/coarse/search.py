@@ -87,7 +87,7 @@ class Search:
         if len(suspects):
             self._left_out = np.union1d(self._left_out, suspects)
         else:
-            self._per_image *= self._tuning.more_pairs
+            self._per_image *= 1.5
 
     def result(self) -> Coarse:
         """The candidate pairs by the predicted shared surface where the best model is trusted, unchanged elsewhere.

@@ -27,7 +27,7 @@ def noise_floor(
     number = np.bincount(key, minlength=shape[0] * shape[1])
     mean = np.bincount(key, value, minlength=len(number)) / np.maximum(number, 1)
     mean = np.where(number >= tuning.offsets.background.enough, mean, value.mean()).reshape(shape)
-    most = max(high, float(np.quantile(count, tuning.offsets.background.outstanding)))
+    most = max(high, float(np.quantile(count, 0.99)))
     return NoiseFloor(mean=mean, most=most, lowest=low, highest=high, most_level=tuning.offsets.scores.most_level)
 
 
@@ -39,7 +39,8 @@ def noise_floor_within(
     if len(p) < tuning.offsets.background.long_frames:
         return None
     rng = np.random.default_rng(len(p))
-    (least, most), samples = tuning.offsets.background.far_share, tuning.offsets.background.samples
+    # So far apart frames share nothing, also where the end of a pass is its beginning
+    (least, most), samples = (0.4, 0.6), tuning.offsets.background.samples
     apart = rng.integers(int(least * len(p)), int(most * len(p)) + 1, samples)
     a = rng.integers(0, len(p) - apart)
     b = a + apart

@@ -61,7 +61,7 @@ def facing(scores: ScoreMatrix, excess: np.ndarray, settings: CandidatesSettings
     yaw = commonview.yaw(scores, excess, tuning)
     if yaw is None:
         return np.ones(excess.shape[:2], bool)
-    return angles_deg(scores.p.rig, yaw, tuning.axes) <= settings.axes_deg
+    return angles_deg(scores.p.rig, yaw) <= settings.axes_deg
 
 
 def curves_of(

@@ -86,10 +86,10 @@ def _local_offsets(
         share = max(0, budget - len(cache)) // (len(pass_pairs) - k)
         stride = finest = min(strides[id(p)], strides[id(q)])
         survey = _survey((p, q), (stride, offsets.window_nodes), cache, settings, tuning, len(cache) + share)
-        while not survey.complete and offsets.coarser_strides * stride < max(len(p), len(q)):
+        while not survey.complete and 4 * stride < max(len(p), len(q)):
             stride *= 2  # coarser: the nodes of the finer lattice are known and cost nothing
             # As many frames from the path as before: else pairs, and previews, would grow faster than the images.
-            window = max(offsets.least_window_nodes, offsets.window_nodes * finest // stride)
+            window = max(3, offsets.window_nodes * finest // stride)
             survey = _survey((p, q), (stride, window), cache, settings, tuning, len(cache) + share)
         local = _local(survey, settings, tuning)
         parts.append(_without_copies(local, survey.scores, cache, settings, tuning.retrieval.copies))
@@ -114,7 +114,7 @@ def _stride(p: Pass, cache: MatchCache, settings: CandidatesSettings, tuning: Tu
                 break
             best = step
         reach.append(best)
-    most = min(tuning.offsets.max_stride, max(1, len(p) // tuning.offsets.strides_a_pass))
+    most = min(16, max(1, len(p) // 4))
     return int(np.clip(round(float(np.median(reach)) / tuning.offsets.strides_a_reach + 1), 1, most))
 
 
@@ -197,7 +197,7 @@ def _seed_across(
     scores = score_matrix(p, q, stride, np.ones((len(p.images), len(q.images)), bool), offsets.scores)
     cameras = len(p.images) * len(q.images)
     side = int(np.sqrt(max(0, budget - len(cache)) * offsets.coarse_share / cameras))
-    nodes = min(offsets.coarse_nodes, max(offsets.least_coarse_nodes, side))
+    nodes = min(24, max(4, side))
     coarse = np.isin(np.arange(len(scores.rows)), evenly(len(scores.rows), nodes))[:, None] & np.isin(
         np.arange(len(scores.columns)), evenly(len(scores.columns), nodes)
     )
@@ -326,7 +326,7 @@ def find_copies(
     cameras = np.arange(len(p.images))
     own = np.nan_to_num(scores.inliers[cameras, cameras])
     camera = int(own.max(axis=(1, 2)).argmax())
-    a, b = np.nonzero(own[camera] >= max(tuning.strong * min_matches, tuning.near_best * own.max()))
+    a, b = np.nonzero(own[camera] >= max(tuning.strong * min_matches, 0.8 * own.max()))
     if not len(a):
         return None
     steps, nodes = np.unique(scores.columns[b] - scores.rows[a], return_counts=True)

@@ -253,7 +253,7 @@ def _share(
 ) -> np.ndarray:
     """(K,) predicted overlap of pairs by a reading of the prior."""
     read = scene.with_(world_from_rig=poses)
-    full, headings = with_headings(read, passes, tuning)
+    full, headings = with_headings(read, passes)
     cam_from_world = transforms.invert(prior_views(read, full, headings, passes).pose)
     cameras = view_cameras(scene, tuning.poses)
     return pair_share(cam_from_world, cameras, sample.i, sample.j, range_m, tuning.coarse)

@@ -117,7 +117,7 @@ def _propagated(nodes: _Nodes, cache: MatchCache, min_matches: int, tuning: Tuni
     count, loose, sure = len(nodes), tuning.retrieval.loose, tuning.retrieval.sure_alike * min_matches
     budget = tuning.previews_an_image * count
     if nodes.words is None:
-        budget = max(loose.blind_budget, int(loose.blind_share * count * (count - 1) / 2))
+        budget = max(80_000, int(0.06 * count * (count - 1) / 2))
     rng = np.random.default_rng(0)
     own = np.flatnonzero(nodes.loose)
     near = [nodes.keys(own[:-step], own[step:]) for step in range(1, loose.by_name + 1)]

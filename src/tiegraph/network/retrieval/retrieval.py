@@ -311,10 +311,10 @@ def seen_by_the_rig(
     The largest ones are looked at; the others are not believed.
     """
     size = np.bincount(patch)
-    most = max(1, len(line.of_pass) // tuning.places_a_loop)
+    most = max(1, len(line.of_pass) // 16)
     out = np.zeros(len(size), bool)
     for k in np.argsort(-size, kind="stable")[:most]:
-        a, b = _frame_pairs(line, ends[0][patch == k], ends[1][patch == k], tuning.frame_pairs)
+        a, b = _frame_pairs(line, ends[0][patch == k], ends[1][patch == k], 12)
         out[k] = _share_speaking(line, (a, b), cache, floor, tuning.speaks) >= tuning.most_cameras
     return out
 

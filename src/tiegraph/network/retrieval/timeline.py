@@ -46,7 +46,7 @@ def timeline(passes: Sequence[Pass], words: BagsOfWords, tuning: TimelineTuning)
     length = np.array([len(p) for p in passes])
     image_at = np.full((length.sum(), sensors), -1, np.int64)
     reach = np.array([_reach(p, words, tuning) for p in passes])
-    size = np.maximum(reach, -(-length.sum() // tuning.max_cells))
+    size = np.maximum(reach, -(-length.sum() // 3000))
     of_pass = np.repeat(np.arange(len(passes)), length)
     rank = np.concatenate([np.arange(n) for n in length])
     for k, p in enumerate(passes):

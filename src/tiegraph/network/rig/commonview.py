@@ -40,10 +40,10 @@ def yaw(scores: ScoreMatrix, excess: np.ndarray, tuning: RigTuning) -> float | N
     side = np.array([s.role != "up" for s in p.rig.sensors])
     level = side[:, None] & side[None, :]
     evidence = excess.sum(axis=(2, 3)) * level
-    best = yaw_between(p.rig, evidence, tuning.axes)
+    best = yaw_between(p.rig, evidence)
     if best is None:
         return None
-    cosine = np.cos(np.radians(angles_deg(p.rig, best, tuning.axes)))
+    cosine = np.cos(np.radians(angles_deg(p.rig, best)))
     mean = float(np.sum(evidence * cosine) / evidence.sum())
     sigma = float(cosine[level].std()) / np.sqrt(votes(excess[level]))
     return best if mean - float(cosine[level].mean()) >= tuning.common_view.yaw_sigmas * sigma > 0 else None

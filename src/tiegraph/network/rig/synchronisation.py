@@ -106,9 +106,9 @@ def lag_notes(passes: Sequence[Pass], cache: MatchCache, settings: CandidatesSet
     """
     sync = tuning.rig.synchronisation
     found: dict[tuple[int, int], list[tuple[str, str]]] = {}
-    for p in (passes[k] for k in evenly(len(passes), sync.lag_passes)):
-        camera_pairs = _neighbours(p.rig, sync.near_deg)
-        longest = min(sync.max_lag, (len(p) - 1) // sync.frames_a_lag)
+    for p in (passes[k] for k in evenly(len(passes), 4)):
+        camera_pairs = _neighbours(p.rig, 15.0)
+        longest = min(sync.max_lag, (len(p) - 1) // 3)
         if not len(camera_pairs) or longest < 1 or p.rig.stitched():
             continue
         if len(camera_pairs) > sync.few and not _odd(_measured(p, camera_pairs, 0, cache, settings, tuning), p, sync):
@@ -135,7 +135,7 @@ def _neighbours(rig: Rig, near_deg: float) -> np.ndarray:
 def _measured(
     p: Pass, camera_pairs: np.ndarray, longest: int, cache: MatchCache, settings: CandidatesSettings, tuning: Tuning
 ) -> _Steps:
-    some = tuning.rig.synchronisation.lag_frames
+    some = 4
     frames = np.unique(np.linspace(longest, len(p) - 1 - longest, some).round().astype(int))
     shape = len(camera_pairs), 2 * longest + 1
     k, at, m = (x.ravel() for x in np.meshgrid(np.arange(shape[0]), np.arange(shape[1]), frames, indexing="ij"))
@@ -158,7 +158,7 @@ def _measured(
     for c, d in camera_pairs.tolist():  # with the rows scaled like the columns
         camera = p.rig.sensors[c].camera
         ratio = 1.0 if camera is None else camera.width / camera.height
-        expected.append(predicted_shift(p.rig, c, d, tuning.rig.axes) * (1.0, ratio))
+        expected.append(predicted_shift(p.rig, c, d) * (1.0, ratio))
     return _Steps(
         pairs=camera_pairs,
         evidence=evidence.reshape(shape),
@@ -236,6 +236,6 @@ def _late(rig: Rig, sensor: int, lag: int, seen: list[tuple[str, str]]) -> str:
     late, before = ("late", "before") if lag > 0 else ("early", "after")
     return (
         f"{where}: {rig.sensors[sensor].name} ties as if it ran {frames} {late}: its images fit best those of the "
-        f"others taken {frames} {before} ({'; '.join(figures for _, figures in seen)}); all the same the rig is taken as "
-        "synchronised: rename the images so that those of one moment share a number"
+        f"others taken {frames} {before} ({'; '.join(figures for _, figures in seen)}); all the same the rig is "
+        "taken as synchronised: rename the images so that those of one moment share a number"
     )

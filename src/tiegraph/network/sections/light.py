@@ -92,11 +92,7 @@ def read_cues(scene: Scene, passes: Sequence[Pass], light: UpLight, tuning: Sect
         cues.append(_cue(kind, by_up_frame(scene, light.sky_share), passes, tuning))
     stop = None if light.exposure is None else by_up_frame(scene, light.exposure)
     known = np.isfinite(grey)
-    if (
-        stop is not None
-        and known.any()
-        and np.mean(np.isfinite(stop[known]) & (stop[known] > 0)) >= tuning.known_exposure
-    ):
+    if stop is not None and known.any() and np.mean(np.isfinite(stop[known]) & (stop[known] > 0)) >= 0.9:
         with np.errstate(invalid="ignore", divide="ignore"):
             luminance = np.where(stop > 0, (grey / 255) ** _GAMMA / stop, np.nan)
         contrast = float(np.log2(tuning.luminance_contrast))
@@ -134,7 +130,7 @@ def _cue(kind: _Kind, values: np.ndarray, passes: Sequence[Pass], tuning: Sectio
             own = _median(clear) if clear and kind.absolute else None
         if own is not None:
             threshold[p.frames] = 2**own.threshold if kind.log else own.threshold
-            gain = (own.high - own.low) / max(own.scatter, tuning.narrowest * (own.high - own.low)) ** 2
+            gain = (own.high - own.low) / max(own.scatter, (1 / 6) * (own.high - own.low)) ** 2
             say = gain * (0.5 * (own.low + own.high) - scaled[p.frames])
             evidence[p.frames] = np.clip(np.nan_to_num(say), -tuning.frame_say, tuning.frame_say)
     shown = clear or [s for s in splits if s is not None] or ([whole] if whole is not None else [])
@@ -173,7 +169,7 @@ def _split(values: np.ndarray, tuning: SectionsTuning) -> _Split | None:
     split = otsu(known)
     threshold, separation, low, high = split.threshold, split.separation, split.low, split.high
     below, above = known[known < threshold], known[known >= threshold]
-    if min(len(below), len(above)) < tuning.min_class:
+    if min(len(below), len(above)) < 2:
         separation = 0.0
     scatter = float(np.sqrt(max(0.0, (1 - separation) * known.var())))
     return _Split(threshold=threshold, low=low, high=high, scatter=scatter, separation=separation)
@@ -213,7 +209,7 @@ def two_states(evidence: np.ndarray, tuning: SectionsTuning) -> np.ndarray:
     n = len(say)
     cost, back = np.zeros(2), np.zeros((n, 2), int)
     for k in range(n):
-        stay, move = cost, cost[::-1] + (tuning.switch_cost if k else 0.0)
+        stay, move = cost, cost[::-1] + (2.5 if k else 0.0)  # against one odd frame
         back[k] = np.where(stay <= move, [0, 1], [1, 0])
         cost = np.minimum(stay, move) + np.array([0.5, -0.5]) * say[k]
     state = np.zeros(n, bool)

@@ -12,20 +12,8 @@ class VisibleTuning(Section):
     """Image cells across and down: votes and occlusion."""
     behind: float = Field(1.2, ge=1)
     """A point further than this times the nearest one of its cell is hidden."""
-    front_cos: float = Field(-0.3, ge=-1, le=1)
-    """Cosine between the ray and the mean direction to the observers; below it the back is seen."""
     mean_visible: tuple[int, int] = (700, 2500)
     """Points an image sees on average, in the largest surveys and in small ones."""
-    sights: int = Field(3_000_000, gt=0)
-    """Points that all images together see, between these two: bounds memory."""
-    thinning_images: int = Field(40, gt=0)
-    """Images that tell how many points are seen, before some are left out."""
-    thinning_from: float = Field(1.2, ge=1)
-    """Times the points wanted: with fewer none are left out."""
-    angle_points: float = Field(400, gt=0)
-    """Points an image sees on average that the mean angles and scales are taken from ..."""
-    angle_share: float = Field(0.7, ge=0, le=1)
-    """... from all, where these are a larger share."""
     cone_widens: float = Field(1.05, ge=1)
     """The cone round a field of view is wider by this factor: distortion."""
     min_share: float = Field(0.02, ge=0, le=1)
@@ -45,8 +33,6 @@ class ProxyTuning(Section):
     """Rays across and down an image for a proxy at an assumed range."""
     assumed_ranges: tuple[float, ...] = (0.25, 0.5, 1.0, 2.0)
     """Distances of its points, in assumed ranges."""
-    assumed_reach: float = Field(3.0, gt=0)
-    """Ranges from which such a point is still seen."""
 
 
 class TrustTuning(Section):
@@ -99,8 +85,6 @@ class CoarseTuning(Section):
     """Share of the images in the model from which its calibration is believed."""
     tries: int = Field(4, gt=0)
     """Models made, where the first are torn or suspect."""
-    more_pairs: float = Field(1.5, ge=1)
-    """Times the pairs an image of a torn model, for the next one."""
     enough_looks: int = Field(8, gt=0)
     """Previews of two cameras where the model predicts a common view, to say that they never tie."""
     never: float = Field(0.1, ge=0, le=1)
@@ -111,10 +95,6 @@ class CoarseTuning(Section):
     """Of a nominal mounting: further only if a second model turns the camera as far."""
     same_turn_deg: float = Field(3.0, ge=0)
     """Two models agree."""
-    reach_points: int = Field(10, gt=0)
-    """An image that sees fewer says nothing of its distances."""
-    reach_percentiles: tuple[float, float] = (5.0, 95.0)
-    """Of the distances to the points an image sees, its nearest and farthest."""
     visible: VisibleTuning = Field(default_factory=VisibleTuning)
     """Which images see the same surface."""
     proxy: ProxyTuning = Field(default_factory=ProxyTuning)

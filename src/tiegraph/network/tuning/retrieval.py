@@ -12,18 +12,10 @@ class VocabularyTuning(Section):
     """Vocabularies, with other starts; two find 0.01 to 0.02 more than one."""
     features_a_word: float = Field(12, gt=0)
     """Features of the survey for each word; measured: 8 to 16 serve alike from 79 to 300 images."""
-    min_words: int = Field(256, gt=0)
-    """Words of a vocabulary, at least."""
-    max_words: int = Field(65536, gt=0)
-    """Words of a vocabulary, at most."""
     training: int = Field(200_000, gt=0)
     """Descriptors a vocabulary is learnt from, at most: 100 MB."""
     rounds: int = Field(8, ge=0)
     """Of k-means."""
-    idf_power: float = Field(0.5, ge=0)
-    """Of the inverse document frequency: in a survey common words still tell, 0.005 better than the plain logarithm."""
-    burst_power: float = Field(0.5, ge=0)
-    """Of the term frequency: repeated words count less than once each (burstiness: Jegou 2009)."""
 
 
 class LooseTuning(Section):
@@ -56,10 +48,6 @@ class LooseTuning(Section):
     """What count and weighted cosine must reach together."""
     blind_partners: int = Field(20, gt=0)
     """Random partners of an image in place of look-alikes, without words: many more previews are needed."""
-    blind_share: float = Field(0.06, ge=0, le=1)
-    """Of all pairs: previews without words ..."""
-    blind_budget: int = Field(80_000, ge=0)
-    """... or so many, if that is more."""
 
 
 class TimelineTuning(Section):
@@ -71,8 +59,6 @@ class TimelineTuning(Section):
     """Of the likeness of consecutive frames, above that of distant ones, that ends the reach."""
     strides_a_reach: int = Field(3, gt=0)
     """Sampled frames within a reach."""
-    max_cells: int = Field(3000, gt=0)
-    """Cells along all passes in which known ties are marked."""
 
 
 class LoopSearchTuning(Section):
@@ -94,14 +80,10 @@ class LoopSearchTuning(Section):
 class SignificanceTuning(Section):
     """Loops of long surveys against the whole rig (`retrieval.py`)."""
 
-    frame_pairs: int = Field(12, gt=0)
-    """Frame pairs of a loop that all cameras are previewed at."""
     speaks: float = Field(0.4, ge=0, le=1)
     """Of the way from the level of unrelated frames to the highest: what a camera must reach there."""
     most_cameras: float = Field(0.6, ge=0, le=1)
     """Share of a rig's cameras that must. Simulated, 2004 images: false loops 0.17 to 0.5, true ones 0.83 to 1."""
-    places_a_loop: int = Field(16, gt=0)
-    """One loop for so many of the survey's places is looked at so closely."""
 
 
 class CopiesTuning(Section):
@@ -113,8 +95,6 @@ class CopiesTuning(Section):
     """Share of the features that a copy shows again; measured: JPEG quality 60 .. 95: 0.59 .. 0.9, next frame 0.5."""
     strong: float = Field(3.0, gt=0)
     """Times `min_matches`: less is no ground to look closer."""
-    near_best: float = Field(0.8, ge=0, le=1)
-    """Share of the best count from which a node tells the frame offset of copies."""
     offsets: int = Field(2, ge=0)
     """Frame offsets that are tried besides none, those most nodes tell."""
     samples: int = Field(6, gt=0)
