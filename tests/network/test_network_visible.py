@@ -59,7 +59,7 @@ def shared(poses, cameras, proxy, max_angle_deg: float = 90.0, slack_rad: float 
 def test_share_of_a_wall_is_that_of_the_geometry() -> None:
     poses = row_of_cameras()
     points = wall()
-    proxy = observed_proxy(points, *observers(points, poses), poses, TUNING.proxy)
+    proxy = observed_proxy(points, *observers(points, poses), poses)
     found = shared(poses, [CAMERA] * 10, proxy)
     # 20 m of wall in view from 10 m; images k * 4 m apart share 1 - k * 0.2 of it
     for k, share in ((1, 0.8), (2, 0.6), (3, 0.4), (4, 0.2)):
@@ -99,7 +99,7 @@ def test_a_wall_is_not_seen_from_behind() -> None:
     front = look(np.array([[0.0, 0, 0], [2, 0, 0], [4, 0, 0]]), np.zeros(3))
     back = look(np.array([[0.0, 20, 0]]), np.array([180.0]))
     points = wall(3000, width=10.0) * (1, 1, 0.2)
-    proxy = observed_proxy(points, *observers(points, front), np.concatenate([front, back]), TUNING.proxy)
+    proxy = observed_proxy(points, *observers(points, front), np.concatenate([front, back]))
     found = shared(np.concatenate([front, back]), [CAMERA] * 4, proxy, max_angle_deg=180)
     assert set(zip(found.i, found.j)) == {(0, 1), (0, 2), (1, 2)}
 
@@ -109,7 +109,7 @@ def test_images_without_observations_and_without_pose() -> None:
     points = wall()
     image, point = observers(points, poses)
     mine = image != 4
-    proxy = observed_proxy(points, image[mine], point[mine], poses, TUNING.proxy)
+    proxy = observed_proxy(points, image[mine], point[mine], poses)
     lost = poses.copy()
     lost[7] = np.nan
     found = shared(lost, [CAMERA] * 10, proxy)

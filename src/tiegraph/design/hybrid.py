@@ -72,7 +72,7 @@ def choose(
         if room <= 0:
             break
         new = tracks.new()
-        pace = growth if count < own.dense_pairs * candidates.images else own.coarse
+        pace = growth if count < 4.0 * candidates.images else own.coarse
         wanted = min(max(1, int(pace * count)), room)
         each = max(1, round(2 * pace * count / candidates.images))
         gain = np.where(chosen, -1.0, _gains(candidates, weight, new, tuning.net))

@@ -49,8 +49,6 @@ class NetTuning(Section):
     wide_images: int = Field(300, gt=0)
     """Images of a track: one of more, which wrong matches made, counts as one for each so many images in a row.
     COLMAP's mapper takes none of more than 100."""
-    exact_nodes: int = Field(700, ge=0)
-    """Nodes up to which the inverse is dense and exact."""
     projections: int = Field(48, gt=0)
     """Random ones beyond: a resistance is then known to sqrt(2 / 48) = 20 % (Spielman and Srivastava 2008)."""
     waves: int = Field(24, gt=0)
@@ -74,8 +72,6 @@ class GrowthTuning(Section):
     time within 1 %, measured with 0.03."""
     coarse: float = Field(0.10, gt=0)
     """The same for networks of many images, and for those that are dense already."""
-    dense_pairs: float = Field(4.0, ge=0)
-    """Pairs an image from which on rounds are coarse in small networks too."""
     look: float = Field(0.20, ge=0)
     """Growth of the network between two looks at its accuracy, which cost more than a round."""
 
@@ -89,8 +85,6 @@ class SurfaceTuning(Section):
     """Median distances beyond which a point is background, which nobody surveys."""
     least_points: int = Field(3, gt=0)
     """Points of a cell: fewer are as often errors of the model."""
-    seen_share: float = Field(0.3, gt=0, le=1)
-    """Of a cell's points, that an image must see to see the cell."""
     image_px: float = Field(0.5, gt=0)
     """Sigma of an image coordinate, full resolution, that a point's expected sigma is worked out with: SIFT."""
     least_images: int = Field(3, gt=1)
@@ -99,8 +93,6 @@ class SurfaceTuning(Section):
     """Between the outermost rays of a cell: below, depth is ten times as bad as what the images show across."""
     worse: float = Field(3.0, gt=1)
     """Times the median sigma of the survey from which on a cell is imprecise."""
-    least_cells: int = Field(3, gt=0)
-    """Weak cells side by side that make a place to go to again."""
 
 
 class Tuning(Section):

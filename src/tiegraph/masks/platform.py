@@ -30,7 +30,8 @@ def different_frames(images: Sequence[Path], tuning: Tuning) -> list[Path]:
     """Those images of a camera, in order, between which most of the texture has moved: none while the camera stands."""
     chosen: list[Path] = []
     last: tuple[np.ndarray, np.ndarray] | None = None
-    for path, image in read_frames(_spread(images, tuning.platform.max_read), tuning.frames.compare_px):
+    # Frames looked at when choosing those that differ
+    for path, image in read_frames(_spread(images, 160), tuning.frames.compare_px):
         detail = _detail(grey(image), tuning.moved)
         if last is not None and last[0].shape != detail[0].shape:
             continue
@@ -77,7 +78,9 @@ def learn_platform(different: Sequence[Path], found: int, tuning: Tuning) -> Pla
         why = "one image" if found == 1 else f"{found} images, {len(different)} of them different: it hardly moves"
         return PlatformMask(None, len(different), f"no platform learnt ({why}; {least} are needed)")
     frames = [
-        grey(image) for _, image in read_frames(_spread(different, tuning.platform.max_frames), tuning.frames.work_px)
+        # More add time and no certainty
+        grey(image)
+        for _, image in read_frames(_spread(different, 28), tuning.frames.work_px)
     ]
     shapes = [f.shape for f in frames]
     frames = [f for f in frames if f.shape == max(set(shapes), key=shapes.count)]

@@ -62,14 +62,10 @@ class QualityTuning(Section):
 class PlatformTuning(Section):
     """The platform in the picture (`platform.py`); gradients in grey levels times the Sobel gain of 8."""
 
-    max_read: int = Field(160, gt=0)
-    """Frames looked at when choosing those that differ."""
     min_moved: float = Field(0.4, ge=0, le=1)
     """Of the textured area must have changed between two frames that count as different."""
     min_frames: int = Field(6, gt=0)
     """Frames that differ from each other which a camera needs before anything is called platform."""
-    max_frames: int = Field(28, gt=0)
-    """Different frames that are used: more add time and no certainty."""
     smooth_sigma_px: float = Field(0.8, gt=0)
     """Blur before gradients are taken."""
     coherent: float = Field(0.6, ge=0, le=1)
@@ -129,8 +125,6 @@ class WaterlineTuning(Section):
     """First the banks are all points round the cameras' height, then those just above the water found before."""
     band: float = Field(1.5, gt=0)
     """Bank: points less than this many camera heights above the water."""
-    most_spread: float = Field(0.35, ge=0)
-    """Of the height below the cameras: half width of the middle half of what single rays say."""
 
 
 class SkyPointsTuning(Section):

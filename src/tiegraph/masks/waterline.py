@@ -114,7 +114,7 @@ def find_water(
         spread, count = (high - low) / 2, len(found)
         if level >= camera:
             return None
-    if spread > tuning.most_spread * (camera - level):
+    if spread > 0.35 * (camera - level):
         return None
     return Water(level=level, depth=camera - level, spread=spread, rays=count, plan=plan)
 

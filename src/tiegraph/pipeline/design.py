@@ -87,7 +87,7 @@ def surface_of(run: Run) -> CoveredSurface | None:
         return None
     scene, tuning = checked(run), run.settings.tuning.design.surface
     cells = surface_map(seen, scene.focal_px, tuning)
-    return CoveredSurface(cells, weak_places(cells, tuning), scene.names) if len(cells) else None
+    return CoveredSurface(cells, weak_places(cells), scene.names) if len(cells) else None
 
 
 def _surface_drawn(run: Run) -> tuple[dict[str, dict], tuple[str, ...]]:

@@ -152,7 +152,7 @@ def _survey(
     smooth = scores.smoothed(settings.min_matches, tuning)
     touched, notes = np.ones(len(scores.rows), bool), ()
     while True:
-        frontier = scores.frontier(smooth, tuning.offsets.flood_excess * settings.min_matches, beside, touched)
+        frontier = scores.frontier(smooth, 1.1 * settings.min_matches, beside, touched)  # noise alone must not spread
         if not len(frontier[0]):
             break
         if len(cache) + len(frontier[0]) > budget:
@@ -311,7 +311,7 @@ def is_copy(result: Any, min_matches: int, tuning: CopiesTuning) -> bool:
         return False
     # No look at the rotation: the essential matrix of points that do not move is arbitrary.
     features = 1 + int(np.max(result.matches))  # the last feature that is found again
-    still = np.linalg.norm(result.shift) <= tuning.max_shift
+    still = np.linalg.norm(result.shift) <= 0.003  # of the image size
     return bool(still and result.inliers >= tuning.found_again * features)
 
 

@@ -178,7 +178,7 @@ def view_cameras(scene: Scene, tuning: PosesTuning) -> list[pycolmap.Camera | No
 def _wide_enough(camera: pycolmap.Camera | None, next_deg: float, tuning: PosesTuning) -> pycolmap.Camera | None:
     if camera is None or camera.has_prior_focal_length:
         return camera
-    shared = min(tuning.shared_view * next_deg, 120.0) if np.isfinite(next_deg) else 0.0
+    shared = min(1.25 * next_deg, 120.0) if np.isfinite(next_deg) else 0.0  # neighbours overlap by a quarter
     view = max(tuning.guessed_view_deg, shared)
     focal = camera.width / 2 / np.tan(np.radians(view) / 2)
     if camera.mean_focal_length() <= focal:
@@ -275,7 +275,7 @@ def _tests(
     _refuse(code, same_camera & oriented & (base + noise < tuning.near_ranges * reach), "baseline")
     both = views.trusted[i] & views.trusted[j]
     share = np.where(both, found.between(i, j), np.nan)
-    sure = both & apart & (sigma < tuning.unsure * reach)
+    sure = both & apart & (sigma < 0.25 * reach)
     _refuse(code, sure & (share <= 0), "sight")
     _refuse(code, sure & (share < settings.min_overlap), "overlap")
     return code, share

@@ -67,7 +67,7 @@ def scored_pairs(
         return Pairs.empty()
     loose = tuning.retrieval.loose
     ordered = np.flatnonzero(
-        (scene.sequence[scene.frame] >= 0) & (scene.sequence_index[scene.frame] % loose.every_frame == 0)
+        (scene.sequence[scene.frame] >= 0) & (scene.sequence_index[scene.frame] % 4 == 0)  # one frame of four
     )
     chosen = np.unique(np.concatenate([images, ordered]))
     nodes = _Nodes(chosen, np.isin(chosen, images), words)
@@ -131,7 +131,7 @@ def _propagated(nodes: _Nodes, cache: MatchCache, min_matches: int, tuning: Tuni
         depth += 1
         lonely = own[degree[own] < loose.few_ties]
         deeper = _starts(nodes, lonely, depth, rng, loose)
-        friends = _friends(nodes, (a, b), score, min_matches, loose.friends)
+        friends = _friends(nodes, (a, b), score, min_matches, 6)
         new = np.setdiff1d(np.union1d(friends, deeper), key)
         if not len(new) or len(key) + len(new) > budget:
             return key
@@ -145,7 +145,7 @@ def _starts(nodes: _Nodes, start: np.ndarray, depth: int, rng: np.random.Generat
     """Numbers of each start's look-alikes, the next ones of its list with each ``depth``; without words of random
     partners."""
     if nodes.words is None:
-        repeated = np.repeat(start, tuning.blind_partners)
+        repeated = np.repeat(start, 20)
         return nodes.keys(repeated, rng.integers(0, len(nodes), len(repeated)))
     if not len(start):
         return np.zeros(0, np.int64)

@@ -77,7 +77,7 @@ def loop_candidates(
         return Proposal(Pairs.empty())
     looks = tuning.retrieval
     line = timeline(passes, words, looks.timeline)
-    blocked = _blocked(line, known, looks.loops.near_reaches)
+    blocked = _blocked(line, known, 3)  # frames closer than three reaches are no loop
     level = unrelated(line, blocked, cache, settings.min_matches, tuning)
     look = _Look(line=line, cache=cache, min_matches=settings.min_matches, level=level, tuning=tuning)
     i, j, spent = _grown(look, _look_alikes(line, words, blocked, looks.loops.look_alikes), blocked)

@@ -78,6 +78,7 @@ def _reach(p: Pass, words: BagsOfWords, tuning: TimelineTuning) -> int:
         left, right = p.images[:, :-step].ravel(), p.images[:, step:].ravel()
         there = (left >= 0) & (right >= 0)
         alike.append(float(words.between(left[there], right[there]).mean()) if there.any() else 0.0)
-    level = min(alike) + tuning.reach_share * (alike[0] - min(alike))
+    # A quarter of the likeness of consecutive frames above that of distant ones
+    level = min(alike) + 0.25 * (alike[0] - min(alike))
     below = [s for s, value in zip(steps, alike) if value < level]
     return below[0] if below else steps[-1]

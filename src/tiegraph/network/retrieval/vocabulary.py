@@ -75,7 +75,7 @@ def bags_of_words(descriptors: Sequence[np.ndarray], tuning: VocabularyTuning) -
     total = sum(len(d) for d in descriptors)
     if total == 0:
         return BagsOfWords(csr_array((len(descriptors), 1), dtype=np.float32))
-    words = int(np.clip(total / tuning.features_a_word, 256, 65536))
+    words = int(np.clip(total / 12, 256, 65536))  # 8 to 16 features a word serve alike from 79 to 300 images
     parts = []
     for seed in range(tuning.vocabularies):
         # (K, 128) f4 descriptors, the same share of every image

@@ -55,7 +55,7 @@ def orders(rig: Rig, evidence: np.ndarray, tuning: OrderTuning) -> list[Order]:
     if fit.max() < tuning.fit or fit.max() < nominal + tuning.better:
         return []
     halves = [_fits(e, cosine, tried) for e in parts]
-    good = (fit >= fit.max() - tuning.alike) & np.all([h >= h[0] + tuning.better_half for h in halves], axis=0)
+    good = (fit >= fit.max() - tuning.alike) & np.all([h >= h[0] + 0.15 for h in halves], axis=0)
     moved = np.sum(tried != np.arange(len(side)), axis=1)
     best = np.flatnonzero(good)[np.argsort(moved[good], kind="stable")][: tuning.candidates]
     return [Order(_whole_order(len(rig.sensors), side, tried[k]), float(fit[k]), float(nominal)) for k in best]

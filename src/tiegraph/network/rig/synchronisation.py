@@ -108,7 +108,7 @@ def lag_notes(passes: Sequence[Pass], cache: MatchCache, settings: CandidatesSet
     found: dict[tuple[int, int], list[tuple[str, str]]] = {}
     for p in (passes[k] for k in evenly(len(passes), 4)):
         camera_pairs = _neighbours(p.rig, 15.0)
-        longest = min(sync.max_lag, (len(p) - 1) // 3)
+        longest = min(6, (len(p) - 1) // 3)
         if not len(camera_pairs) or longest < 1 or p.rig.stitched():
             continue
         if len(camera_pairs) > sync.few and not _odd(_measured(p, camera_pairs, 0, cache, settings, tuning), p, sync):
@@ -208,7 +208,7 @@ def _gain(steps: _Steps, lags: np.ndarray, sensor: int, lag: int, tuning: Synchr
         return 0.0
     scale = np.maximum(steps.evidence.max(axis=1), tuning.least)
     old, new = steps.evidence[rows, before] / scale, steps.evidence[rows, after] / scale
-    weaker = np.any(new[votes] < tuning.change * old[votes])
+    weaker = np.any(new[votes] < 0.9 * old[votes])
     if weaker or new[votes].sum() < tuning.gain * old[votes].sum():
         return 0.0
     residual = steps.off(~own)
@@ -216,7 +216,7 @@ def _gain(steps: _Steps, lags: np.ndarray, sensor: int, lag: int, tuning: Synchr
     known = np.isfinite(new_off)
     if np.isfinite(residual).any() and (not known.any() or np.any(new_off[known] > tuning.off)):
         return 0.0
-    if np.any(known & (new_off > old_off + tuning.off_more)):
+    if np.any(known & (new_off > old_off + 0.01)):
         return 0.0
     return float(new[votes].sum() - old[votes].sum())
 

@@ -69,8 +69,6 @@ class OffsetsTuning(Section):
     """Seeds reach this far from the path, in lattice nodes."""
     window_margin_nodes: int = Field(2, ge=0)
     """So many nodes beyond the window evidence still counts."""
-    flood_excess: float = Field(1.1, gt=0)
-    """The lattice grows from nodes this much above `min_matches`: noise alone must not spread."""
     min_budget: int = Field(6000, ge=0)
     """Previews that are always affordable (less than a minute on one core)."""
     coarse_share: float = Field(0.5, gt=0, le=1)
@@ -132,12 +130,8 @@ class PosesTuning(Section):
     """Of the path between two frames: error of a trajectory without given accuracy (odometry: about 1 %)."""
     sigmas: float = Field(2.0, ge=0)
     """Standard deviations of a distance: a base refuses only what is too long or too short by all of them."""
-    unsure: float = Field(0.25, ge=0)
-    """Of the range: less certain than this, two frames are not refused by sight."""
     guessed_view_deg: float = Field(70.0, gt=0, lt=180)
     """Of a camera whose focal length is a guess and that has no neighbour on its rig."""
-    shared_view: float = Field(1.25, gt=0)
-    """Field of view of such a camera over the angle to the next one on its rig: they overlap."""
     prior: PriorTuning = Field(default_factory=PriorTuning)
     """Whether a prior may be believed."""
 

@@ -24,17 +24,6 @@ class VisibleTuning(Section):
     """Field of view of an image without a camera, across and down."""
 
 
-class ProxyTuning(Section):
-    """Points that stand for the surface (`proxy.py`)."""
-
-    far_observers: float = Field(2.0, ge=1)
-    """A point is not seen from further than this times its farthest observer."""
-    assumed_grid: tuple[int, int] = (6, 5)
-    """Rays across and down an image for a proxy at an assumed range."""
-    assumed_ranges: tuple[float, ...] = (0.25, 0.5, 1.0, 2.0)
-    """Distances of its points, in assumed ranges."""
-
-
 class TrustTuning(Section):
     """Where the coarse model is believed (`trust.py`).
 
@@ -68,8 +57,6 @@ class TracksTuning(Section):
     images: int = Field(2, ge=2)
     """Rays of a point. With 3 it is half as many points and the design is content with fewer pairs: sigmas of canals of
     120 images are 1.10 times those over a model mapped whole, with 2 they are 1.03 times (benchmarks/README.md)."""
-    most_left_out: int = Field(3, ge=0)
-    """Rays of a point that are left out: with more wrong ones it is no point."""
     off_deg: float = Field(1.0, gt=0, lt=90)
     """By which a ray may miss its point."""
     angle_deg: float = Field(1.0, gt=0, lt=180)
@@ -85,20 +72,12 @@ class CoarseTuning(Section):
     """Share of the images in the model from which its calibration is believed."""
     tries: int = Field(4, gt=0)
     """Models made, where the first are torn or suspect."""
-    enough_looks: int = Field(8, gt=0)
-    """Previews of two cameras where the model predicts a common view, to say that they never tie."""
-    never: float = Field(0.1, ge=0, le=1)
-    """Share of them that chance ties."""
     most_focal: float = Field(1.1, ge=1)
     """Factor by which a model may correct the focal length of a data sheet or of EXIF."""
     most_turn_deg: float = Field(15.0, ge=0)
     """Of a nominal mounting: further only if a second model turns the camera as far."""
-    same_turn_deg: float = Field(3.0, ge=0)
-    """Two models agree."""
     visible: VisibleTuning = Field(default_factory=VisibleTuning)
     """Which images see the same surface."""
-    proxy: ProxyTuning = Field(default_factory=ProxyTuning)
-    """Points that stand for the surface."""
     tracks: TracksTuning = Field(default_factory=TracksTuning)
     """Points of its tracks."""
     trust: TrustTuning = Field(default_factory=TrustTuning)

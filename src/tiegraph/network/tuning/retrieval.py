@@ -10,8 +10,6 @@ class VocabularyTuning(Section):
 
     vocabularies: int = Field(2, gt=0)
     """Vocabularies, with other starts; two find 0.01 to 0.02 more than one."""
-    features_a_word: float = Field(12, gt=0)
-    """Features of the survey for each word; measured: 8 to 16 serve alike from 79 to 300 images."""
     training: int = Field(200_000, gt=0)
     """Descriptors a vocabulary is learnt from, at most: 100 MB."""
     rounds: int = Field(8, ge=0)
@@ -34,20 +32,14 @@ class LooseTuning(Section):
     """Look-alikes an image starts with: nine of ten share something."""
     by_name: int = Field(2, ge=0)
     """Next photographs by name an image starts with: a camera numbers its pictures."""
-    friends: int = Field(6, ge=0)
-    """Neighbours of neighbours an image is previewed with in one round."""
     hit_rate: float = Field(0.15, ge=0, le=1)
     """A round in which a smaller share of the previews ties is the last."""
     few_ties: int = Field(4, ge=0)
     """An image with fewer goes further down its list of look-alikes."""
-    every_frame: int = Field(4, gt=0)
-    """Of the frames of passes, those compared with loose photographs: one in so many."""
     support: float = Field(3.0, ge=0)
     """Weight of the cosine between two images' ties, against their count in units of `min_matches`."""
     enough: float = Field(2.0, ge=0)
     """What count and weighted cosine must reach together."""
-    blind_partners: int = Field(20, gt=0)
-    """Random partners of an image in place of look-alikes, without words: many more previews are needed."""
 
 
 class TimelineTuning(Section):
@@ -55,8 +47,6 @@ class TimelineTuning(Section):
 
     ladder: tuple[int, ...] = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96)
     """Frame distances at which likeness along a pass is measured."""
-    reach_share: float = Field(0.25, ge=0, le=1)
-    """Of the likeness of consecutive frames, above that of distant ones, that ends the reach."""
     strides_a_reach: int = Field(3, gt=0)
     """Sampled frames within a reach."""
 
@@ -64,8 +54,6 @@ class TimelineTuning(Section):
 class LoopSearchTuning(Section):
     """Loops of passes (`retrieval.py`)."""
 
-    near_reaches: int = Field(3, ge=0)
-    """Frames of one pass closer than this many reaches are no loop."""
     look_alikes: int = Field(4, gt=0)
     """Far images that each sampled image is previewed with."""
     patch: int = Field(10, ge=0)
@@ -89,8 +77,6 @@ class SignificanceTuning(Section):
 class CopiesTuning(Section):
     """Passes that hold the same pictures (`offsets.py`)."""
 
-    max_shift: float = Field(0.003, ge=0)
-    """Of the image size: median motion of a copy."""
     found_again: float = Field(0.55, ge=0, le=1)
     """Share of the features that a copy shows again; measured: JPEG quality 60 .. 95: 0.59 .. 0.9, next frame 0.5."""
     strong: float = Field(3.0, gt=0)

@@ -31,8 +31,6 @@ class OrderTuning(Section):
     """Correlation between evidence and cosine of the axes that counts as an explanation."""
     better: float = Field(0.3, ge=0)
     """A new order must correlate better than the nominal one by this much, in all frames together ..."""
-    better_half: float = Field(0.15, ge=0)
-    """... and by this much in either half of the frames."""
     alike: float = Field(0.02, ge=0)
     """Correlations this close are the same: turning or mirroring a ring changes no neighbours."""
     candidates: int = Field(60, gt=0)
@@ -44,12 +42,8 @@ class SynchronisationTuning(Section):
 
     short: float = Field(0.6, ge=0)
     """Of the usual number of frames of the others: a pass that short may have ended early."""
-    max_lag: int = Field(6, ge=0)
-    """Frames a camera may run late or early, at most ..."""
     off: float = Field(0.04, ge=0)
     """Of the image size: a shift this far from the expected one is odd (5 degrees of a nominal rig: 0.04)."""
-    off_more: float = Field(0.01, ge=0)
-    """Of the image size: a lag may move no shift further from the expected one than this."""
     few: int = Field(1, ge=0)
     """Camera pairs whose offsets are always looked at: parallel axes have no wrong shift to show."""
     faint: float = Field(0.25, ge=0)
@@ -58,8 +52,6 @@ class SynchronisationTuning(Section):
     """Evidence (`min_matches` above chance) that a pair of cameras must reach somewhere to vote."""
     gain: float = Field(1.25, ge=0)
     """A lag must explain this much more evidence than none ..."""
-    change: float = Field(0.9, ge=0)
-    """... and may not weaken any pair of cameras to less than this share."""
 
 
 class CommonViewTuning(Section):
