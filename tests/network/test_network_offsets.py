@@ -19,6 +19,7 @@ from tiegraph.network.scorematrix import score_matrix
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.papers.meguro2024 import _around
+from tiegraph.scene.graph import best_line
 from tiegraph.scene.pairs import REASONS
 
 TUNING = Tuning()
@@ -301,3 +302,10 @@ def test_passes_of_two_rigs_on_one_track_are_two() -> None:
     assert passes[0].name != passes[1].name
     loose = scene.with_(sequence=np.array([0, 0, -1, -1]))
     assert set(scene.frame[loose_images(loose)]) == {2, 3}
+
+
+def test_the_path_between_passes_goes_by_a_lone_peak() -> None:
+    rows, columns = np.mgrid[:20, :30]
+    evidence = 10 * np.exp(-(((columns - rows - 4) / 2.0) ** 2))
+    evidence[10, 28] = 14.0
+    assert np.abs(best_line(evidence, 0.02 * evidence.max()) - (np.arange(20) + 4)).max() <= 1

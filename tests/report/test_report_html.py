@@ -224,11 +224,11 @@ def test_the_network_says_whether_it_holds(tmp_path: Path) -> None:
         path = run / "receipts" / f"{stage}.json"
         path.write_text(json.dumps({**json.loads(path.read_text()), **more}))
     picture = np.zeros((40, 60, 3), np.uint8)
-    for name in ("surfaces", "map", "funnel", "sections"):
+    for name in ("map", "funnel", "sections"):
         cv2.imwrite(str(run / "network" / f"{name}.png"), picture)
     part = network_part(read_run(run))
     assert part["model"] == ["Coarse model: 60 of 60 images."] and ("Network", ["odd light"]) in part["notes"]
-    assert [c.split()[0] for _, c in part["pictures"]] == ["The", "What", "Frame-offset", "What"]  # the funnel is drawn
+    assert [c.split()[0] for _, c in part["pictures"]] == ["The", "Frame-offset", "What"]  # the funnel is drawn
     assert [t.rows[0][1] for t in part["links"]] == ["up/cam0/000003.jpg"] and part["sound"] is None
     text = write_report(run, SMALL).read_text(encoding="utf-8")
     assert "Weak links: places where" in text

@@ -8,6 +8,7 @@ import numpy as np
 
 from tiegraph.masks.matchability import Matchability
 from tiegraph.masks.tuning_learnt import WaterTuning
+from tiegraph.scene.graph import best_line
 
 
 @dataclass(frozen=True)
@@ -97,22 +98,7 @@ def below_waterline(
     blocks = cv2.resize(credit, (columns, rows), interpolation=cv2.INTER_AREA) * block[1]
     gain = np.zeros((columns, rows + 1))  # of a line above row r: the credit of all rows from r on
     gain[:, :rows] = np.cumsum(blocks.T[:, ::-1], axis=1)[:, ::-1]
-    line = _best_line(gain, 0.35 * block[1])  # for each row between neighbouring columns
+    line = best_line(gain, 0.35 * block[1])  # for each row between neighbouring columns
     line_px = np.interp(np.arange(width), (np.arange(columns) + 0.5) * width / columns - 0.5, line) * height / rows
     water = np.arange(height)[:, None] + 0.5 > line_px
     return water if ego is None else water & ~ego
-
-
-def _best_line(gain: np.ndarray, cost: float) -> np.ndarray:
-    """Row (C,) of each column with the largest sum of ``gain`` (C, R), less ``cost`` a row between columns."""
-    slope = cost * np.arange(gain.shape[1])
-    best = [gain[0]]
-    for column in gain[1:]:
-        before = best[-1]
-        down = np.maximum.accumulate(before + slope) - slope
-        up = np.maximum.accumulate((before - slope)[::-1])[::-1] + slope
-        best.append(column + np.maximum(down, up))
-    line = [int(np.argmax(best[-1]))]
-    for before in best[-2::-1]:
-        line.append(int(np.argmax(before - np.abs(slope - slope[line[-1]]))))
-    return np.array(line[::-1])

@@ -52,7 +52,7 @@ STAGES = (
            tuned=("scene", "odometry")),
     _stage("masks", ("scan",), ("masks", "classes", "masks.csv"), "image", version=11),
     _stage("preview", ("scan", "masks"), ("preview",), "image", version=2, tuned=("features",)),
-    _stage("candidates", ("scan", "preview"), ("candidates.npz", "candidates"), "pair", version=5,
+    _stage("candidates", ("scan", "preview"), ("candidates.npz", "candidates"), "pair", version=6,
            scratch=("candidates/matched",), tuned=("scene", "network", "features")),
     _stage("coarse", ("scan", "preview", "candidates"), ("coarse.npz", "coarse"), "block", version=8,
            uses=("candidates",), scratch=("coarse/blocks", "coarse/mapping", "coarse/matched"),

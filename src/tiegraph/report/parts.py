@@ -36,8 +36,6 @@ CAPTIONS = {
     "that hangs on one link.",
     "covered": "How well the surface is covered, seen from above: cells by what is weak about them; the numbers are "
     "rows of the table of places to go to again.",
-    "surface": "What the frames of two passes share: the dark ridge is where both see the same place, the red path "
-    "follows it although speed and direction differ.",
     "offset": "Frame-offset curves: preview matches of two cameras against the frame offset between them. A clear peak "
     "is the offset the pair range is laid around; a flat curve means the two never see the same place.",
     "section": "What the upward camera sees along the way, and the bridge and open sections cut from it.",

@@ -22,7 +22,6 @@ import numpy as np
 from tiegraph.errors import choose
 from tiegraph.network.offsets.background import corridor, noise_floor_away, noise_floor_within
 from tiegraph.network.offsets.curves import Proposal, curves_of, facing
-from tiegraph.network.offsets.surface import minimum_cost_path, surfaces_of
 from tiegraph.network.passes import MatchCache, Pass
 from tiegraph.network.rig import commonview
 from tiegraph.network.rig.axes import allowed_within
@@ -31,6 +30,7 @@ from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import CountsTuning, Tuning
 from tiegraph.network.tuning.retrieval import CopiesTuning
 from tiegraph.network.tuning.rig import RigTuning
+from tiegraph.scene.graph import best_line
 from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.sorting import evenly
 
@@ -233,8 +233,8 @@ def _minimum_cost_path(scores: ScoreMatrix, min_matches: int, tuning: Tuning) ->
     columns = np.flatnonzero(known.any(axis=(0, 1, 2)))
     grid = mean[np.ix_(rows, columns)]
     evidence = np.maximum(grid - np.median(grid), 0)
-    node = minimum_cost_path(evidence, np.ones(evidence.shape, bool), tuning.offsets.surface.bend)
-    return np.interp(np.arange(len(scores.rows)), rows, columns[node.astype(int)])
+    node = best_line(evidence, 0.02 * float(evidence.max(initial=0)))  # a lone peak does not catch it
+    return np.interp(np.arange(len(scores.rows)), rows, columns[node])
 
 
 def _path(weight: np.ndarray) -> np.ndarray | None:
@@ -274,11 +274,8 @@ def _local(survey: _Survey, settings: CandidatesSettings, tuning: Tuning) -> Pro
     code = np.where(strong[nodes], 0, reason[nodes[:2]])
     measured = Pairs.make(*scores.images(seen), "offsets", score=scores.inliers[nodes], dropped=code)
     curves = curves_of(scores, survey.reversed, voted, least, counts)
-    surfaces = surfaces_of(scores, smooth, least, tuning)
     note, stranger = _said(scores, smooth, least, tuning.rig)
-    return Proposal(
-        pairs=measured | kept, curves=curves, notes=(*survey.notes, *note), surfaces=surfaces, stranger=stranger
-    )
+    return Proposal(pairs=measured | kept, curves=curves, notes=(*survey.notes, *note), stranger=stranger)
 
 
 def _said(scores: ScoreMatrix, smooth: np.ndarray, min_matches: int, tuning: RigTuning) -> tuple[tuple[str, ...], str]:

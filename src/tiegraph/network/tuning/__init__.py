@@ -45,19 +45,6 @@ class ConstantTuning(Section):
     """Sampled frames that must have been looked at near the best offset."""
 
 
-class SurfaceTuning(Section):
-    """Evidence between two passes, to be drawn, and the path through it (`surface.py`)."""
-
-    ceiling: float = Field(6.0, gt=1)
-    """Times `min_matches`: more matches are drawn alike; higher than the ceiling of the decision, to show peaks."""
-    coarse: float = Field(0.15, ge=0, le=1)
-    """Share of the nodes of the densest camera pair: one with fewer is left out of the rig's surface."""
-    faint: float = Field(0.003, ge=0, le=1)
-    """Share of the strongest camera pair below which one is not shown."""
-    bend: float = Field(0.02, ge=0)
-    """Price of a path moving one node aside, as a share of the highest evidence."""
-
-
 class OffsetsTuning(Section):
     """Frame offsets within and between passes (`offsets.py`)."""
 
@@ -79,8 +66,6 @@ class OffsetsTuning(Section):
     """What frames that share nothing reach."""
     constant: ConstantTuning = Field(default_factory=ConstantTuning)
     """One offset for each two cameras."""
-    surface: SurfaceTuning = Field(default_factory=SurfaceTuning)
-    """Evidence to be drawn, and the path through it."""
 
 
 class PriorTuning(Section):
