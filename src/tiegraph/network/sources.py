@@ -1,6 +1,5 @@
 """Pair sources by name: each proposes pairs with a score and, where it refused one, the reason."""
 
-import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
@@ -24,8 +23,6 @@ from tiegraph.scene.scene import Scene
 from tiegraph.scene.sorting import among_best
 
 Descriptors = Callable[[], Sequence[np.ndarray]]  # (K, 128) u1 of every image
-
-log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)

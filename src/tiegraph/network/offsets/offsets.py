@@ -10,7 +10,6 @@ same byte for byte never get here: scan leaves them out. Of others the previews 
 feature is found again.
 """
 
-import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
@@ -33,8 +32,6 @@ from tiegraph.network.tuning.rig import RigTuning
 from tiegraph.scene.graph import best_line
 from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.sorting import evenly
-
-log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)

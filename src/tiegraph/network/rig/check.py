@@ -7,7 +7,6 @@ A rig file may also name its cameras in another order: then the wrong ones share
 needs no focal length. All pairs of cameras are sampled, for wrong axes forbid the very pairs that would tell.
 """
 
-import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations, permutations
@@ -140,9 +139,6 @@ def _whole_order(count: int, side: np.ndarray, order: np.ndarray) -> tuple[int, 
     place = np.arange(count)
     place[side] = side[order]
     return tuple(int(k) for k in place)
-
-
-log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
