@@ -38,7 +38,8 @@ class Matches:
                 raise InputError(f"sensor {k} has no camera: no image of it was found, take it off the rig")
             said = camera_to_dict(sensor.camera) or {}
             cameras.append(tuple(sorted((n, tuple(v) if isinstance(v, list) else v) for n, v in said.items())))
-        return Matches(str(database), tuple(cameras), np.asarray(scene.sensor_key), most)
+        sensor = np.asarray(scene.sensor_key)
+        return Matches(database=str(database), cameras=tuple(cameras), sensor=sensor, most=most)
 
     def rays(self, i: int, j: int) -> tuple[np.ndarray, np.ndarray]:
         """Unit rays (K, 3), (K, 3) of the matches of images i and j in the frames of their sensors."""
