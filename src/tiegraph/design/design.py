@@ -7,7 +7,7 @@ pairs stay until so many as are ``wanted`` of them are expected to be verified, 
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, cast
 
 import numpy as np
@@ -85,13 +85,15 @@ def design(
         thin = method(pairs, scene, expected)
         return _made(pairs, thin.pairs, thin.notes, thin.counts)
     kept = _kept(pairs, expected, ties, visibility, tuning)
-    start = _start(kept, scene, _room(settings, len(scene), tuning), tuning)
-    choice = _chosen(kept, start, scene, settings, tuning)
+    allowed = np.iinfo(np.int64).max if settings.budget == "loss" else int(len(scene) * settings.pairs_per_image / 2)
+    room = 0 if settings.method == "top" else int(tuning.start_share * allowed)
+    start = _start(kept, scene, room, tuning)
+    choice = _chosen(kept, start, scene, allowed, settings, tuning)
     second = _second_links(kept, choice.places, scene)
     cut = np.ones(len(pairs), bool)
     cut[kept.row[np.concatenate([choice.places, second])]] = False
     chosen = pairs.drop(cut, "cut")
-    notes = _budget_notes(choice, settings, len(start), len(kept.row), len(scene))
+    notes = _budget_notes(choice, settings, len(start), len(kept.row), allowed)
     # What the steps chose, by name
     counts = {"start": float(len(start)), "second_links": float(len(second)), "rounds": float(choice.rounds)}
     if np.isfinite(choice.loss):
@@ -124,14 +126,18 @@ def _kept(
     return _Kept(row=row, i=i, j=j, strength=strength, known=known)
 
 
-def _chosen(kept: _Kept, start: np.ndarray, scene: Scene, settings: DesignSettings, tuning: Tuning) -> Choice:
+def _chosen(
+    kept: _Kept, start: np.ndarray, scene: Scene, allowed: int, settings: DesignSettings, tuning: Tuning
+) -> Choice:
     """From the start, the strongest pairs of each image, or those that the accuracy gains most by within the budget."""
     if settings.method == "top":
         top = strongest_places(kept.i, kept.j, kept.strength, scene, settings.pairs_per_image)
         return Choice(np.union1d(start, top), np.nan, 0)
     candidates = Candidates.make(kept.i, kept.j, kept.strength, kept.known, len(scene))
-    judge = Predictor(candidates, tuning.net, _units(scene)) if settings.budget == "loss" else None
-    return choose(candidates, start, _budget(settings, scene), tuning, judge)
+    if settings.budget == "pairs":
+        return choose(candidates, start, Budget(allowed), tuning)
+    judge = Predictor(candidates, tuning.net, _units(scene))
+    return choose(candidates, start, Budget(allowed, settings.loss_percent / 100), tuning, judge)
 
 
 def _units(scene: Scene) -> np.ndarray:
@@ -140,26 +146,7 @@ def _units(scene: Scene) -> np.ndarray:
     return np.where(known, scene.frame, scene.frames + np.arange(len(scene)))
 
 
-def _room(settings: DesignSettings, images: int, tuning: Tuning) -> int:
-    """Pairs that a design may start with: a share of a budget that counts them."""
-    if settings.method == "top":
-        return 0
-    if settings.budget == "loss":
-        return np.iinfo(np.int64).max
-    return int(tuning.start_share * _pairs_allowed(settings, images))
-
-
-def _budget(settings: DesignSettings, scene: Scene) -> Budget:
-    if settings.budget == "loss":
-        return Budget(np.iinfo(np.int64).max, settings.loss_percent / 100)
-    return Budget(_pairs_allowed(settings, len(scene)))
-
-
-def _pairs_allowed(settings: DesignSettings, images: int) -> int:
-    return int(images * settings.pairs_per_image / 2)
-
-
-def _budget_notes(choice: Choice, settings: DesignSettings, start: int, kept: int, images: int) -> tuple[str, ...]:
+def _budget_notes(choice: Choice, settings: DesignSettings, start: int, kept: int, allowed: int) -> tuple[str, ...]:
     if settings.method == "top":
         return ()
     share = f"{settings.method}: {len(choice.places)} of {kept} pairs ({100 * len(choice.places) / kept:.1f} %)"
@@ -168,7 +155,6 @@ def _budget_notes(choice: Choice, settings: DesignSettings, start: int, kept: in
             f"{share}; over the previews' tracks their position sigma is {100 * choice.loss:.1f} % above that of all "
             f"(asked: {settings.loss_percent:g} %), what full images lose only matching all would tell",
         )
-    allowed = _pairs_allowed(settings, images)
     if start > allowed:
         return (f"{share}: the budget of {allowed} pairs does not suffice to hold the images together",)
     return (share,)
@@ -186,12 +172,8 @@ def with_coverage(made: DesignResult, found: Coverage) -> DesignResult:
     """A result with its weak links."""
     figures = {k: float(v) for k, v in found.counts.items() if k not in ("images", "pairs")}
     said = () if found.sound else found.lines
-    return DesignResult(
-        pairs=made.pairs,
-        notes=(*made.notes, *said),
-        counts={**made.counts, **figures},
-        tables={**made.tables, "weak links": found.table},
-    )
+    tables = {**made.tables, "weak links": found.table}
+    return replace(made, notes=(*made.notes, *said), counts={**made.counts, **figures}, tables=tables)
 
 
 def _start(kept: _Kept, scene: Scene, room: int, tuning: Tuning) -> np.ndarray:

@@ -119,27 +119,19 @@ def assumed_proxy(
     rays = {key: _grid_rays(view, (6, 5)) for key, view in views.items()}
     steps = np.array((0.25, 0.5, 1.0, 2.0))  # in assumed ranges
     centres = transforms.centre(cam_from_world[known])
-    points, towards, count = [], [], []
+    points, towards, count = [np.zeros((0, 3))], [np.zeros((0, 3))], []
     for k, centre in zip(known, centres):
         world = rays[id(cameras[int(k)])] @ cam_from_world[k, :3, :3]
         points.append((centre + world[None] * (steps * ranges[k])[:, None, None]).reshape(-1, 3))
         towards += [-world] * len(steps)
         count.append(len(points[-1]))
-    if not points:
-        return Proxy(
-            points=np.zeros((0, 3)),
-            reach=np.zeros(0),
-            towards=np.zeros((0, 3)),
-            image=np.zeros(0, int),
-            point=np.zeros(0, int),
-            assumed=True,
-        )
+    number = np.array(count, int)
     return Proxy(
         points=np.concatenate(points),
-        reach=np.repeat(3.0 * ranges[known], count),
+        reach=np.repeat(3.0 * ranges[known], number),  # seen from three ranges away
         towards=np.concatenate(towards),
-        image=np.repeat(known, count),
-        point=np.arange(sum(count)),
+        image=np.repeat(known, number),
+        point=np.arange(number.sum()),
         assumed=True,
     )
 

@@ -125,7 +125,7 @@ def shared_surface(
     """
     known = np.flatnonzero(np.isfinite(cam_from_world[:, :3]).all(axis=(1, 2)))
     if len(known) < 2 or not len(proxy):
-        return Overlap(*(np.zeros(0, int),) * 2, *(np.zeros(0),) * 3)
+        return Overlap.together(())
     eyes = _eyes(cam_from_world, cameras, known, slack_rad, tuning.guessed_view_deg)
     centre = transforms.centre(cam_from_world[known])
     parts = _by_owner(proxy, known, centre) if proxy.assumed else [proxy]

@@ -264,26 +264,22 @@ def _tests(
     drifted = tuning.drift * np.abs(views.path_m[i] - views.path_m[j])
     sigma = np.sqrt(views.sigma_m[i] ** 2 + views.sigma_m[j] ** 2 + np.nan_to_num(drifted) ** 2)
     noise = tuning.sigmas * sigma
-    code = np.zeros(len(i), int)
     axis = views.axis()
     # Without orientation nothing but the number of neighbours limits the distance (as COLMAP's spatial matching does).
     oriented = np.isfinite(axis[i]).all(axis=1) & np.isfinite(axis[j]).all(axis=1)
-    _refuse(code, oriented & (base - noise > tuning.far_ranges * reach), "distance")
-    _refuse(code, _angle(axis[i], axis[j]) > settings.axes_deg, "axes")
     apart = scene.frame[i] != scene.frame[j]
     same_camera = (scene.sensor_key[i] == scene.sensor_key[j]) & apart
-    _refuse(code, same_camera & oriented & (base + noise < tuning.near_ranges * reach), "baseline")
     both = views.trusted[i] & views.trusted[j]
     share = np.where(both, found.between(i, j), np.nan)
-    sure = both & apart & (sigma < 0.25 * reach)
-    _refuse(code, sure & (share <= 0), "sight")
-    _refuse(code, sure & (share < settings.min_overlap), "overlap")
-    return code, share
-
-
-def _refuse(code: np.ndarray, mask: np.ndarray, reason: str) -> None:
-    """Mark rows of a local array that no earlier test refused."""
-    code[mask & (code == 0)] = REASONS.index(reason)
+    sure = both & apart & (sigma < 0.25 * reach)  # less certain, two frames are not refused by sight
+    refused = {
+        "distance": oriented & (base - noise > tuning.far_ranges * reach),
+        "axes": _angle(axis[i], axis[j]) > settings.axes_deg,
+        "baseline": same_camera & oriented & (base + noise < tuning.near_ranges * reach),
+        "sight": sure & (share <= 0),
+        "overlap": sure & (share < settings.min_overlap),
+    }
+    return np.select(list(refused.values()), [REASONS.index(r) for r in refused], 0), share
 
 
 def with_headings(scene: Scene, passes: Sequence[Pass]) -> tuple[np.ndarray, np.ndarray]:
