@@ -36,94 +36,48 @@ def learn(
 
     ``upward``: cameras that look up and have no water in view.
     """
-    upward = set(upward)
-    different, platforms = _platforms(cameras, tuning, apply)
-    seen, moving = _seen(different, tuning, apply)
-    if not moving:
-        platforms = {k: _unproven(p) for k, p in platforms.items()}
-    zones, water = _water(seen, platforms, upward, settings, tuning)
-    jobs = _label_jobs(cameras, seen, zones, platforms, upward, tuning)
-    first = _first_classifiers(jobs, list(apply(first_labels, jobs)), platforms, water, upward, tuning)
-    # Once more, with what the first try calls water, sky and scene as seeds: they cover the images, the first did not.
-    again = list(apply(second_labels, [TriedJob(job, first[job.camera], settings) for job in jobs]))
-    made = _proven(first, jobs, again, settings.water == "on", tuning)
-    return {k: replace(made[k], note=_note(made[k], platforms[k])) for k in cameras}
-
-
-def _platforms(
-    cameras: Mapping[int, Sequence[Path]], tuning: Tuning, apply: Map
-) -> tuple[dict[int, list[Path]], dict[int, PlatformMask]]:
-    """Of each camera the images between which the scene moves, and the platform by them."""
-    keys = list(cameras)
+    upward, keys = set(upward), list(cameras)
+    # The images of each camera between which the scene moves, the platform by them, and what matches in them
     different = dict(zip(keys, apply(partial(different_frames, tuning=tuning), [cameras[k] for k in keys])))
-    jobs = [(different[k], len(cameras[k])) for k in keys]
-    return different, dict(zip(keys, apply(partial(_learn_platform, tuning=tuning), jobs)))
-
-
-def _seen(
-    different: Mapping[int, Sequence[Path]], tuning: Tuning, apply: Map
-) -> tuple[dict[int, list[Matchability]], bool]:
-    """What matches in images of each camera, and whether the cameras move."""
+    counted = [(different[k], len(cameras[k])) for k in keys]
+    platforms = dict(zip(keys, apply(partial(_learn_platform, tuning=tuning), counted)))
     pairs = choose_pairs(list(different.values()), tuning.matchability)
     found = list(apply(partial(_pair, tuning=tuning.matchability), [pair for own in pairs for pair in own]))
     each = iter(found)
-    return {k: [e for _ in own for e in next(each)] for k, own in zip(different, pairs)}, moves(found, tuning.proof)
-
-
-def _water(
-    seen: Mapping[int, Sequence[Matchability]],
-    platforms: Mapping[int, PlatformMask],
-    upward: set[int],
-    settings: MasksSettings,
-    tuning: Tuning,
-) -> tuple[dict[int, np.ndarray | None], dict[int, np.ndarray]]:
-    """Of the cameras that show water: where nothing ever matches, and the prior of water by place."""
-    zones = {k: never_matching([] if k in upward else seen[k], platforms[k].mask, tuning.water) for k in seen}
-    level = {k: zone for k, zone in zones.items() if k not in upward}
-    priors = {} if settings.water == "off" else water_priors(level, settings.water == "on", tuning.water)
-    return {k: zones[k].mask for k in priors}, priors
-
-
-def _label_jobs(
-    cameras: Mapping[int, Sequence[Path]],
-    seen: Mapping[int, Sequence[Matchability]],
-    zones: Mapping[int, np.ndarray | None],
-    platforms: Mapping[int, PlatformMask],
-    upward: set[int],
-    tuning: Tuning,
-) -> list[LabelJob]:
-    """The images of each camera to take labels from."""
+    seen = {k: [e for _ in own for e in next(each)] for k, own in zip(keys, pairs)}
+    if not moves(found, tuning.proof):
+        still = "no platform learnt (no frames show that the camera moves)"
+        platforms = {k: p if p.mask is None else PlatformMask(None, p.frames, still) for k, p in platforms.items()}
+    # Where nothing ever matches, and the prior of water by place, of the cameras that show water
+    level = [k for k in keys if k not in upward]
+    zones = {k: never_matching(seen[k], platforms[k].mask, tuning.water) for k in level}
+    water = {} if settings.water == "off" else water_priors(zones, settings.water == "on", tuning.water)
     count = max(tuning.labels.least_images, tuning.labels.images // max(1, len(cameras)))
-    return [
-        LabelJob(k, image, matchability, zone=zones.get(k), platform=platforms[k].mask, upward=k in upward,
-                 tuning=tuning)
+    jobs = [
+        LabelJob(
+            camera=k, image=image, matchability=matchability, zone=zones[k].mask if k in water else None,
+            platform=platforms[k].mask, upward=k in upward, tuning=tuning,
+        )
         for k, images in cameras.items()
         for image, matchability in _seed_images(images, seen[k], count)
     ]  # fmt: skip
-
-
-def _first_classifiers(
-    jobs: Sequence[LabelJob],
-    labels: Sequence[Labels],
-    platforms: Mapping[int, PlatformMask],
-    water: Mapping[int, np.ndarray],
-    upward: set[int],
-    tuning: Tuning,
-) -> dict[int, Classifier]:
-    """What is learnt the first time: appearances, and how far down sky is sought."""
+    # The first time: appearances, and how far down sky is sought
+    labels = list(apply(first_labels, jobs))
     known = _appearances(jobs, labels, upward, tuning)
     lowest = lowest_agreed([s.low for job, s in zip(jobs, labels) if not job.upward], tuning.labels)
-    return {
+    first = {
         k: Classifier(
-            platform=platform.mask,
-            appearance=known[k],
-            water=water.get(k),
-            sky=None,
-            sky_rows=1.0 if k in upward else lowest,
-            note="",
+            platform=platforms[k].mask, appearance=known[k], water=water.get(k), sky=None,
+            sky_rows=1.0 if k in upward else lowest, note="",
         )
-        for k, platform in platforms.items()
-    }
+        for k in keys
+    }  # fmt: skip
+    # Once more, with what the first try calls water, sky and scene as seeds: they cover the images, the first did not.
+    again = list(apply(second_labels, [TriedJob(job, first[job.camera], settings) for job in jobs]))
+    made = _proven(first, jobs, again, settings.water == "on", tuning)
+    told = {k: f", no sky: {m.no_sky}" if m.no_sky else "" for k, m in made.items()}
+    wet = {k: ", no water seen" if m.water is None else ", water" for k, m in made.items()}
+    return {k: replace(m, note=platforms[k].note + told[k] + wet[k]) for k, m in made.items()}
 
 
 def _proven(
@@ -155,17 +109,6 @@ def _refuted(jobs: Sequence[LabelJob], seeds: Sequence[Labels], upward: set[int]
 
 def _of(camera: int, jobs: Sequence[LabelJob], items: Sequence) -> list:
     return [item for job, item in zip(jobs, items) if job.camera == camera]
-
-
-def _unproven(ego: PlatformMask) -> PlatformMask:
-    if ego.mask is None:
-        return ego
-    return PlatformMask(None, ego.frames, "no platform learnt (no frames show that the camera moves)")
-
-
-def _note(learnt: Classifier, ego: PlatformMask) -> str:
-    water = ", water" if learnt.water is not None else ", no water seen"
-    return ego.note + (f", no sky: {learnt.no_sky}" if learnt.no_sky else "") + water
 
 
 def lowest_agreed(rows: Sequence[float], tuning: LabelTuning) -> float:
