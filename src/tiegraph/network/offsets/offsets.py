@@ -324,11 +324,11 @@ def find_copies(
     if not len(a):
         return None
     steps, nodes = np.unique(scores.columns[b] - scores.rows[a], return_counts=True)
-    for step in dict.fromkeys((0, *steps[np.argsort(-nodes, kind="stable")][: tuning.offsets].tolist())):
+    for step in dict.fromkeys((0, *steps[np.argsort(-nodes, kind="stable")][:2].tolist())):
         m = np.arange(max(0, -step), min(len(p), len(q) - step))
-        some = m[evenly(len(m), tuning.samples)]
+        some = m[evenly(len(m), 6)]
         first = _copies(p.images[camera, some], q.images[camera, some + step], cache, min_matches, tuning)
-        if first.sum() >= max(tuning.least, tuning.many * len(some)):
+        if first.sum() >= max(2, len(some) / 2):
             i, j = p.images[:, m].ravel(), q.images[:, m + step].ravel()
             same = _copies(i, j, cache, min_matches, tuning)
             count, total = int(same.sum()), int((q.images >= 0).sum())

@@ -21,7 +21,7 @@ from tiegraph.network.retrieval.vocabulary import BagsOfWords, bags_of_words
 from tiegraph.network.scorematrix import NoiseFloor
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
-from tiegraph.network.tuning.retrieval import SignificanceTuning, VocabularyTuning
+from tiegraph.network.tuning.retrieval import LoopSearchTuning, VocabularyTuning
 from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.scene import Scene
 
@@ -76,7 +76,7 @@ def loop_candidates(
     if not passes:
         return Proposal(Pairs.empty())
     looks = tuning.retrieval
-    line = timeline(passes, words, looks.timeline)
+    line = timeline(passes, words, looks.loops)
     blocked = _blocked(line, known, 3)  # frames closer than three reaches are no loop
     level = unrelated(line, blocked, cache, settings.min_matches, tuning)
     look = _Look(line=line, cache=cache, min_matches=settings.min_matches, level=level, tuning=tuning)
@@ -86,7 +86,7 @@ def loop_candidates(
     patch = _patches(line, i[sure], j[sure])
     large = np.bincount(patch) >= looks.loops.patch
     if level is not None:
-        large &= seen_by_the_rig(line, (i[sure], j[sure]), patch, cache, level, looks.significance)
+        large &= seen_by_the_rig(line, (i[sure], j[sure]), patch, cache, level, looks.loops)
     sure[sure] = large[patch]
     patch = np.unique(patch[large[patch]], return_inverse=True)[1]
     measured = Pairs.make(i, j, "retrieval", score=count, dropped=np.where(sure, 0, REASONS.index("weak")))
@@ -304,7 +304,7 @@ def seen_by_the_rig(
     patch: np.ndarray,
     cache: MatchCache,
     floor: NoiseFloor,
-    tuning: SignificanceTuning,
+    tuning: LoopSearchTuning,
 ) -> np.ndarray:
     """(P,) bool: patches of image pairs ``ends`` i (K,), j (K,) that most cameras of the rig bear out; ``patch`` (K,).
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from tiegraph.network.passes import Pass
 from tiegraph.network.retrieval.vocabulary import BagsOfWords
-from tiegraph.network.tuning.retrieval import TimelineTuning
+from tiegraph.network.tuning.retrieval import LoopSearchTuning
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Timeline:
         return np.where(there >= 0, self.image_at[there, self.sensor[images]], -1)
 
 
-def timeline(passes: Sequence[Pass], words: BagsOfWords, tuning: TimelineTuning) -> Timeline:
+def timeline(passes: Sequence[Pass], words: BagsOfWords, tuning: LoopSearchTuning) -> Timeline:
     """The passes one after another; how densely they are sampled is told by how alike their images look."""
     sensors = max(len(p.images) for p in passes)
     length = np.array([len(p) for p in passes])
@@ -70,7 +70,7 @@ def timeline(passes: Sequence[Pass], words: BagsOfWords, tuning: TimelineTuning)
     )
 
 
-def _reach(p: Pass, words: BagsOfWords, tuning: TimelineTuning) -> int:
+def _reach(p: Pass, words: BagsOfWords, tuning: LoopSearchTuning) -> int:
     """Frames over which the images of a camera look alike."""
     steps = [s for s in tuning.ladder if s < len(p)]
     alike = []

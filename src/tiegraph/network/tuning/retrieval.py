@@ -42,18 +42,13 @@ class LooseTuning(Section):
     """What count and weighted cosine must reach together."""
 
 
-class TimelineTuning(Section):
-    """The passes one after another (`timeline.py`)."""
+class LoopSearchTuning(Section):
+    """Loops of passes (`timeline.py`, `retrieval.py`)."""
 
     ladder: tuple[int, ...] = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96)
     """Frame distances at which likeness along a pass is measured."""
     strides_a_reach: int = Field(3, gt=0)
     """Sampled frames within a reach."""
-
-
-class LoopSearchTuning(Section):
-    """Loops of passes (`retrieval.py`)."""
-
     look_alikes: int = Field(4, gt=0)
     """Far images that each sampled image is previewed with."""
     patch: int = Field(10, ge=0)
@@ -63,11 +58,6 @@ class LoopSearchTuning(Section):
     patches of any size."""
     previews_an_image: int = Field(16, ge=0)
     """Of those sampled: the most that looking for loops may take."""
-
-
-class SignificanceTuning(Section):
-    """Loops of long surveys against the whole rig (`retrieval.py`)."""
-
     speaks: float = Field(0.4, ge=0, le=1)
     """Of the way from the level of unrelated frames to the highest: what a camera must reach there."""
     most_cameras: float = Field(0.6, ge=0, le=1)
@@ -81,14 +71,6 @@ class CopiesTuning(Section):
     """Share of the features that a copy shows again; measured: JPEG quality 60 .. 95: 0.59 .. 0.9, next frame 0.5."""
     strong: float = Field(3.0, gt=0)
     """Times `min_matches`: less is no ground to look closer."""
-    offsets: int = Field(2, ge=0)
-    """Frame offsets that are tried besides none, those most nodes tell."""
-    samples: int = Field(6, gt=0)
-    """Frames looked at first."""
-    many: float = Field(0.5, ge=0, le=1)
-    """Share of copies among them that makes a repeated pass ..."""
-    least: int = Field(2, ge=0)
-    """... and at least so many."""
 
 
 class RetrievalTuning(Section):
@@ -101,11 +83,7 @@ class RetrievalTuning(Section):
     """Visual words."""
     loose: LooseTuning = Field(default_factory=LooseTuning)
     """Loose photographs."""
-    timeline: TimelineTuning = Field(default_factory=TimelineTuning)
-    """Passes one after another."""
     loops: LoopSearchTuning = Field(default_factory=LoopSearchTuning)
     """Loops of passes."""
-    significance: SignificanceTuning = Field(default_factory=SignificanceTuning)
-    """Loops against the whole rig."""
     copies: CopiesTuning = Field(default_factory=CopiesTuning)
     """The same pictures twice."""
