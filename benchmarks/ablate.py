@@ -27,7 +27,7 @@ VARIANTS = (
     Variant("view-graph filtering off", {"filter": {"method": "off"}}, "no pair is refused"),
     Variant("minimum cut off", {"tuning": {"design": {"holding": {"wanted": 0.01}}}}, "no pairs to hold the parts"),
     Variant("law of matches off", {"tuning": {"design": {"match_prediction": {"least_previewed": 10**9}}}}, "usual"),
-    Variant("design even where cheap", {"tuning": {"design": {"cost": {"little": 0.0}}}}, "small sets are chosen from"),
+    Variant("design even where cheap", {"tuning": {"design": {"few_pairs": 0.0}}}, "small sets are chosen from"),
     Variant("design top", {"design": {"method": "top", "pairs_per_image": 20}}, "the 20 best pairs of an image"),
     Variant("design top 10", {"design": {"method": "top", "pairs_per_image": 10}}, "the 10 best pairs of an image"),
     Variant("design all", {"design": {"method": "all"}}, "every candidate is matched"),

@@ -42,7 +42,7 @@ Settings = Mapping[str, Mapping[str, Any]]
 
 @dataclass(frozen=True)
 class Variant:
-    """Settings, by section, that differ from the survey as it is: ``{"tuning": {"filter": {"min_agree": 9}}}``."""
+    """Settings, by section, that differ from the survey as it is: ``{"tuning": {"filter": {"loops": ...}}}``."""
 
     name: str
     settings: Settings = field(default_factory=dict)

@@ -13,7 +13,7 @@ import platform
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime, timezone
 from pathlib import Path
@@ -116,13 +116,11 @@ def measure(name: str, sources: tuple[str, ...], model: Path | None, out: Path) 
 
 
 def _write(source: str, path: Path, name: str, prepared: Any, settings: MasksSettings, out: Path) -> None:
-    made: Callable | None = SOURCES[source].classes
-    if made is None:
-        keep = SOURCES[source].mask(path, prepared, settings, TUNING, name)
-    else:
-        classes = made(path, prepared, settings, TUNING, name)
-        _save(out / "classes" / f"{name}.png", classes)
-        keep = full_size(classes == USE, image_size(path))
+    keep = SOURCES[source].look(path, prepared, settings, TUNING, name)
+    if keep.dtype != bool:
+        _save(out / "classes" / f"{name}.png", keep)
+        keep = keep == USE
+    keep = full_size(keep, image_size(path))
     _save(out / "masks" / f"{name}.png", np.where(keep, 255, 0).astype(np.uint8))
 
 
@@ -153,7 +151,7 @@ def _refine(data: MaskSet, camera_of: Mapping[str, str], folder: Path, out: Path
         found = first[name]
         if name in views:
             seen = places(images[name], model.cameras[images[name].camera_id], points, TUNING.sky_points)
-            lines = lines_of(views[name], up, water, TUNING.waterline)
+            lines = lines_of(views[name], up, water)
             found = without_points(final_classes(found, lines, TUNING.waterline), seen, TUNING.sky_points)
         _save(out / GEOMETRY / "classes" / f"{name}.png", found)
         keep = full_size(found == USE, image_size(data.folder / name))

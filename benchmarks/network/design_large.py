@@ -126,7 +126,7 @@ def main() -> None:
     _say(f"{len(scene)} images, {len(pairs)} candidates, {len(ties)} previewed, {len(ties.matches)} matches")
     settings = DesignSettings(method=given.method, budget=given.budget, pairs_per_image=given.pairs_per_image)
     began = time.process_time()
-    found = design(pairs, scene, ties, settings, Tuning())
+    found = design(pairs, scene, ties, settings, Tuning(few_pairs=0))
     seconds = time.process_time() - began
     _say(f"{seconds:.1f} CPU s, peak {_peak_mib():.0f} MiB ({made:.0f} MiB before the design)")
     _say(found.counts)

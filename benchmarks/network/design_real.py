@@ -178,7 +178,7 @@ def _chosen(matched: Run, method: str, share: float, seed: int) -> Choice:
             settings = DesignSettings(method=method, budget="pairs", pairs_per_image=each)
         if method.startswith("fuse2014"):
             pairs = matched.with_accuracy()
-        found = design(pairs, matched.scene, matched.ties, settings, Tuning(), matched.visibility)
+        found = design(pairs, matched.scene, matched.ties, settings, Tuning(few_pairs=0), matched.visibility)
         rows, counts = np.flatnonzero(found.pairs.dropped == 0), dict(found.counts)
     return Choice(method, share, seed, rows, time.process_time() - began, counts)
 
@@ -188,7 +188,9 @@ def _top(matched: Run, count: int) -> int:
     best = (np.inf, 1)
     for k in range(1, 80):
         settings = DesignSettings(method="top", pairs_per_image=k)
-        kept = int(np.sum(design(matched.pairs, matched.scene, matched.ties, settings, Tuning()).pairs.dropped == 0))
+        kept = int(
+            np.sum(design(matched.pairs, matched.scene, matched.ties, settings, Tuning(few_pairs=0)).pairs.dropped == 0)
+        )
         best = min(best, (abs(kept - count), k))
         if kept > count:
             break

@@ -25,7 +25,7 @@ from tiegraph.scene.graph import forest
 from tiegraph.scene.matches import PreviewMatches
 from tiegraph.scene.pairs import Pairs
 
-TUNING = Tuning()
+TUNING = Tuning(few_pairs=0)
 for name in papers.DESIGNS:
     papers.plug_in(papers.DESIGNS, name, METHODS)
 SHARES = {"rig": (0.05, 0.1, 0.15, 0.2, 0.4), "video": (0.12, 0.2, 0.3, 0.4, 0.6)}

@@ -10,19 +10,19 @@ from tiegraph.project.settings import Tunings, merged
 
 def test_every_number_of_the_constants_is_found_by_its_place():
     found = dict(sweep.numbers(Tunings()))
-    assert found["filter.min_agree"] == 12 and found["filter.motion.search_widens"] == 2.0
-    assert not any("bounds" in place for place in found if place.startswith("filter.rig"))  # a table of numbers
+    assert found["filter.matches_a_pair"] == 150 and found["filter.prior.margin"] == 2.0
+    assert not any("ladder" in place for place in found)  # a table of numbers
     assert len(found) > 500
 
 
 @pytest.mark.parametrize(
     "place, value, factor, new",
     [
-        ("filter.min_agree", 12, 4 / 3, 16),
+        ("filter.matches_a_pair", 150, 4 / 3, 200),
         ("filter.loops.neighbour_steps", 1, 4 / 3, 2),  # rounding would leave it as it is
         ("filter.prior.margin", 2.0, 2 / 3, 4 / 3),
         ("filter.prior.margin", 1.2, 2 / 3, None),  # not below 1: the Tuning refuses it
-        ("filter.as_good", 0.9, 4 / 3, None),  # no share above 1
+        ("filter.loops.as_good", 0.9, 4 / 3, None),  # no share above 1
     ],
 )
 def test_a_constant_is_moved_by_a_third_and_stays_what_it_is(place, value, factor, new):
@@ -37,14 +37,14 @@ def test_a_constant_is_moved_by_a_third_and_stays_what_it_is(place, value, facto
 
 
 def test_a_group_moves_what_its_tuning_lets_move_together():
-    asked = [(p, v) for p, v in sweep.numbers(Tunings()) if p.startswith(("filter.prior.", "filter.min_agree"))]
+    asked = [(p, v) for p, v in sweep.numbers(Tunings()) if p.startswith(("filter.prior.", "filter.matches_a_pair"))]
     groups = {v.name: merged(v.settings).tuning.filter for v in sweep.grouped(asked, 2 / 3)}
     assert len(groups) == 2
     (name, prior), (_, own) = sorted(groups.items(), key=lambda g: "prior" not in g[0])
     default = FilterTuning()
     moved = [n for n, v in sweep.numbers(default.prior) if dict(sweep.numbers(prior.prior))[n] != v]
-    assert len(moved) == int(name.split()[1]) >= 6 and prior.min_agree == 12
-    assert own.min_agree == 8 and own.prior == default.prior
+    assert len(moved) == int(name.split()[1]) >= 6 and prior.matches_a_pair == 150
+    assert own.matches_a_pair == 100 and own.prior == default.prior
 
 
 def test_every_subsystem_that_is_switched_off_is_a_valid_setting():
@@ -52,7 +52,7 @@ def test_every_subsystem_that_is_switched_off_is_a_valid_setting():
     assert len(set(names)) == len(names)
     for variant in ablate.VARIANTS:
         assert merged(variant.settings) != merged({}), f"{variant.name} changes nothing"
-    assert merged({"tuning": {"filter": {"min_agree": 12}}}).tuning.filter == FilterTuning()
+    assert merged({"tuning": {"filter": {"matches_a_pair": 150}}}).tuning.filter == FilterTuning()
 
 
 def row(registered, ate, cpu=10.0):

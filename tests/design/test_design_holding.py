@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from boat_world import photos
-from tiegraph.design.design import Cost, cost, design, holding, predicted_keypoints
+from tiegraph.design.design import design, holding, takes_all
 from tiegraph.design.matchprediction import verified_chance
 from tiegraph.design.settings import DesignSettings
 from tiegraph.design.tuning import Tuning
@@ -14,7 +14,7 @@ from tiegraph.scene.graph import components, parts
 from tiegraph.scene.matches import PreviewMatches
 from tiegraph.scene.pairs import Pairs
 
-TUNING = Tuning()
+TUNING = Tuning(few_pairs=0)  # or of few photographs all pairs are matched
 
 
 def kite(seed: int, count: int = 40) -> tuple[Pairs, PreviewMatches]:
@@ -85,49 +85,22 @@ def test_sure_pairs_are_held_by_three_forests_and_no_more() -> None:
     assert 55 < sum(len(r) for r in halves) <= 66, "twice as many, where every second fails"
 
 
-def whole(images: int, candidates: int, keypoints: float = 4096.0, megapixels: float = 1.5) -> Cost:
-    rng = np.random.default_rng(0)
-    i, j = rng.integers(0, images, (2, candidates))
-    return cost(i, j, np.full(images, keypoints), np.full(images, megapixels), TUNING.cost)
-
-
-def test_what_matching_costs_is_as_it_was_measured() -> None:
-    """CPU seconds of whole runs (benchmarks/results): of the matching, and to georef of the rest."""
-    for images, pairs, keypoints, megapixels, matching_s, rest_s in (
-        (25, 295, 4096, 1.57, 8.0, 39.4),
-        (79, 733, 4096, 1.12, 17.7, 135.4),
-        (102, 1268, 4096, 0.454, 26.6, 98.4),
-        (120, 1264, 951, 0.173, 3.8, 97.3),
-        (300, 4439, 1758, 0.307, 29.2, 349.8),
-        (300, 2753, 1535, 0.518, 22.5, 220.0),
-    ):
-        found = whole(images, pairs, keypoints, megapixels)
-        assert 0.4 < found.matching_s / matching_s < 1.6
-        assert 1.0 < found.rest_s / rest_s < 3.0, "dense and cloud come after georef"
-
-
 @pytest.mark.parametrize(
-    "images, pairs, all_of_them",
-    [(41, 241, True), (25, 300, True), (11, 55, True), (79, 2848, False), (300, 15730, False), (4000, 147418, False)],
+    "images, count, all_of_them",
+    [(41, 241, True), (25, 300, True), (11, 55, True), (79, 2848, False), (300, 15730, False)],
 )
-def test_few_pairs_are_all_matched_and_many_are_chosen_from(images, pairs, all_of_them) -> None:
-    assert whole(images, pairs).little(TUNING.cost) == all_of_them
+def test_few_pairs_are_all_matched_and_many_are_chosen_from(images, count, all_of_them) -> None:
+    i, j = (ends[:count] for ends in np.triu_indices(images, 1))
+    assert takes_all(Pairs.make(i, j, "exhaustive"), photos(images), DesignSettings(), Tuning()) == all_of_them
 
 
-def test_where_all_pairs_cost_little_none_is_saved_and_it_is_said() -> None:
+def test_where_few_pairs_are_all_matched_it_is_said() -> None:
     pairs, ties = kite(0)
-    little = Cost(len(pairs), 5.0, 95.0)
-    found = design(pairs, photos(40), ties, DesignSettings(), TUNING, cost=little)
+    few = TUNING.model_copy(update={"few_pairs": len(pairs) / 40})
+    found = design(pairs, photos(40), ties, DesignSettings(), few)
     assert len(found.pairs.kept()) == len(pairs)
-    assert found.notes[0].startswith(f"all {len(pairs)} pairs: to match them takes about 5 % of the run")
-    bound = TUNING.cost.little
-    much = Cost(len(pairs), bound * 100, (1 - bound) * 99)
-    assert len(design(pairs, photos(40), ties, DesignSettings(), TUNING, cost=much).pairs.kept()) < len(pairs)
+    assert found.notes[0].startswith(f"all {len(pairs)} pairs")
+    many = TUNING.model_copy(update={"few_pairs": (len(pairs) - 1) / 40})
+    assert len(design(pairs, photos(40), ties, DesignSettings(), many).pairs.kept()) < len(pairs)
     counted = DesignSettings(budget="pairs", pairs_per_image=4)
-    asked = design(pairs, photos(40), ties, counted, TUNING, cost=little).pairs
-    assert len(asked.kept()) < 0.6 * len(pairs), "as asked"
-
-
-def test_key_points_are_foreseen_by_the_area_that_is_used() -> None:
-    found = predicted_keypoints(np.array([0.173, 0.307, 12.0]), np.array([0.48, 0.48, 1.0]), 4096, TUNING.cost)
-    assert 0.8 < found[0] / 951 < 1.3 and 0.8 < found[1] / 1758 < 1.3 and found[2] == 4096
+    assert len(design(pairs, photos(40), ties, counted, few).pairs.kept()) < 0.6 * len(pairs), "as asked"

@@ -61,7 +61,7 @@ def test_each_part_of_a_wall_gets_its_verdict():
         assert inside.sum() > 5
         assert {VERDICTS[k] for k in found.verdict[inside]} == {verdict}
     assert sum(found.shares().values()) == pytest.approx(100)
-    places = weak_places(found, TUNING)
+    places = weak_places(found)
     weak = np.concatenate([p.cells for p in places])
     assert np.all(found.verdict[weak] > 0) and len(np.unique(weak)) == len(weak)
     assert all(4 < p.xyz[0] < 21 for p in places)
@@ -93,4 +93,4 @@ def test_what_is_not_known_does_not_count():
     focal = np.array([FOCAL, FOCAL, FOCAL, np.nan, FOCAL])
     assert set(surface_map(seen, focal, TUNING).images.tolist()) == {3}
     nothing = surface_map(sees(xyz, centres, np.zeros((5, len(xyz)), bool)), focal, TUNING)
-    assert len(nothing) == 0 and weak_places(nothing, TUNING) == ()
+    assert len(nothing) == 0 and weak_places(nothing) == ()

@@ -6,13 +6,7 @@ import pycolmap
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tiegraph.features.preview import (
-    Preview,
-    extract_preview,
-    match_previews,
-    spread,
-    tentative,
-)
+from tiegraph.features.preview import Preview, extract_preview, match_previews, spread, tentative
 from tiegraph.features.settings import PreviewSettings
 from tiegraph.features.tuning import PreviewTuning, Tuning
 from tiegraph.geometry.transforms import angle_deg

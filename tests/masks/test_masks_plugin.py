@@ -56,7 +56,7 @@ def test_a_model_of_the_users_makes_masks(model, tmp_path):
     settings = MasksSettings(source="model", model=model)
     source = SOURCES["model"]
     prepared = source.prepare({0: Camera((path,))}, settings, Tuning(), map)[0]
-    classes = source.classes(path, prepared, settings, Tuning(), "a.png")
+    classes = source.look(path, prepared, settings, Tuning(), "a.png")
     assert (classes[:75] == SKY).all() and (classes[85:155] == USE).all() and (classes[165:] == EGO).all()
     mask = source.mask(path, prepared, settings, Tuning(), "a.png")
     assert mask.shape == (240, 320) and not mask[:75].any() and mask[85:155].all()

@@ -7,7 +7,7 @@ import pytest
 from tiegraph.masks import EGO, OVEREXPOSED, SKY, USE, WATER
 from tiegraph.masks.matchability import Matchability, _shown, nearness
 from tiegraph.masks.platform import platform_of_frames
-from tiegraph.masks.proof import MatchCounts, cost, matches_in, moves, white_ties, without_sky
+from tiegraph.masks.proof import MatchCounts, matches_in, moves, white_ties, without_sky
 from tiegraph.masks.tuning import Tuning
 
 SHAPE = (300, 400)
@@ -44,7 +44,7 @@ def test_what_cannot_be_told_is_unknown():
     assert np.isnan(nearness(a[:4], b[:4], SHAPE, TUNING.matchability)).all(), "too few"
 
 
-def test_ties_by_class_and_the_cost_of_a_mask():
+def test_ties_by_class():
     labels = np.repeat(np.array([SKY, USE, WATER, EGO], np.uint8), 25)[:, None].repeat(100, axis=1)
     y = np.array([0.1, 0.1, 0.24, 0.4, 0.4, 0.6, 0.9, 0.1])
     matched = np.array([1, 1, 1, 1, 1, 1, 1, 0], bool)
@@ -53,8 +53,6 @@ def test_ties_by_class_and_the_cost_of_a_mask():
     ties = matches_in(labels, labels == SKY, evidence, TUNING.proof)
     assert ties.inside.tolist() == [2, 3, 1, 1, 0]
     assert (ties.near, ties.far) == (1, 1), "the third lies at the edge of the sky"
-    assert cost([ties, ties]) == (10, 14)
-    assert cost([]) == (0, 0)
 
 
 def test_the_skies_of_all_cameras_are_judged_together():

@@ -45,7 +45,7 @@ def test_level_of_the_water_in_spite_of_wrong_first_masks(survey):
     lines = [true_line(v) + rng.normal(0, 5, len(true_line(v))) for v in views]
     water = find_water(views, lines, points, UP, TUNING)
     assert water is not None and 0 < abs(water.depth - DEPTH) < 0.1 and water.rays > 500
-    errors = np.concatenate([lines_of(v, UP, water, TUNING).water - true_line(v) for v in views])
+    errors = np.concatenate([lines_of(v, UP, water).water - true_line(v) for v in views])
     assert 0 < np.nanpercentile(np.abs(errors), 90) < 4
 
 
@@ -69,12 +69,12 @@ def test_final_classes(survey):
     first[190:] = WATER
     first[200:210, :50] = SKY
     first[220:] = EGO
-    lines = lines_of(views[1], UP, water, TUNING)
+    lines = lines_of(views[1], UP, water)
     found = final_classes(first, lines, TUNING)
     row = int(np.nanmedian(true_line(views[1])))
     assert (found[:60] == SKY).all() and (found[220:] == EGO).all()
     assert (found[row + 4 : 220] == WATER).all() and (found[60 : row - 4] == USE).all()
-    dry = final_classes(first, lines_of(views[1], UP, None, TUNING), TUNING)
+    dry = final_classes(first, lines_of(views[1], UP, None), TUNING)
     assert (dry[190:200] == WATER).all() and not (dry[130:] == SKY).any()
 
 

@@ -19,11 +19,11 @@ from tiegraph.network.scorematrix import score_matrix
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.papers.meguro2024 import _around
+from tiegraph.scene.graph import best_line
 from tiegraph.scene.pairs import REASONS
 
 TUNING = Tuning()
 papers.plug_in(papers.OFFSETS, "constant", OFFSETS)
-AXES = TUNING.rig.axes
 
 
 def kept_matrix(pairs, n) -> np.ndarray:
@@ -269,16 +269,16 @@ def test_couples_of_passes_without_common_view_are_one_note() -> None:
 
 def test_yaw_and_vertical_of_a_ring() -> None:
     rig = ring()
-    assert np.allclose(vertical(rig, AXES), (0, -1, 0))
+    assert np.allclose(vertical(rig), (0, -1, 0))
     evidence = np.zeros((6, 6))
     evidence[0, 2] = evidence[0, 3] = evidence[1, 3] = evidence[1, 4] = 1.0
-    assert yaw_between(rig, evidence, AXES) == pytest.approx(180, abs=12)
-    assert yaw_between(rig, np.eye(6), AXES) == pytest.approx(0, abs=12)
-    assert yaw_between(rig, np.zeros((6, 6)), AXES) is None
-    assert np.allclose(np.diag(angles_deg(rig, 180, AXES))[:5], 180)
+    assert yaw_between(rig, evidence) == pytest.approx(180, abs=12)
+    assert yaw_between(rig, np.eye(6)) == pytest.approx(0, abs=12)
+    assert yaw_between(rig, np.zeros((6, 6))) is None
+    assert np.allclose(np.diag(angles_deg(rig, 180))[:5], 180)
     turned = np.array([-np.sin(np.radians(72)), 0, np.cos(np.radians(72))])  # the first axis, z, about -y by 72 degrees
     axes = np.array([s.optical_axis() for s in rig.sensors])
-    assert np.allclose(angles_deg(rig, 72, AXES)[:, 0], np.degrees(np.arccos(np.clip(axes @ turned, -1, 1))))
+    assert np.allclose(angles_deg(rig, 72)[:, 0], np.degrees(np.arccos(np.clip(axes @ turned, -1, 1))))
 
 
 def test_book_asks_each_pair_once() -> None:
@@ -302,3 +302,10 @@ def test_passes_of_two_rigs_on_one_track_are_two() -> None:
     assert passes[0].name != passes[1].name
     loose = scene.with_(sequence=np.array([0, 0, -1, -1]))
     assert set(scene.frame[loose_images(loose)]) == {2, 3}
+
+
+def test_the_path_between_passes_goes_by_a_lone_peak() -> None:
+    rows, columns = np.mgrid[:20, :30]
+    evidence = 10 * np.exp(-(((columns - rows - 4) / 2.0) ** 2))
+    evidence[10, 28] = 14.0
+    assert np.abs(best_line(evidence, 0.02 * evidence.max()) - (np.arange(20) + 4)).max() <= 1

@@ -2,7 +2,6 @@
 
 import io
 import warnings
-from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -11,20 +10,15 @@ from PIL import Image
 
 from boat_world import World, boat, ring
 from network_steps import Steps, estimate_network
-from tiegraph.network.offsets.surface import minimum_cost_path, surfaces_of
-from tiegraph.network.passes import MatchCache, find_passes
+from tiegraph.network.passes import find_passes
 from tiegraph.network.plots import (
     _matrix,
-    funnel_png,
-    funnel_steps,
     map_png,
     matrix_png,
     sections_png,
-    surfaces_png,
     weak_pairs,
 )
-from tiegraph.network.plots.map import _aggregated, _joined, _layout, edges_of
-from tiegraph.network.scorematrix import score_matrix
+from tiegraph.network.plots.map import _aggregated, _joined, _layout
 from tiegraph.network.sections.light import UpLight
 from tiegraph.network.sections.sections import find_sections
 from tiegraph.network.settings import CandidatesSettings
@@ -147,55 +141,6 @@ def test_weak_links_are_read_from_the_table() -> None:
     assert weak_pairs({}, surveyed()[0].scene).shape == (0, 2)
 
 
-def test_the_funnel_adds_up() -> None:
-    world, network = surveyed()
-    _, left, dropped, _ = zip(*funnel_steps(network.pairs, len(world.scene)))
-    assert left[0] == len(world.scene) * (len(world.scene) - 1) // 2 and left[1] == len(network.pairs)
-    assert left[1] - sum(dropped) == left[-1] == len(network.pairs.kept())
-    assert opened(funnel_png(network.pairs, len(world.scene))).shape[1] > 800
-
-
-@pytest.mark.slow
-def test_surfaces_follow_the_way_back() -> None:
-    world = boat((14, 14), (4.0, 4.0))
-    p, q = find_passes(world.scene)
-    scores = score_matrix(p, q, 1, np.ones((6, 6), bool), TUNING.offsets.scores)
-    scores = scores.measured(np.nonzero(np.isnan(scores.inliers)), MatchCache(world.match, len(world.scene)))
-    surfaces = surfaces_of(scores, scores.smoothed(12, TUNING), 12, TUNING)
-    assert surfaces[0].sensors == "" and 2 < len(surfaces) <= 13 and surfaces[0].evidence.shape == (14, 14)
-    known = np.isfinite(surfaces[0].path)
-    assert known.sum() >= 10
-    # step k of the way there is where step 14 - k of the way back is
-    assert np.median(np.abs(surfaces[0].path[known] - (14 - surfaces[0].rows[known]))) <= 1.5
-    same = score_matrix(p, p, 2, np.ones((6, 6), bool), TUNING.offsets.scores)
-    alone = surfaces_of(same, same.smoothed(12, TUNING), 12, TUNING)
-    assert len(alone) == 1 and np.isnan(alone[0].path).all()
-    image = opened(surfaces_png((*surfaces, *alone)))
-    assert 700 < image.shape[0] < 1100 and 1200 < image.shape[1] < 1600
-
-
-def test_of_long_passes_as_many_nodes_are_drawn_as_a_panel_has_pixels() -> None:
-    frames = np.arange(1500)
-    p, q = (replace(x, frames=frames, images=frames[None] + 1500 * k) for k, x in enumerate(find_passes(boat().scene)))
-    scores = score_matrix(p, q, 1, np.ones((1, 1), bool), TUNING.offsets.scores)
-    a, b = np.ogrid[:1500, :1500]
-    band = np.where(np.abs(a - b - 30) < 12, 30 - np.abs(a - b - 30), np.nan).astype(np.float32)[None, None]
-    scores = replace(scores, inliers=band)
-    (rig,) = surfaces_of(scores, scores.smoothed(12, TUNING), 12, TUNING)
-    assert rig.evidence.shape == rig.kept.shape == (500, 500) == (len(rig.rows), len(rig.columns))
-    assert np.array_equal(rig.rows, frames[::3]) and np.isfinite(rig.path).sum() > 450
-    assert np.nanmax(np.abs(rig.path - (rig.rows - 30))[rig.rows > 60]) <= 6
-
-
-def test_the_ridge_passes_a_lone_peak_by() -> None:
-    rows, columns = np.mgrid[:20, :30]
-    evidence = 10 * np.exp(-(((columns - rows - 4) / 2.0) ** 2))
-    evidence[10, 28] = 14.0
-    path = minimum_cost_path(evidence, evidence > 5, TUNING.offsets.surface.bend)
-    assert np.abs(path - (np.arange(20) + 4)).max() <= 1
-    assert np.isnan(minimum_cost_path(evidence, np.zeros_like(evidence, bool), TUNING.offsets.surface.bend)).all()
-
-
 def test_sections_show_every_cue() -> None:
     world, network = surveyed()
     under = np.isin(world.scene.sequence_index[world.scene.frame], (3, 4, 5))
@@ -204,11 +149,6 @@ def test_sections_show_every_cue() -> None:
     image = opened(sections_png(world.scene.with_(section=found.of_frame), found.sections, found.cues))
     one = opened(sections_png(world.scene.with_(section=found.of_frame), found.sections, found.cues[:1]))
     assert image.shape[0] > one.shape[0] + 150
-
-
-def test_edges_of_uneven_nodes() -> None:
-    assert edges_of(np.array([0, 2, 6])).tolist() == [-1, 1, 4, 8]
-    assert edges_of(np.array([3])).tolist() == [2.5, 3.5]
 
 
 def test_names_are_no_formulas() -> None:

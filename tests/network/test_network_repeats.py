@@ -122,4 +122,4 @@ def test_a_loop_is_what_most_cameras_see_again() -> None:
     hits = [(i, j) for i, j in alike if world.match(np.array([[i, j]]))[0].inliers > 20]
     i, j = np.array(again + hits).T
     patch = np.repeat([0, 1], [len(again), len(hits)])
-    assert list(seen_by_the_rig(line, (i, j), patch, cache, level, TUNING.retrieval.significance)) == [True, False]
+    assert list(seen_by_the_rig(line, (i, j), patch, cache, level, TUNING.retrieval.loops)) == [True, False]

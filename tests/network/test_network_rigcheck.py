@@ -67,7 +67,7 @@ def test_a_calibrated_rig_is_told_of_and_kept() -> None:
 def test_few_votes_that_chance_may_cast_correct_nothing(against: int, monkeypatch) -> None:
     """Six pairs that all move as in a mirrored rig prove one; five and one the other way do not (t = 2, 7 tries)."""
     wrong, places = changed(ring(), np.diag([-1.0, 1, 1])), np.arange(6)
-    shift = predicted_shift(ring(), 0, 1, TUNING.rig.axes) * np.where(places < against, -1.0, 1.0)[:, None]
+    shift = predicted_shift(ring(), 0, 1) * np.where(places < against, -1.0, 1.0)[:, None]
     votes = check._Votes(np.zeros(6, int), np.ones(6, int), shift, np.full(6, np.nan), np.full((2, 6, 6), np.nan))
     monkeypatch.setattr(check, "_collect", lambda *_: votes)
     outcome = check_rig(wrong, (), MatchCache(lambda pairs: [], 0), SETTINGS, TUNING)

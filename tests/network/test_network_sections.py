@@ -1,7 +1,5 @@
 """Bridge and open sections from the up camera, and whether they are tied to each other."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -9,7 +7,7 @@ from boat_world import boat, ring
 from network_steps import estimate_network
 from tiegraph.network.passes import find_passes
 from tiegraph.network.sections.light import UpLight, by_up_frame, otsu, two_states
-from tiegraph.network.sections.sections import Section, SectionResult, find_sections, join_places, section_links
+from tiegraph.network.sections.sections import Section, SectionResult, find_sections, join_places
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.scene.pairs import REASONS, Pairs
@@ -201,30 +199,3 @@ def three_sections():
 
 def image(scene, frame: int, sensor: int) -> int:
     return int(np.flatnonzero((scene.frame == frame) & (scene.sensor == sensor))[0])
-
-
-def test_section_links_counts_independent_ties_and_names_the_border() -> None:
-    scene, sections = three_sections()
-    ties = [
-        (image(scene, 3, 0), image(scene, 4, 0)),
-        (image(scene, 2, 1), image(scene, 5, 2)),
-        (image(scene, 7, 0), image(scene, 8, 0)),  # both of these hang on one image
-        (image(scene, 7, 0), image(scene, 9, 0)),
-        (image(scene, 1, 0), image(scene, 10, 0)),  # over the bridge: no tie of neighbours
-    ]
-    pairs = Pairs.make(*np.array(ties).T, "offsets")
-    table, notes = section_links(pairs, scene, sections, TUNING)
-    assert [row[-3:] for row in table["rows"]] == [[2, 2, True], [2, 1, False]]
-    assert len(notes) == 1 and "bridge 1 and open 2" in notes[0] and "0007.jpg" in notes[0] and "0008.jpg" in notes[0]
-    matched = pairs.with_(inliers=np.where(np.arange(len(pairs)) == 0, 40, 0))
-    rows, notes = section_links(matched, scene, sections, TUNING)
-    assert sum(row[-3] for row in rows["rows"]) <= 1 and len(notes) == 2
-    none = section_links(Pairs.empty(), scene, sections, TUNING)
-    assert [row[-3] for row in none[0]["rows"]] == [0, 0] and all("are not tied" in n for n in none[1])
-
-
-def test_one_section_has_no_borders() -> None:
-    scene, sections = three_sections()
-    whole = (replace(sections[0], frames=tuple(range(12))),)
-    table, notes = section_links(Pairs.empty(), scene, whole, TUNING)
-    assert table["rows"] == [] and notes == ()

@@ -208,25 +208,23 @@ def test_the_network_says_whether_it_holds(tmp_path: Path) -> None:
     run = make_run(tmp_path / "run", "design")
     for stage, more in (
         ("coarse", {"notes": ["coarse model: 60 of 60 images"]}),
-        ("network", {"notes": ["odd light"], "tables": {"section links": _LINKS}}),
+        ("network", {"notes": ["odd light"], "tables": {}}),
         ("design", {"tables": {"weak links": _WEAK}}),
     ):
         path = run / "receipts" / f"{stage}.json"
         path.write_text(json.dumps({**json.loads(path.read_text()), **more}))
     picture = np.zeros((40, 60, 3), np.uint8)
-    for name in ("surfaces", "map", "funnel", "sections"):
+    for name in ("map", "funnel", "sections"):
         cv2.imwrite(str(run / "network" / f"{name}.png"), picture)
     part = network_part(read_run(run))
     assert part["model"] == ["Coarse model: 60 of 60 images."] and ("Network", ["odd light"]) in part["notes"]
-    assert [c.split()[0] for _, c in part["pictures"]] == ["The", "What", "Frame-offset", "What"]  # the funnel is drawn
-    assert [t.rows[0][1] for t in part["links"]] == ["open 1", "up/cam0/000003.jpg"] and part["sound"] is None
+    assert [c.split()[0] for _, c in part["pictures"]] == ["The", "Frame-offset", "What"]  # the funnel is drawn
+    assert [t.rows[0][1] for t in part["links"]] == ["up/cam0/000003.jpg"] and part["sound"] is None
     text = write_report(run, SMALL).read_text(encoding="utf-8")
-    assert "Are neighbouring sections tied" in text and "Weak links: places where" in text
-    assert "1 border between sections is not tied" in text
+    assert "Weak links: places where" in text
 
 
 _WEAK = {"columns": ["kind", "where"], "rows": [["joint", "up/cam0/000003.jpg"]]}
-_LINKS = {"columns": ["pass", "before", "tied"], "rows": [["up", "open 1", False]]}
 
 
 @pytest.mark.slow

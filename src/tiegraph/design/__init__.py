@@ -2,8 +2,7 @@
 
 1. The pairs that are kept under any method (``holding``): across every cut of the graph the strongest, until three
    are expected to be verified.
-2. Loose photographs whose matching costs less than a fifth of the run (``cost``: measured times, no clock) are all
-   matched.
+2. Of loose photographs with few candidates an image all are matched (``takes_all``).
 3. Otherwise a greedy choice (``hybrid``): the pairs of the largest gain, effective resistance times new tracks
    (``resistance``, ``tracks``), until the predicted sigma of the positions is within the budget of that of all
    candidates (``predict``), which counts the frames of a known rig, not its images.

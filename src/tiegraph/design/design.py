@@ -7,7 +7,7 @@ pairs stay until so many as are ``wanted`` of them are expected to be verified, 
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, cast
 
 import numpy as np
@@ -18,51 +18,12 @@ from tiegraph.design.matchprediction import counted_matches, expected_matches, p
 from tiegraph.design.resistance import Predictor
 from tiegraph.design.settings import DesignSettings
 from tiegraph.design.tracks import Candidates
-from tiegraph.design.tuning import CostTuning, HoldingTuning, Tuning
+from tiegraph.design.tuning import HoldingTuning, Tuning
 from tiegraph.errors import choose as choose_entry
 from tiegraph.scene.graph import cuts, forest, frame_links, groups, parts, strongest_places, two_links
 from tiegraph.scene.matches import PreviewMatches, Visibility
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
-
-
-@dataclass(frozen=True)
-class Cost:
-    """CPU seconds that to match ``pairs`` pairs takes, and all the rest of a run from scan to report."""
-
-    pairs: int
-    matching_s: float
-    rest_s: float
-
-    @property
-    def share(self) -> float:
-        """Of the whole run."""
-        return self.matching_s / (self.matching_s + self.rest_s)
-
-    def little(self, tuning: CostTuning) -> bool:
-        """Whether choosing would save next to nothing."""
-        return self.share < tuning.little
-
-    def said(self, tuning: CostTuning) -> str:
-        """For people, if it is little."""
-        return (
-            f"all {self.pairs} pairs: to match them takes about {max(100 * self.share, 1):.0f} % of the run, and below "
-            f"{100 * tuning.little:.0f} % no pair is worth saving"
-        )
-
-
-def cost(i: np.ndarray, j: np.ndarray, keypoints: np.ndarray, megapixels: np.ndarray, tuning: CostTuning) -> Cost:
-    """Of pairs i, j (P,) of images with so many key points (N,) and pixels (N,)."""
-    matching_s = tuning.pair_s * len(i) + tuning.product_s * float(np.sum(keypoints[i] * keypoints[j]))
-    each_s = tuning.image_s + tuning.megapixel_s * np.minimum(megapixels, tuning.large_mpx)
-    rest_s = tuning.start_s + float(np.sum(each_s))
-    return Cost(len(i), matching_s, rest_s)
-
-
-def predicted_keypoints(megapixels: np.ndarray, used: np.ndarray, most: np.ndarray, tuning: CostTuning) -> np.ndarray:
-    """(N,) key points to expect at full resolution in images of so many megapixels (N,), of which a share (N,) is used:
-    rather too many, and no more than ``most`` (N,)."""
-    return np.minimum(tuning.keypoints_a_megapixel * megapixels * used, most)
 
 
 @dataclass(frozen=True)
@@ -82,11 +43,18 @@ METHODS: dict[str, Method] = {}
 """Methods by name that thin pairs by the matches (P,) expected of them, beside those of this module."""
 
 
-def takes_all(settings: DesignSettings, cost: Cost | None, tuning: CostTuning) -> bool:
-    """Whether every kept pair is to be matched: asked for, or a loss is allowed and matching them all costs little."""
-    if settings.method == "hybrid" and settings.budget == "loss" and cost is not None:
-        return cost.little(tuning)
-    return settings.method == "all"
+def takes_all(pairs: Pairs, scene: Scene, settings: DesignSettings, tuning: Tuning) -> bool:
+    """Whether every kept pair is to be matched: there is none, that is asked for, or these are loose photographs with
+    so few that matching them is a small part of the run.
+
+    In passes false pairs of walls that repeat cost more than time (canal_demo with all 2734 pairs 9.1 mm, with the 1604
+    chosen ones 4.8 mm).
+    """
+    count = len(pairs.kept())
+    loose = bool(np.all(scene.sequence[scene.frame] < 0))
+    may_choose = settings.method == "hybrid" and settings.budget == "loss"
+    few = may_choose and loose and count <= tuning.few_pairs * len(scene)
+    return count == 0 or settings.method == "all" or few
 
 
 def design(
@@ -96,7 +64,6 @@ def design(
     settings: DesignSettings,
     tuning: Tuning,
     visibility: Visibility | None = None,
-    cost: Cost | None = None,
 ) -> DesignResult:
     """Choose by the method of the settings; what was connected stays connected, but by some of ``METHODS``.
 
@@ -105,11 +72,12 @@ def design(
     Methods hybrid and top keep a maximum spanning forest of the images, two pairs without a common image from
     every camera, pass and section to the rest, and a second link wherever frames would hang on one; hybrid
     also the strongest pairs of every image and part (``holding``), within a share of a budget of pairs.
-    Where they may lose accuracy and all pairs are matched at little ``cost``, nothing is chosen.
+    Of few pairs nothing is chosen (``takes_all``).
     """
-    if takes_all(settings, cost, tuning.cost) or not (pairs.dropped == 0).any():
-        little = settings.method != "all" and cost is not None and (pairs.dropped == 0).any()
-        return _made(pairs, pairs, (cost.said(tuning.cost),) if little else (), {})
+    count = len(pairs.kept())
+    if takes_all(pairs, scene, settings, tuning):
+        few = settings.method != "all" and count > 0
+        return _made(pairs, pairs, (f"all {count} pairs: to match so few costs next to nothing",) if few else (), {})
     expected = expected_matches(pairs, ties, tuning.match_prediction)
     if settings.method not in _OWN:
         # The pairs that a method beside those of this module leaves
@@ -117,13 +85,15 @@ def design(
         thin = method(pairs, scene, expected)
         return _made(pairs, thin.pairs, thin.notes, thin.counts)
     kept = _kept(pairs, expected, ties, visibility, tuning)
-    start = _start(kept, scene, _room(settings, len(scene), tuning), tuning)
-    choice = _chosen(kept, start, scene, settings, tuning)
+    allowed = np.iinfo(np.int64).max if settings.budget == "loss" else int(len(scene) * settings.pairs_per_image / 2)
+    room = 0 if settings.method == "top" else int(tuning.start_share * allowed)
+    start = _start(kept, scene, room, tuning)
+    choice = _chosen(kept, start, scene, allowed, settings, tuning)
     second = _second_links(kept, choice.places, scene)
     cut = np.ones(len(pairs), bool)
     cut[kept.row[np.concatenate([choice.places, second])]] = False
     chosen = pairs.drop(cut, "cut")
-    notes = _budget_notes(choice, settings, len(start), len(kept.row), len(scene))
+    notes = _budget_notes(choice, settings, len(start), len(kept.row), allowed)
     # What the steps chose, by name
     counts = {"start": float(len(start)), "second_links": float(len(second)), "rounds": float(choice.rounds)}
     if np.isfinite(choice.loss):
@@ -156,14 +126,18 @@ def _kept(
     return _Kept(row=row, i=i, j=j, strength=strength, known=known)
 
 
-def _chosen(kept: _Kept, start: np.ndarray, scene: Scene, settings: DesignSettings, tuning: Tuning) -> Choice:
+def _chosen(
+    kept: _Kept, start: np.ndarray, scene: Scene, allowed: int, settings: DesignSettings, tuning: Tuning
+) -> Choice:
     """From the start, the strongest pairs of each image, or those that the accuracy gains most by within the budget."""
     if settings.method == "top":
         top = strongest_places(kept.i, kept.j, kept.strength, scene, settings.pairs_per_image)
         return Choice(np.union1d(start, top), np.nan, 0)
     candidates = Candidates.make(kept.i, kept.j, kept.strength, kept.known, len(scene))
-    judge = Predictor(candidates, tuning.net, _units(scene)) if settings.budget == "loss" else None
-    return choose(candidates, start, _budget(settings, scene), tuning, judge)
+    if settings.budget == "pairs":
+        return choose(candidates, start, Budget(allowed), tuning)
+    judge = Predictor(candidates, tuning.net, _units(scene))
+    return choose(candidates, start, Budget(allowed, settings.loss_percent / 100), tuning, judge)
 
 
 def _units(scene: Scene) -> np.ndarray:
@@ -172,26 +146,7 @@ def _units(scene: Scene) -> np.ndarray:
     return np.where(known, scene.frame, scene.frames + np.arange(len(scene)))
 
 
-def _room(settings: DesignSettings, images: int, tuning: Tuning) -> int:
-    """Pairs that a design may start with: a share of a budget that counts them."""
-    if settings.method == "top":
-        return 0
-    if settings.budget == "loss":
-        return np.iinfo(np.int64).max
-    return int(tuning.start_share * _pairs_allowed(settings, images))
-
-
-def _budget(settings: DesignSettings, scene: Scene) -> Budget:
-    if settings.budget == "loss":
-        return Budget(np.iinfo(np.int64).max, settings.loss_percent / 100)
-    return Budget(_pairs_allowed(settings, len(scene)))
-
-
-def _pairs_allowed(settings: DesignSettings, images: int) -> int:
-    return int(images * settings.pairs_per_image / 2)
-
-
-def _budget_notes(choice: Choice, settings: DesignSettings, start: int, kept: int, images: int) -> tuple[str, ...]:
+def _budget_notes(choice: Choice, settings: DesignSettings, start: int, kept: int, allowed: int) -> tuple[str, ...]:
     if settings.method == "top":
         return ()
     share = f"{settings.method}: {len(choice.places)} of {kept} pairs ({100 * len(choice.places) / kept:.1f} %)"
@@ -200,7 +155,6 @@ def _budget_notes(choice: Choice, settings: DesignSettings, start: int, kept: in
             f"{share}; over the previews' tracks their position sigma is {100 * choice.loss:.1f} % above that of all "
             f"(asked: {settings.loss_percent:g} %), what full images lose only matching all would tell",
         )
-    allowed = _pairs_allowed(settings, images)
     if start > allowed:
         return (f"{share}: the budget of {allowed} pairs does not suffice to hold the images together",)
     return (share,)
@@ -218,12 +172,8 @@ def with_coverage(made: DesignResult, found: Coverage) -> DesignResult:
     """A result with its weak links."""
     figures = {k: float(v) for k, v in found.counts.items() if k not in ("images", "pairs")}
     said = () if found.sound else found.lines
-    return DesignResult(
-        pairs=made.pairs,
-        notes=(*made.notes, *said),
-        counts={**made.counts, **figures},
-        tables={**made.tables, "weak links": found.table},
-    )
+    tables = {**made.tables, "weak links": found.table}
+    return replace(made, notes=(*made.notes, *said), counts={**made.counts, **figures}, tables=tables)
 
 
 def _start(kept: _Kept, scene: Scene, room: int, tuning: Tuning) -> np.ndarray:

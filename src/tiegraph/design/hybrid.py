@@ -17,7 +17,7 @@ import numpy as np
 
 from tiegraph.design.resistance import Net, Predictor, laplacian
 from tiegraph.design.tracks import Candidates, Tracks
-from tiegraph.design.tuning import GrowthTuning, NetTuning, Tuning
+from tiegraph.design.tuning import NetTuning, Tuning
 
 _log = logging.getLogger(__name__)
 
@@ -55,7 +55,7 @@ def choose(
     weight[start] = candidates.expected[start]
     tracks.choose(start, tracks.new())
     order, loss, rounds, looked, before = [start], np.nan, 0, 0, tracks
-    growth = own.fine if candidates.images <= own.many_images else own.coarse
+    growth = own.fine if candidates.images <= 20_000 else own.coarse
     while True:
         count = int(chosen.sum())
         done = count == len(candidates)
@@ -65,18 +65,18 @@ def choose(
             if loss <= budget.loss:
                 places = np.concatenate(order)
                 between = max(looked, len(start)), count
-                end, loss = _shortest(places, before, between, (loss, budget.loss), judge, own)
+                end, loss = _shortest(places, before, between, (loss, budget.loss), judge)
                 return Choice(places[:end], loss, rounds)
             before, looked = tracks.copy(), count
         room = min(budget.pairs, len(candidates)) - count
         if room <= 0:
             break
         new = tracks.new()
-        pace = growth if count < own.dense_pairs * candidates.images else own.coarse
+        pace = growth if count < 4.0 * candidates.images else own.coarse
         wanted = min(max(1, int(pace * count)), room)
         each = max(1, round(2 * pace * count / candidates.images))
         gain = np.where(chosen, -1.0, _gains(candidates, weight, new, tuning.net))
-        picked = _apart(candidates, gain, wanted, each, own)
+        picked = _apart(candidates, gain, wanted, each)
         if not len(picked):  # nothing tells the rest apart
             picked = np.flatnonzero(~chosen)[:room]
         weight[picked] = np.maximum(new[picked], tuning.net.known * candidates.expected[picked])
@@ -99,12 +99,11 @@ def _shortest(
     between: tuple[int, int],
     losses: tuple[float, float],
     judge: Predictor,
-    tuning: GrowthTuning,
 ) -> tuple[int, float]:
     """The least number of the first places, within bounds, of an allowed loss, and it; ``tracks``: of those up to the
     lower bound; ``losses``: that at the upper bound, allowed."""
     (low, high), (loss, allowed) = between, losses
-    for _ in range(tuning.halvings):
+    for _ in range(4):
         middle = (low + high) // 2
         if middle <= low:
             break
@@ -120,12 +119,12 @@ def _shortest(
     return high, loss
 
 
-def _apart(c: Candidates, gain: np.ndarray, count: int, each: int, tuning: GrowthTuning) -> np.ndarray:
+def _apart(c: Candidates, gain: np.ndarray, count: int, each: int) -> np.ndarray:
     """Places of up to count pairs of the largest gain, at most ``each`` of an image."""
     free = [each] * c.images
     picked: list[int] = []
     live = np.flatnonzero(gain >= 0)
-    width = min(len(live), tuning.sorted_times * count)
+    width = min(len(live), 20 * count)  # sorting all would cost too much
     while True:
         top = live if width == len(live) else live[np.argpartition(-gain[live], width)[:width]]
         top = top[np.argsort(-gain[top], kind="stable")]

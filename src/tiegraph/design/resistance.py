@@ -41,7 +41,7 @@ class Net:
         self._size = np.bincount(self.part)
         self._rng = np.random.default_rng(seed)
         self._matrix = matrix
-        self._dense = self._inverse(matrix) if self.nodes <= tuning.exact_nodes else None
+        self._dense = self._inverse(matrix) if self.nodes <= 700 else None
         if self._dense is None:
             ground = _GROUND * max(float(matrix.diagonal().mean()), 1e-12)
             grounded = (matrix + ground * eye_array(self.nodes)).tocsc()

@@ -19,6 +19,6 @@ class DesignSettings(Section):
     """Method hybrid stops at loss_percent (loss) or pairs_per_image (pairs)."""
     loss_percent: float = Field(5.0, ge=0, le=1000)
     """Budget loss: increase of the position sigma over using all candidates, by what previews show, percent. Of loose
-    photographs all are matched where that takes less than a fifth of the run."""
+    photographs with few candidates all are matched."""
     pairs_per_image: int = Field(40, ge=1, le=1000)
     """Budget pairs: pairs an image has on average; method top: pairs an image keeps because of its own ranking."""

@@ -87,7 +87,7 @@ def surface_map(seen: Visibility, focal_px: np.ndarray, tuning: SurfaceTuning) -
     pair, often = np.concatenate(pairs), np.concatenate(times)
     order = np.argsort(pair)
     cell_of, image_of = np.divmod(pair[order], len(focal_px))
-    enough = often[order] >= tuning.seen_share * count[cell_of]
+    enough = often[order] >= 0.3 * count[cell_of]
     return _judged(middle, cell_of[enough], image_of[enough], (seen.centre, focal_px), tuning, usual)
 
 
@@ -179,7 +179,7 @@ def _judged(
     )
 
 
-def weak_places(surface: SurfaceMap, tuning: SurfaceTuning) -> tuple[WeakPlace, ...]:
+def weak_places(surface: SurfaceMap) -> tuple[WeakPlace, ...]:
     """Where to go again: weak cells that lie side by side, the largest places first."""
     weak = np.flatnonzero(surface.verdict > 0)
     if not len(weak):
@@ -187,7 +187,7 @@ def weak_places(surface: SurfaceMap, tuning: SurfaceTuning) -> tuple[WeakPlace, 
     near = cKDTree(surface.xyz[weak]).query_pairs(_NEAR * surface.side, output_type="ndarray")
     part = parts(near[:, 0], near[:, 1], len(weak))
     out = []
-    for number in np.flatnonzero(np.bincount(part) >= tuning.least_cells):
+    for number in np.flatnonzero(np.bincount(part) >= 3):
         cells = weak[part == number]
         verdict = int(np.bincount(surface.verdict[cells]).argmax())
         image = int(np.bincount(surface.best[cells]).argmax())

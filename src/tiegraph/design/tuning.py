@@ -8,32 +8,6 @@ from pydantic import Field
 from tiegraph.settings import Section
 
 
-class CostTuning(Section):
-    """What matching costs of a run (`Cost`): CPU seconds of a core that compares 4096 with 4096 key points in 13 ms.
-
-    Only ratios count. They give the runs in benchmarks/results (8 to 300 images; rendered, vehicle, facades, telephone)
-    within a factor of two.
-    """
-
-    pair_s: float = Field(0.004, ge=0)
-    """Of matching a pair: mostly its verification."""
-    product_s: float = Field(0.8e-9, ge=0)
-    """Of matching, for each product of the pair's key points."""
-    start_s: float = Field(15.0, gt=0)
-    """Of a run, of everything else from scan to report."""
-    image_s: float = Field(1.2, ge=0)
-    """Of an image, of everything else."""
-    megapixel_s: float = Field(1.5, ge=0)
-    """Of an image's pixels, of everything else."""
-    large_mpx: float = Field(2.0, gt=0)
-    """More megapixels of an image cost little more: stages that work by the pixel reduce the images."""
-    keypoints_a_megapixel: float = Field(12000.0, gt=0)
-    """Key points of used area to expect at full resolution, on rich texture."""
-    little: float = Field(0.08, ge=0, le=1)
-    """Share of the run that matching all candidates may cost before it is worth choosing among them. At 0.2 oppaiyama
-    took them all: 124 CPU s for 100, with the same errors."""
-
-
 class MatchPredictionTuning(Section):
     """Matches by the points of the coarse model that two images should both see, and by the overlap, of pairs that were
     never previewed (`matchprediction.py`)."""
@@ -42,12 +16,6 @@ class MatchPredictionTuning(Section):
     """Angles between the rays that are tried for the law: where chances fall to 1 / e."""
     octaves: tuple[float, ...] = Field((0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 3.0), min_length=1)
     """Ratios of the distances that are tried for the law, octaves: where chances fall to 1 / e."""
-    usual_angle_deg: float = Field(20.0, gt=0)
-    """Angle of the law where too few pairs were previewed to tell."""
-    usual_octaves: float = Field(0.7, gt=0)
-    """Octaves of the law where too few pairs were previewed to tell."""
-    usual_rate: float = Field(0.5, gt=0, le=1)
-    """Rate of the law where too few pairs were previewed to tell: 0.7 found in each image, as SIFT repeats."""
     cell_deg: float = Field(1.75, gt=0)
     """Width in angle of the cells of the tables the law is fitted to."""
     cell_octaves: float = Field(0.1, gt=0)
@@ -60,14 +28,6 @@ class MatchPredictionTuning(Section):
     """Previewed pairs with common points below which the law is the usual one."""
     even_matches: float = Field(7.5, gt=0)
     """Preview matches with which every second pair is verified: full images find twice as many, 15 are needed."""
-    least_variance: float = Field(5.0, gt=0)
-    """Matches: the variance of a count is the count itself, and not less than this."""
-    bins: int = Field(12, gt=0)
-    """Of the curve of matches over overlap, with equal numbers of previewed pairs."""
-    least_a_bin: int = Field(30, gt=0)
-    """Previewed pairs a bin should hold."""
-    at_full_overlap: float = Field(60.0, gt=0)
-    """Matches at full overlap if nothing was previewed: only ratios matter then."""
     floor: float = Field(0.25, ge=0, le=1)
     """Of its expectation that a pair has at least: a preview that failed does not prove that full resolution does."""
 
@@ -89,8 +49,6 @@ class NetTuning(Section):
     wide_images: int = Field(300, gt=0)
     """Images of a track: one of more, which wrong matches made, counts as one for each so many images in a row.
     COLMAP's mapper takes none of more than 100."""
-    exact_nodes: int = Field(700, ge=0)
-    """Nodes up to which the inverse is dense and exact."""
     projections: int = Field(48, gt=0)
     """Random ones beyond: a resistance is then known to sqrt(2 / 48) = 20 % (Spielman and Srivastava 2008)."""
     waves: int = Field(24, gt=0)
@@ -114,16 +72,8 @@ class GrowthTuning(Section):
     time within 1 %, measured with 0.03."""
     coarse: float = Field(0.10, gt=0)
     """The same for networks of many images, and for those that are dense already."""
-    many_images: int = Field(20_000, ge=0)
-    """Images beyond which rounds are coarse from the start."""
-    dense_pairs: float = Field(4.0, ge=0)
-    """Pairs an image from which on rounds are coarse in small networks too."""
     look: float = Field(0.20, ge=0)
     """Growth of the network between two looks at its accuracy, which cost more than a round."""
-    halvings: int = Field(4, ge=0)
-    """Of the last step, to find where the budget was met."""
-    sorted_times: int = Field(20, gt=0)
-    """Times the pairs wanted: so many of the best gains a round sorts first, for sorting all would cost too much."""
 
 
 class SurfaceTuning(Section):
@@ -135,8 +85,6 @@ class SurfaceTuning(Section):
     """Median distances beyond which a point is background, which nobody surveys."""
     least_points: int = Field(3, gt=0)
     """Points of a cell: fewer are as often errors of the model."""
-    seen_share: float = Field(0.3, gt=0, le=1)
-    """Of a cell's points, that an image must see to see the cell."""
     image_px: float = Field(0.5, gt=0)
     """Sigma of an image coordinate, full resolution, that a point's expected sigma is worked out with: SIFT."""
     least_images: int = Field(3, gt=1)
@@ -145,8 +93,6 @@ class SurfaceTuning(Section):
     """Between the outermost rays of a cell: below, depth is ten times as bad as what the images show across."""
     worse: float = Field(3.0, gt=1)
     """Times the median sigma of the survey from which on a cell is imprecise."""
-    least_cells: int = Field(3, gt=0)
-    """Weak cells side by side that make a place to go to again."""
 
 
 class Tuning(Section):
@@ -161,8 +107,9 @@ class Tuning(Section):
     shares 0 to 36. Views of an object with little texture (40 of dino) share 63 and more."""
     start_share: float = Field(0.5, ge=0, le=1)
     """Of a budget of pairs that the pairs may take which stay whatever a design is after."""
-    cost: CostTuning = Field(default_factory=CostTuning)
-    """The cost of matching."""
+    few_pairs: float = Field(15.0, ge=0)
+    """Candidates an image of loose photographs up to which all are matched: less than a tenth of the run (25 images
+    with 300 pairs), while 79 images with 2848 pairs took a quarter longer with the same errors."""
     match_prediction: MatchPredictionTuning = Field(default_factory=MatchPredictionTuning)
     """Expected matches by the coarse model, or by overlap."""
     holding: HoldingTuning = Field(default_factory=HoldingTuning)

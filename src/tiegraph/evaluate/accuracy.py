@@ -37,7 +37,6 @@ _NOT = {  # key of a figure, in the order they stand -> what it does not prove
     "shape.whole": _OWN,
     "shape.10m": _OWN,
     "shape.100m": _OWN,
-    "shape.rig": "the place of the rig as a whole",
     "shape.passes": "what both passes share: place, scale, cameras, and what matching got wrong in both",
     "point": _OWN + "; not the place of the surface as a whole",
     "point.reference_cloud": "the place in the world: both were laid on each other first, or the shape of the whole",
@@ -105,13 +104,11 @@ class Hold:
 
 @dataclass(frozen=True, eq=False)
 class Stated:
-    """What the stages before say of a run: ``world`` is world.json, {} without; ``rig``: (scatter of the cameras about
-    their places in the rig, its expected value), metres."""
+    """What the stages before say of a run: ``world`` is world.json, {} without."""
 
     predicted: Predicted = Predicted()
     hold: Hold = Hold()
     world: Mapping[str, Any] = field(default_factory=dict)
-    rig: tuple[float, float] = (NAN, NAN)
 
 
 def in_layers(stated: Stated, measured: Iterable[Figure]) -> Accuracy:
@@ -147,10 +144,6 @@ def _own(stated: Stated) -> Iterator[Figure]:
         if np.isfinite(predicted.over_m(distance)):
             yield _figure(f"shape.{distance:g}m", _over(distance), predicted.over_m(distance))
     yield _figure("shape.whole", "a camera, over the whole", predicted.whole_m)
-    if predicted.metric and np.isfinite(stated.rig).all():
-        scatter, expected = stated.rig
-        by = "the points of the other cameras"
-        yield _figure("shape.rig", "a camera in its rig, from frame to frame", expected, scatter, by=by)
     yield _figure("point", POINT, predicted.point_m)
 
 

@@ -63,28 +63,18 @@ def match_pairs(
     comparable = some[kept.i] & some[kept.j]
     finished = keep_finished(database, kept) & comparable
     todo = kept.where(comparable & ~finished)
-    told = _counted(on_progress, int(finished.sum()), int(comparable.sum()))
-    # Blocks of pairs, at least one for each process that matches
-    run_blocks(database, cut(todo, max(1, min(BLOCK_PAIRS, -(-len(todo) // side.processes)))), rules, side, log, told)
+    before, total = int(finished.sum()), int(comparable.sum())
+    on_progress(before, total)
+    blocks = cut(todo, max(1, min(BLOCK_PAIRS, -(-len(todo) // side.processes))))  # one at least for each process
+    run_blocks(database, blocks, rules, side, log, lambda more: on_progress(before + more, total))
     strike(database, _WATERMARK)
     write_anew(database)
     matches, inliers, config = match_counts(database, kept)
     report = _report(scene, kept, matches, inliers, config, features)
     _check_verified(report, rules.settings)
-    return _with_inliers(pairs, inliers), report
-
-
-def _counted(on_progress: Progress, finished: int, total: int) -> Callable[[int], None]:
-    """Tells the progress of ``total`` pairs, of which some were finished before; told of those at once."""
-    on_progress(finished, total)
-    return lambda more: on_progress(finished + more, total)
-
-
-def _with_inliers(pairs: Pairs, of_kept: np.ndarray) -> Pairs:
-    inliers = pairs.inliers.copy()
-    kept = pairs.dropped == 0
-    inliers[kept] = of_kept
-    return pairs.with_(inliers=inliers).drop(kept & (inliers <= 0), "match")
+    of_all, asked = pairs.inliers.copy(), pairs.dropped == 0
+    of_all[asked] = inliers
+    return pairs.with_(inliers=of_all).drop(asked & (of_all <= 0), "match"), report
 
 
 def _report(

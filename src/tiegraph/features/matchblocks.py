@@ -59,12 +59,7 @@ def cut(pairs: Pairs, size: int) -> list[np.ndarray]:
 
 
 def run_blocks(
-    database: Path,
-    blocks: Sequence[np.ndarray],
-    rules: Rules,
-    side: Side,
-    log: Path,
-    on_pairs: Callable[[int], None],
+    database: Path, blocks: Sequence[np.ndarray], rules: Rules, side: Side, log: Path, on_pairs: Callable[[int], None]
 ) -> None:
     """Match blocks (B, 2) of scene indices, side by side, and write into the database what comes of each.
 
@@ -117,10 +112,7 @@ def match_block(block: tuple[str, np.ndarray], database: str, rules: Rules, log:
 
 
 def match_blocks(
-    database: str,
-    blocks: Sequence[tuple[str, np.ndarray]],
-    rules: Rules,
-    send: Callable[[tuple[str, int]], None],
+    database: str, blocks: Sequence[tuple[str, np.ndarray]], rules: Rules, send: Callable[[tuple[str, int]], None]
 ) -> None:
     """Match blocks, each into the database named beside it, and send its name and number of pairs. Runs in a child."""
     pycolmap.logging.minloglevel = 1

@@ -137,8 +137,7 @@ def _spread_sift(
 def spread(cell: np.ndarray, response: np.ndarray, count: int) -> np.ndarray:
     """Indices of at most ``count`` items: the strongest of every cell first, then the second of every cell, ..."""
     order = np.lexsort((-response, cell))
-    first = np.r_[True, np.diff(cell[order]) != 0]
-    rank = np.arange(len(order)) - np.maximum.accumulate(np.where(first, np.arange(len(order)), 0))
+    rank = np.arange(len(order)) - np.searchsorted(cell[order], cell[order])
     chosen = np.lexsort((-response[order], rank))[:count]
     return np.sort(order[chosen])
 

@@ -1,10 +1,9 @@
-"""View-graph filtering: matches are tested by the rig and by loops of frames; ties on repeated walls are refused.
+"""View-graph filtering: verified pairs that contradict the coarse model, or the rotations all others agree on, go.
 
 A pair of images of the coarse model is refused if its matches lie where no surface within reach explains them
 (``prior``): a wall that repeats along the way has the right rotation and the right epipolar lines, but impossible
 distances. An image that it contradicts in most of its pairs it has at a wrong place: these pairs it does not judge.
-An image that sees too few points to tell distances (an up camera below a bridge) is judged by the place
-that its rig gives it, at any distance. Pairs that the model does not know are judged by one motion for each pair of
-frames through the rig, after the rig itself was tested, and by loops. The tables of ``match`` stay complete; the
-mapper's copy of the database leaves refused pairs out.
+An image that sees too few points to tell distances (an up camera below a bridge) is judged by the place that its rig
+gives it, at any distance. Pairs that the model does not know are judged by loops of rotations (``loops``). The tables
+of ``match`` stay complete; the mapper's copy of the database leaves refused pairs out.
 """

@@ -23,7 +23,6 @@ class RotationAverage:
     """Rotations of U units and what E edges make of them."""
 
     unit_from_world: np.ndarray  # (U, 3, 3)
-    component: np.ndarray  # (U,) rotations compare within one
     residual_deg: np.ndarray  # (E,) edge against the rotations; NaN without a rotation
     reliable: np.ndarray  # (E,) bool: the ends hang together by closed loops of three that need not this edge
 
@@ -37,15 +36,13 @@ def average(
 ) -> RotationAverage:
     """Average n_from_m rotations (E, 3, 3) of edges ``ends`` (E, 2); one of weight 0 has none and is only judged."""
     there = np.flatnonzero(weight > 0)
-    rotation, label = _Clusters(units, ends[there], rotations[there], weight[there], bound_deg, tuning.voters).join()
+    rotation = _Clusters(units, ends[there], rotations[there], weight[there], bound_deg, tuning.voters).join()
     rotation = _polished(rotation, ends[there], rotations[there], weight[there], tuning)
     residual = np.full(len(ends), np.nan)
     residual[there] = _angles(rotation, ends[there], rotations[there])
     agreeing = np.zeros(len(ends), bool)
     agreeing[there] = residual[there] < bound_deg
-    return RotationAverage(
-        unit_from_world=rotation, component=label, residual_deg=residual, reliable=_reliable(units, ends, agreeing)
-    )
+    return RotationAverage(rotation, residual, _reliable(units, ends, agreeing))
 
 
 def _angles(rotation: np.ndarray, ends: np.ndarray, rotations: np.ndarray) -> np.ndarray:
@@ -69,8 +66,8 @@ class _Clusters:
             self.ties[m].setdefault(n, []).append(e)
             self.ties[n].setdefault(m, []).append(e)
 
-    def join(self) -> tuple[np.ndarray, np.ndarray]:
-        """Rotations (U, 3, 3) and cluster labels (U,) once nothing is left to join."""
+    def join(self) -> np.ndarray:
+        """Rotations (U, 3, 3) once nothing is left to join."""
         heap = [(-self._vote(a, b)[0], a, b) for a in range(len(self.ties)) for b in self.ties[a] if a < b]
         heapq.heapify(heap)
         while heap:
@@ -86,7 +83,7 @@ class _Clusters:
             for other in self._absorb(a, b, b_from_a):
                 low, high = min(a, other), max(a, other)
                 heapq.heappush(heap, (-self._vote(low, high)[0], low, high))
-        return self.rotation, self.label
+        return self.rotation
 
     def _absorb(self, a: int, b: int, b_from_a: np.ndarray) -> list[int]:
         """Make cluster b part of a; the clusters whose ties with a changed."""

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tiegraph.filter.bearings import Calibration, load
-from tiegraph.filter.tuning import PriorTuning, Tuning
+from tiegraph.filter.bearings import Matches
+from tiegraph.filter.tuning import PriorTuning
 from tiegraph.geometry import transforms
 from tiegraph.scene.scene import Scene
 
@@ -58,21 +58,17 @@ def held_by_rig(prior: Prior, scene: Scene, tuning: PriorTuning) -> Prior:
     return replace(prior, reach=reach, mount_deg=np.where(held, tuning.mount_deg, 0.0))
 
 
-def agreement(item: tuple[int, int], database: str, calibration: Calibration, prior: Prior, tuning: Tuning) -> float:
-    """Share of the verified matches of an image pair (i, j) that a surface within reach explains; NaN without any.
-
-    ``calibration`` with units that are images (rays in the sensor's own frame).
-    """
-    i, j = item
-    rays = load((i, j, ((i, j),)), database, calibration, tuning.motion.matches_a_pair)
-    if not len(rays.pair):
+def agreement(pair: tuple[int, int], matches: Matches, prior: Prior, tuning: PriorTuning) -> float:
+    """Share of the verified matches of an image pair that a surface within reach explains; NaN without any."""
+    i, j = pair
+    a, b = matches.rays(i, j)
+    if not len(a):
         return float("nan")
     j_from_i = prior.cam_from_world[j] @ transforms.invert(prior.cam_from_world[i])
-    off = off_course_deg(rays.ray_m, rays.ray_n, j_from_i, prior.reach[i], tuning.prior)
-    back = off_course_deg(rays.ray_n, rays.ray_m, transforms.invert(j_from_i), prior.reach[j], tuning.prior)
-    same = bool(calibration.sensor[i] == calibration.sensor[j])
-    tolerance = prior.tolerance_deg(i, j, same, tuning.prior.tolerance_deg)
-    return float(np.mean(np.maximum(off, back) <= tolerance))
+    off = off_course_deg(a, b, j_from_i, prior.reach[i], tuning)
+    back = off_course_deg(b, a, transforms.invert(j_from_i), prior.reach[j], tuning)
+    same = bool(matches.sensor[i] == matches.sensor[j])
+    return float(np.mean(np.maximum(off, back) <= prior.tolerance_deg(i, j, same, tuning.tolerance_deg)))
 
 
 def off_course_deg(

@@ -8,11 +8,11 @@ from tiegraph.settings import Section
 
 
 class FilterSettings(Section):
-    """View-graph filtering: matched pairs tested by common motions of the rig and loops of frames."""
+    """View-graph filtering: matched pairs tested by the coarse model and by loops of rotations."""
 
-    method: Literal["auto", "rig", "images", "off"] = "auto"
-    """What moves as one: rig (whole frames), images (each for itself), off (keep all), auto (the rig if it holds)."""
+    method: Literal["auto", "off"] = "auto"
+    """auto: pairs of the coarse model by it, others by loops; off: all are kept."""
     max_error_px: float = Field(4.0, gt=0, le=50)
-    """Most a match may lie off the epipolar line of the common motion, pixels at the mean focal length."""
+    """Most a match may lie off its epipolar line, pixels at the mean focal length."""
     max_loop_deg: float = Field(3.0, gt=0, le=45)
-    """Most a rotation may contradict loops of frames, degrees; widened when loops are noisy."""
+    """Most the rotation of a pair may contradict that of all others, degrees; widened where loops close badly."""

@@ -28,8 +28,7 @@ lengths are tried, and what is far by one of them is not near), and without a sk
 above the rest (``labels``): its edges face down, those of a pale road seen from straight above face every way, and
 nothing in it matches that could refute it. Only rows where sky is sought count, so that snow or still water below say
 nothing; cameras of the role ``up`` are not tested. Wires and tree tops do not refute a sky: what refutes it is as
-dense as a fifth of the matches of a surface, and overexposed areas that match so densely are used. The receipt says
-which share of the verified matches the masks cost.
+dense as a fifth of the matches of a surface, and overexposed areas that match so densely are used.
 """
 
 USE, SKY, WATER, EGO, OVEREXPOSED = range(5)

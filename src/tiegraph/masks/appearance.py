@@ -17,7 +17,8 @@ def bins(image: np.ndarray, tuning: AppearanceTuning) -> np.ndarray:
     """Bin (h, w) i4 of each pixel of an image (h, w, 3) u1 BGR."""
     lights, _, colours, textures = tuning.shape
     levels = np.arange(256)
-    steps = np.clip((levels - 128) / tuning.colour_step_grey + colours / 2, 0, colours - 1).astype(np.int32) * textures
+    # Grey levels of a and b a bin
+    steps = np.clip((levels - 128) / 5.0 + colours / 2, 0, colours - 1).astype(np.int32) * textures
     of_light = (levels * lights // 256 * colours * colours * textures).astype(np.int32)
     edges = np.array(tuning.texture_edges_grey, np.float32)
     light, a, b = cv2.split(cv2.cvtColor(image, cv2.COLOR_BGR2Lab))
@@ -55,7 +56,8 @@ def learn(
         if own is None:
             own = every
         elif every is not None:
-            weight = counts[label].sum() / (counts[label].sum() + tuning.shared_px)
+            # Seeds of all cameras are as good as about one image of its own
+            weight = counts[label].sum() / (counts[label].sum() + 50_000)
             own = weight * own + (1 - weight) * every
         if own is not None:
             table[label] = np.log((1 - tuning.floor * tuning.bins) * own + tuning.floor).astype(np.float32)
@@ -65,5 +67,6 @@ def learn(
 def _share(count: np.ndarray, tuning: AppearanceTuning) -> np.ndarray | None:
     if count.sum() == 0:
         return None
-    smooth = gaussian_filter(count.reshape(tuning.shape).astype(np.float64), tuning.smooth_bins)
+    # Bins of L, a, b and texture
+    smooth = gaussian_filter(count.reshape(tuning.shape).astype(np.float64), (0.8, 0.7, 0.7, 0.6))
     return smooth.ravel() / smooth.sum()

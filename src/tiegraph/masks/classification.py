@@ -33,8 +33,6 @@ class Classifier:
     """Why what looks like sky is none; "" where nothing refutes it."""
     white_matches: bool = False
     """Whether overexposed areas of the survey tie: then they are used."""
-    matches: tuple[int, int, int] = (0, 0, 0)
-    """Verified matches in its images: masked before classes were refuted, masked now, all."""
 
 
 def classify(image: np.ndarray, learnt: Classifier, settings: MasksSettings, tuning: Tuning) -> np.ndarray:
@@ -57,7 +55,7 @@ def classify(image: np.ndarray, learnt: Classifier, settings: MasksSettings, tun
     if learnt.water is not None:
         prior = cv2.resize(learnt.water, (shape[1], shape[0]), interpolation=cv2.INTER_LINEAR)
         ratio = look.ratio(found, WATER, USE) + prior
-        ratio = np.where(sky_ratio > own.sky_credit, np.minimum(ratio, own.no_water), ratio)
+        ratio = np.where(sky_ratio > own.sky_credit, np.minimum(ratio, -0.5), ratio)
         ego = None if learnt.platform is None else scaled(learnt.platform, shape)
         labels[below_waterline(ratio, ego, tuning.water)] = WATER
     return labels
@@ -110,7 +108,8 @@ def _lines(guide: np.ndarray, share: np.ndarray, tuning: ClassificationTuning) -
     around = (tuning.edge_around_px + 1, tuning.edge_around_px + 1)
     mean, mean_share = cv2.blur(guide, around), cv2.blur(share, around)
     spread = cv2.blur(guide * guide, around) - mean * mean
-    slope = (cv2.blur(guide * share, around) - mean * mean_share) / (spread + tuning.told_grey**2)
+    # Brightness of sky and scene differ by more, or the edge hardly moves
+    slope = (cv2.blur(guide * share, around) - mean * mean_share) / (spread + 8.0**2)
     return cv2.blur(slope, around), cv2.blur(mean_share - slope * mean, around)
 
 
@@ -120,7 +119,7 @@ def _grown(sky: np.ndarray, image: np.ndarray, tuning: ClassificationTuning) -> 
     inside = sky.astype(np.float32)
     around = (tuning.grow_window_px, tuning.grow_window_px)
     mean = cv2.blur(light * inside, around) / np.maximum(cv2.blur(inside, around), 1e-6)
-    return sky | (dilated(sky, tuning.grow_px) & (np.abs(light - mean) < tuning.same_grey))
+    return sky | (dilated(sky, 7) & (np.abs(light - mean) < 14.0))
 
 
 def _with_white(sky: np.ndarray, white: np.ndarray, tuning: ClassificationTuning) -> np.ndarray:
@@ -133,7 +132,7 @@ def _with_white(sky: np.ndarray, white: np.ndarray, tuning: ClassificationTuning
     ring[white] = 0
     around = np.bincount(ring.ravel(), minlength=count)
     held = np.bincount(ring[sky], minlength=count)
-    belongs = held > tuning.sky_around * around
+    belongs = held > 0.5 * around
     belongs[0] = False
     return sky | belongs[labels]
 

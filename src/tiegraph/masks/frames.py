@@ -95,14 +95,15 @@ def two_frames(images: Sequence[Path], tuning: FramesTuning) -> tuple[np.ndarray
         return None
     place, a = first
     for _, b in _readable(images[:place:-1], tuning):
-        if b.shape == a.shape and float(cv2.absdiff(a, b).mean()) >= tuning.equal_grey:
+        # Grey levels that differ less on average are one picture, not two
+        if b.shape == a.shape and float(cv2.absdiff(a, b).mean()) >= 1.0:
             return a, b
     _log.warning("%s: no second, different image of this camera: no mask from two frames", images[place])
     return None
 
 
 def _readable(images: Sequence[Path], tuning: FramesTuning) -> Iterator[tuple[int, np.ndarray]]:
-    for place, path in enumerate(images[: tuning.most_tries]):
+    for place, path in enumerate(images[:12]):  # frames passed over before a camera is given up
         try:
             yield place, grey(read_small(path, tuning.work_px))
         except InputError as error:

@@ -40,7 +40,8 @@ class Edges:
 def edges_of(sky: np.ndarray, told: np.ndarray, tuning: LabelTuning) -> Edges:
     """Edges of a sky (h, w) bool where it is ``told`` from the scene, (h, w) bool: not at the platform, nor at the row
     below which no sky is sought."""
-    down, right = np.gradient(-cv2.GaussianBlur(sky.astype(np.float32), (0, 0), tuning.blur_sigma_px))
+    # Twigs and the steps of a border are no edges of their own
+    down, right = np.gradient(-cv2.GaussianBlur(sky.astype(np.float32), (0, 0), 5.0))
     inner = eroded(told, tuning.reach_px)
     return Edges(float(down[inner].sum()), float(np.hypot(down, right)[inner].sum()))
 
@@ -86,7 +87,7 @@ def first_labels(job: LabelJob) -> Labels:
     tuning, own = job.tuning, job.tuning.labels
     image = read_small(job.image, tuning.frames.look_px)
     shape = image.shape[:2]
-    static = _matched(job.matchability, shape, own)
+    static = _matched(job.matchability, shape)
     water = np.zeros(shape, bool) if job.zone is None else scaled(job.zone, shape)
     sky = (
         textureless_sky(image, static, tuning.skyline)
@@ -97,9 +98,9 @@ def first_labels(job: LabelJob) -> Labels:
         sky = np.zeros(shape, bool)
     else:  # what is well off the sky is scene or water
         pale = _like_sky(image, sky, job.matchability, own)  # where the horizon is, is not known yet
-        static = (static | ~dilated(sky, own.off_sky_px)) & ~pale
+        static = (static | ~dilated(sky, 9)) & ~pale
     free = np.ones(shape, bool) if job.platform is None else ~scaled(job.platform, shape)
-    rows = np.flatnonzero((sky & free & ~water & ~static).mean(axis=1) > own.low_share)
+    rows = np.flatnonzero((sky & free & ~water & ~static).mean(axis=1) > 0.02)  # share of a row that must be sky
     low = float(rows[-1] + 1) / shape[0] if len(rows) else 0.0
     sky = (sky if job.upward else _wide(sky, own)) & ~static
     return _seeds(image, {USE: static & free & ~water, WATER: water & free, SKY: sky & free & ~water}, tuning, low)
@@ -120,7 +121,7 @@ def second_labels(job: TriedJob) -> Labels:
     tuning = seed.tuning
     image = read_small(seed.image, tuning.frames.look_px)
     labels = classify(image, learnt, settings, tuning)
-    static = _matched(seed.matchability, labels.shape, tuning.labels)
+    static = _matched(seed.matchability, labels.shape)
     free = np.ones(labels.shape, bool) if learnt.platform is None else ~scaled(learnt.platform, labels.shape)
     masks = {label: (labels == label) & free & ~static for label in (SKY, WATER)}
     doubtful = np.arange(len(image))[:, None] > learnt.sky_rows * len(image)  # at the horizon clouds pale
@@ -131,18 +132,6 @@ def second_labels(job: TriedJob) -> Labels:
     told = free & (labels != WATER) & sought(labels.shape, learnt, tuning.classification)
     edges = Edges() if seed.upward else edges_of(labels == SKY, told, tuning.labels)
     return replace(seeds, matches=matches_in(classes, classes == SKY, seed.matchability, tuning.proof), edges=edges)
-
-
-def ties_of(job: TriedJob) -> MatchCounts:
-    """Where the matches of an image lie in what ``learnt`` makes of it."""
-    seed, learnt, settings = job.seed, job.learnt, job.settings
-    if seed.matchability is None:
-        return NONE
-    tuning = seed.tuning
-    labels = classify(read_small(seed.image, tuning.frames.look_px), learnt, settings, tuning)
-    if learnt.platform is not None:
-        labels[scaled(learnt.platform, labels.shape)] = EGO
-    return matches_in(labels, labels == SKY, seed.matchability, tuning.proof)
 
 
 def _like_sky(
@@ -156,13 +145,13 @@ def _like_sky(
     if not sky.any():
         return np.zeros(sky.shape, bool)
     light = grey(image)
-    bright = light >= np.percentile(light[sky], tuning.pale_percent)
+    bright = light >= np.percentile(light[sky], 5.0)
     _, joined = cv2.connectedComponents((bright | sky).astype(np.uint8), connectivity=4)
     touching = np.isin(joined, np.unique(joined[sky])) & ~sky & bright
     count, pieces, stats, _ = cv2.connectedComponentsWithStats(touching.astype(np.uint8), connectivity=4)
     area = stats[:, cv2.CC_STAT_AREA]
     row = int(np.clip(round((lowest + tuning.lower) * len(sky)), 0, len(sky)))
-    pale = np.bincount(pieces[row:].ravel(), minlength=count) <= tuning.on_ground * area
+    pale = np.bincount(pieces[row:].ravel(), minlength=count) <= 0.05 * area
     if matchability is not None:
         place = (matchability.xy[matchability.matched] * np.array(sky.shape[::-1], np.float32)).astype(int)
         at = pieces[place[:, 1].clip(0, sky.shape[0] - 1), place[:, 0].clip(0, sky.shape[1] - 1)]
@@ -196,9 +185,9 @@ def _wide(sky: np.ndarray, tuning: LabelTuning) -> np.ndarray:
     return cv2.morphologyEx(sky.astype(np.uint8), cv2.MORPH_OPEN, across) > 0
 
 
-def _matched(matchability: Matchability | None, shape: tuple[int, ...], tuning: LabelTuning) -> np.ndarray:
+def _matched(matchability: Matchability | None, shape: tuple[int, ...]) -> np.ndarray:
     static = np.zeros(shape, np.uint8)
     if matchability is not None:
         for x, y in matchability.xy[matchability.matched] * np.array(shape[::-1], np.float32):
-            cv2.circle(static, (int(x), int(y)), tuning.static_px, 1, -1)
+            cv2.circle(static, (int(x), int(y)), 5, 1, -1)
     return static > 0

@@ -11,10 +11,10 @@ import numpy as np
 from tiegraph.masks import SKY, USE, WATER, appearance
 from tiegraph.masks.appearance import Appearance
 from tiegraph.masks.classification import Classifier
-from tiegraph.masks.labels import LabelJob, Labels, TriedJob, first_labels, not_above, second_labels, ties_of
+from tiegraph.masks.labels import LabelJob, Labels, TriedJob, first_labels, not_above, second_labels
 from tiegraph.masks.matchability import Matchability, choose_pairs, pair_matchability
 from tiegraph.masks.platform import PlatformMask, different_frames, learn_platform
-from tiegraph.masks.proof import NONE, MatchCounts, cost, moves, white_ties, without_sky
+from tiegraph.masks.proof import NONE, moves, white_ties, without_sky
 from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.tuning import Tuning
 from tiegraph.masks.tuning_learnt import LabelTuning, MatchabilityTuning
@@ -36,98 +36,48 @@ def learn(
 
     ``upward``: cameras that look up and have no water in view.
     """
-    upward = set(upward)
-    different, platforms = _platforms(cameras, tuning, apply)
-    seen, moving = _seen(different, tuning, apply)
-    if not moving:
-        platforms = {k: _unproven(p) for k, p in platforms.items()}
-    zones, water = _water(seen, platforms, upward, settings, tuning)
-    jobs = _label_jobs(cameras, seen, zones, platforms, upward, tuning)
-    first = _first_classifiers(jobs, list(apply(first_labels, jobs)), platforms, water, upward, tuning)
-    # Once more, with what the first try calls water, sky and scene as seeds: they cover the images, the first did not.
-    again = list(apply(second_labels, [TriedJob(job, first[job.camera], settings) for job in jobs]))
-    made = _proven(first, jobs, again, settings.water == "on", tuning)
-    told = list(apply(ties_of, [TriedJob(job, made[job.camera], settings) for job in jobs]))
-    return {
-        k: _with_notes(made[k], platforms[k], _of(k, jobs, [s.matches for s in again]), _of(k, jobs, told))
-        for k in cameras
-    }
-
-
-def _platforms(
-    cameras: Mapping[int, Sequence[Path]], tuning: Tuning, apply: Map
-) -> tuple[dict[int, list[Path]], dict[int, PlatformMask]]:
-    """Of each camera the images between which the scene moves, and the platform by them."""
-    keys = list(cameras)
+    upward, keys = set(upward), list(cameras)
+    # The images of each camera between which the scene moves, the platform by them, and what matches in them
     different = dict(zip(keys, apply(partial(different_frames, tuning=tuning), [cameras[k] for k in keys])))
-    jobs = [(different[k], len(cameras[k])) for k in keys]
-    return different, dict(zip(keys, apply(partial(_learn_platform, tuning=tuning), jobs)))
-
-
-def _seen(
-    different: Mapping[int, Sequence[Path]], tuning: Tuning, apply: Map
-) -> tuple[dict[int, list[Matchability]], bool]:
-    """What matches in images of each camera, and whether the cameras move."""
+    counted = [(different[k], len(cameras[k])) for k in keys]
+    platforms = dict(zip(keys, apply(partial(_learn_platform, tuning=tuning), counted)))
     pairs = choose_pairs(list(different.values()), tuning.matchability)
     found = list(apply(partial(_pair, tuning=tuning.matchability), [pair for own in pairs for pair in own]))
     each = iter(found)
-    return {k: [e for _ in own for e in next(each)] for k, own in zip(different, pairs)}, moves(found, tuning.proof)
-
-
-def _water(
-    seen: Mapping[int, Sequence[Matchability]],
-    platforms: Mapping[int, PlatformMask],
-    upward: set[int],
-    settings: MasksSettings,
-    tuning: Tuning,
-) -> tuple[dict[int, np.ndarray | None], dict[int, np.ndarray]]:
-    """Of the cameras that show water: where nothing ever matches, and the prior of water by place."""
-    zones = {k: never_matching([] if k in upward else seen[k], platforms[k].mask, tuning.water) for k in seen}
-    level = {k: zone for k, zone in zones.items() if k not in upward}
-    priors = {} if settings.water == "off" else water_priors(level, settings.water == "on", tuning.water)
-    return {k: zones[k].mask for k in priors}, priors
-
-
-def _label_jobs(
-    cameras: Mapping[int, Sequence[Path]],
-    seen: Mapping[int, Sequence[Matchability]],
-    zones: Mapping[int, np.ndarray | None],
-    platforms: Mapping[int, PlatformMask],
-    upward: set[int],
-    tuning: Tuning,
-) -> list[LabelJob]:
-    """The images of each camera to take labels from."""
+    seen = {k: [e for _ in own for e in next(each)] for k, own in zip(keys, pairs)}
+    if not moves(found, tuning.proof):
+        still = "no platform learnt (no frames show that the camera moves)"
+        platforms = {k: p if p.mask is None else PlatformMask(None, p.frames, still) for k, p in platforms.items()}
+    # Where nothing ever matches, and the prior of water by place, of the cameras that show water
+    level = [k for k in keys if k not in upward]
+    zones = {k: never_matching(seen[k], platforms[k].mask, tuning.water) for k in level}
+    water = {} if settings.water == "off" else water_priors(zones, settings.water == "on", tuning.water)
     count = max(tuning.labels.least_images, tuning.labels.images // max(1, len(cameras)))
-    return [
-        LabelJob(k, image, matchability, zone=zones.get(k), platform=platforms[k].mask, upward=k in upward,
-                 tuning=tuning)
+    jobs = [
+        LabelJob(
+            camera=k, image=image, matchability=matchability, zone=zones[k].mask if k in water else None,
+            platform=platforms[k].mask, upward=k in upward, tuning=tuning,
+        )
         for k, images in cameras.items()
         for image, matchability in _seed_images(images, seen[k], count)
     ]  # fmt: skip
-
-
-def _first_classifiers(
-    jobs: Sequence[LabelJob],
-    labels: Sequence[Labels],
-    platforms: Mapping[int, PlatformMask],
-    water: Mapping[int, np.ndarray],
-    upward: set[int],
-    tuning: Tuning,
-) -> dict[int, Classifier]:
-    """What is learnt the first time: appearances, and how far down sky is sought."""
+    # The first time: appearances, and how far down sky is sought
+    labels = list(apply(first_labels, jobs))
     known = _appearances(jobs, labels, upward, tuning)
     lowest = lowest_agreed([s.low for job, s in zip(jobs, labels) if not job.upward], tuning.labels)
-    return {
+    first = {
         k: Classifier(
-            platform=platform.mask,
-            appearance=known[k],
-            water=water.get(k),
-            sky=None,
-            sky_rows=1.0 if k in upward else lowest,
-            note="",
+            platform=platforms[k].mask, appearance=known[k], water=water.get(k), sky=None,
+            sky_rows=1.0 if k in upward else lowest, note="",
         )
-        for k, platform in platforms.items()
-    }
+        for k in keys
+    }  # fmt: skip
+    # Once more, with what the first try calls water, sky and scene as seeds: they cover the images, the first did not.
+    again = list(apply(second_labels, [TriedJob(job, first[job.camera], settings) for job in jobs]))
+    made = _proven(first, jobs, again, settings.water == "on", tuning)
+    told = {k: f", no sky: {m.no_sky}" if m.no_sky else "" for k, m in made.items()}
+    wet = {k: ", no water seen" if m.water is None else ", water" for k, m in made.items()}
+    return {k: replace(m, note=platforms[k].note + told[k] + wet[k]) for k, m in made.items()}
 
 
 def _proven(
@@ -161,20 +111,6 @@ def _of(camera: int, jobs: Sequence[LabelJob], items: Sequence) -> list:
     return [item for job, item in zip(jobs, items) if job.camera == camera]
 
 
-def _unproven(ego: PlatformMask) -> PlatformMask:
-    if ego.mask is None:
-        return ego
-    return PlatformMask(None, ego.frames, "no platform learnt (no frames show that the camera moves)")
-
-
-def _with_notes(
-    learnt: Classifier, ego: PlatformMask, before: Sequence[MatchCounts], now: Sequence[MatchCounts]
-) -> Classifier:
-    water = ", water" if learnt.water is not None else ", no water seen"
-    sky = f", no sky: {learnt.no_sky}" if learnt.no_sky else ""
-    return replace(learnt, note=ego.note + sky + water, matches=(cost(before)[0], *cost(now)))
-
-
 def lowest_agreed(rows: Sequence[float], tuning: LabelTuning) -> float:
     """The largest of ``rows`` (shares of the height, 0 = no sky) that enough others come close to; 0 if there is none.
 
@@ -182,7 +118,7 @@ def lowest_agreed(rows: Sequence[float], tuning: LabelTuning) -> float:
     """
     known = np.array([r for r in rows if r > 0])
     near = [int(((known <= r) & (known > r - tuning.agreed)).sum()) for r in known]
-    enough = max(tuning.agreed_images, tuning.agreed_share * len(known))
+    enough = max(2, 0.1 * len(known))
     agreed = known[np.array(near) >= enough] if len(known) else known
     return float(agreed.max()) if len(agreed) else float(known.max(initial=0))
 
@@ -229,9 +165,7 @@ def _places(jobs: Sequence[LabelJob], seeds: Sequence[Labels], tuning: LabelTuni
     for camera in {job.camera for job in jobs if not job.upward}:
         own = [s.places for job, s in zip(jobs, seeds) if job.camera == camera and s.places[SKY].any()]
         if own:
-            sky, scene = (
-                cv2.GaussianBlur(np.sum([p[c] for p in own], axis=0), (0, 0), tuning.place_sigma) for c in (SKY, USE)
-            )
+            sky, scene = (cv2.GaussianBlur(np.sum([p[c] for p in own], axis=0), (0, 0), 0.7) for c in (SKY, USE))
             ratio = np.log((sky + tuning.place_seeds) / (scene + tuning.place_seeds))
             found[camera] = np.clip(ratio, -tuning.place_clip, tuning.place_clip).astype(np.float32)
     return found

@@ -47,7 +47,7 @@ def pair_matchability(first: Path, second: Path, tuning: MatchabilityTuning) -> 
     mutual = likeness.argmax(axis=0)[partner] == rows
     likeness[rows, partner] = -1
     good = mutual & (best < tuning.ratio**2 * (2 - 2 * likeness.max(axis=1)))
-    moved = np.linalg.norm(xy_a - xy_b[partner], axis=1) > tuning.min_move_px
+    moved = np.linalg.norm(xy_a - xy_b[partner], axis=1) > 2.0  # what does not move is the platform's
     chosen = np.flatnonzero(good & moved)
     if len(chosen) < tuning.min_inliers:
         return ()
@@ -102,7 +102,7 @@ def _features(path: Path, tuning: MatchabilityTuning) -> tuple[np.ndarray, np.nd
 
 def choose_pairs(cameras: Sequence[Sequence[Path]], tuning: MatchabilityTuning) -> list[list[tuple[Path, Path]]]:
     """Neighbouring images of each camera, spread over its sequence, ``most_pairs`` for all cameras together."""
-    each = max(tuning.least_pairs, tuning.most_pairs // max(1, len(cameras)))
+    each = max(2, tuning.most_pairs // max(1, len(cameras)))
     chosen = []
     for images in cameras:
         starts = np.unique(np.linspace(0, max(0, len(images) - 2), min(each, max(0, len(images) - 1))).astype(int))
@@ -124,7 +124,7 @@ def _by_focal(
     unknown = np.full(len(a), np.nan)
     centre = np.array(shape[::-1]) / 2
     ray_a, ray_b = (a - centre) / focal, (b - centre) / focal
-    every = slice(None, None, -(-len(a) // tuning.motion_matches))
+    every = slice(None, None, -(-len(a) // 200))
     cv2.setRNGSeed(_SEED)
     try:
         options = cv2.RANSAC, _CONFIDENCE, tuning.epipolar_px / focal, _MOTION_TRIALS
@@ -134,7 +134,7 @@ def _by_focal(
         count, rotation, towards, _ = cv2.recoverPose(essential, ray_a[every], ray_b[every], np.eye(3), mask=inliers)
     except cv2.error:  # no geometry fits
         return unknown
-    if count < tuning.min_in_front:
+    if count < 8:
         return unknown
     far = np.column_stack([ray_a, np.ones(len(a))]) @ rotation.T
     x, y, z = towards.ravel()
@@ -143,5 +143,6 @@ def _by_focal(
         length = np.linalg.norm(lever, axis=1)
         inverse = ((ray_b - far[:, :2] / far[:, 2:]) * lever).sum(axis=1) / length**2
         middle = np.nanmedian(inverse)
-        known = (middle > 0) & (focal * length * middle > tuning.min_parallax_px) & (far[:, 2] > 0)
+        # Px by which the scene's median depth must move a match
+        known = (middle > 0) & (focal * length * middle > 3.0) & (far[:, 2] > 0)
         return np.where(known, inverse / middle, np.nan)

@@ -30,7 +30,8 @@ def different_frames(images: Sequence[Path], tuning: Tuning) -> list[Path]:
     """Those images of a camera, in order, between which most of the texture has moved: none while the camera stands."""
     chosen: list[Path] = []
     last: tuple[np.ndarray, np.ndarray] | None = None
-    for path, image in read_frames(_spread(images, tuning.platform.max_read), tuning.frames.compare_px):
+    # Frames looked at when choosing those that differ
+    for path, image in read_frames(_spread(images, 160), tuning.frames.compare_px):
         detail = _detail(grey(image), tuning.moved)
         if last is not None and last[0].shape != detail[0].shape:
             continue
@@ -47,9 +48,9 @@ def _spread(items: Sequence[Path], most: int) -> list[Path]:
 
 def _detail(image: np.ndarray, tuning: MovedTuning) -> tuple[np.ndarray, np.ndarray]:
     fine = np.log(image.astype(np.float32) + tuning.dark_grey)
-    fine -= _blur(fine, tuning.detail_sigma_px)
+    fine -= _blur(fine, 4.0)  # what is coarser is no detail
     contrast = np.sqrt(_blur(fine * fine, tuning.window_sigma_px))
-    return fine / (contrast + tuning.contrast_noise), contrast
+    return fine / (contrast + 0.01), contrast  # a contrast in log grey that counts half
 
 
 def moved_share(a: np.ndarray, b: np.ndarray, tuning: MovedTuning) -> float:
@@ -61,7 +62,7 @@ def moved_share(a: np.ndarray, b: np.ndarray, tuning: MovedTuning) -> float:
 
 def _moved(a: tuple[np.ndarray, np.ndarray], b: tuple[np.ndarray, np.ndarray], tuning: MovedTuning) -> float:
     both, own_a, own_b = (_blur(p, tuning.window_sigma_px) for p in (a[0] * b[0], a[0] * a[0], b[0] * b[0]))
-    alike = both / (np.sqrt(own_a * own_b) + tuning.alike_noise)
+    alike = both / (np.sqrt(own_a * own_b) + 0.02)
     textured = (a[1] > tuning.texture) & (b[1] > tuning.texture)
     return float((alike[textured] < tuning.alike).mean()) if textured.any() else float("nan")
 
@@ -77,13 +78,15 @@ def learn_platform(different: Sequence[Path], found: int, tuning: Tuning) -> Pla
         why = "one image" if found == 1 else f"{found} images, {len(different)} of them different: it hardly moves"
         return PlatformMask(None, len(different), f"no platform learnt ({why}; {least} are needed)")
     frames = [
-        grey(image) for _, image in read_frames(_spread(different, tuning.platform.max_frames), tuning.frames.work_px)
+        # More add time and no certainty
+        grey(image)
+        for _, image in read_frames(_spread(different, 28), tuning.frames.work_px)
     ]
     shapes = [f.shape for f in frames]
     frames = [f for f in frames if f.shape == max(set(shapes), key=shapes.count)]
     mask = platform_of_frames(frames, tuning.platform)
-    if len(frames) < tuning.platform.few_frames:
-        mask = _at_border(mask, tuning.platform.few_area)
+    if len(frames) < 10:
+        mask = _at_border(mask, 0.03)  # few frames agree by chance at 0.02 of the image, a pole straight ahead
     if not mask.any():
         return PlatformMask(None, len(frames), "no platform seen")
     return PlatformMask(mask, len(frames), f"platform {100 * mask.mean():.0f} %")
@@ -93,29 +96,32 @@ def platform_of_frames(frames: Sequence[np.ndarray], tuning: PlatformTuning) -> 
     """Platform (h, w) bool in grey images (h, w) u1 of one camera between which the scene has moved."""
     evidence = _Directions(frames, tuning)
     shake = _shake_px(frames, tuning)
-    still = np.where(evidence.coherence > tuning.very_coherent, tuning.still_coherent_px, tuning.still_px)
+    # Px that an edge may shake, the clearest more: a far scene shakes more
+    still = np.where(evidence.coherence > 0.75, 0.5, 0.35)
     edges = evidence.coherence > tuning.coherent
-    fixed = _long(edges & (shake < still), tuning)
-    moving = evidence.moving(edges & (shake > tuning.shakes_px))
+    fixed = _long(edges & (shake < still))
+    moving = evidence.moving(edges & (shake > 0.7))  # a coherent edge that shakes by more px moves
     low, high = _range(frames, tuning)
-    steady = high - low < tuning.steady_grey
+    steady = high - low < 14.0  # black boxes, burnt-out decks
     inside = _outlined((moving < tuning.moving) & ~fixed, fixed, tuning)
     platform = inside | fixed
     platform |= _outlined((steady | (moving < tuning.moving)) & ~platform, platform, tuning)
-    platform = closed(platform, tuning.close_px)
+    platform = closed(platform, 7)  # gaps between edges and inside
     platform = _at_border(platform, tuning.min_area)
-    platform = opened(platform | _enclosed(platform, moving, tuning), tuning.open_px)
+    platform = opened(platform | _enclosed(platform, moving), tuning.open_px)
     platform = _trimmed(_at_border(platform, tuning.min_area), tuning)
-    black = _outlined(high < tuning.black_grey, fixed, tuning)  # a black backdrop ends nowhere in particular
+    # Round the image of a fisheye lens nothing is ever seen
+    black = _outlined(high < 12.0, fixed, tuning)  # a black backdrop ends nowhere in particular
     black = _at_border(black, tuning.min_area)
-    return platform | dilated(black, 2 * round(tuning.surround * max(black.shape)) + 1) if black.any() else platform
+    # Its rim blurs by 4 px of 640
+    return platform | dilated(black, 2 * round((4 / 640) * max(black.shape)) + 1) if black.any() else platform
 
 
 def _trimmed(platform: np.ndarray, tuning: PlatformTuning) -> np.ndarray:
     """The platform without the rim into which its edges blur; what is narrower than a railing stays."""
     side = 2 * round(tuning.rim * max(platform.shape)) + 1
     inner = eroded(platform, side)
-    return inner | (platform & ~opened(platform, side + tuning.railing_px))
+    return inner | (platform & ~opened(platform, side + 2))
 
 
 class _Directions:
@@ -133,27 +139,26 @@ class _Directions:
             size = np.sqrt(x * x + y * y)
             others_x, others_y = self.sum_x - x, self.sum_y - y  # a frame is no witness for itself
             others = np.sqrt(others_x * others_x + others_y * others_y) + 1e-6
-            clear = size > tuning.clear_gradient
-            departs += clear & ((x * others_x + y * others_y) < tuning.same_cosine * others)
+            clear = size > 0.5  # share of its full weight from which a gradient is texture
+            departs += clear & ((x * others_x + y * others_y) < 0.5 * others)
             textured += clear
             strength += size
         self.departs, self.textured, strength = departs / count, textured / count, strength / count
         length = np.sqrt(self.sum_x**2 + self.sum_y**2) / count
-        self.coherence = np.where(strength > tuning.min_strength, length / (strength + tuning.strength_noise), 0)
+        self.coherence = np.where(strength > 0.3, length / (strength + 0.15), 0)  # weak edges are less coherent
 
     def moving(self, shaking: np.ndarray) -> np.ndarray:
         """Share (h, w) of the textured frames whose gradient departs, in the neighbourhood; shaking edges move."""
         departs, textured = (
-            _blur(np.maximum(share, shaking).astype(np.float32), self.tuning.moving_sigma_px)
-            for share in (self.departs, self.textured)
+            _blur(np.maximum(share, shaking).astype(np.float32), 3.0) for share in (self.departs, self.textured)
         )
-        return departs / (textured + self.tuning.moving_noise)
+        return departs / (textured + 0.06)  # where hardly any frame has texture, nothing moves
 
 
 def _unit_gradient(frame: np.ndarray, tuning: PlatformTuning) -> tuple[np.ndarray, np.ndarray]:
     smooth = _blur(frame.astype(np.float32), tuning.smooth_sigma_px)
     x, y = cv2.Sobel(smooth, cv2.CV_32F, 1, 0, ksize=3), cv2.Sobel(smooth, cv2.CV_32F, 0, 1, ksize=3)
-    size = np.sqrt(x * x + y * y) + tuning.gradient_noise
+    size = np.sqrt(x * x + y * y) + 14.0  # a gradient this strong counts half (Sobel gain 8)
     return x / size, y / size
 
 
@@ -163,18 +168,18 @@ def _shake_px(frames: Sequence[np.ndarray], tuning: PlatformTuning) -> np.ndarra
     One step of Lucas and Kanade along the gradient of the median, on detail of which the contrast is taken out.
     """
     detail = []
-    for frame in frames[:: max(1, len(frames) // tuning.shake_frames)]:
+    for frame in frames[:: max(1, len(frames) // 14)]:  # frames that are enough for a median
         fine = _blur(frame.astype(np.float32), tuning.smooth_sigma_px)
-        fine -= _blur(fine, tuning.shake_detail_sigma_px)
-        contrast = np.sqrt(_blur(fine * fine, tuning.shake_contrast_sigma_px))
-        detail.append(fine / (contrast + tuning.shake_contrast_grey))
+        fine -= _blur(fine, 5.0)  # what is coarser is no detail that could shake
+        contrast = np.sqrt(_blur(fine * fine, 7.0))
+        detail.append(fine / (contrast + 3.0))  # less contrast is noise
     median = np.partition(np.stack(detail), len(detail) // 2, axis=0)[len(detail) // 2]
     x = cv2.Sobel(median, cv2.CV_32F, 1, 0, ksize=3, scale=1 / 8)
     y = cv2.Sobel(median, cv2.CV_32F, 0, 1, ksize=3, scale=1 / 8)
-    around = tuning.shake_window_sigma_px
-    energy = _blur(x * x + y * y, around) + tuning.shake_energy
+    around = 4.0  # px of a neighbourhood that shakes as one
+    energy = _blur(x * x + y * y, around) + 1e-4  # where there is hardly any texture, nothing shakes
     steps = [np.hypot(_blur((d - median) * x, around), _blur((d - median) * y, around)) / energy for d in detail]
-    rank = int(tuning.shake_share * (len(steps) - 1))
+    rank = int(0.7 * (len(steps) - 1))
     return np.partition(np.stack(steps), rank, axis=0)[rank]
 
 
@@ -182,15 +187,15 @@ def _range(frames: Sequence[np.ndarray], tuning: PlatformTuning) -> tuple[np.nda
     """Darkest and brightest grey (h, w) f4 of each pixel over the frames, some left out at either end."""
     half = [cv2.resize(f, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA) for f in frames]
     percent = (tuning.range_left_out_percent, 100 - tuning.range_left_out_percent)
-    low, high = np.percentile(np.stack([_blur(h, tuning.range_sigma_px) for h in half]), percent, axis=0)
+    low, high = np.percentile(np.stack([_blur(h, 1.0) for h in half]), percent, axis=0)
     shape = frames[0].shape[::-1]
     return cv2.resize(low.astype(np.float32), shape), cv2.resize(high.astype(np.float32), shape)
 
 
-def _long(edges: np.ndarray, tuning: PlatformTuning) -> np.ndarray:
-    joined = dilated(edges, tuning.join_px).astype(np.uint8)
+def _long(edges: np.ndarray) -> np.ndarray:
+    joined = dilated(edges, 3).astype(np.uint8)
     _, labels, stats, _ = cv2.connectedComponentsWithStats(joined, connectivity=8)
-    long = np.maximum(stats[:, cv2.CC_STAT_WIDTH], stats[:, cv2.CC_STAT_HEIGHT]) >= tuning.min_edge_px
+    long = np.maximum(stats[:, cv2.CC_STAT_WIDTH], stats[:, cv2.CC_STAT_HEIGHT]) >= 16  # shorter ones are chance
     long[0] = False
     return long[labels]
 
@@ -202,8 +207,9 @@ def _outlined(region: np.ndarray, fixed: np.ndarray, tuning: PlatformTuning) -> 
     outline = (region > 0) & ~eroded(region, 3)
     outline[[0, -1]] = outline[:, [0, -1]] = False
     around = np.bincount(labels[outline], minlength=count)
-    held = np.bincount(labels[outline & dilated(fixed, tuning.outline_reach_px)], minlength=count)
-    accepted = (held > tuning.outline * around) & (stats[:, cv2.CC_STAT_AREA] >= tuning.min_region_px)
+    held = np.bincount(labels[outline & dilated(fixed, 7)], minlength=count)
+    # Px of a region that its outline may judge
+    accepted = (held > tuning.outline * around) & (stats[:, cv2.CC_STAT_AREA] >= 40)
     accepted[0] = False
     return accepted[labels]
 
@@ -222,13 +228,14 @@ def _touches(stats: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
     return (left == 0) | (top == 0) | (right == shape[1]) | (bottom == shape[0])
 
 
-def _enclosed(platform: np.ndarray, moving: np.ndarray, tuning: PlatformTuning) -> np.ndarray:
+def _enclosed(platform: np.ndarray, moving: np.ndarray) -> np.ndarray:
     """Holes of the platform that show less movement than a scene would; the view through a railing stays."""
     count, labels, stats, _ = cv2.connectedComponentsWithStats((~platform).astype(np.uint8), connectivity=4)
     area = np.maximum(np.bincount(labels.ravel(), minlength=count), 1)
     mean = np.bincount(labels.ravel(), moving.ravel(), minlength=count) / area
-    accepted = ~_touches(stats, platform.shape) & (area < tuning.max_enclosed_area * platform.size)
-    accepted &= mean < tuning.max_enclosed_moving
-    accepted |= area < tuning.pinhole_area * platform.size
+    # A larger hole is a window on the scene
+    accepted = ~_touches(stats, platform.shape) & (area < 0.06 * platform.size)
+    accepted &= mean < 0.58  # the view through a railing moves more
+    accepted |= area < 0.0005 * platform.size
     accepted[0] = False
     return accepted[labels]

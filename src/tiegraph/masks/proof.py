@@ -9,7 +9,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from tiegraph.masks import NAMES, OVEREXPOSED, USE
+from tiegraph.masks import NAMES, OVEREXPOSED
 from tiegraph.masks.matchability import Matchability
 from tiegraph.masks.morphology import eroded
 from tiegraph.masks.tuning_learnt import ProofTuning
@@ -79,9 +79,3 @@ def white_ties(ties: Iterable[MatchCounts], tuning: ProofTuning) -> bool:
     every = sum(ties, NONE)
     here, all_of_them = int(every.inside[OVEREXPOSED]), int(every.inside.sum())
     return here >= tuning.least_matches and here * every.area > tuning.dense * all_of_them * every.white
-
-
-def cost(ties: Iterable[MatchCounts]) -> tuple[int, int]:
-    """(matches that are masked, all) of some ties."""
-    every = sum(ties, NONE)
-    return int(every.inside.sum() - every.inside[USE]), int(every.inside.sum())

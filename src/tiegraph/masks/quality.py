@@ -38,8 +38,8 @@ def _sharpness(brightness: np.ndarray, use: np.ndarray, tuning: QualityTuning) -
     # Detail of one pixel against detail of four: blur takes the first away, darkness and haze take both.
     if use.mean() < tuning.min_used:
         return float("nan")
-    fine = cv2.GaussianBlur(brightness.astype(np.float32), (0, 0), tuning.fine_sigma_px)
-    medium, coarse = (cv2.GaussianBlur(fine, (0, 0), s) for s in (tuning.medium_sigma_px, tuning.coarse_sigma_px))
+    fine = cv2.GaussianBlur(brightness.astype(np.float32), (0, 0), 0.7)  # the noise of pixels is taken out first
+    medium, coarse = (cv2.GaussianBlur(fine, (0, 0), s) for s in (1.4, 5.6))
     inner = eroded(use, tuning.rim_px)
     if not inner.any():
         return float("nan")

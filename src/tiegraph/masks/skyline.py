@@ -33,8 +33,9 @@ def border_sky(image: np.ndarray, tuning: SkylineTuning, ego: np.ndarray | None 
     x, y = cv2.Sobel(brightness, cv2.CV_32F, 1, 0, ksize=3), cv2.Sobel(brightness, cv2.CV_32F, 0, 1, ksize=3)
     gradient = np.sqrt(x * x + y * y)
     gradient[0] = 0  # a border on the first row leaves nothing
-    gradient[dilated(~free, tuning.platform_px)] = 0
-    thresholds = np.arange(tuning.first_threshold, tuning.end_threshold, tuning.threshold_step, dtype=np.float32)
+    gradient[dilated(~free, 5)] = 0  # the platform's own edge is no border
+    # Shen and Wang, section 3: from 5 to 600 in steps of 5; above 300 no border was ever chosen here
+    thresholds = np.arange(5.0, 300.0, 10.0, dtype=np.float32)
     edges = gradient[None] > thresholds[:, None, None]
     borders = np.where(edges.any(axis=1), edges.argmax(axis=1), len(brightness))  # (T, w) first ground row
     borders = np.unique(borders, axis=0)
@@ -55,7 +56,7 @@ def _best(image: np.ndarray, borders: np.ndarray, free: np.ndarray, tuning: Skyl
     total = below_row[-1].sum(axis=0)
     sums = below_row[borders, np.arange(width)].sum(axis=1)  # (T, 13)
     share = sums[:, 0] / max(total[0], 1)
-    usable = (share > tuning.min_share) & (share < tuning.max_share)
+    usable = (share > tuning.min_share) & (share < 0.85)
     if not usable.any():
         return None
     energy = 1 / (_GAMMA * _spread(sums) + _spread(total - sums) + 1e-9)
@@ -80,11 +81,11 @@ def _believable(
         return False
     yellow = cv2.cvtColor(image, cv2.COLOR_BGR2Lab)[..., 2]
     brightness = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-    if brightness[sky].mean() < max(tuning.min_grey, brightness[ground].mean() + tuning.brighter_grey):
+    if brightness[sky].mean() < max(60.0, brightness[ground].mean() + 12.0):
         return False
-    if np.median(yellow[sky]) > 128 + tuning.most_yellow:
+    if np.median(yellow[sky]) > 128 + 10.0:  # sand and sunlit plaster are yellow
         return False
-    return float(gradient[inner].mean()) < tuning.textureless * float(gradient[ground].mean())
+    return float(gradient[inner].mean()) < 0.5 * float(gradient[ground].mean())
 
 
 def textureless_sky(image: np.ndarray, matched: np.ndarray, tuning: SkylineTuning) -> np.ndarray | None:
@@ -96,10 +97,10 @@ def textureless_sky(image: np.ndarray, matched: np.ndarray, tuning: SkylineTunin
     around = (tuning.up_window_px, tuning.up_window_px)
     mean = cv2.blur(brightness, around)
     deviation = np.sqrt(np.maximum(cv2.blur(brightness * brightness, around) - mean * mean, 0))
-    calm = eroded((deviation < tuning.up_textureless_grey) & ~matched, tuning.rim_px).astype(np.uint8)
+    calm = eroded((deviation < 4.0) & ~matched, tuning.rim_px).astype(np.uint8)
     count, labels, stats, _ = cv2.connectedComponentsWithStats(calm, connectivity=4)
     light = np.bincount(labels.ravel(), brightness.ravel(), minlength=count) / np.maximum(stats[:, cv2.CC_STAT_AREA], 1)
-    sky = (stats[:, cv2.CC_STAT_AREA] >= tuning.up_large * calm.size) & (light >= tuning.up_bright_grey)
+    sky = (stats[:, cv2.CC_STAT_AREA] >= 0.03 * calm.size) & (light >= 90.0)  # darker ones are bridges
     sky[0] = False
     return sky[labels] if sky.any() else None
 

@@ -31,20 +31,26 @@ class Camera:
     lens: str = ""
 
 
+Look = Callable[[Path, Any, MasksSettings, Tuning, str], np.ndarray]
+
+
 @dataclass(frozen=True)
 class MaskSource:
     """One way to make masks.
 
     ``prepare(cameras, settings, tuning, apply)`` is called once for all sensors and returns what the masks of each have
-    in common; ``apply`` maps a function over items. ``mask(image, prepared, settings, tuning, name)`` returns (H, W)
-    bool, True = use, at the size of the image, from what was prepared for its sensor; ``name`` is that of the user's
-    file, for sources that look it up. ``classes`` with the same arguments returns the class (h, w) u1 of each pixel at
-    reduced size (``masks``), for sources that know it. What is prepared may say of itself in ``note``.
+    in common, which may say of itself in ``note``; ``apply`` maps a function over items. ``look(image, prepared,
+    settings, tuning, name)`` returns for an image, by what was prepared for its sensor, either (h, w) bool, True = use,
+    or the class (h, w) u1 of each pixel (``masks``), both at any size; ``name`` is that of the user's file.
     """
 
     prepare: Callable[[Mapping[int, Camera], MasksSettings, Tuning, Map], dict[int, Any]]
-    mask: Callable[[Path, Any, MasksSettings, Tuning, str], np.ndarray]
-    classes: Callable[[Path, Any, MasksSettings, Tuning, str], np.ndarray] | None = None
+    look: Look
+
+    def mask(self, image: Path, prepared: Any, settings: MasksSettings, tuning: Tuning, name: str) -> np.ndarray:
+        """(H, W) bool, True = use, at the size of the image."""
+        found = self.look(image, prepared, settings, tuning, name)
+        return full_size(found if found.dtype == bool else found == USE, image_size(image))
 
 
 def each(prepare: Callable[[Sequence[Path], MasksSettings, Tuning], Any]) -> Callable[..., dict[int, Any]]:
@@ -56,6 +62,10 @@ def each(prepare: Callable[[Sequence[Path], MasksSettings, Tuning], Any]) -> Cal
         return {key: prepare(camera.images, settings, tuning) for key, camera in cameras.items()}
 
     return prepare_all
+
+
+def nothing(images: Sequence[Path], settings: MasksSettings, tuning: Tuning) -> None:
+    """What images have in common whose masks share nothing."""
 
 
 def explain_source(scene: Scene, settings: MasksSettings, tuning: Tuning) -> tuple[str, str]:
@@ -85,11 +95,6 @@ def _automatic(scene: Scene, settings: MasksSettings, tuning: Tuning) -> tuple[s
     return "learnt", "a rig that moves along a path"
 
 
-def prepare_nothing(images: Sequence[Path], settings: MasksSettings, tuning: Tuning) -> None:
-    """Of sources whose images have nothing in common."""
-    return None
-
-
 def check_shape(image: Path, size: tuple[int, int], prepared: np.ndarray | None, tuning: Tuning) -> None:
     """Raises InputError for an image whose shape is not that of the mask of its camera, if there is one."""
     if prepared is not None and prepared.shape != small_shape(size, tuning.frames.work_px):
@@ -99,18 +104,10 @@ def check_shape(image: Path, size: tuple[int, int], prepared: np.ndarray | None,
         )
 
 
-def _mask_of_folder(
-    image: Path, prepared: np.ndarray | None, settings: MasksSettings, tuning: Tuning, name: str
-) -> np.ndarray:
+def _folder(image: Path, prepared: None, settings: MasksSettings, tuning: Tuning, name: str) -> np.ndarray:
     if settings.folder is None:
         raise InputError("masks.source = folder needs masks.folder: where the masks are")
     return read_folder_mask(settings.folder, name, image_size(image), settings.keep_labels)
-
-
-def _mask_nothing(
-    image: Path, prepared: np.ndarray | None, settings: MasksSettings, tuning: Tuning, name: str
-) -> np.ndarray:
-    return np.ones(image_size(image), bool)
 
 
 def _prepare_learnt(
@@ -123,38 +120,25 @@ def _prepare_learnt(
     return learn({key: camera.images for key, camera in cameras.items()}, settings, tuning, upward, apply)
 
 
-def _classes_learnt(
-    image: Path, prepared: Classifier, settings: MasksSettings, tuning: Tuning, name: str
-) -> np.ndarray:
+def _learnt(image: Path, prepared: Classifier, settings: MasksSettings, tuning: Tuning, name: str) -> np.ndarray:
     size = image_size(image)
     check_shape(image, size, prepared.platform, tuning)
     return classes_of(image, prepared, settings, small_shape(size, tuning.frames.work_px), tuning)
 
 
-def _mask_learnt(image: Path, prepared: Classifier, settings: MasksSettings, tuning: Tuning, name: str) -> np.ndarray:
-    return full_size(_classes_learnt(image, prepared, settings, tuning, name) == USE, image_size(image))
-
-
-def _prepare_model(
-    cameras: Mapping[int, Camera], settings: MasksSettings, tuning: Tuning, apply: Map = map
-) -> dict[int, Model]:
+def _read_model(images: Sequence[Path], settings: MasksSettings, tuning: Tuning) -> Model:
     if settings.model is None:
         raise InputError("masks.source = model needs masks.model: the TOML file of your segmentation model")
-    model = read_model(settings.model)
-    return {key: model for key in cameras}
+    return read_model(settings.model)
 
 
-def _classes_model(image: Path, prepared: Model, settings: MasksSettings, tuning: Tuning, name: str) -> np.ndarray:
+def _by_model(image: Path, prepared: Model, settings: MasksSettings, tuning: Tuning, name: str) -> np.ndarray:
     return model_classes(read_small(image, tuning.frames.work_px), prepared)
 
 
-def _mask_model(image: Path, prepared: Model, settings: MasksSettings, tuning: Tuning, name: str) -> np.ndarray:
-    return full_size(_classes_model(image, prepared, settings, tuning, name) == USE, image_size(image))
-
-
 SOURCES: dict[str, MaskSource] = {
-    "learnt": MaskSource(_prepare_learnt, _mask_learnt, _classes_learnt),
-    "model": MaskSource(_prepare_model, _mask_model, _classes_model),
-    "folder": MaskSource(each(prepare_nothing), _mask_of_folder),
-    "none": MaskSource(each(prepare_nothing), _mask_nothing),
+    "learnt": MaskSource(_prepare_learnt, _learnt),
+    "model": MaskSource(each(_read_model), _by_model),
+    "folder": MaskSource(each(nothing), _folder),
+    "none": MaskSource(each(nothing), lambda image, *_: np.ones(image_size(image), bool)),
 }

@@ -14,8 +14,6 @@ class MatchabilityTuning(Section):
 
     most_pairs: int = Field(36, gt=0)
     """Pairs of neighbouring frames, of all cameras together, from which it is learnt what matches."""
-    least_pairs: int = Field(2, gt=0)
-    """Of each camera, however many there are."""
     match_px: int = Field(400, gt=0)
     """Longer side at which frames are matched."""
     most_features: int = Field(800, gt=0)
@@ -26,20 +24,12 @@ class MatchabilityTuning(Section):
     """Of the best and second best distance."""
     min_inliers: int = Field(20, gt=0)
     """Fewer: the two frames show different scenes, and nothing is said of either."""
-    min_move_px: float = Field(2.0, ge=0)
-    """What does not move is the platform's."""
     epipolar_px: float = Field(1.0, gt=0)
     """By which a match may miss its epipolar line."""
     around: int = Field(3, gt=1)
     """Matched features that say where one that does not match went."""
     focals: tuple[float, ...] = Field((0.9, 1.4), min_length=1)
     """Focal lengths that are tried, of the longer side: no lens is known yet."""
-    motion_matches: int = Field(200, gt=0)
-    """Matches from which the motion is found."""
-    min_in_front: int = Field(8, gt=0)
-    """Matches that one motion must explain."""
-    min_parallax_px: float = Field(3.0, ge=0)
-    """The scene's median depth must move a match by as much, or nothing is said of it."""
 
 
 class ProofTuning(Section):
@@ -68,16 +58,10 @@ class AppearanceTuning(Section):
     """Bins of L."""
     colour_bins: int = Field(12, gt=0)
     """Bins of a and b each, about neutral."""
-    colour_step_grey: float = Field(5.0, gt=0)
-    """Grey levels of a and b a bin."""
     texture_edges_grey: tuple[float, ...] = (0.8, 2.0, 4.5, 10.0)
     """Standard deviations of L between the bins of texture."""
     texture_px: int = Field(5, gt=0)
     """Side of the square over which this deviation is taken."""
-    smooth_bins: tuple[float, float, float, float] = (0.8, 0.7, 0.7, 0.6)
-    """Sigmas, in bins of L, a, b and texture, by which counts are smoothed."""
-    shared_px: float = Field(50_000, ge=0)
-    """Pixels of a camera's own seeds that are as good as those of all cameras: about one image."""
     floor: float = Field(1e-5, gt=0)
     """Probability of a bin no seed ever fell into."""
 
@@ -98,38 +82,14 @@ class SkylineTuning(Section):
 
     border_px: int = Field(160, gt=0)
     """Longer side at which the border is sought: it gives seeds, not masks."""
-    first_threshold: float = Field(5.0, gt=0)
-    """Smallest gradient a border is tried at (Shen and Wang, section 3: from 5 to 600 in steps of 5) ..."""
-    end_threshold: float = Field(300.0, gt=0)
-    """... to below this one: above it no border was ever chosen here ..."""
-    threshold_step: float = Field(10.0, gt=0)
-    """... and the step between them."""
     min_share: float = Field(0.02, ge=0, le=1)
     """Of the image that is sky, at least ..."""
-    max_share: float = Field(0.85, ge=0, le=1)
-    """... and at most."""
-    platform_px: int = Field(5, gt=0)
-    """Side of the square round the platform in which no border is sought: its own edge is none."""
     rim_px: int = Field(3, gt=0)
     """Side of the square by which a believed sky, and each calm area above an upward camera, loses its rim."""
     inner_px: int = Field(5, gt=0)
     """Side of the square by which it is shrunk before its texture is measured."""
-    brighter_grey: float = 12.0
-    """That the sky is brighter than what is below it."""
-    min_grey: float = Field(60.0, ge=0)
-    """Mean brightness of a sky."""
-    most_yellow: float = 10.0
-    """Lab b: sand and sunlit plaster are yellow, skies hardly ever."""
-    textureless: float = Field(0.5, ge=0)
-    """Texture of the sky, as a share of that below."""
-    up_textureless_grey: float = Field(4.0, ge=0)
-    """Standard deviation of the grey value in the sky above an upward camera."""
     up_window_px: int = Field(5, gt=0)
     """Side of the square over which this deviation is taken."""
-    up_bright_grey: float = Field(90.0, ge=0)
-    """Mean brightness of a calm area above an upward camera that is sky: darker ones are bridges."""
-    up_large: float = Field(0.03, ge=0, le=1)
-    """Of the image: a smaller calm area above an upward camera is not believed."""
 
 
 class LabelTuning(Section):
@@ -140,34 +100,18 @@ class LabelTuning(Section):
     """Images, of all cameras together, from which appearance is learnt."""
     least_images: int = Field(2, gt=0)
     """Of each camera, however many there are."""
-    static_px: int = Field(5, ge=0)
-    """Around a matched feature all is static scene."""
     matched_sky: float = Field(0.25, ge=0)
     """Matched features on a sky, as a share of those on an equal area of the image: with more it is none."""
     rim_px: int = Field(5, gt=0)
     """Side of the square by which a sky is shrunk before its matched features are counted."""
-    off_sky_px: int = Field(9, gt=0)
-    """Side of the square round the sky within which nothing is called scene."""
-    low_share: float = Field(0.02, ge=0, le=1)
-    """Of a row that must be sky for sky to reach down to it."""
-    pale_percent: float = Field(5.0, ge=0, le=100)
-    """Of the sky is darker than what may belong to it."""
     lower: float = Field(0.15, ge=0, le=1)
     """Of the height, below all known sky: from there on is the ground ..."""
-    on_ground: float = Field(0.05, ge=0, le=1)
-    """... and a piece with this share of it there is no cloud."""
     wide: float = Field(0.12, ge=0, le=1)
     """Of the image's width: narrower pieces of sky are no seeds."""
     agreed: float = Field(0.05, ge=0, le=1)
     """Of the height: images whose lowest sky differs by less agree on the horizon."""
-    agreed_share: float = Field(0.1, ge=0, le=1)
-    """Of the images that show sky: so many must agree ..."""
-    agreed_images: int = Field(2, gt=0)
-    """... and at least this many: a border found in a wall or on a road lies anywhere."""
     places: tuple[_Count, _Count] = (12, 16)
     """Rows and columns of the map of places."""
-    place_sigma: float = Field(0.7, gt=0)
-    """Blur of this map, in its cells."""
     place_seeds: float = Field(0.5, gt=0)
     """Images: as many say beforehand that a place is sky, and that it is none."""
     place_clip: float = Field(1.5, ge=0)
@@ -175,8 +119,6 @@ class LabelTuning(Section):
     min_down: float = Field(0.25, ge=-1, le=1)
     """Of the length of all edges, what faces down more than up: 0.4 and more of skies, behind ragged trees too; 0.15
     and less of what only looks like sky, from the air, on facades and sand (benchmarks/masks/above.py)."""
-    blur_sigma_px: float = Field(5.0, gt=0)
-    """Twigs and the steps of a border are no edges of their own."""
     reach_px: int = Field(25, gt=0)
     """Side of the square over which the blur carries an edge: so near to what is not told, it is not its own."""
 
@@ -203,28 +145,18 @@ class ClassificationTuning(Section):
     """Log ratio from which a place is sky."""
     sky_margin: float = Field(0.1, ge=0)
     """Of the height: so far below the lowest certain sky there may be some."""
-    no_water: float = -0.5
-    """Log ratio of water, at most, of what looks like sky."""
     open_px: int = Field(3, gt=0)
     """Side of the square in which sky and burnt-out areas are opened: thinner bits go."""
     small: float = Field(0.002, ge=0, le=1)
     """Of the image: smaller pieces of sky or holes in it are not believed."""
-    grow_px: int = Field(7, gt=0)
-    """Side of the square by which the sky may grow up to its edge ..."""
     grow_window_px: int = Field(11, gt=0)
     """... side of the square over which its own brightness is taken there ..."""
-    same_grey: float = Field(14.0, ge=0)
-    """... and what it may differ by: at its edge the sky goes on as long as the brightness does."""
     ring_px: int = Field(5, gt=0)
     """Side of the square by which a burnt-out area is grown to its surroundings."""
-    sky_around: float = Field(0.5, ge=0, le=1)
-    """Share of its surroundings that must be sky for a burnt-out area to be sky."""
     edge_band_px: int = Field(9, gt=0)
     """Side of the square round its edge in which the edge of the sky is sought by the brightness."""
     edge_around_px: int = Field(10, ge=0)
     """To each side of a pixel: what its edge is learnt from."""
-    told_grey: float = Field(8.0, gt=0)
-    """Brightness of sky and scene differ by more, or the edge hardly moves."""
 
 
 class WaterTuning(Section):
@@ -234,10 +166,6 @@ class WaterTuning(Section):
     """Rows and columns of the map of matches of a camera."""
     reach_cells: float = Field(1.5, gt=0)
     """Sigma of this map."""
-    around_weight: float = Field(0.25, gt=0)
-    """Of the sum over the cells within reach."""
-    platform_share: float = Field(0.3, ge=0, le=1)
-    """Of a cell: with more of the platform in it, it says nothing."""
     water_rate: float = Field(0.02, gt=0, lt=1)
     """Share of features found again in the next frame: 0.01 .. 0.03 on water (rendered canal) ..."""
     min_scene_rate: float = Field(0.025, gt=0, lt=1)
@@ -245,10 +173,6 @@ class WaterTuning(Section):
     leaves the image: at least this ..."""
     max_scene_rate: float = Field(0.25, gt=0, lt=1)
     """... and at most this."""
-    scene_rows: float = Field(0.6, gt=0, le=1)
-    """Share of the height, from the top, in which the scene's rate is taken: there is little water."""
-    scene_reach_cells: float = Field(3.0, gt=0)
-    """Sigma of that rate, over the columns of the map."""
     min_area: float = Field(0.02, ge=0, le=1)
     """Of the image: a smaller zone is none."""
     highest: float = Field(0.25, ge=0, le=1)
@@ -269,5 +193,3 @@ class WaterTuning(Section):
     """Width and height of the blocks on which the line is found, at `frames.look_px`."""
     max_credit: float = Field(3.0, gt=0)
     """One pixel's log ratio counts this much at most for the line."""
-    step_cost: float = Field(0.35, ge=0)
-    """Of the line, for each row between neighbouring columns."""

@@ -8,6 +8,7 @@ import numpy as np
 
 from tiegraph.masks.matchability import Matchability
 from tiegraph.masks.tuning_learnt import WaterTuning
+from tiegraph.scene.graph import best_line
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,7 @@ def never_matching(evidence: Sequence[Matchability], ego: np.ndarray | None, tun
     rate, in_water = _scene_rate(matched, missed, tuning), tuning.water_rate
     exact = matched * np.log(in_water / rate) + missed * np.log((1 - in_water) / (1 - rate))
     cells = 2 * np.pi * tuning.reach_cells**2
-    says = cv2.GaussianBlur(exact, (0, 0), tuning.reach_cells) * cells * tuning.around_weight
+    says = cv2.GaussianBlur(exact, (0, 0), tuning.reach_cells) * cells * 0.25
     zone = below_waterline(says, platform, tuning, (1, 1))
     top = np.where(zone.any(axis=0), zone.argmax(axis=0), rows)
     zone = _large(zone & (top >= tuning.highest * rows)[None], tuning)
@@ -46,17 +47,14 @@ def never_matching(evidence: Sequence[Matchability], ego: np.ndarray | None, tun
 
 def _scene_rate(matched: np.ndarray, missed: np.ndarray, tuning: WaterTuning) -> np.ndarray:
     """Share (columns,) f4 of the scene's features that match in each column of the map."""
-    upper = slice(0, int(tuning.scene_rows * len(matched)))
-    good, every = (
-        cv2.GaussianBlur(m[upper].sum(axis=0)[None], (0, 0), tuning.scene_reach_cells)
-        for m in (matched, matched + missed)
-    )
+    upper = slice(0, int(0.6 * len(matched)))  # in the upper part there is little water
+    good, every = (cv2.GaussianBlur(m[upper].sum(axis=0)[None], (0, 0), 3.0) for m in (matched, matched + missed))
     return np.clip(good[0] / np.maximum(every[0], 1e-6), tuning.min_scene_rate, tuning.max_scene_rate)
 
 
 def _shrunk(mask: np.ndarray, tuning: WaterTuning) -> np.ndarray:
     share = cv2.resize(mask.astype(np.float32), tuning.grid[::-1], interpolation=cv2.INTER_AREA)
-    return share > tuning.platform_share
+    return share > 0.3
 
 
 def _large(zone: np.ndarray, tuning: WaterTuning) -> np.ndarray:
@@ -100,22 +98,7 @@ def below_waterline(
     blocks = cv2.resize(credit, (columns, rows), interpolation=cv2.INTER_AREA) * block[1]
     gain = np.zeros((columns, rows + 1))  # of a line above row r: the credit of all rows from r on
     gain[:, :rows] = np.cumsum(blocks.T[:, ::-1], axis=1)[:, ::-1]
-    line = _best_line(gain, tuning.step_cost * block[1])
+    line = best_line(gain, 0.35 * block[1])  # for each row between neighbouring columns
     line_px = np.interp(np.arange(width), (np.arange(columns) + 0.5) * width / columns - 0.5, line) * height / rows
     water = np.arange(height)[:, None] + 0.5 > line_px
     return water if ego is None else water & ~ego
-
-
-def _best_line(gain: np.ndarray, cost: float) -> np.ndarray:
-    """Row (C,) of each column with the largest sum of ``gain`` (C, R), less ``cost`` a row between columns."""
-    slope = cost * np.arange(gain.shape[1])
-    best = [gain[0]]
-    for column in gain[1:]:
-        before = best[-1]
-        down = np.maximum.accumulate(before + slope) - slope
-        up = np.maximum.accumulate((before - slope)[::-1])[::-1] + slope
-        best.append(column + np.maximum(down, up))
-    line = [int(np.argmax(best[-1]))]
-    for before in best[-2::-1]:
-        line.append(int(np.argmax(before - np.abs(slope - slope[line[-1]]))))
-    return np.array(line[::-1])

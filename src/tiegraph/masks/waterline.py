@@ -52,12 +52,12 @@ class Plan:
     cell: float
     full: np.ndarray
 
-    def distance(self, centre: np.ndarray, towards: np.ndarray, tuning: WaterlineTuning) -> np.ndarray:
+    def distance(self, centre: np.ndarray, towards: np.ndarray) -> np.ndarray:
         """Horizontal distance (K,) from ``centre`` to the first bank along each of ``towards`` (K, 3); inf = none."""
         flat = towards @ self.axes.T
         flat = flat / np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-9)
-        step = tuning.step_cells
-        length = np.arange(tuning.first_step, 1.5 * max(self.full.shape) / step) * step  # 1.5: more than the diagonal
+        step = 1.5
+        length = np.arange(2, 1.5 * max(self.full.shape) / step) * step  # 1.5: more than the diagonal
         start = (self.axes @ centre - self.corner) / self.cell + 1  # all round the plan is a cell without a bank
         padded = np.pad(self.full, 1)
         across, along = (
@@ -85,16 +85,12 @@ def first_line(classes: np.ndarray, tuning: WaterlineTuning) -> np.ndarray:
     own = classes[:, columns(classes.shape[1], tuning)]
     water = own == WATER
     row = water.argmax(axis=0)
-    above = own[np.maximum(row - tuning.hidden_px, 0), np.arange(len(row))]
+    above = own[np.maximum(row - 3, 0), np.arange(len(row))]
     return np.where(water.any(axis=0) & (row > 0) & (above != EGO), row, np.nan)
 
 
 def find_water(
-    views: Sequence[View],
-    lines: Sequence[np.ndarray],
-    points: np.ndarray,
-    up: np.ndarray,
-    tuning: WaterlineTuning,
+    views: Sequence[View], lines: Sequence[np.ndarray], points: np.ndarray, up: np.ndarray, tuning: WaterlineTuning
 ) -> Water | None:
     """The water's plane and the banks, from ``first_line`` of level views and the points (P, 3) of the model.
 
@@ -108,17 +104,17 @@ def find_water(
     below = heights[heights < camera]
     if not len(below):
         return None
-    level, spread, count = float(np.quantile(below, tuning.first_level)), 0.0, 0
+    level, spread, count = float(np.quantile(below, 0.05)), 0.0, 0
     for _ in range(tuning.rounds):
         plan = _plan(points, up, (level, level + tuning.band * (camera - level)), centres, tuning)
-        found = np.concatenate([_heights(v, line, plan, up, tuning) for v, line in zip(views, lines)])
-        if len(found) < tuning.least_heights:
+        found = np.concatenate([_heights(v, line, plan, up) for v, line in zip(views, lines)])
+        if len(found) < 100:
             return None
         low, level, high = (float(q) for q in np.quantile(found, (0.25, 0.5, 0.75)))
         spread, count = (high - low) / 2, len(found)
         if level >= camera:
             return None
-    if spread > tuning.most_spread * (camera - level):
+    if spread > 0.35 * (camera - level):
         return None
     return Water(level=level, depth=camera - level, spread=spread, rays=count, plan=plan)
 
@@ -133,7 +129,7 @@ def _plan(
     height = points @ up
     flat = points[(height > band[0]) & (height < band[1])] @ axes.T
     path = centres @ axes.T
-    reach = max(float(np.ptp(path, axis=0).max()), tuning.reach_bands * (band[1] - band[0]))
+    reach = max(float(np.ptp(path, axis=0).max()), 10.0 * (band[1] - band[0]))
     if len(flat):
         flat = flat[cKDTree(path).query(flat, distance_upper_bound=reach)[0] < reach]
     if not len(flat):
@@ -148,15 +144,15 @@ def _plan(
     return Plan(axes=axes, corner=corner, cell=cell, full=around > tuning.full - 0.5)
 
 
-def _heights(view: View, line: np.ndarray, plan: Plan, up: np.ndarray, tuning: WaterlineTuning) -> np.ndarray:
+def _heights(view: View, line: np.ndarray, plan: Plan, up: np.ndarray) -> np.ndarray:
     """Heights at which the waterline of an image meets the banks."""
     known = np.flatnonzero(np.isfinite(line))
     if not len(known):
         return np.zeros(0)
     rows = np.clip(line[known].astype(int), 0, len(view.rays) - 1)
     slope = view.slopes(up)[rows, known]
-    distance = plan.distance(view.centre, view.rays[rows, known], tuning)
-    use = np.isfinite(distance) & (slope < -tuning.level_slope)
+    distance = plan.distance(view.centre, view.rays[rows, known])
+    use = np.isfinite(distance) & (slope < -0.02)  # flatter rays meet the plane too far off
     return view.centre @ up + slope[use] * distance[use]
 
 
@@ -169,15 +165,15 @@ class Lines:
     horizon: np.ndarray
 
 
-def lines_of(view: View, up: np.ndarray, water: Water | None, tuning: WaterlineTuning) -> Lines:
+def lines_of(view: View, up: np.ndarray, water: Water | None) -> Lines:
     """Where in an image the water and the lower half of the world begin."""
     rise = view.rays @ up
-    horizon = _first(rise < _rise(-tuning.lower_slope))
+    horizon = _first(rise < _rise(-0.05))  # up is known to about 3 degrees
     if water is None:
         return Lines(np.full(rise.shape[1], np.nan), horizon)
     across = np.arange(rise.shape[1])
     level = view.rays[np.argmin(np.abs(rise), axis=0), across]
-    distance = water.plan.distance(view.centre, level, tuning)
+    distance = water.plan.distance(view.centre, level)
     drop = water.level - float(view.centre @ up)
     row = _first(rise < _rise(drop / distance))
     return Lines(np.where(np.isfinite(distance) & (drop < 0), row, np.nan), horizon)
@@ -199,7 +195,7 @@ def final_classes(first: np.ndarray, lines: Lines, tuning: WaterlineTuning) -> n
     row = np.arange(height, dtype=np.float32)[:, None]
     at = columns(width, tuning)
     below = row >= np.interp(np.arange(width), at, lines.horizon).astype(np.float32)
-    waterline = _bridged(lines.water, tuning.widest_gap)
+    waterline = _bridged(lines.water, 0.5)
     known = np.isfinite(waterline)
     out = first.copy()
     out[((first == SKY) & below) | ((first == WATER) & ~below)] = USE

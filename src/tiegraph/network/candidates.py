@@ -14,7 +14,6 @@ import numpy as np
 
 from tiegraph.errors import choose
 from tiegraph.network.offsets.curves import OffsetCurve
-from tiegraph.network.offsets.surface import OffsetSurface
 from tiegraph.network.passes import MatchCache, Pass, find_passes
 from tiegraph.network.rig.check import check_rigs
 from tiegraph.network.settings import CandidatesSettings
@@ -34,18 +33,14 @@ class Candidates:
     notes: tuple[str, ...]
     ties: PreviewMatches  # of everything that was previewed
     curves: tuple[OffsetCurve, ...]
-    surfaces: tuple[OffsetSurface, ...]
 
     def pictures(self) -> list[tuple[str, bytes]]:
-        """(name, PNG) of the offset curves and surfaces, where offsets were looked for."""
-        from tiegraph.network import plots as draw  # loads matplotlib
+        """(name, PNG) of the offset curves, where offsets were looked for."""
+        if not self.curves:
+            return []
+        from tiegraph.network.plots import curves_png  # loads matplotlib
 
-        out = []
-        if self.surfaces:
-            out.append(("surfaces", draw.surfaces_png(self.surfaces)))
-        if self.curves:
-            out.append(("offsets", draw.curves_png(self.curves)))
-        return out
+        return [("offsets", curves_png(self.curves))]
 
 
 def find_candidates(
@@ -80,7 +75,6 @@ def find_candidates(
         notes=(*order_notes, *rig_notes, *found.notes),
         ties=cache.matches(),
         curves=found.curves,
-        surfaces=found.surfaces,
     )
 
 

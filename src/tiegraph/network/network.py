@@ -6,7 +6,7 @@ the base is known from the other to distance / (focal length * sqrt(n)). It tell
 images tie in many ways, it says nothing.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -15,7 +15,7 @@ from tiegraph.geometry import transforms
 from tiegraph.geometry.align import rms_length, umeyama
 from tiegraph.network.passes import Pass, find_passes
 from tiegraph.network.sections.light import UpLight
-from tiegraph.network.sections.sections import Section, SectionResult, find_sections, join_places, section_links, split
+from tiegraph.network.sections.sections import Section, SectionResult, find_sections, join_places, split
 from tiegraph.network.settings import CandidatesSettings, NetworkSettings
 from tiegraph.network.sources import axes_count, axes_pairs
 from tiegraph.network.tuning import SectionsTuning, Tuning
@@ -36,10 +36,9 @@ class Network:
     scene: Scene
     cut: SectionResult
     notes: tuple[str, ...]
-    tables: dict[str, dict] = field(default_factory=dict)
 
     def plots(self, cam_from_world: np.ndarray | None) -> list[tuple[str, bytes]]:
-        """(name, PNG) of the correspondence matrix, the map, the sections and the funnel. ``cam_from_world``
+        """(name, PNG) of the correspondence matrix, the map and the sections. ``cam_from_world``
         (N, 4, 4): poses of the coarse model, where no prior says where the frames are; NaN = none."""
         from tiegraph.network import plots as draw  # loads matplotlib
 
@@ -48,7 +47,6 @@ class Network:
         out.append(("map", draw.map_png(self.pairs, positions, self.scene, unit=unit)))
         if self.cut.cues:
             out.append(("sections", draw.sections_png(self.scene, self.cut.sections, self.cut.cues)))
-        out.append(("funnel", draw.funnel_png(self.pairs, len(self.scene))))
         return out
 
 
@@ -77,14 +75,7 @@ def join_network(
     total = len(scene) * (len(scene) - 1) / 2
     notes += [*cut.notes, *component_notes(pairs, scene)]
     notes.append(f"{len(ties)} previews were matched, {100 * len(ties) / max(total, 1):.1f} % of all pairs of images")
-    links, said = section_links(pairs, scene, cut.sections, tuning.sections)
-    return Network(
-        pairs=pairs,
-        scene=scene,
-        cut=cut,
-        notes=(*notes, *said),
-        tables={"section links": links} if links["rows"] else {},
-    )
+    return Network(pairs=pairs, scene=scene, cut=cut, notes=tuple(notes))
 
 
 def positions_of(scene: Scene, cam_from_world: np.ndarray | None) -> tuple[np.ndarray | None, str]:

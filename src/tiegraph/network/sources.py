@@ -1,6 +1,5 @@
 """Pair sources by name: each proposes pairs with a score and, where it refused one, the reason."""
 
-import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
@@ -21,10 +20,9 @@ from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.scene.pairs import REASONS, Pairs, read_pair_list
 from tiegraph.scene.scene import Scene
+from tiegraph.scene.sorting import among_best
 
 Descriptors = Callable[[], Sequence[np.ndarray]]  # (K, 128) u1 of every image
-
-log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -190,23 +188,11 @@ def confirmed(proposal: Proposal, context: Context) -> Proposal:
     score[kept] = context.cache.measure(pairs.i[kept], pairs.j[kept])
     weak = score < context.tuning.counts.sure * context.settings.min_matches
     loose = context.scene.sequence[context.scene.frame] < 0
-    near = _nearest(pairs, len(context.scene), context.tuning.sources.nearest) & loose[pairs.i] & loose[pairs.j]
+    ends, base = np.r_[pairs.i[kept], pairs.j[kept]], np.tile(pairs.baseline_m[kept], 2)
+    near = np.zeros(len(pairs), bool)
+    near[kept] = among_best(ends, -base, context.tuning.sources.nearest).reshape(2, -1).any(axis=0)
+    near &= loose[pairs.i] & loose[pairs.j]
     return replace(proposal, pairs=pairs.with_(score=score).drop(weak & ~near, "weak"))
-
-
-def _nearest(pairs: Pairs, images: int, count: int) -> np.ndarray:
-    """(P,) bool: among the ``count`` shortest kept bases of either image."""
-    row = np.tile(np.arange(len(pairs)), 2)
-    image = np.concatenate([pairs.i, pairs.j])
-    base = np.concatenate([pairs.baseline_m, pairs.baseline_m])
-    kept = pairs.dropped[row] == 0
-    row, image, base = row[kept], image[kept], base[kept]
-    order = np.lexsort((base, image))
-    start = np.searchsorted(image[order], np.arange(images))
-    rank = np.arange(len(order)) - start[image[order]]
-    out = np.zeros(len(pairs), bool)
-    out[row[order[rank < count]]] = True
-    return out
 
 
 def axes_count(passes: Sequence[Pass], settings: CandidatesSettings) -> int:

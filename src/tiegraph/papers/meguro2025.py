@@ -19,7 +19,7 @@ import numpy as np
 from tiegraph.masks.frames import full_size, grey, image_size, read_small, two_frames
 from tiegraph.masks.morphology import block_share, from_blocks, masked_neighbours, without_small
 from tiegraph.masks.settings import MasksSettings
-from tiegraph.masks.sources import MaskSource, check_shape, each, prepare_nothing
+from tiegraph.masks.sources import MaskSource, check_shape, each, nothing
 from tiegraph.masks.tuning import Meguro2025Tuning
 from tiegraph.masks.tuning import Tuning as MasksTuning
 from tiegraph.network.sections.light import UpLight, otsu
@@ -121,7 +121,7 @@ def mask_with_sky(
 
 
 MASKS = MaskSource(each(prepare_ssim), mask_with_sky)
-SKY = MaskSource(each(prepare_nothing), mask_with_sky)
+SKY = MaskSource(each(nothing), mask_with_sky)
 """The second stage alone."""
 
 

@@ -46,8 +46,7 @@ def coarse(run: Run) -> Outcome:
     write_atomic(run.path("coarse", "scene.json"), found.scene.to_json())
     counts = {"previews": len(cache) - len(ties), "candidates": len(found.pairs), "kept": len(found.pairs.kept())}
     if found.model is not None:
-        poses, tuning = found.model.cam_from_world, run.settings.tuning.network.coarse
-        reach = found.model.reach(tuning)
+        poses, reach = found.model.cam_from_world, found.model.reach()
         save_npz(run.path("coarse", "model.npz"), cam_from_world=poses, reach=reach, trusted=found.trusted)
         save_npz(run.path("coarse", "visibility.npz"), **surface_seen(run, found, cache.matches()).to_npz())
         counts |= {"images": int(found.model.placed().sum()), "trusted": int(found.trusted.sum())}

@@ -1,6 +1,5 @@
 """Glue of design: which of the candidate pairs are matched."""
 
-import csv
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -9,13 +8,12 @@ import numpy as np
 
 from tiegraph import papers
 from tiegraph.design.coverage import Coverage, coverage, on_few_points, unknown_across
-from tiegraph.design.design import METHODS, Cost, DesignResult, cost, predicted_keypoints, takes_all, with_coverage
+from tiegraph.design.design import METHODS, DesignResult, takes_all, with_coverage
 from tiegraph.design.design import design as select_pairs
 from tiegraph.design.surface import CoveredSurface, surface_map, surface_png, weak_places
-from tiegraph.features.sift import most_features
 from tiegraph.network.plots import map_png, weak_pairs
 from tiegraph.papers.fuse2014 import two_view
-from tiegraph.pipeline.files import checked, load_npz, load_scene, pairs_of, reading, save_npz, ties_of, visibility_of
+from tiegraph.pipeline.files import checked, load_npz, load_scene, pairs_of, save_npz, ties_of, visibility_of
 from tiegraph.pipeline.preview import preview_of, previews_of, with_previews
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, write_atomic
@@ -31,19 +29,15 @@ LOOKED = "design/matches.npz"
 def design(run: Run) -> Outcome:
     """Which of the candidate pairs are matched at full resolution; COLMAP pair lists, one a section and one for all."""
     scene, candidates, known = checked(run), pairs_of(run, "network.npz"), ties_of(run)
-    # Of matching all candidates, if these are loose photographs: in passes false pairs of walls that repeat cost more
-    # than time (canal_demo with all 2734 pairs 9.1 mm, with the 1604 chosen ones 4.8 mm)
-    loose = bool(np.all(scene.sequence[scene.frame] < 0))
-    spent = _cost(run, scene, candidates) if loose else None
     settings, tuning = run.settings, run.settings.tuning
     ties, previews, method = known, 0, settings.design.method
-    if not takes_all(settings.design, spent, tuning.design.cost):
+    if not takes_all(candidates, scene, settings.design, tuning.design):  # of what is chosen from something is known
         how = run.folder, settings.preview, tuning.features.preview, run.map
         candidates, ties, previews = with_previews(candidates, known, *how)
     papers.plug_in(papers.DESIGNS, method, METHODS)
     if method in papers.DESIGNS:  # a paper's method goes by an accuracy of its own
         candidates = with_accuracy(candidates, scene, ties, run.folder, run.map, tuning.sfm.two_view)
-    made = select_pairs(candidates, scene, ties, settings.design, tuning.design, visibility_of(run), spent)
+    made = select_pairs(candidates, scene, ties, settings.design, tuning.design, visibility_of(run))
     made, ties = _covered(run, made, scene, ties)
     _save(run, scene, made.pairs, ties.where(known.find(ties.i, ties.j) < 0))
     # The pairs on a map, the weak ones marked
@@ -92,7 +86,7 @@ def surface_of(run: Run) -> CoveredSurface | None:
         return None
     scene, tuning = checked(run), run.settings.tuning.design.surface
     cells = surface_map(seen, scene.focal_px, tuning)
-    return CoveredSurface(cells, weak_places(cells, tuning), scene.names) if len(cells) else None
+    return CoveredSurface(cells, weak_places(cells), scene.names) if len(cells) else None
 
 
 def _covered(run: Run, made: DesignResult, scene: Scene, ties: PreviewMatches) -> tuple[DesignResult, PreviewMatches]:
@@ -105,20 +99,6 @@ def _covered(run: Run, made: DesignResult, scene: Scene, ties: PreviewMatches) -
         ties = ties | previews_of(made.pairs.where(unknown), run.folder, settings, tuning.features.preview, run.map)
         weak = on_few_points(made.pairs, scene, ties, tuning.design)
     return with_coverage(made, coverage(made.pairs, scene, weak)), ties
-
-
-def _cost(run: Run, scene: Scene, pairs: Pairs) -> Cost:
-    """Of matching all kept pairs, by the images' sizes and the shares of them that the masks leave."""
-    cameras = [s.camera for s in scene.all_sensors]
-    sizes = np.array([0.0 if c is None else c.width * c.height / 1e6 for c in cameras])
-    with reading(run.path("masks.csv")), run.path("masks.csv").open(newline="") as file:
-        percent = {row["image"]: float(row["used_percent"]) for row in csv.DictReader(file)}
-        used = np.array([percent[name] / 100 for name in scene.names])
-    megapixels, kept = sizes[scene.sensor_key], pairs.kept()
-    most = most_features(megapixels, run.settings.features.max_features, run.settings.tuning.features.sift)
-    tuning = run.settings.tuning.design.cost
-    keypoints = predicted_keypoints(megapixels, used, most, tuning)
-    return cost(kept.i, kept.j, keypoints, megapixels, tuning)
 
 
 def with_accuracy(

@@ -1,4 +1,4 @@
-"""Glue of filter: matched pairs that contradict the rig or loops of frames are refused before the mapping."""
+"""Glue of filter: matched pairs that contradict the coarse model or loops are refused before the mapping."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -11,7 +11,7 @@ from tiegraph.project.stages import Outcome
 
 
 def filter(run: Run) -> Outcome:
-    """Pairs whose matches agree with one motion of the rig and with loops; the database stays as `match` left it."""
+    """Pairs whose matches agree with the coarse model or with loops; the database stays as `match` left it."""
     done = [0]
 
     def run_map(function: Callable[..., Any], items: Sequence[Any], *args: Any) -> list[Any]:
@@ -24,5 +24,5 @@ def filter(run: Run) -> Outcome:
     known = trusted_poses(run.folder)
     prior = None if known is None else Prior(*known)
     found = filter_pairs(run.path("database.db"), scene, pairs, settings, tuning, run_map, prior)
-    save_npz(run.path("filter.npz"), **found.pairs.to_npz(), undecided=found.undecided, **found.motions.to_npz())
+    save_npz(run.path("filter.npz"), **found.pairs.to_npz(), undecided=found.undecided)
     return Outcome(found.counts, notes=found.notes, tables=found.tables)

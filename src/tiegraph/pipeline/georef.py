@@ -201,13 +201,7 @@ def stated(run: Run, points: Mapping[str, float]) -> Stated:
     """All of it; ``points``: what the cloud's receipt counts of the sigmas of its points."""
     world = load_json(run.path("world.json"))
     predicted = _predicted(run, world, points)
-    # Scatter of the cameras about their places in the rig and its expected value, metres, middle of the cameras
-    table = run.receipts.read("sparse").get("tables", {}).get("rig diagnostics")
-    scatter = expected = np.nan
-    if table and table["rows"]:
-        at = [table["columns"].index(name) for name in ("scatter m", "expected m")]
-        scatter, expected = (float(np.median([row[k] for row in table["rows"]])) for k in at)
-    return Stated(predicted=predicted, hold=_hold(run, world), world=world, rig=(scatter, expected))
+    return Stated(predicted=predicted, hold=_hold(run, world), world=world)
 
 
 def _predicted(run: Run, world: dict, points: Mapping[str, float]) -> Predicted:

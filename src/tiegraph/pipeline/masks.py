@@ -59,13 +59,11 @@ def masks(run: Run) -> Outcome:
     # Used of all pixels: what is seen of an object before a backdrop is more
     if source == "folder" and counts["used_percent"] < 20:
         inverted.append("the masks leave little of the images: 255 (or 1) is used, 0 ignored; are they inverted?")
-    ties = np.array(list(_known_ties(prepared).values())).reshape(-1, 3).sum(axis=0)
-    lost = {"matches_masked_percent": round(float(100 * ties[1] / ties[2]), 2)} if ties[2] else {}
     return Outcome(
-        {**counts, "flagged": len(flagged), **lost},
+        {**counts, "flagged": len(flagged)},
         dropped=tuple((empty | left_out).items()),
         notes=(f"source {source}: {why}", *inverted, *learnt, *flags_said),
-        tables={"shares of the images": _by_camera(scene, shares), **_ties(scene, prepared)},
+        tables={"shares of the images": _by_camera(scene, shares)},
     )
 
 
@@ -118,14 +116,12 @@ def _mask_item(name: str, how: _How, prepared: dict[int, Any], keyed: dict[str, 
     whole = opaque(image)
     if whole is not None:
         lit_there = whole if lit_there is None else whole & lit_there
-    if made.classes is None:
-        keep = made.mask(image, prepared[key], how.settings, how.tuning, found)
-    else:
-        classes = made.classes(image, prepared[key], how.settings, how.tuning, found)
-        if lit_there is not None:
-            classes = np.where(full_size(lit_there, classes.shape), classes, EGO).astype(np.uint8)
+    use = made.look(image, prepared[key], how.settings, how.tuning, found)
+    if use.dtype != bool:
+        classes = use if lit_there is None else np.where(full_size(lit_there, use.shape), use, EGO).astype(np.uint8)
         save_png(classes_path(how.folder, name), classes)
-        keep = full_size(classes == USE, image_size(image))
+        use = classes == USE
+    keep = full_size(use, image_size(image))
     if lit_there is not None:
         keep = keep & lit_there
     save_png(mask_path(how.folder, name), keep)
@@ -153,24 +149,6 @@ def _quality(pair: tuple[str, str | None], folder: Path, tuning: Tuning) -> Qual
     images = folder / "images"
     other = None if before is None else images / before
     return image_quality(images / name, other, read_mask(folder, name), tuning)
-
-
-def _known_ties(prepared: dict[int, Any]) -> dict[int, tuple[int, int, int]]:
-    """By camera: verified matches masked before classes were refuted, masked now, all; of sources that know them."""
-    found = {key: getattr(made, "ties", (0, 0, 0)) for key, made in prepared.items()}
-    return {key: ties for key, ties in found.items() if ties[2]}
-
-
-def _ties(scene: Scene, prepared: dict[int, Any]) -> dict[str, dict]:
-    """What the masks cost of the verified matches of neighbouring frames."""
-    ties = _known_ties(prepared)
-    rows = [
-        [sensor.name, ties[key][2], *(float(100 * masked / ties[key][2]) for masked in ties[key][:2])]
-        for key, sensor in enumerate(scene.all_sensors)
-        if key in ties
-    ]
-    heads = ["camera", "verified matches", "masked before classes were refuted %", "masked %"]
-    return {"matches that the masks cost": {"columns": heads, "rows": rows}} if rows else {}
 
 
 def _by_camera(scene: Scene, shares: np.ndarray) -> dict:

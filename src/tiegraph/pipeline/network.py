@@ -30,5 +30,5 @@ def network(run: Run) -> Outcome:
     return Outcome(
         {"candidates": funnel["candidates"], "kept": funnel["used"], "sections": len(sections)},
         notes=found.notes,
-        tables={"funnel": {"columns": ["step", "pairs"], "rows": rows}, **found.tables},
+        tables={"funnel": {"columns": ["step", "pairs"], "rows": rows}},
     )

@@ -15,7 +15,6 @@ from tiegraph.errors import InputError
 from tiegraph.features.settings import FeaturesSettings
 from tiegraph.features.sift import most_features
 from tiegraph.geometry import transforms
-from tiegraph.pipeline.files import load_npz
 from tiegraph.plan.accuracy import Shape
 from tiegraph.plan.figures import Effort, effort
 from tiegraph.plan.network import MountedCamera, model_figures
@@ -45,8 +44,6 @@ from tiegraph.scene.images import find_images, probe_image
 from tiegraph.scene.rig import Rig, Sensor, calibrated
 from tiegraph.sfm.adjustment.adjust import free_cameras
 from tiegraph.sfm.covariance import planned_sigma
-from tiegraph.sfm.shape import SHAPE
-from tiegraph.sfm.shape import Shape as ModelShape
 from tiegraph.sfm.systematic.lenses import AssumedErrors
 from tiegraph.sfm.tuning import Tuning as SfmTuning
 
@@ -107,13 +104,7 @@ def reached(folder: Path) -> dict[str, float | None]:
         out |= {"base_m": base, "overlap": max(0.0, 1 - base / (float(out["tie_gsd_m"] or 0) * camera.width))}
     inside, sigma = world.get("model_sigma") or {}, world.get("sigma") or {}
     shape = inside.get("median")
-    # Where the rig was relaxed the sigma of all positions is how well the cameras' places in the rig are known, which a
-    # plan does not ask: there the sigma of a camera's way counts.
-    file = folder / "sparse" / SHAPE
-    way = ModelShape(**load_npz(file)).of_path() if file.exists() else None
-    path = None if way is None else way.sizes()["median"]
-    out["relaxed"] = None if path is None else 1.0
-    out["position_shape_sigma_median_m"] = shape if path is None else world["scale"] * path
+    out["position_shape_sigma_median_m"] = shape
     if shape is not None and "position_m" in sigma:
         out["place_world_sigma_median_m"] = float(np.hypot(shape, sigma["position_m"]))
         out["height_world_sigma_median_m"] = float(np.hypot(shape, sigma["height_m"]))

@@ -101,7 +101,7 @@ def _lines(
     chosen = [level[k] for k in np.unique(np.linspace(0, len(level) - 1, count).astype(int))]
     first = run.map(read_image, [classes_path(run.folder, n) for n in chosen])
     water = find_water([views[n] for n in chosen], [first_line(c, tuning) for c in first], points, up.direction, tuning)
-    lines = {name: lines_of(view, up.direction, water, tuning) for name, view in views.items()}
+    lines = {name: lines_of(view, up.direction, water) for name, view in views.items()}
     if water is None:
         return lines, ("no sky below the horizon; no water level was found, so the water stays as it was learnt",)
     unit = world_unit(run.folder)
@@ -112,7 +112,6 @@ def _lines(
 
 
 def _views(run: Run, scene: Scene, model: pycolmap.Reconstruction, matrices: np.ndarray) -> dict[str, View]:
-    tuning = run.settings.tuning.masks.waterline
     grids: dict[int, np.ndarray] = {}
     ids = {i.name: i.camera_id for i in model.images.values()}
     views = {}
@@ -123,7 +122,7 @@ def _views(run: Run, scene: Scene, model: pycolmap.Reconstruction, matrices: np.
         camera = ids[name]
         if camera not in grids:
             shape = read_image(classes_path(run.folder, name)).shape[:2]
-            grids[camera] = camera_rays(model.cameras[camera], shape, tuning)
+            grids[camera] = camera_rays(model.cameras[camera], shape, run.settings.tuning.masks.waterline)
         rotation, shift = matrices[k, :3, :3], matrices[k, :3, 3]
         views[name] = View(grids[camera] @ rotation, -rotation.T @ shift)
     return views

@@ -132,7 +132,7 @@ def make_model(
     model = with_surface(model, used, lambda k: read_preview(run.folder, scene.names[k]).xy, network.coarse.tracks)
     focal = np.array([camera.mean_focal_length() for camera in model.cameras])
     surface = surface_map(model.visibility(network.coarse), focal, settings.tuning.design.surface)
-    places = weak_places(surface, settings.tuning.design.surface)
+    places = weak_places(surface)
     return Modelled(ties, model.cam_from_world, rigs=model.rigs, surface=surface, places=places)
 
 

@@ -24,7 +24,6 @@ _MEANS = {
 _WITHOUT = {
     "world.check_points": "No check points: whether coordinates are right is the positions' word alone.",
     "world.held_out": "No positions held back from the fit: whether the model bends between them is not tested.",
-    "shape.rig": "No rig of several cameras was tested: whether a camera moved is not known.",
     "point.reference_cloud": "No reference cloud: noise and ghosts of the cloud were not measured.",
 }
 _PLACEMENT = {  # name -> (words, unit, factor, where nothing is known)

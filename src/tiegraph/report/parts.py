@@ -35,19 +35,12 @@ _CAPTIONS = {
     "that hangs on one link.",
     "covered": "How well the surface is covered, seen from above: cells by what is weak about them; the numbers are "
     "rows of the table of places to go to again.",
-    "surface": "What the frames of two passes share: the dark ridge is where both see the same place, the red path "
-    "follows it although speed and direction differ.",
     "offset": "Frame-offset curves: preview matches of two cameras against the frame offset between them. A clear peak "
     "is the offset the pair range is laid around; a flat curve means the two never see the same place.",
     "section": "What the upward camera sees along the way, and the bridge and open sections cut from it.",
     "funnel": "How many pairs of images each filter of the network left.",
 }
-_LINKS = {  # tables that stand first, and what is said of them
-    "section links": "Are neighbouring sections tied to each other? Two pairs without a common image are what holds "
-    "them.",
-    "weak links": "Weak links: places where the survey falls apart, or hangs on very little, if one tie or frame is "
-    "lost.",
-}
+_WEAK_LINKS = "Weak links: places where the survey falls apart, or hangs on very little, if one tie or frame is lost."
 _SOUND = "No weak links: no place hangs on a single tie or frame."
 
 
@@ -71,8 +64,8 @@ def network_part(run: RunFolder) -> dict[str, Any]:
             table = formatting.table(data, f"{_title(stage)}: {said(plain)}", f"receipts.{stage}.{name}")
             if plain == "weak links" and isinstance(data, dict) and not data.get("rows"):
                 out["sound"] = t(_SOUND)
-            elif table is not None and plain in _LINKS:
-                out["links"].append(replace(table, title=t(_LINKS[plain])))
+            elif table is not None and plain == "weak links":
+                out["links"].append(replace(table, title=t(_WEAK_LINKS)))
             elif table is not None and plain != "funnel":  # that is drawn from the pair table
                 out["tables"].append(table)
     return {**out, "there": any(out[name] for name in ("matrices", "pictures", "tables", "links", "notes"))}

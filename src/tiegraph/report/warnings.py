@@ -35,10 +35,6 @@ def _ranked(run: RunFolder) -> Iterator[tuple[int, str]]:
         yield 3, many(dropped, one, "{} image files could not be used; the reasons are listed below.", count(dropped))
     if run.scene is not None and run.model is not None:
         yield from _coverage_warnings(run)
-    if untied := _untied_borders(run):
-        one = "{} border between sections is not tied by two independent pairs: the model may bend or part there."
-        several = "{} borders between sections are not tied by two independent pairs: the model may bend or part there."
-        yield 2, many(untied, one, several, count(untied))
     if run.pairs is not None and run.scene is not None and np.any(run.pairs.inliers >= 0):
         if few := int(np.sum(ties(run.pairs, len(run.scene)) < FEW_TIES)):
             one = "{} image has fewer than {} verified ties to other images."
@@ -53,15 +49,6 @@ def _ranked(run: RunFolder) -> Iterator[tuple[int, str]]:
         if held > _HELDOUT_FACTOR * fit:
             text = "Positions held back from the fit are met far worse than those used: the model bends to its control."
             yield 1, t(text)
-
-
-def _untied_borders(run: RunFolder) -> int:
-    """Rows of the table of section links that say "not tied"."""
-    table = next((data for name, data in run.tables("network").items() if "section" in name), None)
-    if not isinstance(table, dict) or "tied" not in (table.get("columns") or []):
-        return 0
-    place = table["columns"].index("tied")
-    return sum(row[place] is False for row in table.get("rows") or [] if len(row) > place)
 
 
 def _coverage_warnings(run: RunFolder) -> Iterator[tuple[int, str]]:

@@ -201,6 +201,22 @@ def two_links(i: np.ndarray, j: np.ndarray, member: np.ndarray, strength: np.nda
     return across[:1]
 
 
+def best_line(gain: np.ndarray, cost: float) -> np.ndarray:
+    """(C,) place in each row of ``gain`` (C, R) of the line with the largest sum, less ``cost`` for each place that it
+    moves from one row to the next. Dynamic programme."""
+    slope = cost * np.arange(gain.shape[1])
+    best = [gain[0]]
+    for column in gain[1:]:
+        before = best[-1]
+        down = np.maximum.accumulate(before + slope) - slope
+        up = np.maximum.accumulate((before - slope)[::-1])[::-1] + slope
+        best.append(column + np.maximum(down, up))
+    line = [int(np.argmax(best[-1]))]
+    for before in best[-2::-1]:
+        line.append(int(np.argmax(before - np.abs(slope - slope[line[-1]]))))
+    return np.array(line[::-1])
+
+
 def components(pairs: Pairs, images: int) -> np.ndarray:
     """(N,) component of every image in the graph of kept pairs, the largest is 0."""
     kept = pairs.kept()

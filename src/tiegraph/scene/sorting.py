@@ -77,6 +77,15 @@ def row_numbers(columns: np.ndarray) -> np.ndarray:
     return number
 
 
+def among_best(group: np.ndarray, value: np.ndarray, most: int) -> np.ndarray:
+    """(K,) bool: items that are among the ``most`` highest values (K,) of their group (K,); of equal ones the first."""
+    order = np.lexsort((-value, group))
+    rank = np.arange(len(order)) - np.searchsorted(group[order], group[order])
+    out = np.zeros(len(order), bool)
+    out[order[rank < most]] = True
+    return out
+
+
 def evenly(count: int, most: int) -> np.ndarray:
     """(K,) places of at most ``most`` of ``count`` things, spread evenly over them, with the first and the last."""
     return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))

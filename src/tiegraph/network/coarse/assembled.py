@@ -60,7 +60,7 @@ def assembled(
     if is_whole(blocks, scene):
         return Assembled(tuple(m for m in models if m is not None and m.placed().any()))
     made = [(b, m) for b, m in zip(blocks, models) if m is not None and m.placed().any()]
-    poses = [_poses(block, model, tuning) for block, model in made]
+    poses = [_poses(block, model) for block, model in made]
     joined = join_models(poses, joining)
     whose = _whose(scene, made, joined.part)
     found = [_together(scene, made, joined, whose, k) for k in range(int(joined.part.max(initial=-1)) + 1)]
@@ -77,9 +77,9 @@ def is_whole(blocks: Sequence[Block], scene: Scene) -> bool:
     return len(blocks) == 1 and len(blocks[0]) == len(scene)
 
 
-def _poses(block: Block, model: CoarseModel, tuning: CoarseTuning) -> Poses:
+def _poses(block: Block, model: CoarseModel) -> Poses:
     there = model.placed()
-    far = np.nanmedian(model.reach(tuning)[:, 1]) if len(model.point) else np.nan
+    far = np.nanmedian(model.reach()[:, 1]) if len(model.point) else np.nan
     return Poses(block.images[there], model.cam_from_world[there], float(far) if np.isfinite(far) else 1.0)
 
 

@@ -10,7 +10,7 @@ import pycolmap
 from tiegraph.geometry import transforms
 from tiegraph.network.coarse.proxy import Proxy
 from tiegraph.network.coarse.visible import Overlap, observed_proxy, shared_surface, visible_points
-from tiegraph.network.tuning.coarse import CoarseTuning, ProxyTuning
+from tiegraph.network.tuning.coarse import CoarseTuning
 from tiegraph.scene.matches import Visibility
 from tiegraph.scene.rig import Rig, camera_from_dict, camera_to_dict, rig_from_dict, rig_to_dict
 
@@ -34,30 +34,30 @@ class CoarseModel:
         """(N,) bool: images in the model."""
         return np.all(np.isfinite(self.cam_from_world), axis=(1, 2))
 
-    def reach(self, tuning: CoarseTuning) -> np.ndarray:
+    def reach(self) -> np.ndarray:
         """(N, 2) distances to the nearest and farthest points an image sees (percentiles); NaN without points."""
         centre = transforms.centre(self.cam_from_world)
         distance = np.linalg.norm(self.points[self.point] - centre[self.image], axis=1)
         out = np.full((len(self.cam_from_world), 2), np.nan)
         order = np.argsort(self.image, kind="stable")
         ends = np.searchsorted(self.image[order], np.arange(len(out) + 1))
-        for k in np.flatnonzero(np.diff(ends) >= tuning.reach_points):
+        for k in np.flatnonzero(np.diff(ends) >= 10):
             own = order[ends[k] : ends[k + 1]]
-            out[k] = np.percentile(distance[own], tuning.reach_percentiles)
+            out[k] = np.percentile(distance[own], (5.0, 95.0))
         return out
 
-    def proxy(self, tuning: ProxyTuning) -> Proxy:
+    def proxy(self) -> Proxy:
         """Its points as the surface."""
-        return observed_proxy(self.points, self.image, self.point, self.cam_from_world, tuning)
+        return observed_proxy(self.points, self.image, self.point, self.cam_from_world)
 
     def overlap(self, max_angle_deg: float, tuning: CoarseTuning) -> Overlap:
         """Predicted shared surface of every two images whose rays to it meet at no more than an angle."""
-        proxy = self.proxy(tuning.proxy)
+        proxy = self.proxy()
         return shared_surface(self.cam_from_world, self.cameras, proxy, tuning.visible, max_angle_deg)
 
     def visibility(self, tuning: CoarseTuning) -> Visibility:
         """The points each image should see."""
-        return visible_points(self.cam_from_world, self.cameras, self.proxy(tuning.proxy), tuning.visible)
+        return visible_points(self.cam_from_world, self.cameras, self.proxy(), tuning.visible)
 
     def to_npz(self) -> dict[str, np.ndarray]:
         """Arrays for ``np.savez``: all of it, exactly; cameras and rigs as JSON."""

@@ -1,6 +1,6 @@
-"""The overlap of a few given pairs by poses alone: all looks of one camera at equally many points at once."""
+"""The overlap of a few given pairs by poses alone."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import pycolmap
@@ -9,8 +9,7 @@ from tiegraph.geometry import transforms
 from tiegraph.network.coarse.proxy import View, assumed_proxy
 from tiegraph.network.coarse.visible import Rays, in_view
 from tiegraph.network.tuning.coarse import CoarseTuning
-
-_POINTS = 100_000  # at which looks are worked out at once
+from tiegraph.scene.graph import spread
 
 
 def pair_share(
@@ -31,23 +30,18 @@ def pair_share(
     there = np.flatnonzero(known[i] & known[j])
     owner, looking = np.concatenate([i[there], j[there]]), np.concatenate([j[there], i[there]])
     starts = np.searchsorted(proxy.image, np.arange(len(cameras) + 1))  # an assumed proxy is in the order of its images
-    count, camera = np.diff(starts)[owner], np.array([id(c) for c in cameras])[looking]
-    share = np.zeros(len(owner))
-    for alike in _parts_alike(camera, count):
-        rows = starts[owner[alike], None] + np.arange(count[alike[0]])
-        pose = cam_from_world[looking[alike]]
-        ray = proxy.points[rows] - transforms.centre(pose)[:, None]
-        local = (ray @ pose[:, :3, :3].swapaxes(1, 2)).reshape(-1, 3)
-        view = View.of(cameras[looking[alike[0]]], tuning.visible.guessed_view_deg)
-        rays = Rays(view, 0.0, rows.ravel(), world=ray.reshape(-1, 3), local=local)
-        share[alike] = in_view(rays, proxy, tuning.visible)[0].reshape(rows.shape).mean(axis=1)
+    count = np.diff(starts)[owner]
+    point, look = spread(starts[owner], count), np.repeat(np.arange(len(owner)), count)
+    pose, camera = cam_from_world[looking[look]], np.array([id(c) for c in cameras])[looking[look]]
+    ray = proxy.points[point] - transforms.centre(pose)
+    local = np.einsum("kab,kb->ka", pose[:, :3, :3], ray)
+    seen = np.zeros(len(point), bool)
+    for one in {id(c): c for c in cameras}.values():
+        own = np.flatnonzero(camera == id(one))
+        view = View.of(one, tuning.visible.guessed_view_deg)
+        rays = Rays(view, 0.0, point[own], world=ray[own], local=local[own])
+        seen[own] = in_view(rays, proxy, tuning.visible)[0]
+    share = np.bincount(look, seen, minlength=len(owner)) / np.maximum(count, 1)
     out = np.full(len(i), np.nan)
     out[there] = share.reshape(2, -1).max(axis=0)
     return out
-
-
-def _parts_alike(camera: np.ndarray, count: np.ndarray) -> Iterator[np.ndarray]:
-    """Looks (K,) of one camera each at equally many points, in parts that bound memory; those at none are left out."""
-    for key, points in set(zip(camera.tolist(), count.tolist())):
-        alike, size = np.flatnonzero((camera == key) & (count == points)), max(1, _POINTS // max(points, 1))
-        yield from (alike[k : k + size] for k in range(0, len(alike), size) if points)

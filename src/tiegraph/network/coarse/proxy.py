@@ -8,7 +8,7 @@ import pycolmap
 
 from tiegraph.geometry import transforms
 from tiegraph.geometry.rays import unit_rays
-from tiegraph.network.tuning.coarse import CoarseTuning, ProxyTuning
+from tiegraph.network.tuning.coarse import CoarseTuning
 from tiegraph.scene.rig import on_plane
 
 
@@ -86,9 +86,7 @@ class Proxy:
         )
 
 
-def observed_proxy(
-    points: np.ndarray, image: np.ndarray, point: np.ndarray, cam_from_world: np.ndarray, tuning: ProxyTuning
-) -> Proxy:
+def observed_proxy(points: np.ndarray, image: np.ndarray, point: np.ndarray, cam_from_world: np.ndarray) -> Proxy:
     """Proxy of model points (P, 3) and their observations: ``image`` (O,) sees ``point`` (O,)."""
     centre = transforms.centre(cam_from_world)
     known = np.isfinite(centre[image]).all(axis=1)
@@ -99,7 +97,7 @@ def observed_proxy(
     np.add.at(towards, point, ray / distance[:, None])
     towards /= np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-12)
     reach = np.zeros(len(points))
-    np.maximum.at(reach, point, tuning.far_observers * distance)
+    np.maximum.at(reach, point, 2.0 * distance)  # not seen from further than twice its farthest observer
     observers = np.bincount(point, minlength=len(points))
     reach = np.where(observers > 0, reach, np.inf)
     return Proxy(points=points, reach=reach, towards=towards, image=image, point=point)
@@ -118,30 +116,22 @@ def assumed_proxy(
     known = np.flatnonzero(np.isfinite(cam_from_world[:, :3]).all(axis=(1, 2)))
     ranges = np.broadcast_to(np.asarray(range_m, float), (len(cam_from_world),))
     views = {key: View.of(c, tuning.visible.guessed_view_deg) for key, c in {id(c): c for c in cameras}.items()}
-    rays = {key: _grid_rays(view, tuning.proxy.assumed_grid) for key, view in views.items()}
-    steps = np.array(tuning.proxy.assumed_ranges)
+    rays = {key: _grid_rays(view, (6, 5)) for key, view in views.items()}
+    steps = np.array((0.25, 0.5, 1.0, 2.0))  # in assumed ranges
     centres = transforms.centre(cam_from_world[known])
-    points, towards, count = [], [], []
+    points, towards, count = [np.zeros((0, 3))], [np.zeros((0, 3))], []
     for k, centre in zip(known, centres):
         world = rays[id(cameras[int(k)])] @ cam_from_world[k, :3, :3]
         points.append((centre + world[None] * (steps * ranges[k])[:, None, None]).reshape(-1, 3))
         towards += [-world] * len(steps)
         count.append(len(points[-1]))
-    if not points:
-        return Proxy(
-            points=np.zeros((0, 3)),
-            reach=np.zeros(0),
-            towards=np.zeros((0, 3)),
-            image=np.zeros(0, int),
-            point=np.zeros(0, int),
-            assumed=True,
-        )
+    number = np.array(count, int)
     return Proxy(
         points=np.concatenate(points),
-        reach=np.repeat(tuning.proxy.assumed_reach * ranges[known], count),
+        reach=np.repeat(3.0 * ranges[known], number),  # seen from three ranges away
         towards=np.concatenate(towards),
-        image=np.repeat(known, count),
-        point=np.arange(sum(count)),
+        image=np.repeat(known, number),
+        point=np.arange(number.sum()),
         assumed=True,
     )
 

@@ -87,7 +87,7 @@ class Search:
         if len(suspects):
             self._left_out = np.union1d(self._left_out, suspects)
         else:
-            self._per_image *= self._tuning.more_pairs
+            self._per_image *= 1.5
 
     def result(self) -> Coarse:
         """The candidate pairs by the predicted shared surface where the best model is trusted, unchanged elsewhere.
@@ -102,7 +102,7 @@ class Search:
         model, loose = best.models[0], self._loose(best)
         trusted = best.trust.images & ~loose[self._scene.sensor_key]
         pairs = _judged(self._pairs, best.overlap, np.where(trusted, best.part, -1), self._settings)
-        pairs = pairs.drop(_never_tied(pairs, self._scene, self._cache, self._settings, self._tuning), "votes")
+        pairs = pairs.drop(_never_tied(pairs, self._scene, self._cache, self._settings), "votes")
         scene, moved = calibrated_scene(self._scene, model, loose, self._tuning)
         notes = (*self._notes(best, loose), *moved)
         return Coarse(pairs=pairs, scene=scene, model=model, trusted=trusted, notes=notes)
@@ -112,7 +112,7 @@ class Search:
         hold them (four of nine models of ``canal_demo`` turned the up camera by 55 deg, the others by 1)."""
         out = tried.turned > self._tuning.most_turn_deg
         for other in (t for t in self._tries if t is not tried and t.models):
-            out &= np.abs(other.turned - tried.turned) > self._tuning.same_turn_deg
+            out &= np.abs(other.turned - tried.turned) > 3.0
         return out
 
     def _notes(self, best: _Try, loose: np.ndarray) -> tuple[str, ...]:
@@ -201,9 +201,7 @@ def _judged(pairs: Pairs, overlap: Overlap, part: np.ndarray, settings: Candidat
     return judged | found.where(~found.isin(copies))
 
 
-def _never_tied(
-    pairs: Pairs, scene: Scene, cache: MatchCache, settings: CandidatesSettings, tuning: CoarseTuning
-) -> np.ndarray:
+def _never_tied(pairs: Pairs, scene: Scene, cache: MatchCache, settings: CandidatesSettings) -> np.ndarray:
     """(P,) bool: pairs of two cameras that the model says share surface and whose previews say never match.
 
     An up camera sees the walls from so low an angle, and so few of their features, that nothing ties (``canal``: 0 of
@@ -217,7 +215,7 @@ def _never_tied(
     seen = np.isfinite(count) & (pairs.overlap >= settings.min_overlap)
     total = np.bincount(group[seen], minlength=sensors * sensors)
     hits = np.bincount(group[seen], count[seen] >= settings.min_matches, minlength=sensors * sensors)
-    never = (total >= tuning.enough_looks) & (hits < tuning.never * total)
+    never = (total >= 8) & (hits < 0.1 * total)  # chance ties one in ten
     return never[group] & ~pairs.from_source("sequence") & ~(np.nan_to_num(count) >= settings.min_matches)
 
 

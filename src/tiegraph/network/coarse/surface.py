@@ -22,7 +22,7 @@ def with_surface(
     """The model with the points of all tracks that ``ties`` join between its images.
 
     ``features``: pixels (K, 2) of an image's preview. Of the rays of a point the worst are left out one after another,
-    at most ``most_left_out``, while they miss it by more than ``off_deg``; it needs ``images`` others, two of them
+    at most three, while they miss it by more than ``off_deg``; it needs ``images`` others, two of them
     ``angle_deg`` apart.
     """
     placed = model.placed()
@@ -37,7 +37,7 @@ def with_surface(
     twice = (np.diff(track[order]) == 0) & (np.diff(image[order]) == 0)
     use = np.isfinite(towards).all(axis=1) & ~np.isin(track, track[order[1:][twice]])
     points, off = np.zeros((0, 3)), np.zeros(len(track))
-    for _ in range(tuning.most_left_out + 1):
+    for _ in range(4):  # with more than three wrong rays it is no point
         use &= ~_worst(track, np.where(use, off, 0.0), tuning.off_deg)
         use &= _held(track, towards, use, tuning)[track]
         points = _nearest(track, centre, np.where(use[:, None], towards, np.nan))

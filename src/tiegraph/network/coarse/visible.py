@@ -82,7 +82,7 @@ def in_view(rays: Rays, proxy: Proxy, tuning: VisibleTuning) -> tuple[np.ndarray
     ray, local, towards = rays.world, rays.local, proxy.towards[rays.point]
     distance = np.linalg.norm(ray, axis=1)
     ahead = (local[:, 2] > max(np.cos(min(half, np.pi)), 1e-6) * distance) & (distance < proxy.reach[rays.point])
-    facing = -np.einsum("kc,kc->k", ray, towards) > tuning.front_cos * distance
+    facing = -np.einsum("kc,kc->k", ray, towards) > -0.3 * distance  # below, its back is seen
     seen = ahead & (facing | ~towards.any(axis=1))
     shares = np.full((len(ray), 2), np.nan)
     shares[seen] = rays.view.project(local[seen], rays.slack)
@@ -125,7 +125,7 @@ def shared_surface(
     """
     known = np.flatnonzero(np.isfinite(cam_from_world[:, :3]).all(axis=(1, 2)))
     if len(known) < 2 or not len(proxy):
-        return Overlap(*(np.zeros(0, int),) * 2, *(np.zeros(0),) * 3)
+        return Overlap.together(())
     eyes = _eyes(cam_from_world, cameras, known, slack_rad, tuning.guessed_view_deg)
     centre = transforms.centre(cam_from_world[known])
     parts = _by_owner(proxy, known, centre) if proxy.assumed else [proxy]
@@ -217,14 +217,14 @@ def _owned(proxy: Proxy, images: np.ndarray) -> list[np.ndarray]:
 def _thinned(eyes: list[_Eye], proxy: Proxy, tuning: VisibleTuning) -> tuple[Proxy, Boxes]:
     """A random part of the points, where images would see far more than is needed."""
     boxes = Boxes(proxy)
-    enough = float(np.clip(tuning.sights / len(eyes), *tuning.mean_visible))
+    enough = float(np.clip(3_000_000 / len(eyes), *tuning.mean_visible))  # of all images together: bounds memory
     if proxy.assumed or len(proxy) <= enough:
         return proxy, boxes
     rng = np.random.default_rng(0)
-    sample = rng.choice(len(eyes), min(len(eyes), tuning.thinning_images), replace=False)
+    sample = rng.choice(len(eyes), min(len(eyes), 40), replace=False)
     none = np.zeros(0, int)
     count = np.mean([len(_sight(eyes[k], proxy, boxes, none, tuning)[0]) for k in sample])
-    if count <= tuning.thinning_from * enough:
+    if count <= 1.2 * enough:
         return proxy, boxes
     # At random: spread evenly over the surface they predicted worse on ``canal`` (textured near surfaces tie).
     proxy = proxy.keep(rng.random(len(proxy)) < enough / count)
@@ -271,7 +271,7 @@ def _directed(seen: _Table, centre: np.ndarray, tuning: VisibleTuning) -> np.nda
 
     Sparse products of the votes with what is seen; for the angle and the scale, weighted by rays and distances.
     """
-    sample = _sampled(seen, tuning)
+    sample = _sampled(seen)
     ray = ((sample.points[sample.point] - centre[sample.image]) / sample.distance[:, None]).astype(np.float32)
     log_distance = np.log(sample.distance)
     all_, few = _Products(seen), _Products(sample)
@@ -303,10 +303,10 @@ def _dense(table: csr_array, place: np.ndarray, width: int) -> np.ndarray:
     return csr_array((table.data, place[table.indices], table.indptr), shape=(table.shape[0], width)).toarray()
 
 
-def _sampled(seen: _Table, tuning: VisibleTuning) -> _Table:
+def _sampled(seen: _Table) -> _Table:
     """The sights of a random part of the points: mean angles need fewer than shares."""
-    part = tuning.angle_points * seen.shape[0] / max(len(seen.image), 1)
-    if part >= tuning.angle_share or np.any(seen.vote == 0):  # assumed points are few
+    part = 400 * seen.shape[0] / max(len(seen.image), 1)
+    if part >= 0.7 or np.any(seen.vote == 0):  # assumed points are few
         return seen
     keep = (np.random.default_rng(1).random(len(seen.points)) < part)[seen.point]
     return _Table(

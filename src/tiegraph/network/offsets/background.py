@@ -9,8 +9,6 @@ It is measured for every two cameras. Evidence counts above it, and only at thos
 cameras tie all along it.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
@@ -19,25 +17,18 @@ from tiegraph.network.scorematrix import NoiseFloor, ScoreMatrix
 from tiegraph.network.tuning import Tuning
 
 
-@dataclass(frozen=True)
-class Far:
-    """Previews of frames that share nothing: cameras c (K,), d (K,), inliers (K,)."""
-
-    c: np.ndarray
-    d: np.ndarray
-    count: np.ndarray
-
-    def noise_floor(self, shape: tuple[int, ...], min_matches: int, tuning: Tuning) -> NoiseFloor:
-        """The level of every two cameras, (S, T) of them."""
-        low, high = tuning.counts.floor * min_matches, tuning.counts.ceiling * min_matches
-        enough, outstanding = tuning.offsets.background.enough, tuning.offsets.background.outstanding
-        value = np.clip(self.count, low, high)
-        key = self.c * shape[1] + self.d
-        number = np.bincount(key, minlength=shape[0] * shape[1])
-        mean = np.bincount(key, value, minlength=len(number)) / np.maximum(number, 1)
-        mean = np.where(number >= enough, mean, value.mean()).reshape(shape)
-        most = max(high, float(np.quantile(self.count, outstanding)))
-        return NoiseFloor(mean=mean, most=most, lowest=low, highest=high, most_level=tuning.offsets.scores.most_level)
+def noise_floor(
+    cameras: tuple[np.ndarray, np.ndarray], count: np.ndarray, shape: tuple[int, ...], min_matches: int, tuning: Tuning
+) -> NoiseFloor:
+    """The level of every two cameras, (S, T) of them, by previews (K,) of frames that share nothing, of ``cameras``
+    c (K,) and d (K,)."""
+    low, high = tuning.counts.floor * min_matches, tuning.counts.ceiling * min_matches
+    value, key = np.clip(count, low, high), cameras[0] * shape[1] + cameras[1]
+    number = np.bincount(key, minlength=shape[0] * shape[1])
+    mean = np.bincount(key, value, minlength=len(number)) / np.maximum(number, 1)
+    mean = np.where(number >= tuning.offsets.background.enough, mean, value.mean()).reshape(shape)
+    most = max(high, float(np.quantile(count, 0.99)))
+    return NoiseFloor(mean=mean, most=most, lowest=low, highest=high, most_level=tuning.offsets.scores.most_level)
 
 
 def noise_floor_within(
@@ -48,7 +39,8 @@ def noise_floor_within(
     if len(p) < tuning.offsets.background.long_frames:
         return None
     rng = np.random.default_rng(len(p))
-    (least, most), samples = tuning.offsets.background.far_share, tuning.offsets.background.samples
+    # So far apart frames share nothing, also where the end of a pass is its beginning
+    (least, most), samples = (0.4, 0.6), tuning.offsets.background.samples
     apart = rng.integers(int(least * len(p)), int(most * len(p)) + 1, samples)
     a = rng.integers(0, len(p) - apart)
     b = a + apart
@@ -60,8 +52,7 @@ def noise_floor_within(
     if not there.any():
         return None
     count, c, d = cache.measure(left[there], right[there]), c[there], d[there]
-    far = Far(np.concatenate([c, d]), np.concatenate([d, c]), np.tile(count, 2))
-    return far.noise_floor(allowed.shape, min_matches, tuning)
+    return noise_floor((np.r_[c, d], np.r_[d, c]), np.tile(count, 2), allowed.shape, min_matches, tuning)
 
 
 def noise_floor_away(scores: ScoreMatrix, beside: np.ndarray, min_matches: int, tuning: Tuning) -> NoiseFloor | None:
@@ -69,7 +60,7 @@ def noise_floor_away(scores: ScoreMatrix, beside: np.ndarray, min_matches: int, 
     c, d, a, b = np.nonzero(np.isfinite(scores.inliers) & ~beside)
     if not len(c):
         return None
-    return Far(c, d, scores.inliers[c, d, a, b]).noise_floor(scores.allowed.shape, min_matches, tuning)
+    return noise_floor((c, d), scores.inliers[c, d, a, b], scores.allowed.shape, min_matches, tuning)
 
 
 def corridor(scores: ScoreMatrix, path: np.ndarray, window: int, tuning: Tuning) -> np.ndarray:
@@ -78,19 +69,19 @@ def corridor(scores: ScoreMatrix, path: np.ndarray, window: int, tuning: Tuning)
     What two cameras share changes slowly along a pass, so that all its frames together tell at which distances they
     tie; a repeated wall ties frames at any distance, but only some of them.
     """
-    noise_floor = scores.noise_floor
+    floor = scores.noise_floor
     beside = np.rint(np.arange(len(scores.columns)) - path[:, None]).astype(int) + window  # (A, B) bin
     inside = (beside >= 0) & (beside <= 2 * window)
-    if noise_floor is None:
+    if floor is None:
         return np.broadcast_to(inside, scores.inliers.shape)
     c, d, a, b = np.nonzero(np.isfinite(scores.inliers) & inside)
     shape = (*scores.allowed.shape, 2 * window + 1)
     key = np.ravel_multi_index((c, d, beside[a, b]), shape)
-    value = np.clip(scores.inliers[c, d, a, b], noise_floor.lowest, noise_floor.highest)
+    value = np.clip(scores.inliers[c, d, a, b], floor.lowest, floor.highest)
     total, number = (np.bincount(key, w, np.prod(shape)).reshape(shape) for w in (value, np.ones(len(key))))
     total, number = (gaussian_filter1d(x, tuning.counts.sigma_nodes, axis=2, mode="constant") for x in (total, number))
-    span = (noise_floor.highest - noise_floor.told)[..., None]
-    share = np.where(number > 0, (total / np.maximum(number, 1e-9) - noise_floor.told[..., None]) / span, -1.0)
+    span = (floor.highest - floor.told)[..., None]
+    share = np.where(number > 0, (total / np.maximum(number, 1e-9) - floor.told[..., None]) / span, -1.0)
     ties = share >= tuning.offsets.background.band
     peak = np.argmax(share, axis=2)
     ahead, back = np.arange(shape[2]) >= peak[..., None], np.arange(shape[2]) <= peak[..., None]

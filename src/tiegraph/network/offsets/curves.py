@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tiegraph.network.offsets.surface import OffsetSurface
 from tiegraph.network.rig import commonview
 from tiegraph.network.rig.axes import angles_deg
 from tiegraph.network.scorematrix import ScoreMatrix
@@ -42,7 +41,6 @@ class Proposal:
     pairs: Pairs
     notes: tuple[str, ...] = ()
     curves: tuple[OffsetCurve, ...] = ()
-    surfaces: tuple[OffsetSurface, ...] = ()
     apart: bool = False  # the images say that the poses of different passes do not stand in one world
     stranger: str = ""  # the couple of passes, where it has no common view
 
@@ -51,7 +49,6 @@ class Proposal:
             pairs=self.pairs | other.pairs,
             notes=self.notes + other.notes,
             curves=self.curves + other.curves,
-            surfaces=self.surfaces + other.surfaces,
             apart=self.apart or other.apart,
         )
 
@@ -61,7 +58,7 @@ def facing(scores: ScoreMatrix, excess: np.ndarray, settings: CandidatesSettings
     yaw = commonview.yaw(scores, excess, tuning)
     if yaw is None:
         return np.ones(excess.shape[:2], bool)
-    return angles_deg(scores.p.rig, yaw, tuning.axes) <= settings.axes_deg
+    return angles_deg(scores.p.rig, yaw) <= settings.axes_deg
 
 
 def curves_of(

@@ -10,7 +10,6 @@ same byte for byte never get here: scan leaves them out. Of others the previews 
 feature is found again.
 """
 
-import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
@@ -22,7 +21,6 @@ import numpy as np
 from tiegraph.errors import choose
 from tiegraph.network.offsets.background import corridor, noise_floor_away, noise_floor_within
 from tiegraph.network.offsets.curves import Proposal, curves_of, facing
-from tiegraph.network.offsets.surface import minimum_cost_path, surfaces_of
 from tiegraph.network.passes import MatchCache, Pass
 from tiegraph.network.rig import commonview
 from tiegraph.network.rig.axes import allowed_within
@@ -31,10 +29,9 @@ from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import CountsTuning, Tuning
 from tiegraph.network.tuning.retrieval import CopiesTuning
 from tiegraph.network.tuning.rig import RigTuning
+from tiegraph.scene.graph import best_line
 from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.sorting import evenly
-
-log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -86,10 +83,10 @@ def _local_offsets(
         share = max(0, budget - len(cache)) // (len(pass_pairs) - k)
         stride = finest = min(strides[id(p)], strides[id(q)])
         survey = _survey((p, q), (stride, offsets.window_nodes), cache, settings, tuning, len(cache) + share)
-        while not survey.complete and offsets.coarser_strides * stride < max(len(p), len(q)):
+        while not survey.complete and 4 * stride < max(len(p), len(q)):
             stride *= 2  # coarser: the nodes of the finer lattice are known and cost nothing
             # As many frames from the path as before: else pairs, and previews, would grow faster than the images.
-            window = max(offsets.least_window_nodes, offsets.window_nodes * finest // stride)
+            window = max(3, offsets.window_nodes * finest // stride)
             survey = _survey((p, q), (stride, window), cache, settings, tuning, len(cache) + share)
         local = _local(survey, settings, tuning)
         parts.append(_without_copies(local, survey.scores, cache, settings, tuning.retrieval.copies))
@@ -114,7 +111,7 @@ def _stride(p: Pass, cache: MatchCache, settings: CandidatesSettings, tuning: Tu
                 break
             best = step
         reach.append(best)
-    most = min(tuning.offsets.max_stride, max(1, len(p) // tuning.offsets.strides_a_pass))
+    most = min(16, max(1, len(p) // 4))
     return int(np.clip(round(float(np.median(reach)) / tuning.offsets.strides_a_reach + 1), 1, most))
 
 
@@ -152,7 +149,7 @@ def _survey(
     smooth = scores.smoothed(settings.min_matches, tuning)
     touched, notes = np.ones(len(scores.rows), bool), ()
     while True:
-        frontier = scores.frontier(smooth, tuning.offsets.flood_excess * settings.min_matches, beside, touched)
+        frontier = scores.frontier(smooth, 1.1 * settings.min_matches, beside, touched)  # noise alone must not spread
         if not len(frontier[0]):
             break
         if len(cache) + len(frontier[0]) > budget:
@@ -190,19 +187,14 @@ def _seed_same(p: Pass, stride: int, cache: MatchCache, settings: CandidatesSett
 
 
 def _seed_across(
-    couple: tuple[Pass, Pass],
-    stride: int,
-    cache: MatchCache,
-    settings: CandidatesSettings,
-    tuning: Tuning,
-    budget: int,
+    couple: tuple[Pass, Pass], stride: int, cache: MatchCache, settings: CandidatesSettings, tuning: Tuning, budget: int
 ) -> tuple[ScoreMatrix, bool, np.ndarray | None]:
     """A coarse grid over both passes gives the path and the heading; then sampled frames around the path."""
     (p, q), offsets, least = couple, tuning.offsets, settings.min_matches
     scores = score_matrix(p, q, stride, np.ones((len(p.images), len(q.images)), bool), offsets.scores)
     cameras = len(p.images) * len(q.images)
     side = int(np.sqrt(max(0, budget - len(cache)) * offsets.coarse_share / cameras))
-    nodes = min(offsets.coarse_nodes, max(offsets.least_coarse_nodes, side))
+    nodes = min(24, max(4, side))
     coarse = np.isin(np.arange(len(scores.rows)), evenly(len(scores.rows), nodes))[:, None] & np.isin(
         np.arange(len(scores.columns)), evenly(len(scores.columns), nodes)
     )
@@ -238,8 +230,8 @@ def _minimum_cost_path(scores: ScoreMatrix, min_matches: int, tuning: Tuning) ->
     columns = np.flatnonzero(known.any(axis=(0, 1, 2)))
     grid = mean[np.ix_(rows, columns)]
     evidence = np.maximum(grid - np.median(grid), 0)
-    node = minimum_cost_path(evidence, np.ones(evidence.shape, bool), tuning.offsets.surface.bend)
-    return np.interp(np.arange(len(scores.rows)), rows, columns[node.astype(int)])
+    node = best_line(evidence, 0.02 * float(evidence.max(initial=0)))  # a lone peak does not catch it
+    return np.interp(np.arange(len(scores.rows)), rows, columns[node])
 
 
 def _path(weight: np.ndarray) -> np.ndarray | None:
@@ -279,11 +271,8 @@ def _local(survey: _Survey, settings: CandidatesSettings, tuning: Tuning) -> Pro
     code = np.where(strong[nodes], 0, reason[nodes[:2]])
     measured = Pairs.make(*scores.images(seen), "offsets", score=scores.inliers[nodes], dropped=code)
     curves = curves_of(scores, survey.reversed, voted, least, counts)
-    surfaces = surfaces_of(scores, smooth, least, tuning)
     note, stranger = _said(scores, smooth, least, tuning.rig)
-    return Proposal(
-        pairs=measured | kept, curves=curves, notes=(*survey.notes, *note), surfaces=surfaces, stranger=stranger
-    )
+    return Proposal(pairs=measured | kept, curves=curves, notes=(*survey.notes, *note), stranger=stranger)
 
 
 def _said(scores: ScoreMatrix, smooth: np.ndarray, min_matches: int, tuning: RigTuning) -> tuple[tuple[str, ...], str]:
@@ -316,7 +305,7 @@ def is_copy(result: Any, min_matches: int, tuning: CopiesTuning) -> bool:
         return False
     # No look at the rotation: the essential matrix of points that do not move is arbitrary.
     features = 1 + int(np.max(result.matches))  # the last feature that is found again
-    still = np.linalg.norm(result.shift) <= tuning.max_shift
+    still = np.linalg.norm(result.shift) <= 0.003  # of the image size
     return bool(still and result.inliers >= tuning.found_again * features)
 
 
@@ -324,31 +313,28 @@ def find_copies(
     scores: ScoreMatrix, cache: MatchCache, min_matches: int, tuning: CopiesTuning
 ) -> tuple[np.ndarray, np.ndarray, str] | None:
     """Image pairs i, j (K,) of the same picture in two passes of one rig, and what to say; None within a pass and where
-    the first look finds none."""
+    some frames of the camera that matches itself best show none, at no offset and at those of its best nodes."""
     p, q = scores.p, scores.q
     if scores.same or len(p.images) != len(q.images):
         return None
-    camera, offset = _best_offset(scores, min_matches, tuning)
-    for step in dict.fromkeys((0, *offset)):
-        m = np.arange(max(0, -step), min(len(p), len(q) - step))
-        some = m[evenly(len(m), tuning.samples)]
-        if camera is None or not len(some):
-            continue
-        first = _copies(p.images[camera, some], q.images[camera, some + step], cache, min_matches, tuning)
-        if first.sum() >= max(tuning.least, tuning.many * len(some)):
-            return _all(scores, m, step, cache, min_matches, tuning)
-    return None
-
-
-def _best_offset(scores: ScoreMatrix, min_matches: int, tuning: CopiesTuning) -> tuple[int | None, tuple[int, ...]]:
-    """The camera that matches itself best, and frame offsets n - m of its best nodes; None = no strong match."""
-    own = np.stack([np.nan_to_num(scores.inliers[c, c]) for c in range(len(scores.inliers))])
+    cameras = np.arange(len(p.images))
+    own = np.nan_to_num(scores.inliers[cameras, cameras])
     camera = int(own.max(axis=(1, 2)).argmax())
-    a, b = np.nonzero(own[camera] >= max(tuning.strong * min_matches, tuning.near_best * own.max()))
+    a, b = np.nonzero(own[camera] >= max(tuning.strong * min_matches, 0.8 * own.max()))
     if not len(a):
-        return None, ()
-    values, counts = np.unique(scores.columns[b] - scores.rows[a], return_counts=True)
-    return camera, tuple(int(v) for v in values[np.argsort(-counts, kind="stable")][: tuning.offsets])
+        return None
+    steps, nodes = np.unique(scores.columns[b] - scores.rows[a], return_counts=True)
+    for step in dict.fromkeys((0, *steps[np.argsort(-nodes, kind="stable")][:2].tolist())):
+        m = np.arange(max(0, -step), min(len(p), len(q) - step))
+        some = m[evenly(len(m), 6)]
+        first = _copies(p.images[camera, some], q.images[camera, some + step], cache, min_matches, tuning)
+        if first.sum() >= max(2, len(some) / 2):
+            i, j = p.images[:, m].ravel(), q.images[:, m + step].ravel()
+            same = _copies(i, j, cache, min_matches, tuning)
+            count, total = int(same.sum()), int((q.images >= 0).sum())
+            note = f"pass {q.name} repeats pass {p.name}: {count} of {total} images show the same picture; pairs of "
+            return i[same], j[same], note + "them carry no base and are dropped: leave one of the passes out"
+    return None
 
 
 def _copies(i: np.ndarray, j: np.ndarray, cache: MatchCache, min_matches: int, tuning: CopiesTuning) -> np.ndarray:
@@ -359,14 +345,3 @@ def _copies(i: np.ndarray, j: np.ndarray, cache: MatchCache, min_matches: int, t
         results = cache.results(np.minimum(i, j)[there], np.maximum(i, j)[there])
         out[there] = [is_copy(r, min_matches, tuning) for r in results]
     return out
-
-
-def _all(
-    scores: ScoreMatrix, m: np.ndarray, step: int, cache: MatchCache, min_matches: int, tuning: CopiesTuning
-) -> tuple[np.ndarray, np.ndarray, str]:
-    p, q = scores.p, scores.q
-    i, j = p.images[:, m].ravel(), q.images[:, m + step].ravel()
-    same = _copies(i, j, cache, min_matches, tuning)
-    count, total = int(same.sum()), int((q.images >= 0).sum())
-    note = f"pass {q.name} repeats pass {p.name}: {count} of {total} images show the same picture; "
-    return i[same], j[same], note + "pairs of them carry no base and are dropped: leave one of the passes out"

@@ -75,7 +75,7 @@ def pose_pairs(scene: Scene, passes: Sequence[Pass], settings: CandidatesSetting
     if with_prior.sum() < 2:
         nowhere = np.full(scene.frames, -1)
         return PoseResult(Pairs.empty(), nowhere, ("poses: fewer than two frames have a prior position",))
-    poses, headings = with_headings(scene, passes, tuning)
+    poses, headings = with_headings(scene, passes)
     reach = settings.range_m or assumed_range(scene, passes, tuning.poses)
     views = prior_views(scene, poses, headings, passes)
     found = predicted_overlap(scene, views, reach, settings, tuning)
@@ -168,7 +168,7 @@ def view_cameras(scene: Scene, tuning: PosesTuning) -> list[pycolmap.Camera | No
     made: list[pycolmap.Camera | None] = []
     for rig in scene.rigs:
         angles = rig.axis_angles_deg()
-        angles = np.where(angles > tuning.next_deg, angles, np.nan)
+        angles = np.where(angles > 5.0, angles, np.nan)  # nearer axes look the same way
         for k, sensor in enumerate(rig.sensors):
             next_ = np.nanmin(angles[k]) if np.isfinite(angles[k]).any() else np.nan
             made.append(_wide_enough(sensor.camera, float(next_), tuning))
@@ -178,7 +178,7 @@ def view_cameras(scene: Scene, tuning: PosesTuning) -> list[pycolmap.Camera | No
 def _wide_enough(camera: pycolmap.Camera | None, next_deg: float, tuning: PosesTuning) -> pycolmap.Camera | None:
     if camera is None or camera.has_prior_focal_length:
         return camera
-    shared = min(tuning.shared_view * next_deg, tuning.max_view_deg) if np.isfinite(next_deg) else 0.0
+    shared = min(1.25 * next_deg, 120.0) if np.isfinite(next_deg) else 0.0  # neighbours overlap by a quarter
     view = max(tuning.guessed_view_deg, shared)
     focal = camera.width / 2 / np.tan(np.radians(view) / 2)
     if camera.mean_focal_length() <= focal:
@@ -194,7 +194,7 @@ def predicted_overlap(
     cameras = view_cameras(scene, tuning.poses)
     cam_from_world = np.full((len(scene), 4, 4), np.nan)
     cam_from_world[views.trusted] = np.linalg.inv(views.pose[views.trusted])
-    slack = np.minimum(views.sigma_m / reach, tuning.poses.max_slack_rad)
+    slack = np.minimum(views.sigma_m / reach, 0.3)
     parts = []
     for world in np.unique(views.world[views.world >= 0]):
         own = np.where((views.world == world)[:, None, None], cam_from_world, np.nan)
@@ -220,7 +220,7 @@ def _frame_pairs(scene: Scene, frames: np.ndarray, reach: float, tuning: PosesTu
     Odometry of one pass knows nothing of another pass, and is never compared with it.
     """
     position, world = scene.world_from_rig[frames, :3, 3], scene.pose_world()[frames]
-    radius = tuning.neighbour_radii * (tuning.far_ranges * reach)
+    radius = 2.0 * (tuning.far_ranges * reach)
     out = [np.stack([frames, frames], axis=1)]
     for group in np.unique(world):
         member = np.flatnonzero(world == group)
@@ -264,29 +264,25 @@ def _tests(
     drifted = tuning.drift * np.abs(views.path_m[i] - views.path_m[j])
     sigma = np.sqrt(views.sigma_m[i] ** 2 + views.sigma_m[j] ** 2 + np.nan_to_num(drifted) ** 2)
     noise = tuning.sigmas * sigma
-    code = np.zeros(len(i), int)
     axis = views.axis()
     # Without orientation nothing but the number of neighbours limits the distance (as COLMAP's spatial matching does).
     oriented = np.isfinite(axis[i]).all(axis=1) & np.isfinite(axis[j]).all(axis=1)
-    _refuse(code, oriented & (base - noise > tuning.far_ranges * reach), "distance")
-    _refuse(code, _angle(axis[i], axis[j]) > settings.axes_deg, "axes")
     apart = scene.frame[i] != scene.frame[j]
     same_camera = (scene.sensor_key[i] == scene.sensor_key[j]) & apart
-    _refuse(code, same_camera & oriented & (base + noise < tuning.near_ranges * reach), "baseline")
     both = views.trusted[i] & views.trusted[j]
     share = np.where(both, found.between(i, j), np.nan)
-    sure = both & apart & (sigma < tuning.unsure * reach)
-    _refuse(code, sure & (share <= 0), "sight")
-    _refuse(code, sure & (share < settings.min_overlap), "overlap")
-    return code, share
+    sure = both & apart & (sigma < 0.25 * reach)  # less certain, two frames are not refused by sight
+    refused = {
+        "distance": oriented & (base - noise > tuning.far_ranges * reach),
+        "axes": _angle(axis[i], axis[j]) > settings.axes_deg,
+        "baseline": same_camera & oriented & (base + noise < tuning.near_ranges * reach),
+        "sight": sure & (share <= 0),
+        "overlap": sure & (share < settings.min_overlap),
+    }
+    return np.select(list(refused.values()), [REASONS.index(r) for r in refused], 0), share
 
 
-def _refuse(code: np.ndarray, mask: np.ndarray, reason: str) -> None:
-    """Mark rows of a local array that no earlier test refused."""
-    code[mask & (code == 0)] = REASONS.index(reason)
-
-
-def with_headings(scene: Scene, passes: Sequence[Pass], tuning: Tuning) -> tuple[np.ndarray, np.ndarray]:
+def with_headings(scene: Scene, passes: Sequence[Pass]) -> tuple[np.ndarray, np.ndarray]:
     """Poses (F, 4, 4) with unknown rotations of passes filled by the direction of travel, and where (F,) bool.
 
     Reference camera forward, rig upright: wrong by a constant turn about the vertical if it is mounted otherwise, which
@@ -300,11 +296,11 @@ def with_headings(scene: Scene, passes: Sequence[Pass], tuning: Tuning) -> tuple
         if not unknown.any() or len(p) < 2:
             continue
         sigma = np.nan_to_num(np.nanmax(scene.position_sigma_m[p.frames], axis=1, initial=0.0))
-        noise = tuning.poses.heading_sigmas * np.maximum(sigma, 1e-3)
+        noise = 4.0 * np.maximum(sigma, 1e-3)
         for k in np.flatnonzero(unknown):
             way = _direction(where, noise, int(k))
             if way is not None and np.isfinite(where[k]).all():
-                up = vertical(p.rig, tuning.rig.axes) if p.rig.known() else -np.eye(3)[1]
+                up = vertical(p.rig) if p.rig.known() else -np.eye(3)[1]
                 poses[p.frames[k], :3, :3] = _upright(way, up)
                 poses[p.frames[k], 3] = (0, 0, 0, 1)
                 filled[p.frames[k]] = True

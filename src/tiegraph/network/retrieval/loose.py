@@ -18,6 +18,7 @@ from tiegraph.network.tuning import Tuning
 from tiegraph.network.tuning.retrieval import LooseTuning
 from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.scene import Scene
+from tiegraph.scene.sorting import among_best
 
 BLOCK = 512  # rows of the graph that are multiplied at once
 
@@ -66,7 +67,7 @@ def scored_pairs(
         return Pairs.empty()
     loose = tuning.retrieval.loose
     ordered = np.flatnonzero(
-        (scene.sequence[scene.frame] >= 0) & (scene.sequence_index[scene.frame] % loose.every_frame == 0)
+        (scene.sequence[scene.frame] >= 0) & (scene.sequence_index[scene.frame] % 4 == 0)  # one frame of four
     )
     chosen = np.unique(np.concatenate([images, ordered]))
     nodes = _Nodes(chosen, np.isin(chosen, images), words)
@@ -78,7 +79,7 @@ def scored_pairs(
     i, j = nodes.image[a], nodes.image[b]
     score = nodes.measure(key, cache)
     keep = supported((a, b), score, len(nodes), settings.min_matches, tuning)
-    keep |= _best(i, j, score, loose.best)
+    keep |= among_best(np.r_[i, j], np.r_[score, score], loose.best).reshape(2, -1).any(axis=0) & (score > 0)
     source = "exhaustive" if words is None else "retrieval"
     return Pairs.make(i, j, source, score=score, dropped=np.where(keep, 0, REASONS.index("weak")))
 
@@ -116,7 +117,7 @@ def _propagated(nodes: _Nodes, cache: MatchCache, min_matches: int, tuning: Tuni
     count, loose, sure = len(nodes), tuning.retrieval.loose, tuning.retrieval.sure_alike * min_matches
     budget = tuning.previews_an_image * count
     if nodes.words is None:
-        budget = max(loose.blind_budget, int(loose.blind_share * count * (count - 1) / 2))
+        budget = max(80_000, int(0.06 * count * (count - 1) / 2))
     rng = np.random.default_rng(0)
     own = np.flatnonzero(nodes.loose)
     near = [nodes.keys(own[:-step], own[step:]) for step in range(1, loose.by_name + 1)]
@@ -130,7 +131,7 @@ def _propagated(nodes: _Nodes, cache: MatchCache, min_matches: int, tuning: Tuni
         depth += 1
         lonely = own[degree[own] < loose.few_ties]
         deeper = _starts(nodes, lonely, depth, rng, loose)
-        friends = _friends(nodes, (a, b), score, min_matches, loose.friends)
+        friends = _friends(nodes, (a, b), score, min_matches, 6)
         new = np.setdiff1d(np.union1d(friends, deeper), key)
         if not len(new) or len(key) + len(new) > budget:
             return key
@@ -144,7 +145,7 @@ def _starts(nodes: _Nodes, start: np.ndarray, depth: int, rng: np.random.Generat
     """Numbers of each start's look-alikes, the next ones of its list with each ``depth``; without words of random
     partners."""
     if nodes.words is None:
-        repeated = np.repeat(start, tuning.blind_partners)
+        repeated = np.repeat(start, 20)
         return nodes.keys(repeated, rng.integers(0, len(nodes), len(repeated)))
     if not len(start):
         return np.zeros(0, np.int64)
@@ -164,26 +165,13 @@ def _friends(
     out = [np.zeros(0, np.int64)]
     for start in range(0, count, BLOCK):
         rows = np.arange(start, min(start + BLOCK, count))
-        common = (graph[rows] @ graph).tocoo()
+        common = (graph[rows] @ graph).sorted_indices().tocoo()
         row, column, value = common.coords[0] + start, common.coords[1], common.data
         fresh = (row != column) & (nodes.loose[row] | nodes.loose[column])
         fresh &= ~np.isin(np.minimum(row, column).astype(np.int64) * count + np.maximum(row, column), old)
         row, column, value = row[fresh], column[fresh], value[fresh]
         if nodes.words is not None:
             value = value * nodes.words.between(nodes.image[row], nodes.image[column])
-        order = np.lexsort((column, -value, row))
-        rank = np.arange(len(order)) - np.searchsorted(row[order], row[order])
-        chosen = order[rank < most]
+        chosen = among_best(row, value, most)
         out.append(nodes.keys(row[chosen], column[chosen]))
     return np.unique(np.concatenate(out))
-
-
-def _best(i: np.ndarray, j: np.ndarray, score: np.ndarray, most: int) -> np.ndarray:
-    """(K,) bool: among the ``most`` best counts of either image, zero counts left out."""
-    row = np.tile(np.arange(len(i)), 2)
-    image, value = np.concatenate([i, j]), np.concatenate([score, score])
-    order = np.lexsort((-value, image))
-    rank = np.arange(len(order)) - np.searchsorted(image[order], image[order])
-    out = np.zeros(len(i), bool)
-    out[row[order[rank < most]]] = True
-    return out & (score > 0)

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from tiegraph.network.offsets.background import Far
+from tiegraph.network.offsets.background import noise_floor
 from tiegraph.network.offsets.curves import Proposal
 from tiegraph.network.passes import MatchCache, Pass, loose_images
 from tiegraph.network.retrieval.loose import scored_pairs
@@ -21,7 +21,7 @@ from tiegraph.network.retrieval.vocabulary import BagsOfWords, bags_of_words
 from tiegraph.network.scorematrix import NoiseFloor
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
-from tiegraph.network.tuning.retrieval import SignificanceTuning, VocabularyTuning
+from tiegraph.network.tuning.retrieval import LoopSearchTuning, VocabularyTuning
 from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.scene import Scene
 
@@ -76,8 +76,8 @@ def loop_candidates(
     if not passes:
         return Proposal(Pairs.empty())
     looks = tuning.retrieval
-    line = timeline(passes, words, looks.timeline)
-    blocked = _blocked(line, known, looks.loops.near_reaches)
+    line = timeline(passes, words, looks.loops)
+    blocked = _blocked(line, known, 3)  # frames closer than three reaches are no loop
     level = unrelated(line, blocked, cache, settings.min_matches, tuning)
     look = _Look(line=line, cache=cache, min_matches=settings.min_matches, level=level, tuning=tuning)
     i, j, spent = _grown(look, _look_alikes(line, words, blocked, looks.loops.look_alikes), blocked)
@@ -86,7 +86,7 @@ def loop_candidates(
     patch = _patches(line, i[sure], j[sure])
     large = np.bincount(patch) >= looks.loops.patch
     if level is not None:
-        large &= seen_by_the_rig(line, (i[sure], j[sure]), patch, cache, level, looks.significance)
+        large &= seen_by_the_rig(line, (i[sure], j[sure]), patch, cache, level, looks.loops)
     sure[sure] = large[patch]
     patch = np.unique(patch[large[patch]], return_inverse=True)[1]
     measured = Pairs.make(i, j, "retrieval", score=count, dropped=np.where(sure, 0, REASONS.index("weak")))
@@ -295,8 +295,7 @@ def unrelated(
         return None
     c, d, count = c[fine], d[fine], cache.measure(left[fine], right[fine])
     shape = (line.image_at.shape[1],) * 2
-    far = Far(np.concatenate([c, d]), np.concatenate([d, c]), np.tile(count, 2))
-    return far.noise_floor(shape, min_matches, tuning)
+    return noise_floor((np.r_[c, d], np.r_[d, c]), np.tile(count, 2), shape, min_matches, tuning)
 
 
 def seen_by_the_rig(
@@ -304,19 +303,19 @@ def seen_by_the_rig(
     ends: tuple[np.ndarray, np.ndarray],
     patch: np.ndarray,
     cache: MatchCache,
-    noise_floor: NoiseFloor,
-    tuning: SignificanceTuning,
+    floor: NoiseFloor,
+    tuning: LoopSearchTuning,
 ) -> np.ndarray:
     """(P,) bool: patches of image pairs ``ends`` i (K,), j (K,) that most cameras of the rig bear out; ``patch`` (K,).
 
     The largest ones are looked at; the others are not believed.
     """
     size = np.bincount(patch)
-    most = max(1, len(line.of_pass) // tuning.places_a_loop)
+    most = max(1, len(line.of_pass) // 16)
     out = np.zeros(len(size), bool)
     for k in np.argsort(-size, kind="stable")[:most]:
-        a, b = _frame_pairs(line, ends[0][patch == k], ends[1][patch == k], tuning.frame_pairs)
-        out[k] = _share_speaking(line, (a, b), cache, noise_floor, tuning.speaks) >= tuning.most_cameras
+        a, b = _frame_pairs(line, ends[0][patch == k], ends[1][patch == k], 12)
+        out[k] = _share_speaking(line, (a, b), cache, floor, tuning.speaks) >= tuning.most_cameras
     return out
 
 
@@ -331,7 +330,7 @@ def _frame_pairs(line: Timeline, i: np.ndarray, j: np.ndarray, most: int) -> tup
 
 
 def _share_speaking(
-    line: Timeline, places: tuple[np.ndarray, np.ndarray], cache: MatchCache, noise_floor: NoiseFloor, speaks: float
+    line: Timeline, places: tuple[np.ndarray, np.ndarray], cache: MatchCache, floor: NoiseFloor, speaks: float
 ) -> float:
     """Share of the cameras that tie at ``places`` a (K,), b (K,) with a camera of the other place; of both the
     lower one.
@@ -344,8 +343,8 @@ def _share_speaking(
     there = (left >= 0) & (right >= 0)
     count = np.full(left.shape, np.nan)
     count[there] = cache.measure(left[there], right[there])
-    high = noise_floor.highest
-    above = (np.clip(count, noise_floor.lowest, high) - noise_floor.told) / (high - noise_floor.told)
+    high = floor.highest
+    above = (np.clip(count, floor.lowest, high) - floor.told) / (high - floor.told)
     middle = len(a) // 2
     halves = [_mean(above[:middle]), _mean(above[middle:])] if middle else [_mean(above)] * 2
     shares = []

@@ -7,7 +7,7 @@ import numpy as np
 
 from tiegraph.network.passes import Pass
 from tiegraph.network.retrieval.vocabulary import BagsOfWords
-from tiegraph.network.tuning.retrieval import TimelineTuning
+from tiegraph.network.tuning.retrieval import LoopSearchTuning
 
 
 @dataclass(frozen=True)
@@ -40,13 +40,13 @@ class Timeline:
         return np.where(there >= 0, self.image_at[there, self.sensor[images]], -1)
 
 
-def timeline(passes: Sequence[Pass], words: BagsOfWords, tuning: TimelineTuning) -> Timeline:
+def timeline(passes: Sequence[Pass], words: BagsOfWords, tuning: LoopSearchTuning) -> Timeline:
     """The passes one after another; how densely they are sampled is told by how alike their images look."""
     sensors = max(len(p.images) for p in passes)
     length = np.array([len(p) for p in passes])
     image_at = np.full((length.sum(), sensors), -1, np.int64)
     reach = np.array([_reach(p, words, tuning) for p in passes])
-    size = np.maximum(reach, -(-length.sum() // tuning.max_cells))
+    size = np.maximum(reach, -(-length.sum() // 3000))
     of_pass = np.repeat(np.arange(len(passes)), length)
     rank = np.concatenate([np.arange(n) for n in length])
     for k, p in enumerate(passes):
@@ -70,7 +70,7 @@ def timeline(passes: Sequence[Pass], words: BagsOfWords, tuning: TimelineTuning)
     )
 
 
-def _reach(p: Pass, words: BagsOfWords, tuning: TimelineTuning) -> int:
+def _reach(p: Pass, words: BagsOfWords, tuning: LoopSearchTuning) -> int:
     """Frames over which the images of a camera look alike."""
     steps = [s for s in tuning.ladder if s < len(p)]
     alike = []
@@ -78,6 +78,7 @@ def _reach(p: Pass, words: BagsOfWords, tuning: TimelineTuning) -> int:
         left, right = p.images[:, :-step].ravel(), p.images[:, step:].ravel()
         there = (left >= 0) & (right >= 0)
         alike.append(float(words.between(left[there], right[there]).mean()) if there.any() else 0.0)
-    level = min(alike) + tuning.reach_share * (alike[0] - min(alike))
+    # A quarter of the likeness of consecutive frames above that of distant ones
+    level = min(alike) + 0.25 * (alike[0] - min(alike))
     below = [s for s, value in zip(steps, alike) if value < level]
     return below[0] if below else steps[-1]

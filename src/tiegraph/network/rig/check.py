@@ -7,7 +7,6 @@ A rig file may also name its cameras in another order: then the wrong ones share
 needs no focal length. All pairs of cameras are sampled, for wrong axes forbid the very pairs that would tell.
 """
 
-import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations, permutations
@@ -21,7 +20,7 @@ from tiegraph.network.rig.axes import allowed_within, predicted_shift
 from tiegraph.network.rig.synchronisation import frame_notes, lag_notes
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
-from tiegraph.network.tuning.rig import AxesTuning, CheckTuning, OrderTuning
+from tiegraph.network.tuning.rig import CheckTuning, OrderTuning
 from tiegraph.scene.evidence import mostly_more
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
@@ -49,15 +48,13 @@ def orders(rig: Rig, evidence: np.ndarray, tuning: OrderTuning) -> list[Order]:
     cosine = np.cos(np.radians(rig.axis_angles_deg()))[np.ix_(side, side)]
     parts = [e[np.ix_(side, side)] for e in evidence]
     whole = _mean(np.stack(parts))
-    tried = (
-        np.array(list(permutations(range(len(side))))) if len(side) <= tuning.all_orders else _by_swaps(whole, cosine)
-    )
+    tried = np.array(list(permutations(range(len(side))))) if len(side) <= 7 else _by_swaps(whole, cosine)
     fit = _fits(whole, cosine, tried)
     nominal = fit[0]
     if fit.max() < tuning.fit or fit.max() < nominal + tuning.better:
         return []
     halves = [_fits(e, cosine, tried) for e in parts]
-    good = (fit >= fit.max() - tuning.alike) & np.all([h >= h[0] + tuning.better_half for h in halves], axis=0)
+    good = (fit >= fit.max() - tuning.alike) & np.all([h >= h[0] + 0.15 for h in halves], axis=0)
     moved = np.sum(tried != np.arange(len(side)), axis=1)
     best = np.flatnonzero(good)[np.argsort(moved[good], kind="stable")][: tuning.candidates]
     return [Order(_whole_order(len(rig.sensors), side, tried[k]), float(fit[k]), float(nominal)) for k in best]
@@ -144,9 +141,6 @@ def _whole_order(count: int, side: np.ndarray, order: np.ndarray) -> tuple[int, 
     return tuple(int(k) for k in place)
 
 
-log = logging.getLogger(__name__)
-
-
 @dataclass(frozen=True)
 class RigCheck:
     """Outcome for one rig: the rig to use from here on, whether it was changed, and what was found.
@@ -211,7 +205,7 @@ def check_rig(
     rig: Rig, passes: Sequence[Pass], cache: MatchCache, settings: CandidatesSettings, tuning: Tuning
 ) -> RigCheck:
     """Vote on other orders, mirrored and rolled versions of a rig with previews; a calibrated rig is never changed."""
-    check, axes = tuning.rig.check, tuning.rig.axes
+    check = tuning.rig.check
     everything = _collect(rig, passes, cache, settings, tuning)
     found = orders(rig, everything.evidence, tuning.rig.order)
     if found:
@@ -220,21 +214,21 @@ def check_rig(
     if len(votes.a) < check.min_votes:
         text = f"rig {rig.name}: its axes could not be checked against the images: too few matches"
         return RigCheck(rig, False, f"{text} ({len(votes.a)} of {check.min_votes} pairs of one frame)")
-    score = {name: _agreement(variant, votes, axes) for name, variant in _hypotheses(rig)}
+    score = {name: _agreement(variant, votes) for name, variant in _hypotheses(rig)}
     # Of explanations that fit alike the first: side cameras of a ring cannot tell "mirrored" from "upside down".
     best = next(name for name, s in score.items() if s >= max(score.values()) - check.tie)
-    angles = _angles(rig, votes, check)
+    angles = _angles(rig, votes)
     if score["nominal"] >= check.agreement or best == "nominal":
         how = "agree with" if score["nominal"] >= check.agreement else "neither prove nor contradict"
         return RigCheck(rig, False, f"rig {rig.name}: the images {how} its sense of rotation{angles}")
     variants = dict(_hypotheses(rig))
-    gain = _cosines(variants[best], votes, axes) - _cosines(rig, votes, axes)
+    gain = _cosines(variants[best], votes) - _cosines(rig, votes)
     sure = score[best] >= max(check.agreement, score["nominal"] + check.margin)
     if not sure or not mostly_more(gain[np.isfinite(gain)], len(variants) - 1):
         return RigCheck(rig, False, f"rig {rig.name}: the images fit its axes badly; check the rig file{angles}")
     if rig.fixed:
         return RigCheck(rig, False, f"rig {rig.name}: the images say it is {best}, but it is calibrated: kept{angles}")
-    angles = _angles(variants[best], votes, check)
+    angles = _angles(variants[best], votes)
     return RigCheck(variants[best], True, f"rig {rig.name}: the images show it {best}: corrected{angles}")
 
 
@@ -243,7 +237,7 @@ def _out_of_order(
 ) -> RigCheck:
     """Of orders with the same neighbours the one whose sense of rotation the images show; of those the first."""
     tried = [reordered(rig, order.place)[0] for order in found]
-    score = [_agreement(r, _facing(votes, r, settings), tuning.rig.axes) for r in tried]
+    score = [_agreement(r, _facing(votes, r, settings)) for r in tried]
     order = found[next(k for k, s in enumerate(score) if s >= max(score) - tuning.rig.check.tie)]
     text = f"rig {rig.name}: {in_words(rig, order, votes.evidence)}"
     if rig.fixed:
@@ -294,7 +288,7 @@ def _collect(
         following = _sampled(passes, both, 1, check)
         inliers = np.append(inliers, cache.measure(following[2], following[3]))
         rows = np.concatenate([rows, following], axis=1)
-    evidence = _evidence(rows, inliers / settings.min_matches - 1, len(rig.sensors), check)
+    evidence = _evidence(rows, inliers / settings.min_matches - 1, len(rig.sensors))
     return _Votes(a=a[enough], b=b[enough], shift=shift, angle_deg=np.array(angle, float), evidence=evidence)
 
 
@@ -323,11 +317,11 @@ def _sampled(passes: Sequence[Pass], camera_pairs: np.ndarray, step: int, tuning
     return np.concatenate(out, axis=1)
 
 
-def _evidence(rows: np.ndarray, excess: np.ndarray, sensors: int, tuning: CheckTuning) -> np.ndarray:
+def _evidence(rows: np.ndarray, excess: np.ndarray, sensors: int) -> np.ndarray:
     """(2, S, S) mean clipped ``excess`` (K,) of matches of either half of the frames, both ways; NaN = none."""
     a, b, half = rows[0], rows[1], rows[4]
     total, count = np.zeros((2, sensors, sensors)), np.zeros((2, sensors, sensors))
-    value = np.clip(excess, 0, tuning.most_excess)
+    value = np.clip(excess, 0, 2.0)
     np.add.at(total, (half, a, b), value)
     np.add.at(count, (half, a, b), 1)
     total, count = total + total.transpose(0, 2, 1), count + count.transpose(0, 2, 1)
@@ -338,24 +332,24 @@ def _axis_angle(rotation: np.ndarray) -> float:
     return float(np.degrees(np.arccos(np.clip(rotation[2, 2], -1, 1))))
 
 
-def _agreement(rig: Rig, votes: _Votes, tuning: AxesTuning) -> float:
+def _agreement(rig: Rig, votes: _Votes) -> float:
     """Mean cosine between predicted and seen motion of the shared things, every camera pair with the same weight."""
-    cosine, pair = _cosines(rig, votes, tuning), votes.a * len(rig.sensors) + votes.b
+    cosine, pair = _cosines(rig, votes), votes.a * len(rig.sensors) + votes.b
     means = [float(np.mean(cosine[pair == p])) for p in np.unique(pair) if np.isfinite(cosine[pair == p]).all()]
     return float(np.mean(means)) if means else 0.0
 
 
-def _cosines(rig: Rig, votes: _Votes, tuning: AxesTuning) -> np.ndarray:
+def _cosines(rig: Rig, votes: _Votes) -> np.ndarray:
     """(K,) of the votes, NaN where no motion is predicted."""
     pairs = list(zip(votes.a.tolist(), votes.b.tolist()))
-    known = {p: predicted_shift(rig, *p, tuning) for p in set(pairs)}
+    known = {p: predicted_shift(rig, *p) for p in set(pairs)}
     predicted = np.array([known[p] for p in pairs]).reshape(-1, 2)
     length, seen = np.linalg.norm(predicted, axis=1), np.linalg.norm(votes.shift, axis=1)
     cosine = np.sum(predicted * votes.shift, axis=1) / np.maximum(length * seen, 1e-9)
     return np.where(length > 1e-9, cosine, np.nan)
 
 
-def _angles(rig: Rig, votes: _Votes, tuning: CheckTuning) -> str:
+def _angles(rig: Rig, votes: _Votes) -> str:
     if any(s.camera is None or not s.camera.has_prior_focal_length for s in rig.sensors):
         return ""  # angles from a guessed focal length mean nothing
     nominal = rig.axis_angles_deg()
@@ -363,7 +357,7 @@ def _angles(rig: Rig, votes: _Votes, tuning: CheckTuning) -> str:
     for a, b in sorted(set(zip(votes.a.tolist(), votes.b.tolist()))):
         found = votes.angle_deg[(votes.a == a) & (votes.b == b)]
         found = found[np.isfinite(found)]
-        if len(found) >= tuning.angle_votes:
+        if len(found) >= 3:
             names = f"{rig.sensors[a].name}-{rig.sensors[b].name}"
             parts.append(f"{names} {np.median(found):.0f} ({nominal[a, b]:.0f})")
     return f"; angles between axes found (nominal), deg: {', '.join(parts)}" if parts else ""

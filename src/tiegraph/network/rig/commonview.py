@@ -40,10 +40,10 @@ def yaw(scores: ScoreMatrix, excess: np.ndarray, tuning: RigTuning) -> float | N
     side = np.array([s.role != "up" for s in p.rig.sensors])
     level = side[:, None] & side[None, :]
     evidence = excess.sum(axis=(2, 3)) * level
-    best = yaw_between(p.rig, evidence, tuning.axes)
+    best = yaw_between(p.rig, evidence)
     if best is None:
         return None
-    cosine = np.cos(np.radians(angles_deg(p.rig, best, tuning.axes)))
+    cosine = np.cos(np.radians(angles_deg(p.rig, best)))
     mean = float(np.sum(evidence * cosine) / evidence.sum())
     sigma = float(cosine[level].std()) / np.sqrt(votes(excess[level]))
     return best if mean - float(cosine[level].mean()) >= tuning.common_view.yaw_sigmas * sigma > 0 else None
@@ -64,10 +64,7 @@ def _frames(scores: ScoreMatrix, excess: np.ndarray, tuning: CommonViewTuning) -
     """The frames in common, where they are not nearly all of both passes."""
     weight = excess.sum(axis=(0, 1))
     said, partly = [], False
-    for p, ranks, own in (
-        (scores.p, scores.rows, weight.sum(axis=1)),
-        (scores.q, scores.columns, weight.sum(axis=0)),
-    ):
+    for p, ranks, own in ((scores.p, scores.rows, weight.sum(axis=1)), (scores.q, scores.columns, weight.sum(axis=0))):
         hot = ranks[own > tuning.rim * own.max()]
         partly |= bool(hot[-1] - hot[0] + 1 < tuning.whole * len(p))
         said.append(f"frames {hot[0] + 1} to {hot[-1] + 1} of {len(p)} of {p.name}")

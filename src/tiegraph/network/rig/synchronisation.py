@@ -13,7 +13,7 @@ from tiegraph.network.passes import MatchCache, Pass
 from tiegraph.network.rig.axes import predicted_shift
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
-from tiegraph.network.tuning.rig import AxesTuning, SynchronisationTuning
+from tiegraph.network.tuning.rig import SynchronisationTuning
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.sorting import evenly
 
@@ -22,29 +22,23 @@ NAMED = 8  # passes told of one by one
 
 def frame_notes(passes: Sequence[Pass], names: Sequence[str], tuning: SynchronisationTuning) -> tuple[str, ...]:
     """One note a pass whose cameras have different frames: how many each has, and from where on they are missing; and
-    one on passes that are much shorter than the others."""
+    one on passes that are much shorter than the others: one that ended early is as good as any to every later step."""
     out = [text for p in passes if (text := _lacking(p, names))]
-    more = len(out) - NAMED
-    out = [*out[:NAMED], f"in {more} more passes some cameras lack frames too"] if more > 0 else out
-    return (*out, *_short(passes, names, tuning))
-
-
-def _short(passes: Sequence[Pass], names: Sequence[str], tuning: SynchronisationTuning) -> tuple[str, ...]:
-    """A pass that ended early is as good as any to every later step, so only its length can tell."""
-    length = np.array([len(p) for p in passes])
-    parts = []
+    if len(out) > NAMED:
+        out = [*out[:NAMED], f"in {len(out) - NAMED} more passes some cameras lack frames too"]
+    length, short = np.array([len(p) for p in passes]), []
     for k, p in enumerate(passes):
         usual = float(np.median(np.delete(length, k))) if len(length) > 1 else 0.0
         if 0 < len(p) < tuning.short * usual:
             last = p.images[:, -1]
-            parts.append(f"{p.name} has {len(p)} frames, the others {usual:g} (last: {names[last[last >= 0][0]]})")
-    if not parts:
-        return ()
-    more = f"; and {len(parts) - NAMED} more" if len(parts) > NAMED else ""
-    return (
-        f"short passes: {'; '.join(parts[:NAMED])}{more}. Did they end early? Where nothing is said of how one lies to "
-        "the others, it is too short to tell",
-    )
+            short.append(f"{p.name} has {len(p)} frames, the others {usual:g} (last: {names[last[last >= 0][0]]})")
+    if short:
+        more = f"; and {len(short) - NAMED} more" if len(short) > NAMED else ""
+        out.append(
+            f"short passes: {'; '.join(short[:NAMED])}{more}. Did they end early? Where nothing is said of how one "
+            "lies to the others, it is too short to tell"
+        )
+    return tuple(out)
 
 
 def _lacking(p: Pass, names: Sequence[str]) -> str:
@@ -76,11 +70,11 @@ def _lacking(p: Pass, names: Sequence[str]) -> str:
 
 @dataclass(frozen=True)
 class _Steps:
-    """What K camera pairs share at offsets -L .. L: sensor c of frame m + offset against sensor d of frame m.
+    """What K camera pairs (K, 2) share at offsets -L .. L: sensor c of frame m + offset against sensor d of frame m.
 
-    couples (K, 2); evidence (K, 2L+1), matches above min_matches in units of it; shift (K, 2L+1, 2) median motion in
-    the picture from c to d as a share of the image size, NaN = not seen; expected (K, 2) the same up to one factor;
-    matches (K, 2L+1) mean number of matches.
+    evidence (K, 2L+1), matches above min_matches in units of it; shift (K, 2L+1, 2) median motion in the picture from c
+    to d as a share of the image size, NaN = not seen; expected (K, 2) the same up to one factor; matches (K, 2L+1) mean
+    number of matches.
     """
 
     pairs: np.ndarray
@@ -94,17 +88,15 @@ class _Steps:
         """L."""
         return self.evidence.shape[1] // 2
 
-    def residual(self, factor: float) -> np.ndarray:
-        """(K, 2L+1) distance between seen and expected shift; NaN = not seen."""
+    def off(self, among: np.ndarray) -> np.ndarray:
+        """(K, 2L+1) distance between the seen shift and the expected one, whose factor is told by the camera pairs of a
+        mask (K,) at offset 0; NaN = not seen or not known."""
+        seen, expected = self.shift[among, self.longest], self.expected[among]
+        length = np.sum(expected**2, axis=1)
+        ratio = np.sum(seen * expected, axis=1) / np.where(length > 1e-4, length, np.nan)
+        known = ratio[np.isfinite(ratio)]
+        factor = float(np.median(known)) if len(known) else np.nan
         return np.asarray(np.linalg.norm(self.shift - factor * self.expected[:, None], axis=2))
-
-    def factor(self, among: np.ndarray) -> float:
-        """Image sizes a unit of expected shift, by the camera pairs of a mask (K,) at offset 0; NaN = unknown."""
-        seen = self.shift[among, self.longest]
-        length = np.sum(self.expected[among] ** 2, axis=1)
-        ratio = np.sum(seen * self.expected[among], axis=1) / np.where(length > 1e-4, length, np.nan)
-        ratio = ratio[np.isfinite(ratio)]
-        return float(np.median(ratio)) if len(ratio) else float("nan")
 
 
 def lag_notes(passes: Sequence[Pass], cache: MatchCache, settings: CandidatesSettings, tuning: Tuning) -> list[str]:
@@ -114,9 +106,9 @@ def lag_notes(passes: Sequence[Pass], cache: MatchCache, settings: CandidatesSet
     """
     sync = tuning.rig.synchronisation
     found: dict[tuple[int, int], list[tuple[str, str]]] = {}
-    for p in (passes[k] for k in evenly(len(passes), sync.lag_passes)):
-        camera_pairs = _neighbours(p.rig, sync.near_deg)
-        longest = min(sync.max_lag, (len(p) - 1) // sync.frames_a_lag)
+    for p in (passes[k] for k in evenly(len(passes), 4)):
+        camera_pairs = _neighbours(p.rig, 15.0)
+        longest = min(6, (len(p) - 1) // 3)
         if not len(camera_pairs) or longest < 1 or p.rig.stitched():
             continue
         if len(camera_pairs) > sync.few and not _odd(_measured(p, camera_pairs, 0, cache, settings, tuning), p, sync):
@@ -143,38 +135,37 @@ def _neighbours(rig: Rig, near_deg: float) -> np.ndarray:
 def _measured(
     p: Pass, camera_pairs: np.ndarray, longest: int, cache: MatchCache, settings: CandidatesSettings, tuning: Tuning
 ) -> _Steps:
-    some = tuning.rig.synchronisation.lag_frames
+    some = 4
     frames = np.unique(np.linspace(longest, len(p) - 1 - longest, some).round().astype(int))
-    k, at, m = (
-        x.ravel() for x in np.meshgrid(np.arange(len(camera_pairs)), np.arange(2 * longest + 1), frames, indexing="ij")
-    )
+    shape = len(camera_pairs), 2 * longest + 1
+    k, at, m = (x.ravel() for x in np.meshgrid(np.arange(shape[0]), np.arange(shape[1]), frames, indexing="ij"))
     i, j = p.images[camera_pairs[k, 0], m + at - longest], p.images[camera_pairs[k, 1], m]
     there = (i >= 0) & (j >= 0)
-    k, at, i, j = k[there], at[there], i[there], j[there]
+    cell, i, j = (k * shape[1] + at)[there], i[there], j[there]
     results = cache.results(np.minimum(i, j), np.maximum(i, j)) if len(i) else []
-    evidence, matches = np.zeros((2, len(camera_pairs), 2 * longest + 1))
-    shift = np.full((len(camera_pairs), 2 * longest + 1, 2), np.nan)
-    for row in range(len(camera_pairs)):
-        for column in range(2 * longest + 1):
-            own = np.flatnonzero((k == row) & (at == column))
-            count = np.array([results[n].inliers for n in own], float)
-            if len(own):
-                matches[row, column] = count.mean()
-                evidence[row, column] = np.mean(np.clip(count / settings.min_matches - 1, 0, None))
-            sure = own[count >= tuning.counts.sure * settings.min_matches]
-            seen = [
-                np.asarray(results[n].shift) * (1 if i[n] < j[n] else -1) for n in sure if results[n].shift is not None
-            ]
-            if seen:
-                shift[row, column] = np.median(seen, axis=0)
-    expected = np.array([_expected(p.rig, int(c), int(d), tuning.rig.axes) for c, d in camera_pairs])
-    return _Steps(pairs=camera_pairs, evidence=evidence, shift=shift, expected=expected, matches=matches)
-
-
-def _expected(rig: Rig, c: int, d: int, tuning: AxesTuning) -> np.ndarray:
-    """(2,) predicted motion with the rows scaled like the columns, as shares of an image as wide as one unit."""
-    camera = rig.sensors[c].camera
-    return predicted_shift(rig, c, d, tuning) * (1.0, 1.0 if camera is None else camera.width / camera.height)
+    count = np.array([r.inliers for r in results], float)
+    number = np.maximum(np.bincount(cell, minlength=shape[0] * shape[1]), 1)
+    above = np.clip(count / settings.min_matches - 1, 0, None)
+    evidence, matches = (np.bincount(cell, w, len(number)) / number for w in (above, count))
+    shift = np.full((len(number), 2), np.nan)
+    sure = [
+        n for n in np.flatnonzero(count >= tuning.counts.sure * settings.min_matches) if results[n].shift is not None
+    ]
+    for own in np.unique(cell[sure]):
+        seen = [np.asarray(results[n].shift) * (1 if i[n] < j[n] else -1) for n in sure if cell[n] == own]
+        shift[own] = np.median(seen, axis=0)
+    expected = []
+    for c, d in camera_pairs.tolist():  # with the rows scaled like the columns
+        camera = p.rig.sensors[c].camera
+        ratio = 1.0 if camera is None else camera.width / camera.height
+        expected.append(predicted_shift(p.rig, c, d) * (1.0, ratio))
+    return _Steps(
+        pairs=camera_pairs,
+        evidence=evidence.reshape(shape),
+        shift=shift.reshape(*shape, 2),
+        expected=np.array(expected),
+        matches=matches.reshape(shape),
+    )
 
 
 def _odd(now: _Steps, p: Pass, tuning: SynchronisationTuning) -> bool:
@@ -183,8 +174,7 @@ def _odd(now: _Steps, p: Pass, tuning: SynchronisationTuning) -> bool:
     evidence = now.evidence[:, 0]
     faint = evidence < max(tuning.faint * float(np.median(evidence)), tuning.least)
     alone = [faint[(now.pairs == c).any(axis=1)].all() for c in np.unique(now.pairs)]
-    factor = now.factor(np.ones(len(evidence), bool))
-    off = now.residual(factor)[:, 0] > tuning.off
+    off = now.off(np.ones(len(evidence), bool))[:, 0] > tuning.off
     return bool(len(counts) > 1 or off.any() or any(alone))
 
 
@@ -218,15 +208,15 @@ def _gain(steps: _Steps, lags: np.ndarray, sensor: int, lag: int, tuning: Synchr
         return 0.0
     scale = np.maximum(steps.evidence.max(axis=1), tuning.least)
     old, new = steps.evidence[rows, before] / scale, steps.evidence[rows, after] / scale
-    weaker = np.any(new[votes] < tuning.change * old[votes])
+    weaker = np.any(new[votes] < 0.9 * old[votes])
     if weaker or new[votes].sum() < tuning.gain * old[votes].sum():
         return 0.0
-    residual = steps.residual(steps.factor(~own))
+    residual = steps.off(~own)
     old_off, new_off = residual[rows, before][votes], residual[rows, after][votes]
     known = np.isfinite(new_off)
     if np.isfinite(residual).any() and (not known.any() or np.any(new_off[known] > tuning.off)):
         return 0.0
-    if np.any(known & (new_off > old_off + tuning.off_more)):
+    if np.any(known & (new_off > old_off + 0.01)):
         return 0.0
     return float(new[votes].sum() - old[votes].sum())
 
@@ -242,11 +232,10 @@ def _figures(rig: Rig, steps: _Steps, sensor: int, lags: np.ndarray) -> str:
 
 def _late(rig: Rig, sensor: int, lag: int, seen: list[tuple[str, str]]) -> str:
     where = f"pass{'es' if len(seen) > 1 else ''} {' and '.join(name for name, _ in seen)}"
-    figures = "; ".join(figures for _, figures in seen)
     frames = f"{abs(lag)} frame{'s' if abs(lag) > 1 else ''}"
-    name = rig.sensors[sensor].name
+    late, before = ("late", "before") if lag > 0 else ("early", "after")
     return (
-        f"{where}: {name} ties as if it ran {frames} {'late' if lag > 0 else 'early'}: its images fit best "
-        f"those of the others taken {frames} {'before' if lag > 0 else 'after'} ({figures}); "
-        "all the same the rig is taken as synchronised: rename the images so that those of one moment share a number"
+        f"{where}: {rig.sensors[sensor].name} ties as if it ran {frames} {late}: its images fit best those of the "
+        f"others taken {frames} {before} ({'; '.join(figures for _, figures in seen)}); all the same the rig is "
+        "taken as synchronised: rename the images so that those of one moment share a number"
     )

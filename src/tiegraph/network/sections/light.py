@@ -6,7 +6,7 @@ threshold of its own in every pass, and a cue that shows no clear contrast has n
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -71,18 +71,6 @@ class _Kind:
     absolute: bool
 
 
-@dataclass(frozen=True)
-class _Split:
-    threshold: float
-    low: float
-    high: float
-    scatter: float
-    separation: float
-
-    def clear(self, kind: _Kind, tuning: SectionsTuning) -> bool:
-        return self.separation >= tuning.min_separation and self.high - self.low >= kind.contrast
-
-
 def read_cues(scene: Scene, passes: Sequence[Pass], light: UpLight, tuning: SectionsTuning) -> tuple[Cue, ...]:
     """The cues that the up cameras of a scene offer; none where no camera looks up."""
     grey = by_up_frame(scene, light.brightness)
@@ -92,11 +80,7 @@ def read_cues(scene: Scene, passes: Sequence[Pass], light: UpLight, tuning: Sect
         cues.append(_cue(kind, by_up_frame(scene, light.sky_share), passes, tuning))
     stop = None if light.exposure is None else by_up_frame(scene, light.exposure)
     known = np.isfinite(grey)
-    if (
-        stop is not None
-        and known.any()
-        and np.mean(np.isfinite(stop[known]) & (stop[known] > 0)) >= tuning.known_exposure
-    ):
+    if stop is not None and known.any() and np.mean(np.isfinite(stop[known]) & (stop[known] > 0)) >= 0.9:
         with np.errstate(invalid="ignore", divide="ignore"):
             luminance = np.where(stop > 0, (grey / 255) ** _GAMMA / stop, np.nan)
         contrast = float(np.log2(tuning.luminance_contrast))
@@ -121,23 +105,29 @@ def by_up_frame(scene: Scene, values: np.ndarray) -> np.ndarray:
 
 def _cue(kind: _Kind, values: np.ndarray, passes: Sequence[Pass], tuning: SectionsTuning) -> Cue:
     scaled = np.log2(np.maximum(values, 1e-9)) if kind.log else values
-    splits = [_split(scaled[p.frames], tuning) for p in passes]
-    clear = [s for s in splits if s is not None and s.clear(kind, tuning)]
+
+    def clear(split: "Otsu | None") -> bool:
+        contrast = -1.0 if split is None else split.high - split.low
+        return split is not None and split.separation >= tuning.min_separation and contrast >= kind.contrast
+
+    splits = [_split(scaled[p.frames], tuning.min_frames) for p in passes]
+    good = sorted((s for s in splits if s is not None and clear(s)), key=lambda s: s.threshold)
     on_passes = np.concatenate([p.frames for p in passes]) if passes else np.zeros(0, int)
-    whole = _split(scaled[on_passes], tuning)
-    if not clear and kind.absolute and whole is not None and whole.clear(kind, tuning):
-        clear = [whole]
+    whole = _split(scaled[on_passes], tuning.min_frames)
+    if not good and kind.absolute and whole is not None and clear(whole):
+        good = [whole]
     threshold, evidence = np.full(len(values), np.nan), np.zeros(len(values))
     for p, own in zip(passes, splits):
-        if own is None or not own.clear(kind, tuning):
+        if not clear(own):
             # A pass without a contrast of its own: another pass's threshold holds only where exposure plays no part.
-            own = _median(clear) if clear and kind.absolute else None
+            own = good[len(good) // 2] if good and kind.absolute else None
         if own is not None:
             threshold[p.frames] = 2**own.threshold if kind.log else own.threshold
-            gain = (own.high - own.low) / max(own.scatter, tuning.narrowest * (own.high - own.low)) ** 2
+            # The scatter within a class is believed no smaller than a sixth of the contrast
+            gain = (own.high - own.low) / max(own.scatter, (own.high - own.low) / 6) ** 2
             say = gain * (0.5 * (own.low + own.high) - scaled[p.frames])
             evidence[p.frames] = np.clip(np.nan_to_num(say), -tuning.frame_say, tuning.frame_say)
-    shown = clear or [s for s in splits if s is not None] or ([whole] if whole is not None else [])
+    shown = good or [s for s in (*splits, whole) if s is not None]
     best = max(shown, key=lambda s: s.separation, default=None)
     return Cue(
         name=kind.name,
@@ -149,44 +139,39 @@ def _cue(kind: _Kind, values: np.ndarray, passes: Sequence[Pass], tuning: Sectio
     )
 
 
-def _figure(kind: _Kind, split: _Split | None, tuning: SectionsTuning) -> str:
+def _figure(kind: _Kind, split: "Otsu | None", tuning: SectionsTuning) -> str:
     if split is None:
         return f"{kind.name}: too few frames"
-    contrast = split.high - split.low
-    apart = f"{2**contrast:.2f} times ({2**kind.contrast:.2f} needed)" if kind.log else f"{contrast:.2f} "
-    apart = apart if kind.log else f"{apart}({kind.contrast:.2f} needed)"
+    contrast, needed = split.high - split.low, kind.contrast
+    apart = f"{2**contrast:.2f} times ({2**needed:.2f} needed)" if kind.log else f"{contrast:.2f} ({needed:.2f} needed)"
     return (
         f"{kind.name}: two classes {apart} apart, explaining {np.floor(100 * split.separation):.0f} % of the variance "
         f"({100 * tuning.min_separation:.0f} % needed)"
     )
 
 
-def _median(splits: Sequence[_Split]) -> _Split:
-    """The split with the middle threshold."""
-    return sorted(splits, key=lambda s: s.threshold)[len(splits) // 2]
-
-
-def _split(values: np.ndarray, tuning: SectionsTuning) -> _Split | None:
+def _split(values: np.ndarray, least: int) -> "Otsu | None":
+    """The split of what is known, of so many frames at least; a class of one frame separates nothing."""
     known = values[np.isfinite(values)]
-    if len(known) < tuning.min_frames:
+    if len(known) < least:
         return None
     split = otsu(known)
-    threshold, separation, low, high = split.threshold, split.separation, split.low, split.high
-    below, above = known[known < threshold], known[known >= threshold]
-    if min(len(below), len(above)) < tuning.min_class:
-        separation = 0.0
-    scatter = float(np.sqrt(max(0.0, (1 - separation) * known.var())))
-    return _Split(threshold=threshold, low=low, high=high, scatter=scatter, separation=separation)
+    below = int(np.sum(known < split.threshold))
+    if min(below, len(known) - below) < 2:
+        return replace(split, separation=0.0, scatter=float(known.std()))
+    return split
 
 
 @dataclass(frozen=True)
 class Otsu:
-    """Threshold that splits values best, the share of the variance it explains, and the means of the two classes."""
+    """Threshold that splits values best, the share of the variance it explains, the means of the two classes, and the
+    scatter within them."""
 
     threshold: float
     separation: float
     low: float
     high: float
+    scatter: float
 
 
 def otsu(values: np.ndarray) -> Otsu:
@@ -200,8 +185,13 @@ def otsu(values: np.ndarray) -> Otsu:
     k = int(np.argmax(between))
     variance = float(values.var())
     separation = float(between[k]) / variance if variance > 1e-12 else 0.0
-    threshold = float(0.5 * (values[k] + values[k + 1]))
-    return Otsu(threshold=threshold, separation=separation, low=float(low_mean[k]), high=float(high_mean[k]))
+    return Otsu(
+        threshold=float(0.5 * (values[k] + values[k + 1])),
+        separation=separation,
+        low=float(low_mean[k]),
+        high=float(high_mean[k]),
+        scatter=float(np.sqrt(max(0.0, 1 - separation) * variance)),
+    )
 
 
 def two_states(evidence: np.ndarray, tuning: SectionsTuning) -> np.ndarray:
@@ -213,7 +203,7 @@ def two_states(evidence: np.ndarray, tuning: SectionsTuning) -> np.ndarray:
     n = len(say)
     cost, back = np.zeros(2), np.zeros((n, 2), int)
     for k in range(n):
-        stay, move = cost, cost[::-1] + (tuning.switch_cost if k else 0.0)
+        stay, move = cost, cost[::-1] + (2.5 if k else 0.0)  # against one odd frame
         back[k] = np.where(stay <= move, [0, 1], [1, 0])
         cost = np.minimum(stay, move) + np.array([0.5, -0.5]) * say[k]
     state = np.zeros(n, bool)

@@ -1,13 +1,11 @@
-"""Bridge and open-sky sections from the up camera (paper 001, section b), and whether they are tied to each other."""
+"""Bridge and open-sky sections from the up camera (paper 001, section b)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import maximum_bipartite_matching
 
-from tiegraph.network.passes import Pass, find_passes
+from tiegraph.network.passes import Pass
 from tiegraph.network.sections.light import Cue, UpLight, read_cues, two_states
 from tiegraph.network.tuning import SectionsTuning
 from tiegraph.scene.pairs import Pairs
@@ -172,66 +170,3 @@ def split(pairs: Pairs, scene: Scene) -> Pairs:
     """Pairs whose images lie in different sections dropped for ``section`` (paper 001: one list a section)."""
     of_image = scene.section[scene.frame]
     return pairs.drop(of_image[pairs.i] != of_image[pairs.j], "section")
-
-
-# ---------------------------------------------------------------- continuity
-
-
-def section_links(
-    pairs: Pairs, scene: Scene, sections: Sequence[Section], tuning: SectionsTuning
-) -> tuple[dict, tuple[str, ...]]:
-    """Whether neighbouring sections of each pass are tied across their border: a table, and notes where they are not.
-
-    Counted are kept pairs (verified ones once matching has run) between the two runs of frames that meet at a border,
-    and how many of them share no image (a matching): two of these is what a chain of models needs to hold together.
-    """
-    columns = ["pass", "before", "after", "last image", "first image", "pairs", "independent", "tied"]
-    rows: list[list] = []
-    notes = []
-    kept = pairs.kept()
-    if np.any(pairs.inliers >= 0):
-        kept = kept.where(kept.inliers > 0)
-    of_frame = np.full(scene.frames, -1)
-    for number, section in enumerate(sections):
-        of_frame[list(section.frames)] = number
-    for p in find_passes(scene):
-        edges = np.r_[0, 1 + np.flatnonzero(np.diff(of_frame[p.frames])), len(p)]
-        for a, b, c in zip(edges[:-2], edges[1:-1], edges[2:]):
-            count, free = _across(kept, scene, p.frames[a:b], p.frames[b:c])
-            names = [sections[of_frame[p.frames[k]]].name if of_frame[p.frames[k]] >= 0 else "-" for k in (b - 1, b)]
-            ends = [_first_image(scene, p, k) for k in (b - 1, b)]
-            rows.append([p.name, *names, *ends, count, free, free >= tuning.min_links])
-            if free < tuning.min_links:
-                notes.append(_untied(p.name, names, ends, count, free))
-    return {"columns": columns, "rows": rows}, tuple(notes)
-
-
-def _across(kept: Pairs, scene: Scene, before: np.ndarray, after: np.ndarray) -> tuple[int, int]:
-    """Kept pairs between two sets of frames, and the most of them that share no image."""
-    side = np.zeros(scene.frames, int)
-    side[before], side[after] = 1, 2
-    i, j = side[scene.frame[kept.i]], side[scene.frame[kept.j]]
-    rows = np.flatnonzero((i + j == 3) & (i > 0) & (j > 0))
-    if not len(rows):
-        return 0, 0
-    left = np.where(i[rows] == 1, kept.i[rows], kept.j[rows])
-    right = np.where(i[rows] == 1, kept.j[rows], kept.i[rows])
-    a, b = (np.unique(x, return_inverse=True)[1] for x in (left, right))
-    graph = coo_array((np.ones(len(rows)), (a, b))).tocsr()
-    return len(rows), int(np.sum(maximum_bipartite_matching(graph, perm_type="column") >= 0))
-
-
-def _first_image(scene: Scene, p: Pass, rank: int) -> str:
-    images = p.images[:, rank]
-    return scene.names[int(images[images >= 0][0])] if (images >= 0).any() else "-"
-
-
-def _untied(name: str, sections: Sequence[str], ends: Sequence[str], count: int, free: int) -> str:
-    if not count:
-        how = "are not tied"
-    elif free < 2 and count > 1:
-        how = f"hang on one image ({count} pairs)"
-    else:
-        how = "hang on a single pair"
-    where = f"between {ends[0]} and {ends[1]}"
-    return f"pass {name}: {sections[0]} and {sections[1]} {how} across their border, {where}"

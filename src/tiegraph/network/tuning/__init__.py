@@ -26,16 +26,12 @@ class BackgroundTuning(Section):
 
     long_frames: int = Field(60, gt=2)
     """From which on most frames of a pass share nothing: evidence counts near its path only."""
-    far_share: tuple[float, float] = (0.4, 0.6)
-    """Of a pass: frames so far apart share nothing, also where its end is its beginning."""
     samples: int = Field(40, gt=0)
     """Far frame pairs that are previewed, for every two cameras."""
     enough: int = Field(12, gt=0)
     """Previews of two cameras that tell their own level; of fewer, that of all."""
     band: float = Field(0.15, ge=0, le=1)
     """Of the way from the level to the highest: what the frames at one distance from the path reach on average."""
-    outstanding: float = Field(0.99, ge=0, le=1)
-    """Share of the previews of far frames that a pair passes that is believed by itself."""
 
 
 class ConstantTuning(Section):
@@ -49,19 +45,6 @@ class ConstantTuning(Section):
     """Sampled frames that must have been looked at near the best offset."""
 
 
-class SurfaceTuning(Section):
-    """Evidence between two passes, to be drawn, and the path through it (`surface.py`)."""
-
-    ceiling: float = Field(6.0, gt=1)
-    """Times `min_matches`: more matches are drawn alike; higher than the ceiling of the decision, to show peaks."""
-    coarse: float = Field(0.15, ge=0, le=1)
-    """Share of the nodes of the densest camera pair: one with fewer is left out of the rig's surface."""
-    faint: float = Field(0.003, ge=0, le=1)
-    """Share of the strongest camera pair below which one is not shown."""
-    bend: float = Field(0.02, ge=0)
-    """Price of a path moving one node aside, as a share of the highest evidence."""
-
-
 class OffsetsTuning(Section):
     """Frame offsets within and between passes (`offsets.py`)."""
 
@@ -69,27 +52,12 @@ class OffsetsTuning(Section):
     """Frame distances at which the reach of a camera is measured."""
     strides_a_reach: float = Field(5, gt=0)
     """Lattice strides in the frames over which a typical camera keeps seeing the same things."""
-    strides_a_pass: int = Field(4, gt=0)
-    """Lattice strides in a pass, at least."""
-    max_stride: int = Field(16, gt=0)
-    """Lattice stride, frames."""
-    coarser_strides: int = Field(4, gt=0)
-    """Strides in the longer pass, above which a lattice that took too many previews is tried again with a stride twice
-    as long."""
     window_nodes: int = Field(10, gt=0)
     """Seeds reach this far from the path, in lattice nodes."""
-    least_window_nodes: int = Field(3, gt=0)
-    """The same on lattices that were made coarser."""
     window_margin_nodes: int = Field(2, ge=0)
     """So many nodes beyond the window evidence still counts."""
-    flood_excess: float = Field(1.1, gt=0)
-    """The lattice grows from nodes this much above `min_matches`: noise alone must not spread."""
     min_budget: int = Field(6000, ge=0)
     """Previews that are always affordable (less than a minute on one core)."""
-    coarse_nodes: int = Field(24, gt=0)
-    """Lattice nodes a side of the first look between two passes, at most ..."""
-    least_coarse_nodes: int = Field(4, gt=0)
-    """... and at least."""
     coarse_share: float = Field(0.5, gt=0, le=1)
     """Of the budget: what the first look may take."""
     scores: ScoreMatrixTuning = Field(default_factory=ScoreMatrixTuning)
@@ -98,8 +66,6 @@ class OffsetsTuning(Section):
     """What frames that share nothing reach."""
     constant: ConstantTuning = Field(default_factory=ConstantTuning)
     """One offset for each two cameras."""
-    surface: SurfaceTuning = Field(default_factory=SurfaceTuning)
-    """Evidence to be drawn, and the path through it."""
 
 
 class PriorTuning(Section):
@@ -145,26 +111,12 @@ class PosesTuning(Section):
     """In ranges: a shorter base of one camera measures nothing."""
     neighbours: int = Field(40, gt=0)
     """Nearest frames of a frame that are looked at ..."""
-    neighbour_radii: float = Field(2.0, gt=0)
-    """... within this many times the distance beyond which frames share nothing."""
     drift: float = Field(0.01, ge=0)
     """Of the path between two frames: error of a trajectory without given accuracy (odometry: about 1 %)."""
     sigmas: float = Field(2.0, ge=0)
     """Standard deviations of a distance: a base refuses only what is too long or too short by all of them."""
-    unsure: float = Field(0.25, ge=0)
-    """Of the range: less certain than this, two frames are not refused by sight."""
-    max_slack_rad: float = Field(0.3, ge=0)
-    """Most that an uncertain position widens a field of view."""
     guessed_view_deg: float = Field(70.0, gt=0, lt=180)
     """Of a camera whose focal length is a guess and that has no neighbour on its rig."""
-    shared_view: float = Field(1.25, gt=0)
-    """Field of view of such a camera over the angle to the next one on its rig: they overlap."""
-    max_view_deg: float = Field(120.0, gt=0, lt=180)
-    """Most that a guessed field of view is widened to."""
-    next_deg: float = Field(5.0, ge=0)
-    """Cameras of a rig whose axes are nearer look the same way: neither is the other's next one."""
-    heading_sigmas: float = Field(4.0, ge=0)
-    """Standard deviations of the positions, above which a stretch of the track tells a heading."""
     prior: PriorTuning = Field(default_factory=PriorTuning)
     """Whether a prior may be believed."""
 
@@ -176,26 +128,16 @@ class SectionsTuning(Section):
     """Of a pass with an up camera, or nothing can be learnt from it alone."""
     min_separation: float = Field(0.7, ge=0, le=1)
     """Share of the variance the two classes must explain (a normal distribution: 0.64 to 0.67)."""
-    min_class: int = Field(2, gt=0)
-    """Frames of the smaller class."""
     sky_contrast: float = Field(0.3, ge=0)
     """By which the classes' open shares of the masks must differ."""
     luminance_contrast: float = Field(2.0, gt=0)
     """Factor by which the classes' luminances must differ."""
     brightness_contrast: float = Field(1.25, gt=0)
     """Factor by which the classes' brightnesses must differ."""
-    known_exposure: float = Field(0.9, ge=0, le=1)
-    """Share of the up images that must carry their exposure."""
-    narrowest: float = Field(1 / 6, gt=0)
-    """Of the contrast: least scatter within a class that is believed."""
     frame_say: float = Field(4.0, ge=0)
     """Log likelihood ratio of one frame at most: none decides alone ..."""
-    switch_cost: float = Field(2.5, ge=0)
-    """... against leaving a state and coming back."""
     min_shared: float = Field(0.2, ge=0)
     """Of the density of pairs within sections: what two sections must share to be one place."""
-    min_links: int = Field(2, gt=0)
-    """Independent ties across a border."""
 
 
 class CountsTuning(Section):

@@ -12,20 +12,8 @@ class VisibleTuning(Section):
     """Image cells across and down: votes and occlusion."""
     behind: float = Field(1.2, ge=1)
     """A point further than this times the nearest one of its cell is hidden."""
-    front_cos: float = Field(-0.3, ge=-1, le=1)
-    """Cosine between the ray and the mean direction to the observers; below it the back is seen."""
     mean_visible: tuple[int, int] = (700, 2500)
     """Points an image sees on average, in the largest surveys and in small ones."""
-    sights: int = Field(3_000_000, gt=0)
-    """Points that all images together see, between these two: bounds memory."""
-    thinning_images: int = Field(40, gt=0)
-    """Images that tell how many points are seen, before some are left out."""
-    thinning_from: float = Field(1.2, ge=1)
-    """Times the points wanted: with fewer none are left out."""
-    angle_points: float = Field(400, gt=0)
-    """Points an image sees on average that the mean angles and scales are taken from ..."""
-    angle_share: float = Field(0.7, ge=0, le=1)
-    """... from all, where these are a larger share."""
     cone_widens: float = Field(1.05, ge=1)
     """The cone round a field of view is wider by this factor: distortion."""
     min_share: float = Field(0.02, ge=0, le=1)
@@ -34,19 +22,6 @@ class VisibleTuning(Section):
     """Pairs whose distances to the shared surface differ by more than this factor match no more."""
     guessed_view_deg: float = Field(60.0, gt=0, lt=180)
     """Field of view of an image without a camera, across and down."""
-
-
-class ProxyTuning(Section):
-    """Points that stand for the surface (`proxy.py`)."""
-
-    far_observers: float = Field(2.0, ge=1)
-    """A point is not seen from further than this times its farthest observer."""
-    assumed_grid: tuple[int, int] = (6, 5)
-    """Rays across and down an image for a proxy at an assumed range."""
-    assumed_ranges: tuple[float, ...] = (0.25, 0.5, 1.0, 2.0)
-    """Distances of its points, in assumed ranges."""
-    assumed_reach: float = Field(3.0, gt=0)
-    """Ranges from which such a point is still seen."""
 
 
 class TrustTuning(Section):
@@ -82,8 +57,6 @@ class TracksTuning(Section):
     images: int = Field(2, ge=2)
     """Rays of a point. With 3 it is half as many points and the design is content with fewer pairs: sigmas of canals of
     120 images are 1.10 times those over a model mapped whole, with 2 they are 1.03 times (benchmarks/README.md)."""
-    most_left_out: int = Field(3, ge=0)
-    """Rays of a point that are left out: with more wrong ones it is no point."""
     off_deg: float = Field(1.0, gt=0, lt=90)
     """By which a ray may miss its point."""
     angle_deg: float = Field(1.0, gt=0, lt=180)
@@ -99,26 +72,12 @@ class CoarseTuning(Section):
     """Share of the images in the model from which its calibration is believed."""
     tries: int = Field(4, gt=0)
     """Models made, where the first are torn or suspect."""
-    more_pairs: float = Field(1.5, ge=1)
-    """Times the pairs an image of a torn model, for the next one."""
-    enough_looks: int = Field(8, gt=0)
-    """Previews of two cameras where the model predicts a common view, to say that they never tie."""
-    never: float = Field(0.1, ge=0, le=1)
-    """Share of them that chance ties."""
     most_focal: float = Field(1.1, ge=1)
     """Factor by which a model may correct the focal length of a data sheet or of EXIF."""
     most_turn_deg: float = Field(15.0, ge=0)
     """Of a nominal mounting: further only if a second model turns the camera as far."""
-    same_turn_deg: float = Field(3.0, ge=0)
-    """Two models agree."""
-    reach_points: int = Field(10, gt=0)
-    """An image that sees fewer says nothing of its distances."""
-    reach_percentiles: tuple[float, float] = (5.0, 95.0)
-    """Of the distances to the points an image sees, its nearest and farthest."""
     visible: VisibleTuning = Field(default_factory=VisibleTuning)
     """Which images see the same surface."""
-    proxy: ProxyTuning = Field(default_factory=ProxyTuning)
-    """Points that stand for the surface."""
     tracks: TracksTuning = Field(default_factory=TracksTuning)
     """Points of its tracks."""
     trust: TrustTuning = Field(default_factory=TrustTuning)

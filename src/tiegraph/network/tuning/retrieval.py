@@ -10,20 +10,10 @@ class VocabularyTuning(Section):
 
     vocabularies: int = Field(2, gt=0)
     """Vocabularies, with other starts; two find 0.01 to 0.02 more than one."""
-    features_a_word: float = Field(12, gt=0)
-    """Features of the survey for each word; measured: 8 to 16 serve alike from 79 to 300 images."""
-    min_words: int = Field(256, gt=0)
-    """Words of a vocabulary, at least."""
-    max_words: int = Field(65536, gt=0)
-    """Words of a vocabulary, at most."""
     training: int = Field(200_000, gt=0)
     """Descriptors a vocabulary is learnt from, at most: 100 MB."""
     rounds: int = Field(8, ge=0)
     """Of k-means."""
-    idf_power: float = Field(0.5, ge=0)
-    """Of the inverse document frequency: in a survey common words still tell, 0.005 better than the plain logarithm."""
-    burst_power: float = Field(0.5, ge=0)
-    """Of the term frequency: repeated words count less than once each (burstiness: Jegou 2009)."""
 
 
 class LooseTuning(Section):
@@ -42,44 +32,23 @@ class LooseTuning(Section):
     """Look-alikes an image starts with: nine of ten share something."""
     by_name: int = Field(2, ge=0)
     """Next photographs by name an image starts with: a camera numbers its pictures."""
-    friends: int = Field(6, ge=0)
-    """Neighbours of neighbours an image is previewed with in one round."""
     hit_rate: float = Field(0.15, ge=0, le=1)
     """A round in which a smaller share of the previews ties is the last."""
     few_ties: int = Field(4, ge=0)
     """An image with fewer goes further down its list of look-alikes."""
-    every_frame: int = Field(4, gt=0)
-    """Of the frames of passes, those compared with loose photographs: one in so many."""
     support: float = Field(3.0, ge=0)
     """Weight of the cosine between two images' ties, against their count in units of `min_matches`."""
     enough: float = Field(2.0, ge=0)
     """What count and weighted cosine must reach together."""
-    blind_partners: int = Field(20, gt=0)
-    """Random partners of an image in place of look-alikes, without words: many more previews are needed."""
-    blind_share: float = Field(0.06, ge=0, le=1)
-    """Of all pairs: previews without words ..."""
-    blind_budget: int = Field(80_000, ge=0)
-    """... or so many, if that is more."""
-
-
-class TimelineTuning(Section):
-    """The passes one after another (`timeline.py`)."""
-
-    ladder: tuple[int, ...] = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96)
-    """Frame distances at which likeness along a pass is measured."""
-    reach_share: float = Field(0.25, ge=0, le=1)
-    """Of the likeness of consecutive frames, above that of distant ones, that ends the reach."""
-    strides_a_reach: int = Field(3, gt=0)
-    """Sampled frames within a reach."""
-    max_cells: int = Field(3000, gt=0)
-    """Cells along all passes in which known ties are marked."""
 
 
 class LoopSearchTuning(Section):
-    """Loops of passes (`retrieval.py`)."""
+    """Loops of passes (`timeline.py`, `retrieval.py`)."""
 
-    near_reaches: int = Field(3, ge=0)
-    """Frames of one pass closer than this many reaches are no loop."""
+    ladder: tuple[int, ...] = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96)
+    """Frame distances at which likeness along a pass is measured."""
+    strides_a_reach: int = Field(3, gt=0)
+    """Sampled frames within a reach."""
     look_alikes: int = Field(4, gt=0)
     """Far images that each sampled image is previewed with."""
     patch: int = Field(10, ge=0)
@@ -89,40 +58,19 @@ class LoopSearchTuning(Section):
     patches of any size."""
     previews_an_image: int = Field(16, ge=0)
     """Of those sampled: the most that looking for loops may take."""
-
-
-class SignificanceTuning(Section):
-    """Loops of long surveys against the whole rig (`retrieval.py`)."""
-
-    frame_pairs: int = Field(12, gt=0)
-    """Frame pairs of a loop that all cameras are previewed at."""
     speaks: float = Field(0.4, ge=0, le=1)
     """Of the way from the level of unrelated frames to the highest: what a camera must reach there."""
     most_cameras: float = Field(0.6, ge=0, le=1)
     """Share of a rig's cameras that must. Simulated, 2004 images: false loops 0.17 to 0.5, true ones 0.83 to 1."""
-    places_a_loop: int = Field(16, gt=0)
-    """One loop for so many of the survey's places is looked at so closely."""
 
 
 class CopiesTuning(Section):
     """Passes that hold the same pictures (`offsets.py`)."""
 
-    max_shift: float = Field(0.003, ge=0)
-    """Of the image size: median motion of a copy."""
     found_again: float = Field(0.55, ge=0, le=1)
     """Share of the features that a copy shows again; measured: JPEG quality 60 .. 95: 0.59 .. 0.9, next frame 0.5."""
     strong: float = Field(3.0, gt=0)
     """Times `min_matches`: less is no ground to look closer."""
-    near_best: float = Field(0.8, ge=0, le=1)
-    """Share of the best count from which a node tells the frame offset of copies."""
-    offsets: int = Field(2, ge=0)
-    """Frame offsets that are tried besides none, those most nodes tell."""
-    samples: int = Field(6, gt=0)
-    """Frames looked at first."""
-    many: float = Field(0.5, ge=0, le=1)
-    """Share of copies among them that makes a repeated pass ..."""
-    least: int = Field(2, ge=0)
-    """... and at least so many."""
 
 
 class RetrievalTuning(Section):
@@ -135,11 +83,7 @@ class RetrievalTuning(Section):
     """Visual words."""
     loose: LooseTuning = Field(default_factory=LooseTuning)
     """Loose photographs."""
-    timeline: TimelineTuning = Field(default_factory=TimelineTuning)
-    """Passes one after another."""
     loops: LoopSearchTuning = Field(default_factory=LoopSearchTuning)
     """Loops of passes."""
-    significance: SignificanceTuning = Field(default_factory=SignificanceTuning)
-    """Loops against the whole rig."""
     copies: CopiesTuning = Field(default_factory=CopiesTuning)
     """The same pictures twice."""

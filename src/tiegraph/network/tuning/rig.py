@@ -5,19 +5,6 @@ from pydantic import Field
 from tiegraph.settings import Section
 
 
-class AxesTuning(Section):
-    """What optical axes say (`axes.py`)."""
-
-    yaw_step_deg: float = Field(12.0, gt=0)
-    """Between the headings of one pass against another that are tried."""
-    far_baselines: float = Field(10.0, gt=0)
-    """Assumed distance of things, in baselines of two cameras."""
-    plane_spread: float = Field(0.5, ge=0)
-    """Second singular value of the side cameras' axes, from which they span a plane ..."""
-    plane_flat: float = Field(0.5, ge=0)
-    """... and the third one as a share of it, up to which they lie in it."""
-
-
 class CheckTuning(Section):
     """Mirrored and rolled rigs (`check.py`)."""
 
@@ -35,23 +22,15 @@ class CheckTuning(Section):
     """A hypothesis must beat the nominal rig by this much to replace it."""
     tie: float = Field(0.03, ge=0)
     """Agreements this close are the same."""
-    most_excess: float = Field(2.0, gt=0)
-    """Of one preview as evidence that two cameras match: matches above `min_matches`, in units of it."""
-    angle_votes: int = Field(3, gt=0)
-    """Image pairs of two cameras, from which the angle between their axes is told."""
 
 
 class OrderTuning(Section):
     """Cameras in another order (`check.py`)."""
 
-    all_orders: int = Field(7, ge=0)
-    """Side cameras up to which every order is tried (5040); beyond, swaps one after the other."""
     fit: float = Field(0.6, ge=-1, le=1)
     """Correlation between evidence and cosine of the axes that counts as an explanation."""
     better: float = Field(0.3, ge=0)
     """A new order must correlate better than the nominal one by this much, in all frames together ..."""
-    better_half: float = Field(0.15, ge=0)
-    """... and by this much in either half of the frames."""
     alike: float = Field(0.02, ge=0)
     """Correlations this close are the same: turning or mirroring a ring changes no neighbours."""
     candidates: int = Field(60, gt=0)
@@ -63,20 +42,8 @@ class SynchronisationTuning(Section):
 
     short: float = Field(0.6, ge=0)
     """Of the usual number of frames of the others: a pass that short may have ended early."""
-    lag_passes: int = Field(4, gt=0)
-    """Passes whose cameras are compared ..."""
-    lag_frames: int = Field(4, gt=0)
-    """... and frames of each."""
-    max_lag: int = Field(6, ge=0)
-    """Frames a camera may run late or early, at most ..."""
-    frames_a_lag: int = Field(3, gt=0)
-    """... and a pass has so many frames for each frame of it."""
-    near_deg: float = Field(15.0, ge=0)
-    """Neighbours of a camera: axes this much further away than the nearest one."""
     off: float = Field(0.04, ge=0)
     """Of the image size: a shift this far from the expected one is odd (5 degrees of a nominal rig: 0.04)."""
-    off_more: float = Field(0.01, ge=0)
-    """Of the image size: a lag may move no shift further from the expected one than this."""
     few: int = Field(1, ge=0)
     """Camera pairs whose offsets are always looked at: parallel axes have no wrong shift to show."""
     faint: float = Field(0.25, ge=0)
@@ -85,8 +52,6 @@ class SynchronisationTuning(Section):
     """Evidence (`min_matches` above chance) that a pair of cameras must reach somewhere to vote."""
     gain: float = Field(1.25, ge=0)
     """A lag must explain this much more evidence than none ..."""
-    change: float = Field(0.9, ge=0)
-    """... and may not weaken any pair of cameras to less than this share."""
 
 
 class CommonViewTuning(Section):
@@ -109,8 +74,6 @@ class CommonViewTuning(Section):
 class RigTuning(Section):
     """The rig against the images."""
 
-    axes: AxesTuning = Field(default_factory=AxesTuning)
-    """Optical axes."""
     check: CheckTuning = Field(default_factory=CheckTuning)
     """Mirrored and rolled rigs."""
     order: OrderTuning = Field(default_factory=OrderTuning)
