@@ -2,8 +2,7 @@
 
 ``python -m benchmarks.plan canal=RUN kitti_stereo=RUN pandaset=RUN ... -o benchmarks/results/plan.json`` reads run
 folders (``benchmarks/run.py --keep`` leaves them) and changes nothing there. A plan is told what is known before going:
-cameras, how the rig is made, the way, how far walls are, the class of the receiver. A run whose rig was relaxed is
-compared by the paths of its cameras, planned one by one: see docs/plan.md. ``station=STORE``, the folder of
+cameras, how the rig is made, the way, how far walls are, the class of the receiver. ``station=STORE``, the folder of
 ``benchmarks.closerange``: its wide camera's path, and the depths of its dense cameras.
 """
 
@@ -95,10 +94,7 @@ def measure(name: str, folder: Path, scratch: Path) -> dict[str, Any]:
     for key in (f"{s}_sigma_median_m" for s in _SIGMAS):
         planned, reported = path.get(key), run.get(key)
         out[key] = _beside(planned, reported)
-    off = errors_m(dataset, folder, relaxed=bool(run.get("relaxed")))
-    errors = {"error": float(np.median([np.median(np.linalg.norm(e, axis=1)) for e in off.values()]))}
-    if len(off) > 1:
-        errors["error beside the common"] = beside_common_m(off)
+    errors = {"error": float(np.median(np.linalg.norm(errors_m(dataset, folder), axis=1)))}
     sigma = run.get("position_shape_sigma_median_m")
     for key, error in errors.items():
         out[f"{key.replace(' ', '_')}_in_shape_m"] = _rounded(error)
@@ -165,32 +161,14 @@ def _beside(planned: float | None, reported: float | None) -> dict[str, float | 
     }  # fmt: skip
 
 
-def errors_m(dataset: datasets.Dataset, folder: Path, *, relaxed: bool) -> dict[int, np.ndarray]:
-    """Errors (F, 3) of positions after the best similarity; of a relaxed rig camera by camera, frames in order."""
+def errors_m(dataset: datasets.Dataset, folder: Path) -> np.ndarray:
+    """(F, 3) errors of the places of the reference cameras after the best similarity."""
     model = pycolmap.Reconstruction(folder / "sparse" / "0")
-    truth = reference_poses(model, dataset)
-    groups: dict[int, list[tuple[str, int]]] = {}
-    for frame in truth:
-        image = min((model.image(d.id) for d in model.frame(frame).image_ids), key=lambda i: i.name)
-        groups.setdefault(image.camera_id if relaxed else 0, []).append((image.name, frame))
-    out = {}
-    for camera, frames in groups.items():
-        order = [f for _, f in sorted(frames)]
-        poses = [model.frame(f).rig_from_world for f in order]
-        here = np.stack([p.tgt_origin_in_src() for p in poses if p is not None])
-        there = np.stack([transforms.centre(truth[f]) for f in order])
-        out[camera] = umeyama(here, there)(here) - there
-    return out
-
-
-def beside_common_m(off: dict[int, np.ndarray]) -> float:
-    """Median error of a camera's positions beside what all cameras share at a frame: the reference's own, whose cameras
-    are carried by one receiver, or a bend of the whole."""
-    if len({len(e) for e in off.values()}) > 1:
-        return float("nan")
-    each = np.stack(list(off.values()))
-    own = (each - each.mean(axis=0)) * np.sqrt(len(each) / (len(each) - 1))
-    return float(np.median(np.linalg.norm(own, axis=2)))
+    truth = {f: pose for f, pose in reference_poses(model, dataset).items() if f <= len(model.images)}
+    poses = [model.frame(f).rig_from_world for f in truth]
+    here = np.stack([p.tgt_origin_in_src() for p in poses if p is not None])
+    there = np.stack([transforms.centre(p) for p in truth.values()])
+    return umeyama(here, there)(here) - there
 
 
 def _with_files(request: PlanRequest, dataset: datasets.Dataset, scratch: Path) -> PlanRequest:

@@ -97,20 +97,19 @@ def judged(dataset: datasets.Dataset, out: Path) -> dict[str, Any]:
         shape = Shape(**data)
     first = [np.flatnonzero(scene.frame == f)[scene.sensor[scene.frame == f].argmin()] for f in shape.index]
     names = [scene.names[k] for k in first]
-    rows = np.flatnonzero(shape.reference)
-    true = np.array([datasets.pose_centre(dataset.cam_from_world[names[k]]) for k in rows])
-    fit, _ = robust_umeyama(shape.place[rows], true, 0.02)
-    row["shape"] = _off(fit(shape.place[rows]) - true, fit.scale * shape.sigma[rows], [names[k] for k in rows])
+    true = np.array([datasets.pose_centre(dataset.cam_from_world[n]) for n in names])
+    fit, _ = robust_umeyama(shape.place, true, 0.02)
+    row["shape"] = _off(fit(shape.place) - true, fit.scale * shape.sigma, names)
     world = json.loads((out / "world.json").read_text()) if (out / "world.json").exists() else {}
     if world.get("origin") and world.get("placement_error") and dataset.truth_origin is not None:
         origin = Origin.from_dict(world["origin"])
         there = world_from_geodetic(geodetic_from_world(true, dataset.truth_origin), origin)
         model = read_model(out / "sparse" / "world")
         images = {i.name: i.projection_center() for i in model.images.values() if i.has_pose}
-        here, sigma = np.array([images[names[k]] for k in rows]), world["scale"] * shape.sigma[rows]
+        here, sigma = np.array([images[n] for n in names]), world["scale"] * shape.sigma
         error = PlacementError.from_dict(world["placement_error"])
         sigma = np.hypot(np.linalg.norm(error.sigma(here), axis=1), sigma)
-        row["world"] = _off(here - there, sigma, [names[k] for k in rows])
+        row["world"] = _off(here - there, sigma, names)
     return row
 
 

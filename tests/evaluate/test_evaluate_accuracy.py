@@ -71,7 +71,7 @@ def test_a_bend_shows_in_the_whole_and_less_over_a_short_way() -> None:
 
 
 def test_layers_stand_in_order_and_each_begins_with_what_is_predicted() -> None:
-    said = in_layers(Stated(PREDICTED, HELD, WORLD, rig=(0.006, 0.005)), figures_of(line(60), PREDICTED).values())
+    said = in_layers(Stated(PREDICTED, HELD, WORLD), figures_of(line(60), PREDICTED).values())
     layers = [f.layer for f in said.figures]
     assert list(dict.fromkeys(layers)) == list(LAYERS) and layers == sorted(layers, key=list(LAYERS).index)
     for layer in LAYERS:
@@ -79,7 +79,7 @@ def test_layers_stand_in_order_and_each_begins_with_what_is_predicted() -> None:
     assert said.held_by == "GNSS positions of 14 of 20 frames" and said.placement == WORLD["sigma"]
     values = said.values()
     assert values["world.predicted"] == 0.04 and values["world.check_points.ratio"] == pytest.approx(0.8)
-    assert values["world.held_out.measured"] == pytest.approx(0.05) and values["shape.rig.measured"] == 0.006
+    assert values["world.held_out.measured"] == pytest.approx(0.05)
     assert not said.figure("world.held_out").independent and said.figure("world.check_points").independent
     assert all(f.proves_not for f in said.figures)
     assert Accuracy.from_dict(said.to_dict()).to_dict() == said.to_dict()
