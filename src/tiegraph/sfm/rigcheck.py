@@ -129,6 +129,7 @@ def _wider(tuning: Tuning, wide: float) -> Tuning:
         return tuning
     own = tuning.adjust
     more = {"robust_px": wide * own.robust_px, "filter_px": wide * own.filter_px, "robust_rounds": 1}
+    more["tolerance"] = 100 * own.tolerance  # it goes on from there
     return tuning.model_copy(update={"adjust": own.model_copy(update=more)})
 
 
