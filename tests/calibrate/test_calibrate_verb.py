@@ -99,7 +99,7 @@ def test_scan_takes_the_rig_as_it_is_written(made, tmp_path):
                  "--pool", "serial", "--quiet"]) == 0  # fmt: skip
     sensors = json.loads((out / "scene.json").read_text())["rigs"][0]["sensors"]
     assert [s["name"] for s in sensors] == NAMES
-    assert all(s["sigma"][0] > 0 and s["sigma"][1] > 0 for s in sensors[1:])
+    assert all(s["sigma_deg"] > 0 and s["sigma_m"] > 0 for s in sensors[1:])
 
 
 # --- what is refused ------------------------------------------------------------------------------------------------

@@ -39,13 +39,18 @@ def test_about_seventy_settings_at_most():
 def test_the_constants_of_an_engine_are_in_reach_and_in_the_keys_of_its_stages(tmp_path):
     out = tmp_path / "out"
     out.mkdir()
-    (out / SETTINGS).write_text("[tuning.filter]\nmin_agree = 9\n[tuning.filter.motion]\ntrials = 300\n")
-    project = open_project(tmp_path, out, settings={"tuning": {"filter": {"motion": {"steps": 4}}}})
+    (out / SETTINGS).write_text("[tuning.filter]\nmatches_a_pair = 9\n[tuning.filter.loops]\ntrials = 300\n")
+    project = open_project(tmp_path, out, settings={"tuning": {"filter": {"loops": {"rounds": 4}}}})
     tuning = project.settings.tuning.filter
-    assert (tuning.min_agree, tuning.motion.trials, tuning.motion.steps, tuning.motion.directions) == (9, 300, 4, 200)
+    assert (tuning.matches_a_pair, tuning.loops.trials, tuning.loops.rounds, tuning.loops.directions) == (
+        9,
+        300,
+        4,
+        200,
+    )
     project.save()
     assert open_project(out=out).settings == project.settings
-    changed_values = {"filter": {"min_agree": 9, "motion": {"trials": 300, "steps": 4}}}
+    changed_values = {"filter": {"matches_a_pair": 9, "loops": {"trials": 300, "rounds": 4}}}
     assert read_file(out / SETTINGS)["tuning"] == changed_values == changed(project.settings)["tuning"]
     before, after = (stage_keys(STAGES, s, {"images": 1}, Stamps(out)) for s in (Settings(), project.settings))
     needs_filter = {"filter", "sparse", "georef", "refine", "dense", "cloud", "evaluate", "report"}
@@ -53,8 +58,8 @@ def test_the_constants_of_an_engine_are_in_reach_and_in_the_keys_of_its_stages(t
 
 
 def test_typos_of_constants_are_refused_with_the_nearest_name():
-    with pytest.raises(SettingsError, match=r"'tuning.filter.motion.trails': perhaps you meant 'trials'"):
-        merged({"tuning": {"filter": {"motion": {"trails": 3}}}})
+    with pytest.raises(SettingsError, match=r"'tuning.filter.loops.trails': perhaps you meant 'trials'"):
+        merged({"tuning": {"filter": {"loops": {"trails": 3}}}})
     with pytest.raises(SettingsError, match=r"tuning.filter.prior.margin = 0.5"):
         merged({"tuning": {"filter": {"prior": {"margin": 0.5}}}})
     with pytest.raises(SettingsError, match=r"'tuning.fliter': perhaps you meant 'filter'"):

@@ -90,7 +90,7 @@ def test_a_shape_is_told_as_far_as_its_frames_followed() -> None:
     rng = np.random.default_rng(0)
     modes, count = rng.standard_normal((3, 8, 3)), np.arange(8)
     place, rest = rng.standard_normal((8, 3)), np.full((8, 3), 1e-4)
-    shape = Shape(index=count, reference=np.ones(8, bool), place=place, modes=modes, rest=rest)
+    shape = Shape(index=count, place=place, modes=modes, rest=rest)
     best, known = np.array([1.5, -0.5, 0.2]), 0.01 * np.eye(3)
     step = np.einsum("m,mni->ni", best, modes)
     np.testing.assert_allclose(shape.coefficients(step), best, atol=1e-9)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pycolmap
-from scipy.interpolate import CubicSpline
+import scipy
 from scipy.spatial.transform import Rotation, RotationSpline
 
 from tiegraph.geometry import transforms
@@ -59,7 +59,7 @@ class Motion:
             if len(way) > 1:
                 poses = [model.image(ids[k]).cam_from_world().inverse() for k in way.tolist()]
                 at = time[way] - time[way[0]]
-                place = CubicSpline(at, np.array([p.translation for p in poses]))
+                place = scipy.interpolate.CubicSpline(at, np.array([p.translation for p in poses]))
                 turn = RotationSpline(at, Rotation.from_matrix(np.array([p.rotation.matrix() for p in poses])))
                 self._ways |= {ids[k]: (place, turn, float(t)) for k, t in zip(way.tolist(), at)}
 

@@ -63,7 +63,7 @@ def unrest(model: pycolmap.Reconstruction, weighed: EffectWeights, tuning: Share
     shared = [own for own in _by_frame(model, weighed.seen, tuning) if len(own) > 1]
     if not shared:
         return []
-    place, turn, gain, gradient = _straying(weighed, shared, tuning)
+    (place, turn, gain), gradient = _straying(weighed, shared, tuning)
     if gain <= 0:
         return []
     moment = (
@@ -91,10 +91,12 @@ def strays_of(
     for camera in cameras:
         own = [[i] for images in frames for i in images if model.image(i).camera_id == camera]
         if own:
-            place, turn, gain, _ = _straying(weighed, own, tuning)
+            (place, turn, gain), _ = _straying(weighed, own, tuning)
             rows = np.flatnonzero(weighed.seen.camera == camera)
             moved = by_shift(weighed.seen, rows[:: max(1, len(rows) // _SOME)]) ** 2 @ np.repeat([place, turn], 3)
-            out[camera] = Stray(float(place**0.5), float(turn**0.5), float(np.sqrt(np.median(moved))), gain)
+            out[camera] = Stray(
+                place=float(place**0.5), turn=float(turn**0.5), px=float(np.sqrt(np.median(moved))), gain=float(gain)
+            )
     return out
 
 
@@ -113,9 +115,9 @@ def _by_frame(model: pycolmap.Reconstruction, seen: System, tuning: SharedErrorT
 
 def _straying(
     weighed: EffectWeights, groups: list[list[int]], tuning: SharedErrorTuning
-) -> tuple[float, float, float, np.ndarray]:
-    """Of images, in groups that are judged together: variances of a coordinate of place and turn that they show, the
-    gain in log likelihood over none, and their effect (C, 6K) on the gradient."""
+) -> tuple[np.ndarray, np.ndarray]:
+    """Of images, in groups that are judged together: variances of a coordinate of place and turn that they show and the
+    gain in log likelihood over none (3,), and their effect (C, 6K) on the gradient."""
     chosen = [groups[k] for k in evenly(len(groups), tuning.most_shots)]
     size = 6 * max(len(own) for own in chosen)
     gradient, score = [], np.zeros((len(chosen), size))
@@ -126,8 +128,7 @@ def _straying(
         score[k, part], noise[k, part, part], information[k, part, part] = told.score, told.noise, told.information
         gradient.append(told.gradient)
     noise += RIDGE * np.maximum(np.diagonal(information, axis1=1, axis2=2), 1e-300)[:, :, None] * np.eye(size)
-    place, turn, gain = two_sizes(score, noise, information, tuning)
-    return place, turn, gain, np.hstack(gradient)
+    return np.array(two_sizes(score, noise, information, tuning)), np.hstack(gradient)
 
 
 def untimed(weighed: EffectWeights, motion: Motion, late_s: Mapping[int, float]) -> list[Effect]:
