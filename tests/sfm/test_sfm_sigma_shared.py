@@ -171,12 +171,10 @@ def test_sizes_of_two_effects_are_found() -> None:
     information = np.tile(np.diag([1.0, 2, 1, 3, 1, 2]), (60, 1, 1))
     shifts = rng.standard_normal((60, 6)) * [2, 2, 2, 0.5, 0.5, 0.5]
     noise = rng.standard_normal((60, 6)) * np.sqrt(np.diagonal(information[0]))
-    place, turn, gain = two_sizes(
-        np.einsum("kij,kj->ki", information, shifts) + noise, information, information, TUNING.sigma.shared
-    )
+    place, turn, gain = two_sizes(np.einsum("kij,kj->ki", information, shifts) + noise, information, information)
     assert np.sqrt(place) == pytest.approx(2, rel=0.33) and np.sqrt(turn) == pytest.approx(0.5, rel=0.33)
     assert gain > 100
-    place, turn, gain = two_sizes(noise, information, information, TUNING.sigma.shared)
+    place, turn, gain = two_sizes(noise, information, information)
     assert place < 0.1 and turn < 0.1 and 0 <= gain < 5
 
 

@@ -149,11 +149,11 @@ def position_sigma(
     """
     layout = Layout(model, free_intrinsics, free_rig)
     seen = Linearised(model, layout, nominal or {}, tuning, tuning.sigma.most_points)
-    fixed, shared = () if free_rig is True else set(model.rigs) - set(free_rig or ()), tuning.sigma.shared
-    mounted, explained = misplaced(model, seen.weighed, fixed, off or {}, shared)
+    fixed = () if free_rig is True else set(model.rigs) - set(free_rig or ())
+    mounted, explained = misplaced(model, seen.weighed, fixed, off or {})
     weighed = seen.weighed.without(explained)
-    lenses, explained = lens_errors(model, weighed, shared)
-    strays = [*mounted, *unrest(model, weighed.without(explained), shared)]
+    lenses, explained = lens_errors(model, weighed)
+    strays = [*mounted, *unrest(model, weighed.without(explained))]
     strays += [] if times is None else untimed(weighed, *times)
     told = _Told(seen, tuning.sigma)
     told.add([*(effect for _, effect in lenses), *strays])
@@ -175,7 +175,7 @@ def planned_sigma(
     seen = Linearised(model, Layout(model, free_intrinsics, free_rig), {}, tuning, tuning.sigma.most_points)
     told = _Told(seen, tuning.sigma)
     told.full *= assumed.tracks**2
-    told.add(assumed.effects(model, seen.weighed, tuning.sigma.shared))
+    told.add(assumed.effects(model, seen.weighed))
     return told.of(model, ())
 
 

@@ -52,7 +52,7 @@ def rig_diagnostics(
     keys (``torn_off``). Raises ValueError for a model without redundancy."""
     seen = Linearised(model, Layout(model, False, False), {}, tuning, tuning.rig.system.most_points)
     several = np.concatenate([[len(r.sensors) > 1 and not r.stitched()] * len(r.sensors) for r in scene.rigs])
-    strays = strays_of(model, seen.weighed, np.flatnonzero(several) + 1, tuning.sigma.shared)
+    strays = strays_of(model, seen.weighed, np.flatnonzero(several) + 1)
     found = {k - 1: stray for k, stray in strays.items()}
     loose = dict.fromkeys(torn, "most of its sightings contradict the rig")
     worst = max(found, key=lambda k: found[k].gain, default=-1)  # the others stray with it: they share points

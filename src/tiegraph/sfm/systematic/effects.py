@@ -10,7 +10,6 @@ from scipy import sparse
 
 from tiegraph.sfm.adjustment.jacobians import Layout, System
 from tiegraph.sfm.adjustment.normal import Normal, at_their_minimum, by_blocks, point_inverse, reduced
-from tiegraph.sfm.tuning import SharedErrorTuning
 
 RIDGE = 1e-6  # of the information: directions that the unknowns take up whole
 
@@ -110,9 +109,7 @@ def gradients(jc: sparse.csr_matrix, jp: sparse.csr_matrix, weighted: np.ndarray
     return (gather @ jc).tocsr()
 
 
-def likeliest(
-    score: np.ndarray, noise: np.ndarray, effect: np.ndarray, tuning: SharedErrorTuning
-) -> tuple[float, float]:
+def likeliest(score: np.ndarray, noise: np.ndarray, effect: np.ndarray) -> tuple[float, float]:
     """Gain in log likelihood over none, and size, of the effect (K, K) in a score (K,) with this noise (K, K)."""
     root = np.linalg.cholesky(noise)
     half = np.linalg.solve(root, np.linalg.solve(root, effect).T)
@@ -120,7 +117,7 @@ def likeliest(
     values, seen = np.maximum(values, 0), (vectors.T @ np.linalg.solve(root, score)) ** 2
     if values.max(initial=0.0) <= 0:
         return 0.0, 0.0
-    tried = np.geomspace(*tuning.tried_effects) / values.max()
+    tried = np.geomspace(1e-8, 1e4, 121) / values.max()  # times the size at which the effect equals the noise
     wider = 1 + tried[:, None] * values
     gain = 0.5 * np.sum(seen * (1 - 1 / wider) - np.log(wider), axis=1)
     most = int(np.argmax(gain))

@@ -9,7 +9,10 @@ from scipy import sparse
 
 from tiegraph.sfm.adjustment.jacobians import System
 from tiegraph.sfm.systematic.effects import RIDGE, Effect, EffectWeights, likeliest, posterior
-from tiegraph.sfm.tuning import SharedErrorTuning
+
+_BINS = (12, 8)  # of an image, along its longer side and the other
+_REACHES = (0.1, 0.2, 0.4, 0.8)  # of the image's diagonal: how far a lens error may reach
+_TOLD_SIGMAS = 4.0  # bins off by more are told
 
 
 @dataclass(frozen=True)
@@ -23,36 +26,34 @@ class LensError:
 
 
 def lens_errors(
-    model: pycolmap.Reconstruction, weighed: EffectWeights, tuning: SharedErrorTuning
+    model: pycolmap.Reconstruction, weighed: EffectWeights
 ) -> tuple[list[tuple[LensError, Effect]], np.ndarray]:
     """The shared error of each camera that the observations show, by its residuals over the image; (2O,) what of the
     residuals it explains."""
     out, explained = [], np.zeros(2 * len(weighed.seen.image))
     for key in np.unique(weighed.seen.camera).tolist():
-        found = _lens_error(model.camera(key), weighed, tuning)
+        found = _lens_error(model.camera(key), weighed)
         if found is not None:
             out.append(found[:2])
             explained += found[2]
     return out, explained
 
 
-def _lens_error(
-    camera: pycolmap.Camera, weighed: EffectWeights, tuning: SharedErrorTuning
-) -> tuple[LensError, Effect, np.ndarray] | None:
-    bins = _bins(camera, weighed.seen, tuning)
+def _lens_error(camera: pycolmap.Camera, weighed: EffectWeights) -> tuple[LensError, Effect, np.ndarray] | None:
+    bins = _bins(camera, weighed.seen)
     middle, told = bins.middle, weighed.score(bins.columns)
     gradient, score, noise, information = told.gradient, told.score, told.noise, told.information
     noise = noise + RIDGE * np.diag(np.maximum(np.diag(information), 1e-12))
     best: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    for reach in tuning.reaches:
+    for reach in _REACHES:
         field = _field(camera, middle, reach)
-        gain, variance = likeliest(score, noise, information @ field @ information, tuning)
+        gain, variance = likeliest(score, noise, information @ field @ information)
         best = max(best, (gain, variance, reach))
     _, variance, reach = best
     weights = np.bincount(bins.number, weighed.weight(bins.rows), len(middle))
     sums, sigma = (v.reshape(-1, 2) for v in (score, np.sqrt(np.diag(noise))))
     times = np.linalg.norm(sums / sigma, axis=1)
-    order = [k for k in np.argsort(-times) if times[k] > tuning.told_sigmas][:3]
+    order = [k for k in np.argsort(-times) if times[k] > _TOLD_SIGMAS][:3]
     worst = tuple((*middle[k].tolist(), *(-sums[k] / weights[k]).tolist(), float(times[k])) for k in order)
     if variance <= 0:
         return None
@@ -74,8 +75,8 @@ class _Bins:
     columns: sparse.csr_matrix
 
 
-def _bins(camera: pycolmap.Camera, seen: System, tuning: SharedErrorTuning) -> _Bins:
-    across, down = tuning.bins if camera.width >= camera.height else tuning.bins[::-1]
+def _bins(camera: pycolmap.Camera, seen: System) -> _Bins:
+    across, down = _BINS if camera.width >= camera.height else _BINS[::-1]
     size = np.array([camera.width / across, camera.height / down])
     rows = np.flatnonzero(seen.camera == camera.camera_id)
     cell = np.clip((seen.xy[rows] / size).astype(int), 0, [across - 1, down - 1])
@@ -105,13 +106,11 @@ class AssumedErrors:
     reach: float
     tracks: float = 1.0
 
-    def effects(
-        self, model: pycolmap.Reconstruction, weighed: EffectWeights, tuning: SharedErrorTuning
-    ) -> list[Effect]:
+    def effects(self, model: pycolmap.Reconstruction, weighed: EffectWeights) -> list[Effect]:
         """What the lenses do."""
         out = []
         for key in np.unique(weighed.seen.camera).tolist():
-            bins = _bins(model.camera(key), weighed.seen, tuning)
+            bins = _bins(model.camera(key), weighed.seen)
             field = self.lens_px[key] ** 2 / 2 * _field(model.camera(key), bins.middle, self.reach)
             out.append(Effect(weighed.score(bins.columns).gradient, field))
         return out

@@ -11,7 +11,10 @@ from tiegraph.scene.sorting import evenly
 from tiegraph.sfm.adjustment.jacobians import System, by_shift, frame_pose
 from tiegraph.sfm.motion import Motion
 from tiegraph.sfm.systematic.effects import RIDGE, Effect, EffectWeights, Score, posterior
-from tiegraph.sfm.tuning import SharedErrorTuning
+
+_MOST_SHOTS = 40  # whose images' shifts are looked at, evenly over the pass
+_LEAST_OBSERVATIONS = 10  # of an image whose shift is looked at
+_SOME = 1000  # observations that tell how far a stray moves pixels
 
 
 def misplaced(
@@ -19,7 +22,6 @@ def misplaced(
     weighed: EffectWeights,
     held: Collection[int],
     off: Mapping[int, np.ndarray],
-    tuning: SharedErrorTuning,
 ) -> tuple[list[Effect], np.ndarray]:
     """How far the cameras of rigs (ids) that the adjustment held are off their places, as far as the images show it;
     (2O,) what of the residuals it explains.
@@ -37,17 +39,17 @@ def misplaced(
         if rig_id in off:
             at = (6 * np.searchsorted(every, cameras)[:, None] + np.arange(6)).ravel()
             out.append(Effect(told.gradient, off[rig_id][np.ix_(at, at)]))
-        elif (shown := _shown_off(cameras, told, tuning)) is not None:
+        elif (shown := _shown_off(cameras, told)) is not None:
             out.append(shown[0])
             explained += columns @ shown[1]
     return out, explained
 
 
-def _shown_off(cameras: list[int], told: Score, tuning: SharedErrorTuning) -> tuple[Effect, np.ndarray] | None:
+def _shown_off(cameras: list[int], told: Score) -> tuple[Effect, np.ndarray] | None:
     """By the images, with the mean (6S,) of the shifts and turns of S cameras; None where they show nothing."""
     score, information = told.score, told.information
     noise = told.noise + RIDGE * np.diag(np.maximum(np.diag(information), 1e-300))
-    place, turn, _ = two_sizes(score[None], noise[None], information[None], tuning)
+    place, turn, _ = two_sizes(score[None], noise[None], information[None])
     if place + turn <= 0:
         return None
     field = np.diag(np.tile(np.repeat([place, turn], 3), len(cameras)))
@@ -55,20 +57,18 @@ def _shown_off(cameras: list[int], told: Score, tuning: SharedErrorTuning) -> tu
     return Effect(told.gradient, moment), mean
 
 
-def unrest(model: pycolmap.Reconstruction, weighed: EffectWeights, tuning: SharedErrorTuning) -> list[Effect]:
+def unrest(model: pycolmap.Reconstruction, weighed: EffectWeights) -> list[Effect]:
     """How far cameras stray from their places in the rig from shot to shot, where the observations show any.
 
     All cameras alike, the reference too; what the pose of a frame takes up of its images' shifts is counted in.
     """
-    shared = [own for own in _by_frame(model, weighed.seen, tuning) if len(own) > 1]
+    shared = [own for own in _by_frame(model, weighed.seen) if len(own) > 1]
     if not shared:
         return []
-    (place, turn, gain), gradient = _straying(weighed, shared, tuning)
+    (place, turn, gain), gradient = _straying(weighed, shared)
     if gain <= 0:
         return []
-    moment = (
-        np.tile(np.repeat([place, turn], 3), gradient.shape[1] // 6) * len(shared) / min(len(shared), tuning.most_shots)
-    )
+    moment = np.tile(np.repeat([place, turn], 3), gradient.shape[1] // 6) * len(shared) / min(len(shared), _MOST_SHOTS)
     return [Effect(gradient * np.sqrt(moment), np.eye(len(moment)))]
 
 
@@ -83,15 +83,13 @@ class Stray:
     gain: float
 
 
-def strays_of(
-    model: pycolmap.Reconstruction, weighed: EffectWeights, cameras: Collection[int], tuning: SharedErrorTuning
-) -> dict[int, Stray]:
+def strays_of(model: pycolmap.Reconstruction, weighed: EffectWeights, cameras: Collection[int]) -> dict[int, Stray]:
     """Those of some cameras (ids), each as if the others kept their places."""
-    frames, out = _by_frame(model, weighed.seen, tuning), {}
+    frames, out = _by_frame(model, weighed.seen), {}
     for camera in cameras:
         own = [[i] for images in frames for i in images if model.image(i).camera_id == camera]
         if own:
-            (place, turn, gain), _ = _straying(weighed, own, tuning)
+            (place, turn, gain), _ = _straying(weighed, own)
             rows = np.flatnonzero(weighed.seen.camera == camera)
             moved = by_shift(weighed.seen, rows[:: max(1, len(rows) // _SOME)]) ** 2 @ np.repeat([place, turn], 3)
             out[camera] = Stray(
@@ -100,25 +98,20 @@ def strays_of(
     return out
 
 
-_SOME = 1000  # observations that tell how far a stray moves pixels
-
-
-def _by_frame(model: pycolmap.Reconstruction, seen: System, tuning: SharedErrorTuning) -> list[list[int]]:
+def _by_frame(model: pycolmap.Reconstruction, seen: System) -> list[list[int]]:
     """Images that see enough, together those of one frame."""
     images, counts = np.unique(seen.image, return_counts=True)
     of_frame: dict[int, list[int]] = {}
     for image, count in zip(images.tolist(), counts.tolist()):
-        if count >= tuning.least_observations:
+        if count >= _LEAST_OBSERVATIONS:
             of_frame.setdefault(model.image(image).frame_id, []).append(image)
     return [own for _, own in sorted(of_frame.items())]
 
 
-def _straying(
-    weighed: EffectWeights, groups: list[list[int]], tuning: SharedErrorTuning
-) -> tuple[np.ndarray, np.ndarray]:
+def _straying(weighed: EffectWeights, groups: list[list[int]]) -> tuple[np.ndarray, np.ndarray]:
     """Of images, in groups that are judged together: variances of a coordinate of place and turn that they show and the
     gain in log likelihood over none (3,), and their effect (C, 6K) on the gradient."""
-    chosen = [groups[k] for k in evenly(len(groups), tuning.most_shots)]
+    chosen = [groups[k] for k in evenly(len(groups), _MOST_SHOTS)]
     size = 6 * max(len(own) for own in chosen)
     gradient, score = [], np.zeros((len(chosen), size))
     noise, information = np.tile(np.eye(size), (len(chosen), 1, 1)), np.zeros((len(chosen), size, size))
@@ -128,7 +121,7 @@ def _straying(
         score[k, part], noise[k, part, part], information[k, part, part] = told.score, told.noise, told.information
         gradient.append(told.gradient)
     noise += RIDGE * np.maximum(np.diagonal(information, axis1=1, axis2=2), 1e-300)[:, :, None] * np.eye(size)
-    return np.array(two_sizes(score, noise, information, tuning)), np.hstack(gradient)
+    return np.array(two_sizes(score, noise, information)), np.hstack(gradient)
 
 
 def untimed(weighed: EffectWeights, motion: Motion, late_s: Mapping[int, float]) -> list[Effect]:
@@ -174,9 +167,7 @@ def _columns(seen: System, rows: np.ndarray, values: np.ndarray, first: np.ndarr
     return sparse.csr_matrix((values.ravel(), (row, column)), shape=(2 * len(seen.image), width))
 
 
-def two_sizes(
-    score: np.ndarray, noise: np.ndarray, information: np.ndarray, tuning: SharedErrorTuning
-) -> tuple[float, float, float]:
+def two_sizes(score: np.ndarray, noise: np.ndarray, information: np.ndarray) -> tuple[float, float, float]:
     """Variances of place and turn, three numbers each in turn, that make scores (G, K) with this noise and information
     (G, K, K) likeliest: the best of a coarse grid, then of a finer one about it; and the gain in log likelihood."""
     is_place = np.arange(score.shape[1]) % 6 < 3
@@ -190,7 +181,10 @@ def two_sizes(
             key=lambda one: one[2],
         )
 
-    coarse, finer = np.append(0.0, np.geomspace(*tuning.tried_shifts)), np.geomspace(*tuning.finer_shifts)
+    coarse, finer = (
+        np.append(0.0, np.geomspace(1e-3, 1e4, 15)),
+        np.geomspace(0.4, 2.5, 5),
+    )  # times its noise
     place, turn, _ = best(*(size * coarse for size in sizes))
     place, turn, likely = best(place * finer, turn * finer)
     return place, turn, likely - _log_likelihood(score, noise)

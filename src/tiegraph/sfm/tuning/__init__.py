@@ -131,27 +131,6 @@ class AdjustTuning(Section):
     """What the cameras of a rig let expect of each other's places."""
 
 
-class SharedErrorTuning(Section):
-    """Errors that many observations share (`systematic`)."""
-
-    bins: tuple[int, int] = (12, 8)
-    """Of an image, along its longer side and the other."""
-    reaches: tuple[float, ...] = (0.1, 0.2, 0.4, 0.8)
-    """Of the image's diagonal: how far a lens error may reach."""
-    tried_effects: tuple[float, float, int] = (1e-8, 1e4, 121)
-    """Variances tried, from, to and how many, times the size at which an effect would equal the noise."""
-    most_shots: int = Field(40, gt=0)
-    """Shots whose images' shifts are looked at, evenly over the pass."""
-    least_observations: int = Field(10, gt=0)
-    """Of an image whose shift is looked at."""
-    tried_shifts: tuple[float, float, int] = (1e-3, 1e4, 15)
-    """Variances of a shift tried, from, to and how many, times the noise of one image."""
-    finer_shifts: tuple[float, float, int] = (0.4, 2.5, 5)
-    """Variances tried then, times the best of them."""
-    told_sigmas: float = Field(4.0, gt=0)
-    """Bins off by more are told."""
-
-
 class SigmaTuning(Section):
     """How well the adjustment knows what it estimates (`covariance.py`)."""
 
@@ -169,8 +148,6 @@ class SigmaTuning(Section):
     """Sigma of a camera's place in the rig, in parts of its lever arm ..."""
     open_times: float = Field(3.0, ge=0)
     """... and in sigmas of the frames: beyond both, a place is hardly known."""
-    shared: SharedErrorTuning = Field(default_factory=SharedErrorTuning)
-    """Errors of lenses, and of cameras in their rig."""
 
 
 class ShutterTuning(Section):
