@@ -96,7 +96,9 @@ def test_a_shape_is_told_as_far_as_its_frames_followed() -> None:
     np.testing.assert_allclose(shape.coefficients(step), best, atol=1e-9)
     np.testing.assert_allclose(shape.step(count, best)[0], step, atol=1e-9)
     quarter = Similarity(2.0, Rotation.from_euler("z", 90, degrees=True).as_matrix(), np.zeros(3))
-    np.testing.assert_allclose(replace(shape, turn=np.array([1.0, 2, 3])).moved(quarter).turn, [2, 1, 3], atol=1e-9)
+    np.testing.assert_allclose(
+        replace(shape, turn=np.diag([1.0, 4, 9])).moved(quarter).turn, np.diag([4, 1, 9]), atol=1e-9
+    )
     followed = shape.told(np.zeros(3), known)
     assert followed.sigma == pytest.approx(np.sqrt(0.01 * np.sum(modes**2, axis=(0, 2)) + 3e-4))
     stayed = shape.told(best, known)

@@ -82,8 +82,13 @@ class PositionSigma:
     interior: tuple[tuple, ...] = ()
     mounting: dict[int, Mounting] = field(default_factory=dict)
     covariance: np.ndarray | None = None  # (3F, 3F) of the positions, model units squared
-    turn: np.ndarray | None = None  # (F, 3) rad about the model's axes
+    turns: np.ndarray | None = None  # (F, 3, 3) rad squared, of the frames' turns about the model's axes
     scale: float | None = None  # relative, of all lengths together; None: nothing in the adjustment knows it
+
+    @property
+    def turn(self) -> np.ndarray:
+        """(F, 3) sigmas of the frames' turns about the model's axes, rad."""
+        return np.zeros((0, 3)) if self.turns is None else _root(np.einsum("kii->ki", self.turns))
 
     @property
     def median(self) -> float:
@@ -273,10 +278,13 @@ class _Asked:
     def of_frames(self, full: np.ndarray) -> dict[str, Any]:
         """Fields of PositionSigma by the covariance (K + 1, K + 1) of functions and scale."""
         sigma, m = _root(np.diag(full)), 3 * len(self.frame_ids)
+        turns = np.array([full[k : k + 3, k : k + 3] for k in range(m, 2 * m, 3)])
         return {
-            "frame_ids": self.frame_ids, "sigma": sigma[:m].reshape(-1, 3), "turn": sigma[m : 2 * m].reshape(-1, 3),
+            "frame_ids": self.frame_ids,
+            "sigma": sigma[:m].reshape(-1, 3),
+            "turns": turns,
             "covariance": full[:m, :m],
-        }  # fmt: skip
+        }
 
     def widened(self, full: np.ndarray, formal: np.ndarray) -> float:
         """The places' sigmas over those by the variances (K + 1,) that simple errors would give, median."""

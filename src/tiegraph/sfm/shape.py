@@ -24,15 +24,15 @@ class Shape:
     covariance, times their sigmas, and the variance of the rest, from frame to frame.
 
     ``index`` (N,) the scene's frames, ascending; ``place`` (N, 3); ``modes`` (M, N, 3) of unit variance each; ``rest``
-    (N, 3); lengths in units of the model, along its axes. ``turn`` (3,) rad: by how much the frames may be turned
-    against their places, median.
+    (N, 3); lengths in units of the model, along its axes. ``turn`` (3, 3) rad squared: covariance
+    of how the frames may be turned against their places, of a usual one.
     """
 
     index: np.ndarray
     place: np.ndarray
     modes: np.ndarray
     rest: np.ndarray
-    turn: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    turn: np.ndarray = field(default_factory=lambda: np.zeros((3, 3)))
 
     @staticmethod
     def of(model: pycolmap.Reconstruction, sigma: PositionSigma, scene: Scene) -> Shape | None:
@@ -50,7 +50,10 @@ class Shape:
         shape = Shape._of(scene.frame[first][rows], place, sigma.covariance[np.ix_(at, at)])
         if not rms_length(shape.sigma[:, None]) < rms_length(place - place.mean(axis=0)):
             return None
-        return shape if sigma.turn is None else replace(shape, turn=np.median(sigma.turn, axis=0))
+        if sigma.turns is None:
+            return shape
+        usual = np.argsort(np.trace(sigma.turns, axis1=1, axis2=2))[len(sigma.turns) // 2]
+        return replace(shape, turn=sigma.turns[usual])
 
     @staticmethod
     def _of(index: np.ndarray, place: np.ndarray, covariance: np.ndarray) -> Shape:
@@ -92,7 +95,7 @@ class Shape:
         """The same in the world."""
         turn = similarity.scale * similarity.rotation
         modes, rest = self.modes @ turn.T, self.rest @ (turn**2).T
-        own = np.sqrt(self.turn**2 @ (similarity.rotation**2).T)
+        own = similarity.rotation @ self.turn @ similarity.rotation.T
         return replace(self, place=similarity(self.place), modes=modes, rest=rest, turn=own)
 
     def told(self, left: np.ndarray, covariance: np.ndarray) -> Shape:

@@ -9,7 +9,6 @@ import pycolmap
 from tiegraph.geometry import transforms
 from tiegraph.geometry.transforms import skew
 from tiegraph.scene.colmapmodel import model_rigs
-from tiegraph.scene.evidence import LIMIT
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjustment.adjust import final_adjustment
 from tiegraph.sfm.adjustment.constraints import PoseConstraints, SensorPrior
@@ -71,22 +70,11 @@ def lens_prior_test(model: pycolmap.Reconstruction, scene: Scene, index: int, tu
 
 
 def open_times(test: PriorTest, scene: Scene, index: int) -> list[str]:
-    """A sentence on cameras of a rigid rig whose times the images leave open, which are then taken to fire together.
-
-    At constant speed a camera's time and its place along the way are one unknown: all that is given beside the times is
-    believed here. None of a rig that is said to be synchronised, nor where it moves nothing by more than is asked of
-    a calibration.
-    """
-    rig, system, tuning = scene.rigs[index], test.system, test.known.tuning
-    known = expected(rig, system.timed, tuning)
-    if not known.late_s:
+    """A sentence on cameras of a rig whose times the images leave open, which are then taken to fire together."""
+    rig, system, late = scene.rigs[index], test.system, test.open_s(scene.rigs[index])
+    if not late:
         return []
-    sigma = system.solve(known.sigma(system, (), times=True)).sigma()
-    late = {system.keys[k][1]: float(sigma[k]) for k in system.where("time")}
-    names = [rig.sensors[k].name for k, s in late.items() if s * system.speed > LIMIT * tuning.confront.held_to_m]
-    if not names:
-        return []
-    worst = max(late.values())
+    names, worst = [rig.sensors[k].name for k in late], max(late.values())
     said = f"{1000 * worst:.0f} ms" if system.timed else f"{worst:.0%} of the frame interval"
     return [
         f"rig {rig.name}: whether {', '.join(names)} fire{'s' if len(names) == 1 else ''} at the same time as "

@@ -96,6 +96,14 @@ class PriorTest:
         sigma, system = solution.sigma(), self.system
         return {system.keys[k][1]: (float(solution.value[k]), float(sigma[k])) for k in system.where("time")}
 
+    def open_s(self, rig: Rig) -> dict[int, float]:
+        """Sensor of the rig -> sigma of when it fires, s, of those whose time is open by more than is asked of a place:
+        at constant speed a time and a place along the way are one. All that is given beside the times is believed."""
+        tuning, system = self.known.tuning, self.system
+        known, least = expected(rig, system.timed, tuning), LIMIT * tuning.confront.held_to_m
+        times = self._times(system.solve(known.sigma(system, (), times=True))) if known.late_s else {}
+        return {k: sigma for k, (_, sigma) in times.items() if sigma * system.speed > least}
+
     def late(self) -> bool:
         """Whether a camera surely fires apart from its reference, by as much as can be seen."""
         tuning, speed = self.known.tuning, self.system.speed

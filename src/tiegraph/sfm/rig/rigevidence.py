@@ -12,7 +12,7 @@ from tiegraph.scene.colmapmodel import model_rigs
 from tiegraph.scene.evidence import LIMIT, Contradiction, Statement
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.rig.priortest import PriorTest
+from tiegraph.sfm.rig.priortest import Group, PriorTest
 
 GIVEN, IMAGES = "rig as given", "images"
 _ONE_CAUSE = "the file of another rig, focal lengths or distortions unlike their calibration, or a torn model?"
@@ -128,7 +128,9 @@ def _mounting(
     solution = test.until(("mount", sensor))
     sigma = solution.sigma()
     out = []
-    culprit = f"camera {camera.name} is mounted otherwise than the rig file says, or moved"
+    culprit = f"camera {camera.name} is mounted otherwise than the rig file says, or moved" + _or_late(
+        test, scene, index, sensor
+    )
     found = None if refined is None else _moved(refined, scene, index, sensor, system.metres_per_unit)
     for what, given, factor, unit in (
         ("place", max(camera.sigma_m or 0.0, held_to.held_to_m), 1.0, "m"),
@@ -149,6 +151,16 @@ def _mounting(
             )
         )
     return out
+
+
+def _or_late(test: PriorTest, group: Group) -> str:
+    """A word on times, where these would explain half as much as what was freed, or more."""
+    system, known = test.system, test.known
+    none, own, late = (
+        system.solve(known.sigma(system, freed, times)).gain
+        for freed, times in (((), False), ((group,), False), ((), True))
+    )
+    return "; or cameras fire at other times, which looks much the same here" if late - none > (own - none) / 2 else ""
 
 
 def _moved(
@@ -178,5 +190,6 @@ def _focal(test: PriorTest, scene: Scene, index: int, sensor: int) -> _Pair:
         sensor=sensor,
         given=Statement(quantity=name, source="calibration", value=focal, sigma=held_to, unit="px", used=True),
         found=Statement(quantity=name, source=IMAGES, value=focal + float(solution.value[at]), sigma=own, unit="px"),
-        culprit=f"camera {camera.name} has another lens than its calibration says, or zoomed",
+        culprit=f"camera {camera.name} has another lens than its calibration says, or zoomed"
+        + _or_late(test, ("lens", sensor)),
     )

@@ -12,7 +12,7 @@ from tiegraph.scene.colmapmodel import rigid3d
 from tiegraph.scene.graph import parts
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.model import frame_poses
+from tiegraph.sfm.model import frame_poses, rig_from_sensor
 from tiegraph.sfm.start.pathscale import PathScale, path_scale
 from tiegraph.sfm.tuning.start import ScaleTuning, StartTuning
 from tiegraph.sfm.verified import VerifiedMatches
@@ -72,7 +72,7 @@ def length_of_path(
 ) -> PathScale | None:
     """What the path of frames (F, 4, 4) needs to be as long as the rigs (indices ``held``) that must not change say;
     None where there is nothing to compare it with: panoramas, loose photographs."""
-    cam_from_rig = _cam_from_rig(scene)
+    cam_from_rig = transforms.invert(rig_from_sensor(scene))
     if not held or np.nanmax(np.linalg.norm(cam_from_rig[:, :3, 3], axis=1), initial=0.0) < ONE_CENTRE:
         return None
     return path_scale(scene, cam_from_rig, world_from_rig, verified, tuning)
@@ -87,20 +87,6 @@ def largest_component(cam_from_world: np.ndarray, scene: Scene, rigs: Collection
     known = np.isfinite(cam_from_world).all(axis=(1, 2))
     largest = np.bincount(label[known]).argmax() if known.any() else -1
     return label == largest
-
-
-def _cam_from_rig(scene: Scene) -> np.ndarray:
-    """(N, 4, 4) of each image by the scene's extrinsics; NaN = unknown."""
-    of = np.full((len(scene.all_sensors), 4, 4), np.nan)
-    key = 0
-    for rig in scene.rigs:
-        for place, sensor in enumerate(rig.sensors):
-            if sensor.sensor_from_rig is not None:
-                of[key] = sensor.sensor_from_rig
-            elif place == 0:
-                of[key] = np.eye(4)
-            key += 1
-    return of[scene.sensor_key]
 
 
 def rig_of_poses(scene: Scene, index: int, rig: Rig, cam_from_world: np.ndarray, max_lever_off: float) -> Rig:

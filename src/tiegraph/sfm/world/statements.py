@@ -6,8 +6,10 @@ from itertools import combinations
 import numpy as np
 
 from tiegraph.geometry.align import rms_length
+from tiegraph.geometry.gravity import Up
 from tiegraph.scene.evidence import LIMIT, Contradiction, Statement, contradictions, trend
 from tiegraph.scene.scene import Scene
+from tiegraph.sfm.shape import Shape
 from tiegraph.sfm.world.georef import Findings, Georeference
 from tiegraph.sfm.world.marks import Target
 from tiegraph.sfm.world.scale import RIG
@@ -58,9 +60,9 @@ def with_statements(found: Georeference, scene: Scene, targets: list[Target]) ->
     sentences += _control(found, targets)
     error = known.error.widened_to(sigma) if known.error is not None else None
     if known.shape is not None:  # what is stated of heading and tilt is that of the images, not of their places alone
-        turn = np.degrees(known.shape.turn)
-        sigma["yaw_deg"] = round(float(np.hypot(sigma["yaw_deg"], turn[2])), 6)
-        sigma["tilt_deg"] = round(float(np.hypot(sigma["tilt_deg"], np.hypot(*turn[:2]))), 6)
+        yaw, tilt = np.degrees(np.sqrt(_turned(known.shape, found.placing.up)))
+        sigma["yaw_deg"] = round(float(np.hypot(sigma["yaw_deg"], yaw)), 6)
+        sigma["tilt_deg"] = round(float(np.hypot(sigma["tilt_deg"], tilt)), 6)
     found = _with_predicted(
         replace(found, uncertainty=replace(known, sigma=sigma, error=error)), model_sigma_m, targets
     )
@@ -73,6 +75,15 @@ def with_statements(found: Georeference, scene: Scene, targets: list[Target]) ->
         contradictions=tuple(sentences),
     )
     return replace(found, findings=findings)
+
+
+def _turned(shape: Shape, up: Up | None) -> tuple[float, float]:
+    """Variances, rad squared, of heading and tilt of the images against their places, as far as these tell them: an
+    upward direction is that of the images, and holds the tilt or, of cameras to one side, the roll about the track."""
+    track = np.linalg.svd(shape.place - shape.place.mean(axis=0), full_matrices=False)[2][0]
+    across = np.array([-track[1], track[0], 0.0]) / max(float(np.hypot(*track[:2])), 1e-12)
+    tilt = across @ shape.turn @ across if up is not None else shape.turn[0, 0] + shape.turn[1, 1]
+    return float(shape.turn[2, 2]), 0.0 if up is not None and up.tilt else float(tilt)
 
 
 def statements(found: Georeference) -> list[Statement]:
