@@ -128,9 +128,8 @@ def _mounting(
     solution = test.until(("mount", sensor))
     sigma = solution.sigma()
     out = []
-    culprit = f"camera {camera.name} is mounted otherwise than the rig file says, or moved" + _or_late(
-        test, scene, index, sensor
-    )
+    culprit = f"camera {camera.name} is mounted otherwise than the rig file says, or moved"
+    culprit += _or_late(test, ("mount", sensor))
     found = None if refined is None else _moved(refined, scene, index, sensor, system.metres_per_unit)
     for what, given, factor, unit in (
         ("place", max(camera.sigma_m or 0.0, held_to.held_to_m), 1.0, "m"),
