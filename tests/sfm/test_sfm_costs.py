@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tiegraph.sfm.adjustment.costs import centres_of
-from tiegraph.sfm.adjustment.leverarmprior import _CentresCost
+from tiegraph.sfm.adjustment.leverarmprior import _CentresCost, centres_of
 
 _STEP = 1e-6
 

@@ -107,7 +107,7 @@ def _add_constraints(
 
     def add(cost: Any, *blocks: np.ndarray) -> None:
         there = all(problem.has_parameter_block(b) for b in blocks)
-        if there and not all(problem.is_parameter_block_constant(b) for b in blocks):  # see ``costs.Cost``
+        if there and not all(problem.is_parameter_block_constant(b) for b in blocks):  # see ``leverarmprior``
             problem.add_residual_block(cost, None, list(blocks))
             kept.append(cost)
 

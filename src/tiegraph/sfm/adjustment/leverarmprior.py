@@ -12,10 +12,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import pyceres
 import pycolmap
 
 from tiegraph.geometry.transforms import skew
-from tiegraph.sfm.adjustment.costs import Cost, centres_of
 from tiegraph.sfm.tuning import AdjustTuning
 from tiegraph.sfm.tuning.rig import LeverArmTuning
 
@@ -112,13 +112,40 @@ def information(
     return keys, whole[3:, 3:]
 
 
-class _CentresCost(Cost):
-    """A root (R, 3N) of information times the centres (N, 3) of sensors in their rig. Blocks: their poses (7 each)."""
+def centres_of(poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(N, 3) centres -R^T t of pose blocks (N, 7), quaternion x y z w and translation, and (N, 3, 7) their Jacobians.
+
+    With the quaternion (u, w): R^T v = v - 2 w u x v + 2 u x (u x v). Off the unit sphere the formula goes on as it is;
+    the solver only uses directions along it.
+    """
+    u, w, v = poses[:, :3], poses[:, 3, None, None], -poses[:, 4:]
+    across, unit = skew(u), np.eye(3)
+    inverse = unit + 2 * (across - w * unit) @ across
+    outer = u[:, :, None] * v[:, None, :]
+    out = np.empty((len(poses), 3, 7))
+    out[:, :, :3] = 2 * (w * skew(v) + np.sum(u * v, axis=1)[:, None, None] * unit + outer)
+    out[:, :, :3] -= 4 * np.swapaxes(outer, 1, 2)
+    out[:, :, 3] = 2 * (skew(v) @ u[:, :, None])[:, :, 0]
+    out[:, :, 4:] = -inverse
+    return (inverse @ v[:, :, None])[:, :, 0], out
+
+
+class _CentresCost(pyceres.CostFunction):  # type: ignore[misc, name-defined]
+    """A root (R, 3N) of information times the centres (N, 3) of sensors in their rig. Blocks: their poses (7 each).
+
+    pyceres sets up its arrays at the first call, and reads where the Jacobians go whether they are asked for or not.
+    Ceres asks for none where all blocks are constant, and that ended by SIGSEGV: so the constructor makes a first call.
+    Python residuals need the interpreter's lock: such a problem is solved with one thread (more wait for each other
+    for ever).
+    """
 
     def __init__(self, root: np.ndarray) -> None:
         super().__init__()
         self.root = root
-        self._begin(len(root), [7] * (root.shape[1] // 3))
+        sizes = [7] * (root.shape[1] // 3)
+        self.set_num_residuals(len(root))
+        self.set_parameter_block_sizes(sizes)
+        self.evaluate(*(np.zeros(size) for size in sizes))
 
     def Evaluate(self, parameters: Any, residuals: Any, jacobians: Any) -> bool:
         """Residual and Jacobians; a Jacobian is None where its block is constant."""
