@@ -164,7 +164,7 @@ def _beside(planned: float | None, reported: float | None) -> dict[str, float | 
 def errors_m(dataset: datasets.Dataset, folder: Path) -> np.ndarray:
     """(F, 3) errors of the places of the reference cameras after the best similarity."""
     model = pycolmap.Reconstruction(folder / "sparse" / "0")
-    truth = {f: pose for f, pose in reference_poses(model, dataset).items() if f <= len(model.images)}
+    truth = reference_poses(model, dataset)
     poses = [model.frame(f).rig_from_world for f in truth]
     here = np.stack([p.tgt_origin_in_src() for p in poses if p is not None])
     there = np.stack([transforms.centre(p) for p in truth.values()])

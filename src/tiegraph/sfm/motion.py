@@ -9,7 +9,7 @@ instant sees their points, all is adjusted again, and what is left tells the nex
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -160,7 +160,7 @@ def _frame(frame_id: int, rig_id: int, data: list[pycolmap.data_t], like: pycolm
     return out
 
 
-def _copied(rig: pycolmap.Rig, without: set[int] = frozenset()) -> pycolmap.Rig:  # type: ignore[assignment]
+def _copied(rig: pycolmap.Rig, without: Collection[int] = ()) -> pycolmap.Rig:
     out = pycolmap.Rig(rig_id=rig.rig_id)
     out.add_ref_sensor(rig.ref_sensor_id)
     for sensor, pose in rig.non_ref_sensors.items():

@@ -51,8 +51,7 @@ def rig_diagnostics(
     """How far the cameras of rigs stray from shot to shot in a model whose cameras have their times; ``torn``: sensor
     keys (``torn_off``). Raises ValueError for a model without redundancy."""
     seen = Linearised(model, Layout(model, False, False), {}, tuning, tuning.rig.system.most_points)
-    several = np.concatenate([[len(r.sensors) > 1 and not r.stitched()] * len(r.sensors) for r in scene.rigs])
-    strays = strays_of(model, seen.weighed, np.flatnonzero(several) + 1)
+    strays = strays_of(model, seen.weighed, np.flatnonzero(_mounted(scene)) + 1)
     found = {k - 1: stray for k, stray in strays.items()}
     loose = dict.fromkeys(torn, "most of its sightings contradict the rig")
     worst = max(found, key=lambda k: found[k].gain, default=-1)  # the others stray with it: they share points
@@ -76,13 +75,17 @@ def torn_off(
     counts = np.zeros((2, len(scene.all_sensors)))
     for row, model in zip(counts, (before, after)):
         np.add.at(row, scene.sensor_key, observations(model, scene))
-    several = np.concatenate([[len(r.sensors) > 1 and not r.stitched()] * len(r.sensors) for r in scene.rigs])
-    there = several & (counts[0] >= tuning.min_sightings)
+    there = _mounted(scene) & (counts[0] >= tuning.min_sightings)
     if not there.any():
         return []
     kept = np.where(there, counts[1] / np.maximum(counts[0], 1), np.nan)
     least = min(tuning.min_kept, tuning.min_kept * float(np.nanmax(kept)))
     return [k for k in np.flatnonzero(there & (kept < least)).tolist() if not _explained(tests, scene, k)]
+
+
+def _mounted(scene: Scene) -> np.ndarray:
+    """(S,) bool of sensor keys: one of several cameras of a rig, not a view of a stitched image."""
+    return np.concatenate([[len(r.sensors) > 1 and not r.stitched()] * len(r.sensors) for r in scene.rigs])
 
 
 def _explained(tests: Mapping[int, PriorTest], scene: Scene, key: int) -> bool:

@@ -1,4 +1,4 @@
-"""What the images of a model say of its rig: times, places, turns, lenses and size at once, linearised at the model.
+"""What the images of a model say of its rig: times, places, turns and lenses at once, linearised at the model.
 
 A camera that fires late stands ahead by its lateness times the speed; a camera mounted otherwise stands off by a
 constant; a lens of another focal length moves points as a camera ahead does. At constant speed some of these are one

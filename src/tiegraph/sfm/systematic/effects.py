@@ -11,7 +11,7 @@ from scipy import sparse
 from tiegraph.sfm.adjustment.jacobians import Layout, System
 from tiegraph.sfm.adjustment.normal import Normal, at_their_minimum, by_blocks, point_inverse, reduced
 
-RIDGE = 1e-6  # of the information: directions that the unknowns take up whole
+_RIDGE = 1e-6  # of the information: directions that the unknowns take up whole
 
 
 @dataclass(frozen=True)
@@ -35,6 +35,10 @@ class Score:
     score: np.ndarray  # (K,)
     noise: np.ndarray  # (K, K) its covariance
     information: np.ndarray  # (K, K) that the other unknowns leave of them
+
+    def ridged(self) -> np.ndarray:
+        """(K, K) the covariance of the score, that can be inverted."""
+        return self.noise + _RIDGE * np.diag(np.maximum(np.diag(self.information), 1e-12))
 
 
 class EffectWeights:

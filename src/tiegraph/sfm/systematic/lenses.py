@@ -8,7 +8,7 @@ import pycolmap
 from scipy import sparse
 
 from tiegraph.sfm.adjustment.jacobians import System
-from tiegraph.sfm.systematic.effects import RIDGE, Effect, EffectWeights, likeliest, posterior
+from tiegraph.sfm.systematic.effects import Effect, EffectWeights, likeliest, posterior
 
 _BINS = (12, 8)  # of an image, along its longer side and the other
 _REACHES = (0.1, 0.2, 0.4, 0.8)  # of the image's diagonal: how far a lens error may reach
@@ -42,8 +42,7 @@ def lens_errors(
 def _lens_error(camera: pycolmap.Camera, weighed: EffectWeights) -> tuple[LensError, Effect, np.ndarray] | None:
     bins = _bins(camera, weighed.seen)
     middle, told = bins.middle, weighed.score(bins.columns)
-    gradient, score, noise, information = told.gradient, told.score, told.noise, told.information
-    noise = noise + RIDGE * np.diag(np.maximum(np.diag(information), 1e-12))
+    gradient, score, noise, information = told.gradient, told.score, told.ridged(), told.information
     best: tuple[float, float, float] = (0.0, 0.0, 0.0)
     for reach in _REACHES:
         field = _field(camera, middle, reach)

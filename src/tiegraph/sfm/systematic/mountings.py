@@ -10,7 +10,7 @@ from scipy import sparse
 from tiegraph.scene.sorting import evenly
 from tiegraph.sfm.adjustment.jacobians import System, by_shift, frame_pose
 from tiegraph.sfm.motion import Motion
-from tiegraph.sfm.systematic.effects import RIDGE, Effect, EffectWeights, Score, posterior
+from tiegraph.sfm.systematic.effects import Effect, EffectWeights, Score, posterior
 
 _MOST_SHOTS = 40  # whose images' shifts are looked at, evenly over the pass
 _LEAST_OBSERVATIONS = 10  # of an image whose shift is looked at
@@ -47,8 +47,7 @@ def misplaced(
 
 def _shown_off(cameras: list[int], told: Score) -> tuple[Effect, np.ndarray] | None:
     """By the images, with the mean (6S,) of the shifts and turns of S cameras; None where they show nothing."""
-    score, information = told.score, told.information
-    noise = told.noise + RIDGE * np.diag(np.maximum(np.diag(information), 1e-300))
+    score, noise, information = told.score, told.ridged(), told.information
     place, turn, _ = two_sizes(score[None], noise[None], information[None])
     if place + turn <= 0:
         return None
@@ -118,9 +117,8 @@ def _straying(weighed: EffectWeights, groups: list[list[int]]) -> tuple[np.ndarr
     for k, own in enumerate(chosen):
         part = slice(0, 6 * len(own))
         told = weighed.score(_of_images(weighed.seen, own))
-        score[k, part], noise[k, part, part], information[k, part, part] = told.score, told.noise, told.information
+        score[k, part], noise[k, part, part], information[k, part, part] = told.score, told.ridged(), told.information
         gradient.append(told.gradient)
-    noise += RIDGE * np.maximum(np.diagonal(information, axis1=1, axis2=2), 1e-300)[:, :, None] * np.eye(size)
     return np.array(two_sizes(score, noise, information)), np.hstack(gradient)
 
 
@@ -130,8 +128,7 @@ def untimed(weighed: EffectWeights, motion: Motion, late_s: Mapping[int, float])
         return []
     columns = [of_time(weighed.seen, motion, np.flatnonzero(weighed.seen.camera == k)) for k in sorted(late_s)]
     told, field = weighed.score(sparse.hstack(columns).tocsr()), np.diag([late_s[k] ** 2 for k in sorted(late_s)])
-    noise = told.noise + RIDGE * np.diag(np.maximum(np.diag(told.information), 1e-300))
-    return [Effect(told.gradient, posterior(told.score, noise, told.information, field)[1])]
+    return [Effect(told.gradient, posterior(told.score, told.ridged(), told.information, field)[1])]
 
 
 def of_time(seen: System, motion: Motion, rows: np.ndarray) -> sparse.csr_matrix:

@@ -71,8 +71,8 @@ class FewPointsTuning(Section):
     """The points of the adjustments that bring a model near (`fewpoints.py`).
 
     `sparse` with them, trajectory error and CPU time against all points: 1200 rendered images 3.6 -> 3.6 mm, 615 -> 374
-    s; canal 3.8 -> 3.3 mm, 159 -> 99 s; PandaSet 26 -> 31 mm, 159 -> 128 s (its relaxed times differ by 1 ms); before
-    that canal_demo 9.2 -> 8.9 mm, 19 -> 16 s and Herz-Jesus-P25 6.4 -> 6.5 mm, 13 -> 12 s.
+    s; canal 3.8 -> 3.3 mm, 159 -> 99 s; PandaSet 26 -> 31 mm, 159 -> 128 s (the times of its cameras differ by 1 ms);
+    before that canal_demo 9.2 -> 8.9 mm, 19 -> 16 s and Herz-Jesus-P25 6.4 -> 6.5 mm, 13 -> 12 s.
     """
 
     cells: int = Field(8, gt=0)
