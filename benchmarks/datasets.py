@@ -19,9 +19,12 @@ import pycolmap
 from tiegraph.errors import InputError, choose
 from tiegraph.geometry import transforms
 from tiegraph.geometry.geodesy import Origin, world_from_geodetic
+from tiegraph.scan.rigfiles.rigfile import read_rig_file
+from tiegraph.scan.tuning import RigTuning
 from tiegraph.scene.rig import Rig, Sensor
 
 _REPOSITORY = Path(__file__).resolve().parents[1]
+_EXAMPLE = _REPOSITORY / "examples" / "canal"
 
 
 @dataclass(frozen=True)
@@ -100,6 +103,8 @@ def load(name: str, work: Path) -> Dataset:
     """
     loader: Callable[[Path, Path], Dataset] = choose("data set", name, LOADERS)  # type: ignore[assignment]
     folder = data_root() / _FOLDERS[name]
+    if name == "canal_demo" and not folder.is_dir():
+        folder, loader = _EXAMPLE, _example
     if not folder.is_dir():
         raise InputError(f"data set {name!r}: no folder {folder}; set TIEGRAPH_DATA to the folder of the data sets")
     made = work / name
@@ -135,6 +140,28 @@ def _canal(folder: Path, work: Path) -> Dataset:
             "rendered; nominal rig, no intrinsics, GNSS with outages, lever arm unknown (1.1 m)",
             "times from the stamps of the visual odometry, one a frame; its poses are not used",
         ),
+    )
+
+
+def _example(folder: Path, work: Path) -> Dataset:
+    """``canal_demo`` as tiegraph ships it: the same images, sensors and truth, without odometry and the whole LiDAR."""
+    (spec,) = read_rig_file(folder / "rig.toml", RigTuning())
+    poses = {s.name: s.body_from_sensor for s in spec.sensors}
+    sensors = tuple(
+        Sensor(s.name, None, transforms.invert(poses[s.name]) @ poses["cam0"], role=s.role, folder=s.name)
+        for s in spec.sensors
+    )
+    meta = json.loads((folder / "truth" / "meta.json").read_text())["origin"]
+    return Dataset(
+        name="canal_demo",
+        images=folder / "images",
+        cam_from_world=_poses_of_colmap_text(folder / "truth" / "colmap" / "images.txt"),
+        rig=write_rig(Rig("ring", sensors, nominal=True), work),
+        gnss=folder / "gnss_float.csv",
+        times=folder / "times.csv",
+        truth_origin=Origin(meta["lat"], meta["lon"], meta["height"]),
+        reference_cloud=folder / "truth" / "reference.laz",
+        notes=("rendered; nominal rig, no intrinsics, GNSS with outages, lever arm unknown (1.1 m)",),
     )
 
 

@@ -32,9 +32,7 @@ from tiegraph.geometry.align import umeyama
 
 UNTIL = "georef"
 _DRIVER = "import json, sys, tiegraph\nif __name__ == '__main__':\n    given = json.loads(sys.argv[1])\n"
-_DRIVER += "    from tiegraph.project.progress import Reporter\n    from tiegraph.sfm import mapping\n"
-_DRIVER += "    asked, more = mapping._request, int(sys.argv[3])\n"
-_DRIVER += "    mapping._request = lambda job, mapper, seed=0: asked(job, mapper, seed + more)\n"
+_DRIVER += "    from tiegraph.project.progress import Reporter\n"
 _DRIVER += "    tiegraph.open(**given).run(sys.argv[2], Reporter('quiet'))\n"
 
 Settings = Mapping[str, Mapping[str, Any]]
@@ -70,16 +68,11 @@ def run(dataset: datasets.Dataset, out: Path, settings: Settings, base: Path | N
     return {"status": error} if error else {"status": "done", **figures(dataset, out)}
 
 
-def start(
-    dataset: datasets.Dataset, out: Path, until: str, settings: Settings, preset: str = "default", seed: int = 0
-) -> str:
-    """Run a survey to ``out`` in a process of its own, or go on with it; the last line of its error, "" = none.
-
-    ``seed`` is added to those of the mappers.
-    """
+def start(dataset: datasets.Dataset, out: Path, until: str, settings: Settings, preset: str = "default") -> str:
+    """Run a survey to ``out`` in a process of its own, or go on with it; the last line of its error, "" = none."""
     given: dict[str, Any] = {"images": dataset.images, "out": out, "settings": settings, "preset": preset}
     given |= {n: v for n in ("rig", "gnss", "trajectory", "times") if (v := getattr(dataset, n)) is not None}
-    command = [sys.executable, "-c", _DRIVER, json.dumps(given, default=str), until, str(seed)]
+    command = [sys.executable, "-c", _DRIVER, json.dumps(given, default=str), until]
     done = subprocess.run(command, capture_output=True, text=True, env={**os.environ})
     return (done.stderr.strip().splitlines() or ["no word"])[-1][:300] if done.returncode else ""
 

@@ -11,6 +11,7 @@ the stage that was running.
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 from command import arguments
@@ -30,6 +31,9 @@ def main() -> None:
     if unknown:
         raise SystemExit(f"unknown {', '.join(sorted(unknown))}: valid are {', '.join(WORDS)}")
     stages = Stages(args.json)
+    if args.base is not None:
+        stages.go_on(args.base.parent / args.json.name)
+        shutil.copy(args.base / "database.db", args.out)
     cameras = json.loads(args.cameras.read_text()) if args.cameras else {}
     ways = {"sequential": pycolmap.match_sequential, "spatial": pycolmap.match_spatial}
     match = next((way for word, way in ways.items() if word in args.options), pycolmap.match_exhaustive)

@@ -17,6 +17,7 @@ def arguments(description: str) -> argparse.Namespace:
         parser.add_argument(f"--{name}")
     parser.add_argument("--until", default="georef")
     parser.add_argument("--hold-rig", action="store_true", help="the extrinsics of the rig are not refined")
-    parser.add_argument("--seed", type=int, default=0, help="of random choices")
+    parser.add_argument("--seed", type=int, default=0, help="of the mapper's random choices")
+    parser.add_argument("--base", type=Path, help="folder of the same with another seed: only mapped anew")
     parser.add_argument("options", nargs="*", help="passed on to the competitor as they are")
     return parser.parse_args()

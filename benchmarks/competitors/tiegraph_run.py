@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -20,7 +21,10 @@ def main() -> None:
     """Run the command, then hand over what its receipts say."""
     args = arguments(__doc__)
     stages = Stages(args.json)
+    if args.base is not None:
+        shutil.copytree(args.base, args.out, symlinks=True, dirs_exist_ok=True)
     command = [sys.executable, "-m", "tiegraph", "run", str(args.images), "-o", str(args.out)]
+    command += ["--sparse.seed", str(args.seed)]
     for name in ("rig", "gnss", "trajectory", "times", "gcp"):
         if getattr(args, name):
             command += [f"--{name}", getattr(args, name)]

@@ -86,6 +86,24 @@ def test_canal_gives_the_method_sensors_and_no_truth(name: str, data: Path, tmp_
     assert 0.01 < difference_deg < 3, "nominal is near the truth, and is not the truth"
 
 
+def test_the_shipped_example_stands_for_canal_demo(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """So that the papers' tables are made by one command without any other data."""
+    wanted = datasets.load("canal_demo", tmp_path / "data")
+    monkeypatch.setenv("TIEGRAPH_DATA", str(tmp_path / "nothing"))
+    shipped = datasets.load("canal_demo", tmp_path / "shipped")
+    assert shipped.cam_from_world.keys() == wanted.cam_from_world.keys()
+    for name, pose in wanted.cam_from_world.items():
+        np.testing.assert_allclose(shipped.cam_from_world[name], pose, atol=1e-9)
+        assert (shipped.images / name).read_bytes() == (wanted.images / name).read_bytes()
+    assert shipped.gnss and wanted.gnss and shipped.gnss.read_bytes() == wanted.gnss.read_bytes()
+    (ours,), (theirs,) = (read_rig_file(Path(str(d.rig)), RIG) for d in (shipped, wanted))
+    assert ours.antenna_m is None, "the true lever arm got out"
+    for a, b in zip(ours.sensors, theirs.sensors, strict=True):
+        assert (a.name, a.role, a.folder, a.params) == (b.name, b.role, b.folder, None)
+        assert a.body_from_sensor is not None
+        np.testing.assert_allclose(a.body_from_sensor, b.body_from_sensor, atol=1e-4)
+
+
 def test_pandaset_rig_agrees_with_the_poses_while_the_car_stands(data: Path, tmp_path: Path) -> None:
     dataset = datasets.load("pandaset", tmp_path)
     (spec,) = read_rig_file(Path(str(dataset.rig)), RIG)

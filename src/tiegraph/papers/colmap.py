@@ -6,6 +6,7 @@ each step, so that an abort of the native library loses only the step that was r
 the process: call it in one of its own.
 """
 
+import shutil
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -52,14 +53,15 @@ def reconstruct(
     given: Given = Given(),
     mapped: Callable[[Path, Path, Path, Given], Models] = incremental,
 ) -> None:
-    """Extract, match and map into ``out``: ``database.db`` and ``sparse/<number>``."""
+    """Extract, match and map into ``out``: ``database.db``, unless it is there, and ``sparse/<number>``."""
     database, sparse = out / "database.db", out / "sparse"
     sparse.mkdir(parents=True, exist_ok=True)
-    stages.run("features", lambda: _extract(database, images, given))
-    if given.rig is not None:
-        with pycolmap.Database.open(str(database)) as opened:
-            pycolmap.apply_rig_config(pycolmap.read_rig_config(given.rig), opened)
-    stages.run("match", lambda: match(database))
+    if not database.exists():
+        stages.run("features", lambda: _extract(database, images, given))
+        if given.rig is not None:
+            with pycolmap.Database.open(str(database)) as opened:
+                pycolmap.apply_rig_config(pycolmap.read_rig_config(given.rig), opened)
+        stages.run("match", lambda: match(database))
     stages.data["pairs"] = pairs_of(database)
     models = stages.run("sparse", lambda: mapped(database, images, sparse, given)) or {}
     for key, model in models.items():
@@ -71,9 +73,16 @@ def reconstruct(
     stages.end("" if models else "no model")
 
 
-def exhaustive(images: Path, out: Path, record: Path, seed: int = 0, *, send: Callable[[Any], None]) -> None:
-    """All of it with defaults, in a child process (``child.run_in_child``); the JSON file is ``record``."""
-    reconstruct(Stages(record), images, out, given=Given(seed=seed))
+def exhaustive(
+    images: Path, out: Path, record: Path, seed: int = 0, first: Path | None = None, *, send: Callable[[Any], None]
+) -> None:
+    """All of it with defaults, in a child process (``child.run_in_child``); the JSON file is ``record``. Features and
+    matches, with what they cost, come from ``first``, the folder of another seed."""
+    stages = Stages(record)
+    if first is not None:
+        stages.go_on(first / record.name)
+        shutil.copy(first / "database.db", out)
+    reconstruct(stages, images, out, given=Given(seed=seed))
 
 
 def _extract(database: Path, images: Path, given: Given) -> None:

@@ -304,7 +304,7 @@ def _near_given_focal_lengths(job: Job, outcome: Outcome, label: str) -> Outcome
 def _request(job: Job, mapper: str, seed: int = 0) -> Request:
     constant = believed_cameras(job.scene, job.settings)
     return Request(
-        method=Method(mapper, seed, rough=job.source.rough),
+        method=Method(mapper, job.settings.seed + seed, rough=job.source.rough),
         matches=Matches(job.source.database, job.settings.min_matches, job.source.refused),
         fixed=Fixed(
             rigs=tuple(job.rigs.held_by_mapper(job.tuning.rig)),

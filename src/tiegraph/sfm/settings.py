@@ -17,6 +17,9 @@ class SparseSettings(Section):
     rig: Literal["auto", "fixed", "refined", "absent"] = "auto"
     """Rig: fixed = as given, refined = adjusted with the model, absent = ignored, auto = fixed if calibrated."""
 
+    seed: int = Field(default=0, ge=0, le=2**31 - 10)
+    """Of the mapper's random choices: another seed gives another of the models that the same matches allow."""
+
     use_positions: bool = True
     """Let GNSS, EXIF or trajectory positions hold the incremental mapper; every fifth is kept back as a check."""
 
