@@ -28,7 +28,7 @@ def _tables(stage: str, *names: str) -> Callable[[Receipts], bool]:
 
 def _joined(receipts: Receipts) -> bool:
     table = receipts["georef"].get("tables", {}).get("models in one world", {"rows": []})
-    return any(row[2] in ("matches", "points") for row in table["rows"])
+    return any(row[2] == "matches" for row in table["rows"])
 
 
 def _mapped(receipts: Receipts) -> bool:
@@ -48,7 +48,7 @@ STEPS: dict[str, Callable[[Receipts], bool]] = {
         "matches between cameras", "what was given, and the images",
     ),
     "sigmas of the model": lambda receipts: "position_sigma_median" in receipts["sparse"]["counts"],
-    "models joined by matches or points": _joined,
+    "models joined by matches": _joined,
     LEVELLED: _said("georef", "levelled", "upward direction"),
     "lever arm": _asked("georef", "antenna", "ignored"),
     "adjustment with positions": _asked("georef", "adjust", "no"),

@@ -37,7 +37,6 @@ SWITCHES = {
     "tuning.network.rig.check.frames": (0, 16),
     "tuning.sfm.adjust.iterations": (0, 30),
     "tuning.sfm.placement.ties.trials": (0, 2000),
-    "tuning.sfm.world.clouds.tried": (0, 40),
     "tuning.sfm.world.fixes.rows_per_frame": (0, 5),
     "tuning.sfm.mapping.min_model_images": (10, 3),
 }

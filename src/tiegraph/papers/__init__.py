@@ -58,7 +58,6 @@ def colmap_alone(upright: bool = False) -> dict[str, dict[str, Any]]:
                 "placement": {"ties": {"trials": 0}},
                 "world": {
                     "fixes": {"rows_per_frame": 0},
-                    "clouds": {"tried": 0},
                     **({} if upright else {"up": {"agreement": 1.0}}),
                 },
             },

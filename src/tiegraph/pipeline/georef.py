@@ -69,7 +69,7 @@ def georef(run: Run) -> Outcome:
         refused=refused_pairs(run) if len(folders) > 1 else (),
     )
     found, missing = _georeferenced(run, request)
-    main, notes = found.first, [*found.notes(), *said, *([] if tuning.world.clouds.tried else found.by_hand())]
+    main, notes = found.first, [*found.notes(), *said, *([] if tuning.placement.ties.trials else found.by_hand())]
     world = main.to_dict()
     if (shape := main.uncertainty.shape) is not None:  # of the survey, not its place on the Earth
         world["model_sigma"] = shape.sizes()

@@ -1,6 +1,5 @@
 """What sfm/world decides by: each constant with its unit, its meaning and where its value comes from."""
 
-import numpy as np
 from pydantic import Field
 
 from tiegraph.geometry.gravity import UpTuning
@@ -170,51 +169,6 @@ class StatementTuning(Section):
     """Of the sigma that the positions leave of the scale: below it the rig's baselines are named as its source."""
 
 
-class CloudTuning(Section):
-    """Models placed by their points (`clouds.py`); lengths in usual distances from a camera to its points ("range"),
-    or in cells. Measured on 19 pairs of models of `canal`, `canal_demo` and KITTI cut apart: 11 right places explain
-    0.50 .. 0.92 of the points held back, the next best 0.40 .. 0.79 of that, 8 wrong 0.37 .. 0.48, 0.55 .. 0.99."""
-
-    reach: float = Field(4.0, gt=0)
-    """Ranges from the cameras, within which points are looked at."""
-    cell: float = Field(0.1, gt=0)
-    """Of the range: edge of a cell."""
-    agree: float = Field(0.025, gt=0)
-    """Of the range, within which a point lies on the others'."""
-    yaw_deg: float = Field(12.0, gt=0)
-    """Between the turns about the vertical that are tried."""
-    scale_steps: int = Field(4, ge=0)
-    """Scales on either side of the ratio of the ranges that are tried where nothing tells it ..."""
-    scale_step: float = Field(0.1, gt=0)
-    """... with this between their logarithms."""
-    peaks: int = Field(3, gt=0)
-    """Best places of each turn and scale ..."""
-    tried: int = Field(40, ge=0)
-    """... of which the best so many are refined; 0: points place nothing."""
-    icp_cells: tuple[float, ...] = (3.0, 1.5, 0.75)
-    """To the nearest point of the others, at most."""
-    icp_rounds: int = Field(10, gt=0)
-    """With each of these."""
-    same_cells: float = Field(3.0, gt=0)
-    """Two places of a model's middle this near are one."""
-    least_neighbours: int = Field(50, ge=3)
-    """Points with a neighbour, to go on."""
-    least_points: int = Field(300, gt=0)
-    """Of a model, and ..."""
-    most_points: int = Field(8000, gt=0)
-    """... of which more are not used."""
-    explained: float = Field(0.5, ge=0, le=1)
-    """Share of the points held back that must lie on the others'."""
-    rival: float = Field(0.75, ge=0, le=1)
-    """Of that share, which the next best place may have."""
-    lean_deg: float = Field(15.0, ge=0)
-    """Between what the cameras and the points call up: single cameras tell it to 10 deg."""
-
-    def scales(self) -> np.ndarray:
-        """Factors on the ratio of the ranges."""
-        return np.exp(self.scale_step * np.arange(-self.scale_steps, self.scale_steps + 1))
-
-
 class AdjustmentTuning(Section):
     """The bundle adjustment in the world, and whether it stands its check (`worldadjust.py`, `georeferencing.py`)."""
 
@@ -257,5 +211,3 @@ class WorldTuning(Section):
     """What is said of it."""
     adjustment: AdjustmentTuning = Field(default_factory=AdjustmentTuning)
     """The adjustment with the positions."""
-    clouds: CloudTuning = Field(default_factory=CloudTuning)
-    """Models placed by their points."""

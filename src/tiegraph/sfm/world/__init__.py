@@ -24,8 +24,8 @@ similarity, and the images fit no worse (``georeference_folders``). The images o
 how they stand to each other (``rigpriors.of_one_shot``).
 
 **Several models** (``oneworld``): parts of a survey that no tie joined for the mapper come into the world of the
-largest by the matches between them, else by their own positions, else by their points where these lie on the others'
-in one place only (``clouds``), and into one model (``scene.colmapmodel``); what none of them places is named. Poses of
+largest by the matches between them, else by their own positions, and into one model (``scene.colmapmodel``); what
+neither places is named. Poses of
 a model's rig in the others' points would add no pair of images: of the matches between two passes mapped apart an
 eighth has a point on one side only, and every pair that has such has others too (`canal`, `canal_demo`, KITTI).
 

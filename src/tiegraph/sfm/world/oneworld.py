@@ -3,10 +3,9 @@
 The largest model that positions or control points place carries the world; without one the largest. What tells where a
 further model stands is tried in the order of trust. *Matches* between its images and those already in the world
 (``ties``): they need no positions, and a similarity that matches it did not know agree with is beyond doubt. Else its
-own *positions* and control points (``georeferencing``). Else its *points* (``clouds``), where they lie on the others'
-in one place only. A model that none of them tells, or whose turn about a straight track is open, is named with the
-reason and stays out: nothing is guessed. What matches and positions tell is compared, and said where they cannot both
-be right.
+own *positions* and control points (``georeferencing``). A model that neither tells, or whose turn about a straight
+track is open, is named with the reason and stays out: nothing is guessed. (Points laid on those of the others by ICP
+placed no model of any survey.) What matches and positions tell is compared, and said where they cannot both be right.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -20,17 +19,15 @@ from tiegraph.scene.evidence import LIMIT
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.ties import TEST_COLUMNS, Joining, TieFit, TieTest, apart, moved
 from tiegraph.sfm.tuning import Tuning
-from tiegraph.sfm.tuning.world import WorldTuning
 from tiegraph.sfm.verified import VerifiedMatches
 from tiegraph.sfm.world.antenna import RIGHT_ANGLE_DEG
-from tiegraph.sfm.world.clouds import CloudFit, Surface, fit_clouds, surface_of
 from tiegraph.sfm.world.fixes import Measurements
 from tiegraph.sfm.world.georef import Georeference
 from tiegraph.text import known_to
 
 COLUMNS = [
     "model", "images", "in the world by", *TEST_COLUMNS, "positions differ m", "positions differ deg", "sigma m",
-    "held-out points that fit %", "in the next best place %", "halves of the points differ", "why not",
+    "why not",
 ]  # fmt: skip
 
 
@@ -46,9 +43,8 @@ class ByPositions:
 class Joined:
     """How a further model came into the world, or why it did not.
 
-    ``by``: matches, positions, points, or "". ``test``: of its matches, lengths in metres of the world, where there
-    were any; ``off``: metres and degrees between what matches and positions say; ``sigma_m``: of its place by
-    positions; ``cloud``: of its points, where these were asked.
+    ``by``: matches, positions, or "". ``test``: of its matches, lengths in metres of the world, where there were any;
+    ``off``: metres and degrees between what matches and positions say; ``sigma_m``: of its place by positions.
     """
 
     number: int
@@ -57,18 +53,13 @@ class Joined:
     test: TieTest | None = None
     off: tuple[float, float] | None = None
     sigma_m: float | None = None
-    cloud: CloudFit | None = None
     why_not: str = ""
 
     def row(self) -> list:
         """A row of the table (``COLUMNS``)."""
         told = [None] * len(TEST_COLUMNS) if self.test is None else self.test.cells()
         off = (None, None) if self.off is None else (_rounded(self.off[0]), round(self.off[1], 3))
-        points: list = [None] * 3
-        if self.cloud is not None:
-            points = [round(100 * self.cloud.explained), round(100 * self.cloud.rival), _rounded(self.cloud.jump)]
-        sigma = _rounded(self.sigma_m)
-        return [f"sparse/{self.number}", self.images, self.by, *told, *off, sigma, *points, self.why_not]
+        return [f"sparse/{self.number}", self.images, self.by, *told, *off, _rounded(self.sigma_m), self.why_not]
 
     def note(self, metric: bool) -> str:
         """A sentence for people."""
@@ -79,13 +70,6 @@ class Joined:
             return (
                 f"{name} joined to the others by {test.ties} matches over {test.pairs} image pairs; the halves of "
                 f"these put it {test.jump:.3f} {unit} and {test.turn_deg:.2f} deg apart"
-            )
-        if self.by == "points" and self.cloud is not None:
-            fit = self.cloud
-            return (
-                f"{name} placed by its points alone, to decimetres rather than centimetres: {fit.explained:.0%} of "
-                f"those held back lie on the others', {fit.rival:.0%} in the next best place; its halves fit "
-                f"{fit.jump:.3f} {unit} and {fit.turn_deg:.2f} deg apart. No match or position says so too"
             )
         if self.by:
             return f"{name} placed by its own positions, to about {self.sigma_m:.3f} m; no match ties it to the others"
@@ -134,7 +118,7 @@ def one_world(
     tuning: Tuning,
 ) -> OneWorld:
     """Bring the largest model that its positions place into the world, then the others to it, one after another: by
-    matches, else by their own positions, else by their points. ``given`` is of the first of ``models``."""
+    matches, else by their own positions. ``given`` is of the first of ``models``."""
     first, world = place.whole(models[0], given)
     if len(models) == 1:
         return OneWorld(first, world)
@@ -146,7 +130,7 @@ def one_world(
     joining = Joining(scene, verified, tuning.placement, models, {carrier: world})
     assembly = _Assembly(models, first, joining, place, blind, alone, tuning)
     while left := assembly.left():
-        if not (assembly.by_matches(left) or assembly.by_positions(left) or assembly.by_points(left)):
+        if not (assembly.by_matches(left) or assembly.by_positions(left)):
             break
     return assembly.result()
 
@@ -191,24 +175,13 @@ class _Assembly:
         return True
 
     def by_positions(self, left: Sequence[int]) -> bool:
-        """The first whose own positions place it."""
-        found = next((j for j in map(self._placed_alone, left) if j.by), None)
-        if found is not None:
-            self._add(found, self._whole(found.number))
-        return found is not None
-
-    def by_points(self, left: Sequence[int]) -> bool:
-        """The one whose points lie on the others' best; where none's do, all that are left stay out."""
-        scene, tuning = self._joining.scene, self._tuning.world
-        ground = surface_of(list(self._joining.world.values()), scene, tuning), scene
-        tried = [
-            _by_points(self._placed_alone(k), self._models, (self._first, self._alone[k]), ground, tuning) for k in left
-        ]
-        best = max(tried, key=lambda j: j.cloud.explained if j.by and j.cloud is not None else -1.0)
-        if best.cloud is None or not best.by:
+        """The first whose own positions place it; where none's do, all that are left stay out."""
+        tried = [self._placed_alone(number) for number in left]
+        found = next((j for j in tried if j.by), None)
+        if found is None:
             self._others |= {j.number: j for j in tried}
             return False
-        self._add(best, moved(self._models[best.number], best.cloud.world_from_model))
+        self._add(found, self._whole(found.number))
         return True
 
     def result(self) -> OneWorld:
@@ -249,35 +222,6 @@ def _by_positions(
         known = known_to(roll, RIGHT_ANGLE_DEG, f"{roll:.0f} deg only")
         return replace(out, why_not=f"{loose}, and its positions leave the turn about its track open ({known})")
     return replace(out, by="positions", sigma_m=_sigma(own))
-
-
-def _by_points(
-    unplaced: Joined,
-    models: Sequence[pycolmap.Reconstruction],
-    placed: tuple[Georeference, Georeference],
-    ground: tuple[Surface | None, Scene],
-    tuning: WorldTuning,
-) -> Joined:
-    """What its points make of a model that neither matches nor positions place; ``placed``: the first model and it;
-    ``ground``: what is in the world already.
-
-    Not where its matches contradict each other: points cannot settle that.
-    """
-    if unplaced.test is not None or not tuning.clouds.tried:
-        return unplaced
-    world, scene = ground
-    own = surface_of([models[unplaced.number]], scene, tuning)
-    if world is None or own is None:
-        why = "its points could not be laid on the others': they are few, or the cameras do not tell what is up"
-        return replace(unplaced, why_not=f"{unplaced.why_not}; {why}")
-    metric = all(p.scale_source != "none" for p in placed)
-    fit = fit_clouds(world, own, placed[1].world_from_model.scale if metric else None, tuning.clouds)
-    if fit is None:
-        return replace(unplaced, why_not=f"{unplaced.why_not}; its points fit nowhere on the others'")
-    refused = fit.why_not(tuning.clouds)
-    if refused:
-        return replace(unplaced, cloud=fit, why_not=f"{unplaced.why_not}; {refused}")
-    return replace(unplaced, by="points", cloud=fit, why_not="")
 
 
 def _against_positions(
