@@ -126,7 +126,7 @@ def agreeing(item: tuple[int, int, np.ndarray], matches: Matches, bound_rad: flo
     way = cross(*(normal[picks[:, k]] / length[picks[:, k], None] for k in (0, 1)))
     size = np.linalg.norm(way, axis=1)
     way = way[size > 1e-6] / size[size > 1e-6, None]
-    # ``geometry.rays.sampson`` of all matches and all ways at once
+    # Sampson distance on the unit sphere, of all matches and all ways at once
     error = normal @ way.T
     squared = 2 - (turned @ way.T) ** 2 - (b @ way.T) ** 2 - 2 * error**2
     return int((error**2 < bound_rad**2 * np.maximum(squared, 1e-24)).sum(axis=0).max(initial=0))

@@ -19,18 +19,6 @@ def off_plane(way: np.ndarray, ray: np.ndarray, normal: np.ndarray) -> np.ndarra
     return np.abs(np.sum(way * normal, axis=1)) / across
 
 
-def sampson(ray: np.ndarray, turned: np.ndarray, way: np.ndarray) -> np.ndarray:
-    """(K,) Sampson distance on the unit sphere, radians, of pairs of rays to their epipolar planes.
-
-    ray (K, 3) of the second camera; turned (K, 3): of the first one, in the axes of the second; way (K, 3): from the
-    second centre to the first.
-    """
-    normal, other = cross(way, turned), cross(ray, way)
-    error = np.einsum("ij,ij->i", ray, normal)
-    squared = np.einsum("ij,ij->i", normal, normal) + np.einsum("ij,ij->i", other, other) - 2 * error**2
-    return error / np.sqrt(np.maximum(squared, 1e-24))
-
-
 def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Row-wise cross product (K, 3); several times faster than NumPy's."""
     out = np.empty(a.shape)

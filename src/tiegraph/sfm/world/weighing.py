@@ -1,21 +1,18 @@
 """What of a placement is used where its sources contradict each other: decided by tests, before anything is fitted."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from tiegraph.geometry.align import Similarity, rms_length
 from tiegraph.scene.evidence import LIMIT, Trend, trend
 from tiegraph.sfm.tuning.world import SourceTuning, WorldTuning
-from tiegraph.sfm.world.fit import Evidence, fit_similarity
+from tiegraph.sfm.world.fit import Evidence
 from tiegraph.sfm.world.positionerrors import Stated
 from tiegraph.sfm.world.scale import BARS, RIG, RigScale
 from tiegraph.sfm.world.sources import CONTROL, Source, alone
-from tiegraph.sfm.world.unknowns import LogScale
 
 TWO_ENDS = LIMIT / np.sqrt(2)  # half a trend's size in sigmas of a position, when its ends contradict each other
-_AXES = ("east", "north", "up")
-_HELD = 1e-6  # of a scale that is held
 
 
 @dataclass(frozen=True)
@@ -176,9 +173,8 @@ def _one_against_one(asked: Question, lengths: RigScale, other: Source, apart: f
     if own is not None:
         why = f"the residuals of the {other.name} {own.text()} even by themselves, so that of the rig is used"
         return _Scale((RIG,), apart, _at_the_ends(asked, apart), why=why)
-    with_rig = _with_scale(asked, lengths, other) if other.name == asked.name else ""
     fits = float(np.median(np.linalg.norm(other.residual, axis=1)))
-    why = f"{with_rig}without the rig's scale they fit to {fits:.2g} m (median), so that of the {other.name} is used"
+    why = f"without the rig's scale they fit to {fits:.2g} m (median), so that of the {other.name} is used"
     return _Scale((other.name,), apart, np.zeros(3), why=why)
 
 
@@ -213,25 +209,3 @@ def _own_trend(asked: Question, source: Source) -> Trend | None:
     found = [trend(source.residual[order, k], asked.tuning.trend, 3) for k in range(3)]
     beyond = [t for t, s in zip(found, stated) if t is not None and t.size / 2 > TWO_ENDS * s]
     return max(beyond, key=lambda t: t.size) if beyond else None
-
-
-def _with_scale(asked: Question, rig: RigScale, source: Source) -> str:
-    """The form of the positions' residuals under the rig's scale, in words; "" if it has none."""
-    own = asked.evidence.where(np.arange(len(asked.evidence.frame)) < asked.count)
-    own = replace(own, log_scale=LogScale(float(np.log(rig.metres_per_unit)), _HELD))
-    wide = _spread(asked)
-    own = replace(own, sigma=np.full_like(own.sigma, max(wide, 1e-6)))
-    own = own.with_arm(asked.free_antenna).without_orientations()
-    fit = fit_similarity(own, None, asked.tuning.fit, source.similarity)
-    off = own.position_residuals(fit.similarity, fit.arm.place)
-    order = np.argsort(asked.times[: asked.count], kind="stable")
-    main = np.linalg.svd(own.position - own.position.mean(axis=0), full_matrices=False)[2][0]
-    if (own.position[order[-1]] - own.position[order[0]]) @ main < 0:
-        main = -main
-    along = np.argsort(own.position @ main, kind="stable")
-    found = trend((off @ main)[along], asked.tuning.trend)
-    if found is None or found.form == "curve":
-        return ""
-    ratio = rig.metres_per_unit / source.similarity.scale
-    size = f"the model is {abs(ratio - 1):.1%} too {'long' if ratio > 1 else 'short'} along the motion"
-    return f"with it the residuals of the {asked.name} {found.text()} along the way ({size}), "
