@@ -67,7 +67,7 @@ STAGES = (
     _stage("filter", ("coarse", "network", "match"), ("filter.npz",), "pair", version=4),
     _stage("sparse", ("coarse", "network", "match", "filter"), ("sparse",), version=29, scratch=("sparse/.run",),
            tuned=("scene", "sfm")),
-    _stage("georef", ("network", "match", "filter", "sparse"), ("sparse/world", "world.json"), version=25,
+    _stage("georef", ("network", "match", "filter", "sparse"), ("sparse/world", "world.json"), version=26,
            scratch=("sparse/.world",), tuned=("scene", "sfm", "targets")),
     _stage("refine", ("masks", "georef"), ("refine/masks", "refine/classes"), "image", version=3,
            tuned=("masks", "sfm")),
