@@ -4,14 +4,16 @@ import json
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from benchmarks.competitors import colmap as competitor
 from scipy.spatial.transform import Rotation
 
-from benchmarks import run
+from benchmarks import datasets, run
 from tiegraph.geometry import transforms
+from tiegraph.papers.measured import Stages
 from tiegraph.scan.rigfiles.rigspec import write_rig_toml
 from tiegraph.scene.rig import Rig, Sensor
 
@@ -65,6 +67,32 @@ def test_a_run_replaces_its_own_row_and_figures_of_two_machines_do_not_mix(tmp_p
     path.write_text(json.dumps({**again, "machine": {"cpu": "another"}}))
     with pytest.raises(SystemExit, match="another machine"):
         run.load_results(path, "")
+
+
+def test_another_seed_maps_the_matches_of_the_first_and_counts_their_time(tmp_path: Path, monkeypatch) -> None:
+    first = Stages(tmp_path / "first.json")
+    for stage in ("features", "match", "sparse"):
+        first.run(stage, lambda: None)
+    again = Stages(tmp_path / "again.json")
+    again.go_on(tmp_path / "first.json")
+    assert [row["stage"] for row in again.data["stages"]] == ["features", "match"]
+    stages = [{"stage": "match", "cpu_s": 40.0, "wall_s": 20.0}, {"stage": "sparse", "cpu_s": 9.0, "wall_s": 9.0}]
+    bases = []
+
+    def process(command: list[str], *_: object) -> dict:
+        bases.append(command[command.index("--base") + 1] if "--base" in command else None)
+        place = Path(command[command.index("--json") + 1])
+        place.write_text(json.dumps({"status": "done", "stages": stages, "models": []}))
+        return {"returncode": 0, "wall_s": 32.0, "cpu_s": 51.0}
+
+    monkeypatch.setattr(run, "_run_process", process)
+    asked = SimpleNamespace(keep=None, calibrated=False, until="georef", timeout=1.0)
+    dataset = datasets.Dataset("tiny", tmp_path, {})
+    row = run.run_one(dataset, "colmap_exhaustive", 0, tmp_path, asked)
+    stages[1]["cpu_s"] = 12.0
+    other = run.run_one(dataset, "colmap_exhaustive", 3, tmp_path, asked, row)
+    assert bases == [None, str(tmp_path / "tiny-colmap_exhaustive-0" / "out")]
+    assert (row["cpu_s"], other["cpu_s"], other["wall_s"], other["repeat"]) == (51.0, 54.0, 32.0, 3)
 
 
 def test_unknown_competitor_is_refused(capsys: pytest.CaptureFixture[str]) -> None:

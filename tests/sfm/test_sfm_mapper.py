@@ -183,10 +183,11 @@ def test_a_child_that_dies_is_tried_in_its_safest_form(tmp_path: Path, monkeypat
     """The other mapper, asked for or not, then the model as mapped; what is missing is said, and once more is too much:
     then it is no fault of the images. ``dies``: in whatever form."""
     _, scene = make_world(tmp_path / "database.db", cameras=2, frames=6)
-    tried: list[str] = []
+    tried, seeds = [], []
 
     def child(function, request, *, task: str, **how):
         tried.append(task)
+        seeds.extend([request.method.seed] if "mapping" in task else [])
         rough = getattr(request, "rough", False)
         if (dies and dies in task) or task == "global mapping" or (task == "final adjustment" and not rough):
             raise ChildDied(f"{task}: the native library ended its process (signal SIGSEGV)")
@@ -198,8 +199,9 @@ def test_a_child_that_dies_is_tried_in_its_safest_form(tmp_path: Path, monkeypat
         with pytest.raises(ChildDied, match=f"{dies}: the native library"):
             _run(tmp_path, scene, mapper=asked)
         return
-    result = _run(tmp_path, scene, mapper=asked)
+    result = _run(tmp_path, scene, mapper=asked, seed=7)
     assert tried == ["global mapping"] * 2 + ["incremental mapping"] + ["final adjustment"] * 2
+    assert seeds == [7, 8, 7], "the seed that is asked for, another of the same mapper, that of the other"
     assert result.mapper == "incremental" and result.counts["registered"] == len(scene) and result.sigma is None
     assert any("stays as mapped" in c and "SIGSEGV" in c for c in result.remarks.contradictions)
     assert any("global mapping" in n and "SIGSEGV" in n for n in result.remarks.notes)
