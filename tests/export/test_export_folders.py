@@ -1,5 +1,6 @@
 """Folders for other programs, opened by second readers: spots of the images lie where the exported cameras see them."""
 
+import errno
 import json
 import shutil
 
@@ -290,3 +291,13 @@ def test_depth_is_in_millimetres_where_these_hold_it():
     assert in_thousandths(near, "m").tolist() == [[0, 1235]] and in_thousandths(near, "m").dtype == np.uint16
     for depth, unit in ((far, "m"), (near, "units")):
         assert in_thousandths(depth, unit).dtype == np.float32
+
+
+def test_a_full_disk_is_named_and_leaves_nothing(made, tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("tiegraph.export.paths.write_tum", full)
+    with pytest.raises(InputError, match="No space left on device.*choose another output folder"):
+        made.project.export(tmp_path / "a", "tum")
+    assert not list(tmp_path.iterdir())

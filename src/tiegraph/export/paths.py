@@ -1,6 +1,5 @@
 """Trajectories: TUM and KITTI, one a pass; of the rig (its first camera), or of the camera that is asked for."""
 
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,10 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from tiegraph.errors import InputError
-from tiegraph.export.survey import Survey, write_offset
+from tiegraph.export.survey import Survey, unique_names, write_offset
 from tiegraph.geometry.transforms import invert
 from tiegraph.scene.colmapmodel import matrix
-from tiegraph.scene.names import shortened
 from tiegraph.scene.posefile import FREE_UNIT, write_tum
 
 _LOOSE = "photographs"  # that belong to no pass
@@ -64,9 +62,10 @@ def _paths(survey: Survey) -> Iterator[_Path]:
             pose[scene.frame[index]] = invert(matrix(rig_from_world))
         elif scene.sensor_of(index).name == survey.camera:
             pose[scene.frame[index]] = invert(matrix(image.cam_from_world()))
+    names = unique_names([*scene.sequences, _LOOSE], {})
     for number, name in [*enumerate(scene.sequences), (-1, _LOOSE)]:
         frames = scene.in_order((scene.sequence == number) & np.isfinite(pose[:, 0, 0]))
         if len(frames):
             times = scene.time_s[frames]
             times = times if np.isfinite(times).all() else np.arange(len(frames), dtype=float)
-            yield _Path(shortened(re.sub(r"[^\w.-]", "_", name)), times, pose[frames])
+            yield _Path(names[name], times, pose[frames])

@@ -32,7 +32,7 @@ from tiegraph.pipeline.files import (
 )
 from tiegraph.project.run import Run
 from tiegraph.project.stages import write_atomic
-from tiegraph.scene.atomic import same_file
+from tiegraph.scene.atomic import replacing, same_file
 from tiegraph.scene.exif import orientation_of
 from tiegraph.scene.names import inside
 from tiegraph.scene.relens import with_cameras
@@ -54,7 +54,7 @@ class _Picture:
 
 
 def hand_out(run: Run, target: Path, name: str, camera: str = "") -> int:
-    """Write the folder ``target`` for a program; how many images, poses or cameras it has.
+    """Write the folder ``target`` for a program, whole or not at all; how many images, poses or cameras it has.
 
     Raises InputError for a name or camera that is none, a folder that holds something, a full disk, and a world that is
     not on the Earth where the format needs that.
@@ -66,11 +66,12 @@ def hand_out(run: Run, target: Path, name: str, camera: str = "") -> int:
     if camera and exporter.lens is not None:
         raise InputError(f"--camera {camera}: only trajectories (--to tum, --to kitti) are of one camera")
     try:
-        target.mkdir(parents=True, exist_ok=True)
-        survey = _survey(run)
-        if exporter.lens is not None:
-            survey = _with_pictures(run, survey, exporter, target)
-        count = exporter.write(replace(survey, camera=camera), target)
+        with replacing(target.absolute()) as made:
+            made.mkdir()
+            survey = _survey(run)
+            if exporter.lens is not None:
+                survey = _with_pictures(run, survey, exporter, made)
+            count = exporter.write(replace(survey, camera=camera), made)
     except (OSError, RuntimeError) as error:
         told = explained(error, target) or InputError(f"{target}: cannot be written: {error}; choose another folder")
         raise error if isinstance(error, TiegraphError) else told from error
