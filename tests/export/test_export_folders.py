@@ -219,15 +219,19 @@ def test_opensfm(world, request, tmp_path):
     said = np.array([p["coordinates"] for p in data["points"].values()])
     true = np.array([made.model.points3D[int(k)].xyz for k in data["points"]])
     assert np.abs(apply(back, said) - ORIGIN.shift_m - true).max() < 1e-3
+    _, *tracks = (line.split("\t") for line in (folder / "tracks.csv").read_text().splitlines())
+    assert len(tracks) == sum(i.num_points3D for i in made.model.images.values())
+    for name, point, _, x, y, *_ in tracks[::20]:  # of the links: where the model has them
+        image = next(i for i in made.model.images.values() if flat(i.name) == name)
+        at = next(p.xy for p in image.points2D if p.point3D_id == int(point))
+        assert np.allclose((at - np.array(SIZE) / 2) / max(SIZE), [float(x), float(y)], atol=1e-6)
     # East, north, up about the place, by PROJ itself
     import pyproj
 
     geodetic = pyproj.Transformer.from_crs(ORIGIN.crs, "EPSG:4979", always_xy=True).transform(*apply(back, said).T)
-    step = f"+proj=pipeline +step +proj=cart +step +proj=topocentric +lon_0={place['longitude']!r}"
-    step += f" +lat_0={place['latitude']!r} +h_0={place['altitude']!r}"
-    level = pyproj.Transformer.from_pipeline(
-        f"+proj=pipeline +step +proj=unitconvert +xy_in=deg +xy_out=rad {step[14:]}"
-    )
+    about = f"+lon_0={place['longitude']!r} +lat_0={place['latitude']!r} +h_0={place['altitude']!r}"
+    steps = ("+proj=unitconvert +xy_in=deg +xy_out=rad", "+proj=cart", f"+proj=topocentric {about}")
+    level = pyproj.Transformer.from_pipeline("+proj=pipeline " + " ".join(f"+step {step}" for step in steps))
     assert np.abs(np.stack(level.transform(*geodetic), axis=-1) - said).max() < 0.01  # the CRS's scale: 4 in 10000
 
 
@@ -265,6 +269,16 @@ def test_what_an_export_refuses(made, tmp_path):
         project.export(tmp_path / "c", "colmap", camera="cam0")
     with pytest.raises(InputError, match="georef"):
         tiegraph.open(tmp_path, tmp_path / "none").export(tmp_path / "d", "colmap")
+
+
+@pytest.mark.slow
+def test_an_image_that_is_gone_is_named(tmp_path):
+    made = finished(tmp_path)
+    (tmp_path / "images" / made.scene.names[3]).unlink()
+    for name in ("nerfstudio", "colmap"):  # linked, undistorted
+        with pytest.raises(InputError, match=f"{made.scene.names[3]} is gone"):
+            made.project.export(tmp_path / name, name)
+        assert not (tmp_path / name).exists()
 
 
 def test_names_are_unique_without_folder_suffix_and_case():

@@ -105,6 +105,7 @@ def test_gpkg_is_in_the_crs_and_has_styles(made, tmp_path):
         assert root.tag == "qgis" and root.find("renderer-v2/symbols/symbol/layer") is not None
 
 
+@pytest.mark.slow
 def test_a_world_without_crs_is_in_degrees_too(tmp_path):
     made = finished(tmp_path, origin=Origin(35.0, 139.0, 12.0))
     made.project.export(tmp_path / "map", "geojson")
@@ -117,6 +118,7 @@ def test_a_world_without_crs_is_in_degrees_too(tmp_path):
         )
 
 
+@pytest.mark.slow
 def test_what_a_map_refuses(tmp_path, monkeypatch, made):
     free = finished(tmp_path, origin=None)
     for name in ("geojson", "gpkg"):

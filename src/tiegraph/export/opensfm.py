@@ -4,6 +4,7 @@ Its lengths count in the longer side of an image, its pixels from the middle of 
 angle-axis vector) and translation are those of camera_from_world.
 """
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -36,8 +37,23 @@ def opensfm(survey: Survey, target: Path) -> int:
     data["points"] = {str(k): {"coordinates": p.xyz.tolist(), "color": p.color.tolist()} for k, p in points}
     write_json(target / "reconstruction.json", [data])
     write_json(target / "camera_models.json", data["cameras"])
+    (target / "tracks.csv").write_text("\n".join(_tracks(survey, model)) + "\n", encoding="utf-8")
     write_offset(survey, target, local_from_world.inverse())
     return len(data["shots"])
+
+
+def _tracks(survey: Survey, model: pycolmap.Reconstruction) -> Iterator[str]:
+    """Lines of ``tracks.csv``, from which its dense matcher takes the range of depths: image, point, key point, x, y,
+    size (not known here), colour, classes (none)."""
+    yield "OPENSFM_TRACKS_VERSION_v2"
+    for image in survey.images():
+        camera = model.camera(image.camera_id)
+        longer, middle = max(camera.width, camera.height), np.array([camera.width, camera.height]) / 2
+        for number, point in enumerate(image.points2D):
+            if point.has_point3D():
+                x, y = (point.xy - middle) / longer
+                colour = model.points3D[point.point3D_id].color
+                yield "\t".join(map(str, (image.name, point.point3D_id, number, x, y, 1 / longer, *colour, -1, -1)))
 
 
 def _level(middle: np.ndarray, origin: Origin) -> tuple[Similarity, Origin]:

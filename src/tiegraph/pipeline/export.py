@@ -75,6 +75,8 @@ def hand_out(run: Run, target: Path, name: str, camera: str = "") -> int:
     except (OSError, RuntimeError) as error:
         told = explained(error, target) or InputError(f"{target}: cannot be written: {error}; choose another folder")
         raise error if isinstance(error, TiegraphError) else told from error
+    finally:
+        run.close()
     run.reporter.say(f"opened by: {exporter.opened.format(folder=target)}")
     return count
 
@@ -123,7 +125,6 @@ def _with_pictures(run: Run, survey: Survey, exporter: Exporter, target: Path) -
     with run.reporter.stage("export"):
         run.reporter.total(len(pictures))
         depths = run.map(_write_picture, pictures, run.folder, target, survey.unit)
-    run.close()
     return replace(
         survey,
         model=with_cameras(model, {**kept, **cameras}, names),
@@ -153,9 +154,11 @@ def _write_picture(picture: _Picture, folder: Path, target: Path, unit: str) -> 
 
     An image whose EXIF would turn it is written anew: the model is of the pixels as they are stored."""
     images, image, mask = folder / "images", inside(target / "images", picture.name), _mask(folder, picture.source)
+    if not (images / picture.source).is_file():
+        raise InputError(f"{images / picture.source} is gone: restore the images of the survey")
     use = None
     if picture.pinhole is not None:
-        masks = folder / FINAL / "masks" if (folder / FINAL / "masks").exists() else folder / "masks"
+        masks = mask.parents[len(PurePosixPath(picture.source).parts) - 1]
         seen = view_through(
             picture.pinhole,
             ViewPlan(picture.source, picture.camera, np.eye(4)),

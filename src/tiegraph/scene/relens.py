@@ -34,7 +34,7 @@ def with_cameras(
         old, new = model.camera(image.camera_id), result.camera(image.camera_id)
         moved = moved_pixels(np.array([p.xy for p in image.points2D], float).reshape(-1, 2), old, new)
         inside = np.all((moved >= 0) & (moved <= [new.width, new.height]), axis=1)  # NaN is not
-        for k, (point, xy) in enumerate(zip(image.points2D, np.nan_to_num(moved))):
+        for k, (point, xy) in enumerate(zip(image.points2D, np.nan_to_num(moved, nan=0, posinf=0, neginf=0))):
             point.xy = xy
             if not inside[k] and point.has_point3D():
                 result.delete_observation(key, k)
