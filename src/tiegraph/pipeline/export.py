@@ -1,6 +1,7 @@
 """Glue of `tiegraph export --to NAME`: the survey, loaded once, with images, masks and depth as a format wants them."""
 
 import io
+import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
@@ -32,7 +33,7 @@ from tiegraph.pipeline.files import (
 )
 from tiegraph.project.run import Run
 from tiegraph.project.stages import write_atomic
-from tiegraph.scene.atomic import replacing, same_file
+from tiegraph.scene.atomic import replacing
 from tiegraph.scene.exif import orientation_of
 from tiegraph.scene.names import inside
 from tiegraph.scene.relens import with_cameras
@@ -170,13 +171,19 @@ def _write_picture(picture: _Picture, folder: Path, target: Path, unit: str) -> 
     elif orientation_of(images / picture.source) > 1:
         _write_image(image, read_image(images / picture.source, cv2.IMREAD_COLOR))
     else:
-        same_file((images / picture.source).resolve(), image)
+        _copy(images / picture.source, image)
     if picture.mask and use is None and mask.exists():
-        same_file(mask.resolve(), inside(target, picture.mask))
+        _copy(mask, inside(target, picture.mask))
     elif picture.mask:
         whole_image = np.ones((picture.camera.height, picture.camera.width), bool)
         save_png(inside(target, picture.mask), whole_image if use is None else use)
     return _write_depth(picture, folder, target, unit) if picture.depth else ""
+
+
+def _copy(source: Path, target: Path) -> None:
+    """A copy and no link: a tool that changes an image where it lies must not change the survey's, or the user's."""
+    target.parent.mkdir(parents=True, exist_ok=True)
+    shutil.copyfile(source, target)
 
 
 def _write_image(path: Path, bgr: np.ndarray) -> None:
