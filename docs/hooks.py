@@ -24,6 +24,7 @@ CHAPTERS += (
     "watch",
     "targets",
     "stations",
+    "export",
     "scene",
     "geometry",
     "papers",

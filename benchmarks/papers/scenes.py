@@ -21,7 +21,7 @@ import pycolmap
 
 from benchmarks import close, datasets
 from tiegraph.geometry import transforms
-from tiegraph.scan.priors.trajectory import write_tum
+from tiegraph.scene.posefile import write_tum
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene
 

@@ -10,9 +10,8 @@ from odometry.odometry_world import images, rig_of, stereo, true_path
 from tiegraph.api import open_project
 from tiegraph.cli.main import main
 from tiegraph.errors import InputError
-from tiegraph.scan.priors.trajectory import FREE_UNIT
 from tiegraph.scan.rigfiles.rigspec import write_rig_toml
-from tiegraph.scene.posefile import read_poses
+from tiegraph.scene.posefile import FREE_UNIT, read_poses
 
 FRAMES = 8
 

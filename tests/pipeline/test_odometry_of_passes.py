@@ -13,8 +13,8 @@ import worlds
 from tiegraph.evaluate.reference import model_poses
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import umeyama
-from tiegraph.scan.priors.trajectory import write_tum
 from tiegraph.scan.rigfiles.rigspec import write_rig_toml
+from tiegraph.scene.posefile import write_tum
 
 _MOVED = transforms.rigid(Rotation.from_rotvec([0.1, -0.2, 2.1]).as_matrix(), np.array([400.0, -90.0, 12.0]))
 

@@ -9,12 +9,13 @@ from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import geodetic_from_world, make_origin, world_from_geodetic
 from tiegraph.geometry.transforms import angle_deg, rigid
 from tiegraph.scan.priors.times import time_in_name
-from tiegraph.scan.priors.trajectory import read_trajectory, write_tum
+from tiegraph.scan.priors.trajectory import read_trajectory
 from tiegraph.scan.rigfiles.rigspec import AXES, orient
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import TimesTuning
 from tiegraph.scene.cells import parse_time
 from tiegraph.scene.gnss import read_gnss
+from tiegraph.scene.posefile import write_tum
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import GnssTuning
 

@@ -11,9 +11,8 @@ from tiegraph.cli.main import main
 from tiegraph.geometry import transforms
 from tiegraph.geometry.geodesy import ENU, Origin
 from tiegraph.pipeline.stations import pose_numbers
-from tiegraph.scan.priors.trajectory import write_tum
 from tiegraph.scene.cloudfile import read_cloud
-from tiegraph.scene.posefile import read_poses
+from tiegraph.scene.posefile import read_poses, write_tum
 
 ANGLES = (0.0, 30.0, 60.0, 95.0)
 

@@ -51,6 +51,7 @@ def findings() -> Iterator[tuple[str, str]]:
     yield "rosbags", _optional("rosbags", "ros", "bags of ROS")
     yield "pi-heif", _optional("pi-heif", "heif", "HEIC images")
     yield "rawpy", _optional("rawpy", "raw", "DNG and other raw files of cameras")
+    yield "pyogrio", _optional("pyogrio", "gis", "GeoPackages of `tiegraph export --to gpkg`")
 
 
 def _disk(place: Callable[[], Path]) -> str:

@@ -79,7 +79,7 @@ VERBS: dict[str, Verb] = {
     "watch": Verb("on site: previews, ties, path and surface coverage of images while they arrive", "watch"),
     "odometry": Verb("the path of a stereo camera, a rig or a single camera from the images alone", "odometry"),
     "rig": Verb("the rig and cameras as a run found them, as rig.toml or COLMAP's rig_config.json", "rig"),
-    "export": Verb("the depth maps as a dense workspace for COLMAP's stereo_fusion", "export"),
+    "export": Verb("a folder for the next tool: nerfstudio, COLMAP, gsplat, OpenMVS, OpenSfM, TUM, GIS", "export"),
     "doctor": Verb("versions, cores, memory, disk, and what is missing", "doctor"),
     # The stages, as in pipeline.STAGES (tests/cli/test_cli_verbs.py holds them together).
     "scan": Verb("stage: makes scene.json, whole.json, images, odometry", "run", "scan"),

@@ -14,6 +14,13 @@ from tiegraph.geometry.stereo import Pinhole
 from tiegraph.scene.decoding import read_pixels
 from tiegraph.scene.results import row_strips
 
+_STRETCHED = 1.3  # pixels of an undistorted image per pixel of the image; more only stretches the corners
+
+
+def _refuse_sphere(camera: CameraModel) -> None:
+    if camera.model == "EQUIRECTANGULAR":
+        raise InputError(f"camera model {camera.model} sees all round and cannot be undistorted: cut it into views")
+
 
 def pinhole_of(camera: CameraModel, settings: DenseSettings) -> tuple[np.ndarray, tuple[int, int]]:
     """K (3, 3) and size (width, height) of the undistorted image of a camera.
@@ -21,15 +28,13 @@ def pinhole_of(camera: CameraModel, settings: DenseSettings) -> tuple[np.ndarray
     The resolution at the image centre is kept, and the field of view up to ``max_fov_deg``; then the whole is reduced
     to ``max_image_size``. Raises InputError for cameras that see all round.
     """
-    model = camera.to_pycolmap()
-    if model.model_name == "EQUIRECTANGULAR":
-        raise InputError(f"camera model {camera.model} sees all round and cannot be undistorted: cut it into views")
+    _refuse_sphere(camera)
     low, high = _field(camera, np.tan(np.radians(settings.max_fov_deg / 2)))
     focal = _central_focal(camera)
     if camera.model in ("PINHOLE", "SIMPLE_PINHOLE"):
-        focal = model.focal_length_x
+        focal = camera.params[0]
     area = np.prod(focal * (high - low))
-    scale = min(1.0, np.sqrt(1.3 * camera.width * camera.height / area))  # more only stretches the corners
+    scale = min(1.0, np.sqrt(_STRETCHED * camera.width * camera.height / area))
     scale = min(scale, settings.max_image_size / np.max(focal * (high - low)))
     size = np.maximum(np.round(focal * scale * (high - low)), 2)
     focals = size / (high - low)  # takes up the rounding, so that the field is exact
@@ -37,18 +42,42 @@ def pinhole_of(camera: CameraModel, settings: DenseSettings) -> tuple[np.ndarray
     return K, (int(size[0]), int(size[1]))
 
 
+def centred_pinhole(camera: CameraModel, settings: DenseSettings) -> CameraModel:
+    """The pinhole camera with square pixels and the principal point in the middle, as programs take for granted that
+    know no other: the largest whose image has no blank pixel, with the resolution of the image's centre, no wider than
+    ``max_fov_deg``. Raises InputError for cameras that see all round, or whose optical axis misses the image."""
+    _refuse_sphere(camera)
+    limit = np.tan(np.radians(settings.max_fov_deg / 2))
+    top, bottom, left, right = _border(camera)
+    reach = [[-left[:, 0], right[:, 0]], [-top[:, 1], bottom[:, 1]]]
+    half = np.array([min(limit, *(np.min(side[np.isfinite(side)], initial=limit) for side in axis)) for axis in reach])
+    if not (half > 0).all():
+        raise InputError(
+            f"camera model {camera.model}: its optical axis does not meet the image, which then has no middle"
+        )
+    focal = _central_focal(camera)
+    focal *= min(1.0, np.sqrt(_STRETCHED * camera.width * camera.height / np.prod(2 * focal * half)))
+    width, height = (int(n) for n in np.maximum(np.floor(2 * focal * half + 1e-6), 2))
+    return CameraModel(model="PINHOLE", width=width, height=height, params=(focal, focal, width / 2, height / 2))
+
+
 def load_view(view: ViewPlan, images: Path, masks: Path | None, settings: DenseSettings) -> DenseView:
     """Read, undistort and mask one image. ``masks`` holds COLMAP masks (``name.png``, 0 = ignore); a missing one means
     that all pixels are used. Raises InputError for an unreadable image or a size that is not the camera's."""
-    camera = view.camera
+    K, size = pinhole_of(view.camera, settings)
+    params = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
+    return view_through(CameraModel(model="PINHOLE", width=size[0], height=size[1], params=params), view, images, masks)
+
+
+def view_through(pinhole: CameraModel, view: ViewPlan, images: Path, masks: Path | None) -> DenseView:
+    """As ``load_view``, through a pinhole camera of any size and field of view."""
+    camera, (fx, fy, cx, cy) = view.camera, pinhole.params
+    K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
     image = _read(images / view.name, cv2.IMREAD_COLOR, camera)
     mask_path = None if masks is None else masks / f"{view.name}.png"
     mask = np.full(image.shape[:2], 255, np.uint8)
     if mask_path is not None and mask_path.exists():
         mask = _read(mask_path, cv2.IMREAD_GRAYSCALE, camera)
-    K, size = pinhole_of(camera, settings)
-    params = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
-    pinhole = CameraModel(model="PINHOLE", width=size[0], height=size[1], params=params)
     x, y, valid = _maps(camera, pinhole)
     ratio, scale_x, scale_y = K[0, 0] / _central_focal(camera), 1.0, 1.0
     if ratio <= 0.75:  # shrunk by area averaging to about the working resolution first, against aliasing
@@ -82,16 +111,23 @@ def _read(path: Path, flag: int, camera: CameraModel) -> np.ndarray:
 
 def _field(camera: CameraModel, limit: float) -> tuple[np.ndarray, np.ndarray]:
     """Corners (2,), (2,) on the plane z = 1 of the field of view seen through the image border."""
+    plane = _border(camera).reshape(-1, 2)
+    plane = plane[np.isfinite(plane).all(axis=1)]
+    if len(plane) == 0:
+        return np.array([-limit, -limit]), np.array([limit, limit])
+    return np.clip(plane.min(axis=0), -limit, 0), np.clip(plane.max(axis=0), 0, limit)
+
+
+def _border(camera: CameraModel) -> np.ndarray:
+    """(4, 65, 2) where rays through the sides of an image (top, bottom, left, right) meet the plane z = 1; NaN = none.
+
+    A ray at right angles or behind is far out: its direction in the image still says towards which side."""
     s = np.linspace(0.0, 1.0, 65)  # points of each side of an image that tell its field of view
     zero, one = np.zeros_like(s), np.ones_like(s)
     border = np.concatenate([np.c_[s, zero], np.c_[s, one], np.c_[zero, s], np.c_[one, s]])
     rays = np.asarray(camera.to_pycolmap().cam_ray_from_img(border * [camera.width, camera.height]))
-    rays = rays[np.isfinite(rays).all(axis=1)]
-    # A ray at right angles or behind is beyond any limit: its direction in the image still says towards which side.
     plane = rays[:, :2] / np.maximum(rays[:, 2:], 1e-3 * np.linalg.norm(rays, axis=1, keepdims=True))
-    if len(plane) == 0:
-        return np.array([-limit, -limit]), np.array([limit, limit])
-    return np.clip(plane.min(axis=0), -limit, 0), np.clip(plane.max(axis=0), 0, limit)
+    return plane.reshape(4, -1, 2)
 
 
 def _central_focal(camera: CameraModel) -> float:

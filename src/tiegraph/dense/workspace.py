@@ -15,6 +15,7 @@ from tiegraph.dense.settings import DenseSettings
 from tiegraph.dense.undistort import load_view, pinhole_of
 from tiegraph.scene.colmapmodel import matrix
 from tiegraph.scene.names import inside
+from tiegraph.scene.relens import moved_pixels
 from tiegraph.scene.results import DepthMap
 
 _SOURCES = 20  # partners PatchMatch would choose by itself, were it run in the workspace
@@ -76,8 +77,7 @@ def undistorted(model: pycolmap.Reconstruction, names: set[str], settings: Dense
         if image.name not in names:
             continue
         at = np.array([p.xy for p in image.points2D], float).reshape(-1, 2)
-        rays = np.asarray(model.camera(image.camera_id).cam_ray_from_img(at)) if len(at) else np.zeros((0, 3))
-        moved = np.asarray(kept[image.camera_id].img_from_cam(rays)).reshape(-1, 2)
+        moved = moved_pixels(at, model.camera(image.camera_id), kept[image.camera_id])
         own = pycolmap.Image(name=image.name, keypoints=moved, camera_id=image.camera_id, image_id=image_id)
         result.add_image_with_trivial_frame(own, image.cam_from_world())
     there = set(result.images)

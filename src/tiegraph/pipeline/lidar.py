@@ -34,10 +34,10 @@ from tiegraph.project.progress import Reporter
 from tiegraph.project.receipts import Receipts
 from tiegraph.project.stages import save_json
 from tiegraph.project.verbtunings import VerbTunings
-from tiegraph.scan.priors.trajectory import write_tum
 from tiegraph.scene.atomic import scratch_folder
 from tiegraph.scene.cloudchunks import Points, PointSource
 from tiegraph.scene.cloudfile import write_cloud
+from tiegraph.scene.posefile import write_tum
 from tiegraph.scene.registered import registration
 from tiegraph.scene.results import Cloud
 from tiegraph.scene.scene import Scene

@@ -21,12 +21,12 @@ from tiegraph.pipeline.files import load_map, load_model, whole, world_origin, w
 from tiegraph.project.run import Run
 from tiegraph.project.settings import Settings
 from tiegraph.project.stages import Outcome
-from tiegraph.scan.priors.trajectory import write_tum
 from tiegraph.scene.atomic import replacing, scratch_folder
 from tiegraph.scene.cloudfile import read_cloud, write_cloud
 from tiegraph.scene.colmapmodel import image_poses, tracks
 from tiegraph.scene.hanging import carries
 from tiegraph.scene.names import shortened
+from tiegraph.scene.posefile import write_tum
 from tiegraph.scene.results import save_depth
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import frame_poses, rig_from_sensor

@@ -19,10 +19,9 @@ from tiegraph.pipeline.clouds import new_folder
 from tiegraph.project.progress import Reporter
 from tiegraph.project.stages import save_json
 from tiegraph.project.verbtunings import VerbTunings
-from tiegraph.scan.priors.trajectory import write_tum
 from tiegraph.scene.atomic import scratch_folder
 from tiegraph.scene.cloudfile import read_cloud, shift_of, write_cloud
-from tiegraph.scene.posefile import read_poses
+from tiegraph.scene.posefile import read_poses, write_tum
 from tiegraph.stations.joined import Band, Joined, by_distance, join, prepared
 from tiegraph.stations.pairs import Pair
 from tiegraph.stations.station import Shot, Station, spacing_of

@@ -8,6 +8,7 @@ vehicle or a hand moves in much the same direction of its own body all along.
 """
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -15,7 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tiegraph.errors import InputError
-from tiegraph.geometry.transforms import are_rotations, rigid
+from tiegraph.geometry.transforms import are_rotations, quaternion_xyzw, rigid
 from tiegraph.scene.cells import number, without_unit
 from tiegraph.scene.table import read_table
 from tiegraph.scene.times import Times, in_time_order, times_in, times_of
@@ -261,3 +262,21 @@ def _unsteady(position: np.ndarray, xyzw: np.ndarray) -> float:
     ahead = step[moved] / np.linalg.norm(step[moved], axis=1, keepdims=True)
     own = Rotation.from_quat(xyzw[:-1][moved]).apply(ahead, inverse=True)
     return float(1 - np.linalg.norm(own.mean(axis=0)))
+
+
+# --- writing --------------------------------------------------------------------------------------------------------
+
+
+FREE_UNIT = "# unit: free (a single camera tells no scale)"
+"""A line of a TUM file whose lengths are no metres."""
+
+
+def write_tum(path: Path, time_s: np.ndarray, world_from_rig: np.ndarray, said: Sequence[str] = ()) -> None:
+    """Write poses (T, 4, 4) as TUM; unknown poses are left out, unknown times become the row's number. What is ``said``
+    stands in lines of its own before them."""
+    lines = [*said, "# time_s x y z qx qy qz qw"]
+    for k, (t, pose) in enumerate(zip(time_s, world_from_rig)):
+        if np.isfinite(pose[:3]).all():
+            values = [*pose[:3, 3], *quaternion_xyzw(pose[:3, :3])]
+            lines.append(f"{t if np.isfinite(t) else k:.6f} " + " ".join(f"{v:.9f}" for v in values))
+    Path(path).write_text("\n".join(lines) + "\n")

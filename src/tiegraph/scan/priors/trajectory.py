@@ -1,4 +1,4 @@
-"""Trajectories of visual odometry, SLAM or an INS: which file is of which pass, reading and writing them; and poses of
+"""Trajectories of visual odometry, SLAM or an INS: which file is of which pass, and reading them; and poses of
 images, by their names, as poses of the frames' rigs.
 """
 
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from tiegraph.errors import InputError
-from tiegraph.geometry.transforms import angle_deg, centre, quaternion_xyzw, rigid
+from tiegraph.geometry.transforms import angle_deg, centre, rigid
 from tiegraph.scan.folders import words
 from tiegraph.scan.priors.positions import Frames
 from tiegraph.scan.priors.times import absent
@@ -19,7 +19,7 @@ from tiegraph.scan.tuning import TrajectoryTuning
 from tiegraph.scene.bags import Bag, Topic, is_bag, open_bag, split_topics, stamp_ns
 from tiegraph.scene.namedposes import called, has_named_poses, read_named_poses
 from tiegraph.scene.names import all_found, clean
-from tiegraph.scene.posefile import Trajectory, checked_poses, read_poses
+from tiegraph.scene.posefile import FREE_UNIT, Trajectory, checked_poses, read_poses
 from tiegraph.text import composed
 
 _PATH = "nav_msgs/Path"
@@ -48,20 +48,6 @@ def read_trajectory(path: Path) -> Trajectory:
 def of_images(poses: Mapping[str, np.ndarray]) -> Trajectory:
     """Poses (4, 4) by image name as a trajectory without times."""
     return Trajectory(np.full(len(poses), np.nan), np.array(list(poses.values())), names=tuple(poses))
-
-
-FREE_UNIT = "# unit: free (a single camera tells no scale)"
-"""A line of a TUM file whose lengths are no metres."""
-
-
-def write_tum(path: Path, time_s: np.ndarray, world_from_rig: np.ndarray) -> None:
-    """Write poses (T, 4, 4) as TUM; unknown poses are left out, unknown times become the row's number."""
-    lines = ["# time_s x y z qx qy qz qw"]
-    for k, (t, pose) in enumerate(zip(time_s, world_from_rig)):
-        if np.isfinite(pose[:3]).all():
-            values = [*pose[:3, 3], *quaternion_xyzw(pose[:3, :3])]
-            lines.append(f"{t if np.isfinite(t) else k:.6f} " + " ".join(f"{v:.9f}" for v in values))
-    Path(path).write_text("\n".join(lines) + "\n")
 
 
 def trajectory_files(path: Path, sequences: Sequence[str]) -> dict[int, Path]:

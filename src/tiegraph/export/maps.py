@@ -1,0 +1,137 @@
+"""Maps for GIS: cameras, where they look, and the tie graph; GeoJSON in WGS84, GeoPackage in the CRS with styles.
+
+A GeoPackage is written by GDAL (pyogrio) from the same features. Its table ``layer_styles`` is QGIS's own: a layer with
+a row there, marked as default, is drawn that way when it is opened.
+"""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tiegraph.errors import EngineMissing, InputError
+from tiegraph.export.styles import STYLES
+from tiegraph.export.survey import Survey
+from tiegraph.geometry.geodesy import ENU, Origin, crs_coordinates, geodetic_from_world, parse_crs
+from tiegraph.geometry.transforms import invert
+from tiegraph.scene.colmapmodel import matrix
+
+_WGS84 = "EPSG:4979"
+FILE = "survey.gpkg"
+Layer = list[dict[str, Any]]
+
+
+def geojson(survey: Survey, target: Path) -> int:
+    """``cameras.geojson``, ``views.geojson``, ``ties.geojson``, in degrees and metres above the ellipsoid; the number
+    of cameras. Raises InputError for a world that is not on the Earth."""
+    origin = _on_earth(survey)
+    layers = _layers(survey, lambda xyz: _degrees(xyz, origin))
+    for name, features in layers.items():
+        (target / f"{name}.geojson").write_text(_collection(features), encoding="utf-8")
+    return len(layers["cameras"])
+
+
+def gpkg(survey: Survey, target: Path) -> int:
+    """``survey.gpkg`` with the same layers in the CRS (a world without one: in degrees), and their styles; the number
+    of cameras. Raises EngineMissing without pyogrio, InputError for a world that is not on the Earth."""
+    origin = _on_earth(survey)
+    try:
+        from pyogrio import raw
+    except ImportError:
+        text = (
+            "--to gpkg needs pyogrio: pip install 'tiegraph[gis]' (or pip install pyogrio); --to geojson needs nothing"
+        )
+        raise EngineMissing(text) from None
+    free = origin.crs.upper() == ENU
+    layers = _layers(survey, lambda xyz: _degrees(xyz, origin) if free else crs_coordinates(xyz, origin))
+    crs = _WGS84 if free else parse_crs(origin.crs).to_wkt()
+    path = target / FILE
+    for name, features in layers.items():
+        if features:
+            meta, _, shapes, columns = raw.read(_collection(features).encode())
+            kind = {"layer": name, "geometry_type": meta["geometry_type"], "crs": crs}
+            raw.write(path, shapes, columns, meta["fields"], driver="GPKG", append=path.exists(), **kind)
+    rows = {name: STYLES[name] for name, features in layers.items() if features}
+    style: dict[str, np.ndarray] = {
+        "f_table_catalog": _texts("" for _ in rows),
+        "f_table_schema": _texts("" for _ in rows),
+        "f_table_name": _texts(rows),
+        "f_geometry_column": _texts("geom" for _ in rows),
+        "styleName": _texts(rows),
+        "styleQML": _texts(rows.values()),
+        "styleSLD": _texts("" for _ in rows),
+        "useAsDefault": np.ones(len(rows), bool),
+        "description": _texts("tiegraph" for _ in rows),
+        "owner": _texts("" for _ in rows),
+    }
+    how = {"layer": "layer_styles", "geometry_type": None, "crs": None}
+    raw.write(path, None, [*style.values()], [*style], driver="GPKG", append=True, **how)
+    return len(layers["cameras"])
+
+
+def _on_earth(survey: Survey) -> Origin:
+    if survey.origin is None:
+        text = "the world is not on the Earth, and a map needs that: give positions (--gnss) or control points (--gcp)"
+        raise InputError(text)
+    return survey.origin
+
+
+def _texts(values: Any) -> np.ndarray:
+    return np.array(list(values), object)
+
+
+def _degrees(xyz: np.ndarray, origin: Origin) -> np.ndarray:
+    """(N, 3) longitude, latitude, height of world metres (N, 3), to a tenth of a millimetre."""
+    lat, lon, height = geodetic_from_world(xyz, origin).T
+    return np.round(np.stack([lon, lat, height], axis=-1), 9)
+
+
+def _layers(survey: Survey, placed: Callable[[np.ndarray], np.ndarray]) -> dict[str, Layer]:
+    """Features by layer; ``placed`` takes world metres (N, 3) to the coordinates of the map."""
+    scene, images, cameras, views = survey.scene, survey.images(), [], []
+    centres = np.array([i.projection_center() for i in images]).reshape(-1, 3)
+    sigmas = (
+        np.full(len(images), np.nan) if survey.error is None else np.linalg.norm(survey.error.sigma(centres), axis=1)
+    )
+    for image, centre, place, sigma in zip(images, centres, placed(centres), sigmas):
+        index = survey.index(image)
+        frame = int(scene.frame[index])
+        pose = invert(matrix(image.cam_from_world()))
+        east, north, up = pose[:3, 2]
+        number = int(scene.sequence[frame])
+        said = {
+            "name": image.name,
+            "camera": scene.sensor_of(index).name,
+            "pass": scene.sequences[number] if number >= 0 else None,
+            "frame": frame,
+            "time_s": _number(scene.time_s[frame], 6),
+            "sigma_m": _number(sigma, 4),
+            "heading_deg": _number(np.degrees(np.arctan2(east, north)) % 360, 3),
+            "pitch_deg": _number(np.degrees(np.arcsin(np.clip(up, -1, 1))), 3),
+            "points": image.num_points3D,
+        }
+        cameras.append(_feature("Point", place, said))
+        seen = np.array([survey.model.points3D[p.point3D_id].xyz for p in image.get_observation_points2D()])
+        if len(seen):
+            away = float(np.median((seen - centre) @ pose[:3, 2]))
+            ends = placed(np.stack([centre, centre + away * pose[:3, 2]]))
+            views.append(_feature("LineString", ends, {"name": image.name, "distance_m": _number(away, 3)}))
+    at = {survey.names.get(i.name, i.name): c for i, c in zip(images, placed(centres))}
+    known = [(a, b, n) for a, b, n in survey.ties if a in at and b in at]
+    ties = [_feature("LineString", np.stack([at[a], at[b]]), {"a": a, "b": b, "matches": n}) for a, b, n in known]
+    return {"ties": ties, "views": views, "cameras": cameras}
+
+
+def _number(value: float, digits: int) -> float | None:
+    return round(float(value), digits) if np.isfinite(value) else None
+
+
+def _feature(kind: str, coordinates: np.ndarray, said: dict[str, Any]) -> dict[str, Any]:
+    shape = {"type": kind, "coordinates": coordinates.tolist()}
+    return {"type": "Feature", "geometry": shape, "properties": said}
+
+
+def _collection(features: Layer) -> str:
+    return json.dumps({"type": "FeatureCollection", "features": features}, allow_nan=False)

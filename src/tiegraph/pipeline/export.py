@@ -1,0 +1,205 @@
+"""Glue of `tiegraph export --to NAME`: the survey, loaded once, with images, masks and depth as a format wants them."""
+
+import io
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path, PurePosixPath
+
+import cv2
+import numpy as np
+
+from tiegraph.dense.plan import CameraModel, ViewPlan
+from tiegraph.dense.undistort import centred_pinhole, view_through
+from tiegraph.errors import InputError, TiegraphError, choose
+from tiegraph.export.exporters import EXPORTERS
+from tiegraph.export.nerf import depth_through, in_thousandths
+from tiegraph.export.survey import Exporter, Survey, unique_names
+from tiegraph.limits import explained
+from tiegraph.pipeline.dense import depth_path
+from tiegraph.pipeline.files import (
+    FINAL,
+    checked,
+    load_map,
+    load_model,
+    mask_path,
+    pairs_of,
+    placement_error,
+    read_image,
+    save_png,
+    whole,
+    world_origin,
+    world_unit,
+)
+from tiegraph.project.run import Run
+from tiegraph.project.stages import write_atomic
+from tiegraph.scene.atomic import replacing
+from tiegraph.scene.exif import orientation_of
+from tiegraph.scene.names import inside
+from tiegraph.scene.relens import with_cameras
+
+_DEPTHS = "depths"
+
+
+@dataclass(frozen=True)
+class _Picture:
+    """An image of the run and what becomes of it: its names there and in the folder, its camera there, the pinhole
+    camera through which it is undistorted (None: it stays), its mask and depth map in the folder ("" = none)."""
+
+    source: str
+    name: str
+    camera: CameraModel
+    pinhole: CameraModel | None
+    mask: str = ""
+    depth: str = ""
+
+
+def hand_out(run: Run, target: Path, name: str, camera: str = "") -> int:
+    """Write the folder ``target`` for a program, whole or not at all; how many images, poses or cameras it has.
+
+    Raises InputError for a name or camera that is none, a folder that holds something, a full disk, and a world that is
+    not on the Earth where the format needs that.
+    """
+    choose("export", name, dict.fromkeys(EXPORTERS))
+    if target.exists() and (not target.is_dir() or any(target.iterdir())):
+        raise InputError(f"{target} is there and not empty: give a new folder")
+    exporter = EXPORTERS[name]
+    if camera and exporter.lens is not None:
+        raise InputError(f"--camera {camera}: only trajectories (--to tum, --to kitti) are of one camera")
+    try:
+        with replacing(target.absolute()) as made:
+            made.mkdir()
+            survey = _survey(run)
+            if exporter.lens is not None:
+                survey = _with_pictures(run, survey, exporter, made)
+            count = exporter.write(replace(survey, camera=camera), made)
+    except (OSError, RuntimeError) as error:
+        told = explained(error, target) or InputError(f"{target}: cannot be written: {error}; choose another folder")
+        raise error if isinstance(error, TiegraphError) else told from error
+    finally:
+        run.close()
+    run.reporter.say(f"opened by: {exporter.opened.format(folder=target)}")
+    return count
+
+
+def _survey(run: Run) -> Survey:
+    """The survey with the images and cameras of the run."""
+    ties = []
+    if run.path("filter.npz").exists():
+        pairs, names = pairs_of(run, "filter.npz").kept(), checked(run).names
+        ties = [(names[i], names[j], int(n)) for i, j, n in zip(pairs.i, pairs.j, pairs.inliers)]
+    return Survey(
+        scene=whole(run),
+        model=load_model(run.path("sparse", "world")),
+        unit=world_unit(run.folder),
+        origin=world_origin(run.folder),
+        error=placement_error(run.folder),
+        ties=ties,
+    )
+
+
+def _with_pictures(run: Run, survey: Survey, exporter: Exporter, target: Path) -> Survey:
+    """Write images, masks and depth maps; the survey with their cameras and names."""
+    model, lens = survey.model, exporter.lens
+    assert lens is not None
+    own = {key: CameraModel.of(camera) for key, camera in model.cameras.items()}
+    kept = lens(dict(model.cameras.items()))
+    pinholes = {key: centred_pinhole(c, run.settings.dense) for key, c in own.items() if key not in kept}
+    cameras = {key: pinhole.to_pycolmap() for key, pinhole in pinholes.items()}
+    camera_of = {image.name: image.camera_id for image in survey.images()}
+    names = _names(camera_of, pinholes, exporter)
+    has_masks = any(_mask(run.folder, name).exists() for name in camera_of)
+    has_depth = exporter.depth and any(depth_path(run.folder, name).exists() for name in camera_of)
+    pictures = []
+    for source, name in names.items():
+        stem = str(PurePosixPath(name).with_suffix(""))
+        pictures.append(
+            _Picture(
+                source=source,
+                name=name,
+                camera=own[camera_of[source]],
+                pinhole=pinholes.get(camera_of[source]),
+                mask=exporter.mask.format(name=name, stem=stem) if has_masks else "",
+                depth=f"{_DEPTHS}/{stem}" if has_depth else "",
+            )
+        )
+    with run.reporter.stage("export"):
+        run.reporter.total(len(pictures))
+        depths = run.map(_write_picture, pictures, run.folder, target, survey.unit)
+    return replace(
+        survey,
+        model=with_cameras(model, {**kept, **cameras}, names),
+        names={name: source for source, name in names.items()},
+        masks={p.name: p.mask for p in pictures if p.mask},
+        depths={p.name: depth for p, depth in zip(pictures, depths) if depth},
+    )
+
+
+def _names(camera_of: Mapping[str, int], pinholes: Mapping[int, CameraModel], exporter: Exporter) -> dict[str, str]:
+    """Names in the folder by those in the run. An undistorted image keeps its suffix where OpenCV writes such files."""
+    if not exporter.flat:
+        return {name: name for name in camera_of}
+    suffix = {name: PurePosixPath(name).suffix for name in camera_of}
+    changed = {n: ".jpg" for n, s in suffix.items() if camera_of[n] in pinholes and not cv2.haveImageWriter(f"x{s}")}
+    return unique_names(list(camera_of), changed)
+
+
+def _mask(folder: Path, name: str) -> Path:
+    """The last mask of an image that the run has."""
+    final = mask_path(folder / FINAL, name)
+    return final if final.exists() else mask_path(folder, name)
+
+
+def _write_picture(picture: _Picture, folder: Path, target: Path, unit: str) -> str:
+    """Write an image, its mask and its depth map below ``target``; the name of the depth map's file, "" = none.
+
+    An image whose EXIF would turn it is written anew: the model is of the pixels as they are stored."""
+    images, image, mask = folder / "images", inside(target / "images", picture.name), _mask(folder, picture.source)
+    if not (images / picture.source).is_file():
+        raise InputError(f"{images / picture.source} is gone: restore the images of the survey")
+    use = None
+    if picture.pinhole is not None:
+        masks = mask.parents[len(PurePosixPath(picture.source).parts) - 1]
+        seen = view_through(
+            picture.pinhole,
+            ViewPlan(picture.source, picture.camera, np.eye(4)),
+            images,
+            masks if picture.mask else None,
+        )
+        use = seen.mask
+        _write_image(image, seen.image_bgr)
+    elif orientation_of(images / picture.source) > 1:
+        _write_image(image, read_image(images / picture.source, cv2.IMREAD_COLOR))
+    else:
+        _copy(images / picture.source, image)
+    if picture.mask and use is None and mask.exists():
+        _copy(mask, inside(target, picture.mask))
+    elif picture.mask:
+        whole_image = np.ones((picture.camera.height, picture.camera.width), bool)
+        save_png(inside(target, picture.mask), whole_image if use is None else use)
+    return _write_depth(picture, folder, target, unit) if picture.depth else ""
+
+
+def _copy(source: Path, target: Path) -> None:
+    """A copy and no link: a tool that changes an image where it lies must not change the survey's, or the user's."""
+    target.parent.mkdir(parents=True, exist_ok=True)
+    shutil.copyfile(source, target)
+
+
+def _write_image(path: Path, bgr: np.ndarray) -> None:
+    kind = path.suffix if cv2.haveImageWriter(path.name) else ".jpg"
+    write_atomic(path, cv2.imencode(kind.lower(), bgr)[1].tobytes())
+
+
+def _write_depth(picture: _Picture, folder: Path, target: Path, unit: str) -> str:
+    path = depth_path(folder, picture.source)
+    camera = (picture.pinhole or picture.camera).to_pycolmap()
+    values = in_thousandths(depth_through(camera, load_map(path) if path.exists() else None), unit)
+    if values.dtype == np.uint16:
+        name = f"{picture.depth}.png"
+        write_atomic(inside(target, name), cv2.imencode(".png", values)[1].tobytes())
+        return name
+    name, buffer = f"{picture.depth}.npy", io.BytesIO()
+    np.save(buffer, values)
+    write_atomic(inside(target, name), buffer.getvalue())
+    return name

@@ -1,0 +1,317 @@
+"""Folders for other programs, opened by second readers: spots of the images lie where the exported cameras see them."""
+
+import errno
+import json
+import shutil
+
+import cv2
+import numpy as np
+import pycolmap
+import pytest
+from PIL import Image
+
+import tiegraph
+from export_world import FRAMES, LENSES, NOTHING, ORIGIN, SIZE, camera_of, finished, plane_depth, spot_near
+from tiegraph.errors import InputError, SettingsError
+from tiegraph.export import lens
+from tiegraph.export.nerf import in_thousandths
+from tiegraph.export.survey import unique_names
+from tiegraph.geometry.transforms import apply, invert
+from tiegraph.scan.priors.startmodel import read_start
+from tiegraph.scene.colmapmodel import matrix
+from tiegraph.scene.posefile import read_poses
+
+IMAGES = 4 * FRAMES
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    return finished(tmp_path_factory.mktemp("survey"))
+
+
+@pytest.fixture(scope="module")
+def fisheye(tmp_path_factory):
+    return finished(tmp_path_factory.mktemp("fisheye"), ("OPENCV_FISHEYE", "OPENCV_FISHEYE"))
+
+
+def exported(made, tmp_path, name, **more):
+    assert made.project.export(tmp_path / name, name, **more) > 0
+    return tmp_path / name
+
+
+def flat(name: str) -> str:
+    return name.replace("/", "_")
+
+
+def to_crs(folder) -> np.ndarray:
+    return np.array(json.loads((folder / "offset.json").read_text())["crs_from_local"])
+
+
+def check_spots(made, folder, poses, cameras, names):
+    """Spots of the exported images lie within a tenth of a pixel (95 %) of where exported camera, pose and point say;
+    the poses lead back to those of the model in the CRS. ``names``: of the scene's images in the folder."""
+    off, back = [], to_crs(folder)
+    local = apply(np.linalg.inv(back), made.points + ORIGIN.shift_m)
+    for image in made.model.images.values():
+        name = names(image.name)
+        camera, pose = cameras[name], invert(poses[name])
+        centre = apply(back, poses[name][None, :3, 3])[0] - ORIGIN.shift_m
+        assert np.abs(centre - image.projection_center()).max() < 1e-3
+        grey = cv2.imread(str(folder / "images" / name), cv2.IMREAD_GRAYSCALE)
+        assert grey.shape == (camera.height, camera.width)
+        there = apply(pose, local)
+        ahead = there[np.linalg.norm(there[:, :2], axis=1) < there[:, 2]]  # beyond, spots are stretched
+        seen = np.asarray(camera.img_from_cam(ahead))
+        for at in seen:
+            if (np.linalg.norm(seen - at, axis=1) < 18).sum() == 1:  # no other spot near
+                off.append(spot_near(grey, at) - at)
+    off = [o for o in off if np.isfinite(o).all()]
+    assert len(off) > 15 * IMAGES
+    assert np.abs(np.mean(off, axis=0)).max() < 0.03
+    assert np.percentile(np.linalg.norm(off, axis=1), 95) < 0.1
+
+
+def camera_found(found) -> pycolmap.Camera:
+    return pycolmap.Camera(model=found.model, width=found.size[0], height=found.size[1], params=list(found.params))
+
+
+def check_started(made, folder, names, prefix="", model=""):
+    """By the reader of start models."""
+    start = read_start(folder / model)
+    assert len(start.poses) == IMAGES and not start.notes
+    poses = {n.removeprefix(prefix): p for n, p in start.poses.items()}
+    cameras = {n.removeprefix(prefix): camera_found(c) for n, c in start.cameras.items()}
+    check_spots(made, folder, poses, cameras, names)
+    return poses, cameras
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("world", ["made", "fisheye"])
+def test_nerfstudio(world, request, tmp_path):
+    made = request.getfixturevalue(world)
+    folder = exported(made, tmp_path, "nerfstudio")
+    poses, cameras = check_started(made, folder, flat, "images/")
+    data = json.loads((folder / "transforms.json").read_text())
+    assert data["camera_model"] == {"made": "OPENCV", "fisheye": "OPENCV_FISHEYE"}[world]
+    assert np.array(data["applied_transform"]).tolist() == np.eye(4)[:3].tolist()
+    source = made.project.folder / "images"
+    for frame in data["frames"]:
+        name = frame["file_path"].removeprefix("images/")
+        original = next(n for n in made.scene.names if flat(n) == name)
+        assert (folder / "images" / name).samefile(source / original)  # both lenses are nerfstudio's own
+        mask = np.array(Image.open(folder / frame["mask_path"])).astype(bool)
+        depth = cv2.imread(str(folder / frame["depth_file_path"]), cv2.IMREAD_ANYDEPTH)
+        assert mask.shape == depth.shape == (frame["h"], frame["w"]) and depth.dtype == np.uint16
+        if all(part in name for part in NOTHING):
+            assert mask.all() and not depth.any()
+            continue
+        assert not mask[:, :39].any() and mask[:, 41:].all()
+        u, v = np.meshgrid(np.arange(SIZE[0]) + 0.5, np.arange(SIZE[1]) + 0.5)
+        rays = np.asarray(cameras[name].cam_ray_from_img(np.stack([u, v], axis=-1).reshape(-1, 2)))
+        true = plane_depth(invert(poses[name]), rays / rays[:, 2:]).reshape(depth.shape)
+        known = (depth > 0) & (true < 30)
+        assert known.mean() > 0.6
+        assert np.median(np.abs(depth[known] / 1000 / true[known] - 1)) < 0.002
+    points = pycolmap.Reconstruction()
+    points.import_PLY(str(folder / data["ply_file_path"]))
+    said = np.array(sorted(p.xyz.tolist() for p in points.points3D.values()))
+    assert np.allclose(said, sorted(p.xyz.tolist() for p in made.model.points3D.values()), atol=1e-5)
+
+
+@pytest.mark.slow
+def test_nerfstudio_undistorts_what_it_does_not_know(tmp_path):
+    made = finished(tmp_path, ("FULL_OPENCV", "OPENCV_FISHEYE"))
+    shutil.rmtree(made.project.folder / "depth")  # before `dense`
+    shutil.rmtree(made.project.folder / "refine")
+    folder = exported(made, tmp_path, "nerfstudio")
+    data = json.loads((folder / "transforms.json").read_text())
+    assert not {"mask_path", "depth_file_path"} & data["frames"][0].keys()
+    _, cameras = check_started(made, folder, flat, "images/")
+    assert {c.model_name for c in cameras.values()} == {"OPENCV"}  # one model a file: the fisheye's too
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name, names", [("colmap", str), ("gsplat", flat), ("openmvs", flat)])
+def test_folders_of_colmap(made, tmp_path, name, names):
+    folder = exported(made, tmp_path, name)
+    sparse = folder / ("sparse" if name == "openmvs" else "sparse/0")
+    check_started(made, folder, names, model=sparse.relative_to(folder))
+    text = pycolmap.Reconstruction()
+    text.read_text(str(sparse))
+    model = text
+    if name != "openmvs":
+        model = pycolmap.Reconstruction(str(sparse))
+        assert model.num_points3D() == text.num_points3D()
+    assert (sparse / "images.bin").exists() == (name != "openmvs")
+    assert {c.model_name for c in model.cameras.values()} == {"PINHOLE"}
+    assert len(model.frames) == 2 * FRAMES and len(model.rigs) == 1  # frames and rig stay
+    assert model.num_points3D() > 0.6 * made.model.num_points3D()
+    assert model.compute_mean_reprojection_error() < 1e-3
+    model.update_point_3d_errors()
+    assert model.compute_mean_reprojection_error() < 1e-3
+    for image in model.images.values():
+        camera = model.camera(image.camera_id)
+        assert (camera.principal_point_x, camera.principal_point_y) == (camera.width / 2, camera.height / 2)
+        observed = np.array([p.xy for p in image.get_observation_points2D()])
+        assert (observed >= 0).all() and (observed <= [camera.width, camera.height]).all()
+        stem = image.name.rsplit(".", 1)[0]
+        mask = cv2.imread(str(folder / "masks" / (f"{stem}.mask.png" if name == "openmvs" else f"{image.name}.png")), 0)
+        assert mask.shape == (camera.height, camera.width) and set(np.unique(mask)) <= {0, 255}
+        assert mask.all() == all(part in image.name for part in NOTHING)
+
+
+@pytest.mark.slow
+def test_images_of_pinhole_cameras_are_linked(tmp_path):
+    made = finished(tmp_path, ("PINHOLE", "PINHOLE"))
+    turned = tmp_path / "images" / made.scene.names[0]
+    pixels = cv2.imread(str(turned))
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    Image.open(turned).save(turned, exif=exif, quality=98)
+    folder = exported(made, tmp_path, "gsplat")
+    links = [(folder / "images" / flat(n)).samefile(tmp_path / "images" / n) for n in made.scene.names]
+    assert links == [False] + [True] * (IMAGES - 1)  # what EXIF would turn is written anew
+    again = cv2.imread(str(folder / "images" / flat(made.scene.names[0])))
+    assert np.abs(again.astype(int) - pixels).mean() < 1
+    check_started(made, folder, flat)
+
+
+@pytest.mark.slow
+def test_bundler(made, tmp_path):
+    folder = exported(made, tmp_path, "bundler")
+    lines = iter((folder / "bundle.out").read_text().splitlines()[1:])
+    names = (folder / "list.txt").read_text().split()
+    images, points = (int(n) for n in next(lines).split())
+    assert images == len(names) == IMAGES
+    views, back = [], to_crs(folder)
+    for name in names:
+        focal, k1, k2 = (float(v) for v in next(lines).split())
+        assert k1 == k2 == 0
+        pose = np.array([[float(v) for v in next(lines).split()] for _ in range(4)])
+        views.append((focal, pose[:3], pose[3], cv2.imread(str(folder / name), cv2.IMREAD_GRAYSCALE)))
+    off = []
+    for _ in range(points):
+        xyz = np.array([float(v) for v in next(lines).split()])
+        next(lines)
+        count, *rest = next(lines).split()
+        assert np.abs(apply(back, xyz[None]) - ORIGIN.shift_m - made.points).max(axis=1).min() < 1e-6
+        for number, _, x, y in np.array(rest, float).reshape(int(count), 4):
+            focal, turn, shift, grey = views[int(number)]
+            there = turn @ xyz + shift
+            at = -focal * there[:2] / there[2]
+            assert np.abs(at - [x, y]).max() < 1e-3
+            found = spot_near(grey, at * [1, -1] + np.array(grey.shape[::-1]) / 2)
+            off.append(found * [1, -1] - np.array([1, -1]) * grey.shape[::-1] / 2 - at)
+    off = np.array(off)[np.isfinite(off).all(axis=1)]
+    assert len(off) > 100 and np.percentile(np.linalg.norm(off, axis=1), 95) < 0.1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("world", ["made", "fisheye"])
+def test_opensfm(world, request, tmp_path):
+    made = request.getfixturevalue(world)
+    folder = exported(made, tmp_path, "opensfm")
+    check_started(made, folder, flat)
+    (data,) = json.loads((folder / "reconstruction.json").read_text())
+    place = json.loads((folder / "reference_lla.json").read_text())
+    assert data["reference_lla"] == place
+    back = to_crs(folder)
+    said = np.array([p["coordinates"] for p in data["points"].values()])
+    true = np.array([made.model.points3D[int(k)].xyz for k in data["points"]])
+    assert np.abs(apply(back, said) - ORIGIN.shift_m - true).max() < 1e-3
+    _, *tracks = (line.split("\t") for line in (folder / "tracks.csv").read_text().splitlines())
+    assert len(tracks) == sum(i.num_points3D for i in made.model.images.values())
+    for name, point, _, x, y, *_ in tracks[::20]:  # of the links: where the model has them
+        image = next(i for i in made.model.images.values() if flat(i.name) == name)
+        at = next(p.xy for p in image.points2D if p.point3D_id == int(point))
+        assert np.allclose((at - np.array(SIZE) / 2) / max(SIZE), [float(x), float(y)], atol=1e-6)
+    # East, north, up about the place, by PROJ itself
+    import pyproj
+
+    geodetic = pyproj.Transformer.from_crs(ORIGIN.crs, "EPSG:4979", always_xy=True).transform(*apply(back, said).T)
+    about = f"+lon_0={place['longitude']!r} +lat_0={place['latitude']!r} +h_0={place['altitude']!r}"
+    steps = ("+proj=unitconvert +xy_in=deg +xy_out=rad", "+proj=cart", f"+proj=topocentric {about}")
+    level = pyproj.Transformer.from_pipeline("+proj=pipeline " + " ".join(f"+step {step}" for step in steps))
+    assert np.abs(np.stack(level.transform(*geodetic), axis=-1) - said).max() < 0.01  # the CRS's scale: 4 in 10000
+
+
+@pytest.mark.parametrize("camera", ["", "cam1"])
+def test_trajectories(made, tmp_path, camera):
+    true = {}
+    for image in made.model.images.values():
+        index = made.scene.image_index[image.name]
+        pose = made.model.frame(image.frame_id).rig_from_world if not camera else image.cam_from_world()
+        if not camera or f"/{camera}/" in image.name:
+            true[int(made.scene.frame[index])] = invert(matrix(pose))
+    tum = exported(made, tmp_path, "tum", camera=camera)
+    kitti = exported(made, tmp_path, "kitti", camera=camera)
+    for number, name in enumerate(("down", "up")):
+        poses = np.array([true[number * FRAMES + k] for k in range(FRAMES)])
+        times = made.scene.time_s[number * FRAMES : (number + 1) * FRAMES]
+        found = read_poses(tum / f"{name}.tum")
+        assert np.allclose(found.poses, poses, atol=1e-7) and np.allclose(found.time_s, times, atol=1e-6)
+        assert np.allclose(read_poses(kitti / name / "poses.txt").poses, poses, atol=1e-7)
+        assert np.allclose(np.loadtxt(kitti / name / "times.txt"), times, atol=1e-6)
+    assert np.allclose(to_crs(tum)[:3, 3], ORIGIN.shift_m)
+
+
+def test_what_an_export_refuses(made, tmp_path):
+    project = made.project
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "a").touch()
+    with pytest.raises(InputError, match="not empty"):
+        project.export(tmp_path / "full", "tum")
+    with pytest.raises(SettingsError, match="unknown export 'nerfstudo'.*nerfstudio"):
+        project.export(tmp_path / "a", "nerfstudo")
+    with pytest.raises(InputError, match="--camera front: no pose is of it; there are cam0, cam1"):
+        project.export(tmp_path / "b", "tum", camera="front")
+    with pytest.raises(InputError, match="only trajectories"):
+        project.export(tmp_path / "c", "colmap", camera="cam0")
+    with pytest.raises(InputError, match="georef"):
+        tiegraph.open(tmp_path, tmp_path / "none").export(tmp_path / "d", "colmap")
+
+
+@pytest.mark.slow
+def test_an_image_that_is_gone_is_named(tmp_path):
+    made = finished(tmp_path)
+    (tmp_path / "images" / made.scene.names[3]).unlink()
+    for name in ("nerfstudio", "colmap"):  # linked, undistorted
+        with pytest.raises(InputError, match=f"{made.scene.names[3]} is gone"):
+            made.project.export(tmp_path / name, name)
+        assert not (tmp_path / name).exists()
+
+
+def test_names_are_unique_without_folder_suffix_and_case():
+    names = ["a/b 1.jpg", "a_b_1.png", "A/B_1.jpg", "x.y/ü.tif"]
+    made = unique_names(names, {"x.y/ü.tif": ".jpg"})
+    assert list(made.values()) == ["a_b_1.jpg", "a_b_1_2.png", "A_B_1_3.jpg", "x_y_ü.jpg"]
+
+
+def test_which_images_stay():
+    cameras = {k: camera_of(name) for k, name in enumerate(LENSES)}
+    assert {LENSES_OF[k] for k in lens.opencv(cameras)} == {"OPENCV", "SIMPLE_RADIAL", "PINHOLE"}
+    assert [c.model_name for c in lens.opencv({3: cameras[3]}).values()] == ["OPENCV_FISHEYE"]
+    wide = cameras[4]
+    assert list(lens.pinholes(cameras)) == list(lens.centred(cameras)) == [4]
+    wide.principal_point_x += 1
+    assert not lens.centred({4: wide}) and lens.pinholes({4: wide})
+
+
+LENSES_OF = tuple(LENSES)
+
+
+def test_depth_is_in_millimetres_where_these_hold_it():
+    near, far = np.array([[0.0, 1.2346]]), np.array([[0.0, 70.0]])
+    assert in_thousandths(near, "m").tolist() == [[0, 1235]] and in_thousandths(near, "m").dtype == np.uint16
+    for depth, unit in ((far, "m"), (near, "units")):
+        assert in_thousandths(depth, unit).dtype == np.float32
+
+
+def test_a_full_disk_is_named_and_leaves_nothing(made, tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("tiegraph.export.paths.write_tum", full)
+    with pytest.raises(InputError, match="No space left on device.*choose another output folder"):
+        made.project.export(tmp_path / "a", "tum")
+    assert not list(tmp_path.iterdir())
