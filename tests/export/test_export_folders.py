@@ -98,7 +98,8 @@ def test_nerfstudio(world, request, tmp_path):
     for frame in data["frames"]:
         name = frame["file_path"].removeprefix("images/")
         original = next(n for n in made.scene.names if flat(n) == name)
-        assert (folder / "images" / name).samefile(source / original)  # both lenses are nerfstudio's own
+        copy = folder / "images" / name  # both lenses are nerfstudio's own
+        assert copy.read_bytes() == (source / original).read_bytes() and not copy.samefile(source / original)
         mask = np.array(Image.open(folder / frame["mask_path"])).astype(bool)
         depth = cv2.imread(str(folder / frame["depth_file_path"]), cv2.IMREAD_ANYDEPTH)
         assert mask.shape == depth.shape == (frame["h"], frame["w"]) and depth.dtype == np.uint16
@@ -161,7 +162,7 @@ def test_folders_of_colmap(made, tmp_path, name, names):
 
 
 @pytest.mark.slow
-def test_images_of_pinhole_cameras_are_linked(tmp_path):
+def test_images_of_pinhole_cameras_are_copied(tmp_path):
     made = finished(tmp_path, ("PINHOLE", "PINHOLE"))
     turned = tmp_path / "images" / made.scene.names[0]
     pixels = cv2.imread(str(turned))
@@ -169,8 +170,10 @@ def test_images_of_pinhole_cameras_are_linked(tmp_path):
     exif[0x0112] = 6
     Image.open(turned).save(turned, exif=exif, quality=98)
     folder = exported(made, tmp_path, "gsplat")
-    links = [(folder / "images" / flat(n)).samefile(tmp_path / "images" / n) for n in made.scene.names]
-    assert links == [False] + [True] * (IMAGES - 1)  # what EXIF would turn is written anew
+    names = [(folder / "images" / flat(n), tmp_path / "images" / n) for n in made.scene.names]
+    same = [copy.read_bytes() == own.read_bytes() for copy, own in names]
+    assert same == [False] + [True] * (IMAGES - 1)  # what EXIF would turn is written anew
+    assert not any(copy.is_symlink() or copy.samefile(own) for copy, own in names)
     again = cv2.imread(str(folder / "images" / flat(made.scene.names[0])))
     assert np.abs(again.astype(int) - pixels).mean() < 1
     check_started(made, folder, flat)
@@ -275,7 +278,7 @@ def test_what_an_export_refuses(made, tmp_path):
 def test_an_image_that_is_gone_is_named(tmp_path):
     made = finished(tmp_path)
     (tmp_path / "images" / made.scene.names[3]).unlink()
-    for name in ("nerfstudio", "colmap"):  # linked, undistorted
+    for name in ("nerfstudio", "colmap"):  # copied, undistorted
         with pytest.raises(InputError, match=f"{made.scene.names[3]} is gone"):
             made.project.export(tmp_path / name, name)
         assert not (tmp_path / name).exists()

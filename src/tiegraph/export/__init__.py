@@ -2,7 +2,7 @@
 open without a converter.
 
 All start from one view of the survey (``survey.Survey``): the model in the world with the cameras and names that the
-images have in the folder. A format says which lenses it knows (``lens``); an image with one of these is linked, any
+images have in the folder. A format says which lenses it knows (``lens``); an image with one of these is copied, any
 other undistorted. What most of these programs take for granted and do not say is kept for all: the middle of an image
 is the principal point and pixels are square (Inria's 3D Gaussian splatting, Bundler), base names tell images apart
 (Inria, nerfstudio's reduced copies), names have no blanks (OpenMVS). So undistorted images are cut to the largest view
