@@ -18,6 +18,7 @@ import numpy as np
 import pycolmap
 
 from tiegraph.features import nearest
+from tiegraph.features.contrast import evened
 from tiegraph.features.settings import PreviewSettings
 from tiegraph.features.sift import DESCRIPTOR_NORM, root_sift
 from tiegraph.features.tuning import PreviewTuning, Tuning
@@ -92,9 +93,10 @@ def extract_preview(gray: np.ndarray, mask: np.ndarray | None, settings: Preview
     # By area and not by the longest side: a narrow strip would leave so few rows that chance matches fit any geometry.
     scale = min(1.0, settings.size_px * float(np.sqrt(0.75 / (height * width))))
     size = (max(1, round(width * scale)), max(1, round(height * scale)))
-    small = gray if scale == 1.0 else cv2.resize(gray, size, interpolation=cv2.INTER_AREA)
+    small, lit = (g if scale == 1.0 else cv2.resize(g, size, interpolation=cv2.INTER_AREA)
+                  for g in (gray, evened(gray, tuning.contrast)))  # fmt: skip
     use = None if mask is None else _small_mask(mask, size, tuning.preview)
-    points, descriptors = _spread_sift(small, use, settings, tuning)
+    points, descriptors = _spread_sift(lit, use, settings, tuning)
     # OpenCV counts from the centre of the first pixel, COLMAP from its corner.
     xy = (points + 0.5) * np.array([width / size[0], height / size[1]])
     histogram = np.bincount(np.asarray(small).ravel() // (256 // BINS), minlength=BINS).astype(np.float32)
