@@ -1,4 +1,4 @@
-"""Images that show little contrast, such as of a sea floor, a tunnel or at night: evened before features are looked for.
+"""Images that show little contrast, of a sea floor, in a tunnel or at night: evened before features are looked for.
 
 A detector's threshold is one number for all images (Lowe 2004: 0.03 of the grey range). In dim water nothing passes it
 but what the lamp lights, though texture stands well above the noise everywhere. A lower threshold finds more in the
@@ -23,9 +23,10 @@ def contrast(gray: np.ndarray, tuning: ContrastTuning) -> float:
     return float(np.percentile(np.sqrt(np.maximum(square - mean**2, 0)), 90))
 
 
-def evened(gray: np.ndarray, tuning: ContrastTuning) -> np.ndarray:
-    """The image, or one with its contrast evened tile by tile (Zuiderveld 1994, CLAHE) where it shows too little."""
-    if contrast(gray, tuning) >= tuning.enough:
+def evened(gray: np.ndarray, tuning: ContrastTuning, shown: float | None = None) -> np.ndarray:
+    """The image, or one with its contrast evened tile by tile (Zuiderveld 1994, CLAHE) where it shows too little;
+    ``shown``: its contrast, if that is known."""
+    if (contrast(gray, tuning) if shown is None else shown) >= tuning.enough:
         return gray
     tiles = cv2.createCLAHE(clipLimit=tuning.limit, tileGridSize=(tuning.tiles, tuning.tiles))
     return np.asarray(tiles.apply(gray))
