@@ -124,7 +124,7 @@ class CanalWorld:
             x = 512 * x / np.maximum(np.linalg.norm(x, axis=1, keepdims=True), 1e-9)
             descriptors = np.clip(x, 0, 255).astype(np.uint8)
             shares = np.full(16, 1 / 16, np.float32)
-            preview = Preview(image.xy, descriptors, WIDTH, HEIGHT, PREVIEW_SCALE, float(brightness), shares)
+            preview = Preview(image.xy, descriptors, WIDTH, HEIGHT, PREVIEW_SCALE, float(brightness), 40.0, shares)
             path = folder / f"{name}.npz"
             path.parent.mkdir(parents=True, exist_ok=True)
             np.savez(path, **preview.to_npz())  # type: ignore[arg-type]

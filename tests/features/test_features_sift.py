@@ -8,7 +8,7 @@ from tiegraph.errors import InputError
 from tiegraph.features import sift
 from tiegraph.features.settings import FeaturesSettings
 from tiegraph.features.sift import EXTRACTORS, extract_colmap, extract_image, extract_sift, read_mask, root_sift
-from tiegraph.features.tuning import SiftTuning
+from tiegraph.features.tuning import SiftTuning, Tuning
 
 SETTINGS, TUNING = FeaturesSettings(), SiftTuning()
 engines = pytest.mark.parametrize("extract", EXTRACTORS.values(), ids=EXTRACTORS.keys())
@@ -191,14 +191,14 @@ def test_files_are_read_with_their_mask(tmp_path):
     mask[:, :100] = 1  # any value but 0 counts as use, as in COLMAP
     cv2.imwrite(str(tmp_path / "a.png"), image)
     cv2.imwrite(str(tmp_path / "a.png.png"), mask)
-    keypoints, _ = extract_image(tmp_path / "a.png", tmp_path / "a.png.png", SETTINGS, TUNING)
+    keypoints, _ = extract_image(tmp_path / "a.png", tmp_path / "a.png.png", SETTINGS, Tuning())
     assert 0 < len(keypoints) and keypoints[:, 0].max() < 100
 
 
 def test_file_errors_name_the_file_and_a_remedy(tmp_path):
     (tmp_path / "broken.jpg").write_bytes(b"no image")
     with pytest.raises(InputError, match="broken.jpg cannot be read"):
-        extract_image(tmp_path / "broken.jpg", None, SETTINGS, TUNING)
+        extract_image(tmp_path / "broken.jpg", None, SETTINGS, Tuning())
     with pytest.raises(InputError, match="a.png.png is missing"):
         read_mask(tmp_path / "a.png.png", (10, 10))
     with pytest.raises(InputError, match="broken.jpg cannot be read"):

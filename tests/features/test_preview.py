@@ -141,7 +141,9 @@ def test_of_equal_descriptors_the_first_is_the_nearest(seed: int) -> None:
     rng = np.random.default_rng(seed)
     kinds = rng.integers(0, 60, (5, 128)).astype(np.uint8)
     a, b = (
-        Preview(np.zeros((n, 2), np.float32), kinds[rng.integers(0, 5, n)], 640, 480, 1.0, 128.0, np.full(16, 1 / 16))
+        Preview(
+            np.zeros((n, 2), np.float32), kinds[rng.integers(0, 5, n)], 640, 480, 1.0, 128.0, 40.0, np.full(16, 1 / 16)
+        )
         for n in rng.integers(2, 12, 2)
     )
     cosine = a.descriptors.astype(float) @ b.descriptors.astype(float).T

@@ -77,6 +77,18 @@ def test_pairs_of_an_image_that_the_model_has_at_a_wrong_place_are_not_refused_f
     assert ("it has 1 images at the wrong place" in result.notes[0]) == (wrong_deg > 0)
 
 
+def test_parts_that_a_model_has_put_together_wrongly_are_not_parted_for_it(tmp_path) -> None:
+    """The previews of a sea floor joined two stretches of it wrongly, and all six pairs between them went."""
+    made = world(frames=20, sensors=1, cloud=800)
+    poses = np.stack([rig_from_world(f) for f in range(20)])
+    elsewhere = transforms.rigid(Rotation.from_euler("y", 40, degrees=True).as_matrix(), np.array([3.0, 0, 2.0]))
+    poses[10:] = poses[10:] @ elsewhere
+    result, _ = made.run(tmp_path, prior=Prior(poses, np.tile([3.0, 30.0], (20, 1))))
+    kept = result.pairs.kept()
+    assert result.counts["refused"] == 0 and np.any((kept.i < 10) != (kept.j < 10))
+    assert "are all that ties parts of it" in result.notes[0]
+
+
 def test_images_without_points_are_judged_where_their_rig_holds_them() -> None:
     scene, _ = rig_poses([])
     third = np.flatnonzero(scene.sensor == 2)

@@ -32,7 +32,7 @@ def world_of_three(folder: Path) -> Scene:
     for k, name in enumerate(names):
         xy = np.asarray(camera.img_from_cam(xyz - [k, 0, 0])) + rng.normal(0, 0.5, (60, 2))
         shares = np.full(16, 1 / 16, np.float32)
-        preview = Preview(xy.astype(np.float32), descriptors, 640, 480, 0.5, 100.0, shares)
+        preview = Preview(xy.astype(np.float32), descriptors, 640, 480, 0.5, 100.0, 40.0, shares)
         preview_path(folder, name).parent.mkdir(parents=True, exist_ok=True)
         np.savez(preview_path(folder, name), **preview.to_npz())
     return scene

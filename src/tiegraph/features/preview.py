@@ -18,6 +18,7 @@ import numpy as np
 import pycolmap
 
 from tiegraph.features import nearest
+from tiegraph.features.contrast import contrast, evened
 from tiegraph.features.settings import PreviewSettings
 from tiegraph.features.sift import DESCRIPTOR_NORM, root_sift
 from tiegraph.features.tuning import PreviewTuning, Tuning
@@ -35,8 +36,8 @@ class Preview:
     """Features and brightness of one reduced image.
 
     xy (K, 2) f4 pixels of the full image, (0, 0) = corner of the first pixel (COLMAP); descriptors (K, 128) u1
-    root-SIFT; scale: reduced pixels a full pixel; brightness: mean grey of the whole image without mask, 0..255; shares
-    (16,) f4 histogram of the grey values, sum 1.
+    root-SIFT; scale: reduced pixels a full pixel; brightness: mean grey of the whole image without mask, 0..255;
+    contrast: of the full image, grey levels (``contrast``); shares (16,) f4 histogram of the grey values, sum 1.
     """
 
     xy: np.ndarray
@@ -45,6 +46,7 @@ class Preview:
     height: int
     scale: float
     brightness: float
+    contrast: float
     shares: np.ndarray
 
     def __len__(self) -> int:
@@ -52,13 +54,13 @@ class Preview:
 
     def to_npz(self) -> dict[str, np.ndarray]:
         """Arrays for ``np.savez``."""
-        head = np.array([self.width, self.height, self.scale, self.brightness], np.float64)
+        head = np.array([self.width, self.height, self.scale, self.brightness, self.contrast], np.float64)
         return {"xy": self.xy, "descriptors": self.descriptors, "head": head, "shares": self.shares}
 
     @staticmethod
     def from_npz(data: dict[str, np.ndarray]) -> Preview:
         """Inverse of ``to_npz``."""
-        width, height, scale, brightness = (float(v) for v in data["head"])
+        width, height, scale, brightness, contrast = (float(v) for v in data["head"])
         return Preview(
             xy=np.asarray(data["xy"], np.float32),
             descriptors=np.asarray(data["descriptors"], np.uint8),
@@ -66,6 +68,7 @@ class Preview:
             height=int(height),
             scale=scale,
             brightness=brightness,
+            contrast=contrast,
             shares=np.asarray(data["shares"], np.float32),
         )
 
@@ -92,9 +95,11 @@ def extract_preview(gray: np.ndarray, mask: np.ndarray | None, settings: Preview
     # By area and not by the longest side: a narrow strip would leave so few rows that chance matches fit any geometry.
     scale = min(1.0, settings.size_px * float(np.sqrt(0.75 / (height * width))))
     size = (max(1, round(width * scale)), max(1, round(height * scale)))
-    small = gray if scale == 1.0 else cv2.resize(gray, size, interpolation=cv2.INTER_AREA)
+    shown = contrast(gray, tuning.contrast)
+    small, lit = (g if scale == 1.0 else cv2.resize(g, size, interpolation=cv2.INTER_AREA)
+                  for g in (gray, evened(gray, tuning.contrast, shown)))  # fmt: skip
     use = None if mask is None else _small_mask(mask, size, tuning.preview)
-    points, descriptors = _spread_sift(small, use, settings, tuning)
+    points, descriptors = _spread_sift(lit, use, settings, tuning)
     # OpenCV counts from the centre of the first pixel, COLMAP from its corner.
     xy = (points + 0.5) * np.array([width / size[0], height / size[1]])
     histogram = np.bincount(np.asarray(small).ravel() // (256 // BINS), minlength=BINS).astype(np.float32)
@@ -106,6 +111,7 @@ def extract_preview(gray: np.ndarray, mask: np.ndarray | None, settings: Preview
         height=height,
         scale=scale,
         brightness=float(small.mean()),
+        contrast=shown,
         shares=shares,
     )
 

@@ -17,8 +17,9 @@ import numpy as np
 import pycolmap
 
 from tiegraph.errors import InputError, choose
+from tiegraph.features.contrast import evened
 from tiegraph.features.settings import FeaturesSettings
-from tiegraph.features.tuning import SiftTuning
+from tiegraph.features.tuning import SiftTuning, Tuning
 from tiegraph.gpu import device, on_gpu
 from tiegraph.scene.decoding import read_pixels
 
@@ -135,15 +136,16 @@ Extractor = Callable[[np.ndarray, np.ndarray | None, FeaturesSettings, SiftTunin
 
 
 def extract_image(
-    image: Path, mask: Path | None, settings: FeaturesSettings, tuning: SiftTuning
+    image: Path, mask: Path | None, settings: FeaturesSettings, tuning: Tuning
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Keypoints (K, 4) f4 and descriptors (K, 128) u1 of an image file, none where the mask file is 0.
+    """Keypoints (K, 4) f4 and descriptors (K, 128) u1 of an image file, none where the mask file is 0. An image that
+    shows little contrast is evened first.
 
     Raises InputError for an image or mask that is missing, unreadable, or of different sizes.
     """
     extractor = cast(Extractor, choose("feature engine", settings.engine, EXTRACTORS))
-    gray = read_gray(image)
-    return extractor(gray, None if mask is None else read_mask(mask, gray.shape), settings, tuning)
+    gray = evened(read_gray(image), tuning.contrast)
+    return extractor(gray, None if mask is None else read_mask(mask, gray.shape), settings, tuning.sift)
 
 
 def read_gray(image: Path) -> np.ndarray:

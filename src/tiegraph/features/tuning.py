@@ -29,6 +29,20 @@ class PreviewTuning(Section):
     focal lengths wrong by 0.8 to 2.5 keep the same pairs."""
 
 
+class ContrastTuning(Section):
+    """Images that show little contrast (`contrast.py`)."""
+
+    enough: float = Field(10.0, ge=0)
+    """Grey levels of local contrast that a tenth of an image shows, or it is evened: sea floors show 3 to 7, an up
+    camera below a bridge 8 to 10, all else that was looked at 17 and more; 0: never."""
+    block: float = Field(0.02, gt=0, le=1)
+    """Of the longer side: the side of a block within which contrast is local."""
+    limit: float = Field(4.0, gt=0)
+    """Of CLAHE: most that the contrast of a tile is raised."""
+    tiles: int = Field(8, gt=0)
+    """Of CLAHE, along either side."""
+
+
 class SiftTuning(Section):
     """Features at full resolution (`sift.py`)."""
 
@@ -70,6 +84,8 @@ class VerificationTuning(Section):
 class Tuning(Section):
     """Constants of the engine that are the same for every user."""
 
+    contrast: ContrastTuning = Field(default_factory=ContrastTuning)
+    """Images that show little."""
     preview: PreviewTuning = Field(default_factory=PreviewTuning)
     """Previews."""
     sift: SiftTuning = Field(default_factory=SiftTuning)

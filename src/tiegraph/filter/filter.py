@@ -4,6 +4,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from tiegraph.filter.bearings import Matches, forget
 from tiegraph.filter.loops import Map, by_loops
@@ -84,7 +86,8 @@ class Judged:
 
 
 def _by_prior(scene: Scene, pairs: Pairs, matches: Matches, prior: Prior, tuning: Tuning, run_map: Map) -> Judged:
-    """What a rough model says of the pairs of its images; one that contradicts many of them is not believed."""
+    """What a rough model says of the pairs of its images; one that contradicts many of them is not believed, and how
+    two parts of it stand to each other is not if it contradicts all pairs between them."""
     prior, own = held_by_rig(prior, scene, tuning.prior), tuning.prior
     known = prior.known()
     rows = np.flatnonzero(known[pairs.i] & known[pairs.j])
@@ -100,11 +103,22 @@ def _by_prior(scene: Scene, pairs: Pairs, matches: Matches, prior: Prior, tuning
     if misplaced.any():
         said += f"; it has {int(misplaced.sum())} images at the wrong place, whose pairs it is not asked about"
         placed = ~misplaced[ends].any(axis=0)
-        rows, wrong = rows[placed], wrong[placed]
+        rows, wrong, ends = rows[placed], wrong[placed], ends[:, placed]
+    part = _parts(ends[:, ~wrong], len(known))
+    alone = wrong & (part[ends[0]] != part[ends[1]])
+    if alone.any():
+        said += f"; {int(alone.sum())} of the others are all that ties parts of it, and are not refused for it"
+        rows, wrong = rows[~alone], wrong[~alone]
     asked, refused = np.zeros((2, len(pairs)), bool)
     asked[rows] = True
     refused[rows[wrong]] = True
     return Judged(asked, refused, (said,))
+
+
+def _parts(ends: np.ndarray, count: int) -> np.ndarray:
+    """(N,) number of the part of each of ``count`` images that pairs (2, P) connect."""
+    there = coo_array((np.ones(ends.shape[1]), (ends[0], ends[1])), shape=(count, count))
+    return np.asarray(connected_components(there, directed=False)[1])
 
 
 def _table(scene: Scene, kept: Pairs, refused: np.ndarray) -> dict:

@@ -6,7 +6,7 @@ import numpy as np
 
 from tiegraph.features.settings import FeaturesSettings
 from tiegraph.features.sift import extract_image
-from tiegraph.features.tuning import SiftTuning
+from tiegraph.features.tuning import Tuning
 from tiegraph.gpu import on_gpu
 from tiegraph.pipeline.files import mask_path, scanned
 from tiegraph.project.run import Run
@@ -27,7 +27,7 @@ def features(run: Run) -> Outcome:
     there = database.feature_counts(path)
     todo = [(k, n) for k, n in enumerate(scene.names) if k not in there]
     run.reporter.total(len(scene), len(there))
-    step, tuning = _SLAB_IMAGES * run.workers, run.settings.tuning.features.sift
+    step, tuning = _SLAB_IMAGES * run.workers, run.settings.tuning.features
     for start in range(0, len(todo), step):
         found = run.map(_features_item, todo[start : start + step], run.folder, run.settings.features, tuning)
         for first in range(0, len(found), _SLAB_IMAGES):  # the same transactions with any number of workers
@@ -40,7 +40,7 @@ def features(run: Run) -> Outcome:
 
 
 def _features_item(
-    item: tuple[int, str], folder: Path, settings: FeaturesSettings, tuning: SiftTuning
+    item: tuple[int, str], folder: Path, settings: FeaturesSettings, tuning: Tuning
 ) -> database.Features:
     index, name = item
     return index, *extract_image(folder / "images" / name, mask_path(folder, name), settings, tuning)

@@ -1,6 +1,6 @@
 """Glue of preview: SIFT of the reduced images; and their matches, for the stages candidates, coarse and design."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,18 @@ def preview(run: Run) -> Outcome:
     """Low-resolution features and brightness of every image, under its mask."""
     scene, settings, tuning = scanned(run), run.settings.preview, run.settings.tuning.features
     run.make_missing(_preview_item, scene.names, lambda n: preview_path(run.folder, n), run.folder, settings, tuning)
-    return Outcome({"images": len(scene)})
+    dim = dim_images(run.folder, scene.names, tuning)
+    said = () if not dim else (
+        f"{len(dim)} of {len(scene)} images show little contrast, {np.median(list(dim.values())):.1f} grey levels in "
+        "the median (clear ones show 20 and more): it is evened before features are looked for",
+    )  # fmt: skip
+    return Outcome({"images": len(scene)}, notes=said)
+
+
+def dim_images(folder: Path, names: Iterable[str], tuning: Tuning) -> dict[str, float]:
+    """Contrast, grey levels, of those of the images that show too little of it."""
+    shown = {name: read_preview(folder, name).contrast for name in names}
+    return {name: value for name, value in shown.items() if value < tuning.contrast.enough}
 
 
 def preview_path(folder: Path, name: str) -> Path:

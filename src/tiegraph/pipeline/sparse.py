@@ -12,6 +12,7 @@ from tiegraph.pipeline.files import (
     save_npz,
     trusted_poses,
 )
+from tiegraph.pipeline.preview import dim_images
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome
 from tiegraph.scan.priors.startmodel import read_start
@@ -65,7 +66,15 @@ def sparse(run: Run) -> Outcome:
     started = _against_start(run)
     counts |= started.counts
     notes, contradictions = (*said.notes, *started.notes), (*said.contradictions, *started.contradictions)
-    return Outcome(counts, dropped=said.dropped, notes=notes, tables=made.tables, contradictions=contradictions)
+    dim = dim_images(run.folder, [name for name, _ in said.dropped], run.settings.tuning.features)
+    dropped = tuple(
+        (
+            name,
+            f"{why}; it shows {dim[name]:.1f} grey levels of contrast: more light, or nearer" if name in dim else why,
+        )
+        for name, why in said.dropped
+    )
+    return Outcome(counts, dropped=dropped, notes=notes, tables=made.tables, contradictions=contradictions)
 
 
 def _against_start(run: Run) -> Outcome:
