@@ -170,7 +170,7 @@ MUTANTS: tuple[Mutant, ...] = (
          "sfm/test_sfm_oneworld.py::test_the_largest_model_with_positions_carries_the_world",
         ("world: hung on the largest section", "if found.placed), 0)", "if not found.placed), 0)"),
         ("world: joined by points", "or not tuning.clouds.tried:", "or tuning.clouds.tried:",
-         "sfm/test_sfm_clouds.py"),
+         "sfm/test_sfm_oneworld.py::test_a_model_without_matches_and_positions_comes_into_the_world_by_its_points"),
     ),
     *_in("001", "sfm/world/scale.py", "sfm/test_sfm_georef.py",
         ("fixed baseline: upside down", "ratios.append(length / mapped)", "ratios.append(mapped / length)"),

@@ -2,19 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-
-import tiegraph  # noqa: F401  (zlib before pycolmap)
-
-import pycolmap  # isort: skip
+import pycolmap
+from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import transforms
+from tiegraph.geometry.align import umeyama
+from tiegraph.geometry.geodesy import Origin
 from tiegraph.scene.colmapmodel import image_poses, matrix
+from tiegraph.scene.control import Control, Marks
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
+from tiegraph.scene.tuning import Tuning as SceneTuning
+from tiegraph.sfm.mapper import Source, SparseResult, reconstruct
+from tiegraph.sfm.model import frame_poses
+from tiegraph.sfm.settings import SparseSettings
+from tiegraph.sfm.tuning import Tuning
+from tiegraph.sfm.world.fit import Evidence
+from tiegraph.sfm.world.unknowns import LeverArm
 
 
 def make_world(
@@ -77,3 +86,103 @@ def true_frames(truth: pycolmap.Reconstruction, scene: Scene) -> np.ndarray:
     poses = image_poses(truth, scene)
     reference = [np.flatnonzero((scene.frame == f) & (scene.sensor == 0))[0] for f in range(scene.frames)]
     return transforms.invert(poses[reference])
+
+
+def frame_centres(model: pycolmap.Reconstruction, scene: Scene) -> np.ndarray:
+    """Places of the frames (F, 3) in a model."""
+    return frame_poses(image_poses(model, scene), scene)[:, :3, 3]
+
+
+def rms(off: np.ndarray) -> float:
+    """Root mean square length of vectors (K, 3)."""
+    return float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
+
+
+def off_after_similarity(found: np.ndarray, true: np.ndarray) -> np.ndarray:
+    """Errors (K, 3) of places after the similarity that brings them nearest to the true ones."""
+    return umeyama(found, true)(found) - true
+
+
+def elsewhere(truth: pycolmap.Reconstruction) -> pycolmap.Reconstruction:
+    """The truth in another frame and unit (0.37 of its own), as a mapper would give it."""
+    model = pycolmap.Reconstruction(truth)
+    turn = Rotation.from_rotvec([0.4, -1.1, 0.7]).as_quat()
+    model.transform(pycolmap.Sim3d(0.37, pycolmap.Rotation3d(turn), np.array([5.0, -3.0, 2.0])))
+    return model
+
+
+def seen_anew(truth: pycolmap.Reconstruction, place: Callable[..., np.ndarray]) -> pycolmap.Reconstruction:
+    """The true model with other key points: ``place`` of an image, the number of a point and its exact pixel."""
+    model = pycolmap.Reconstruction(truth)
+    for image_id in model.reg_image_ids():
+        image = model.image(image_id)
+        for point in image.points2D:
+            if point.has_point3D():
+                exact = image.project_point(model.point3D(point.point3D_id).xyz)
+                point.xy = place(image, point.point3D_id, exact)
+    return model
+
+
+def part_of(truth: pycolmap.Reconstruction, frames: range, noise: float, rng: np.random.Generator):
+    """The truth of some frames; each point is off by as much as its rays let it."""
+    model = pycolmap.Reconstruction(truth)
+    for number, frame_id in enumerate(sorted(model.frames)):
+        if number not in frames:
+            model.deregister_frame(frame_id)
+    for number in model.point3D_ids():
+        model.point3D(number).xyz += noise * rng.standard_normal(3)
+    return model
+
+
+def run_sparse(
+    folder: Path, scene: Scene, source: dict | None = None, shared: SceneTuning | None = None, **settings: object
+) -> SparseResult:
+    """The engine on the database of a folder; ``source``: what it is told besides (images, coarse model, ...)."""
+    given = Source(**{"database": folder / "database.db", "images": None} | (source or {}))
+    own, shared = SparseSettings(**settings), shared or SceneTuning()
+    return reconstruct(given, folder / "sparse", scene, own, Tuning(), shared, folder / "log.txt")
+
+
+def lone_scene(count: int, sensor: Sensor | None = None, **more: object) -> Scene:
+    """Frames of one camera; without ``sequences`` they are photographs."""
+    rig = Rig("lone", (sensor or Sensor("cam0", None, np.eye(4), "side"),))
+    order = np.arange(count)
+    if "sequences" in more:
+        more = {"sequence": 0 * order} | more
+    return simple_scene(rig, [f"{k:03d}.jpg" for k in order], order, 0 * order, **more)
+
+
+def control_of(truth: pycolmap.Reconstruction, scene: Scene) -> Control:
+    """Six points of the truth as surveyed points, their observations as marks; the last two are check points."""
+    count, sigma = 6, 0.005
+    ids = sorted(truth.points3D, key=lambda k: -truth.points3D[k].track.length())[:count]
+    rows = [
+        (n, scene.image_index[truth.image(e.image_id).name], truth.image(e.image_id).points2D[e.point2D_idx].xy)
+        for n, k in enumerate(ids)
+        for e in truth.points3D[k].track.elements[:6]
+    ]
+    rng = np.random.default_rng(0)
+    place = np.array([truth.points3D[k].xyz for k in ids]) + sigma * rng.standard_normal((count, 3))
+    point, image, xy = (np.array(column) for column in zip(*rows))
+    marks = Marks(point, image, xy, np.arange(len(rows)) + 2, np.full(len(rows), np.nan))
+    names, check = tuple(f"P{k}" for k in range(count)), np.arange(count) >= count - 2
+    return Control(names, place, np.full((count, 3), sigma), check, marks, Origin(35.0, 139.0, 40.0))
+
+
+def level_poses(place_m: np.ndarray, ahead: np.ndarray) -> np.ndarray:
+    """world_from_camera (K, 4, 4) of a level camera that looks ahead (x right, y down, z forward)."""
+    ahead = ahead / np.linalg.norm(ahead, axis=1, keepdims=True)
+    across = np.cross([0.0, 0.0, -1.0], ahead)
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    return transforms.rigid(np.stack([across, np.cross(ahead, across), ahead], axis=2), place_m)
+
+
+def evidence_of(place: np.ndarray, position: np.ndarray, sigma: float, **more: object) -> Evidence:
+    """Cameras at places of a model, unturned, with a position each, of which nothing else is known."""
+    count = len(place)
+    given = {
+        "frame": np.arange(count), "pose": transforms.rigid(np.eye(3), place), "position": position,
+        "sigma": np.full((count, 3), sigma), "orientation": np.full((count, 3, 3), np.nan),
+        "arm": LeverArm(np.zeros(3)), "log_scale": None,
+    }  # fmt: skip
+    return Evidence(**given | more)

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 import pytest
-from moving_world import moving_world, write_database
+from road_worlds import moving_world, write_database
+from sfm_worlds import run_sparse
 
 from near import assert_reconstruction_near
 from tiegraph.scene.colmapmodel import MAX_IMAGES, image_poses
@@ -16,9 +17,6 @@ from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import BlocksTuning
 from tiegraph.scene.tuning import Tuning as SceneTuning
 from tiegraph.sfm.database import write_working_copy
-from tiegraph.sfm.mapper import Source, reconstruct
-from tiegraph.sfm.settings import SparseSettings
-from tiegraph.sfm.tuning import Tuning
 
 
 @pytest.fixture
@@ -45,10 +43,7 @@ def test_a_working_copy_of_some_images_holds_nothing_else(world, tmp_path: Path)
 def test_blocks_make_one_model(world, tmp_path: Path) -> None:
     true, scene = world
     shared = SceneTuning(blocks=BlocksTuning(whole=30, own=40, least=6, lent=18, unplaced=1))
-    source = Source(tmp_path / "database.db", None)
-    result = reconstruct(
-        source, tmp_path / "sparse", scene, SparseSettings(covariance_frames=0), Tuning(), shared, tmp_path / "log.txt"
-    )
+    result = run_sparse(tmp_path, scene, shared=shared, covariance_frames=0)
     assert result.mapper == "preview" and result.counts["registered"] == len(scene) and result.counts["models"] == 1
     assert any("mapped in 2 blocks" in n and "1 of 1 joins hold" in n for n in result.remarks.notes)
     assert_reconstruction_near(result.load(), scene, true, m=0.006, deg=0.05)
@@ -71,16 +66,7 @@ def test_two_surveys_in_one_folder_by_the_default_mapper(tmp_path: Path) -> None
     model, scene = moving_world(frames=12, points=1500)
     write_database(model, tmp_path / "database.db")
     _cut(tmp_path, scene, 7)
-    settings = SparseSettings(covariance_frames=0)
-    result = reconstruct(
-        Source(tmp_path / "database.db", None),
-        tmp_path / "sparse",
-        scene,
-        settings,
-        Tuning(),
-        SceneTuning(),
-        tmp_path / "log.txt",
-    )
+    result = run_sparse(tmp_path, scene, covariance_frames=0)
     assert result.mapper == "global" and result.components == (21, 15)
     assert [len(m.images) for m in result.models] == [21, 15]
     (said,) = (n for n in result.remarks.notes if "another survey" in n)
@@ -100,16 +86,7 @@ def test_two_surveys_in_one_folder_become_two_models(world, tmp_path: Path) -> N
     """The coarse model puts them side by side, but no verified pair ties them."""
     true, scene = world
     _cut(tmp_path, scene, 18)
-    source = Source(tmp_path / "database.db", None, preview=true)
-    result = reconstruct(
-        source,
-        tmp_path / "sparse",
-        scene,
-        SparseSettings(covariance_frames=0),
-        Tuning(),
-        SceneTuning(),
-        tmp_path / "log.txt",
-    )
+    result = run_sparse(tmp_path, scene, {"preview": true}, covariance_frames=0)
     assert result.mapper == "preview" and [len(m.images) for m in result.models] == [54, 18]
     assert any("18 images" in n and "another survey" in n for n in result.remarks.notes)
     assert len(result.remarks.dropped) == 18

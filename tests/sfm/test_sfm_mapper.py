@@ -9,7 +9,15 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 import pytest
-from sfm_worlds import make_world, true_frames, with_positions, without_extrinsics
+from sfm_worlds import (
+    frame_centres,
+    make_world,
+    off_after_similarity,
+    rms,
+    run_sparse,
+    with_positions,
+    without_extrinsics,
+)
 
 from here import here
 from tiegraph.child import run_in_child
@@ -19,33 +27,22 @@ from tiegraph.geometry.align import umeyama
 from tiegraph.scene.colmapdatabase import image_ids
 from tiegraph.scene.colmapmodel import MAX_IMAGES, image_poses
 from tiegraph.scene.scene import Scene
-from tiegraph.scene.tuning import Tuning as SceneTuning
 from tiegraph.sfm import mapper, mapping
-from tiegraph.sfm.mapper import Source, SparseResult, reconstruct
+from tiegraph.sfm.mapper import SparseResult
 from tiegraph.sfm.mapping import choose_mapper
-from tiegraph.sfm.model import frame_poses, held_out_frames
+from tiegraph.sfm.model import held_out_frames
 from tiegraph.sfm.rig.rig import model_extrinsics, rig_modes
 from tiegraph.sfm.settings import SparseSettings
-from tiegraph.sfm.tuning import MappingTuning, Tuning
+from tiegraph.sfm.tuning import MappingTuning
 from tiegraph.sfm.tuning.world import FixTuning
 
 
-def _run(folder: Path, scene: Scene, **settings: object) -> SparseResult:
-    return reconstruct(
-        Source(folder / "database.db", folder),
-        folder / "sparse",
-        scene,
-        SparseSettings(**settings),
-        Tuning(),
-        SceneTuning(),
-        folder / "log.txt",
-    )
+def _run(folder: Path, scene: Scene, source: dict | None = None, **settings: object) -> SparseResult:
+    return run_sparse(folder, scene, {"images": folder} | (source or {}), **settings)
 
 
-def _centre_error(result: SparseResult, scene: Scene, truth: object) -> float:
-    found = frame_poses(image_poses(result.load(), scene), scene)[:, :3, 3]
-    true = true_frames(truth, scene)[:, :3, 3]
-    return float(np.sqrt(np.mean(np.sum((umeyama(found, true)(found) - true) ** 2, axis=1))))
+def _centre_error(result: SparseResult, scene: Scene, truth: pycolmap.Reconstruction) -> float:
+    return rms(off_after_similarity(frame_centres(result.load(), scene), frame_centres(truth, scene)))
 
 
 @pytest.mark.slow
@@ -53,15 +50,13 @@ def test_fixed_rig_keeps_its_metric_size(tmp_path: Path) -> None:
     truth, scene = make_world(tmp_path / "database.db")
     before = (tmp_path / "database.db").read_bytes()
     seen: list[tuple[int, int]] = []
-    source = Source(tmp_path / "database.db", tmp_path, on_progress=lambda done, total: seen.append((done, total)))
-    settings = SparseSettings(mapper="incremental")
-    result = reconstruct(source, tmp_path / "sparse", scene, settings, Tuning(), SceneTuning(), tmp_path / "log.txt")
+    watched = {"on_progress": lambda done, total: seen.append((done, total))}
+    result = _run(tmp_path, scene, watched, mapper="incremental")
     assert (tmp_path / "database.db").read_bytes() == before
     assert result.rig == "fixed" and result.mapper == "incremental"
     assert result.counts["registered"] == len(scene) and result.remarks.dropped == ()
     assert seen[0] == (0, len(scene)) and 0.5 * len(scene) <= seen[-1][0] <= len(scene)
-    found = frame_poses(image_poses(result.load(), scene), scene)[:, :3, 3]
-    scale = umeyama(found, true_frames(truth, scene)[:, :3, 3]).scale
+    scale = umeyama(frame_centres(result.load(), scene), frame_centres(truth, scene)).scale
     assert scale == pytest.approx(1, abs=0.01)  # the baselines, 0.5 m at 3-5 m, hold it
     extrinsics = model_extrinsics(result.load(), scene, 0)
     for sensor, pose in zip(scene.rigs[0].sensors, extrinsics):
@@ -117,9 +112,7 @@ def test_a_narrow_lens_may_have_a_large_coefficient(tmp_path: Path) -> None:
 def test_a_rough_model_needs_no_images_and_no_final_adjustment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(mapping, "run_in_child", run_in_child)  # the log is of a real child
     truth, scene = make_world(tmp_path / "database.db")
-    source = Source(tmp_path / "database.db", None, rough=True)
-    settings = SparseSettings(covariance_frames=0)
-    result = reconstruct(source, tmp_path / "sparse", scene, settings, Tuning(), SceneTuning(), tmp_path / "log.txt")
+    result = run_sparse(tmp_path, scene, {"rough": True}, covariance_frames=0)
     assert result.mapper == "global"
     assert "Could not read image" not in (tmp_path / "log.txt").read_text(), "a line of each would fill the log"
     assert result.counts["registered"] + result.counts["placed_by_rig"] == len(scene)
@@ -150,16 +143,12 @@ def test_absent_rig_and_lost_images_keep_their_reason(tmp_path: Path) -> None:
         name_before = db.execute("SELECT name FROM images WHERE image_id = ?", before).fetchone()[0]
         db.execute("UPDATE keypoints SET rows = 0, data = x'' WHERE image_id = ?", last)
         for lost in (last[0], before[0]):
-            db.execute(
-                "DELETE FROM two_view_geometries WHERE pair_id / 2147483647 = ? OR pair_id % 2147483647 = ?",
-                (lost, lost),
-            )
+            either = "pair_id / 2147483647 = ? OR pair_id % 2147483647 = ?"
+            db.execute(f"DELETE FROM two_view_geometries WHERE {either}", (lost, lost))
     result = _run(tmp_path, scene, rig="absent")
     assert result.rig == "absent" and result.mapper == "incremental"
-    assert dict(result.remarks.dropped) == {
-        name: "no features (masked, blank or unreadable)",
-        name_before: "no verified pair",
-    }
+    reasons = {name: "no features (masked, blank or unreadable)", name_before: "no verified pair"}
+    assert dict(result.remarks.dropped) == reasons
     assert result.components == (10,)
 
 
@@ -170,8 +159,10 @@ def test_the_same_input_gives_the_same_model(tmp_path: Path) -> None:
     np.testing.assert_array_equal(poses[0], poses[1])
 
 
-def test_no_verified_pair_says_what_is_there(tmp_path: Path) -> None:
+def test_what_cannot_be_mapped_is_said(tmp_path: Path) -> None:
     _, scene = make_world(tmp_path / "database.db", cameras=2, frames=4)
+    with pytest.raises(SettingsError, match="sensors without extrinsics"):
+        _run(tmp_path, without_extrinsics(scene), rig="fixed")
     with sqlite3.connect(tmp_path / "database.db") as db:
         db.execute("DELETE FROM two_view_geometries")
     with pytest.raises(ReconstructionError, match=r"Of 8 images 8 have features; 0 pairs .*Remedies"):
@@ -207,12 +198,6 @@ def test_a_child_that_dies_is_tried_in_its_safest_form(tmp_path: Path, monkeypat
     assert (ordered in result.remarks.contradictions) == (asked == "global")
 
 
-def test_fixed_rig_needs_extrinsics(tmp_path: Path) -> None:
-    _, scene = make_world(tmp_path / "database.db", cameras=2, frames=4)
-    with pytest.raises(SettingsError, match="sensors without extrinsics"):
-        _run(tmp_path, without_extrinsics(scene), rig="fixed")
-
-
 def test_rules_of_auto(tmp_path: Path) -> None:
     _, scene = make_world(tmp_path / "database.db", cameras=2, frames=4)
     assert rig_modes(scene, "auto") == {0: "fixed"}
@@ -229,14 +214,13 @@ def test_rules_of_auto(tmp_path: Path) -> None:
 def test_positions_put_the_incremental_model_into_the_world(tmp_path: Path) -> None:
     """With priors the model comes out metric and in place; held-out positions, 100 m off here, have no part in it."""
     truth, scene = make_world(tmp_path / "database.db", cameras=1, frames=12)
-    true = true_frames(truth, scene)[:, :3, 3]
+    true = frame_centres(truth, scene)
     held = held_out_frames(with_positions(scene, true, 0.02), FixTuning())
     assert held.sum() == 2
     given = true + 0.02 * np.random.default_rng(0).standard_normal(true.shape) + 100 * held[:, None]
     result = _run(tmp_path, with_positions(scene, given, 0.02))
     assert result.mapper == "incremental" and result.tables["runs"]["rows"][0][2] == "positions"
-    found = frame_poses(image_poses(result.load(), scene), scene)[:, :3, 3]
-    assert 0.001 < np.median(np.linalg.norm(found - true, axis=1)) < 0.1
+    assert 0.001 < np.median(np.linalg.norm(frame_centres(result.load(), scene) - true, axis=1)) < 0.1
 
 
 @pytest.mark.slow
@@ -244,17 +228,14 @@ def test_sections_mapped_apart_are_joined_and_adjusted_as_one(tmp_path: Path) ->
     truth, scene = make_world(tmp_path / "database.db", frames=16)
     late = scene.frame >= 8
     pairs = [(i, j) for i in range(len(scene)) for j in range(i + 1, len(scene)) if late[i] != late[j]]
-    args = SparseSettings(), Tuning(), SceneTuning(), tmp_path / "log.txt"
-    whole = reconstruct(Source(tmp_path / "database.db", tmp_path), tmp_path / "whole", scene, *args)
-    apart = Source(tmp_path / "database.db", tmp_path, apart=tuple(pairs))
-    result = reconstruct(apart, tmp_path / "apart", scene, *args)
+    whole = _centre_error(_run(tmp_path, scene), scene, truth)
+    result = _run(tmp_path, scene, {"apart": tuple(pairs)})
     assert len(result.models) == 1 and result.counts["registered"] + result.counts["placed_by_rig"] == len(scene)
     table = result.tables["sections mapped apart"]
     first, second = (dict(zip(table["columns"], row)) for row in table["rows"])
     assert first["images"] + second["images"] == len(scene) and first["joined"] == second["joined"] == "yes"
     assert second["matches that agree"] > 1000 and second["held-out matches that agree %"] > 70
     assert 0 < second["halves differ"] < 0.2 and second["halves differ deg"] < 2
-    errors = [_centre_error(r, scene, truth) for r in (whole, result)]
-    assert 0 < errors[0] < 0.05 and 0 < errors[1] < 1.5 * errors[0] + 1e-4
+    assert 0 < whole < 0.05 and 0 < _centre_error(result, scene, truth) < 1.5 * whole + 1e-4
     assert any("2 sections were mapped apart, 2 of them joined" in note for note in result.remarks.notes)
     assert not any("no verified pair" in note for note in result.remarks.notes)

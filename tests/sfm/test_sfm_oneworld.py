@@ -1,26 +1,29 @@
-"""Several models in one world: by their matches, by their positions, or left out with the reason."""
+"""Several models in one world: by their matches, by their positions, by their points, or left out with the reason."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
 import numpy as np
+import pycolmap
 import pytest
+from road_worlds import Drive, driving_world
 from scipy.spatial.transform import Rotation
-from sfm_worlds import make_world, true_frames, with_positions
+from sfm_worlds import elsewhere, frame_centres, make_world, part_of, with_positions
 
 from tiegraph import papers
 from tiegraph.geometry import transforms
+from tiegraph.geometry.align import Similarity
 from tiegraph.project.settings import merged as merged_settings
 from tiegraph.scene.colmapmodel import image_poses, merged
 from tiegraph.sfm.settings import GeorefSettings
+from tiegraph.sfm.ties import moved
 from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.verified import VerifiedMatches, read_verified
+from tiegraph.sfm.world.clouds import CloudFit, Surface, fit_clouds
 from tiegraph.sfm.world.fixes import Measurements
 from tiegraph.sfm.world.georef import georeference
-from tiegraph.sfm.world.oneworld import ByPositions, one_world
-
-import pycolmap  # isort: skip
+from tiegraph.sfm.world.oneworld import ByPositions, OneWorld, one_world
 
 TUNING = Tuning()
 NONE = VerifiedMatches(np.zeros((0, 2), int), (), {})
@@ -33,38 +36,28 @@ def survey(tmp_path_factory):
     path = tmp_path_factory.mktemp("world") / "database.db"
     truth, scene = make_world(path, cameras=2, frames=20, points=200)
     rng = np.random.default_rng(5)
-    first = _part(truth, scene, range(FIRST), rng)
-    second = _part(truth, scene, range(FIRST, 20), rng)
-    turn = Rotation.from_rotvec([0.4, -1.1, 0.7]).as_quat()
-    second.transform(pycolmap.Sim3d(0.37, pycolmap.Rotation3d(turn), np.array([5.0, -3.0, 2.0])))
-    return scene, truth, (first, second), read_verified(path, scene)
+    first = part_of(truth, range(FIRST), 0.01, rng)
+    second = part_of(truth, range(FIRST, 20), 0.01, rng)
+    return scene, truth, (first, elsewhere(second)), read_verified(path, scene)
 
 
-def _part(truth, scene, frames, rng):
-    """The truth of some frames; each point is off by as much as its rays let it."""
-    model = pycolmap.Reconstruction(truth)
-    for number, frame_id in enumerate(sorted(model.frames)):
-        if number not in frames:
-            model.deregister_frame(frame_id)
-    for number in model.point3D_ids():
-        model.point3D(number).xyz += 0.01 * rng.standard_normal(3)
-    return model
-
-
-def _joined(survey, verified=None, scene=None, tuning=TUNING):
-    without, _, models, matches = survey
-    scene = without if scene is None else scene
+def _brought_together(models, scene, matches, tuning=TUNING) -> OneWorld:
     settings = GeorefSettings(adjust="no")
 
     def similarity(model, given):
-        return georeference(model, scene, settings, TUNING.world, given)
+        return georeference(model, scene, settings, tuning.world, given)
 
     def whole(model, given):
         found = similarity(model, given)
         return found, found.apply(model)
 
-    matches = matches if verified is None else verified
     return one_world(models, scene, matches, ByPositions(similarity, whole), Measurements(), tuning)
+
+
+def _joined(survey, verified=None, scene=None, tuning=TUNING) -> OneWorld:
+    without, _, models, matches = survey
+    scene, matches = without if scene is None else scene, matches if verified is None else verified
+    return _brought_together(models, scene, matches, tuning)
 
 
 def _off(found, survey):
@@ -81,7 +74,7 @@ def _off(found, survey):
 
 def _with_positions(survey, moved_m=0.0, sigma_m=0.02):
     scene, truth, _, _ = survey
-    true = true_frames(truth, scene)[:, :3, 3]
+    true = frame_centres(truth, scene)
     noise = sigma_m * np.random.default_rng(1).standard_normal(true.shape)
     noise[FIRST:, 0] += moved_m
     return with_positions(scene, true + noise, sigma_m)
@@ -199,9 +192,8 @@ def test_one_place_for_all_frames_is_no_position(survey) -> None:
     assert found.others[0].by == "" and "too few positions" in found.others[0].why_not
     settings = GeorefSettings()
     alone = georeference(survey[2][1], scene.with_(world_from_rig=there), settings, TUNING.world)
-    assert (
-        not alone.placed and "8 registered frames have a prior position (1 different ones)" in alone.findings.notes[0]
-    )
+    assert not alone.placed
+    assert "8 registered frames have a prior position (1 different ones)" in alone.findings.notes[0]
 
 
 @pytest.mark.slow
@@ -219,3 +211,90 @@ def test_positions_that_contradict_the_matches_are_said(survey) -> None:
     assert not right.contradictions and right.others[0].off[0] < 0.1
     assert len(wrong.contradictions) == 1 and "matches were followed" in wrong.contradictions[0]
     assert 1.5 < wrong.others[0].off[0] < 4.0
+
+
+CLOUDS = TUNING.world.clouds
+RANGE_M = 10.0
+LONG_M = 20.0
+DENSE = 200  # points a metre: what explains a point depends on it
+
+
+def street(low: float, high: float, plain: bool, seed: int) -> np.ndarray:
+    """Points (N, 3), 5 cm off, on two walls of which each house stands forth by its own depth; plain: even walls."""
+    rng, count = np.random.default_rng(seed), round(DENSE * (high - low))
+    depth = np.random.default_rng(7).uniform(0, 4, (2, 60)) * (not plain)
+    x, z, side = rng.uniform(low, high, count), rng.uniform(0, 8, count), rng.integers(0, 2, count)
+    y = np.where(side, 8 + depth[1, (x / 3).astype(int)], -8 - depth[0, (x / 3).astype(int)])
+    return np.stack([x, y, z], axis=1) + 0.05 * rng.standard_normal((count, 3))
+
+
+def placed(first: np.ndarray, second: np.ndarray, scale: float | None = None) -> tuple[CloudFit, float, float]:
+    """The fit of the second, seen in a frame of its own, to the first; metres and degrees it is off."""
+    own = Similarity(
+        0.4, Rotation.from_euler("zxy", [130, 2, -1], degrees=True).as_matrix(), np.array([3.0, -5.0, 1.0])
+    )
+    model = Surface(own(second), np.eye(3), own.scale * 1.2 * RANGE_M)
+    fit = fit_clouds(Surface(first, np.eye(3), RANGE_M), model, scale, CLOUDS)
+    assert fit is not None
+    back = fit.world_from_model
+    off = np.linalg.norm(back(own(second)) - second, axis=1).max()
+    return fit, float(off), float(transforms.angle_deg(back.rotation @ own.rotation, np.eye(3)))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scale", [1 / 0.4, None])
+def test_points_of_one_street_find_their_place(scale: float | None) -> None:
+    fit, off, turn = placed(street(0, LONG_M, False, 0), street(3, LONG_M + 2, False, 1), scale)
+    assert fit.why_not(CLOUDS) == "" and 0.7 < fit.explained < 1 and fit.rival < 0.7 * fit.explained
+    assert 1e-4 < off < 0.5 and turn < 1  # walls slide along walls
+    assert 1e-5 < fit.jump < 0.5 and fit.turn_deg < 1
+
+
+@pytest.mark.slow
+def test_even_walls_fit_in_many_places() -> None:
+    fit, *_ = placed(street(0, LONG_M, True, 0), street(3, LONG_M - 3, True, 1), 1 / 0.4)
+    assert "about equally many" in fit.why_not(CLOUDS) and fit.explained > 0.8
+
+
+@pytest.mark.slow
+def test_streets_that_do_not_overlap_are_not_laid_on_each_other() -> None:
+    fit, off, _ = placed(street(0, LONG_M, False, 0), street(90, 90 + LONG_M, False, 1))
+    assert off > 20 and fit.why_not(CLOUDS)
+
+
+def test_a_world_too_wide_is_not_searched() -> None:
+    far = street(0, LONG_M, False, 0) * [3000, 3000, 1]
+    model = Surface(street(0, LONG_M, False, 1), np.eye(3), RANGE_M)
+    assert fit_clouds(Surface(far, np.eye(3), RANGE_M), model, 1.0, CLOUDS) is None
+
+
+def joined(drives: tuple[Drive, Drive]) -> tuple[OneWorld, float]:
+    """Two drives of six cameras in one world, by their points alone; the second's largest error in metres."""
+    (first, scene), (second, _) = (driving_world(d) for d in drives)
+    apart = Similarity(1.0, Rotation.from_euler("y", 80, degrees=True).as_matrix(), np.array([50.0, 0.0, 9.0]))
+    parts = [(first, range(0, 12)), (second, range(12, 24))]
+    models = [part_of(m, frames, 0.05, np.random.default_rng(frames.start)) for m, frames in parts]
+    found = _brought_together([models[0], moved(models[1], apart)], scene, NONE)
+    assert found.model is not None
+    here, there = image_poses(found.model, scene), image_poses(second, scene)
+    rows = scene.frame >= 12
+    off = transforms.centre(here)[rows] - found.first.world_from_model(transforms.centre(there)[rows])
+    return found, float(np.linalg.norm(off, axis=1).max() / found.first.world_from_model.scale)
+
+
+@pytest.mark.slow
+def test_a_model_without_matches_and_positions_comes_into_the_world_by_its_points() -> None:
+    found, off = joined((Drive(), Drive()))
+    (second,) = found.others
+    assert second.by == "points" and second.cloud is not None and second.row()[2] == "points"
+    assert 1e-4 < off < 0.3 and 0.5 < second.cloud.explained <= 1
+    assert "placed by its points alone" in second.note(metric=True)
+    assert found.records()[0]["in the world by"] == "points" and found.records()[0]["held-out points that fit %"] > 50
+
+
+@pytest.mark.slow
+def test_a_model_of_another_street_stays_out_and_says_why() -> None:
+    found, _ = joined((Drive(), Drive(seed=6)))
+    (second,) = found.others
+    assert second.by == "" and "of its points lie on the others'" in second.why_not
+    assert "not in the world" in second.note(metric=True) and second.row()[-1] == second.why_not

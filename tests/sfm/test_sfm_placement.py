@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 import pytest
-from moving_world import moving_world, write_database
+from road_worlds import moving_world, write_database
 from scipy.sparse import csr_array
 
 from tiegraph.geometry import transforms

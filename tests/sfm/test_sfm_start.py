@@ -8,19 +8,17 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 import pytest
-from moving_world import moving_world, write_database
+from road_worlds import moving_world, write_database
 from scipy.spatial.transform import Rotation
+from sfm_worlds import run_sparse
 
 from near import assert_reconstruction_near
 from tiegraph.geometry import transforms
 from tiegraph.scene.colmapmodel import image_poses
 from tiegraph.scene.scene import Scene
-from tiegraph.scene.tuning import Tuning as SceneTuning
 from tiegraph.sfm import mapping
-from tiegraph.sfm.mapper import Source, reconstruct
 from tiegraph.sfm.model import frame_poses
 from tiegraph.sfm.run import Fixed, MappingResult, Matches, Method, Request, run_mapper
-from tiegraph.sfm.settings import SparseSettings
 from tiegraph.sfm.start.pathscale import path_scale
 from tiegraph.sfm.start.poses import rig_of_poses, start_from
 from tiegraph.sfm.start.stagedadjustment import refusal
@@ -44,9 +42,13 @@ def _rough(true: np.ndarray, scene: Scene, turn_deg: float = 0.15, shift_m: floa
     rng = np.random.default_rng(1)
     turn = Rotation.from_rotvec(np.radians(turn_deg) * rng.standard_normal((scene.frames, 3)) / 1.7).as_matrix()
     wrong = transforms.rigid(turn, shift_m * rng.standard_normal((scene.frames, 3)) / 1.7)
-    frames = frame_poses(true, scene) @ wrong
+    return _images(frame_poses(true, scene) @ wrong, scene)
+
+
+def _images(world_from_rig: np.ndarray, scene: Scene) -> np.ndarray:
+    """cam_from_world (N, 4, 4) of the images of frames."""
     extrinsics = np.stack([scene.rigs[0].sensors[s].sensor_from_rig for s in scene.sensor])
-    return extrinsics @ transforms.invert(frames[scene.frame])
+    return extrinsics @ transforms.invert(world_from_rig[scene.frame])
 
 
 def _map(
@@ -98,9 +100,8 @@ def test_frames_that_the_poses_have_at_a_wrong_place_are_placed_by_their_matches
         frames[7:] = transforms.rigid(_turned(20), np.array([3.0, 0, 12.0])) @ frames[7:]
     else:
         frames[[4, 9]] = frames[[10, 3]] @ transforms.rigid(_turned(20), np.array([3.0, 0, 0]))
-    extrinsics = np.stack([scene.rigs[0].sensors[s].sensor_from_rig for s in scene.sensor])
     tuning = Tuning(start=StartTuning(staged={"register_rounds": 0})) if part else None
-    mapped = _map(tmp_path, scene, extrinsics @ transforms.invert(frames[scene.frame]), tuning=tuning)
+    mapped = _map(tmp_path, scene, _images(frames, scene), tuning=tuning)
     assert mapped.refused == ""
     assert pycolmap.Reconstruction(mapped.folders[0]).num_reg_images() == len(scene)
     _assert_near(mapped.folders[0], true, scene)
@@ -133,8 +134,7 @@ def test_a_path_too_long_for_its_rig_is_made_right(world, tmp_path: Path) -> Non
     true, scene = world
     frames = frame_poses(true, scene)
     frames[:, :3, 3] *= 8.0
-    extrinsics = np.stack([scene.rigs[0].sensors[s].sensor_from_rig for s in scene.sensor])
-    mapped = _map(tmp_path, scene, extrinsics @ transforms.invert(frames[scene.frame]))
+    mapped = _map(tmp_path, scene, _images(frames, scene))
     assert mapped.refused == "" and "0.125 times as long, by its matches" in mapped.notes[0]
     assert _assert_near(mapped.folders[0], true, scene) == pytest.approx(1, abs=0.005)
 
@@ -151,16 +151,7 @@ def test_what_a_mapper_made_too_long_is_mapped_again(world, tmp_path: Path, monk
     stretched.mkdir()
     model.write(stretched)
     monkeypatch.setattr(mapping, "_mapped", lambda *job: mapping.Outcome("global", [stretched], len(scene)))
-    source = Source(tmp_path / "database.db", None)
-    made = reconstruct(
-        source,
-        tmp_path / "sparse",
-        scene,
-        SparseSettings(mapper="global"),
-        Tuning(),
-        SceneTuning(),
-        tmp_path / "log.txt",
-    )
+    made = run_sparse(tmp_path, scene, mapper="global")
     assert any("0.125 times as long, by its matches" in note for note in made.remarks.notes)
     assert _assert_near(tmp_path / "sparse" / "0", true, scene) == pytest.approx(1, abs=0.005)
     assert "path as long as its rig says" in str(made.tables)
@@ -251,16 +242,7 @@ def test_wrong_poses_are_mapped_from_nothing(world, tmp_path: Path) -> None:
     true, scene = world
     wrong = _rough(true, scene)
     wrong[:, :3, 3] += 6.0 * np.sin(scene.frame)[:, None]  # a frame here, the next elsewhere
-    source = Source(tmp_path / "database.db", None, preview=wrong)
-    result = reconstruct(
-        source,
-        tmp_path / "sparse",
-        scene,
-        SparseSettings(covariance_frames=0),
-        Tuning(),
-        SceneTuning(),
-        tmp_path / "log.txt",
-    )
+    result = run_sparse(tmp_path, scene, {"preview": wrong}, covariance_frames=0)
     assert result.mapper == "global" and any("could not start from the coarse model" in n for n in result.remarks.notes)
     assert_reconstruction_near(result.load(), scene, true, m=0.004, deg=0.03)
     assert [row[0] for row in result.tables["runs"]["rows"]][:2] == ["preview", "global"]
@@ -269,10 +251,7 @@ def test_wrong_poses_are_mapped_from_nothing(world, tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_the_stage_starts_from_the_coarse_model(world, tmp_path: Path) -> None:
     true, scene = world
-    source = Source(tmp_path / "database.db", None, preview=_rough(true, scene))
-    result = reconstruct(
-        source, tmp_path / "sparse", scene, SparseSettings(), Tuning(), SceneTuning(), tmp_path / "log.txt"
-    )
+    result = run_sparse(tmp_path, scene, {"preview": _rough(true, scene)})
     assert result.mapper == "preview" and result.counts["registered"] == len(scene)
     assert_reconstruction_near(result.load(), scene, true, m=0.004, deg=0.03)
     assert result.sigma is not None and 1e-5 < result.sigma.median < 0.01
