@@ -8,6 +8,7 @@ import cuda_emulated
 import numpy as np
 import pytest
 from test_dense_sgm import TABLE, options, pair, table
+from test_dense_sgm import VARIANTS as CHANGES
 
 from tiegraph.dense import cuda, tsgm
 from tiegraph.dense.tuning import TsgmTuning
@@ -17,18 +18,9 @@ sgm = pytest.importorskip("tiegraph.dense._sgm")
 
 VARIANTS = [
     {"shape": (9, 17, 17), "low": -7, "count": 37, "radius_x": 6, "radius_y": 2},
-    {"shape": (8, 37, 50), "low": 0, "count": 16, "large_by_step": TABLE, "uniqueness": 5},
-    {
-        "shape": (1, 40, 40),
-        "low": 3,
-        "count": 1,
-        "radius_x": 2,
-        "radius_y": 2,
-        "small": 8,
-        "large": 40,
-        "parabola": False,
-    },
-    {"shape": (6, 70, 45), "low": -20, "count": 70, "left_right": -1, "small": 0, "large": 127},
+    {"shape": (8, 37, 50), "low": 0, "count": 16} | CHANGES[1],
+    {"shape": (1, 40, 40), "low": 3, "count": 1} | CHANGES[2],
+    {"shape": (6, 70, 45), "low": -20, "count": 70} | CHANGES[3],
     {"shape": (5, 8, 300), "low": -250, "count": 260, "large_by_step": TABLE},
     {"shape": (23, 1, 1), "low": 0, "count": 130},
     {"shape": (4, 9, 700), "low": -600, "count": 600},
