@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -67,10 +68,8 @@ def test_positions_keep_places_that_look_alike_apart(world, missing: float) -> N
     where = np.array([place(int(f)) for f in scene.frame])
     i, j = np.triu_indices(len(scene), 1)
     alike = np.flatnonzero((np.abs(np.abs(where[i] - where[j]) - 100) < 8) & (rng.random(len(i)) < 0.5))
-    false = PreviewMatches(
-        i[alike], j[alike], 60 * np.arange(len(alike) + 1), np.zeros((60 * len(alike), 2), np.uint16)
-    )
-    torn = ties | false
+    starts, none = 60 * np.arange(len(alike) + 1), np.zeros((60 * len(alike), 2), np.uint16)
+    torn = ties | PreviewMatches(i[alike], j[alike], starts, none)
     assert max(spread(scene, b) for b in blocks_of(scene, torn, TUNING.blocks)) > 1.8
     first = np.unique(scene.frame, return_index=True)[1]
     known = np.full((scene.frames, 4, 4), np.nan)
@@ -99,14 +98,10 @@ def test_a_block_beyond_the_last_position_of_its_pass_is_tied_to_the_others(worl
         assert 30 <= len(np.intersect1d(block.images, others)) <= 4 * TUNING.blocks.lent
 
 
-def test_surveys_without_positions_are_cut_into_larger_blocks(world) -> None:
-    scene, truth, ties = world
+def test_the_size_of_blocks_is_in_reach_and_larger_without_positions(world) -> None:
+    scene, _, ties = world
     assert len(blocks_of(scene, ties, BlocksTuning())) == 1  # 960 of up to 1500
     assert len(blocks_of(scene, ties, BlocksTuning(unplaced=1.2))) == 2
-
-
-def test_the_size_of_blocks_is_in_reach(world) -> None:
-    scene, _, ties = world
     assert len(blocks_of(scene, ties, BlocksTuning(whole=960, unplaced=1))) == 1
     small = blocks_of(scene, ties, BlocksTuning(own=200, lent=20, unplaced=1))
     assert len(small) >= 5 and max(int(b.own.sum()) for b in small) <= 200
@@ -181,15 +176,9 @@ def _models(
     models, own = [], []
     for a, b in ends:
         s = Similarity(rng.uniform(0.5, 2), Rotation.random(random_state=a).as_matrix(), rng.normal(0, 9, 3))
-        rotation = truth[a:b, :3, :3] @ s.rotation.T
-        centre = s(transforms.centre(truth[a:b]))
-        models.append(
-            Poses(
-                np.arange(a, b),
-                transforms.rigid(rotation, -np.einsum("kab,kb->ka", rotation, centre)),
-                WALL_M * s.scale,
-            )
-        )
+        world_from_cam = transforms.invert(truth[a:b])
+        moved = transforms.rigid(s.rotation @ world_from_cam[:, :3, :3], s(world_from_cam[:, :3, 3]))
+        models.append(Poses(np.arange(a, b), transforms.invert(moved), WALL_M * s.scale))
         own.append(s)
     return models, own
 
@@ -253,16 +242,20 @@ def _tied_model(part: Scene, truth: np.ndarray, ties: PreviewMatches, off_m: flo
     return CoarseModel(pose, (CAMERA,) * len(pose), point, images, points, part.rigs)
 
 
+def _tied_models(world, blocks: Sequence[Block], wrong: int | None = None) -> list[CoarseModel]:
+    """Of all blocks; in that of a number the way back stands 30 m further."""
+    scene, truth, ties = world
+    parts = [(*block.part_of(scene, ties), truth[block.images]) for block in blocks]
+    return [_tied_model(part, true, inside, 30.0 * (k == wrong)) for k, (part, inside, true) in enumerate(parts)]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("wrong", [0, 1])
 def test_the_ties_that_put_one_pass_of_a_block_elsewhere_are_found(world, wrong: int) -> None:
     """And only those of the block that is wrong; the frames of a pass are never cut apart."""
     scene, truth, ties = world
     blocks = blocks_of(scene, ties, TUNING.blocks)
-    models = []
-    for k, block in enumerate(blocks):
-        part, inside = block.part_of(scene, ties)
-        models.append(_tied_model(part, truth[block.images], inside, 30.0 if k == wrong else 0.0))
+    models = _tied_models(world, blocks, wrong)
     made = assembled(scene, blocks, models, Tuning().coarse, TUNING.joining)
     i, j = made.suspects
     assert len(i) > 50 and len(made.models) > 1
@@ -273,8 +266,7 @@ def test_the_ties_that_put_one_pass_of_a_block_elsewhere_are_found(world, wrong:
     sharing = {(a, b) for a, b in zip(i, j)}
     false = [(a, b) for a, b in zip(ties.i[across], ties.j[across]) if inside[a] and inside[b]]
     assert 0.2 < np.mean([pair in sharing for pair in false]) < 0.3, "every fourth made it into the model"
-    right = [_tied_model(*(b.part_of(scene, ties)[0], truth[b.images], b.part_of(scene, ties)[1]), 0.0) for b in blocks]
-    whole = assembled(scene, blocks, right, Tuning().coarse, TUNING.joining)
+    whole = assembled(scene, blocks, _tied_models(world, blocks), Tuning().coarse, TUNING.joining)
     assert len(whole.models) == 1 and not len(whole.suspects[0])
 
 
@@ -282,10 +274,7 @@ def test_a_rig_is_taken_from_the_block_that_agrees_with_the_others(world) -> Non
     """Not from the one with most images, which may be mapped as roughly as any."""
     scene, truth, ties = world
     blocks = blocks_of(scene, ties, TUNING.blocks)
-    models = []
-    for block in blocks:
-        part, inside = block.part_of(scene, ties)
-        models.append(_tied_model(part, truth[block.images], inside, 0.0))
+    models = _tied_models(world, blocks)
     largest = int(np.argmax([len(b) for b in blocks]))
     rng = np.random.default_rng(1)
     for k, model in enumerate(models):

@@ -2,68 +2,37 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from place_world import Places, found, photos, shuffled_ring, video
+from place_world import Places, shuffled_ring, video
 
-from boat_world import Result, World, boat, ring
-from network_steps import Steps, estimate_network
+from boat_world import Result, World, boat, found, photos, quality, ring
+from network_steps import network_of
 from tiegraph.network.passes import MatchCache, find_passes
 from tiegraph.network.retrieval.retrieval import retrieve
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.scene.pairs import REASONS
-from tiegraph.scene.rig import Rig
-
-
-def network_of(world: World) -> Steps:
-    count = len(world.scene)
-    return estimate_network(world.scene, np.full(count, 120.0), world.match, CandidatesSettings(), Tuning())
-
-
-def quality(world: World, network: Steps) -> tuple[float, float, float]:
-    """Recall, precision, and recall between passes."""
-    count = len(world.scene)
-    i, j = np.triu_indices(count, 1)
-    useful = np.maximum(world.overlap(i, j), world.overlap(j, i)) >= 0.15
-    track = world.scene.sequence[world.scene.frame]
-    across = useful & (track[i] != track[j])
-    recall, precision = found(network.pairs, (i, j, useful))
-    return recall, precision, found(network.pairs, (i, j, across))[0]
-
-
-def kept_images(world: World, keep: np.ndarray) -> World:
-    """The survey with only some images (N,) bool; frames that lose all of theirs go too."""
-    scene = world.scene
-    frames = np.unique(scene.frame[keep])
-    place = np.full(scene.frames, -1)
-    place[frames] = np.arange(len(frames))
-    names = ("rig", "sequence", "sequence_index", "time_s", "world_from_rig", "section", "position_sigma_m")
-    columns = {n: getattr(scene, n)[frames] for n in names}
-    less = scene.with_(
-        names=tuple(np.array(scene.names)[keep]), frame=place[scene.frame[keep]], sensor=scene.sensor[keep], **columns
-    )
-    return World(less, world.world_from_sensor[keep])
-
-
-def moved(world: World, at: np.ndarray) -> World:
-    """The survey with image k seen from where image ``at[k]`` was."""
-    return World(world.scene, world.world_from_sensor[at])
 
 
 def test_one_camera_there_and_back() -> None:
     world = boat((40, 30), (1.0, 1.4), ring(1, up=False))
-    recall, precision, _ = quality(world, network_of(world))
+    network = network_of(world.scene, world.match)
+    recall, precision, _ = quality(world, network.pairs)
     assert recall > 0.9 and precision > 0.5
+    odd = ("rig", "late", "early", "lack", "missing", "swapped", "turned")
+    assert not any(word in note for note in network.notes for word in odd)
 
 
 @pytest.mark.slow
 def test_a_pass_that_stops_half_way() -> None:
     world = boat((24, 24), (1.5, 1.5))
     step, track = world.scene.sequence_index[world.scene.frame], world.scene.sequence[world.scene.frame]
-    short = kept_images(world, (track == 0) | (step < 11))
-    network = network_of(short)
-    recall, precision, across = quality(short, network)
+    short = world.only((track == 0) | (step < 11))
+    network = network_of(short.scene, short.match)
+    recall, precision, across = quality(short, network.pairs)
     assert recall > 0.93 and across > 0.9 and precision > 0.5
     assert any("runs back along" in note and "common view: frames" in note for note in network.notes)
     said = [note for note in network.notes if note.startswith("short passes")]
@@ -74,20 +43,14 @@ def test_a_pass_that_stops_half_way() -> None:
 def test_a_camera_that_stopped_recording() -> None:
     world = boat((20, 16), (1.5, 1.9))
     lost = (world.scene.sensor == 2) & (world.scene.sequence_index[world.scene.frame] >= 8)
-    short = kept_images(world, ~lost)
-    network = network_of(short)
-    recall, precision, across = quality(short, network)
+    short = world.only(~lost)
+    network = network_of(short.scene, short.match)
+    recall, precision, across = quality(short, network.pairs)
     assert recall > 0.93 and across > 0.9 and precision > 0.5
     assert {n for n in network.notes if n.startswith("pass ")} == {
         "pass there0: cam2 has 8 of 20 frames, missing: after frame 8 (there0/cam2/0007.jpg)",
         "pass back1: cam2 has 8 of 16 frames, missing: after frame 8 (back1/cam2/0007.jpg)",
     }
-
-
-def test_one_camera_says_nothing_odd() -> None:
-    world = boat((40, 30), (1.0, 1.4), ring(1, up=False))
-    odd = ("rig", "late", "early", "lack", "missing", "swapped", "turned")
-    assert not any(word in note for note in network_of(world).notes for word in odd)
 
 
 @pytest.mark.slow
@@ -101,59 +64,52 @@ def test_cameras_that_did_not_start_together(late) -> None:
     for k in np.flatnonzero(scene.sensor == 2):
         source = (scene.sensor == 2) & (track == track[k]) & (step == max(0, step[k] - late))
         at[k] = np.flatnonzero(source)[0]
-    lagging = moved(world, at)
-    recall, precision, across = quality(lagging, network_of(lagging))
+    lagging = world.seen_from(at)
+    recall, precision, across = quality(lagging, network_of(lagging.scene, lagging.match).pairs)
     assert recall > 0.9 and across > 0.9 and precision > 0.45
 
 
-def apart() -> World:
-    """Two passes that share nothing."""
+@pytest.mark.slow
+def test_two_passes_far_apart_are_not_tied_and_have_no_heading() -> None:
     world = boat((20, 20), (1.5, 1.5))
     away = world.scene.sequence[world.scene.frame] == 1
     poses = world.world_from_sensor.copy()
     poses[away, 0, 3] += 500
-    return World(world.scene, poses)
-
-
-@pytest.mark.slow
-def test_two_passes_far_apart_are_not_tied() -> None:
-    world = apart()
-    network = network_of(world)
-    recall, precision, _ = quality(world, network)
+    world = World(world.scene, poses)
+    network = network_of(world.scene, world.match)
+    recall, precision, _ = quality(world, network.pairs)
     kept = network.pairs.kept()
     track = world.scene.sequence[world.scene.frame]
     assert recall > 0.93 and precision > 0.5
     assert np.sum(track[kept.i] != track[kept.j]) < 5
     assert any(note.startswith("the pairs fall into 4 components") for note in network.notes)  # up cameras apart
+    assert any("no common view" in note for note in network.notes)
+    assert not any("voted by previews" in note for note in network.notes)
 
 
-def test_two_passes_far_apart_have_no_heading() -> None:
-    notes = network_of(apart()).notes
-    assert any("no common view" in note for note in notes)
-    assert not any("voted by previews" in note for note in notes)
-
-
-@pytest.mark.slow
-def test_the_same_pass_twice() -> None:
+def twins() -> tuple[World, np.ndarray]:
+    """Two passes, and of each image that of the first which has its camera and its step."""
     world = boat((20, 20), (1.5, 1.5))
     scene = world.scene
     step, track = scene.sequence_index[scene.frame], scene.sequence[scene.frame]
     table = {(int(s), int(k)): n for n, (s, k, t) in enumerate(zip(scene.sensor, step, track)) if t == 0}
-    twin = moved(world, np.array([table[int(s), int(k)] for s, k in zip(scene.sensor, step)]))
-    network = network_of(twin)
-    recall, precision, across = quality(twin, network)
+    return world, np.array([table[int(s), int(k)] for s, k in zip(scene.sensor, step)])
+
+
+@pytest.mark.slow
+def test_the_same_pass_twice() -> None:
+    world, first = twins()
+    twin = world.seen_from(first)
+    network = network_of(twin.scene, twin.match)
+    recall, precision, across = quality(twin, network.pairs)
     assert recall > 0.95 and across > 0.95 and precision > 0.5
     assert any("follows" in note and "about 0 deg" in note for note in network.notes)
 
 
 def test_a_pass_written_anew_has_no_base() -> None:
     """Other files with the same pictures: nothing moves, every feature is found again."""
-    world = boat((20, 20), (1.5, 1.5))
-    scene = world.scene
-    step, track = scene.sequence_index[scene.frame], scene.sequence[scene.frame]
-    table = {(int(s), int(k)): n for n, (s, k, t) in enumerate(zip(scene.sensor, step, track)) if t == 0}
-    twin = np.array([table[int(s), int(k)] for s, k in zip(scene.sensor, step)])
-    copy = moved(world, twin)
+    world, twin = twins()
+    copy = world.seen_from(twin)
     every = np.repeat(np.arange(90)[:, None], 2, axis=1)
 
     def match(pairs: np.ndarray) -> list[Result]:
@@ -163,7 +119,7 @@ def test_a_pass_written_anew_has_no_base() -> None:
             for (i, j), r in zip(pairs.tolist(), plain)
         ]
 
-    network = estimate_network(scene, np.full(len(scene), 120.0), match, CandidatesSettings(), Tuning())
+    network = network_of(world.scene, match)
     assert any("repeats pass" in n and "120 of 120 images show the same picture" in n for n in network.notes)
     pairs = network.pairs
     same = twin[pairs.i] == twin[pairs.j]
@@ -171,35 +127,22 @@ def test_a_pass_written_anew_has_no_base() -> None:
     assert not np.any(pairs.dropped[~same] == REASONS.index("similar"))
 
 
-def permuted(rig: Rig, order: list[int]) -> Rig:
-    """The rig file with the lines of its cameras swapped."""
+@pytest.mark.parametrize("order", [[0, 2, 1, 3, 4, 5], [0, 2, 4, 1, 3, 5]])
+def test_a_rig_file_with_cameras_in_another_order_is_called_wrong_and_loses_few_ties(order) -> None:
+    rig = ring()
     poses = [rig.sensors[k].sensor_from_rig for k in order]
-    sensors = [type(s)(s.name, s.camera, p, s.role) for s, p in zip(rig.sensors, poses)]
-    return Rig(rig.name, tuple(sensors), nominal=rig.nominal)
-
-
-ORDERS = [[0, 2, 1, 3, 4, 5], [0, 2, 4, 1, 3, 5]]
-
-
-@pytest.mark.parametrize("order", ORDERS)
-def test_a_rig_file_with_cameras_in_another_order_is_called_wrong(order) -> None:
-    world = boat((20, 16), (1.5, 1.9), permuted(ring(), order))
-    notes = network_of(world).notes
-    assert any("check the rig file" in note for note in notes)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("order", ORDERS)
-def test_a_rig_file_with_cameras_in_another_order_loses_few_ties(order) -> None:
-    world = boat((20, 16), (1.5, 1.9), permuted(ring(), order))
-    recall, precision, across = quality(world, network_of(world))
+    wrong = replace(rig, sensors=tuple(replace(s, sensor_from_rig=p) for s, p in zip(rig.sensors, poses)))
+    world = boat((20, 16), (1.5, 1.9), wrong)
+    network = network_of(world.scene, world.match)
+    assert any("check the rig file" in note for note in network.notes)
+    recall, precision, across = quality(world, network.pairs)
     assert recall > 0.85 and across > 0.85 and precision > 0.4
 
 
 @pytest.mark.slow
 def test_photographs_on_a_ring() -> None:
     world = shuffled_ring(300)
-    network = estimate_network(photos(300), np.zeros(300), world.match, CandidatesSettings(), Tuning())
+    network = network_of(photos(300), world.match)
     recall, precision = found(network.pairs, world.useful())
     assert recall > 0.95 and precision > 0.8
     assert not any("components" in note or "no pair" in note for note in network.notes)
@@ -208,7 +151,7 @@ def test_photographs_on_a_ring() -> None:
 def test_photographs_of_two_places_are_named_as_two() -> None:
     order = np.random.default_rng(2).permutation(150)
     world = Places(np.where(order < 75, order * 12.0, 50_000 + order * 12.0))
-    network = estimate_network(photos(150), np.zeros(150), world.match, CandidatesSettings(), Tuning())
+    network = network_of(photos(150), world.match)
     assert found(network.pairs, world.useful())[0] > 0.95
     assert any("the pairs fall into 2 components: 75 images with" in note for note in network.notes)
 
@@ -216,7 +159,7 @@ def test_photographs_of_two_places_are_named_as_two() -> None:
 @pytest.mark.slow
 def test_a_video_with_a_loop_is_closed_by_retrieval() -> None:
     world, scene = Places(np.arange(400) * 12.0, around=3600, ghosts=0.05), video(400)
-    network = estimate_network(scene, np.zeros(400), world.match, CandidatesSettings(), Tuning())
+    network = network_of(scene, world.match)
     i, j, useful = world.useful()
     assert found(network.pairs, (i, j, useful & (j - i < 100)))[0] > 0.95
     asked = world.asked
