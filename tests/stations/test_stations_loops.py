@@ -1,12 +1,15 @@
-"""Pairs judged by loops, and loops distributed: with made-up pairs, whose truth is known."""
+"""Pairs of stations: judged by loops, which are distributed, and by the free space that their rays went through."""
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from stations.stations_world import hall, scans
 from tiegraph.geometry import transforms
 from tiegraph.stations.loops import adjusted, contradicted, parts, taken_apart
-from tiegraph.stations.pairs import Pair
+from tiegraph.stations.pairs import Pair, looked_through
+from tiegraph.stations.station import Shot, common_side, station_of
+from tiegraph.stations.tuning import Tuning
 
 POSES = [
     transforms.rigid(Rotation.random(random_state=k).as_matrix(), np.random.default_rng(k).normal(size=3))
@@ -19,16 +22,8 @@ def pair(i, j, off_m=0.0, overlap=0.5, sigma_m=0.001):
     """A pair that is right but for a shift."""
     true = transforms.invert(POSES[i]) @ POSES[j]
     true[:3, 3] += off_m * np.array([0.6, 0.0, 0.8])
-    information = np.eye(6) / sigma_m**2
-    return Pair(
-        first=i,
-        second=j,
-        first_from_second=true,
-        overlap=overlap,
-        residual_m=0.001,
-        middle=np.zeros(3),
-        information=information,
-    )
+    known = {"residual_m": 0.001, "middle": np.zeros(3), "information": np.eye(6) / sigma_m**2}
+    return Pair(first=i, second=j, first_from_second=true, overlap=overlap, **known)
 
 
 def test_the_one_wrong_pair_is_found():
@@ -70,3 +65,17 @@ def test_the_error_of_a_loop_is_distributed_by_what_is_known():
     assert after[3] > 0.03 and after[[0, 1, 2, 4]].max() < 0.003
     sigma = np.sqrt(np.trace(part.covariance[:, 3:, 3:], axis1=1, axis2=2) / 3)
     assert sigma[0] == 0 and sigma[1] < sigma[2] < sigma[3]
+
+
+@pytest.mark.slow
+def test_free_space_tells_one_bay_from_the_next():
+    """Two stations near one end of a hall of equal bays: its shape repeats."""
+    views = scans(hall(), [[1.2, 0.4, 1.5], [3.1, -0.5, 1.5]])
+    shots = [Shot(str(k), v.xyz) for k, v in enumerate(views)]
+    side = common_side(shots, Tuning())
+    a, b = (station_of(s, side, Tuning()) for s in shots)
+    world = [v.world_from_station for v in views]
+    true = a.shift @ transforms.invert(world[0]) @ world[1] @ b.shift_back
+    along = transforms.rigid(np.eye(3), -2.0 * world[0][0, :3])  # a bay along the hall's x, in the first one's frame
+    assert looked_through(a, b, true) < 0.01
+    assert 0.02 < looked_through(a, b, along @ true) < 0.3
