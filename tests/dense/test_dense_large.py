@@ -45,10 +45,6 @@ def bytes_a_pixel(work: Callable[[], object]) -> float:
         tracemalloc.stop()
 
 
-def test_a_depth_map_is_large_and_no_larger_than_pairs_are_matched():
-    assert 3000 <= max(SIZE) <= 4032  # on a drone's images the bound of disparities makes more than this no better
-
-
 def slope(normals: bool) -> DepthMap:
     row, column = np.arange(SIZE[1], dtype=np.float32)[:, None], np.arange(SIZE[0], dtype=np.float32)
     depth = 60 + 1e-3 * row + 5e-4 * column
@@ -64,6 +60,7 @@ def slope(normals: bool) -> DepthMap:
 
 
 def test_normals_take_the_memory_of_some_rows():
+    assert 3000 <= max(SIZE) <= 4032  # on a drone's images the bound of disparities makes more than this no better
     depth = slope(normals=False)
     assert 12 < bytes_a_pixel(lambda: with_normals(depth)) < 40
 

@@ -29,12 +29,15 @@ def solved(*candidates):
     return found.inverse, found.sigma, found.support
 
 
-def test_agreeing_partners_outvote_a_wrong_one():
+def test_agreeing_partners_outvote_a_wrong_one_and_the_precise_one_weighs_more():
     inverse, sigma, support = solved(candidate(0.1), candidate(0.13, 0.0001), candidate(0.1002))
     np.testing.assert_allclose(inverse, 0.1001, rtol=1e-5)
     assert (support == 0b101).all()
     # Seven tenths of the variance are each partner's own and average out.
     np.testing.assert_allclose(sigma, TUNING.rays.sigma_px * 0.001 * np.sqrt(0.3 + 0.7 / 2), rtol=0.01)
+    inverse, sigma, _ = solved(candidate(0.1, 0.0001), candidate(0.1004, 0.001))
+    assert (np.abs(inverse - 0.1) < 0.00001).all()
+    assert (sigma < TUNING.rays.sigma_px * 0.0002).all()
 
 
 @pytest.mark.parametrize("true_px", [0.12, 0.25, 0.4])
@@ -55,12 +58,6 @@ def test_an_image_tells_the_sigma_of_its_disparities(true_px):
     assert 0.8 < np.std(ratio) < 1.2
 
 
-def test_the_precise_partner_weighs_more():
-    inverse, sigma, _ = solved(candidate(0.1, 0.0001), candidate(0.1004, 0.001))
-    assert (np.abs(inverse - 0.1) < 0.00001).all()
-    assert (sigma < TUNING.rays.sigma_px * 0.0002).all()
-
-
 def test_who_is_far_from_the_mean_is_left_out_and_who_is_near_counts_less():
     """The last agrees with each of the others, within two sigmas of one; of the mean of all it is judged alone."""
     inverse, _, support = solved(candidate(0.1), candidate(0.1), candidate(0.1), candidate(0.1014))
@@ -69,6 +66,12 @@ def test_who_is_far_from_the_mean_is_left_out_and_who_is_near_counts_less():
     inverse, _, support = solved(candidate(0.1), candidate(0.1), candidate(0.1), candidate(0.1011))
     assert (support == 0b1111).all()
     assert (inverse > 0.1 + 0.00005).all() and (inverse < 0.1 + 0.0002).all(), "the plain mean is 0.100275"
+    # The proposal that most agree with is not the mean: who takes part is decided by the mean.
+    unit = 0.001
+    near, middle, rim, wrong = candidate(0.1000), candidate(0.1008), candidate(0.1016), candidate(0.1035)
+    inverse, _, support = solved(near, middle, rim, wrong)
+    assert (support == 0b0111).all()
+    assert (np.abs(inverse - 0.1008) < 0.1 * unit).all()
 
 
 def test_nothing_proposed_gives_nothing():
@@ -172,15 +175,6 @@ def test_two_rays_suffice_only_where_no_third_image_looks():
     assert (result.views[kept] == 2).all()
 
 
-def test_a_disparity_beyond_the_others_is_left_out_and_one_within_taken_in():
-    # The proposal that most agree with is not the mean: who takes part is decided by the mean.
-    unit = 0.001
-    near, middle, rim, wrong = candidate(0.1000), candidate(0.1008), candidate(0.1016), candidate(0.1035)
-    inverse, _, support = solved(near, middle, rim, wrong)
-    assert (support == 0b0111).all()
-    assert (np.abs(inverse - 0.1008) < 0.1 * unit).all()
-
-
 def test_triangulation_is_the_linear_solution_of_the_rays():
     """Three cameras right of, above, and left of the base, whose pixels of a point have errors: the least squares over
     its place on the base ray, by brute force."""
@@ -198,7 +192,7 @@ def test_triangulation_is_the_linear_solution_of_the_rays():
     assert 0 < abs(1 / found[0, 0] - depth) / (sigma[0, 0] * depth**2) < 3
 
 
-def test_normal_of_a_plane_is_exact_with_holes():
+def test_the_normal_of_a_plane_is_exact_with_holes_and_unknown_at_an_edge():
     depth = plane_map("a", (0, 0, 0))
     holes = np.where(np.random.default_rng(0).random(SHAPE) < 0.2, np.float32(np.nan), depth.depth_m)
     result = with_normals(replace(depth, depth_m=holes))
@@ -207,9 +201,6 @@ def test_normal_of_a_plane_is_exact_with_holes():
     assert known.sum() > 0.99 * np.isfinite(holes).sum()
     angle = np.degrees(np.arccos(np.clip(result.normal[known] @ truth, -1, 1)))
     assert angle.max() < 0.5
-
-
-def test_normal_at_an_edge_is_unknown():
     base = plane_map("a", (0, 0, 0), normal=(0, 0, -1.0))
     nearer = np.where(np.arange(SHAPE[1]) < 80, base.depth_m, 0.6 * base.depth_m)
     result = with_normals(replace(base, depth_m=nearer.astype(np.float32)))

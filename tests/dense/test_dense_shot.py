@@ -141,15 +141,12 @@ def test_points_on_the_surface_tell_the_unit():
     np.testing.assert_allclose(each[np.isfinite(each)], UNIT, rtol=0.05)
 
 
-def test_points_that_lie_on_no_map_tell_nothing():
+def test_points_that_lie_on_no_map_or_behind_the_camera_tell_nothing():
     one = observed(0)
     off = Seen(0, one.points[300:], one.rig_from_camera, one.depth)
     assert shot_scale([off]) is None
     few = Seen(0, one.points[:9], one.rig_from_camera, one.depth)
     assert shot_scale([few]) is None and shot_scale([]) is None
-
-
-def test_points_behind_the_camera_are_none():
     local = in_camera(np.eye(4), np.array([[0.0, 0, 1], [0, 0, -1]]))
     np.testing.assert_array_equal(local, [[0, 0, 1]])
 

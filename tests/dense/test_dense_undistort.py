@@ -69,7 +69,7 @@ def test_masks_are_warped_and_missing_ones_use_all(tmp_path):
     assert (load_view(plan("OPENCV"), tmp_path, tmp_path / "none", SETTINGS).mask == whole).all()
 
 
-def test_bad_files_are_named(tmp_path):
+def test_bad_files_are_named_and_a_camera_that_sees_all_round_is_refused(tmp_path):
     with pytest.raises(InputError, match="a.png"):
         load_view(plan("PINHOLE"), tmp_path, None, SETTINGS)
     cv2.imwrite(str(tmp_path / "a.png"), np.zeros((120, 160, 3), np.uint8))
@@ -79,8 +79,5 @@ def test_bad_files_are_named(tmp_path):
     cv2.imwrite(str(tmp_path / "a.png.png"), np.zeros((24, 32), np.uint8))
     with pytest.raises(InputError, match="a.png.png"):
         load_view(plan("PINHOLE"), tmp_path, tmp_path, SETTINGS)
-
-
-def test_a_camera_that_sees_all_round_is_refused():
     with pytest.raises(InputError, match="all round"):
         pinhole_of(CameraModel("EQUIRECTANGULAR", 400, 200, (400.0, 200.0)), SETTINGS)

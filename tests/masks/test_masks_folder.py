@@ -31,13 +31,11 @@ def test_every_naming_is_found(tmp_path, file):
 
 
 def test_the_mask_of_the_image_goes_before_that_of_the_camera(tmp_path):
+    """And the folder images of a name may be left away."""
     write(tmp_path / "cam0.png", half())
     write(tmp_path / "up/cam0/a.jpg.png", 255 - half())
     assert find_mask(tmp_path, NAME) == tmp_path / "up/cam0/a.jpg.png"
     assert find_mask(tmp_path, "up/cam0/b.jpg") == tmp_path / "cam0.png"
-
-
-def test_images_folder_of_the_name_may_be_left_away(tmp_path):
     write(tmp_path / "up/cam0/a.jpg.png", half())
     assert find_mask(tmp_path, "images/" + NAME) is not None
     assert candidates("a.jpg") == ["a.jpg.png", "a_mask.png", "a.mask.png", "a.png"]

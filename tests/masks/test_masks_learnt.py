@@ -124,21 +124,18 @@ def test_burnt_out_areas_are_masked(tmp_path):
     assert (found[94:126, 104:176] == OVEREXPOSED).all()
 
 
-def test_border_of_the_sky():
+def test_border_of_the_sky_and_calm_sky_of_an_upward_camera():
     sky = border_sky(river(0, 0), TUNING.skyline)
     assert sky is not None and sky[: SKYLINE - 16].mean() > 0.95 and sky[SKYLINE + 4 :].mean() < 0.02
     assert border_sky(river(0, 0)[SKYLINE:DECK], TUNING.skyline) is None
     assert border_sky(np.full((*SHAPE, 3), 128, np.uint8), TUNING.skyline) is None
-
-
-def test_calm_sky_of_an_upward_camera():
     image = river(0, 0)
     sky = textureless_sky(image[:SHORE], np.zeros((SHORE, 320), bool), TUNING.skyline)
     assert sky is not None and sky[: SKYLINE - 8].mean() > 0.9 and sky[SKYLINE + 8 :].mean() < 0.05
     assert textureless_sky(image // 4, np.zeros(SHAPE, bool), TUNING.skyline) is None, "a dark calm area is a bridge"
 
 
-def test_pairs_tell_what_matches(boat):
+def test_pairs_tell_what_matches(boat, monkeypatch):
     found_in_both = pair_matchability(boat[0][3], boat[0][4], TUNING.matchability)
     assert len(found_in_both) == 2
     for found in found_in_both:
@@ -148,8 +145,6 @@ def test_pairs_tell_what_matches(boat):
     assert pair_matchability(boat[0][0], boat[1][0], TUNING.matchability) == ()
     assert [len(p) for p in choose_pairs([boat[0], boat[1][:1], []], MatchabilityTuning(most_pairs=6))] == [2, 0, 0]
 
-
-def test_matches_that_no_geometry_explains_are_none(boat, monkeypatch):
     def refuse(*_):
         raise cv2.error("(-215:Assertion failed) !model.empty() in function 'setModelParameters'")
 

@@ -49,12 +49,10 @@ def test_platform_is_found_in_any_light(light):
 
 
 def test_nothing_is_invented_where_everything_moves():
+    """And a far skyline that shakes is no platform."""
     rng = np.random.default_rng(3)
     frames = [cv2.GaussianBlur(rng.uniform(0, 255, SHAPE).astype(np.float32), (0, 0), 2) for _ in range(10)]
     assert not platform_of_frames([f.astype(np.uint8) for f in frames], TUNING.platform).any()
-
-
-def test_a_far_skyline_that_shakes_is_no_platform():
     # The upper part stands still but for a shake of a pixel, as a skyline does for a car; the lower part moves.
     far = cv2.GaussianBlur(np.random.default_rng(1).uniform(0, 255, (150, 340)).astype(np.float32), (0, 0), 3)
     frames = []

@@ -139,9 +139,6 @@ def test_points_at_the_skyline_and_single_false_ones_leave_the_sky(street):
     false = np.float32([[0.1, 0.1], [0.2, 0.2], [0.3, 0.05]])
     found = without_points(classes, np.concatenate([seen, edge, false]), POINTS)
     assert (found[:150, :300] == SKY).all()
-
-
-def test_nothing_to_say():
     sky = np.full(WIDE, SKY, np.uint8)
     assert without_points(sky, np.random.default_rng(0).uniform(0, 1, (50, 2)).astype(np.float32), POINTS) is sky
     use = np.full(WIDE, USE, np.uint8)

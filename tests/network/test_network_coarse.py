@@ -65,9 +65,15 @@ def world() -> World:
     return boat((12, 12), (2.0, 2.0))
 
 
+@pytest.fixture(scope="module")
+def believed(world):
+    """The network by a right model, and what the models were made of."""
+    return network_of(world, true_model(world))
+
+
 @pytest.mark.slow
-def test_the_model_finds_what_previews_miss(world) -> None:
-    found, asked = network_of(world, true_model(world))
+def test_the_model_finds_what_previews_miss(world, believed) -> None:
+    found, asked = believed
     recall, precision = shares(found.pairs, world.useful(0.2))
     without, _ = network_of(world, None)
     assert precision > shares(without.pairs, world.useful(0.2))[1]
@@ -76,19 +82,14 @@ def test_the_model_finds_what_previews_miss(world) -> None:
     assert 0 < len(asked[0]) < 0.5 * len(world.scene) ** 2 / 2
     assert asked[0].counts().min() >= 15
     assert found.trusted.all()
-
-
-@pytest.mark.slow
-def test_pairs_that_share_nothing_are_dropped_with_their_reason(world) -> None:
-    found, _ = network_of(world, true_model(world))
     gone = found.pairs.where(found.pairs.overlap < SETTINGS.min_overlap)
     assert len(gone) and np.all(gone.dropped != 0)
     assert found.pairs.funnel().get("overlap", 0) > 0
 
 
 @pytest.mark.slow
-def test_a_torn_model_is_made_again_and_believed_on_one_side_of_the_tear(world) -> None:
-    whole, once = network_of(world, true_model(world))
+def test_a_torn_model_is_made_again_and_believed_on_one_side_of_the_tear(world, believed) -> None:
+    whole, once = believed
     torn, asked = network_of(world, true_model(world, broken_at=7))
     assert len(once) == 1 and len(asked) == TUNING.coarse.tries
     step = world.scene.sequence_index[world.scene.frame]
@@ -134,9 +135,8 @@ def turned_by(model: CoarseModel, degrees: float) -> CoarseModel:
 
 
 @pytest.mark.slow
-def test_a_camera_that_only_one_model_turns_far_is_made_again(world) -> None:
-    right = true_model(world)
-    once, _ = network_of(world, right)
+def test_a_camera_that_only_one_model_turns_far_is_made_again(world, believed) -> None:
+    right, (once, _) = true_model(world), believed
     models = iter((turned_by(right, 55.0), right))
     found, asked = network_of(world, lambda: next(models))
     assert len(asked) == 2 and found.trusted.all() and len(found.ties) == len(once.ties)
@@ -160,9 +160,8 @@ def test_a_camera_that_every_model_turns_otherwise_stays_as_given_and_is_not_bel
 
 
 @pytest.mark.slow
-def test_frames_of_one_camera_that_follow_each_other_always_tie_the_model(world) -> None:
-    _, asked = network_of(world, true_model(world))
-    scene = world.scene
+def test_frames_of_one_camera_that_follow_each_other_always_tie_the_model(world, believed) -> None:
+    (_, asked), scene = believed, world.scene
     track, step = scene.sequence[scene.frame], scene.sequence_index[scene.frame]
     i, j = asked[0].i, asked[0].j
     near = (track[i] == track[j]) & (scene.sensor_key[i] == scene.sensor_key[j]) & (np.abs(step[i] - step[j]) == 1)
@@ -254,15 +253,12 @@ def made(street, tuning=TRACKS):
     return with_surface(model, ties, lambda k: pixels[k], tuning)
 
 
-def test_points_stand_where_the_rays_meet(street):
+def test_points_stand_where_the_rays_meet_and_a_ray_that_misses_is_left_out(street):
     found = made(street)
     assert len(found.points) == POINTS and len(found.image) == POINTS * IMAGES
     nearest = np.linalg.norm(found.points[:, None] - street[3][None], axis=2).min(axis=0)
     assert 0 <= nearest.max() < 1e-5
     assert np.all(np.bincount(found.point) == IMAGES)
-
-
-def test_a_ray_that_misses_is_left_out_and_the_point_stays(street):
     street[2][2][7] += 60  # 7 degrees
     found = made(street)
     assert len(found.points) == POINTS and len(found.image) == POINTS * IMAGES - 1
@@ -281,6 +277,7 @@ def test_tracks_that_hold_an_image_twice_are_no_points(street):
     joined = PreviewMatches(i=ties.i, j=ties.j, start=ties.start, matches=wrong)
     found = with_surface(model, joined, lambda k: pixels[k], TRACKS)
     assert len(found.points) == POINTS - 2
+    assert not len(with_surface(model, PreviewMatches.empty(), lambda k: pixels[k], TRACKS).points)
 
 
 def test_what_lies_behind_and_images_that_are_not_placed_make_no_points(street):
@@ -292,8 +289,3 @@ def test_what_lies_behind_and_images_that_are_not_placed_make_no_points(street):
     turned = poses @ np.diag([1.0, 1, 1, 1])
     turned[2:, :3, 3] *= -1  # rays meet behind the cameras
     assert not len(with_surface(replace(model, cam_from_world=turned), ties, lambda k: pixels[k], TRACKS).points)
-
-
-def test_nothing_to_tie_is_no_surface(street):
-    model, _, pixels, _ = street
-    assert not len(with_surface(model, PreviewMatches.empty(), lambda k: pixels[k], TRACKS).points)

@@ -77,10 +77,12 @@ def test_kept_pairs_win_where_cells_are_shared() -> None:
     assert np.count_nonzero(cells) in (2, 4)
 
 
-def test_loose_photographs_have_a_matrix_and_a_map() -> None:
+def test_maps_without_positions_say_so_and_loose_photographs_have_a_matrix() -> None:
     pairs = Pairs.make([0, 1, 2, 3], [1, 2, 3, 4], "exhaustive")
     assert opened(matrix_png(pairs, photos(5))).size
     assert share_of(map_png(pairs, None, photos(7)), RED) > 1e-4  # it says that there are no positions
+    world, _ = surveyed()
+    assert share_of(map_png(Pairs.empty(), None, world.scene), RED) > 1e-4
 
 
 def test_photographs_stand_by_the_strength_of_their_ties_and_each_time_alike() -> None:
@@ -107,11 +109,6 @@ def test_the_map_shows_kinds_and_weak_links() -> None:
             for kind in ("same camera", "across cameras", "across passes")}  # fmt: skip
     inside = int(np.sum(network.scene.frame[kept.i] == network.scene.frame[kept.j]))
     assert sum(side.values()) + inside == len(kept) and min(side.values()) > 0
-
-
-def test_a_map_without_positions_says_so_and_without_pairs_is_drawn() -> None:
-    world, _ = surveyed()
-    assert share_of(map_png(Pairs.empty(), None, world.scene), RED) > 1e-4
 
 
 def test_frames_without_a_position_lie_between_their_neighbours() -> None:

@@ -194,6 +194,7 @@ def test_no_prior_at_all_is_said() -> None:
 
 
 def test_a_vehicle_that_mostly_stands_is_given_the_range_of_its_drive() -> None:
+    """And positions that a telephone wrote into several photographs are one place."""
     world = boat((10,), (2.0,))
     scene, passes = with_priors(world), find_passes(world.scene)
     steady = assumed_range(scene, passes, TUNING.poses)
@@ -201,11 +202,7 @@ def test_a_vehicle_that_mostly_stands_is_given_the_range_of_its_drive() -> None:
     poses = scene.world_from_rig.copy()
     poses[passes[0].frames[:7], :3, 3] = poses[passes[0].frames[6], :3, 3] + np.linspace(0, 0.05, 7)[:, None]
     assert assumed_range(scene.with_(world_from_rig=poses), passes, TUNING.poses) == pytest.approx(steady, rel=0.1)
-
-
-def test_positions_that_a_telephone_wrote_into_several_photographs_are_one_place() -> None:
     scene = with_priors(boat((12,), (2.0,)))
-    poses = scene.world_from_rig.copy()
     poses[:, :3, 3] = poses[np.arange(12) // 3 * 3, :3, 3]  # four places, 6 m apart
     assert assumed_range(scene.with_(world_from_rig=poses), (), TUNING.poses) == pytest.approx(60.0, rel=0.05)
 

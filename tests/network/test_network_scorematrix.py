@@ -32,36 +32,6 @@ def test_nodes_include_the_last_frame() -> None:
     assert scores(3).columns.tolist() == [0, 3, 6, 8]
 
 
-def test_smoothing_is_bounded_and_keeps_even_ground() -> None:
-    flat = replace(scores(), inliers=np.full((6, 6, 6, 5), 12.0, np.float32))
-    assert np.allclose(flat.smoothed(10, TUNING), 12.0, atol=1e-4)
-    wild = replace(flat, inliers=np.random.default_rng(0).uniform(0, 500, (6, 6, 6, 5)).astype(np.float32))
-    smooth = wild.smoothed(10, TUNING)
-    assert smooth.min() >= TUNING.counts.floor * 10 - 1e-4 and smooth.max() <= TUNING.counts.ceiling * 10 + 1e-4
-
-
-def test_one_hit_alone_counts_less_than_a_row_of_them() -> None:
-    inliers = np.full((6, 6, 6, 5), 8.0, np.float32)
-    inliers[0, 0, 2, 2] = 40
-    inliers[0, 1, :, 2] = 40
-    smooth = replace(scores(), inliers=inliers).smoothed(10, TUNING)
-    assert 8 < smooth[0, 0, 2, 2] < smooth[0, 1, 2, 2] < 20
-    assert np.isnan(replace(scores()).smoothed(10, TUNING)).all()
-
-
-def test_frontier_are_the_unmeasured_neighbours_of_hits() -> None:
-    inliers = scores().inliers.copy()
-    inliers[1, 2, 3, 3] = 30
-    inliers[1, 2, 3, 4] = 8
-    grown = replace(scores(), inliers=inliers)
-    frontier = set(zip(*(x.tolist() for x in grown.frontier(inliers, 12, np.ones((6, 5), bool)))))
-    around = {(1, 2, a, b) for a in (2, 3, 4) for b in (2, 3, 4)}
-    assert frontier == around - {(1, 2, 3, 3), (1, 2, 3, 4)}
-    beside = np.ones((6, 5), bool)
-    beside[:, 2] = False
-    assert len(grown.frontier(inliers, 12, beside)[0]) == 4
-
-
 @pytest.mark.parametrize("same", [True, False])
 def test_the_frontier_of_a_long_band_is_that_of_the_whole_lattice(same) -> None:
     rng = np.random.default_rng(3)

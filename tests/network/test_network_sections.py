@@ -60,16 +60,13 @@ def test_paper_001_cuts_between_sections_and_link_does_not() -> None:
     assert any("components" in note for note in split.notes)
 
 
-def test_even_light_is_one_section_and_says_why() -> None:
+def test_even_light_and_slow_change_of_it_are_one_section() -> None:
     world, _, _ = survey()
     rng = np.random.default_rng(1)
     light = UpLight(rng.normal(150, 5, len(world.scene)), rng.normal(0.8, 0.03, len(world.scene)))
     found = cut(world.scene, light)
     assert len(found.sections) == 1 and "two clear classes" in found.notes[0] and "needed" in found.notes[0]
     assert (found.of_frame == 0).all() and np.isnan(found.threshold)
-
-
-def test_slow_change_of_light_is_no_bridge() -> None:
     world, _, _ = survey(30)
     dusk = 150 - 0.5 * world.scene.frame
     found = cut(world.scene, dusk)
@@ -135,16 +132,13 @@ def test_no_up_camera_and_off_are_one_section() -> None:
     assert len(off.network.cut.sections) == 1 and (off.scene.section == 0).all()
 
 
-def test_a_single_dark_frame_is_no_bridge() -> None:
+def test_a_single_dark_frame_is_no_bridge_and_missing_images_take_the_state_of_their_neighbours() -> None:
     world, brightness, _ = survey()
     up = world.scene.sensor == 5
     flash = brightness.copy()
     flash[up & (world.scene.frame == 3)] = 60
     found = cut(world.scene, flash)
     assert all(3 not in s.frames for s in found.sections if s.kind == "bridge")
-
-
-def test_missing_up_images_take_the_state_of_their_neighbours() -> None:
     world, brightness, under = survey()
     gone = (world.scene.sensor == 5) & np.isin(world.scene.frame, (2, 10))
     found = cut(world.scene, np.where(gone, np.nan, brightness))

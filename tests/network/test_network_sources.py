@@ -212,20 +212,17 @@ def test_photographs_that_are_only_numbered_are_loose(case: str) -> None:
     assert "pass p0: 40 loose photographs and no sequence" in note and "--scan.layout sequence" in note
 
 
-def test_a_few_lost_neighbours_do_not_part_a_sequence() -> None:
+def test_a_few_lost_neighbours_do_not_part_a_sequence_and_a_handful_of_images_shows_nothing() -> None:
     match, _ = along(np.arange(60.0), 4, lost=0.15)
     assert (ordered(numbered(60), match)[0].sequence == 0).all()
+    found, (note,) = ordered(numbered(8), along(np.arange(8.0), 1)[0])
+    assert (found.sequence == -1).all() and "too few to tell" in note
 
 
 @pytest.mark.parametrize("far, sequence", [(20, True), (50, False)])
 def test_images_far_apart_may_tie_by_clearly_fewer_matches(far: int, sequence: bool) -> None:
     match, _ = along(np.arange(40.0), 4, far=far)
     assert (ordered(numbered(40), match)[0].sequence == (0 if sequence else -1)).all()
-
-
-def test_a_handful_of_images_shows_nothing() -> None:
-    found, (note,) = ordered(numbered(8), along(np.arange(8.0), 1)[0])
-    assert (found.sequence == -1).all() and "too few to tell" in note
 
 
 def test_each_pass_is_asked_for_itself() -> None:

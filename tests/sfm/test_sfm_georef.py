@@ -56,15 +56,6 @@ def test_positions_bring_the_model_back(world) -> None:
         assert there["height_m"] == found.uncertainty.sigma["height_m"]
 
 
-def test_apply_scales_the_rig_too(world) -> None:
-    truth, scene = world
-    survey = with_positions(scene, frame_centres(truth, scene), 0.05)
-    model = elsewhere(truth)
-    placed = georeference(model, survey, GeorefSettings(), TUNING).apply(model)
-    for sensor, pose in truth.rig(1).non_ref_sensors.items():
-        np.testing.assert_allclose(placed.rig(1).sensor_from_rig(sensor).translation, pose.translation, atol=1e-4)
-
-
 def test_positions_that_do_not_tell_the_size_place_nothing(world) -> None:
     """Twenty photographs from one spot, to which positions of 5 m give places a millimetre apart."""
     truth, scene = world
@@ -132,7 +123,7 @@ def test_images_that_hardly_carry_the_baseline_widen_the_scale_of_the_rig(world)
     assert alone.scale_source == "rig baseline" and any("scale good to 5.0%" in n for n in alone.findings.notes)
 
 
-def test_trajectory_orientations_hold_the_roll(world) -> None:
+def test_a_trajectory_holds_the_roll_and_the_rig_is_scaled_too(world) -> None:
     truth, scene = world
     poses = true_frames(truth, scene)
     survey = scene.with_(world_from_rig=poses, position_sigma_m=np.full((scene.frames, 3), 0.1), prior="trajectory")
@@ -140,3 +131,8 @@ def test_trajectory_orientations_hold_the_roll(world) -> None:
     assert found.scale_source in ("trajectory", "rig baseline")
     placed = frame_poses(image_poses(found.apply(elsewhere(truth)), scene), scene)
     np.testing.assert_allclose(placed, poses, atol=1e-3)
+    survey = with_positions(scene, frame_centres(truth, scene), 0.05)
+    model = elsewhere(truth)
+    placed = georeference(model, survey, GeorefSettings(), TUNING).apply(model)
+    for sensor, pose in truth.rig(1).non_ref_sensors.items():
+        np.testing.assert_allclose(placed.rig(1).sensor_from_rig(sensor).translation, pose.translation, atol=1e-4)

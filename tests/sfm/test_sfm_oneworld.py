@@ -81,7 +81,7 @@ def _with_positions(survey, moved_m=0.0, sigma_m=0.02):
 
 
 @pytest.mark.slow
-def test_matches_join_two_models_without_any_position(survey) -> None:
+def test_matches_join_two_models_without_any_position_into_a_whole_one(survey, tmp_path) -> None:
     found = _joined(survey)
     (second,) = found.others
     assert second.by == "matches" and not found.contradictions
@@ -92,11 +92,6 @@ def test_matches_join_two_models_without_any_position(survey) -> None:
     assert found.model.num_reg_images() == 40
     assert second.row()[:3] == ["sparse/1", 16, "matches"] and second.row()[-1] == ""
     assert "joined to the others by" in second.note(metric=True)
-
-
-@pytest.mark.slow
-def test_the_merged_model_is_whole(survey, tmp_path) -> None:
-    found = _joined(survey)
     found.model.write(tmp_path)
     again = pycolmap.Reconstruction(tmp_path)
     scene, _, (first, second), _ = survey
@@ -251,18 +246,12 @@ def test_points_of_one_street_find_their_place(scale: float | None) -> None:
 
 
 @pytest.mark.slow
-def test_even_walls_fit_in_many_places() -> None:
+def test_points_that_fit_in_several_places_or_nowhere_place_nothing() -> None:
+    """Even walls, streets that do not overlap, and a world too wide to search."""
     fit, *_ = placed(street(0, LONG_M, True, 0), street(3, LONG_M - 3, True, 1), 1 / 0.4)
     assert "about equally many" in fit.why_not(CLOUDS) and fit.explained > 0.8
-
-
-@pytest.mark.slow
-def test_streets_that_do_not_overlap_are_not_laid_on_each_other() -> None:
     fit, off, _ = placed(street(0, LONG_M, False, 0), street(90, 90 + LONG_M, False, 1))
     assert off > 20 and fit.why_not(CLOUDS)
-
-
-def test_a_world_too_wide_is_not_searched() -> None:
     far = street(0, LONG_M, False, 0) * [3000, 3000, 1]
     model = Surface(street(0, LONG_M, False, 1), np.eye(3), RANGE_M)
     assert fit_clouds(Surface(far, np.eye(3), RANGE_M), model, 1.0, CLOUDS) is None

@@ -74,15 +74,11 @@ def test_a_part_of_another_scale_is_found_though_it_is_not_turned() -> None:
     assert told(found, scene(), TUNING)[1]
 
 
-def test_another_survey_of_the_same_names_is_told_as_one() -> None:
+def test_another_survey_is_told_as_one_and_few_wrong_images_are_no_contradiction() -> None:
     given = river()[np.random.default_rng(1).permutation(COUNT)]
     text, contradicts = told(check_start(given, river(), REACH, TUNING), scene(), TUNING)
     assert contradicts and "is it of another survey, or are images named otherwise?" in text
-
-
-def test_few_wrong_images_are_told_and_no_contradiction() -> None:
     given = turned(elsewhere(river()), slice(37, None), 20.0)
-    text, contradicts = told(check_start(given, river(), REACH, TUNING), scene(), TUNING)
     assert not contradicts and "37 of 40 images agree" in text and "3 images do not" in text
 
 
