@@ -57,8 +57,7 @@ def made(survey):
 def test_a_rendered_rig_is_calibrated_to_the_truth(made):
     """Focal lengths to 0.05 %, turns to 0.01 degrees, places to 0.1 mm."""
     (rig,), true = read_rig_file(made / "rig.toml", ScanTuning().rig), truth()
-    assert [s.name for s in rig.sensors] == NAMES
-    assert rig.synchronised and not rig.fixed
+    assert [s.name for s in rig.sensors] == NAMES and rig.synchronised and not rig.fixed
     for k, sensor in enumerate(rig.sensors):
         assert sensor.model == "OPENCV" and sensor.params is not None and sensor.body_from_sensor is not None
         assert 1e-7 < np.abs(np.array(sensor.params[:2]) / true.cameras[k].params[:2] - 1).max() < 5e-4
@@ -69,8 +68,7 @@ def test_a_rendered_rig_is_calibrated_to_the_truth(made):
             continue
         turn = float(transforms.angle_deg(sensor.body_from_sensor[:3, :3], pose[:3, :3]))
         place = float(np.linalg.norm(sensor.body_from_sensor[:3, 3] - pose[:3, 3]))
-        assert 1e-5 < turn < 0.01
-        assert 1e-7 < place < 1e-4
+        assert 1e-5 < turn < 0.01 and 1e-7 < place < 1e-4
         assert sensor.sigma_deg is not None and 0.1 * turn < np.sqrt(3) * sensor.sigma_deg < 0.02
         assert sensor.sigma_m is not None and 0.1 * place < np.sqrt(3) * sensor.sigma_m < 2e-4
 
@@ -119,8 +117,7 @@ def refused(capsys, tmp_path, *more, code=2):
     before = sorted(tmp_path.rglob("*.toml"))
     arguments = ["calibrate", str(tmp_path / "images"), "-o", str(tmp_path / "rig.toml"), "--pool", "serial"]
     given = more if "--board" in more else (*more, "--board", WORDS)
-    assert main([*arguments, *given]) == code
-    assert sorted(tmp_path.rglob("*.toml")) == before
+    assert main([*arguments, *given]) == code and sorted(tmp_path.rglob("*.toml")) == before
     assert not (tmp_path / "rig_calibration").exists()
     return " ".join(capsys.readouterr().err.split())
 

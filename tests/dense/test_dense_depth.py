@@ -68,8 +68,7 @@ def test_depth_errors_are_small(known):
     error, sigma, true, _ = known
     assert 0.3 < np.median(sigma / (true + error)) / (1.4826 * np.median(np.abs(error / true))) < 3
     error = error / true
-    assert 0.0003 < np.median(np.abs(error)) < 0.006
-    assert abs(np.median(error)) < 0.002
+    assert 0.0003 < np.median(np.abs(error)) < 0.006 and abs(np.median(error)) < 0.002
     assert np.mean(np.abs(error) > 0.05) < 0.02
 
 
@@ -86,8 +85,7 @@ def test_most_of_the_image_is_covered_by_three_views_or_all_there_are(made):
     for name in NAMES:
         depth, counts = final[name]
         known = np.isfinite(depth.depth_m)
-        assert 0.45 < known.mean() < 1
-        assert depth.views[known].min() >= 2
+        assert 0.45 < known.mean() < 1 and depth.views[known].min() >= 2
         assert counts.two_rays == (depth.views == 2).sum()
         assert counts.two_rays < 0.5 * known.sum()  # five frames only: beside and ahead there is one neighbour
         assert (depth.views[~known] == 0).all()
@@ -145,8 +143,7 @@ def test_the_unit_of_length_does_not_matter(survey, model, made):
 def test_plans_travel_to_workers(made):
     plan = made[0].images[NAMES[0]]
     again = pickle.loads(pickle.dumps(plan))
-    assert again.view.camera == plan.view.camera
-    assert len(pickle.dumps(plan)) < 10_000
+    assert again.view.camera == plan.view.camera and len(pickle.dumps(plan)) < 10_000
 
 
 def picture(size=(160, 120), position=(0.0, 0, 0), rotation=None, seed=0):
@@ -174,8 +171,7 @@ def test_images_that_share_nothing_give_no_depth():
 @pytest.mark.parametrize("size", [(1, 1), (160, 1), (1, 120), (3, 3), (17, 16)])
 def test_tiny_images_give_no_depth_and_no_crash(size):
     found = matched(picture(size), picture(size, (0.5, 0, 0)))
-    assert found.depth_m.shape == (size[1], size[0])
-    assert np.isfinite(found.depth_m).mean() < 1
+    assert found.depth_m.shape == (size[1], size[0]) and np.isfinite(found.depth_m).mean() < 1
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])

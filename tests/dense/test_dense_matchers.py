@@ -119,8 +119,7 @@ def test_a_matcher_finds_a_shift(match, settings, disparities, shift, most_px):
     found = match(grey(left), grey(right), disparities, settings, TUNING)
     inner = found[5:-5, 5:-5]
     assert found.shape == (100, 240) and found.dtype == np.float32
-    assert np.isfinite(inner).mean() > 0.95
-    assert abs(np.nanmedian(inner) - shift) < most_px
+    assert np.isfinite(inner).mean() > 0.95 and abs(np.nanmedian(inner) - shift) < most_px
     assert np.nanmean(np.abs(inner - shift) > 1) < 0.01
 
 
@@ -178,8 +177,7 @@ def test_tiny_images_and_wide_ranges_do_no_harm(shape, disparities):
     left = np.zeros(shape, np.uint8)
     right = np.zeros((shape[0], shape[1] + disparities), np.uint8)
     found = tsgm.match_tsgm(left, right, disparities, SETTINGS, TUNING)
-    assert found.shape == shape
-    assert not np.any((found < -1) | (found > disparities))
+    assert found.shape == shape and not np.any((found < -1) | (found > disparities))
 
 
 def test_strips_change_almost_nothing(monkeypatch):

@@ -54,8 +54,7 @@ def test_partners_at_good_angles_are_preferred():
     line = model([(x, 0, 0) for x in (0, 0.05, 0.3, 1.2, 2.0, 5.0)])
     partners = considered(line, DenseSettings(partners=2))
     used = [p.view.name for p in partners if p.used]
-    assert used == ["3.jpg", "4.jpg"]
-    assert 5 < partners[0].angle_deg < 9
+    assert used == ["3.jpg", "4.jpg"] and 5 < partners[0].angle_deg < 9
     assert by_name(partners)["1.jpg"].reason == ONE_CENTRE
 
 
@@ -63,8 +62,7 @@ def test_forward_motion_wide_angle_and_scale_are_refused():
     close = pycolmap.Camera(model="PINHOLE", width=2000, height=1500, params=[1500, 1500, 1000, 750])
     odd = model([(0, 0, 0), (0.05, 0, 2.5), (9.5, 0, 1), (1, 0, 0)], [0, 0, -45, 0], [CAMERA, CAMERA, CAMERA, close])
     partners = by_name(considered(odd))
-    assert partners["1.jpg"].reason == EPIPOLE
-    assert partners["2.jpg"].reason == WIDE
+    assert partners["1.jpg"].reason == EPIPOLE and partners["2.jpg"].reason == WIDE
     assert partners["3.jpg"].reason == SCALE
 
 
@@ -87,19 +85,16 @@ def test_points_that_no_partner_sees_do_not_set_the_depth_range():
 def test_refused_images_still_witness_and_the_depth_range_holds_the_points_with_margin():
     plan = plan_images(model([(0, 0, 0), (1, 0, 0), (0.05, 0, 2.5)]), SETTINGS, TUNING.partners)
     assert [v.name for v in plan.images["0.jpg"].partners] == ["1.jpg"]
-    assert "2.jpg" in plan.images["0.jpg"].witnesses
-    assert plan.refused[EPIPOLE] >= 2
+    assert "2.jpg" in plan.images["0.jpg"].witnesses and plan.refused[EPIPOLE] >= 2
     assert any("one partner" in note for note in plan.notes)
     plan = plan_images(model([(x, 0, 0) for x in (0, 1, 2)]), SETTINGS, TUNING.partners)
     near, far = plan.images["1.jpg"].depth_range.near, plan.images["1.jpg"].depth_range.far
-    assert 4 < near < 6
-    assert 11 < far < 20
+    assert 4 < near < 6 and 11 < far < 20
 
 
 def test_an_image_without_partner_is_dropped_with_its_reason():
     plan = plan_images(model([(0, 0, 0), (1, 0, 0), (0, 0, -1)], [0, 0, 180]), SETTINGS, TUNING.partners)
-    assert sorted(plan.images) == ["0.jpg", "1.jpg"]
-    assert plan.dropped[0][0] == "2.jpg"
+    assert sorted(plan.images) == ["0.jpg", "1.jpg"] and plan.dropped[0][0] == "2.jpg"
     assert "sparse points" in plan.dropped[0][1]
 
 
@@ -115,5 +110,4 @@ def test_many_images_take_seconds_not_minutes():
     big = model([(0.02 * k, 0, 0) for k in range(300)], count=600)
     start = time.process_time()
     plan = plan_images(big, SETTINGS, TUNING.partners)
-    assert len(plan.images) == 300
-    assert time.process_time() - start < 10
+    assert len(plan.images) == 300 and time.process_time() - start < 10

@@ -36,8 +36,7 @@ def test_agreeing_partners_outvote_a_wrong_one_and_the_precise_one_weighs_more()
     # Seven tenths of the variance are each partner's own and average out.
     np.testing.assert_allclose(sigma, TUNING.rays.sigma_px * 0.001 * np.sqrt(0.3 + 0.7 / 2), rtol=0.01)
     inverse, sigma, _ = solved(candidate(0.1, 0.0001), candidate(0.1004, 0.001))
-    assert (np.abs(inverse - 0.1) < 0.00001).all()
-    assert (sigma < TUNING.rays.sigma_px * 0.0002).all()
+    assert (np.abs(inverse - 0.1) < 0.00001).all() and (sigma < TUNING.rays.sigma_px * 0.0002).all()
 
 
 @pytest.mark.parametrize("true_px", [0.12, 0.25, 0.4])
@@ -70,8 +69,7 @@ def test_who_is_far_from_the_mean_is_left_out_and_who_is_near_counts_less():
     unit = 0.001
     near, middle, rim, wrong = candidate(0.1000), candidate(0.1008), candidate(0.1016), candidate(0.1035)
     inverse, _, support = solved(near, middle, rim, wrong)
-    assert (support == 0b0111).all()
-    assert (np.abs(inverse - 0.1008) < 0.1 * unit).all()
+    assert (support == 0b0111).all() and (np.abs(inverse - 0.1008) < 0.1 * unit).all()
 
 
 def test_nothing_proposed_gives_nothing():
@@ -161,8 +159,7 @@ def test_what_the_partners_depth_maps_do_not_say_again_is_dropped():
 def test_an_image_with_one_neighbour_needs_only_that():
     a, b = plane_map("a", (0, 0, 0), views=1), plane_map("bb", (0.5, 0, 0))
     result, counts = check(a, [], ["bb", "missing"], {"bb": b}.get, SETTINGS, TUNING.rays)
-    assert result.views.max() == 2
-    assert counts.two_rays == counts.kept > 0
+    assert result.views.max() == 2 and counts.two_rays == counts.kept > 0
 
 
 def test_two_rays_suffice_only_where_no_third_image_looks():
@@ -204,8 +201,7 @@ def test_the_normal_of_a_plane_is_exact_with_holes_and_unknown_at_an_edge():
     base = plane_map("a", (0, 0, 0), normal=(0, 0, -1.0))
     nearer = np.where(np.arange(SHAPE[1]) < 80, base.depth_m, 0.6 * base.depth_m)
     result = with_normals(replace(base, depth_m=nearer.astype(np.float32)))
-    assert np.isnan(result.normal[60, 79]).all()
-    assert np.isfinite(result.normal[60, 60]).all()
+    assert np.isnan(result.normal[60, 79]).all() and np.isfinite(result.normal[60, 60]).all()
 
 
 @pytest.mark.parametrize(("share", "stays"), [(0.003, True), (0.02, False)])

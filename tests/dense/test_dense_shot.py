@@ -67,8 +67,7 @@ def test_a_shot_gives_depths_with_their_sigma(tmp_path):
     error = np.abs(depth.depth_m - truth["0.png"])[known]
     actual = 1.4826 * np.median(error)
     assert 0.0001 < actual < 0.7**2 / (300 * 0.075) * 0.25  # a quarter of a pixel of one pair
-    assert 0.5 < np.median(depth.sigma_m[known]) / actual < 2
-    assert np.mean(error > 0.02) < 0.01
+    assert 0.5 < np.median(depth.sigma_m[known]) / actual < 2 and np.mean(error > 0.02) < 0.01
 
 
 def test_the_range_follows_from_the_rig_where_none_is_given():
@@ -135,8 +134,7 @@ def observed(shot: int, far: int = 300, noise: float = 3e-4) -> Seen:
 def test_points_on_the_surface_tell_the_unit():
     found = shot_scale([observed(0), observed(1), observed(2)])
     assert found.shots == 3 and 450 < found.points < 900  # not those that fall outside, or where the map has no depth
-    assert 0 < abs(found.metres_per_unit / UNIT - 1) < 4e-4
-    assert 0 < found.sigma < 3e-4
+    assert 0 < abs(found.metres_per_unit / UNIT - 1) < 4e-4 and 0 < found.sigma < 3e-4
     each = observed(0).scales(UNIT * 1.01)
     np.testing.assert_allclose(each[np.isfinite(each)], UNIT, rtol=0.05)
 

@@ -75,8 +75,7 @@ def test_every_method_only_drops_and_keeps_the_components(count, edges, seed, mo
     pairs = graph(count, edges, seed)
     budget = "pairs" if seed % 2 else "loss"
     chosen = designed(pairs, photos(count), method=method, pairs_per_image=most, budget=budget).pairs
-    assert len(chosen) == len(pairs)
-    assert np.all((chosen.dropped == 0) <= (pairs.dropped == 0))
+    assert len(chosen) == len(pairs) and np.all((chosen.dropped == 0) <= (pairs.dropped == 0))
     assert np.array_equal(components(pairs, count), components(chosen, count))
     if method == "top":
         assert np.all(chosen.degree(count) >= np.minimum(pairs.degree(count), most))
@@ -237,8 +236,7 @@ def test_expected_matches_follow_the_overlap() -> None:
     expected = expected_matches(pairs, ties, EXPECTED)
     hidden = np.arange(1, 400, 2)
     error = expected[hidden] - 80 * overlap[hidden] ** 1.2
-    assert 0.5 < np.sqrt(np.mean(error**2)) < 6
-    assert np.all(expected >= 1)
+    assert 0.5 < np.sqrt(np.mean(error**2)) < 6 and np.all(expected >= 1)
     assert np.corrcoef(expected[shown], count)[0, 1] > 0.99
     assert expected_matches(Pairs.make([0], [1], "file"), None, EXPECTED).tolist() == [1.0]
 
@@ -268,8 +266,7 @@ def test_the_funnel_and_the_weak_links_come_as_tables() -> None:
 def test_nothing_to_choose_from_is_no_error() -> None:
     made = design(Pairs.empty(), photos(3), None, DesignSettings(), TUNING)
     found = with_coverage(made, coverage(made.pairs, photos(3)))
-    assert len(found.pairs) == 0
-    assert "3 images have no pair" in found.notes[0]
+    assert len(found.pairs) == 0 and "3 images have no pair" in found.notes[0]
 
 
 FEATURES = 6

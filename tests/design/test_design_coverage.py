@@ -50,15 +50,13 @@ def test_two_rings_on_one_pair() -> None:
 def test_two_rings_on_one_image() -> None:
     found = coverage(pairs_of("01 02 12 23 24 34"), photos(5))
     assert found.counts["bridges"] == 0
-    assert found.table["rows"] == [["joint", "002.jpg", 2, 1, None]]
-    assert "1 joint" in found.lines[0]
+    assert found.table["rows"] == [["joint", "002.jpg", 2, 1, None]] and "1 joint" in found.lines[0]
     assert "002.jpg (2 frames)" in found.lines[0]
 
 
 def test_a_chain_hangs_on_every_pair() -> None:
     found = coverage(pairs_of("01 12 23"), photos(4))
-    assert found.counts["bridges"] == 3
-    assert found.counts["joints"] == 2
+    assert found.counts["bridges"] == 3 and found.counts["joints"] == 2
     assert found.table["rows"][0] == ["single link", "001.jpg - 002.jpg", 2, 1, None]  # the worst first
 
 
@@ -71,8 +69,7 @@ def test_a_link_of_two_pairs_is_single_if_they_share_an_image() -> None:
 
 def test_images_of_a_frame_hold_together() -> None:
     found = coverage(Pairs.make([0, 3, 4], [2, 5, 1], "file"), rig_scene(3))  # a ring of three frames
-    assert found.counts["components"] == 1
-    assert found.counts["bridges"] == 0
+    assert found.counts["components"] == 1 and found.counts["bridges"] == 0
     assert found.counts["weak_groups"] == 2  # only one pair ties the cameras to each other
     assert "only one independent link ties camera cam0, cam1 to the others" in found.lines[-1]
 
@@ -83,8 +80,7 @@ def test_passes_on_one_link_or_none_are_named() -> None:
     assert "only one independent link ties pass pass0, pass1 to the others" in one.lines
     none = coverage(Pairs.make([0, 2], [1, 3], "file"), scene)
     assert "no pair ties pass pass0, pass1 to the others" in none.lines
-    assert none.counts["components"] == 2
-    assert none.table["rows"][0][:2] == ["pass", "pass0"]
+    assert none.counts["components"] == 2 and none.table["rows"][0][:2] == ["pass", "pass0"]
 
 
 def test_dropped_pairs_do_not_count() -> None:
@@ -198,8 +194,7 @@ def test_each_part_of_a_wall_gets_its_verdict():
     found = surface_map(sees(xyz, centres, owner[:, None] == part), np.full(len(centres), FOCAL), SURFACE)
     for number, verdict in enumerate(("well covered", "few images", "one image", "narrow angle")):
         inside = (found.xyz[:, 0] > 5 * number + 1) & (found.xyz[:, 0] < 5 * number + 4)
-        assert inside.sum() > 5
-        assert {VERDICTS[k] for k in found.verdict[inside]} == {verdict}
+        assert inside.sum() > 5 and {VERDICTS[k] for k in found.verdict[inside]} == {verdict}
     assert sum(found.shares().values()) == pytest.approx(100)
     places = weak_places(found)
     weak = np.concatenate([p.cells for p in places])
@@ -219,8 +214,7 @@ def test_the_two_faces_of_a_wall_are_covered_apart():
     which = np.zeros((6, len(xyz)), bool)
     which[:5, : len(front)] = which[5, len(front) :] = True
     found = surface_map(sees(xyz, centres, which), np.full(6, FOCAL), SURFACE)
-    assert set(found.images.tolist()) == {5, 1}
-    assert found.angle_deg.max() < 30
+    assert set(found.images.tolist()) == {5, 1} and found.angle_deg.max() < 30
     assert np.all(np.isinf(found.sigma[found.images == 1]))
     assert np.all(np.isfinite(found.sigma[found.images == 5]))
 

@@ -124,8 +124,7 @@ def test_matches_are_among_the_common_points_and_always_the_same() -> None:
     assert np.isnan(expected).tolist() == [False, True, True]
     assert 70 <= found.counts()[0] <= 130  # half of 200
     left, right = found.of(0).T
-    assert np.array_equal(visibility().of(0)[left], visibility().of(1)[right])
-    assert left.min() >= 200
+    assert np.array_equal(visibility().of(0)[left], visibility().of(1)[right]) and left.min() >= 200
     assert np.array_equal(found.matches, predict_matches(*asked)[1].matches)
 
 

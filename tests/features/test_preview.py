@@ -57,8 +57,7 @@ def views() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def test_same_place_matches_with_its_rotation(views) -> None:
     a, b = (preview(v) for v in views[:2])
     found = matched(a, b)
-    assert 40 < found.inliers <= SETTINGS.features
-    assert angle_deg(found.rotation, views[2]) < 3.0
+    assert 40 < found.inliers <= SETTINGS.features and angle_deg(found.rotation, views[2]) < 3.0
     assert matched(a, b).inliers == found.inliers
 
 
@@ -66,8 +65,7 @@ def test_same_place_matches_with_its_rotation(views) -> None:
 def test_unrelated_images_stay_at_chance() -> None:
     previews = [preview(view(texture(s), np.eye(3), (0, 0, 0))) for s in range(2, 7)]
     counts = [matched(previews[a], previews[b]).inliers for a in range(5) for b in range(a)]
-    assert max(counts) < 20
-    assert np.median(counts) < 13
+    assert max(counts) < 20 and np.median(counts) < 13
 
 
 def test_unknown_camera_counts_alike_but_gives_no_rotation(views) -> None:
@@ -88,11 +86,8 @@ def test_mask_keeps_features_out_and_brightness_whole(views) -> None:
     mask = np.zeros((480, 640), bool)
     mask[:, :320] = True
     whole, half = preview(views[0]), preview(views[0], mask)
-    assert len(half) > 50
-    assert half.xy[:, 0].max() <= 324
-    assert whole.xy[:, 0].max() > 600
-    assert half.brightness == whole.brightness
-    assert abs(whole.brightness - views[0].mean()) < 1
+    assert len(half) > 50 and half.xy[:, 0].max() <= 324 and whole.xy[:, 0].max() > 600
+    assert half.brightness == whole.brightness and abs(whole.brightness - views[0].mean()) < 1
     assert abs(whole.shares.sum() - 1) < 1e-5
 
 
@@ -101,8 +96,7 @@ def test_pixels_are_full_size_and_count_from_the_corner() -> None:
     cv2.circle(image, (600, 400), 20, 255, -1)  # its middle is at (600.5, 400.5)
     found = preview(image)
     nearest = np.min(np.linalg.norm(found.xy - (600.5, 400.5), axis=1))
-    assert 0 <= nearest < 0.3 * 1280 / 400
-    assert found.scale == pytest.approx(400 / 1280)
+    assert 0 <= nearest < 0.3 * 1280 / 400 and found.scale == pytest.approx(400 / 1280)
 
 
 def test_flat_or_tiny_images_match_nothing() -> None:

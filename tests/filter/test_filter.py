@@ -37,9 +37,7 @@ def _shares(result, false):
 def test_true_pairs_stay_and_repeats_go(repeated, tmp_path):
     result, false = repeated.run(tmp_path)
     true_kept, false_kept = _shares(result, false)
-    assert false.sum() > 10
-    assert true_kept >= 0.99
-    assert false_kept <= 0.05
+    assert false.sum() > 10 and true_kept >= 0.99 and false_kept <= 0.05
     assert result.counts["refused"] == np.sum(result.pairs.dropped > 0) > 0.9 * false.sum()
 
 
@@ -55,8 +53,7 @@ def test_another_rig_loses_nothing(rig, repeated, tmp_path):
     made = add_repeats(world(radius_m=1.0)) if rig == "wide" else repeated
     scene = {"wide": made.scene, "turned": turned(made.scene, 2.0), "unknown": unknown(made.scene)}[rig]
     true_kept, false_kept = _shares(*made.run(tmp_path, scene))
-    assert true_kept >= 0.99
-    assert false_kept <= 0.1
+    assert true_kept >= 0.99 and false_kept <= 0.1
 
 
 def test_wrong_focal_lengths_refuse_nothing_and_are_told_of(repeated, tmp_path):
@@ -70,8 +67,7 @@ def test_wrong_focal_lengths_refuse_nothing_and_are_told_of(repeated, tmp_path):
 
 def test_lone_camera_in_loops(tmp_path):
     result, false = world(frames=7, sensors=1).run(tmp_path)
-    assert not false.any()
-    assert (result.pairs.dropped == 0).mean() >= 0.99
+    assert not false.any() and (result.pairs.dropped == 0).mean() >= 0.99
 
 
 def test_off_keeps_all(repeated, tmp_path):
@@ -104,8 +100,7 @@ def test_refused_pairs_are_left_out(tmp_path):
     write_working_copy(source, target, scene, {}, None, refused=[(2, 0)])
     count = "SELECT count(*) FROM two_view_geometries"
     with sqlite3.connect(target) as copy, sqlite3.connect(source) as original:
-        assert copy.execute(count).fetchone() == (2,)
-        assert original.execute(count).fetchone() == (3,)
+        assert copy.execute(count).fetchone() == (2,) and original.execute(count).fetchone() == (3,)
     assert ViewGraph(source, scene, 15, refused=[(0, 2)]).pairs.tolist() == [[0, 1], [1, 2]]
     assert len(ViewGraph(source, scene, 15).pairs) == 3
 

@@ -46,13 +46,11 @@ def test_place_clock_and_scale_of_a_wobbling_path() -> None:
     rig, lidar = _both()
     found = hand_eye(rig, lidar, Given())
     off = found.rig_from_lidar[:3, 3] - _PLACE[:3, 3]
-    assert 0 < abs(found.clock_s - _CLOCK_S) < 0.005
-    assert found.clock_sigma_s < 0.005
+    assert 0 < abs(found.clock_s - _CLOCK_S) < 0.005 and found.clock_sigma_s < 0.005
     assert np.abs(off).max() < 0.02
     assert np.all(np.abs(off) < 4 * found.place_sigma_m) and found.place_sigma_m.max() < 0.03
     assert transforms.angle_deg(found.rig_from_lidar[:3, :3], _PLACE[:3, :3]) < 0.1
-    assert found.scale == pytest.approx(_SCALE, abs=0.002)
-    assert found.left_open == ()
+    assert found.scale == pytest.approx(_SCALE, abs=0.002) and found.left_open == ()
 
 
 @pytest.mark.slow
@@ -92,8 +90,7 @@ def test_points_tell_the_lever_arm_where_the_motion_does_not() -> None:
     tie = tie_by_points(other, sides, start)
     assert tie is not None and 0 < tie.place_sigma_m < 0.01
     better = settled(rig, lidar, found, tie)
-    assert better.tie is tie
-    assert np.abs(better.rig_from_lidar[:3, 3] - _PLACE[:3, 3]).max() < 0.02
+    assert better.tie is tie and np.abs(better.rig_from_lidar[:3, 3] - _PLACE[:3, 3]).max() < 0.02
     assert better.place_sigma_m.max() < found.place_sigma_m.max()
 
 

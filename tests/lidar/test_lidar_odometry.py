@@ -40,8 +40,7 @@ def test_adjusted_scans_are_better_than_odometry() -> None:
     first, second = np.array([s.pose for s in thin]), np.array(list(adjusted(thin, _TUNING.adjust)))
     path = 2.0 * (thin[-1].time_s - thin[0].time_s)
     before, after = _error_m(thin, first), _error_m(thin, second)
-    assert 0 < after < 0.005 * path
-    assert after < 0.7 * before
+    assert 0 < after < 0.005 * path and after < 0.7 * before
     true = world_from_lidar(np.array([s.time_s for s in thin]))
     moved, should = (transforms.invert(p[0]) @ p[-1] for p in (second, true))
     assert transforms.angle_deg(moved[:3, :3], should[:3, :3]) < 0.2
@@ -53,8 +52,7 @@ def test_adjusted_scans_are_better_than_odometry() -> None:
 def test_windows_go_on_where_the_last_one_ended() -> None:
     thin = _thin(turns(18))
     poses = np.array(list(adjusted(thin, AdjustTuning(window=12))))
-    assert len(poses) == len(thin)
-    assert 0 < _error_m(thin, poses) < 0.03
+    assert len(poses) == len(thin) and 0 < _error_m(thin, poses) < 0.03
     steps = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
     assert 0.15 < steps.min() and steps.max() < 0.25
 

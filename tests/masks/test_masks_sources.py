@@ -111,8 +111,7 @@ def test_large_images_give_the_mask_of_small_ones_at_full_size(tmp_path):
     small_masks = all_masks("meguro2025", [write(tmp_path / f"s{k}.png", s) for k, s in enumerate(small)])
     large_masks = all_masks("meguro2025", [write(tmp_path / f"l{k}.png", s) for k, s in enumerate(large)])
     for s, m in zip(small_masks, large_masks):
-        assert m.shape == (1920, 2560)
-        assert (m[2::4, 2::4] == s).mean() > 0.95
+        assert m.shape == (1920, 2560) and (m[2::4, 2::4] == s).mean() > 0.95
 
 
 def test_paper_001_masks_in_a_fraction_of_a_second_an_image(tmp_path):
@@ -167,8 +166,7 @@ def test_broken_end_frame_is_passed_over(tmp_path, broken, caplog):
     images[broken].write_bytes(b"not an image")
     a, b = two_frames(images, FRAMES)
     assert (a == grey(frame(1 if broken == 0 else 0))).all()
-    assert (b == grey(frame(2 if broken == 3 else 3))).all()
-    assert images[broken].name in caplog.text
+    assert (b == grey(frame(2 if broken == 3 else 3))).all() and images[broken].name in caplog.text
 
 
 def test_equal_or_differently_sized_last_frame_is_passed_over(tmp_path):
@@ -191,8 +189,7 @@ def test_one_image_equal_images_or_none_readable_give_none(tmp_path, caplog):
 def test_reduced_size_keeps_the_shape(tmp_path, size):
     path = write(tmp_path / "a.jpg", np.full((*size, 3), 99, np.uint8))
     small = read_small(path, FRAMES.work_px)
-    assert image_size(path) == size
-    assert small.shape[:2] == small_shape(size, FRAMES.work_px)
+    assert image_size(path) == size and small.shape[:2] == small_shape(size, FRAMES.work_px)
     assert max(small.shape) <= FRAMES.work_px
     assert full_size(np.ones(small.shape[:2], bool), size).shape == size
 

@@ -43,15 +43,13 @@ def error_m(model: CoarseModel, truth: np.ndarray) -> np.ndarray:
 def test_both_passes_of_a_place_are_in_one_block(world) -> None:
     scene, _, ties = world
     found = blocks_of(scene, ties, TUNING.blocks)
-    assert len(found) in (3, 4)
-    assert max(map(len, found)) <= TUNING.blocks.whole
+    assert len(found) in (3, 4) and max(map(len, found)) <= TUNING.blocks.whole
     own = np.concatenate([b.images[b.own] for b in found])
     assert np.array_equal(np.sort(own), np.arange(len(scene)))
     for block in found:
         where = np.array([place(int(f)) for f in scene.frame[block.images[block.own]]])
         back = scene.frame[block.images[block.own]] >= FRAMES
-        assert abs(np.mean(where[back]) - np.mean(where[~back])) < 6
-        assert spread(scene, block) < 1.3
+        assert abs(np.mean(where[back]) - np.mean(where[~back])) < 6 and spread(scene, block) < 1.3
         assert 1.0 <= len(block) / block.own.sum() < 1.7
 
 
@@ -224,8 +222,7 @@ def test_a_loop_of_blocks_closes_and_a_false_join_is_refused() -> None:
     wrong = Poses(np.sort(wrong.images), wrong.cam_from_world[np.argsort(wrong.images)], wrong.range_)
     joined = join_models([*models[:3], wrong], TUNING.joining)
     refused = [j for j in joined.joins if not j.holds]
-    assert [(j.a, j.b) for j in refused] == [(3, 1)]
-    assert joined.part.tolist() == [0, 0, 0, 0]
+    assert [(j.a, j.b) for j in refused] == [(3, 1)] and joined.part.tolist() == [0, 0, 0, 0]
 
 
 def _tied_model(part: Scene, truth: np.ndarray, ties: PreviewMatches, off_m: float) -> CoarseModel:

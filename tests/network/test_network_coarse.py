@@ -76,15 +76,12 @@ def test_the_model_finds_what_previews_miss(world, believed) -> None:
     found, asked = believed
     recall, precision = shares(found.pairs, world.useful(0.2))
     without, _ = network_of(world, None)
-    assert precision > shares(without.pairs, world.useful(0.2))[1]
-    assert recall > 0.9
+    assert precision > shares(without.pairs, world.useful(0.2))[1] and recall > 0.9
     assert np.any(found.pairs.from_source("model") & ~found.pairs.from_source("offsets"))
-    assert 0 < len(asked[0]) < 0.5 * len(world.scene) ** 2 / 2
-    assert asked[0].counts().min() >= 15
+    assert 0 < len(asked[0]) < 0.5 * len(world.scene) ** 2 / 2 and asked[0].counts().min() >= 15
     assert found.trusted.all()
     gone = found.pairs.where(found.pairs.overlap < SETTINGS.min_overlap)
-    assert len(gone) and np.all(gone.dropped != 0)
-    assert found.pairs.funnel().get("overlap", 0) > 0
+    assert len(gone) and np.all(gone.dropped != 0) and found.pairs.funnel().get("overlap", 0) > 0
 
 
 @pytest.mark.slow
@@ -98,16 +95,14 @@ def test_a_torn_model_is_made_again_and_believed_on_one_side_of_the_tear(world, 
     assert any(f"made {TUNING.coarse.tries} times" in note for note in torn.notes)
     across = (step[torn.pairs.i] >= 7) != (step[torn.pairs.j] >= 7)
     assert np.isnan(torn.pairs.overlap[across]).all()
-    assert np.sum(across & (torn.pairs.dropped == 0)) > 20
-    assert whole.trusted.all()
+    assert np.sum(across & (torn.pairs.dropped == 0)) > 20 and whole.trusted.all()
 
 
 @pytest.mark.slow
 def test_a_model_is_made_again_until_it_holds(world) -> None:
     models = iter((true_model(world, broken_at=7), true_model(world)))
     found, asked = network_of(world, lambda: next(models))
-    assert len(asked) == 2
-    assert found.trusted.all()
+    assert len(asked) == 2 and found.trusted.all()
     assert any("made 2 times" in note for note in found.notes)
 
 
@@ -194,8 +189,7 @@ def test_one_limit_of_the_angle_holds_for_axes_and_for_the_views_of_a_surface(wo
 
 def test_without_a_model_counts_decide(world) -> None:
     found, _ = network_of(world, None)
-    assert NO_MODEL in found.notes
-    assert found.coarse.model is None and not found.trusted.any()
+    assert NO_MODEL in found.notes and found.coarse.model is None and not found.trusted.any()
 
 
 def lens(focal: float, x: float, y: float, known: bool = False) -> pycolmap.Camera:
@@ -257,8 +251,7 @@ def test_points_stand_where_the_rays_meet_and_a_ray_that_misses_is_left_out(stre
     found = made(street)
     assert len(found.points) == POINTS and len(found.image) == POINTS * IMAGES
     nearest = np.linalg.norm(found.points[:, None] - street[3][None], axis=2).min(axis=0)
-    assert 0 <= nearest.max() < 1e-5
-    assert np.all(np.bincount(found.point) == IMAGES)
+    assert 0 <= nearest.max() < 1e-5 and np.all(np.bincount(found.point) == IMAGES)
     street[2][2][7] += 60  # 7 degrees
     found = made(street)
     assert len(found.points) == POINTS and len(found.image) == POINTS * IMAGES - 1

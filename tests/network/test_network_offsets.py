@@ -36,8 +36,7 @@ def measure(world, settings):
 def test_default_finds_the_return_pass_at_another_speed() -> None:
     world = boat((24, 15), (1.5, 2.4))
     recall, precision, cross, network = measure(world, CandidatesSettings())
-    assert recall > 0.95 and cross > 0.95
-    assert 0.5 < precision < 1.0
+    assert recall > 0.95 and cross > 0.95 and 0.5 < precision < 1.0
     assert world.asked < 0.25 * len(world.scene) ** 2 / 2
     assert any("runs back along" in note and "180" in note for note in network.notes)
     assert (network.pairs.degree(len(world.scene)) > 0).all()
@@ -89,8 +88,7 @@ def test_paper_000_keeps_the_best_partner_of_each_camera() -> None:
     kept = network.pairs.kept()
     assert len(kept) and (kept.score >= settings.min_matches).all()
     cameras = len(world.scene.rigs[0].sensors)
-    assert len(kept) <= len(world.scene) * 2 * cameras
-    assert network.pairs.funnel()["weak"] > 0
+    assert len(kept) <= len(world.scene) * 2 * cameras and network.pairs.funnel()["weak"] > 0
 
 
 def test_of_the_partners_around_an_offset_the_best_ones_are_kept() -> None:
@@ -132,8 +130,7 @@ def test_single_pass_and_unknown_rig_work() -> None:
     bare = tuple(replace(s, sensor_from_rig=None) for s in world.scene.rigs[0].sensors)
     world.scene = world.scene.with_(rigs=(replace(world.scene.rigs[0], sensors=bare),))
     recall, precision, _, network = measure(world, CandidatesSettings())
-    assert recall > 0.95 and precision > 0.4
-    assert not any("runs back" in n for n in network.notes)
+    assert recall > 0.95 and precision > 0.4 and not any("runs back" in n for n in network.notes)
 
 
 @pytest.mark.slow
@@ -143,8 +140,7 @@ def test_missing_images_and_frames_are_no_obstacle() -> None:
     keep[world.scene.frame == 5] = False
     world = world.only(keep)
     recall, _, _, network = measure(world, CandidatesSettings())
-    assert recall > 0.9
-    assert network.pairs.j.max() < keep.sum()
+    assert recall > 0.9 and network.pairs.j.max() < keep.sum()
 
 
 @pytest.mark.slow
@@ -182,8 +178,7 @@ def test_pairs_and_previews_grow_with_the_images_and_not_with_their_square() -> 
         offsets = estimate_offsets(find_passes(world.scene), cache, n, CandidatesSettings(), TUNING)
         rows.append(len(offsets.pairs) / n)
         asked.append(len(cache) / n)
-    assert 0.5 < rows[1] / rows[0] < 1.3
-    assert asked[1] / asked[0] < 1.3
+    assert 0.5 < rows[1] / rows[0] < 1.3 and asked[1] / asked[0] < 1.3
 
 
 def test_a_coarser_lattice_looks_no_further_from_the_path() -> None:
@@ -203,8 +198,7 @@ def test_a_coarser_lattice_looks_no_further_from_the_path() -> None:
         kept = estimate_offsets(find_passes(world.scene), cache, n, CandidatesSettings(), tuning).pairs.kept()
         furthest.append(np.abs(step[kept.i] - step[kept.j]).max())
         previews.append(len(cache))
-    assert previews[1] < previews[0]
-    assert 12 <= furthest[1] <= 1.3 * furthest[0]
+    assert previews[1] < previews[0] and 12 <= furthest[1] <= 1.3 * furthest[0]
 
 
 def test_chance_gives_neither_heading_nor_direction() -> None:
@@ -260,8 +254,7 @@ def test_book_asks_each_pair_once() -> None:
     first = cache.measure(i, j)
     assert world.asked == 3 and len(cache) == 3
     assert np.array_equal(cache.measure(j, i), first) and world.asked == 3
-    assert np.isnan(cache.known(np.array([0]), np.array([2])))
-    assert first[0] == first[1]
+    assert np.isnan(cache.known(np.array([0]), np.array([2]))) and first[0] == first[1]
 
 
 def test_passes_of_two_rigs_on_one_track_are_two() -> None:
@@ -270,8 +263,7 @@ def test_passes_of_two_rigs_on_one_track_are_two() -> None:
     rigs = (world.scene.rigs[0], world.scene.rigs[0])
     scene = world.scene.with_(rigs=rigs, rig=np.array([0, 1, 0, 1]))
     passes = find_passes(scene)
-    assert [len(p) for p in passes] == [2, 2]
-    assert passes[0].name != passes[1].name
+    assert [len(p) for p in passes] == [2, 2] and passes[0].name != passes[1].name
     loose = scene.with_(sequence=np.array([0, 0, -1, -1]))
     assert set(scene.frame[loose_images(loose)]) == {2, 3}
 

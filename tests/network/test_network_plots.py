@@ -72,8 +72,7 @@ def test_kept_pairs_win_where_cells_are_shared() -> None:
     dropped = np.array([REASONS.index("section"), 0, REASONS.index("section")])
     pairs = Pairs.make([0, 1, 2], [2401, 2402, 2403], "offsets", dropped=dropped)
     cells, step = _matrix(pairs, np.arange(2404), 2404)
-    assert step == 3 and cells.shape == (802, 802)
-    assert cells[0, 800] == 1 and cells[800, 0] == 1
+    assert step == 3 and cells.shape == (802, 802) and cells[0, 800] == 1 and cells[800, 0] == 1
     assert np.count_nonzero(cells) in (2, 4)
 
 

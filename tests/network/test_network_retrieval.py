@@ -56,8 +56,7 @@ def test_blank_images_have_no_look_alikes() -> None:
     blank = np.zeros((0, 128), np.uint8)
     descriptors = [blank, *shuffled_ring(20).descriptors(), blank]
     index, cosine = nearest_images(descriptors, 50, WORDS)
-    assert index.shape == (22, 21)
-    assert (index[[0, -1]] == -1).all() and (cosine[[0, -1]] == 0).all()
+    assert index.shape == (22, 21) and (index[[0, -1]] == -1).all() and (cosine[[0, -1]] == 0).all()
     assert not np.isin(index, [0, 21]).any()
     assert (nearest_images([blank] * 3, 2, WORDS)[0] == -1).all()
     assert nearest_images([], 5, WORDS)[0].shape == (0, 0)
@@ -81,8 +80,7 @@ def test_a_video_that_comes_back_is_tied_to_its_start(ghosts) -> None:
     world = Places(np.arange(400) * 12.0, around=3600, ghosts=ghosts)
     result = loops(world)
     recall, precision = found(result.pairs, far(world, 100))
-    assert recall > 0.95 and precision > 0.8
-    assert world.asked < 5 * len(world)
+    assert recall > 0.95 and precision > 0.8 and world.asked < 5 * len(world)
     assert len(result.notes) == 1
     assert "clip frames 0.." in result.notes[0] and "..398 see the same place" in result.notes[0]
     assert result.pairs.from_source("retrieval").all()
@@ -93,8 +91,7 @@ def test_a_slow_video_is_sampled_and_the_frames_between_are_filled() -> None:
     world = Places(np.arange(400) * 4.0, around=1200)
     result = loops(world)
     recall, precision = found(result.pairs, far(world, 100))
-    assert recall > 0.9 and precision > 0.75
-    assert world.asked < len(world)
+    assert recall > 0.9 and precision > 0.75 and world.asked < len(world)
     assert len(result.pairs.kept()) > 5 * world.asked
 
 
@@ -102,8 +99,7 @@ def test_a_slow_video_is_sampled_and_the_frames_between_are_filled() -> None:
 def test_single_false_look_alikes_are_not_believed() -> None:
     world = Places(np.arange(300) * 12.0, ghosts=0.2)
     result = loops(world)
-    assert len(result.pairs.kept()) == 0
-    assert np.mean(result.pairs.score >= 15) > 0.15
+    assert len(result.pairs.kept()) == 0 and np.mean(result.pairs.score >= 15) > 0.15
     assert (result.pairs.dropped == REASONS.index("weak")).all()
     assert "no loops: none of" in result.notes[0]
 
@@ -134,8 +130,7 @@ def test_the_return_pass_of_a_rig_is_found_without_any_order() -> None:
     words = _words_by(survey, count)
     result = loop_candidates(find_passes(survey.scene), words, MatchCache(survey.match, count), SETTINGS, TUNING)
     recall, precision = found(result.pairs, survey.across())
-    assert recall > 0.6 and precision > 0.6
-    assert survey.asked < 16 * count
+    assert recall > 0.6 and precision > 0.6 and survey.asked < 16 * count
 
 
 def _words_by(survey, count: int) -> BagsOfWords:
@@ -157,8 +152,7 @@ def test_scenes_without_passes_or_photographs() -> None:
     alone = loop_candidates(passes_of(2), bags_of_words(world.descriptors()[:2], WORDS), cache, SETTINGS, TUNING)
     assert len(alone.pairs) == 0
     result = retrieve(photos(30), (), cache, SETTINGS, TUNING, world.descriptors)
-    assert found(result.pairs, world.useful())[0] == 1
-    assert "30 loose photographs" in result.notes[0]
+    assert found(result.pairs, world.useful())[0] == 1 and "30 loose photographs" in result.notes[0]
     clip = video(30)
     moving = retrieve(clip, find_passes(clip), MatchCache(world.match, 30), SETTINGS, TUNING, world.descriptors)
     assert all("loose" not in note for note in moving.notes)
@@ -205,10 +199,8 @@ def test_a_ring_of_300_photographs_needs_few_previews(ghosts, least) -> None:
     world.ghosts = ghosts
     pairs = tied(world)
     recall, precision = found(pairs, world.useful())
-    assert recall > 0.97 and precision > least
-    assert world.asked <= TUNING.previews_an_image * 300
-    assert components(pairs, 300).max() == 0
-    assert pairs.from_source("retrieval").all()
+    assert recall > 0.97 and precision > least and world.asked <= TUNING.previews_an_image * 300
+    assert components(pairs, 300).max() == 0 and pairs.from_source("retrieval").all()
 
 
 @pytest.mark.slow
@@ -246,8 +238,7 @@ def test_photographs_are_tied_to_the_frames_of_a_pass() -> None:
 def test_without_words_names_and_chance_must_do() -> None:
     world = shuffled_ring(300)
     recall, precision = found(tied(world, with_words=False), world.useful())
-    assert recall > 0.95 and precision > 0.8
-    assert world.asked > TUNING.previews_an_image * 300
+    assert recall > 0.95 and precision > 0.8 and world.asked > TUNING.previews_an_image * 300
 
 
 def test_nothing_to_tie() -> None:
@@ -266,8 +257,7 @@ def test_common_ties_decide_about_faint_pairs() -> None:
     score[(a == 0) & (b == 1)] = 10  # faint between images that tie to the same others
     score[(a == 4) & (b == 5)] = 10  # faint and alone
     kept = supported((a, b), score, 6, 12, TUNING)
-    assert kept[clique].all()
-    assert not kept[~clique].any()
+    assert kept[clique].all() and not kept[~clique].any()
     assert supported((np.array([0]), np.array([1])), np.array([24]), 2, 12, TUNING)[0]  # two photographs alone
 
 

@@ -96,8 +96,7 @@ def test_swapped_stereo_cameras_are_found() -> None:
     scene = simple_scene(rig, names, frame, sensor, np.zeros(10), sequences=("all",))
     # b stands right of a: things move to the left from a to b.
     checked, said = looked_at(scene, lambda pairs: [Result(80, np.eye(3), np.array([-0.05, 0.0]))] * len(pairs))
-    assert np.allclose(checked.rigs[0].sensors[1].sensor_from_rig, right)
-    assert "corrected" in said
+    assert np.allclose(checked.rigs[0].sensors[1].sensor_from_rig, right) and "corrected" in said
 
 
 def swapped(rig: Rig, order: list[int]) -> Rig:

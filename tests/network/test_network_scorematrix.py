@@ -71,8 +71,7 @@ def test_interpolation_is_bilinear_between_nodes() -> None:
     smooth[2, 3] = 5 + np.add.outer(np.arange(6), np.arange(5))
     full = replace(scores(), inliers=smooth * 2)
     c, d, m, n, count = full.interpolated(smooth, 10.0, TUNING.counts)
-    assert set(c) == {2} and set(d) == {3}
-    assert np.allclose(count, 2 * (5 + m / 2 + n / 2))
+    assert set(c) == {2} and set(d) == {3} and np.allclose(count, 2 * (5 + m / 2 + n / 2))
     expected = {(a, b) for a in range(11) for b in range(9) if 5 + a / 2 + b / 2 >= 10}
     assert set(zip(m.tolist(), n.tolist())) == expected
 
@@ -195,8 +194,7 @@ def test_a_long_pass_is_tied_as_far_as_its_cameras_see_and_no_further(few_axes) 
     hit = np.zeros((len(world.scene),) * 2, bool)
     hit[kept.i, kept.j] = True
     useful = world.true(i, j) & (np.abs(world.frame[i] - world.frame[j]) <= 6)
-    assert hit[i, j][useful].mean() > 0.9
-    assert world.true(kept.i, kept.j).mean() > 0.6
+    assert hit[i, j][useful].mean() > 0.9 and world.true(kept.i, kept.j).mean() > 0.6
     assert world.asked < 40 * len(world.scene)
 
 

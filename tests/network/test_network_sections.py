@@ -41,8 +41,7 @@ def test_bridge_is_found_and_joined_over_both_passes() -> None:
     kinds = {s.name: s for s in network.network.cut.sections}
     assert sorted(kinds) == ["bridge 1", "open 1", "open 2"]
     bridge = np.isin(world.scene.frame, kinds["bridge 1"].frames)
-    assert np.array_equal(bridge, under)
-    assert 80 < network.network.cut.threshold < 130
+    assert np.array_equal(bridge, under) and 80 < network.network.cut.threshold < 130
     assert set(network.scene.section) == {0, 1, 2}
 
 

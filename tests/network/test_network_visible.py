@@ -91,8 +91,7 @@ def test_a_nearer_wall_hides_the_one_behind() -> None:
     cameras = [CAMERA, CAMERA]
     open_ = shared(poses, cameras, points_proxy(behind), max_scale=10)
     hidden = shared(poses, cameras, points_proxy(np.concatenate([behind, screen])), max_scale=10)
-    assert open_.share.max() > 0.9
-    assert len(hidden) == 0
+    assert open_.share.max() > 0.9 and len(hidden) == 0
 
 
 def test_a_wall_is_not_seen_from_behind() -> None:

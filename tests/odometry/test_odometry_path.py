@@ -63,8 +63,7 @@ def test_one_camera_gives_the_shape_without_a_scale():
 def test_cameras_without_a_common_view_are_followed_together():
     """Their scale is known only as far as they turn: hardly, on so short a drive; the sigma along the path says so."""
     rig = apart(60, 0.1)
-    assert rig.partners() == {0: (), 1: ()}
-    assert stereo().partners() == {0: (1,)}
+    assert rig.partners() == {0: (), 1: ()} and stereo().partners() == {0: (1,)}
     path, truth = drive(rig, ALL), true_path(ALL)
     assert path.metric and (path.segment == 0).all()
     off, scale = off_after_similarity(path, truth)
@@ -115,8 +114,7 @@ def test_a_segment_is_joined_when_a_known_place_is_seen_again():
     """Dark for longer than the patience: a new segment begins, in whose first keyframe the old place is seen."""
     truth = true_path(ALL)
     path = drive(stereo(), ALL, dark=(10, 11, 12, 13, 14))
-    assert path.loops >= 1
-    assert path.segment.tolist() == [0] * 10 + [-1] * 5 + [0] * 9
+    assert path.loops >= 1 and path.segment.tolist() == [0] * 10 + [-1] * 5 + [0] * 9
     assert np.linalg.norm((path.world_from_rig - truth)[-1, :3, 3]) < 0.03 * length_m(truth)
 
 

@@ -133,5 +133,4 @@ def test_one_frame_and_images_without_texture_are_refused(start, tmp_path, capsy
     assert run(tmp_path, "-o", tmp_path / "vo.tum", images="one") == 2
     assert "usable image" in capsys.readouterr().err
     assert run(tmp_path, "--camera", CAMERA, "-o", tmp_path / "vo.tum", images="grey") != 0
-    assert "no pose was found" in capsys.readouterr().err
-    assert not (tmp_path / "vo.tum").exists()
+    assert "no pose was found" in capsys.readouterr().err and not (tmp_path / "vo.tum").exists()

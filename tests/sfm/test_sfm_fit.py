@@ -100,8 +100,7 @@ def test_truth_is_found_with_lever_arm_and_clock() -> None:
     assert found.similarity.scale == pytest.approx(TRUE.scale, rel=5e-4)
     np.testing.assert_allclose(found.similarity.rotation, TRUE.rotation, atol=2e-3)
     np.testing.assert_allclose(found.arm.place[:2], LEVER[:2], atol=0.02)
-    assert found.clock.offset_s == pytest.approx(LATE_S, abs=0.01)
-    assert found.inlier.all()
+    assert found.clock.offset_s == pytest.approx(LATE_S, abs=0.01) and found.inlier.all()
 
 
 def test_the_sigma_of_what_residuals_leave_open_is_infinite():
@@ -193,8 +192,7 @@ def test_an_upward_direction_that_the_positions_refute_is_not_used(turned_deg, w
     up = Up(np.array([0.0, np.sin(turn), np.cos(turn)]), 10.0, ring=False, tilt=False, cameras="the images")
     notes: list[str] = []
     found = up_to_use(evidence, up, notes, WorldTuning())
-    assert (found is up) == used
-    assert ("not used" in notes[0]) == (not used)
+    assert (found is up) == used and ("not used" in notes[0]) == (not used)
 
 
 @pytest.mark.parametrize(("stated_m", "held"), [(2.0, True), (0.05, False)])
@@ -250,5 +248,4 @@ def test_what_the_model_bends_is_no_error_of_the_positions() -> None:
         off = fit.similarity.matrix[:3, 3]
         ratios.append(np.append(off, np.log(fit.similarity.scale)) / np.sqrt(np.diag(fit.error.covariance)[3:7]))
         left.append(np.sqrt(np.diag(fit.bent[1])))
-    assert 0.6 < np.sqrt(np.mean(np.square(ratios))) < 1.4
-    assert 0.003 < np.median(left) < 0.1
+    assert 0.6 < np.sqrt(np.mean(np.square(ratios))) < 1.4 and 0.003 < np.median(left) < 0.1

@@ -247,11 +247,14 @@ def test_points_of_one_street_find_their_place(scale: float | None) -> None:
 
 @pytest.mark.slow
 def test_points_that_fit_in_several_places_or_nowhere_place_nothing() -> None:
-    """Even walls, streets that do not overlap, and a world too wide to search."""
+    """Even walls, and streets that do not overlap."""
     fit, *_ = placed(street(0, LONG_M, True, 0), street(3, LONG_M - 3, True, 1), 1 / 0.4)
     assert "about equally many" in fit.why_not(CLOUDS) and fit.explained > 0.8
     fit, off, _ = placed(street(0, LONG_M, False, 0), street(90, 90 + LONG_M, False, 1))
     assert off > 20 and fit.why_not(CLOUDS)
+
+
+def test_a_world_too_wide_is_not_searched() -> None:
     far = street(0, LONG_M, False, 0) * [3000, 3000, 1]
     model = Surface(street(0, LONG_M, False, 1), np.eye(3), RANGE_M)
     assert fit_clouds(Surface(far, np.eye(3), RANGE_M), model, 1.0, CLOUDS) is None

@@ -127,8 +127,7 @@ def test_a_drawing_tells_where_a_camera_of_any_rig_is_though_not_how_large_it_is
     centres = true + 0.002 * rng.standard_normal((5, 3))
     centres[4] += [0.9, -0.6, 0.7]  # as the images had it
     found, sigma = leverarmprior.expected_centres(_rig(centres, axes), TUNING, drawing)[6]
-    assert np.linalg.norm(found - true[4]) < 0.02
-    assert 0.05 < sigma < 0.3
+    assert np.linalg.norm(found - true[4]) < 0.02 and 0.05 < sigma < 0.3
     incomplete = {k: c for k, c in drawing.items() if k != 4}
     mirrored = {k: c * [1, 1, -1] for k, c in drawing.items()}
     for other in (incomplete, mirrored):
@@ -163,8 +162,7 @@ def test_a_camera_goes_where_it_is_expected_only_if_the_images_leave_it_open(tmp
     near = np.linalg.norm(_centre(final_adjustment(start, tuning=Tuning().adjust).model) - expected)
     monkeypatch.setattr(leverarmprior, "add_priors", lambda *arguments: [])
     without = np.linalg.norm(_centre(final_adjustment(start, tuning=Tuning().adjust).model) - expected)
-    assert far > 1.5 * sigma and without > 0.8 * far
-    assert near < 0.5 * far
+    assert far > 1.5 * sigma and without > 0.8 * far and near < 0.5 * far
 
 
 def _centre(model: pycolmap.Reconstruction) -> np.ndarray:
