@@ -69,6 +69,16 @@ class World:
         cosine = np.sum(a * b, axis=-1) / np.maximum(np.linalg.norm(a, axis=-1) * np.linalg.norm(b, axis=-1), 1e-9)
         return np.mean(seen & (cosine > np.cos(np.radians(45))), axis=1)
 
+    @property
+    def step(self) -> np.ndarray:
+        """(N,) number of each image's frame in its pass."""
+        return self.scene.sequence_index[self.scene.frame]
+
+    @property
+    def track(self) -> np.ndarray:
+        """(N,) pass of each image."""
+        return self.scene.sequence[self.scene.frame]
+
     def useful(self, least: float = 0.15) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Every pair i, j (K,), and whether its overlap is enough."""
         i, j = np.triu_indices(len(self.scene), 1)
@@ -81,8 +91,7 @@ class World:
 
     def of_two_passes(self, i: np.ndarray, j: np.ndarray) -> np.ndarray:
         """(K,) bool."""
-        track = self.scene.sequence[self.scene.frame]
-        return track[i] != track[j]
+        return self.track[i] != self.track[j]
 
     def only(self, keep: np.ndarray) -> World:
         """The survey with only some images (N,) bool; frames that lose all of theirs go too."""

@@ -89,7 +89,7 @@ def test_a_torn_model_is_made_again_and_believed_on_one_side_of_the_tear(world, 
     whole, once = believed
     torn, asked = network_of(world, true_model(world, broken_at=7))
     assert len(once) == 1 and len(asked) == TUNING.coarse.tries
-    step = world.scene.sequence_index[world.scene.frame]
+    step = world.step
     assert torn.trusted[step < 7].all() and not torn.trusted[step >= 7].any()
     assert any("not believed" in note for note in torn.notes)
     assert any(f"made {TUNING.coarse.tries} times" in note for note in torn.notes)
@@ -109,7 +109,7 @@ def test_a_model_is_made_again_until_it_holds(world) -> None:
 @pytest.mark.slow
 def test_a_pass_put_some_metres_further_is_noticed_and_made_again_without_what_drew_it_there(world) -> None:
     folded = true_model(world, shifted_m=30.0)
-    track = world.scene.sequence[world.scene.frame]
+    track = world.track
     found, asked = network_of(world, folded)
     assert len(asked) == TUNING.coarse.tries and len(asked[1]) < len(asked[0])
     assert len(np.unique(track[found.trusted])) == 1

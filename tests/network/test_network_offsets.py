@@ -61,7 +61,7 @@ def test_constant_offsets_stay_in_their_range() -> None:
     best = {(c.pass_a, c.pass_b, c.sensor_a, c.sensor_b): c for c in network.candidates.curves if c.accepted}
     kept = network.pairs.kept()
     label = world.scene.image_label()
-    step = world.scene.sequence_index[world.scene.frame]
+    step = world.step
     assert len(kept)
     for i, j in zip(kept.i, kept.j):
         if (label[i][0], label[j][0], label[i][1], label[j][1]) not in best:
@@ -98,7 +98,7 @@ def test_of_the_partners_around_an_offset_the_best_ones_are_kept() -> None:
     settings = CandidatesSettings(offsets="constant", offset_range=4, min_matches=40)
     cache = MatchCache(world.match, len(world.scene))
     scores = score_matrix(p, q, 1, np.ones((5, 5), bool), TUNING.offsets.scores)
-    step, every = world.scene.sequence_index[world.scene.frame], _around(scores, (1, 3), 15, True, cache, settings)
+    step, every = world.step, _around(scores, (1, 3), 15, True, cache, settings)
     assert set(step[every.i] + step[every.j] - 15) == set(range(-4, 5))
     for best in (1, 2):
         chosen = settings.model_copy(update={"offset_best": best})
@@ -184,7 +184,7 @@ def test_pairs_and_previews_grow_with_the_images_and_not_with_their_square() -> 
 def test_a_coarser_lattice_looks_no_further_from_the_path() -> None:
     """Out of its budget of previews the lattice takes every second frame, and still as many frames beside the path."""
     world = boat((160,), (1.0,), ring(3, up=False))
-    n, step = len(world.scene), world.scene.sequence_index[world.scene.frame]
+    n, step = len(world.scene), world.step
 
     def match(pairs: np.ndarray) -> list[Result]:
         apart = np.abs(step[pairs[:, 0]] - step[pairs[:, 1]])

@@ -46,7 +46,7 @@ def share_of(data: bytes, colour: tuple, reach: int = 8) -> float:
 @lru_cache(maxsize=1)
 def surveyed() -> tuple[World, Steps]:
     world = boat((8, 8), (3.0, 3.0), ring(4))
-    brightness = np.where(np.isin(world.scene.sequence_index[world.scene.frame], (3, 4, 5)), 60.0, 150.0)
+    brightness = np.where(np.isin(world.step, (3, 4, 5)), 60.0, 150.0)
     return world, network_of(world.scene, world.match, light=brightness)
 
 
@@ -137,7 +137,7 @@ def test_weak_links_are_read_from_the_table() -> None:
 
 def test_sections_show_every_cue() -> None:
     world, network = surveyed()
-    under = np.isin(world.scene.sequence_index[world.scene.frame], (3, 4, 5))
+    under = np.isin(world.step, (3, 4, 5))
     light = UpLight(np.where(under, 60.0, 150.0), np.where(under, 0.1, 0.8))
     found = find_sections(world.scene, find_passes(world.scene), light, TUNING.sections)
     image = opened(sections_png(world.scene.with_(section=found.of_frame), found.sections, found.cues))

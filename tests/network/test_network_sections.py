@@ -15,14 +15,18 @@ from tiegraph.scene.scene import Scene
 TUNING = Tuning().sections
 
 
-def survey(frames: int = 20, dark: tuple[int, int] = (8, 13)):
-    """Two passes; the first and the return pass see the bridge at the same place. Brightness (N,) by image."""
+def survey(frames: int = 20):
+    """Two passes; the first and the return pass see the bridge at the same place. Brightness (N,) by image, and which
+    of them (N,) are below it."""
     world = boat((frames, frames), (2.0, 2.0))
-    step = world.scene.sequence_index[world.scene.frame]
-    there = np.where(world.scene.sequence[world.scene.frame] == 0, step, frames - step)
-    under = (there >= dark[0]) & (there < dark[1])
+    there = np.where(world.track == 0, world.step, frames - world.step)
+    under = (there >= 8) & (there < 13)
     noise = np.random.default_rng(0).normal(0, 4, len(world.scene))
     return world, np.where(under, 60, 150) + noise, under
+
+
+def of_frames(scene: Scene, under: np.ndarray) -> np.ndarray:
+    return by_up_frame(scene, under.astype(float)) > 0.5
 
 
 def cut(scene: Scene, light: np.ndarray | UpLight) -> SectionResult:
@@ -60,23 +64,19 @@ def test_paper_001_cuts_between_sections_and_link_does_not() -> None:
 
 
 def test_even_light_and_slow_change_of_it_are_one_section() -> None:
-    world, _, _ = survey()
-    rng = np.random.default_rng(1)
-    light = UpLight(rng.normal(150, 5, len(world.scene)), rng.normal(0.8, 0.03, len(world.scene)))
-    found = cut(world.scene, light)
+    scene, rng = survey()[0].scene, np.random.default_rng(1)
+    found = cut(scene, UpLight(rng.normal(150, 5, len(scene)), rng.normal(0.8, 0.03, len(scene))))
     assert len(found.sections) == 1 and "two clear classes" in found.notes[0] and "needed" in found.notes[0]
     assert (found.of_frame == 0).all() and np.isnan(found.threshold)
-    world, _, _ = survey(30)
-    dusk = 150 - 0.5 * world.scene.frame
-    found = cut(world.scene, dusk)
-    assert len(found.sections) == 1
+    scene = survey(30)[0].scene
+    assert len(cut(scene, 150 - 0.5 * scene.frame).sections) == 1
 
 
 def test_automatic_exposure_hides_the_bridge_from_brightness_but_not_from_the_sky_share() -> None:
     """The camera opens within three frames: the deck becomes as bright as the sky was, and the sky then burns out."""
     world, _, under = survey()
     scene = world.scene
-    frame_under = by_up_frame(scene, under.astype(float)) > 0.5
+    frame_under = of_frames(scene, under)
     rng = np.random.default_rng(3)
     grey = np.zeros(scene.frames)
     gain = 1.0
@@ -99,26 +99,21 @@ def test_exif_exposure_gives_the_light_itself() -> None:
     luminance = np.where(under, 8.0, 80.0)
     grey = 255 * np.clip(luminance * exposure, 0, 1) ** (1 / 2.2) + rng.normal(0, 2, len(under))
     found = cut(world.scene, UpLight(grey, None, exposure))
-    truth = by_up_frame(world.scene, under.astype(float)) > 0.5
-    assert np.array_equal(bridges(found), truth)
+    assert np.array_equal(bridges(found), of_frames(world.scene, under))
     assert [c.name for c in found.cues] == ["luminance by EXIF exposure"]
     half = np.where(world.scene.frame % 2 == 0, exposure, np.nan)  # too few images carry it
-    cues = cut(world.scene, UpLight(grey, None, half)).cues
-    assert [c.name for c in cues] == ["brightness"]
+    assert [c.name for c in cut(world.scene, UpLight(grey, None, half)).cues] == ["brightness"]
 
 
 def test_each_pass_has_its_own_threshold_and_a_clouded_pass_is_not_a_bridge() -> None:
     world, brightness, under = survey()
-    back = world.scene.sequence[world.scene.frame] == 1
-    passes = find_passes(world.scene)
+    back, passes = world.track == 1, find_passes(world.scene)
     found = cut(world.scene, np.where(back, 0.45, 1.0) * brightness)
-    truth = by_up_frame(world.scene, under.astype(float)) > 0.5
-    assert np.array_equal(bridges(found), truth)
+    assert np.array_equal(bridges(found), of_frames(world.scene, under))
     first, second = (found.cues[0].threshold[p.frames[0]] for p in passes)
     assert first > 1.7 * second
     clouded = np.where(back, 60 + 0.1 * brightness, brightness)  # the whole way back as dark as the bridge was
-    found = cut(world.scene, clouded)
-    there = bridges(found)
+    there = bridges(cut(world.scene, clouded))
     assert there[passes[0].frames].any() and not there[passes[1].frames].any()
 
 
@@ -132,17 +127,11 @@ def test_no_up_camera_and_off_are_one_section() -> None:
 
 
 def test_a_single_dark_frame_is_no_bridge_and_missing_images_take_the_state_of_their_neighbours() -> None:
-    world, brightness, _ = survey()
-    up = world.scene.sensor == 5
-    flash = brightness.copy()
-    flash[up & (world.scene.frame == 3)] = 60
-    found = cut(world.scene, flash)
-    assert all(3 not in s.frames for s in found.sections if s.kind == "bridge")
     world, brightness, under = survey()
-    gone = (world.scene.sensor == 5) & np.isin(world.scene.frame, (2, 10))
-    found = cut(world.scene, np.where(gone, np.nan, brightness))
-    truth = by_up_frame(world.scene, under.astype(float)) > 0.5
-    assert np.array_equal(bridges(found), truth)
+    up, frame = world.scene.sensor == 5, world.scene.frame
+    assert not bridges(cut(world.scene, np.where(up & (frame == 3), 60, brightness)))[3]
+    found = cut(world.scene, np.where(up & np.isin(frame, (2, 10)), np.nan, brightness))
+    assert np.array_equal(bridges(found), of_frames(world.scene, under))
 
 
 def test_otsu_splits_two_heaps() -> None:

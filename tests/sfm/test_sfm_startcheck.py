@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from sfm_worlds import lone_scene
 
-import worlds
 from tiegraph.geometry.transforms import rigid
-from tiegraph.scene.scene import Scene, simple_scene
-from tiegraph.sfm.startcheck import check_start, told
+from tiegraph.sfm.startcheck import StartCheck, check_start, told
 from tiegraph.sfm.tuning import StartCheckTuning
 
 TUNING, COUNT, REACH = StartCheckTuning(), 40, 8.0
@@ -40,52 +39,46 @@ def turned(poses: np.ndarray, rows: slice, deg: float) -> np.ndarray:
     return out
 
 
-def scene() -> Scene:
-    rig = worlds.two_camera_rig()
-    return simple_scene(rig, [f"{k:03d}.jpg" for k in range(COUNT)], np.arange(COUNT), np.zeros(COUNT))
+def judged(given: np.ndarray) -> tuple[StartCheck, str, bool]:
+    """A start model against that of the images: what is found, what is told, and whether it contradicts."""
+    found = check_start(given, river(), REACH, TUNING)
+    return found, *told(found, lone_scene(COUNT), TUNING)
 
 
 def test_a_model_of_another_world_and_unit_agrees() -> None:
-    found = check_start(elsewhere(river()), river(), REACH, TUNING)
+    found, text, contradicts = judged(elsewhere(river()))
     assert found.both.all() and not found.bad.any()
     assert 0.01 < np.median(found.turned_deg) < 0.5 and 1e-4 < np.median(found.off) < 0.02
-    text, contradicts = told(found, scene(), TUNING)
     assert not contradicts and text.startswith("start model: 40 of 40 images agree with it, to 0.")
 
 
 @pytest.mark.parametrize("rows", [slice(22, None), slice(0, 14), slice(30, None)])
 def test_a_part_that_is_turned_is_found_and_named(rows: slice) -> None:
-    given = turned(elsewhere(river()), rows, 20.0)
-    found = check_start(given, river(), REACH, TUNING)
-    wrong = np.zeros(COUNT, bool)
-    wrong[rows] = True
-    assert np.array_equal(found.bad, wrong)
+    found, text, contradicts = judged(turned(elsewhere(river()), rows, 20.0))
+    wrong = np.arange(COUNT)[rows]
+    assert np.array_equal(np.flatnonzero(found.bad), wrong)
     assert np.median(found.turned_deg[wrong]) == pytest.approx(20, abs=0.3)
-    text, contradicts = told(found, scene(), TUNING)
-    first = f"such as {np.flatnonzero(wrong)[0]:03d}.jpg"
+    first = f"such as {wrong[0]:03d}.jpg"
     assert contradicts and "turned against the others by 20 deg" in text and first in text and "bent there" in text
 
 
 def test_a_part_of_another_scale_is_found_though_it_is_not_turned() -> None:
     given = elsewhere(river())
     given[25:, :3, 3] = given[25, :3, 3] + 3 * (given[25:, :3, 3] - given[25, :3, 3])
-    found = check_start(given, river(), REACH, TUNING)
-    assert not found.bad[:25].any() and found.bad[26:].mean() > 0.9 and np.nanmax(found.turned_deg) < 1
-    assert told(found, scene(), TUNING)[1]
+    found, _, contradicts = judged(given)
+    assert contradicts and not found.bad[:25].any() and found.bad[26:].mean() > 0.9 and np.nanmax(found.turned_deg) < 1
 
 
 def test_another_survey_is_told_as_one_and_few_wrong_images_are_no_contradiction() -> None:
-    given = river()[np.random.default_rng(1).permutation(COUNT)]
-    text, contradicts = told(check_start(given, river(), REACH, TUNING), scene(), TUNING)
+    _, text, contradicts = judged(river()[np.random.default_rng(1).permutation(COUNT)])
     assert contradicts and "is it of another survey, or are images named otherwise?" in text
-    given = turned(elsewhere(river()), slice(37, None), 20.0)
-    text, contradicts = told(check_start(given, river(), REACH, TUNING), scene(), TUNING)
+    _, text, contradicts = judged(turned(elsewhere(river()), slice(37, None), 20.0))
     assert not contradicts and "37 of 40 images agree" in text and "3 images do not" in text
 
 
 def test_too_few_common_images_say_nothing() -> None:
     given = elsewhere(river())
     given[2:] = np.nan
-    found = check_start(given, river(), REACH, TUNING)
-    assert found.both.sum() == 2 and not found.bad.any()
-    assert told(found, scene(), TUNING) == ("start model: 2 of its images are in the model, too few to test it", False)
+    found, text, contradicts = judged(given)
+    assert found.both.sum() == 2 and not found.bad.any() and not contradicts
+    assert text == "start model: 2 of its images are in the model, too few to test it"
