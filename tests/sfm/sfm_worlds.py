@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pycolmap
@@ -20,15 +21,43 @@ from tiegraph.scene.scene import Scene, simple_scene
 from tiegraph.scene.tuning import Tuning as SceneTuning
 from tiegraph.sfm.mapper import Source, SparseResult, reconstruct
 from tiegraph.sfm.model import frame_poses
-from tiegraph.sfm.settings import SparseSettings
+from tiegraph.sfm.settings import GeorefSettings, SparseSettings
 from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.world.fit import Evidence
+from tiegraph.sfm.world.fixes import Measurements
+from tiegraph.sfm.world.georef import Georeference, georeference
 from tiegraph.sfm.world.unknowns import LeverArm
+
+
+class World(NamedTuple):
+    """The truth of a survey, and its scene."""
+
+    truth: pycolmap.Reconstruction
+    scene: Scene
+
+    @property
+    def centres(self) -> np.ndarray:
+        """True places of the frames (F, 3)."""
+        return frame_centres(self.truth, self.scene)
+
+    def measured(self, noise_m: float, seed: int = 1, sigma_m: float | None = None) -> Scene:
+        """The scene with the frames' positions, whose noise is stated if no other sigma is given."""
+        off = noise_m * np.random.default_rng(seed).standard_normal((self.scene.frames, 3))
+        return with_positions(self.scene, self.centres + off, noise_m if sigma_m is None else sigma_m)
+
+    def placed_by(self, survey: Scene, given: Measurements | None = None, **settings: object) -> Georeference:
+        """A model of the survey, which is the truth in another frame and unit, placed by what is measured."""
+        model, settings = elsewhere(self.truth), GeorefSettings(**settings)
+        return georeference(model, survey, settings, Tuning().world, given or Measurements())
+
+    def error_m(self, model: pycolmap.Reconstruction) -> float:
+        """Root mean square of the errors of frames that are in the world."""
+        return rms(frame_centres(model, self.scene) - self.centres)
 
 
 def make_world(
     path: Path, cameras: int = 3, frames: int = 8, noise_px: float = 0.3, points: int = 150, **lens: object
-) -> tuple[pycolmap.Reconstruction, Scene]:
+) -> World:
     """A database with one rig, its truth, and its scene (extrinsics exact, cameras as given, no positions).
 
     ``lens``: other ``camera_...`` options of COLMAP's synthetic data.
@@ -49,7 +78,7 @@ def make_world(
     with pycolmap.Database.open(path) as database:
         truth = pycolmap.synthesize_dataset(options, database)
         pycolmap.synthesize_noise(pycolmap.SyntheticNoiseOptions(point2D_stddev=noise_px), truth, database)
-    return truth, scene_of(truth)
+    return World(truth, scene_of(truth))
 
 
 def scene_of(truth: pycolmap.Reconstruction) -> Scene:

@@ -7,17 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from sfm_worlds import elsewhere, frame_centres, make_world, rms, true_frames, with_positions
+from sfm_worlds import World, elsewhere, make_world, true_frames, with_positions
 
 from tiegraph.geometry.geodesy import make_origin
 from tiegraph.scene.colmapmodel import image_poses
 from tiegraph.sfm.model import frame_poses
-from tiegraph.sfm.settings import GeorefSettings
-from tiegraph.sfm.tuning.world import WorldTuning
 from tiegraph.sfm.world.fixes import Measurements
-from tiegraph.sfm.world.georef import georeference
-
-TUNING = WorldTuning()
 
 
 @pytest.fixture(scope="module")
@@ -27,13 +22,11 @@ def world(tmp_path_factory):
 
 @pytest.mark.slow
 def test_positions_bring_the_model_back(world) -> None:
-    truth, scene = world
-    true = frame_centres(truth, scene)
-    noise = 0.1 * np.random.default_rng(0).standard_normal(true.shape)
+    noise = 0.1 * np.random.default_rng(0).standard_normal((20, 3))
     noise[3] = [8, 0, 0]  # an outlier
-    survey = with_positions(scene, true + noise, 0.1)
-    found = georeference(elsewhere(truth), survey, GeorefSettings(), TUNING)
-    error = rms(frame_centres(found.apply(elsewhere(truth)), scene) - true)
+    survey = with_positions(world.scene, world.centres + noise, 0.1)
+    found = world.placed_by(survey)
+    error = world.error_m(found.apply(elsewhere(world.truth)))
     assert found.placed and found.scale_source == "gnss"
     assert found.world_from_model.scale == pytest.approx(1 / 0.37, rel=0.03)
     assert 0.005 < error < 0.12  # better than one position, not perfect
@@ -51,75 +44,69 @@ def test_positions_bring_the_model_back(world) -> None:
     # A shift of datum; one datum by two names.
     for crs, place, tied_m in (("EPSG:27700", (52.0, -1.0, 0.0), 2.0), ("EPSG:6677", (36.0, 140.0, 0.0), 0.0)):
         here = replace(survey, origin=make_origin(*place, crs))
-        there = georeference(elsewhere(truth), here, GeorefSettings(), TUNING).uncertainty.sigma
+        there = world.placed_by(here).uncertainty.sigma
         assert there["position_m"] == pytest.approx(np.hypot(found.uncertainty.sigma["position_m"], tied_m), rel=0.01)
         assert there["height_m"] == found.uncertainty.sigma["height_m"]
 
 
 def test_positions_that_do_not_tell_the_size_place_nothing(world) -> None:
     """Twenty photographs from one spot, to which positions of 5 m give places a millimetre apart."""
-    truth, scene = world
-    place = 0.001 * np.random.default_rng(0).standard_normal((20, 3))
-    survey = with_positions(scene, place, 5.0)
-    assert georeference(elsewhere(truth), survey, GeorefSettings(), TUNING).placed  # the rig tells its size
-    nominal = survey.with_(rigs=tuple(replace(r, nominal=True) for r in scene.rigs))
-    found = georeference(elsewhere(truth), nominal, GeorefSettings(), TUNING)
+    survey = with_positions(world.scene, 0.001 * np.random.default_rng(0).standard_normal((20, 3)), 5.0)
+    assert world.placed_by(survey).placed  # the rig tells its size
+    found = world.placed_by(survey.with_(rigs=tuple(replace(r, nominal=True) for r in survey.rigs)))
     assert not found.placed and any("do not tell its size" in n for n in found.findings.notes)
+
+
+ARM = (0.9, -0.4, 0.5)
+
+
+def _antenna(world: World) -> np.ndarray:
+    """Where it is at each frame, so far from the first camera."""
+    true = true_frames(*world)
+    return true[:, :3, 3] + true[:, :3, :3] @ ARM
 
 
 @pytest.mark.slow
 def test_lever_arm_given_and_estimated(world) -> None:
-    truth, scene = world
-    true = true_frames(truth, scene)
-    arm = np.array([0.9, -0.4, 0.5])
-    survey = with_positions(scene, true[:, :3, 3] + true[:, :3, :3] @ arm, 0.05)
-    given = survey.with_(rigs=(replace(scene.rigs[0], antenna_m=tuple(arm)),))
-    without = georeference(elsewhere(truth), survey, GeorefSettings(antenna="ignored"), TUNING)
-    with_arm = georeference(elsewhere(truth), given, GeorefSettings(), TUNING)
+    survey = with_positions(world.scene, _antenna(world), 0.05)
+    without = world.placed_by(survey, antenna="ignored")
+    with_arm = world.placed_by(survey.with_(rigs=(replace(survey.rigs[0], antenna_m=ARM),)))
     assert max(with_arm.residuals.rms_m().values()) < 1e-3 < 0.05 < max(without.residuals.rms_m().values())
-    estimated = georeference(elsewhere(truth), survey, GeorefSettings(antenna="estimated"), TUNING)
-    np.testing.assert_allclose(estimated.receiver.antenna_m, arm, atol=0.1)
+    estimated = world.placed_by(survey, antenna="estimated")
+    np.testing.assert_allclose(estimated.receiver.antenna_m, ARM, atol=0.1)
     assert any("estimated" in n for n in estimated.findings.notes)
 
 
 @pytest.mark.slow
 def test_a_stretch_of_multipath_does_not_hide_behind_the_lever_arm(world) -> None:
-    truth, scene = world
-    true, arm = true_frames(truth, scene), np.array([0.9, -0.4, 0.5])
-    antenna = true[:, :3, 3] + true[:, :3, :3] @ arm + 0.02 * np.random.default_rng(1).standard_normal((20, 3))
+    antenna = _antenna(world) + 0.02 * np.random.default_rng(1).standard_normal((20, 3))
     antenna[3:8] += [0.9, -0.6, 1.2]  # with the same sigma stated
-    found = georeference(elsewhere(truth), with_positions(scene, antenna, 0.02), GeorefSettings(), TUNING)
-    assert 0.001 < rms(frame_centres(found.apply(elsewhere(truth)), scene) - true[:, :3, 3]) < 0.04
-    np.testing.assert_allclose(found.receiver.antenna_m, arm, atol=0.05)
+    found = world.placed_by(with_positions(world.scene, antenna, 0.02))
+    assert 0.001 < world.error_m(found.apply(elsewhere(world.truth))) < 0.04
+    np.testing.assert_allclose(found.receiver.antenna_m, ARM, atol=0.05)
     assert not found.residuals.inlier[3:8].any() and found.residuals.inlier.sum() >= 15
 
 
 def test_fixed_rig_alone_gives_the_scale(world) -> None:
-    truth, scene = world
-    found = georeference(elsewhere(truth), scene, GeorefSettings(), TUNING)
+    scene = world.scene
+    found = world.placed_by(scene)
     assert not found.placed and found.scale_source == "rig baseline" and found.origin is None
     assert found.world_from_model.scale == pytest.approx(1 / 0.37, rel=1e-6)
     shrink = np.array([[1, 1, 1, 0.02]] * 3 + [[1, 1, 1, 1]])
     short = tuple(replace(s, sensor_from_rig=s.sensor_from_rig * shrink) for s in scene.rigs[0].sensors)
     for change, said in (({"nominal": True}, "nominal"), ({"sensors": short}, "no scale taken from the rig")):
-        other = scene.with_(rigs=(replace(scene.rigs[0], **change),))
-        none = georeference(elsewhere(truth), other, GeorefSettings(), TUNING)
+        none = world.placed_by(scene.with_(rigs=(replace(scene.rigs[0], **change),)))
         assert none.scale_source == "none" and any(said in n for n in none.findings.notes)
 
 
 @pytest.mark.slow
 def test_images_that_hardly_carry_the_baseline_widen_the_scale_of_the_rig(world) -> None:
-    truth, scene = world
-    survey = with_positions(scene, 1.03 * frame_centres(truth, scene), 0.05)
-    sure, vague = (
-        georeference(elsewhere(truth), survey, GeorefSettings(), TUNING, Measurements(model_scale_sigma=s))
-        for s in (1e-4, 0.05)
-    )
-    assert sure.placing is not None and vague.placing is not None and sure.placing.model.scale is not None
+    survey = with_positions(world.scene, 1.03 * world.centres, 0.05)
+    sure, vague = (world.placed_by(survey, Measurements(model_scale_sigma=s)) for s in (1e-4, 0.05))
     assert sure.placing.model.scale.sigma < 0.01
     assert vague.placing.model.scale == replace(sure.placing.model.scale, sigma=pytest.approx(0.05, rel=0.05))
     assert vague.world_from_model.scale == pytest.approx(1.03 / 0.37, rel=0.01)  # the positions have their say
-    alone = georeference(elsewhere(truth), scene, GeorefSettings(), TUNING, Measurements(model_scale_sigma=0.05))
+    alone = world.placed_by(world.scene, Measurements(model_scale_sigma=0.05))
     assert alone.scale_source == "rig baseline" and any("scale good to 5.0%" in n for n in alone.findings.notes)
 
 
@@ -127,12 +114,10 @@ def test_a_trajectory_holds_the_roll_and_the_rig_is_scaled_too(world) -> None:
     truth, scene = world
     poses = true_frames(truth, scene)
     survey = scene.with_(world_from_rig=poses, position_sigma_m=np.full((scene.frames, 3), 0.1), prior="trajectory")
-    found = georeference(elsewhere(truth), survey, GeorefSettings(), TUNING)
+    found = world.placed_by(survey)
     assert found.scale_source in ("trajectory", "rig baseline")
     placed = frame_poses(image_poses(found.apply(elsewhere(truth)), scene), scene)
     np.testing.assert_allclose(placed, poses, atol=1e-3)
-    survey = with_positions(scene, frame_centres(truth, scene), 0.05)
-    model = elsewhere(truth)
-    placed = georeference(model, survey, GeorefSettings(), TUNING).apply(model)
+    placed = world.placed_by(world.measured(0.0, sigma_m=0.05)).apply(elsewhere(truth))
     for sensor, pose in truth.rig(1).non_ref_sensors.items():
         np.testing.assert_allclose(placed.rig(1).sensor_from_rig(sensor).translation, pose.translation, atol=1e-4)

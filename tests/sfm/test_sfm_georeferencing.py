@@ -46,22 +46,18 @@ def world(tmp_path_factory):
     return make_world(tmp_path_factory.mktemp("world") / "database.db", cameras=2, frames=24)
 
 
-def _error(model, truth, scene) -> float:
-    return rms(frame_centres(model, scene) - frame_centres(truth, scene))
-
-
 @pytest.mark.slow
 def test_control_points_alone_place_and_check_points_stay_out(world) -> None:
     truth, scene = world
     control = control_of(truth, scene)
     found, placed = georeference_model(elsewhere(truth), scene, GeorefSettings(), TUNING, Measurements(control=control))
     assert found.placed and found.scale_source in ("control points", "rig baseline")
-    assert 0.001 < _error(placed, truth, scene) < 0.1
+    assert 0.001 < world.error_m(placed) < 0.1
     assert found.control.accuracy["gcp"]["points"] == 4 and found.control.accuracy["check"]["points"] == 2
     assert 0 < found.control.accuracy["check"]["rmse_m"] < 0.05
     moved = replace(control, world_m=control.world_m + np.where(control.check, 3.0, 0.0)[:, None])
     other, same = georeference_model(elsewhere(truth), scene, GeorefSettings(), TUNING, Measurements(control=moved))
-    assert _error(same, placed, scene) < 1e-6
+    assert rms(frame_centres(same, scene) - frame_centres(placed, scene)) < 1e-6
     assert other.control.accuracy["check"]["rmse_east_m"] == pytest.approx(3, abs=0.1)
 
 
@@ -71,7 +67,7 @@ def test_a_point_with_one_mark_is_said_with_its_line(world) -> None:
     marks = control.marks
     rows = (marks.point != 1) | (np.arange(len(marks)) == np.flatnonzero(marks.point == 1)[0])
     few = replace(control, marks=marks.where(rows))
-    found = georeference(elsewhere(truth), scene, GeorefSettings(), WORLD, Measurements(control=few))
+    found = world.placed_by(scene, Measurements(control=few))
     assert found.control.rows[1]["off_m"] is None
     assert any("'P1' is not used: 1 marks in registered images" in n and "line 8" in n for n in found.findings.notes)
 
@@ -91,7 +87,7 @@ def test_adjustment_meets_the_truth_and_says_what_it_did(world) -> None:
     plain, before = georeference_model(elsewhere(truth), survey, GeorefSettings(adjust="no"), TUNING)
     found, after = georeference_model(elsewhere(truth), survey, GeorefSettings(adjust="yes"), TUNING)
     assert not plain.adjusted and found.adjusted
-    assert 0.002 < _error(after, truth, scene) < min(0.04, 1.2 * _error(before, truth, scene) + 0.01)
+    assert 0.002 < world.error_m(after) < min(0.04, 1.2 * world.error_m(before) + 0.01)
     np.testing.assert_allclose(found.receiver.antenna_m, arm, atol=0.03)
     assert any("positions held back are met within" in n for n in found.findings.notes)
     held, without = found.residuals.held, plain.residuals.held
@@ -102,19 +98,15 @@ def test_adjustment_meets_the_truth_and_says_what_it_did(world) -> None:
 @pytest.mark.slow
 def test_what_the_rig_file_gives_with_a_sigma_holds_among_the_positions_too(world) -> None:
     truth, scene = world
-    frames = frame_centres(truth, scene)
-    noise = 0.01 * np.random.default_rng(5).standard_normal(frames.shape)
-    placed = with_positions(scene, frames + noise, 0.01)
+    placed, adjusted = world.measured(0.01, seed=5), GeorefSettings(adjust="yes")
     given = np.array(scene.rigs[0].sensors[1].sensor_from_rig)
     given[0, 3] += 0.05
     places = []
     for sigma, soft in ((0.001, (0,)), (1.0, (0,)), (1.0, ())):
         sensor = replace(scene.rigs[0].sensors[1], sensor_from_rig=given, sigma_m=sigma, sigma_deg=10.0)
         rig = replace(scene.rigs[0], sensors=(scene.rigs[0].sensors[0], sensor), fixed=False)
-        scene_given = placed.with_(rigs=(rig,))
-        _, model = georeference_model(
-            truth, scene_given, GeorefSettings(adjust="yes"), TUNING, None, ConstantParameters(soft=soft)
-        )
+        held = ConstantParameters(soft=soft)
+        _, model = georeference_model(truth, placed.with_(rigs=(rig,)), adjusted, TUNING, None, held)
         places.append(next(p.translation[0] for p in model.rig(1).non_ref_sensors.values()))
     tight, loose, unknown = places
     assert abs(tight - given[0, 3]) < 0.4 * abs(loose - given[0, 3])
@@ -124,33 +116,29 @@ def test_what_the_rig_file_gives_with_a_sigma_holds_among_the_positions_too(worl
 @pytest.mark.slow
 def test_every_fifth_gross_outlier_and_a_pass_without_positions(world) -> None:
     truth, scene = world
-    true = frame_centres(truth, scene)
-    rng = np.random.default_rng(2)
+    true, rng = world.centres, np.random.default_rng(2)
     wrong = true + 0.05 * rng.standard_normal(true.shape)
     bad = rng.choice(scene.frames, 3, replace=False)
     wrong[bad] += 30 * rng.standard_normal((3, 3))
-    found = georeference(elsewhere(truth), with_positions(scene, wrong, 0.05), GeorefSettings(antenna="ignored"), WORLD)
+    found = world.placed_by(with_positions(scene, wrong, 0.05), antenna="ignored")
     assert not found.residuals.inlier[bad].any() and found.residuals.inlier.sum() >= scene.frames - 5
-    assert _error(found.apply(elsewhere(truth)), truth, scene) < 0.1
+    assert world.error_m(found.apply(elsewhere(truth))) < 0.1
     half = np.where(np.arange(scene.frames)[:, None] < 12, true, np.nan)
     two = with_positions(scene.with_(sequence=np.arange(24) >= 12, sequences=("up", "down")), half, 0.05)
-    lost = georeference(elsewhere(truth), two, GeorefSettings(), WORLD)
+    lost = world.placed_by(two)
     assert lost.placed and any("pass 'down' has no position" in n for n in lost.findings.notes)
 
 
 def test_frames_that_see_no_point_do_not_end_the_process(world) -> None:
     """Their poses are constant to Ceres, and so is all that a position of theirs is compared with."""
     truth, scene = world
-    true = frame_centres(truth, scene)
-    noise = 0.03 * np.random.default_rng(1).standard_normal(true.shape)
     blind = pycolmap.Reconstruction(truth)
     for image in [i for i in blind.images.values() if 3 <= scene.frame[scene.image_index[i.name]] < 6]:
         for k in image.get_observation_point2D_idxs():
             blind.delete_observation(image.image_id, k)
-    found, placed = georeference_model(
-        blind, with_positions(scene, true + noise, 0.03), GeorefSettings(adjust="yes", antenna="ignored"), TUNING
-    )
-    assert found.adjusted and 0.001 < _error(placed, truth, scene) < 0.05
+    settings = GeorefSettings(adjust="yes", antenna="ignored")
+    found, placed = georeference_model(blind, world.measured(0.03), settings, TUNING)
+    assert found.adjusted and 0.001 < world.error_m(placed) < 0.05
 
 
 def test_exchanged_axes_are_said_of_a_whole_model_only(world) -> None:
@@ -175,11 +163,8 @@ def test_exchanged_axes_are_said_of_a_whole_model_only(world) -> None:
 @pytest.mark.slow
 def test_of_a_right_survey_chance_alone_never_says_a_mirror_image(world) -> None:
     """Not where positions are so poor that they hardly tell the model's shape."""
-    truth, scene = world
-    true = frame_centres(truth, scene)
     for seed in range(20):
-        noise = 10 * np.random.default_rng(seed).standard_normal(true.shape)
-        found = georeference(elsewhere(truth), with_positions(scene, true + noise, 10.0), GeorefSettings(), WORLD)
+        found = world.placed_by(world.measured(10.0, seed))
         assert found.placed and not any("mirror image" in c for c in found.findings.contradictions)
 
 
