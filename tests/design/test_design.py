@@ -63,11 +63,6 @@ def corridor(frames: int = 10, seed: int = 0) -> tuple[Scene, Pairs, PreviewMatc
     return scene, Pairs.make(i, j, "file", score=np.array([len(m) for m in matches], float)), ties
 
 
-def test_all_keeps_everything() -> None:
-    pairs = graph(20, 100, 0)
-    assert designed(pairs, photos(20), method="all").pairs is pairs
-
-
 @pytest.mark.slow
 @settings(max_examples=30, deadline=None)
 @given(st.integers(2, 30), st.integers(0, 200), st.integers(0, 99), st.integers(1, 6), st.sampled_from(METHODS))
@@ -261,6 +256,7 @@ def test_the_funnel_and_the_weak_links_come_as_tables() -> None:
     assert dict(found.tables["funnel"]["rows"])["used"] == found.counts["pairs"] == len(found.pairs.kept())
     assert set(np.unique(found.pairs.dropped)) <= {0, REASONS.index("cut")}
     assert found.tables["weak links"]["rows"] == []
+    assert designed(pairs, scene, ties, method="all").pairs is pairs
 
 
 def test_nothing_to_choose_from_is_no_error() -> None:

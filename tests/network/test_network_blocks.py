@@ -13,7 +13,7 @@ from blocks_world import CAMERA, FRAMES, WALL_M, Mapper, place, survey, ties_of
 from network_steps import Mapper as Steps
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity, umeyama
-from tiegraph.network.coarse.assembled import assembled
+from tiegraph.network.coarse.assembled import Assembled, assembled
 from tiegraph.network.coarse.model import CoarseModel
 from tiegraph.network.tuning import Tuning
 from tiegraph.scene.blocks import Block, blocks_of
@@ -31,6 +31,12 @@ TUNING = SceneTuning(blocks=BlocksTuning(unplaced=1))  # small enough for a worl
 def world() -> tuple[Scene, np.ndarray, PreviewMatches]:
     scene, truth = survey()
     return scene, truth, ties_of(scene)
+
+
+def mapped(world, make) -> Assembled:
+    """The models of all blocks, joined; ``make`` maps one of them."""
+    scene, _, ties = world
+    return Steps(scene, Tuning(), make, TUNING)(ties)
 
 
 def error_m(model: CoarseModel, truth: np.ndarray) -> np.ndarray:
@@ -118,9 +124,9 @@ def test_a_small_survey_is_mapped_whole(world) -> None:
 
 
 def test_blocks_come_together_in_one_frame(world) -> None:
-    scene, truth, ties = world
+    scene, truth, _ = world
     mapper = Mapper(scene, truth, noise_m=0.02)
-    made = Steps(scene, Tuning(), mapper, TUNING)(ties)
+    made = mapped(world, mapper)
     (model,), notes = made.models, made.notes
     assert len(mapper.sizes) > 2 and max(mapper.sizes) <= TUNING.blocks.whole
     assert model.placed().all()
@@ -134,8 +140,7 @@ def test_blocks_come_together_in_one_frame(world) -> None:
 
 
 def test_a_torn_block_is_said_and_the_parts_stay_usable(world) -> None:
-    scene, truth, ties = world
-    made = Steps(scene, Tuning(), Mapper(scene, truth, broken=1), TUNING)(ties)
+    made = mapped(world, Mapper(*world[:2], broken=1))
     models, notes = made.models, made.notes
     assert len(models) >= 2
     assert any("not joined there" in n for n in notes) and any("torn into" in n for n in notes)
@@ -145,21 +150,20 @@ def test_a_torn_block_is_said_and_the_parts_stay_usable(world) -> None:
 
 
 def test_a_block_that_cannot_be_mapped_is_said(world) -> None:
-    scene, truth, ties = world
+    scene, truth, _ = world
     mapper = Mapper(scene, truth)
 
     def make(part: Scene, inside: PreviewMatches) -> CoarseModel | None:
         model = mapper(part, inside)
         return None if len(mapper.sizes) == 2 else model
 
-    made = Steps(scene, Tuning(), make, TUNING)(ties)
+    made = mapped(world, make)
     assert any("none could be made" in n for n in made.notes)
     assert 0.4 < sum(m.placed().sum() for m in made.models) / len(scene) < 0.95
 
 
 def test_a_model_is_the_same_from_its_file(world) -> None:
-    scene, truth, ties = world
-    (model,) = Steps(scene, Tuning(), Mapper(scene, truth), TUNING)(ties).models
+    (model,) = mapped(world, Mapper(*world[:2])).models
     again = CoarseModel.from_npz(model.to_npz())
     for name in ("cam_from_world", "points", "image", "point"):
         assert np.array_equal(getattr(again, name), getattr(model, name), equal_nan=True)

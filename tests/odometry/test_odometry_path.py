@@ -32,18 +32,14 @@ def off_after_similarity(path, truth):
     return np.linalg.norm(fit(places) - true, axis=1).max(), fit.scale
 
 
-def test_stereo_drifts_by_less_than_one_percent():
+def test_stereo_drifts_by_less_than_one_percent_and_its_sigmas_are_of_the_size_of_its_errors():
+    """Median over the path, for one drive is one sample of what drifts."""
     path, truth = drive(stereo(), ALL), true_path(ALL)
     assert path.metric and (path.segment == 0).all() and 2 <= path.keyframe.sum() < FRAMES
     off = np.linalg.norm((path.world_from_rig - truth)[:, :3, 3], axis=1)
     assert 1e-5 < off[-1] < 0.01 * length_m(truth)
     turned = transforms.angle_deg(path.world_from_rig[:, :3, :3], truth[:, :3, :3])
     assert 1e-4 < turned.max() < 0.3
-
-
-def test_sigmas_of_a_drive_are_of_the_size_of_its_errors():
-    """Median over the path, for one drive is one sample of what drifts."""
-    path, truth = drive(stereo(), ALL), true_path(ALL)
     place, turn = path.sigmas()
     assert (place[0] == 0).all() and (np.diff(np.linalg.norm(place[path.keyframe], axis=1)) > 0).all()
     off = np.abs((path.world_from_rig - truth)[1:, :3, 3])
