@@ -31,11 +31,13 @@ def rig_scene(frames: int, cameras: int = 2, tracks: tuple[int, ...] = ()):
     return simple_scene(rig, names, frame, sensor, np.array(tracks), sequences=names_of)
 
 
-def test_a_ring_is_sound() -> None:
+def test_a_ring_is_sound_and_dropped_pairs_do_not_count() -> None:
     found = coverage(pairs_of("01 12 23 03"), photos(4))
     assert found.sound
     assert found.lines == ("4 pairs hold 4 images together; no place hangs on a single link",)
     assert found.table["rows"] == []
+    found = coverage(pairs_of("01 12 02").drop(np.array([False, True, False]), "cut"), photos(3))
+    assert found.counts["pairs"] == found.counts["bridges"] == 2
 
 
 def test_two_rings_on_one_pair() -> None:
@@ -47,14 +49,11 @@ def test_two_rings_on_one_pair() -> None:
     assert any("1 single link" in line and "002.jpg - 003.jpg (3 frames)" in line for line in found.lines)
 
 
-def test_two_rings_on_one_image() -> None:
+def test_two_rings_on_one_image_and_a_chain() -> None:
     found = coverage(pairs_of("01 02 12 23 24 34"), photos(5))
     assert found.counts["bridges"] == 0
     assert found.table["rows"] == [["joint", "002.jpg", 2, 1, None]] and "1 joint" in found.lines[0]
     assert "002.jpg (2 frames)" in found.lines[0]
-
-
-def test_a_chain_hangs_on_every_pair() -> None:
     found = coverage(pairs_of("01 12 23"), photos(4))
     assert found.counts["bridges"] == 3 and found.counts["joints"] == 2
     assert found.table["rows"][0] == ["single link", "001.jpg - 002.jpg", 2, 1, None]  # the worst first
@@ -81,11 +80,6 @@ def test_passes_on_one_link_or_none_are_named() -> None:
     none = coverage(Pairs.make([0, 2], [1, 3], "file"), scene)
     assert "no pair ties pass pass0, pass1 to the others" in none.lines
     assert none.counts["components"] == 2 and none.table["rows"][0][:2] == ["pass", "pass0"]
-
-
-def test_dropped_pairs_do_not_count() -> None:
-    found = coverage(pairs_of("01 12 02").drop(np.array([False, True, False]), "cut"), photos(3))
-    assert found.counts["pairs"] == found.counts["bridges"] == 2
 
 
 def previews(counts: dict[tuple[int, int], int]) -> PreviewMatches:

@@ -51,7 +51,7 @@ def done(tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_exactly_the_kept_pairs_are_matched_and_counted(done):
+def test_exactly_the_kept_pairs_are_matched_and_counted_lost_ones_listed_with_the_reason(done):
     folder, pairs, report, progress = done
     kept = listed().dropped == 0
     without = kept & ((pairs.i == EMPTY) | (pairs.j == EMPTY))
@@ -66,6 +66,9 @@ def test_exactly_the_kept_pairs_are_matched_and_counted(done):
     assert report.inliers == pairs.inliers[kept & ~without].sum() <= report.matches
     assert sum(report.configurations.values()) == report.matched
     assert progress[0] == (0, report.matched) and progress[-1] == (report.matched, report.matched)
+    name = scene().names[EMPTY]
+    assert len(report.lost) == report.asked - report.matched
+    assert all(name in both and f"no features in {name}" in reason for both, reason in report.lost)
 
 
 @pytest.mark.slow
@@ -87,14 +90,6 @@ def test_any_number_of_processes_any_history_and_a_cluster_make_the_same_bytes(d
 def test_no_process_matches_on_two_threads():
     """Then COLMAP does not always find the same (see the module); a run of these small images seldom shows it."""
     assert matchblocks.colmap_options(RULES)[0].num_threads == 1
-
-
-@pytest.mark.slow
-def test_lost_pairs_are_listed_with_the_reason(done):
-    _, pairs, report, _ = done
-    name = scene().names[EMPTY]
-    assert len(report.lost) == report.asked - report.matched
-    assert all(name in both and f"no features in {name}" in reason for both, reason in report.lost)
 
 
 @pytest.mark.slow

@@ -70,21 +70,18 @@ def test_lone_camera_in_loops(tmp_path):
     assert not false.any() and (result.pairs.dropped == 0).mean() >= 0.99
 
 
-def test_off_keeps_all(repeated, tmp_path):
+def test_off_keeps_all_and_a_missing_database_is_named(repeated, tmp_path):
     result, _ = repeated.run(tmp_path, method="off")
     assert np.all(result.pairs.dropped == 0)
+    pairs = Pairs.make(np.array([0]), np.array([5]), "sequence")
+    with pytest.raises(InputError, match="nowhere.db"):
+        filter_pairs(tmp_path / "nowhere.db", repeated.scene, pairs, FilterSettings(), Tuning(), serial)
 
 
 def test_same_input_same_result(tmp_path):
     made = add_repeats(world(frames=4, sensors=3))
     a, b = (made.run(tmp_path)[0] for _ in range(2))
     assert np.array_equal(a.pairs.dropped, b.pairs.dropped)
-
-
-def test_missing_database_is_named(repeated, tmp_path):
-    pairs = Pairs.make(np.array([0]), np.array([5]), "sequence")
-    with pytest.raises(InputError, match="nowhere.db"):
-        filter_pairs(tmp_path / "nowhere.db", repeated.scene, pairs, FilterSettings(), Tuning(), serial)
 
 
 def test_refused_pairs_are_left_out(tmp_path):

@@ -80,14 +80,11 @@ def test_limits_make_the_window_coarser():
     assert 15_000 < small.size[0] * small.size[1] < 22_000
 
 
-def test_no_baseline_and_motion_along_the_view_are_refused():
+def test_no_baseline_motion_along_the_view_and_no_common_part_are_refused():
     reference = camera((0, 0, 0))
     for other in (camera((0, 0, 0), (0, 5, 0)), camera((0, 0, 2))):
         assert rectifying_rotation(reference.cam_from_world, other.cam_from_world) is None
     assert rectify(reference, camera((0, 0, 2)), RANGE, 1e6, 512) is None
-
-
-def test_images_without_common_part_are_refused():
     for other, reach in ((camera((1, 0, 0), (0, 170, 0)), RANGE), (camera((100, 0, 0)), (4.0, 5.0))):
         assert rectify(camera((0, 0, 0)), other, reach, 1e6, 512) is None
 

@@ -155,9 +155,14 @@ def test_views_of_a_lens_are_one_witness_of_water(monkeypatch):
 FRAMES = FramesTuning()
 
 
-def test_first_and_last(tmp_path):
+def test_the_first_and_the_last_frame_are_taken_equal_or_differently_sized_ones_passed_over(tmp_path):
     a, b = two_frames(sequence(tmp_path), FRAMES)
     assert (a == grey(frame(0))).all() and (b == grey(frame(3))).all()
+    images = sequence(tmp_path)
+    write(images[3], frame(0))
+    write(images[2], frame(2)[:100])
+    a, b = two_frames(images, FRAMES)
+    assert (b == grey(frame(1))).all()
 
 
 @pytest.mark.parametrize("broken", [0, 3])
@@ -167,14 +172,6 @@ def test_broken_end_frame_is_passed_over(tmp_path, broken, caplog):
     a, b = two_frames(images, FRAMES)
     assert (a == grey(frame(1 if broken == 0 else 0))).all()
     assert (b == grey(frame(2 if broken == 3 else 3))).all() and images[broken].name in caplog.text
-
-
-def test_equal_or_differently_sized_last_frame_is_passed_over(tmp_path):
-    images = sequence(tmp_path)
-    write(images[3], frame(0))
-    write(images[2], frame(2)[:100])
-    a, b = two_frames(images, FRAMES)
-    assert (b == grey(frame(1))).all()
 
 
 def test_one_image_equal_images_or_none_readable_give_none(tmp_path, caplog):
@@ -194,14 +191,11 @@ def test_reduced_size_keeps_the_shape(tmp_path, size):
     assert full_size(np.ones(small.shape[:2], bool), size).shape == size
 
 
-def test_reduced_reading_agrees_with_full_reading(tmp_path):
+def test_reduced_reading_agrees_with_full_reading_and_grey_is_three_equal_channels(tmp_path):
     image = cv2.resize(frame(0), (2560, 1920), interpolation=cv2.INTER_CUBIC)
     small = read_small(write(tmp_path / "a.jpg", image), FRAMES.work_px).astype(float)
     full = cv2.resize(image, (640, 480), interpolation=cv2.INTER_AREA)
     assert np.abs(small - full).mean() < 2.0  # grey levels
-
-
-def test_grey_image_is_read_as_three_equal_channels(tmp_path):
     small = read_small(write(tmp_path / "a.png", grey(frame(0))), FRAMES.work_px)
     assert small.shape == (*SHAPE, 3) and np.ptp(small, axis=2).max() == 0
 

@@ -10,9 +10,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from blocks_world import CAMERA, FRAMES, WALL_M, Mapper, place, survey, ties_of
+from near import off_after_similarity
 from network_steps import Mapper as Steps
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import Similarity, umeyama
+from tiegraph.geometry.align import Similarity
 from tiegraph.network.coarse.assembled import Assembled, assembled
 from tiegraph.network.coarse.model import CoarseModel
 from tiegraph.network.tuning import Tuning
@@ -42,8 +43,8 @@ def mapped(world, make) -> Assembled:
 def error_m(model: CoarseModel, truth: np.ndarray) -> np.ndarray:
     """(K,) distances of the placed images from the truth after the best similarity."""
     there = model.placed()
-    found, true = transforms.centre(model.cam_from_world[there]), transforms.centre(truth[there])
-    return np.linalg.norm(umeyama(found, true)(found) - true, axis=1)
+    found, true = (transforms.centre(poses[there]) for poses in (model.cam_from_world, truth))
+    return np.linalg.norm(off_after_similarity(found, true), axis=1)
 
 
 def test_both_passes_of_a_place_are_in_one_block(world) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sqlite3
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -11,10 +12,10 @@ import numpy as np
 import pycolmap
 from scipy.spatial.transform import Rotation
 
+from near import rms
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import umeyama
 from tiegraph.geometry.geodesy import Origin
-from tiegraph.scene.colmapmodel import image_poses, matrix
+from tiegraph.scene.colmapmodel import MAX_IMAGES, image_poses, matrix
 from tiegraph.scene.control import Control, Marks
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
@@ -117,19 +118,17 @@ def true_frames(truth: pycolmap.Reconstruction, scene: Scene) -> np.ndarray:
     return transforms.invert(poses[reference])
 
 
+def drop_pairs(path: Path, gone: Callable[[int, int], bool]) -> None:
+    """Verified pairs of a database go, of whose two images (COLMAP's numbers) that is so."""
+    with sqlite3.connect(path) as db:
+        for (pair,) in db.execute("SELECT pair_id FROM two_view_geometries").fetchall():
+            if gone(*divmod(pair, MAX_IMAGES)):
+                db.execute("DELETE FROM two_view_geometries WHERE pair_id = ?", (pair,))
+
+
 def frame_centres(model: pycolmap.Reconstruction, scene: Scene) -> np.ndarray:
     """Places of the frames (F, 3) in a model."""
     return frame_poses(image_poses(model, scene), scene)[:, :3, 3]
-
-
-def rms(off: np.ndarray) -> float:
-    """Root mean square length of vectors (K, 3)."""
-    return float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
-
-
-def off_after_similarity(found: np.ndarray, true: np.ndarray) -> np.ndarray:
-    """Errors (K, 3) of places after the similarity that brings them nearest to the true ones."""
-    return umeyama(found, true)(found) - true
 
 
 def elsewhere(truth: pycolmap.Reconstruction) -> pycolmap.Reconstruction:

@@ -9,9 +9,10 @@ import numpy as np
 import pycolmap
 import pytest
 from road_worlds import moving_world, write_database
-from sfm_worlds import run_sparse
+from sfm_worlds import drop_pairs, run_sparse
 
 from near import assert_reconstruction_near
+from tiegraph.scene.colmapdatabase import image_ids
 from tiegraph.scene.colmapmodel import MAX_IMAGES, image_poses
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import BlocksTuning
@@ -51,12 +52,8 @@ def test_blocks_make_one_model(world, tmp_path: Path) -> None:
 
 def _cut(folder: Path, scene: Scene, frame: int) -> None:
     """No verified pair between the frames before and from ``frame`` on."""
-    with sqlite3.connect(folder / "database.db") as db:
-        names = dict(db.execute("SELECT image_id, name FROM images"))
-        late = {i for i, n in names.items() if scene.frame[scene.image_index[n]] >= frame}
-        for (pair,) in db.execute("SELECT pair_id FROM two_view_geometries").fetchall():
-            if len(set(divmod(pair, MAX_IMAGES)) & late) == 1:
-                db.execute("DELETE FROM two_view_geometries WHERE pair_id = ?", (pair,))
+    late = {number for k, number in image_ids(folder / "database.db", scene).items() if scene.frame[k] >= frame}
+    drop_pairs(folder / "database.db", lambda *pair: len({*pair} & late) == 1)
 
 
 @pytest.mark.slow

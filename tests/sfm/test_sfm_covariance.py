@@ -12,8 +12,9 @@ from benchmarks.network.matched import positions_free_gauge
 from road_worlds import moving_world
 from scipy import sparse
 from scipy.spatial.transform import Rotation
-from sfm_worlds import frame_centres, make_world, off_after_similarity, rms, seen_anew, true_frames
+from sfm_worlds import frame_centres, make_world, seen_anew, true_frames
 
+from near import off_after_similarity, rms
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity, umeyama
 from tiegraph.geometry.transforms import skew

@@ -14,12 +14,11 @@ from sfm_worlds import (
     level_poses,
     lone_scene,
     make_world,
-    off_after_similarity,
-    rms,
     true_frames,
     with_positions,
 )
 
+from near import off_after_similarity, rms
 from tiegraph.geometry import transforms
 from tiegraph.geometry.gravity import Up
 from tiegraph.scene.colmapmodel import matrix

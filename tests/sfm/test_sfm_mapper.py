@@ -1,39 +1,34 @@
-"""Mapping a synthetic rig survey: fixed, derived and absent rig, losses with reasons, and the errors."""
+"""Mapping a synthetic rig survey: rigs, losses with reasons, errors; which of two mappers' models stays."""
 
 from __future__ import annotations
 
 import sqlite3
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pycolmap
 import pytest
-from sfm_worlds import (
-    frame_centres,
-    make_world,
-    off_after_similarity,
-    rms,
-    run_sparse,
-    with_positions,
-    without_extrinsics,
-)
+from sfm_worlds import drop_pairs, frame_centres, make_world, run_sparse, with_positions, without_extrinsics
 
 from here import here
+from near import off_after_similarity, rms
 from tiegraph.child import run_in_child
 from tiegraph.errors import ChildDied, ReconstructionError, SettingsError
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import umeyama
 from tiegraph.scene.colmapdatabase import image_ids
-from tiegraph.scene.colmapmodel import MAX_IMAGES, image_poses
+from tiegraph.scene.colmapmodel import image_poses
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm import mapper, mapping
 from tiegraph.sfm.mapper import SparseResult
-from tiegraph.sfm.mapping import choose_mapper
+from tiegraph.sfm.mapping import choose_mapper, cost_in_the_end, ran_off
 from tiegraph.sfm.model import held_out_frames
 from tiegraph.sfm.rig.rig import model_extrinsics, rig_modes
 from tiegraph.sfm.settings import SparseSettings
-from tiegraph.sfm.tuning import MappingTuning
+from tiegraph.sfm.tuning import MappingTuning, Tuning
 from tiegraph.sfm.tuning.world import FixTuning
 
 
@@ -71,11 +66,8 @@ def test_fixed_rig_keeps_its_metric_size(tmp_path: Path) -> None:
 def test_an_image_without_a_point_is_placed_by_its_rig_and_not_registered(tmp_path: Path) -> None:
     _, scene = make_world(tmp_path / "database.db")
     blind = scene.image_index[next(n for k, n in enumerate(scene.names) if scene.sensor[k] == 1)]
-    ids = {v: k for k, v in image_ids(tmp_path / "database.db", scene).items()}
-    with sqlite3.connect(tmp_path / "database.db") as connection:
-        for (pair,) in connection.execute("SELECT pair_id FROM two_view_geometries").fetchall():
-            if blind in (ids[pair // MAX_IMAGES], ids[pair % MAX_IMAGES]):
-                connection.execute("DELETE FROM two_view_geometries WHERE pair_id = ?", (pair,))
+    number = image_ids(tmp_path / "database.db", scene)[blind]
+    drop_pairs(tmp_path / "database.db", lambda *pair: number in pair)
     result = _run(tmp_path, scene, mapper="incremental", covariance_frames=0)
     assert result.counts["registered"] == len(scene) - 1 and result.counts["placed_by_rig"] == 1
     assert result.remarks.dropped == () and any("1 images see fewer than 10 points" in n for n in result.remarks.notes)
@@ -137,14 +129,12 @@ def test_unknown_rig_is_found_and_used(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_absent_rig_and_lost_images_keep_their_reason(tmp_path: Path) -> None:
     _, scene = make_world(tmp_path / "database.db", cameras=2, frames=6)
+    *_, (before, name_before), (last, name) = sorted(
+        (number, scene.names[k]) for k, number in image_ids(tmp_path / "database.db", scene).items()
+    )
     with sqlite3.connect(tmp_path / "database.db") as db:
-        last, before = db.execute("SELECT image_id FROM images ORDER BY image_id DESC LIMIT 2").fetchall()
-        name = db.execute("SELECT name FROM images WHERE image_id = ?", last).fetchone()[0]
-        name_before = db.execute("SELECT name FROM images WHERE image_id = ?", before).fetchone()[0]
-        db.execute("UPDATE keypoints SET rows = 0, data = x'' WHERE image_id = ?", last)
-        for lost in (last[0], before[0]):
-            either = "pair_id / 2147483647 = ? OR pair_id % 2147483647 = ?"
-            db.execute(f"DELETE FROM two_view_geometries WHERE {either}", (lost, lost))
+        db.execute("UPDATE keypoints SET rows = 0, data = x'' WHERE image_id = ?", (last,))
+    drop_pairs(tmp_path / "database.db", lambda *pair: last in pair or before in pair)
     result = _run(tmp_path, scene, rig="absent")
     assert result.rig == "absent" and result.mapper == "incremental"
     reasons = {name: "no features (masked, blank or unreadable)", name_before: "no verified pair"}
@@ -162,8 +152,7 @@ def test_what_cannot_be_mapped_is_said(tmp_path: Path) -> None:
     _, scene = make_world(tmp_path / "database.db", cameras=2, frames=4)
     with pytest.raises(SettingsError, match="sensors without extrinsics"):
         _run(tmp_path, without_extrinsics(scene), rig="fixed")
-    with sqlite3.connect(tmp_path / "database.db") as db:
-        db.execute("DELETE FROM two_view_geometries")
+    drop_pairs(tmp_path / "database.db", lambda *pair: True)
     with pytest.raises(ReconstructionError, match=r"Of 8 images 8 have features; 0 pairs .*Remedies"):
         _run(tmp_path, scene)
 
@@ -238,3 +227,79 @@ def test_sections_mapped_apart_are_joined_and_adjusted_as_one(tmp_path: Path) ->
     assert 0 < whole < 0.05 and 0 < _centre_error(result, scene, truth) < 1.5 * whole + 1e-4
     assert any("2 sections were mapped apart, 2 of them joined" in note for note in result.remarks.notes)
     assert not any("no verified pair" in note for note in result.remarks.notes)
+
+
+MOST = Tuning().mapping.other_focal
+
+
+def _with_focal(model: pycolmap.Reconstruction, factor: float) -> pycolmap.Reconstruction:
+    out = pycolmap.Reconstruction(model)
+    camera = out.camera(1)
+    for k in camera.focal_length_idxs():
+        camera.params[k] = factor * camera.params[k]
+    return out
+
+
+def test_only_what_is_far_from_a_given_focal_length_ran_off(tmp_path: Path) -> None:
+    truth, scene = make_world(tmp_path / "database.db", cameras=1, frames=4)
+    rig = scene.rigs[0]
+    camera = pycolmap.Camera(rig.sensors[0].camera.todict())
+    given_px = camera.mean_focal_length()
+    assert ran_off(_with_focal(truth, MOST - 0.01), scene, MOST) is None
+    assert ran_off(_with_focal(truth, 1 / MOST + 0.01), scene, MOST) is None
+    said = ran_off(_with_focal(truth, 2.0), scene, MOST)
+    assert said is not None and f"{2 * given_px:.0f} px, {given_px:.0f} px are given" in said
+    assert ran_off(_with_focal(truth, 1 / MOST - 0.01), scene, MOST) is not None
+    camera.has_prior_focal_length = False
+    guessed = scene.with_(rigs=(replace(rig, sensors=(replace(rig.sensors[0], camera=camera),)),))
+    assert ran_off(_with_focal(truth, 2.0), guessed, MOST) is None
+
+
+@pytest.mark.parametrize(
+    ("cost", "kept", "rough"), [(0.9, "global", False), (1.1, "incremental", False), (0.9, "global", True)]
+)
+def test_the_model_that_explains_the_images_better_stays(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cost: float, kept: str, rough: bool
+) -> None:
+    """A coarse model too: no adjustment comes back from poses with a wrong focal length."""
+    truth, scene = make_world(tmp_path / "database.db", cameras=1, frames=4)
+    job = _job(scene)
+    job = replace(job, source=replace(job.source, rough=rough))
+    first = mapping.Outcome("incremental", [_written(_with_focal(truth, 2.0), tmp_path / "first")], len(scene))
+    other = mapping.Outcome("global", [_written(truth, tmp_path / "other")], len(scene))
+    asked: list[str] = []
+    monkeypatch.setattr(mapping, "_run", lambda job, mapper, *rest: asked.append(mapper) or other)
+    px = truth.camera(1).mean_focal_length()
+    costs = {round(2 * px): 1.0, round(px): cost}
+    monkeypatch.setattr(mapping, "cost_in_the_end", lambda model, *_: costs[round(model.camera(1).mean_focal_length())])
+    assert mapping._near_given_focal_lengths(job, first, "").mapper == kept
+    assert asked == ["global"] and f"{cost:.2f} times as large: kept {kept}" in job.account.notes[0]
+    fewer = replace(other, registered=1)
+    monkeypatch.setattr(mapping, "_run", lambda *_: fewer)
+    assert mapping._near_given_focal_lengths(job, first, "") is first
+    assert mapping._near_given_focal_lengths(job, other, "") is other
+    ordered = replace(job, settings=SparseSettings(mapper="incremental"))
+    assert mapping._near_given_focal_lengths(ordered, first, "") is first
+
+
+def test_the_cost_is_that_after_the_adjustment(tmp_path: Path) -> None:
+    truth, _ = make_world(tmp_path / "database.db", cameras=1, frames=12, noise_px=0.2)
+    wrong, tuning = _with_focal(truth, 1.02), Tuning().adjust
+    before, after = cost_in_the_end(truth, (), (), tuning), cost_in_the_end(wrong, (), (), tuning)
+    assert 0.01 < before < 0.1 and after == pytest.approx(before, rel=0.02)
+    assert cost_in_the_end(wrong, (), (1,), tuning) > 1.05 * before
+
+
+def _job(scene: Scene) -> mapping.Job:
+    nothing: Any = SimpleNamespace()
+    source = mapping.Source(Path("none.db"), None)
+    return mapping.Job(
+        source=source, out=Path(), scene=scene, settings=SparseSettings(), tuning=Tuning(), shared=nothing,
+        log=Path("log.txt"), graph=nothing, account=mapping.Account(), rigs=mapping.RigsUsed({}, {}),
+    )  # fmt: skip
+
+
+def _written(model: pycolmap.Reconstruction, folder: Path) -> Path:
+    folder.mkdir()
+    model.write(folder)
+    return folder

@@ -9,8 +9,8 @@ import numpy as np
 import pycolmap
 import pytest
 from road_worlds import INTERVAL_S, LATE_S, Drive, driving_world, moving_world
-from sfm_worlds import off_after_similarity
 
+from near import off_after_similarity
 from tiegraph.geometry import transforms
 from tiegraph.scene.colmapmodel import image_poses
 from tiegraph.scene.rig import Source

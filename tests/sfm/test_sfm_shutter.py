@@ -9,8 +9,8 @@ import numpy as np
 import pycolmap
 import pytest
 from road_worlds import Sightings, drawn, sighted
-from sfm_worlds import off_after_similarity, rms
 
+from near import off_after_similarity, rms
 from tiegraph.geometry import transforms
 from tiegraph.scan.rigfiles.rigspec import orient
 from tiegraph.scene.rig import Rig, Sensor, Source

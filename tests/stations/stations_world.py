@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from near import off_after_similarity, rms
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import umeyama
 from tiegraph.scene.cloudfile import write_cloud
 from tiegraph.scene.results import Cloud
 
@@ -76,7 +76,7 @@ def error_m(world_from_shot, some):
     """RMS of the true points of views by their poses, after one rigid motion of all."""
     here = np.concatenate([transforms.apply(p, v.true) for p, v in zip(world_from_shot, some)])
     there = np.concatenate([transforms.apply(v.world_from_station, v.true) for v in some])
-    return float(np.sqrt(np.mean(np.sum((umeyama(here, there, with_scale=False)(here) - there) ** 2, axis=1))))
+    return rms(off_after_similarity(here, there, with_scale=False))
 
 
 def hall(bays=8, bay_m=2.0, side_m=0.02):
