@@ -12,7 +12,7 @@ from network_steps import network_of
 from tiegraph.geometry import transforms
 from tiegraph.network.candidates import find_candidates
 from tiegraph.network.passes import MatchCache, find_passes
-from tiegraph.network.poses.check import check_prior, checked_pose_pairs
+from tiegraph.network.poses.check import PriorCheck, check_prior, checked_pose_pairs
 from tiegraph.network.poses.poses import PoseResult, assumed_range, pose_pairs, view_cameras
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
@@ -76,8 +76,7 @@ def test_frames_without_prior_fall_back_on_previews() -> None:
 
 def test_beyond_some_ranges_nothing_is_shared() -> None:
     """And a prior that is not sure enough does not refuse."""
-    world = boat((10,), (2.0,))
-    scene = with_priors(world)
+    scene = with_priors(boat((10,), (2.0,)))
     near = CandidatesSettings(sources=("poses",), range_m=3.5, axes_deg=80)
     pairs = paired(scene, near).pairs
     far = pairs.dropped == REASONS.index("distance")
@@ -88,8 +87,7 @@ def test_beyond_some_ranges_nothing_is_shared() -> None:
 
 
 def test_odometry_of_two_passes_is_never_compared() -> None:
-    world = boat((10, 10), (2.0, 2.0))
-    scene = with_priors(world).with_(prior="odometry")
+    scene = with_priors(boat((10, 10), (2.0, 2.0))).with_(prior="odometry")
     pairs = paired(scene).pairs
     track = scene.sequence[scene.frame]
     assert len(pairs) and (track[pairs.i] == track[pairs.j]).all()
@@ -161,8 +159,7 @@ def test_a_trajectory_of_each_pass_in_a_frame_that_nothing_tells(name: str | Non
 
 
 def test_too_short_a_base_of_one_camera_is_dropped() -> None:
-    world = boat((10,), (2.0,))
-    scene = with_priors(world)
+    scene = with_priors(boat((10,), (2.0,)))
     poses = scene.world_from_rig.copy()
     poses[4] = poses[3]
     pairs = paired(scene.with_(world_from_rig=poses)).pairs
@@ -185,8 +182,7 @@ def test_drone_photographs_take_their_nearest() -> None:
 
 
 def test_no_prior_at_all_is_said() -> None:
-    world = boat((4,), (2.0,))
-    result = paired(world.scene)
+    result = paired(boat((4,), (2.0,)).scene)
     assert len(result.pairs) == 0 and len(result.without) == 4 and "fewer than two" in result.notes[0]
 
 
@@ -207,8 +203,7 @@ def test_a_vehicle_that_mostly_stands_is_given_the_range_of_its_drive() -> None:
 
 @pytest.mark.slow
 def test_an_unsure_prior_refuses_little_by_sight() -> None:
-    world = boat((8, 8), (2.0, 2.0))
-    scene = with_priors(world)
+    scene = with_priors(boat((8, 8), (2.0, 2.0)))
     sure = paired(scene).pairs
     unsure = paired(scene.with_(position_sigma_m=np.full((16, 3), 4.0))).pairs
     assert sure.funnel()["sight"] > 30
@@ -218,18 +213,17 @@ def test_an_unsure_prior_refuses_little_by_sight() -> None:
 
 def test_a_guessed_focal_length_is_widened_to_the_rig() -> None:
     guess = pycolmap.Camera(model="SIMPLE_PINHOLE", width=640, height=480, params=[768.0, 320.0, 240.0])
-    world = boat((3,), (2.0,))
-    rig = world.scene.rigs[0]
+    scene = boat((3,), (2.0,)).scene
+    rig = scene.rigs[0]
 
-    def with_camera(camera: pycolmap.Camera) -> Scene:
-        return world.scene.with_(rigs=(replace(rig, sensors=tuple(replace(s, camera=camera) for s in rig.sensors)),))
+    def focal_lengths(camera: pycolmap.Camera) -> set[float]:
+        given = replace(rig, sensors=tuple(replace(s, camera=camera) for s in rig.sensors))
+        return {c.mean_focal_length() for c in view_cameras(scene.with_(rigs=(given,)), TUNING.poses)}
 
-    scene = with_camera(guess)
-    focal = {c.mean_focal_length() for c in view_cameras(scene, TUNING.poses)}
+    focal = focal_lengths(guess)
     assert len(focal) <= 2 and max(focal) < 330  # five cameras, 72 degrees apart
     guess.has_prior_focal_length = True
-    known = with_camera(guess)
-    assert {c.mean_focal_length() for c in view_cameras(known, TUNING.poses)} == {768.0}
+    assert focal_lengths(guess) == {768.0}
 
 
 ROS = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])  # camera from vehicle axes
@@ -255,16 +249,19 @@ def canal() -> World:
     return boat((12, 12), (2.0, 2.0))
 
 
+def asked(world: World, scene: Scene) -> tuple[PriorCheck, MatchCache]:
+    """What previews say of the priors of a scene, and those previews."""
+    cache = MatchCache(world.match, len(scene))
+    return check_prior(scene, find_passes(scene), cache, paired(scene), SETTINGS, TUNING), cache
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", WRONG)
 def test_a_wrong_prior_is_noticed_and_named(name: str, canal: World) -> None:
     spoil, said = WRONG[name]
     true = with_priors(canal)
     scene = true.with_(world_from_rig=spoil(np.array(true.world_from_rig)))
-    passes = find_passes(scene)
-    result = paired(scene)
-    cache = MatchCache(canal.match, len(scene))
-    check = check_prior(scene, passes, cache, result, SETTINGS, TUNING)
+    check, cache = asked(canal, scene)
     assert len(cache) <= 240 and check.good == (name == "as it is")
     assert said in check.better and bool(said) == bool(check.better)
     assert "prior checked by previews" in check.notes[0]
@@ -280,10 +277,7 @@ def test_a_wrong_prior_is_noticed_and_named(name: str, canal: World) -> None:
 def test_a_right_prior_of_a_camera_that_looks_ahead_is_believed() -> None:
     # All near frames share nearly all of their pictures: readings that only follow the distance correlate better.
     world = boat((40,), (1.0,), ring(1, up=False))
-    scene = with_priors(world)
-    passes = find_passes(scene)
-    cache = MatchCache(world.match, len(scene))
-    check = check_prior(scene, passes, cache, paired(scene), SETTINGS, TUNING)
+    check, _ = asked(world, with_priors(world))
     assert check.good and not check.better and check.fit < 0.6
 
 
