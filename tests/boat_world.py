@@ -69,6 +69,46 @@ class World:
         cosine = np.sum(a * b, axis=-1) / np.maximum(np.linalg.norm(a, axis=-1) * np.linalg.norm(b, axis=-1), 1e-9)
         return np.mean(seen & (cosine > np.cos(np.radians(45))), axis=1)
 
+    @property
+    def step(self) -> np.ndarray:
+        """(N,) number of each image's frame in its pass."""
+        return self.scene.sequence_index[self.scene.frame]
+
+    @property
+    def track(self) -> np.ndarray:
+        """(N,) pass of each image."""
+        return self.scene.sequence[self.scene.frame]
+
+    def useful(self, least: float = 0.15) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Every pair i, j (K,), and whether its overlap is enough."""
+        i, j = np.triu_indices(len(self.scene), 1)
+        return i, j, np.maximum(self.overlap(i, j), self.overlap(j, i)) >= least
+
+    def across(self, least: float = 0.15) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """As ``useful``, of two passes only."""
+        i, j, good = self.useful(least)
+        return i, j, good & self.of_two_passes(i, j)
+
+    def of_two_passes(self, i: np.ndarray, j: np.ndarray) -> np.ndarray:
+        """(K,) bool."""
+        return self.track[i] != self.track[j]
+
+    def only(self, keep: np.ndarray) -> World:
+        """The survey with only some images (N,) bool; frames that lose all of theirs go too."""
+        scene, frames = self.scene, np.unique(self.scene.frame[keep])
+        place = np.full(scene.frames, -1)
+        place[frames] = np.arange(len(frames))
+        names = ("rig", "sequence", "sequence_index", "time_s", "world_from_rig", "section", "position_sigma_m")
+        less = scene.with_(
+            names=tuple(np.array(scene.names)[keep]), frame=place[scene.frame[keep]], sensor=scene.sensor[keep],
+            **{n: getattr(scene, n)[frames] for n in names},
+        )  # fmt: skip
+        return World(less, self.world_from_sensor[keep])
+
+    def seen_from(self, at: np.ndarray) -> World:
+        """The survey with image k seen from where image ``at[k]`` was."""
+        return World(self.scene, self.world_from_sensor[at])
+
     def match(self, pairs: np.ndarray) -> list[Result]:
         """Preview results of image pairs (P, 2)."""
         self.asked += len(pairs)
@@ -123,6 +163,22 @@ def boat(
     true = ring(sum(s.role != "up" for s in rig.sensors), any(s.role == "up" for s in rig.sensors))
     from_rig = np.stack([transforms.invert(s.sensor_from_rig) for s in true.sensors])
     return World(scene, np.stack(poses)[frame_] @ from_rig[sensor_])
+
+
+def found(pairs, useful: tuple[np.ndarray, np.ndarray, np.ndarray]) -> tuple[float, float]:
+    """Recall and precision of kept pairs against pairs i, j and whether they are useful."""
+    i, j, good = useful
+    kept, n = pairs.kept(), int(j.max()) + 1
+    true = np.zeros((n, n), bool)
+    true[i, j] = good
+    hit = true[kept.i, kept.j].sum()
+    return float(hit / max(good.sum(), 1)), float(hit / max(len(kept), 1))
+
+
+def quality(world: World, pairs) -> tuple[float, float, float]:
+    """Recall, precision, and recall between passes."""
+    i, j, good = world.useful()
+    return *found(pairs, (i, j, good)), found(pairs, (i, j, good & world.of_two_passes(i, j)))[0]
 
 
 def photos(count: int) -> Scene:

@@ -23,6 +23,12 @@ def frame(k: int, gain: float = 1.0, noise: float = 1.5) -> np.ndarray:
     return np.clip(image, 0, 255).astype(np.uint8)
 
 
+def smooth(seed: int, shape: tuple[int, int], cells: tuple[int, int], span: tuple[float, float] = (0, 1)) -> np.ndarray:
+    """Random values (H, W) f4 that vary from cell to cell."""
+    coarse = np.random.default_rng(seed).uniform(*span, cells).astype(np.float32)
+    return cv2.resize(coarse, shape[::-1], interpolation=cv2.INTER_CUBIC)
+
+
 def _deck() -> np.ndarray:
     coarse = np.random.default_rng(7).uniform(60, 180, (5, 16)).astype(np.float32)
     return cv2.resize(coarse, (SHAPE[1], SHAPE[0] - DECK), interpolation=cv2.INTER_NEAREST)[..., None]

@@ -1,4 +1,4 @@
-"""One measure of how near a reconstruction is to the truth."""
+"""How near places and reconstructions are to the truth."""
 
 import numpy as np
 import pycolmap
@@ -10,6 +10,16 @@ from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 
 _COPIED_M, _COPIED_DEG = 1e-7, 1e-5  # nearer than that nothing is measured: it is the truth itself
+
+
+def rms(off: np.ndarray) -> float:
+    """Root mean square length of vectors (K, 3)."""
+    return float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
+
+
+def off_after_similarity(found: np.ndarray, true: np.ndarray, with_scale: bool = True) -> np.ndarray:
+    """Errors (K, 3) of places after the similarity (or rigid motion) that brings them nearest to the true ones."""
+    return umeyama(found, true, with_scale=with_scale)(found) - true
 
 
 def assert_reconstruction_near(
@@ -35,7 +45,7 @@ def assert_reconstruction_near(
     poses, truth = poses[asked], truth[asked]
     found, true = transforms.centre(poses), transforms.centre(truth)
     fit = umeyama(found, true)
-    off = float(np.sqrt(np.mean(np.sum((fit(found) - true) ** 2, axis=1))))
+    off = rms(fit(found) - true)
     turned = poses[:, :3, :3] @ fit.rotation.T
     angle = float(np.sqrt(np.mean(transforms.angle_deg(turned, truth[:, :3, :3]) ** 2)))
     assert _COPIED_M < off < m, f"centres off by {off:.3g} m (limit {m:g})"

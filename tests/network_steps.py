@@ -84,6 +84,12 @@ def estimate_network(
     return Steps(found, coarse, network, book.matches())
 
 
+def network_of(scene: Scene, match: Callable, settings: CandidatesSettings | None = None, **more: object) -> Steps:
+    """The stages with everything else as it is by default, and even light."""
+    light = more.pop("light", np.full(len(scene), 120.0))
+    return estimate_network(scene, light, match, settings or CandidatesSettings(), Tuning(), **more)
+
+
 class Mapper:
     """Maps ties of a scene in blocks, which stay as they were cut the first time."""
 

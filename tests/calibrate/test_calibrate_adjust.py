@@ -1,14 +1,17 @@
-"""Start, adjustment, sigmas and verdict on corners with known truth and normal errors."""
+"""Start, adjustment, sigmas and verdict on corners of known truth and normal errors; two calibrations side by side."""
 
 from dataclasses import replace
 
 import numpy as np
+import pycolmap
 import pytest
+from scipy.spatial.transform import Rotation
 
 from calibrate.board_world import board_before, boards_of_rig, camera, observed, rig_pose
 from tiegraph.calibrate.adjust import State, adjust_robustly, place_boards
 from tiegraph.calibrate.board import read_board
 from tiegraph.calibrate.covariance import parameters, precision
+from tiegraph.calibrate.difference import Calibration, differences
 from tiegraph.calibrate.judge import judge
 from tiegraph.calibrate.observations import check_views
 from tiegraph.calibrate.start import start
@@ -60,11 +63,9 @@ def test_a_rig_whose_outer_cameras_share_no_view_is_found_within_its_sigmas(done
     exact = precision(found, TUNING.adjust)
     values = np.array([[p.value for p in parameters(s)] for s in (found.state, truth)])
     off = (values[0] - values[1]) / exact.sigma
-    assert 0.5 < np.sqrt(np.mean(off**2)) < 1.6
-    assert 0.045 < found.sigma_px < 0.055
+    assert 0.5 < np.sqrt(np.mean(off**2)) < 1.6 and 0.045 < found.sigma_px < 0.055
     assert np.abs(values[0, :2] / values[1, :2] - 1).max() < 5e-4
-    assert np.allclose(np.diag(exact.correlation), 1)
-    assert np.abs(exact.correlation).max() < 1 + 1e-9
+    assert np.allclose(np.diag(exact.correlation), 1) and np.abs(exact.correlation).max() < 1 + 1e-9
 
 
 @pytest.mark.slow
@@ -77,13 +78,10 @@ def test_sigmas_are_those_of_many_calibrations():
     true = np.array([p.value for p in parameters(truth)])
     for seed in range(10):
         found = calibrated(observed(BOARD, truth, NAMES, noise_px=0.1, seed=seed))
-        off.append(
-            (np.array([p.value for p in parameters(found.state)]) - true) / precision(found, TUNING.adjust).sigma
-        )
+        values = np.array([p.value for p in parameters(found.state)])
+        off.append((values - true) / precision(found, TUNING.adjust).sigma)
     lenses, places, turns = (np.sqrt(np.mean(part**2)) for part in np.split(np.stack(off), (16, 19), axis=1))
-    assert 0.8 < lenses < 1.2
-    assert 0.65 < places < 1.35
-    assert 0.65 < turns < 1.35
+    assert 0.8 < lenses < 1.2 and 0.65 < places < 1.35 and 0.65 < turns < 1.35
 
 
 @pytest.mark.slow
@@ -144,8 +142,7 @@ def test_an_image_of_another_instant_is_left_out_and_named():
     moved = replace(seen.views[number], xy=seen.views[number].xy + 6.0)
     found = calibrated(replace(seen, views=(*seen.views[:number], moved, *seen.views[number + 1 :])))
     ((name, reason),) = found.left_out
-    assert name in [v.name for v in seen.views if v.instant == moved.instant]
-    assert "px off" in reason
+    assert name in [v.name for v in seen.views if v.instant == moved.instant] and "px off" in reason
     assert 0.045 < found.sigma_px < 0.055
 
 
@@ -196,9 +193,8 @@ def test_what_cannot_be_calibrated_is_said_at_the_start():
 def test_most_views_contradicting_is_an_error():
     seen = observed(BOARD, lone("OPENCV", OPENCV), ["camera"], noise_px=0.05)
     rng = np.random.default_rng(0)
-    views = [
-        v if k < 8 else replace(v, xy=v.xy[rng.permutation(len(v.xy))]) for k, v in enumerate(seen.views)
-    ]  # corners misnumbered
+    misnumbered = [replace(v, xy=v.xy[rng.permutation(len(v.xy))]) for v in seen.views[8:]]
+    views = [*seen.views[:8], *misnumbered]
     with pytest.raises(ReconstructionError, match="contradict the others"):
         calibrated(replace(seen, views=tuple(views)))
 
@@ -245,3 +241,49 @@ def test_the_bend_of_a_board_is_found_and_taken_out():
     assert 1e-6 < off[1] < 1e-3 and off[1] < off[0] / 2, off
     assert 0.0 < np.sqrt(np.mean((free.bent_m[:, 2] - (sag - sag.mean())) ** 2)) < 1e-4
     assert not flat.bent_m.any()
+
+
+def lens_of(focal: float = 1000.0, cx: float = 480.0, k1: float = -0.1, size: tuple[int, int] = (960, 720)):
+    params = [focal, focal, cx, size[1] / 2, k1, 0.0, 0.0, 0.0]
+    return pycolmap.Camera(model="OPENCV", width=size[0], height=size[1], params=params)
+
+
+def place_of(yaw_deg: float, place: tuple[float, float, float]) -> np.ndarray:
+    rotation = Rotation.from_euler("y", yaw_deg, degrees=True).as_matrix()
+    return transforms.rigid(rotation, -rotation @ np.array(place))
+
+
+def test_what_differs_is_told_in_its_unit_and_in_sigmas():
+    first = [
+        Calibration("a", lens_of(), np.eye(4), focal_sigma_px=0.3),
+        Calibration("b", lens_of(), place_of(30.0, (0.2, 0, 0)), 0.3, 0.01, 0.0005),
+    ]
+    second = [
+        Calibration("b", lens_of(1002.0), place_of(30.05, (0.203, 0, 0)), 0.4, 0.01, 0.0005),
+        Calibration("a", lens_of(), np.eye(4)),
+    ]
+    same, other = differences(first, second)
+    assert (same.name, same.focal, same.focal_sigmas) == ("a", 0.0, 0.0) and same.lens_px < 1e-6
+    assert np.isnan(same.turn_deg) and same.worst_sigmas() == 0
+    assert other.focal == pytest.approx(0.002) and other.focal_sigmas == pytest.approx(4.0)
+    assert 0.3 < other.lens_px < 1.0  # 2 px of focal length at the edge, 0.96 at most
+    assert other.turn_deg == pytest.approx(0.05) and other.place_m == pytest.approx(0.003)
+    assert other.turn_sigmas == pytest.approx(0.05 / np.sqrt(6) / 0.01)
+    assert other.place_sigmas == pytest.approx(3 / np.sqrt(6) / 0.5) and other.worst_sigmas() == other.focal_sigmas
+
+
+def test_the_lens_is_compared_beyond_what_a_turn_explains():
+    (shifted,) = differences([Calibration("a", lens_of())], [Calibration("c", lens_of(cx=490.0))])
+    (bent,) = differences([Calibration("a", lens_of())], [Calibration("c", lens_of(k1=-0.12))])
+    assert 0.2 < shifted.lens_px < 3 and np.isnan(shifted.focal_sigmas)  # ten pixels of a centre are mostly a turn
+    assert 0.5 < bent.lens_px < 5
+
+
+def test_sizes_are_brought_together_or_refused():
+    one = [Calibration("a", lens_of())]
+    (row,) = differences(one, [Calibration("a", lens_of(500.0, 240.0, size=(480, 360)))])
+    assert abs(row.focal) < 1e-9 and row.lens_px < 1.0
+    with pytest.raises(InputError, match="another shape"):
+        differences(one, [Calibration("a", lens_of(size=(720, 960)))])
+    with pytest.raises(InputError, match="no camera is in both"):
+        differences([Calibration(n, lens_of()) for n in "ab"], [Calibration(n, lens_of()) for n in "cd"])

@@ -1,8 +1,10 @@
-"""`tiegraph calibrate` from rendered images to a rig file that `run --rig` reads, and what it refuses."""
+"""`tiegraph calibrate` from rendered images and real photographs to a rig file that `run --rig` reads, and refusals."""
 
 import json
+import os
 import re
 import shutil
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -55,8 +57,7 @@ def made(survey):
 def test_a_rendered_rig_is_calibrated_to_the_truth(made):
     """Focal lengths to 0.05 %, turns to 0.01 degrees, places to 0.1 mm."""
     (rig,), true = read_rig_file(made / "rig.toml", ScanTuning().rig), truth()
-    assert [s.name for s in rig.sensors] == NAMES
-    assert rig.synchronised and not rig.fixed
+    assert [s.name for s in rig.sensors] == NAMES and rig.synchronised and not rig.fixed
     for k, sensor in enumerate(rig.sensors):
         assert sensor.model == "OPENCV" and sensor.params is not None and sensor.body_from_sensor is not None
         assert 1e-7 < np.abs(np.array(sensor.params[:2]) / true.cameras[k].params[:2] - 1).max() < 5e-4
@@ -67,8 +68,7 @@ def test_a_rendered_rig_is_calibrated_to_the_truth(made):
             continue
         turn = float(transforms.angle_deg(sensor.body_from_sensor[:3, :3], pose[:3, :3]))
         place = float(np.linalg.norm(sensor.body_from_sensor[:3, 3] - pose[:3, 3]))
-        assert 1e-5 < turn < 0.01
-        assert 1e-7 < place < 1e-4
+        assert 1e-5 < turn < 0.01 and 1e-7 < place < 1e-4
         assert sensor.sigma_deg is not None and 0.1 * turn < np.sqrt(3) * sensor.sigma_deg < 0.02
         assert sensor.sigma_m is not None and 0.1 * place < np.sqrt(3) * sensor.sigma_m < 2e-4
 
@@ -117,18 +117,15 @@ def refused(capsys, tmp_path, *more, code=2):
     before = sorted(tmp_path.rglob("*.toml"))
     arguments = ["calibrate", str(tmp_path / "images"), "-o", str(tmp_path / "rig.toml"), "--pool", "serial"]
     given = more if "--board" in more else (*more, "--board", WORDS)
-    assert main([*arguments, *given]) == code
-    assert sorted(tmp_path.rglob("*.toml")) == before
+    assert main([*arguments, *given]) == code and sorted(tmp_path.rglob("*.toml")) == before
     assert not (tmp_path / "rig_calibration").exists()
     return " ".join(capsys.readouterr().err.split())
 
 
-def test_images_without_a_board_are_refused(capsys, tmp_path):
+def test_images_without_a_board_and_of_two_cameras_in_one_folder_are_refused(capsys, tmp_path):
     pictures(tmp_path / "images", [f"{k}.png" for k in range(3)])
     assert "camera: the board was found in none of its 3 images" in refused(capsys, tmp_path)
-
-
-def test_images_of_two_cameras_in_one_folder_are_refused(capsys, tmp_path):
+    shutil.rmtree(tmp_path / "images")
     pictures(tmp_path / "images", [f"{side}{k:02d}.png" for side in ("left", "right") for k in range(3)])
     said = refused(capsys, tmp_path)
     assert "3 numbers stand behind 'left' and behind 'right'" in said and "(left/, right/)" in said
@@ -169,7 +166,31 @@ def test_a_file_that_is_there_is_kept(capsys, tmp_path):
 
 def test_wide_cameras_must_be_there_and_not_all():
     check_wide(["cam1"], NAMES)
-    with pytest.raises(InputError, match="--wide fish: no such camera; there are cam0, cam1, cam2"):
-        check_wide(["fish"], NAMES)
-    with pytest.raises(InputError, match="that is every camera"):
-        check_wide(NAMES, NAMES)
+    no_such = "--wide fish: no such camera; there are cam0, cam1, cam2"
+    for wide, said in ((["fish"], no_such), (NAMES, "that is every camera")):
+        with pytest.raises(InputError, match=said):
+            check_wide(wide, NAMES)
+
+
+SAMPLES = Path(os.environ.get("OPENCV_SAMPLES", "/usr/share/doc/opencv-doc/examples/data"))
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not (SAMPLES / "left01.jpg").exists(), reason="Debian's opencv-doc is not there (OPENCV_SAMPLES)")
+def test_a_real_stereo_head_is_calibrated_to_a_seventh_of_a_pixel(capsys, tmp_path):
+    """Its board was trimmed: windows that reach over the edge made it a third of a pixel."""
+    for side in ("left", "right"):
+        (tmp_path / "images" / side).mkdir(parents=True)
+        for file in sorted(SAMPLES.glob(f"{side}[01][0-9].jpg")):
+            shutil.copy(file, tmp_path / "images" / side)
+    arguments = ["calibrate", str(tmp_path / "images"), "--board", "checker:9x6:0.025"]
+    assert main([*arguments, "-o", str(tmp_path / "rig.toml"), "--pool", "serial"]) == 0
+    assert "left and right are 0.083" in " ".join(capsys.readouterr().err.split())
+    (rig,) = read_rig_file(tmp_path / "rig.toml", ScanTuning().rig)
+    left, right = rig.sensors
+    assert left.params is not None and right.body_from_sensor is not None
+    assert abs(left.params[0] - 535.9) < 3.0  # OpenCV's own left_intrinsics.yml, fewer images and another lens model
+    assert 0.0829 < np.linalg.norm(right.body_from_sensor[:3, 3]) < 0.0835
+    rows = [r.split("|") for r in (tmp_path / "rig_calibration/summary.md").read_text().splitlines()]
+    fits = [[float(v) for v in r[4:6]] for r in rows if len(r) > 6 and r[1].strip() in ("left", "right")][:2]
+    assert len(fits) == 2 and all(0.1 < rms <= held_out < 0.16 for rms, held_out in fits)

@@ -8,6 +8,7 @@ import cuda_emulated
 import numpy as np
 import pytest
 from test_dense_sgm import TABLE, options, pair, table
+from test_dense_sgm import VARIANTS as CHANGES
 
 from tiegraph.dense import cuda, tsgm
 from tiegraph.dense.tuning import TsgmTuning
@@ -17,18 +18,9 @@ sgm = pytest.importorskip("tiegraph.dense._sgm")
 
 VARIANTS = [
     {"shape": (9, 17, 17), "low": -7, "count": 37, "radius_x": 6, "radius_y": 2},
-    {"shape": (8, 37, 50), "low": 0, "count": 16, "large_by_step": TABLE, "uniqueness": 5},
-    {
-        "shape": (1, 40, 40),
-        "low": 3,
-        "count": 1,
-        "radius_x": 2,
-        "radius_y": 2,
-        "small": 8,
-        "large": 40,
-        "parabola": False,
-    },
-    {"shape": (6, 70, 45), "low": -20, "count": 70, "left_right": -1, "small": 0, "large": 127},
+    {"shape": (8, 37, 50), "low": 0, "count": 16} | CHANGES[1],
+    {"shape": (1, 40, 40), "low": 3, "count": 1} | CHANGES[2],
+    {"shape": (6, 70, 45), "low": -20, "count": 70} | CHANGES[3],
     {"shape": (5, 8, 300), "low": -250, "count": 260, "large_by_step": TABLE},
     {"shape": (23, 1, 1), "low": 0, "count": 130},
     {"shape": (4, 9, 700), "low": -600, "count": 600},
@@ -72,27 +64,20 @@ def case(variant):
 
 @pytest.mark.parametrize("mode", [0, 1])
 @pytest.mark.parametrize("variant", range(len(VARIANTS)))
-def test_one_range_gives_the_bits_of_the_native_module(gpu, variant, mode):
+def test_ranges_give_the_bits_of_the_native_module(gpu, variant, mode):
+    """One for all pixels, and own ones of at most 1 and 18 blocks."""
     left, right, low, count, changes = case(variant)
     chosen, mutual = options("", mode=mode, **changes), table(variant) if mode else None
+    images, how = (gpu.upload(left), gpu.upload(right)), (chosen, mutual, whole(left))
     expected = sgm.match_dense(left, right, low, count, chosen, sgm.Workspace(), mutual)
-    found = gpu.match_dense(gpu.upload(left), gpu.upload(right), (low, count), chosen, mutual, whole(left))
-    same_disparities(gpu.download(found), expected[0])
-
-
-@pytest.mark.parametrize("mode", [0, 1])
-@pytest.mark.parametrize("variant", range(len(VARIANTS)))
-@pytest.mark.parametrize("most", [1, 18])
-def test_own_ranges_give_the_bits_of_the_native_module(gpu, variant, mode, most):
-    left, right, low, _, changes = case(variant)
-    rng = np.random.default_rng(variant)
-    first = rng.integers(low - 20, low + 60, left.shape).astype(np.int16)
-    blocks = rng.integers(1, most + 1, left.shape).astype(np.uint8)
-    chosen, mutual = options("", mode=mode, **changes), table(variant) if mode else None
-    expected = sgm.match_ragged(left, right, first, blocks, chosen, sgm.Workspace(), mutual)
-    images, ranges = (gpu.upload(left), gpu.upload(right)), (gpu.upload(first), gpu.upload(blocks))
-    found = gpu.match_ragged(*images, ranges, chosen, mutual, whole(left))
-    same_disparities(gpu.download(found), expected[0])
+    same_disparities(gpu.download(gpu.match_dense(*images, (low, count), *how)), expected[0])
+    for most in (1, 18):
+        rng = np.random.default_rng(variant)
+        first = rng.integers(low - 20, low + 60, left.shape).astype(np.int16)
+        blocks = rng.integers(1, most + 1, left.shape).astype(np.uint8)
+        expected = sgm.match_ragged(left, right, first, blocks, chosen, sgm.Workspace(), mutual)
+        found = gpu.match_ragged(*images, (gpu.upload(first), gpu.upload(blocks)), *how)
+        same_disparities(gpu.download(found), expected[0])
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 6), (5, 1), (8, 10), (7, 9)])

@@ -51,18 +51,6 @@ def table(seed=3):
     return np.random.default_rng(seed).integers(0, 63, (256, 256)).astype(np.uint8)
 
 
-@pytest.mark.parametrize("shape", SHAPES, ids=str)
-@pytest.mark.parametrize("variant", range(len(VARIANTS)))
-def test_dense_equals_the_reference(shape, variant):
-    left, right = pair(*shape)
-    low, count = DENSE[variant]
-    first, n = np.full(left.shape, low), np.full(left.shape, count)
-    expected = reference.match(left, right, first, n, options("", **VARIANTS[variant]))
-    for kernel in KERNELS:
-        o = options(kernel, **VARIANTS[variant])
-        same(sgm.match_dense(left, right, low, count, o, sgm.Workspace()), expected)
-
-
 def ranges(shape, seed, spread=12, most=4):
     rng = np.random.default_rng(seed)
     smooth = cv2.GaussianBlur(rng.normal(0, 1, shape).astype(np.float32), (0, 0), 2.0)
@@ -73,30 +61,36 @@ def ranges(shape, seed, spread=12, most=4):
     return first, blocks
 
 
+def check_dense(left, right, low, count, *mutual, **changes):
+    """One range for all pixels: every kernel gives the bits of the reference."""
+    even = np.full(left.shape, low), np.full(left.shape, count)
+    expected = reference.match(left, right, *even, options("", **changes), *mutual)
+    for kernel in KERNELS:
+        same(sgm.match_dense(left, right, low, count, options(kernel, **changes), sgm.Workspace(), *mutual), expected)
+
+
+def check_ragged(left, right, seed, *mutual, **changes):
+    """A range of its own for each pixel."""
+    first, blocks = ranges(left.shape, seed)
+    each = first.astype(int), 16 * blocks.astype(int)
+    expected = reference.match(left, right, *each, options("", **changes), *mutual)
+    for kernel in KERNELS:
+        own = options(kernel, **changes)
+        same(sgm.match_ragged(left, right, first, blocks, own, sgm.Workspace(), *mutual), expected)
+
+
 @pytest.mark.parametrize("shape", SHAPES, ids=str)
 @pytest.mark.parametrize("variant", range(len(VARIANTS)))
-def test_ragged_equals_the_reference(shape, variant):
-    left, right = pair(*shape, seed=1)
-    first, blocks = ranges(left.shape, variant)
-    count = 16 * blocks.astype(int)
-    expected = reference.match(left, right, first.astype(int), count, options("", **VARIANTS[variant]))
-    for kernel in KERNELS:
-        o = options(kernel, **VARIANTS[variant])
-        same(sgm.match_ragged(left, right, first, blocks, o, sgm.Workspace()), expected)
+def test_kernels_equal_the_reference(shape, variant):
+    check_dense(*pair(*shape), *DENSE[variant], **VARIANTS[variant])
+    check_ragged(*pair(*shape, seed=1), variant, **VARIANTS[variant])
 
 
 @pytest.mark.parametrize("mode", [1, 2])
 def test_mutual_information_equals_the_reference(mode):
-    left, right = pair(7, 33, 40)
-    first, blocks = ranges(left.shape, 5)
-    count = 16 * blocks.astype(int)
-    expected = reference.match(left, right, first.astype(int), count, options("", mode=mode), table())
-    even = np.full(left.shape, -4), np.full(left.shape, 30)
-    dense = reference.match(left, right, *even, options("", mode=mode), table())
-    for kernel in KERNELS:
-        o = options(kernel, mode=mode)
-        same(sgm.match_ragged(left, right, first, blocks, o, sgm.Workspace(), table()), expected)
-        same(sgm.match_dense(left, right, -4, 30, o, sgm.Workspace(), table()), dense)
+    images = pair(7, 33, 40)
+    check_dense(*images, -4, 30, table(), mode=mode)
+    check_ragged(*images, 5, table(), mode=mode)
 
 
 @pytest.mark.parametrize("kernel", KERNELS)
@@ -114,46 +108,37 @@ def test_threads_do_not_change_a_bit(kernel):
 def test_a_dense_range_and_equal_ragged_ranges_agree():
     left, right = pair(40, 90, 100, seed=2)
     first, blocks = np.full(left.shape, -5, np.int16), np.full(left.shape, 3, np.uint8)
-    same(
-        sgm.match_ragged(left, right, first, blocks, sgm.Options(), sgm.Workspace()),
-        sgm.match_dense(left, right, -5, 48, sgm.Options(), sgm.Workspace()),
-    )
+    how = sgm.Options(), sgm.Workspace()
+    same(sgm.match_ragged(left, right, first, blocks, *how), sgm.match_dense(left, right, -5, 48, *how))
 
 
 @pytest.mark.parametrize(
-    ("changes", "low", "count", "says"),
+    ("changes", "says"),
     [
-        ({"small": 130}, 0, 16, "P1"),
-        ({"large": 128}, 0, 16, "P2"),
-        ({"large_by_step": [5]}, 0, 16, "16 entries"),
-        ({"uniqueness": 100}, 0, 16, "uniqueness"),
-        ({"mode": 1}, 0, 16, "mutual"),
-        ({"threads": 0}, 0, 16, "threads"),
-        ({"radius_x": 40}, 0, 16, "census"),
-        ({"kernel": "mmx"}, 0, 16, "mmx"),
-        ({}, 0, 0, "disparities"),
-        ({}, 30000, 16, "30000"),
+        ({"small": 130}, "P1"), ({"large": 128}, "P2"), ({"large_by_step": [5]}, "16 entries"), ({"mode": 1}, "mutual"),
+        ({"uniqueness": 100}, "uniqueness"), ({"threads": 0}, "threads"), ({"radius_x": 40}, "census"),
+        ({"kernel": "mmx"}, "mmx"), ({"count": 0}, "disparities"), ({"low": 30000}, "30000"),
     ],
-)
-def test_what_cannot_be_is_refused(changes, low, count, says):
+)  # fmt: skip
+def test_what_cannot_be_is_refused(changes, says):
     left, right = pair(8, 20, 20)
+    changes = {"kernel": "", "low": 0, "count": 16} | changes
+    low, count = changes.pop("low"), changes.pop("count")
     with pytest.raises(ValueError, match=says):
-        sgm.match_dense(left, right, low, count, options(**{"kernel": "", **changes}), sgm.Workspace())
+        sgm.match_dense(left, right, low, count, options(**changes), sgm.Workspace())
 
 
 def test_shapes_and_types_are_checked():
     left, right = pair(8, 20, 20)
-    with pytest.raises(ValueError, match="height"):
-        sgm.match_dense(left, right[:4], 0, 16, sgm.Options(), sgm.Workspace())
-    with pytest.raises(ValueError, match="shape of the left"):
-        sgm.match_ragged(
-            left, right, np.zeros((8, 19), np.int16), np.ones((8, 19), np.uint8), sgm.Options(), sgm.Workspace()
-        )
-    with pytest.raises(ValueError, match="one block"):
-        sgm.match_ragged(
-            left, right, np.zeros((8, 20), np.int16), np.zeros((8, 20), np.uint8), sgm.Options(), sgm.Workspace()
-        )
-    with pytest.raises(ValueError, match="one pixel"):
-        sgm.match_dense(left[:, :0], right, 0, 16, sgm.Options(), sgm.Workspace())
-    with pytest.raises(TypeError):
-        sgm.match_dense(left.astype(np.float32), right, 0, 16, sgm.Options(), sgm.Workspace())
+    how = sgm.Options(), sgm.Workspace()
+    for first, blocks, says in (
+        (np.zeros((8, 19)), np.ones((8, 19)), "shape of the left"), (np.zeros((8, 20)), np.zeros((8, 20)), "one block")
+    ):  # fmt: skip
+        with pytest.raises(ValueError, match=says):
+            sgm.match_ragged(left, right, first.astype(np.int16), blocks.astype(np.uint8), *how)
+    for images, error, says in (
+        ((left, right[:4]), ValueError, "height"), ((left[:, :0], right), ValueError, "one pixel"),
+        ((left.astype(np.float32), right), TypeError, "incompatible"),
+    ):  # fmt: skip
+        with pytest.raises(error, match=says):
+            sgm.match_dense(*images, 0, 16, *how)

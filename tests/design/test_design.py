@@ -1,4 +1,6 @@
-"""Choosing pairs for matching: methods, budgets, connectivity, and what an unseen pair is expected to bring."""
+"""Choosing pairs for matching: methods, budgets, connectivity, tracks, and what an unseen pair is expected to bring."""
+
+from __future__ import annotations
 
 import numpy as np
 import pytest
@@ -6,18 +8,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from boat_world import boat, photos
-from network_steps import estimate_network
+from network_steps import network_of
 from tiegraph import papers
 from tiegraph.design.coverage import coverage
 from tiegraph.design.design import METHODS as PLUGGED
-from tiegraph.design.design import design, with_coverage
+from tiegraph.design.design import DesignResult, design, with_coverage
 from tiegraph.design.matchprediction import expected_matches
 from tiegraph.design.resistance import Predictor
 from tiegraph.design.settings import DesignSettings
 from tiegraph.design.tracks import Candidates, Tracks
 from tiegraph.design.tuning import MatchPredictionTuning, NetTuning, Tuning
-from tiegraph.network.settings import CandidatesSettings
-from tiegraph.network.tuning import Tuning as NetworkTuning
 from tiegraph.scene.graph import component_notes, components, cuts, groups, two_links
 from tiegraph.scene.matches import PreviewMatches
 from tiegraph.scene.pairs import REASONS, Pairs
@@ -27,6 +27,10 @@ from tiegraph.scene.scene import Scene, simple_scene
 TUNING, NET, EXPECTED = Tuning(few_pairs=0), NetTuning(), MatchPredictionTuning()
 papers.plug_in(papers.DESIGNS, "fuse2014_safe", PLUGGED)
 METHODS = ("hybrid", "top", "fuse2014_safe")
+
+
+def designed(pairs: Pairs, scene: Scene, ties: PreviewMatches | None = None, **wanted: object) -> DesignResult:
+    return design(pairs, scene, ties, DesignSettings(**wanted), TUNING)
 
 
 def graph(count: int, edges: int, seed: int) -> Pairs:
@@ -59,21 +63,14 @@ def corridor(frames: int = 10, seed: int = 0) -> tuple[Scene, Pairs, PreviewMatc
     return scene, Pairs.make(i, j, "file", score=np.array([len(m) for m in matches], float)), ties
 
 
-def test_all_keeps_everything() -> None:
-    pairs = graph(20, 100, 0)
-    assert design(pairs, photos(20), None, DesignSettings(method="all"), TUNING).pairs is pairs
-
-
 @pytest.mark.slow
 @settings(max_examples=30, deadline=None)
 @given(st.integers(2, 30), st.integers(0, 200), st.integers(0, 99), st.integers(1, 6), st.sampled_from(METHODS))
 def test_every_method_only_drops_and_keeps_the_components(count, edges, seed, most, method) -> None:
     pairs = graph(count, edges, seed)
     budget = "pairs" if seed % 2 else "loss"
-    wanted = DesignSettings(method=method, pairs_per_image=most, budget=budget)
-    chosen = design(pairs, photos(count), None, wanted, TUNING).pairs
-    assert len(chosen) == len(pairs)
-    assert np.all((chosen.dropped == 0) <= (pairs.dropped == 0))
+    chosen = designed(pairs, photos(count), method=method, pairs_per_image=most, budget=budget).pairs
+    assert len(chosen) == len(pairs) and np.all((chosen.dropped == 0) <= (pairs.dropped == 0))
     assert np.array_equal(components(pairs, count), components(chosen, count))
     if method == "top":
         assert np.all(chosen.degree(count) >= np.minimum(pairs.degree(count), most))
@@ -84,8 +81,7 @@ def test_every_method_only_drops_and_keeps_the_components(count, edges, seed, mo
 @given(st.integers(3, 25), st.integers(0, 120), st.integers(0, 99))
 def test_a_single_link_stays_single_only_where_there_is_no_second(count, edges, seed) -> None:
     pairs = graph(count, edges, seed).kept()
-    wanted = DesignSettings(budget="pairs", pairs_per_image=1)
-    chosen = design(pairs, photos(count), None, wanted, TUNING).pairs.kept()
+    chosen = designed(pairs, photos(count), budget="pairs", pairs_per_image=1).pairs.kept()
     before, after = cuts(pairs.i, pairs.j, count), cuts(chosen.i, chosen.j, count)
     single = {(int(i), int(j)) for i, j in zip(chosen.i[after.bridge], chosen.j[after.bridge])}
     assert single == {(int(i), int(j)) for i, j in zip(pairs.i[before.bridge], pairs.j[before.bridge])}
@@ -93,11 +89,8 @@ def test_a_single_link_stays_single_only_where_there_is_no_second(count, edges, 
 
 def test_top_keeps_every_pass_and_camera_in_an_images_list() -> None:
     world = boat((16, 16), (1.0, 1.0))
-    settings = CandidatesSettings()
-    pairs = estimate_network(
-        world.scene, np.full(len(world.scene), 100.0), world.match, settings, NetworkTuning()
-    ).pairs
-    chosen = design(pairs, world.scene, None, DesignSettings(method="top", pairs_per_image=8), TUNING).pairs
+    pairs = network_of(world.scene, world.match).pairs
+    chosen = designed(pairs, world.scene, method="top", pairs_per_image=8).pairs
     assert len(chosen.kept()) < 0.5 * len(pairs.kept())
     track = world.scene.sequence[world.scene.frame]
 
@@ -111,12 +104,10 @@ def test_top_keeps_every_pass_and_camera_in_an_images_list() -> None:
 def test_strongest_pairs_win() -> None:
     score = np.array([50.0, 40.0, 30.0, 5.0])
     pairs = Pairs.make([0, 0, 0, 1], [1, 2, 3, 2], "offsets", score=score)
-    chosen = design(pairs, photos(4), None, DesignSettings(method="top", pairs_per_image=1), TUNING).pairs
+    chosen = designed(pairs, photos(4), method="top", pairs_per_image=1).pairs
     # the weak pair closes the only ring and so gives two images their second link
     assert chosen.dropped.tolist() == [0, 0, 0, 0]
-    chosen = design(
-        pairs.where(score > 5), photos(4), None, DesignSettings(method="top", pairs_per_image=1), TUNING
-    ).pairs
+    chosen = designed(pairs.where(score > 5), photos(4), method="top", pairs_per_image=1).pairs
     assert chosen.dropped.tolist() == [0, 0, 0]
 
 
@@ -133,7 +124,7 @@ def test_a_stricter_budget_of_loss_costs_pairs() -> None:
     scene, pairs, ties = corridor()
     kept = []
     for loss in (0.5, 1.0, 60.0):
-        found = design(pairs, scene, ties, DesignSettings(loss_percent=loss), TUNING)
+        found = designed(pairs, scene, ties, loss_percent=loss)
         assert 0 <= found.counts["preview_loss_percent"] <= loss
         assert f"asked: {loss:g} %" in found.notes[0]
         kept.append(len(found.pairs.kept()))
@@ -148,9 +139,9 @@ def test_hybrid_predicts_less_loss_than_top_at_the_same_number_of_pairs() -> Non
     def variance(chosen: Pairs) -> float:
         return predictor.variance(chosen.dropped == 0)
 
-    top = design(pairs, scene, ties, DesignSettings(method="top", pairs_per_image=2), TUNING).pairs
+    top = designed(pairs, scene, ties, method="top", pairs_per_image=2).pairs
     degree = round(2 * len(top.kept()) / len(scene))
-    own = design(pairs, scene, ties, DesignSettings(budget="pairs", pairs_per_image=degree), TUNING).pairs
+    own = designed(pairs, scene, ties, budget="pairs", pairs_per_image=degree).pairs
     assert abs(len(own.kept()) - len(top.kept())) <= len(scene) // 4 + 2
     assert variance(pairs) < variance(own) < 0.95 * variance(top)
 
@@ -172,9 +163,9 @@ def test_an_image_that_hangs_by_little_does_not_rule_the_loss_of_a_known_rig() -
 
 def test_a_budget_of_pairs_is_kept_to() -> None:
     scene, pairs, ties = corridor()
-    by_pairs = design(pairs, scene, ties, DesignSettings(budget="pairs", pairs_per_image=6), TUNING)
+    by_pairs = designed(pairs, scene, ties, budget="pairs", pairs_per_image=6)
     assert 3 * len(scene) <= len(by_pairs.pairs.kept()) <= 3 * len(scene) + by_pairs.counts["second_links"]
-    too_few = design(pairs, scene, ties, DesignSettings(budget="pairs", pairs_per_image=1), TUNING)
+    too_few = designed(pairs, scene, ties, budget="pairs", pairs_per_image=1)
     assert f"the budget of {len(scene) // 2} pairs does not suffice" in too_few.notes[0]
     assert len(np.unique(components(too_few.pairs, len(scene)))) == 1
 
@@ -182,7 +173,7 @@ def test_a_budget_of_pairs_is_kept_to() -> None:
 def test_groups_keep_two_links_without_a_common_image() -> None:
     scene, pairs, ties = corridor()
     weak = pairs.with_(score=np.where(scene.frame[pairs.i] // 10 == scene.frame[pairs.j] // 10, 100.0, 1.0))
-    chosen = design(weak, scene, None, DesignSettings(budget="pairs", pairs_per_image=1), TUNING).pairs.kept()
+    chosen = designed(weak, scene, budget="pairs", pairs_per_image=1).pairs.kept()
     for group in groups(scene):
         assert len(two_links(chosen.i, chosen.j, group.member, np.ones(len(chosen)))) == 2
 
@@ -240,8 +231,7 @@ def test_expected_matches_follow_the_overlap() -> None:
     expected = expected_matches(pairs, ties, EXPECTED)
     hidden = np.arange(1, 400, 2)
     error = expected[hidden] - 80 * overlap[hidden] ** 1.2
-    assert 0.5 < np.sqrt(np.mean(error**2)) < 6
-    assert np.all(expected >= 1)
+    assert 0.5 < np.sqrt(np.mean(error**2)) < 6 and np.all(expected >= 1)
     assert np.corrcoef(expected[shown], count)[0, 1] > 0.99
     assert expected_matches(Pairs.make([0], [1], "file"), None, EXPECTED).tolist() == [1.0]
 
@@ -260,16 +250,53 @@ def test_fewer_previews_still_give_a_good_design() -> None:
 
 def test_the_funnel_and_the_weak_links_come_as_tables() -> None:
     scene, pairs, ties = corridor()
-    made = design(pairs, scene, ties, DesignSettings(), TUNING)
+    made = designed(pairs, scene, ties)
     found = with_coverage(made, coverage(made.pairs, scene))
     assert dict(found.tables["funnel"]["rows"])["candidates"] == len(pairs)
     assert dict(found.tables["funnel"]["rows"])["used"] == found.counts["pairs"] == len(found.pairs.kept())
     assert set(np.unique(found.pairs.dropped)) <= {0, REASONS.index("cut")}
     assert found.tables["weak links"]["rows"] == []
+    assert designed(pairs, scene, ties, method="all").pairs is pairs
 
 
 def test_nothing_to_choose_from_is_no_error() -> None:
     made = design(Pairs.empty(), photos(3), None, DesignSettings(), TUNING)
     found = with_coverage(made, coverage(made.pairs, photos(3)))
-    assert len(found.pairs) == 0
-    assert "3 images have no pair" in found.notes[0]
+    assert len(found.pairs) == 0 and "3 images have no pair" in found.notes[0]
+
+
+FEATURES = 6
+
+
+def chained(images: int) -> Tracks:
+    """Every image ties with the next by all its features, and one wrong match a pair makes one track of two."""
+    i, j = np.arange(images - 1), np.arange(1, images)
+    right = np.stack([np.arange(FEATURES)] * 2, axis=1)
+    matches = np.tile(np.concatenate([right[1:], [[0, 1]]]), (images - 1, 1))
+    start = FEATURES * np.arange(images)
+    candidates = Candidates.make(i, j, np.full(len(i), 9.0), PreviewMatches(i, j, start, matches), images)
+    tracks = Tracks(candidates, NET)
+    tracks.join(np.arange(len(i)))
+    return tracks
+
+
+def test_one_wrong_track_does_not_link_all_images() -> None:
+    images = 4 * NET.wide_images
+    tracks = chained(images)
+    assert np.bincount(tracks.parent).max() > 1.9 * images  # two features of every image in one
+    joint = tracks.joint()
+    assert 2 * images < joint.nnz <= images * NET.wide_images  # and not the square of the images
+    apart = np.abs(np.subtract(*joint.nonzero()))
+    assert apart.max() < NET.wide_images
+
+
+def test_small_surveys_keep_every_link() -> None:
+    images = NET.wide_images - 10
+    tracks = chained(images)
+    seen = tracks.incidence()
+    count = np.zeros((images, len(tracks.parent)))
+    image = np.repeat(np.arange(images), np.diff(tracks.candidates.first))
+    np.add.at(count, (image, tracks.parent), 1.0)
+    count = count[:, count.sum(axis=0) >= 2]
+    assert seen.shape == count.shape and seen.nnz == np.count_nonzero(count)
+    np.testing.assert_array_equal(tracks.joint().toarray(), count @ count.T)

@@ -1,14 +1,16 @@
-"""Weak links of hand-made networks."""
+"""Weak links of hand-made networks, and the map of the surface: who sees it, how precisely, where to go again."""
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from boat_world import photos
 from tiegraph.design.coverage import coverage, on_few_points, unknown_across
-from tiegraph.design.tuning import Tuning
+from tiegraph.design.surface import VERDICTS, CoveredSurface, surface_map, weak_places
+from tiegraph.design.tuning import SurfaceTuning, Tuning
 from tiegraph.scene.graph import cuts, frame_links, parts
-from tiegraph.scene.matches import PreviewMatches
+from tiegraph.scene.matches import PreviewMatches, Visibility
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import simple_scene
@@ -29,52 +31,44 @@ def rig_scene(frames: int, cameras: int = 2, tracks: tuple[int, ...] = ()):
     return simple_scene(rig, names, frame, sensor, np.array(tracks), sequences=names_of)
 
 
-def test_a_ring_is_sound() -> None:
+def test_a_ring_is_sound_and_dropped_pairs_do_not_count() -> None:
     found = coverage(pairs_of("01 12 23 03"), photos(4))
     assert found.sound
     assert found.lines == ("4 pairs hold 4 images together; no place hangs on a single link",)
     assert found.table["rows"] == []
+    found = coverage(pairs_of("01 12 02").drop(np.array([False, True, False]), "cut"), photos(3))
+    assert found.counts["pairs"] == found.counts["bridges"] == 2
 
 
 def test_two_rings_on_one_pair() -> None:
     found = coverage(pairs_of("01 02 12 23 34 35 45"), photos(6))
     assert not found.sound
-    rows = found.table["rows"]
-    assert ["single link", "002.jpg - 003.jpg", 3, 1, None] in rows
-    assert [r[1:3] for r in rows if r[0] == "joint"] == [["002.jpg", 3], ["003.jpg", 3]] or [
-        r[1:3] for r in rows if r[0] == "joint"
-    ] == [["002.jpg", 2], ["003.jpg", 2]]
+    assert ["single link", "002.jpg - 003.jpg", 3, 1, None] in found.table["rows"]
+    joints = [row[1:3] for row in found.table["rows"] if row[0] == "joint"]
+    assert joints in ([["002.jpg", n], ["003.jpg", n]] for n in (2, 3))
     assert any("1 single link" in line and "002.jpg - 003.jpg (3 frames)" in line for line in found.lines)
 
 
-def test_two_rings_on_one_image() -> None:
+def test_two_rings_on_one_image_and_a_chain() -> None:
     found = coverage(pairs_of("01 02 12 23 24 34"), photos(5))
     assert found.counts["bridges"] == 0
-    assert found.table["rows"] == [["joint", "002.jpg", 2, 1, None]]
-    assert "1 joint" in found.lines[0]
+    assert found.table["rows"] == [["joint", "002.jpg", 2, 1, None]] and "1 joint" in found.lines[0]
     assert "002.jpg (2 frames)" in found.lines[0]
-
-
-def test_a_chain_hangs_on_every_pair() -> None:
     found = coverage(pairs_of("01 12 23"), photos(4))
-    assert found.counts["bridges"] == 3
-    assert found.counts["joints"] == 2
+    assert found.counts["bridges"] == 3 and found.counts["joints"] == 2
     assert found.table["rows"][0] == ["single link", "001.jpg - 002.jpg", 2, 1, None]  # the worst first
 
 
 def test_a_link_of_two_pairs_is_single_if_they_share_an_image() -> None:
     scene = rig_scene(2)  # images 0, 1 of the first frame, 2, 3 of the second
-    shared = Pairs.make([0, 0], [2, 3], "file")
-    own = Pairs.make([0, 1], [2, 3], "file")
-    assert coverage(shared, scene).counts["bridges"] == 1
-    assert coverage(own, scene).counts["bridges"] == 0
+    shared, own = (Pairs.make(first, [2, 3], "file") for first in ([0, 0], [0, 1]))
+    assert [coverage(pairs, scene).counts["bridges"] for pairs in (shared, own)] == [1, 0]
     assert frame_links(own.i, own.j, scene).pairs.tolist() == [2]
 
 
 def test_images_of_a_frame_hold_together() -> None:
     found = coverage(Pairs.make([0, 3, 4], [2, 5, 1], "file"), rig_scene(3))  # a ring of three frames
-    assert found.counts["components"] == 1
-    assert found.counts["bridges"] == 0
+    assert found.counts["components"] == 1 and found.counts["bridges"] == 0
     assert found.counts["weak_groups"] == 2  # only one pair ties the cameras to each other
     assert "only one independent link ties camera cam0, cam1 to the others" in found.lines[-1]
 
@@ -85,15 +79,7 @@ def test_passes_on_one_link_or_none_are_named() -> None:
     assert "only one independent link ties pass pass0, pass1 to the others" in one.lines
     none = coverage(Pairs.make([0, 2], [1, 3], "file"), scene)
     assert "no pair ties pass pass0, pass1 to the others" in none.lines
-    assert none.counts["components"] == 2
-    assert none.table["rows"][0][:2] == ["pass", "pass0"]
-
-
-def test_dropped_pairs_do_not_count() -> None:
-    pairs = pairs_of("01 12 02").drop(np.array([False, True, False]), "cut")
-    found = coverage(pairs, photos(3))
-    assert found.counts["pairs"] == 2
-    assert found.counts["bridges"] == 2
+    assert none.counts["components"] == 2 and none.table["rows"][0][:2] == ["pass", "pass0"]
 
 
 def previews(counts: dict[tuple[int, int], int]) -> PreviewMatches:
@@ -149,3 +135,90 @@ def test_bridges_and_joints_are_what_their_removal_says(nodes, links, seed) -> N
         mine = label[np.delete(whole == whole[v], v)]
         assert found.joint[v] == (len(np.unique(mine)) > 1)
         assert found.falls[v] == (len(mine) - np.bincount(mine).max() if len(np.unique(mine)) > 1 else 0)
+
+
+SURFACE = SurfaceTuning()
+FOCAL = 1000.0
+
+
+def sees(xyz, centres, which):
+    """Visibility of points by images; which (N, P) bool."""
+    start = np.concatenate([[0], np.cumsum(which.sum(axis=1))])
+    return Visibility(start=start, point=np.nonzero(which)[1], xyz=np.asarray(xyz, float), centre=centres)
+
+
+def wall(width=20.0, seed=0):
+    """Points on the wall y = 10."""
+    rng = np.random.default_rng(seed)
+    return np.column_stack([rng.uniform(0, width, 4000), np.full(4000, 10.0), rng.uniform(0, 4, 4000)])
+
+
+def row(x):
+    return np.column_stack([x, np.zeros(len(x)), np.full(len(x), 2.0)])
+
+
+def test_two_images_measure_a_point_as_well_as_the_normal_case_says():
+    xyz, base = wall(0.5), 1.0
+    centres = row(np.array([-base / 2, base / 2]) + 0.25)
+    found = surface_map(sees(xyz, centres, np.ones((2, len(xyz)), bool)), np.full(2, FOCAL), SURFACE)
+    near = np.argmin(np.abs(found.xyz[:, 2] - 2))
+    depth = 10.0**2 / (base * FOCAL) * np.sqrt(2) * SURFACE.image_px  # the normal case of stereo
+    assert found.sigma[near] == pytest.approx(depth, rel=0.01)
+    assert found.angle_deg[near] == pytest.approx(2 * np.degrees(np.arctan(0.05)), rel=0.02)
+    assert np.all(found.images == 2)
+
+
+def test_more_images_are_more_precise():
+    xyz = wall(0.5)
+    sigma = []
+    for count in (3, 12):
+        centres = row(np.linspace(-2, 2, count))
+        seen = sees(xyz, centres, np.ones((count, len(xyz)), bool))
+        sigma.append(np.median(surface_map(seen, np.full(count, FOCAL), SURFACE).sigma))
+    assert 1.2 < sigma[0] / sigma[1] < 2.0
+
+
+def test_each_part_of_a_wall_gets_its_verdict():
+    """Seen from the left: by many, by two, by one, and by many that stand in one place."""
+    xyz = wall()
+    centres = np.concatenate([row(np.linspace(0, 5, 6)), row(np.array([7.0, 9.0])), row(np.array([12.0])),
+                              row(np.full(5, 17.5) + np.arange(5) * 0.02)])  # fmt: skip
+    part = np.floor(xyz[:, 0] / 5).astype(int)
+    owner = np.repeat([0, 1, 2, 3], [6, 2, 1, 5])
+    found = surface_map(sees(xyz, centres, owner[:, None] == part), np.full(len(centres), FOCAL), SURFACE)
+    for number, verdict in enumerate(("well covered", "few images", "one image", "narrow angle")):
+        inside = (found.xyz[:, 0] > 5 * number + 1) & (found.xyz[:, 0] < 5 * number + 4)
+        assert inside.sum() > 5 and {VERDICTS[k] for k in found.verdict[inside]} == {verdict}
+    assert sum(found.shares().values()) == pytest.approx(100)
+    places = weak_places(found)
+    weak = np.concatenate([p.cells for p in places])
+    assert np.all(found.verdict[weak] > 0) and len(np.unique(weak)) == len(weak)
+    assert all(4 < p.xyz[0] < 21 for p in places)
+    table = CoveredSurface(found, places, [f"{k}.jpg" for k in range(len(centres))]).table()
+    assert [len(r) for r in table["rows"]] == [len(table["columns"])] * len(places)
+    assert int(table["rows"][0][1].removesuffix(".jpg")) >= 6
+
+
+def test_the_two_faces_of_a_wall_are_covered_apart():
+    """Five images on one side, one on the other: not six views at 150 degrees."""
+    front = wall(3.0)
+    back = front + [0, 0.02, 0]  # in the same box
+    xyz = np.concatenate([front, back])
+    centres = np.concatenate([row(np.linspace(0, 3, 5)), [[1.5, 20.02, 2.0]]])
+    which = np.zeros((6, len(xyz)), bool)
+    which[:5, : len(front)] = which[5, len(front) :] = True
+    found = surface_map(sees(xyz, centres, which), np.full(6, FOCAL), SURFACE)
+    assert set(found.images.tolist()) == {5, 1} and found.angle_deg.max() < 30
+    assert np.all(np.isinf(found.sigma[found.images == 1]))
+    assert np.all(np.isfinite(found.sigma[found.images == 5]))
+
+
+def test_what_is_not_known_does_not_count():
+    xyz = wall(3.0)
+    centres = row(np.linspace(0, 3, 5))
+    centres[4] = np.nan
+    seen = sees(xyz, centres, np.ones((5, len(xyz)), bool))
+    focal = np.array([FOCAL, FOCAL, FOCAL, np.nan, FOCAL])
+    assert set(surface_map(seen, focal, SURFACE).images.tolist()) == {3}
+    nothing = surface_map(sees(xyz, centres, np.zeros((5, len(xyz)), bool)), focal, SURFACE)
+    assert len(nothing) == 0 and weak_places(nothing) == ()

@@ -35,27 +35,29 @@ def rows(path, table="two_view_geometries"):
     return sqlite3.connect(path).execute(f"SELECT * FROM {table} ORDER BY 1").fetchall()
 
 
+def matched(path, pairs, **how):
+    """What comes of pairs of the scene, and how many were done, at each step."""
+    progress: list[tuple[int, int]] = []
+    log = path.with_name("log.txt")
+    return *match_pairs(path, scene(), pairs, RULES, log, lambda a, b: progress.append((a, b)), **how), progress
+
+
 @pytest.fixture(scope="module")
 def done(tmp_path_factory):
     """The listed pairs, matched: folder, pairs, report, progress."""
     folder = tmp_path_factory.mktemp("match")
     path = filled_database(folder / "database.db", scene(), empty=(EMPTY,))
-    progress: list[tuple[int, int]] = []
-    pairs, report = match_pairs(
-        path, scene(), listed(), RULES, folder / "log.txt", lambda a, b: progress.append((a, b)), side=Side(1)
-    )
-    return folder, pairs, report, progress
+    return folder, *matched(path, listed(), side=Side(1))
 
 
 @pytest.mark.slow
-def test_exactly_the_kept_pairs_are_matched_and_counted(done):
+def test_exactly_the_kept_pairs_are_matched_and_counted_lost_ones_listed_with_the_reason(done):
     folder, pairs, report, progress = done
     kept = listed().dropped == 0
     without = kept & ((pairs.i == EMPTY) | (pairs.j == EMPTY))
     assert without.sum() > 0
     assert [r[0] for r in rows(folder / "database.db")] == sorted(pair_ids(pairs.where(kept & ~without)))
-    assert (pairs.inliers[kept & ~without] > 60).all()
-    assert (pairs.inliers[without] == -1).all()
+    assert (pairs.inliers[kept & ~without] > 60).all() and (pairs.inliers[without] == -1).all()
     assert (pairs.inliers[~kept] == -1).all()
     assert {REASONS[d] for d in pairs.dropped[without]} == {"match"}
     assert {REASONS[d] for d in pairs.dropped[~kept]} == {"cut"}
@@ -64,6 +66,9 @@ def test_exactly_the_kept_pairs_are_matched_and_counted(done):
     assert report.inliers == pairs.inliers[kept & ~without].sum() <= report.matches
     assert sum(report.configurations.values()) == report.matched
     assert progress[0] == (0, report.matched) and progress[-1] == (report.matched, report.matched)
+    name = scene().names[EMPTY]
+    assert len(report.lost) == report.asked - report.matched
+    assert all(name in both and f"no features in {name}" in reason for both, reason in report.lost)
 
 
 @pytest.mark.slow
@@ -77,22 +82,14 @@ def test_any_number_of_processes_any_history_and_a_cluster_make_the_same_bytes(d
         function(items[0], *args)
         return [function(item, *args) for item in items]
 
-    match_pairs(path, scene(), few.drop(few.i > 3, "cut"), RULES, tmp_path / "log.txt", side=Side(2))
-    match_pairs(path, scene(), listed(), RULES, tmp_path / "log.txt", side=Side(2, over_a_cluster))
+    matched(path, few.drop(few.i > 3, "cut"), side=Side(2))
+    matched(path, listed(), side=Side(2, over_a_cluster))
     assert path.read_bytes() == (folder / "database.db").read_bytes()
 
 
 def test_no_process_matches_on_two_threads():
     """Then COLMAP does not always find the same (see the module); a run of these small images seldom shows it."""
     assert matchblocks.colmap_options(RULES)[0].num_threads == 1
-
-
-@pytest.mark.slow
-def test_lost_pairs_are_listed_with_the_reason(done):
-    _, pairs, report, _ = done
-    name = scene().names[EMPTY]
-    assert len(report.lost) == report.asked - report.matched
-    assert all(name in both and f"no features in {name}" in reason for both, reason in report.lost)
 
 
 @pytest.mark.slow
@@ -110,10 +107,7 @@ def test_inliers_tie_the_same_points_and_the_database_opens_in_colmap(done):
 def test_a_second_run_does_nothing_and_gives_the_same(done, monkeypatch):
     folder, pairs, report, _ = done
     monkeypatch.setattr(matchblocks, "run_in_children", lambda *a, **k: pytest.fail("matched again"))
-    progress: list[tuple[int, int]] = []
-    again, second = match_pairs(
-        folder / "database.db", scene(), listed(), RULES, folder / "log.txt", lambda a, b: progress.append((a, b))
-    )
+    again, second, progress = matched(folder / "database.db", listed())
     assert progress == [(report.matched, report.matched)] and second == report
     assert all(np.array_equal(getattr(again, n), getattr(pairs, n)) for n in ("i", "j", "dropped", "inliers"))
 
@@ -125,8 +119,7 @@ def test_pairs_of_another_list_and_half_written_pairs_leave_the_database(tmp_pat
         database.write_matches(1, 12, np.array([[0, 0]], np.uint32))  # not asked
         database.write_matches(1, 3, np.array([[0, 0]], np.uint32))  # asked, no two-view geometry
     pairs = Pairs.make([0], [2], "file")
-    progress: list[tuple[int, int]] = []
-    result, _ = match_pairs(path, scene(), pairs, RULES, tmp_path / "log.txt", lambda a, b: progress.append((a, b)))
+    result, _, progress = matched(path, pairs)
     assert progress == [(0, 1), (1, 1)] and result.inliers[0] > 60
     assert [r[0] for r in rows(path, "matches")] == pair_ids(pairs).tolist()
 
@@ -151,8 +144,7 @@ def test_killed_run_resumes_to_the_same_database_and_survives_names_with_spaces(
         path, scene(space=True), listed(), RULES, tmp_path / "log.txt", lambda a, b: progress.append((a, b)), Side(2)
     )
     folder, expected, full, _ = done
-    assert 4 <= progress[0][0] < full.matched
-    assert report.matched == full.matched
+    assert 4 <= progress[0][0] < full.matched and report.matched == full.matched
     assert np.array_equal(pairs.inliers, expected.inliers)
     assert rows(path) == rows(folder / "database.db")
     assert rows(path, "matches") == rows(folder / "database.db", "matches")
@@ -167,12 +159,13 @@ def test_no_verified_pair_is_an_error_with_the_counts(tmp_path):
     rng = np.random.default_rng(0)
     noise = [(k, rng.random((50, 4)) * 400, rng.integers(0, 90, (50, 128)).astype(np.uint8)) for k in range(4)]
     write_features(path, noise)
-    with pytest.raises(ReconstructionError, match="no pair verified: 1 asked, 1 compared.*lower match.min_inliers"):
-        match_pairs(path, scene(), Pairs.make([0], [2], "file"), RULES, tmp_path / "log.txt")
-    with pytest.raises(ReconstructionError, match="no features in cam0/img_03.jpg"):
-        match_pairs(path, scene(), Pairs.make([0], [6], "file"), RULES, tmp_path / "log.txt")
-    with pytest.raises(ReconstructionError, match="the pair list is empty"):
-        match_pairs(path, scene(), Pairs.empty(), RULES, tmp_path / "log.txt")
+    for pairs, said in (
+        (Pairs.make([0], [2], "file"), "no pair verified: 1 asked, 1 compared.*lower match.min_inliers"),
+        (Pairs.make([0], [6], "file"), "no features in cam0/img_03.jpg"),
+        (Pairs.empty(), "the pair list is empty"),
+    ):
+        with pytest.raises(ReconstructionError, match=said):
+            matched(path, pairs)
     assert set(feature_counts(path)) == {0, 1, 2, 3}
 
 
@@ -202,7 +195,7 @@ def test_watermarks_are_struck_out(tmp_path):
         database.write_two_view_geometry(1, 3, geometry)
     pairs = Pairs.make([0], [2], "file")
     with pytest.raises(ReconstructionError, match="1 compared, 20 feature matches"):
-        match_pairs(path, scene(), pairs, RULES, tmp_path / "log.txt")
+        matched(path, pairs)
     assert [column[0] for column in match_counts(path, pairs)] == [20, 0, geometry.config]
 
 
@@ -225,6 +218,6 @@ def test_a_block_that_ends_its_process_is_left_away_and_the_others_are_done(tmp_
     monkeypatch.setattr(matchblocks, "run_in_child", child)
     monkeypatch.setattr(matchblocks, "run_in_children", lambda f, calls, **how: [child(f, *c, **how) for c in calls])
     monkeypatch.setattr(match, "BLOCK_PAIRS", 1)
-    pairs, report = match_pairs(path, scene(), asked, RULES, tmp_path / "log.txt")
+    pairs, report, _ = matched(path, asked)
     assert tried.count(tried[0]) == 2 and len(tried) == report.asked + 1 and report.matched == report.asked - 1
     assert any("no result" in why for _, why in report.lost) and pairs.inliers.max() > 0

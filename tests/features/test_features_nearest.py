@@ -29,17 +29,18 @@ def both(first: int, second: int) -> tuple[np.ndarray, np.ndarray]:
 SIZES = [(0, 0), (0, 5), (5, 0), (1, 1), (1, 2), (7, 33), (32, 32), (65, 130), (300, 201)]
 
 
-@pytest.mark.skipif(not KERNELS, reason="the native module was not built: no C++ compiler at installation")
+built = pytest.mark.skipif(not KERNELS, reason="the native module was not built: no C++ compiler at installation")
+
+
+@built
 @pytest.mark.parametrize("kernel", KERNELS)
 def test_a_kernel_finds_what_numpy_finds(kernel: str) -> None:
-    from tiegraph.features import _nearest
-
     for first, second in SIZES:
         a, b = both(first, second)
-        found, asked = _nearest.search(a, b, kernel), nearest._searched(a, b)
+        found, asked = nearest._nearest.search(a, b, kernel), nearest._searched(a, b)
         assert all(np.array_equal(f, n) for f, n in zip(found, asked)), (first, second)
     a, b = np.full((40, 128), 255, np.uint8), np.full((3, 128), 255, np.uint8)  # no sum leaves its 32 bits
-    assert _nearest.search(a, b, kernel)[0].tolist() == [[0] * 40, [128 * 255**2] * 40, [128 * 255**2] * 40]
+    assert nearest._nearest.search(a, b, kernel)[0].tolist() == [[0] * 40, [128 * 255**2] * 40, [128 * 255**2] * 40]
 
 
 def test_numpy_finds_the_two_nearest_in_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -53,14 +54,12 @@ def test_numpy_finds_the_two_nearest_in_blocks(monkeypatch: pytest.MonkeyPatch) 
         assert np.array_equal(found[1:], np.sort(table, axis=1)[:, :-3:-1].T)
 
 
-@pytest.mark.skipif(not KERNELS, reason="the native module was not built: no C++ compiler at installation")
+@built
 def test_a_kernel_that_is_not_there_is_refused() -> None:
-    from tiegraph.features import _nearest
-
     with pytest.raises(ValueError, match="no kernel abacus"):
-        _nearest.search(descriptors(2, 1), descriptors(2, 2), "abacus")
+        nearest._nearest.search(descriptors(2, 1), descriptors(2, 2), "abacus")
     with pytest.raises(TypeError):
-        _nearest.search(np.zeros((2, 64), np.uint8), np.zeros((2, 64), np.uint8))
+        nearest._nearest.search(np.zeros((2, 64), np.uint8), np.zeros((2, 64), np.uint8))
 
 
 @pytest.mark.slow

@@ -6,7 +6,7 @@ import pycolmap
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tiegraph.features.preview import Preview, extract_preview, match_previews, spread, tentative
+from tiegraph.features.preview import Preview, PreviewMatch, extract_preview, match_previews, spread, tentative
 from tiegraph.features.settings import PreviewSettings
 from tiegraph.features.tuning import PreviewTuning, Tuning
 from tiegraph.geometry.transforms import angle_deg
@@ -39,6 +39,14 @@ def view(paper: np.ndarray, rotation: np.ndarray, centre: tuple[float, float, fl
     return cv2.remap(paper, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
 
 
+def preview(image: np.ndarray, mask: np.ndarray | None = None) -> Preview:
+    return extract_preview(image, mask, SETTINGS, Tuning())
+
+
+def matched(a: Preview, b: Preview, camera: pycolmap.Camera | None = CAMERA) -> PreviewMatch:
+    return match_previews(a, b, camera, camera, SETTINGS, TUNING)
+
+
 @pytest.fixture(scope="module")
 def views() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     turn = Rotation.from_euler("y", 8, degrees=True).as_matrix()
@@ -46,87 +54,66 @@ def views() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return view(paper, np.eye(3), (0, 0, 0)), view(paper, turn, (0.6, 0.1, 0)), turn
 
 
-def test_same_place_matches_with_its_rotation(views) -> None:
-    a, b = (extract_preview(v, None, SETTINGS, Tuning()) for v in views[:2])
-    found = match_previews(a, b, CAMERA, CAMERA, SETTINGS, TUNING)
-    assert 40 < found.inliers <= SETTINGS.features
-    assert angle_deg(found.rotation, views[2]) < 3.0
-    assert match_previews(a, b, CAMERA, CAMERA, SETTINGS, TUNING).inliers == found.inliers
-
-
-@pytest.mark.slow
-def test_unrelated_images_stay_at_chance() -> None:
-    previews = [extract_preview(view(texture(s), np.eye(3), (0, 0, 0)), None, SETTINGS, Tuning()) for s in range(2, 7)]
-    pairs = np.array([(a, b) for a in range(5) for b in range(a)])
-    counts = [match_previews(previews[a], previews[b], CAMERA, CAMERA, SETTINGS, TUNING).inliers for a, b in pairs]
-    assert max(counts) < 20
-    assert np.median(counts) < 13
-
-
-def test_unknown_camera_counts_alike_but_gives_no_rotation(views) -> None:
-    a, b = (extract_preview(v, None, SETTINGS, Tuning()) for v in views[:2])
-    known, guessed = (match_previews(a, b, c, c, SETTINGS, TUNING) for c in (CAMERA, None))
+def test_two_views_of_one_place_match_with_their_rotation_and_shift(views) -> None:
+    a, b = (preview(v) for v in views[:2])
+    found = matched(a, b)
+    assert 40 < found.inliers <= SETTINGS.features and angle_deg(found.rotation, views[2]) < 3.0
+    assert matched(a, b).inliers == found.inliers
+    there, back = (matched(p, q) for p, q in ((a, b), (b, a)))
+    assert np.sign(there.shift[0]) == -np.sign(back.shift[0]) != 0
+    assert abs(there.shift[0] + back.shift[0]) < 0.03
+    known, guessed = (matched(a, b, c) for c in (CAMERA, None))
     assert guessed.rotation is None and known.rotation is not None
     assert 0.6 * known.inliers < guessed.inliers < 1.6 * known.inliers
 
 
-def test_shift_points_the_way_things_move(views) -> None:
-    a, b = (extract_preview(v, None, SETTINGS, Tuning()) for v in views[:2])
-    there, back = (match_previews(p, q, CAMERA, CAMERA, SETTINGS, TUNING) for p, q in ((a, b), (b, a)))
-    assert np.sign(there.shift[0]) == -np.sign(back.shift[0]) != 0
-    assert abs(there.shift[0] + back.shift[0]) < 0.03
+@pytest.mark.slow
+def test_unrelated_images_stay_at_chance() -> None:
+    previews = [preview(view(texture(s), np.eye(3), (0, 0, 0))) for s in range(2, 7)]
+    counts = [matched(previews[a], previews[b]).inliers for a in range(5) for b in range(a)]
+    assert max(counts) < 20 and np.median(counts) < 13
 
 
 def test_mask_keeps_features_out_and_brightness_whole(views) -> None:
     mask = np.zeros((480, 640), bool)
     mask[:, :320] = True
-    whole, half = (
-        extract_preview(views[0], None, SETTINGS, Tuning()),
-        extract_preview(views[0], mask, SETTINGS, Tuning()),
-    )
-    assert len(half) > 50
-    assert half.xy[:, 0].max() <= 324
-    assert whole.xy[:, 0].max() > 600
-    assert half.brightness == whole.brightness
-    assert abs(whole.brightness - views[0].mean()) < 1
+    whole, half = preview(views[0]), preview(views[0], mask)
+    assert len(half) > 50 and half.xy[:, 0].max() <= 324 and whole.xy[:, 0].max() > 600
+    assert half.brightness == whole.brightness and abs(whole.brightness - views[0].mean()) < 1
     assert abs(whole.shares.sum() - 1) < 1e-5
 
 
 def test_pixels_are_full_size_and_count_from_the_corner() -> None:
     image = np.zeros((960, 1280), np.uint8)
     cv2.circle(image, (600, 400), 20, 255, -1)  # its middle is at (600.5, 400.5)
-    preview = extract_preview(image, None, SETTINGS, Tuning())
-    nearest = np.min(np.linalg.norm(preview.xy - (600.5, 400.5), axis=1))
-    assert 0 <= nearest < 0.3 * 1280 / 400
-    assert preview.scale == pytest.approx(400 / 1280)
+    found = preview(image)
+    nearest = np.min(np.linalg.norm(found.xy - (600.5, 400.5), axis=1))
+    assert 0 <= nearest < 0.3 * 1280 / 400 and found.scale == pytest.approx(400 / 1280)
 
 
 def test_flat_or_tiny_images_match_nothing() -> None:
-    flat = extract_preview(np.full((480, 640), 90, np.uint8), None, SETTINGS, Tuning())
-    tiny = extract_preview(np.full((3, 5), 90, np.uint8), None, SETTINGS, Tuning())
-    assert len(flat) == len(tiny) == 0
-    assert match_previews(flat, tiny, CAMERA, CAMERA, SETTINGS, TUNING).inliers == 0
+    flat, tiny = (preview(np.full(size, 90, np.uint8)) for size in ((480, 640), (3, 5)))
+    assert len(flat) == len(tiny) == matched(flat, tiny).inliers == 0
 
 
 def test_npz_round_trip(views, tmp_path) -> None:
-    preview = extract_preview(views[0], None, SETTINGS, Tuning())
-    np.savez(tmp_path / "p.npz", **preview.to_npz())
+    made = preview(views[0])
+    np.savez(tmp_path / "p.npz", **made.to_npz())
     with np.load(tmp_path / "p.npz") as data:
         again = Preview.from_npz(dict(data))
-    assert np.array_equal(again.xy, preview.xy) and np.array_equal(again.descriptors, preview.descriptors)
-    assert (again.width, again.height, again.scale) == (640, 480, preview.scale)
-    assert again.brightness == preview.brightness
+    assert np.array_equal(again.xy, made.xy) and np.array_equal(again.descriptors, made.descriptors)
+    assert (again.width, again.height, again.scale) == (640, 480, made.scale)
+    assert again.brightness == made.brightness
 
 
-@pytest.mark.parametrize("gray", [np.zeros((4, 4, 3), np.uint8), np.zeros((4, 4), np.float32)])
-def test_wrong_images_are_refused(gray) -> None:
-    with pytest.raises(ValueError, match="grey"):
-        extract_preview(gray, None, SETTINGS, Tuning())
-
-
-def test_mask_of_another_size_is_refused() -> None:
-    with pytest.raises(ValueError, match="mask"):
-        extract_preview(np.zeros((4, 4), np.uint8), np.ones((4, 5), bool), SETTINGS, Tuning())
+@pytest.mark.parametrize(
+    ("image", "mask", "said"),
+    [(np.zeros((4, 4, 3), np.uint8), None, "grey"), (np.zeros((4, 4), np.float32), None, "grey"),
+     (np.zeros((4, 4), np.uint8), np.ones((4, 5), bool), "mask")],
+)  # fmt: skip
+def test_wrong_images_and_masks_are_refused(image, mask, said) -> None:
+    with pytest.raises(ValueError, match=said):
+        preview(image, mask)
 
 
 def test_spread_takes_the_best_of_each_cell_first() -> None:

@@ -42,14 +42,8 @@ def turns(count: int, rings: int = 16, step_deg: float = 1.0, noise_m: float = 0
     rng = np.random.default_rng(seed)
     azimuth = np.radians(np.arange(0, 360, step_deg))
     height = np.radians(np.linspace(-20, 20, rings))
-    rays = np.stack(
-        [
-            np.cos(azimuth)[:, None] * np.cos(height),
-            -np.sin(azimuth)[:, None] * np.cos(height),
-            np.sin(height) + 0 * azimuth[:, None],
-        ],
-        axis=2,
-    ).reshape(-1, 3)
+    ahead, up = np.meshgrid(azimuth, height, indexing="ij")
+    rays = np.stack([np.cos(ahead) * np.cos(up), -np.sin(ahead) * np.cos(up), np.sin(up)], axis=2).reshape(-1, 3)
     offset = np.repeat(np.arange(len(azimuth)) / len(azimuth) * PERIOD_S, rings)
     out = []
     for k in range(count):

@@ -1,20 +1,30 @@
-"""Trajectory and map of a simulated scanner."""
+"""Trajectory and map of a simulated scanner, and the verb that makes them files."""
 
 from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-pytest.importorskip("kiss_icp")
-from lidar.lidar_world import HALL, Turn, turns, world_from_lidar
-from tiegraph.errors import InputError
+from lidar.lidar_world import HALL, Turn, turns, world_from_lidar, write_bins
+from near import off_after_similarity, rms
+from tiegraph.cli.main import main
+from tiegraph.errors import EngineMissing, InputError
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import umeyama
 from tiegraph.lidar import odometry as module
 from tiegraph.lidar.adjust import adjust, adjusted
 from tiegraph.lidar.odometry import MapCloud, ThinScan, odometry
 from tiegraph.lidar.scans import Scan
+from tiegraph.lidar.settings import LidarSettings
 from tiegraph.lidar.tuning import AdjustTuning, Tuning
+from tiegraph.pipeline.lidar import lidar
+from tiegraph.scene.cloudfile import read_cloud
+from tiegraph.scene.posefile import read_poses
+
+pytest.importorskip("kiss_icp")
 
 _TUNING = Tuning()
 
@@ -30,8 +40,7 @@ def _thin(made: list[Turn], timed: bool = True) -> list[ThinScan]:
 def _error_m(thin: list[ThinScan], poses: np.ndarray) -> float:
     """RMS after a rigid alignment."""
     true = world_from_lidar(np.array([s.time_s for s in thin]))[:, :3, 3]
-    fit = umeyama(poses[:, :3, 3], true, with_scale=False)
-    return float(np.sqrt(np.mean(np.sum((fit(poses[:, :3, 3]) - true) ** 2, axis=1))))
+    return rms(off_after_similarity(poses[:, :3, 3], true, with_scale=False))
 
 
 @pytest.mark.slow
@@ -40,8 +49,7 @@ def test_adjusted_scans_are_better_than_odometry() -> None:
     first, second = np.array([s.pose for s in thin]), np.array(list(adjusted(thin, _TUNING.adjust)))
     path = 2.0 * (thin[-1].time_s - thin[0].time_s)
     before, after = _error_m(thin, first), _error_m(thin, second)
-    assert 0 < after < 0.005 * path
-    assert after < 0.7 * before
+    assert 0 < after < 0.005 * path and after < 0.7 * before
     true = world_from_lidar(np.array([s.time_s for s in thin]))
     moved, should = (transforms.invert(p[0]) @ p[-1] for p in (second, true))
     assert transforms.angle_deg(moved[:3, :3], should[:3, :3]) < 0.2
@@ -53,8 +61,7 @@ def test_adjusted_scans_are_better_than_odometry() -> None:
 def test_windows_go_on_where_the_last_one_ended() -> None:
     thin = _thin(turns(18))
     poses = np.array(list(adjusted(thin, AdjustTuning(window=12))))
-    assert len(poses) == len(thin)
-    assert 0 < _error_m(thin, poses) < 0.03
+    assert len(poses) == len(thin) and 0 < _error_m(thin, poses) < 0.03
     steps = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
     assert 0.15 < steps.min() and steps.max() < 0.25
 
@@ -91,3 +98,51 @@ def test_the_map_has_a_point_a_voxel_and_keeps_within_memory(monkeypatch: pytest
     few = MapCloud(0.1)
     few.add(xyz)
     assert 0 < len(few.cloud()) <= 300 and few.voxel_m > 0.1
+
+
+pytest.importorskip("kiss_icp")
+
+_COLUMNS = ("x", "y", "z", "intensity", "t")
+
+
+@pytest.mark.slow
+def test_trajectory_and_map(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = write_bins(tmp_path / "velodyne", turns(6))
+    out = tmp_path / "out"
+    assert main(["lidar", str(folder), "-o", str(out), "--far-m", "60", "--columns", *_COLUMNS]) == 0
+    said = capsys.readouterr().out
+    assert "6 scans" in said
+    told = json.loads((out / "lidar.json").read_text())
+    assert told["path_m"] == pytest.approx(1.0, rel=0.05)
+    assert len(read_poses(out / "trajectory.tum").poses) == 6
+    cloud = read_cloud(out / "map.laz")
+    assert len(cloud) == told["map_points"] > 1000
+    again = tmp_path / "again"
+    lidar(folder, again, LidarSettings(far_m=60, columns=_COLUMNS))
+    assert (again / "map.laz").read_bytes() == (out / "map.laz").read_bytes()
+    assert main(["lidar", str(folder), "-o", str(out)]) != 0
+    assert "is there already" in capsys.readouterr().err
+
+
+def test_what_cannot_be_used_is_said_before_anything_is_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = write_bins(tmp_path / "velodyne", turns(3, rings=4))
+    out = tmp_path / "out"
+    (tmp_path / "norun").mkdir()
+    (tmp_path / "place.json").write_text(json.dumps({"hand_eye": {"rig_from_lidar": [1, 2], "clock_s": 0}}))
+    for more, named in (
+        (["--run", str(tmp_path / "norun")], "norun"),
+        (["--place", str(tmp_path / "place.json")], "rig_from_lidar"),
+        (["--poses", str(tmp_path / "none.json")], "none.json"),
+    ):
+        assert main(["lidar", str(folder), "-o", str(out), "--columns", *_COLUMNS, *more]) != 0
+        assert named in capsys.readouterr().err and not out.exists()
+
+
+def test_without_kiss_icp(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = write_bins(tmp_path / "velodyne", turns(2, rings=4))
+    monkeypatch.setitem(sys.modules, "kiss_icp.kiss_icp", None)
+    with pytest.raises(EngineMissing, match=r"tiegraph\[lidar\]"):
+        lidar(folder, tmp_path / "out", LidarSettings(columns=_COLUMNS))
+    assert not (tmp_path / "out").exists()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
 import laspy
@@ -138,72 +139,41 @@ def test_scans_in_a_world_are_brought_back(tmp_path: Path) -> None:
         np.testing.assert_allclose(scan.xyz_m, xyz, atol=1e-9)
 
 
-def _empty(folder: Path) -> dict:
-    for f in folder.iterdir():
-        f.unlink()
-    return {}
-
-
-def _truncated(folder: Path) -> dict:
-    data = (folder / "000001.bin").read_bytes()
-    (folder / "000001.bin").write_bytes(data[:-7])
-    return {}
-
-
-def _only_one(folder: Path) -> dict:
-    for name in ("000001.bin", "000002.bin"):
-        (folder / name).unlink()
-    return {}
-
-
-def _all_nan(folder: Path) -> dict:
-    np.full((500, 5), np.nan, "<f4").tofile(folder / "000001.bin")
-    return {}
-
-
-def _decreasing(folder: Path) -> dict:
-    (folder / "times.txt").write_text("3\n2\n1\n")
-    return {}
+def _milliseconds(folder: Path) -> None:
+    rows = np.fromfile(folder / "000000.bin", "<f4").reshape(-1, 5)
+    rows[:, 4] *= 1000
+    rows.tofile(folder / "000000.bin")
 
 
 def _few_times(folder: Path) -> dict:
+    """Names without numbers, so that rows cannot go by these."""
+    for k, f in enumerate(sorted(folder.glob("*.bin"))):
+        f.rename(folder / f"s{k}.bin")
     (folder / "times.txt").write_text("1\n2\n")
     return {"times": folder / "times.txt"}
 
 
-def _no_times(folder: Path) -> dict:
-    (folder / "times.txt").unlink()
-    return {}
+SPOILT = {
+    "no scans": lambda folder: [f.unlink() for f in folder.iterdir()],
+    "000001.bin: .*are not points of 5 columns": lambda folder: os.truncate(
+        one := folder / "000001.bin", one.stat().st_size - 7
+    ),
+    "only scan": lambda folder: [(folder / f"00000{k}.bin").unlink() for k in (1, 2)],
+    "000001.bin: 0 of 500 points": lambda folder: np.full((500, 5), np.nan, "<f4").tofile(folder / "000001.bin"),
+    "does not come after": lambda folder: (folder / "times.txt").write_text("3\n2\n1\n"),
+    "2 rows for 3 scans|one each": _few_times,
+    "--times": lambda folder: (folder / "times.txt").unlink(),
+    "another unit": _milliseconds,
+    "5 .*columns would fit.*--columns": lambda folder: {"columns": ("x", "y", "z", "intensity")},
+}
 
 
-def _milliseconds(folder: Path) -> dict:
-    rows = np.fromfile(folder / "000000.bin", "<f4").reshape(-1, 5)
-    rows[:, 4] *= 1000
-    rows.tofile(folder / "000000.bin")
-    return {}
-
-
-@pytest.mark.parametrize(
-    "spoilt, named",
-    [
-        (_empty, "no scans"),
-        (_truncated, "000001.bin: .*are not points of 5 columns"),
-        (_only_one, "only scan"),
-        (_all_nan, "000001.bin: 0 of 500 points"),
-        (_decreasing, "does not come after"),
-        (_few_times, "2 rows for 3 scans|one each"),
-        (_no_times, "--times"),
-        (_milliseconds, "another unit"),
-        (lambda folder: {"columns": ("x", "y", "z", "intensity")}, "5 .*columns would fit.*--columns"),
-    ],
-)
-def test_bad_scans(tmp_path: Path, spoilt, named: str) -> None:
+@pytest.mark.parametrize("named", SPOILT)
+def test_bad_scans(tmp_path: Path, named: str) -> None:
     folder = write_bins(tmp_path / "scans", turns(3, rings=5, step_deg=3.8))
-    if spoilt is _few_times:  # names without numbers, so that rows cannot go by these
-        for k, f in enumerate(sorted(folder.glob("*.bin"))):
-            f.rename(folder / f"s{k}.bin")
+    how = SPOILT[named](folder)
     with pytest.raises(InputError, match=named):
-        _read(folder, **{"columns": _XYZT, **spoilt(folder)})
+        _read(folder, **{"columns": _XYZT} | (how if isinstance(how, dict) else {}))
 
 
 def test_every_reader_names_a_damaged_file(tmp_path: Path) -> None:

@@ -1,3 +1,7 @@
+"""Sources of masks, a model of the user's among them, and the images they look at."""
+
+import logging
+import sys
 import time
 from pathlib import Path
 
@@ -8,12 +12,14 @@ from pydantic import ValidationError
 
 from masks_world import DECK, HORIZON, SHAPE, frame, sequence, share, write
 from tiegraph import papers
-from tiegraph.errors import InputError
-from tiegraph.masks import sources
+from tiegraph.errors import EngineMissing, InputError
+from tiegraph.masks import EGO, SKY, USE, plugin, sources
 from tiegraph.masks.compare import compare
+from tiegraph.masks.frames import full_size, grey, image_size, read_small, small_shape, two_frames
+from tiegraph.masks.quality import flags, image_quality
 from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.sources import SOURCES, Camera, explain_source
-from tiegraph.masks.tuning import Tuning
+from tiegraph.masks.tuning import FramesTuning, Tuning
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import simple_scene
 
@@ -53,13 +59,10 @@ def test_auto_takes_a_given_folder_and_checks_it(tmp_path):
 
 
 def test_contradicting_settings(tmp_path):
+    none_with_folder = {"source": "none", "folder": tmp_path}
     for wrong in (
-        {"source": "folder"},
-        {"source": "none", "folder": tmp_path},
-        {"keep_labels": (4,)},
-        {"source": "meguro"},
-        {"similarity": 1.5},
-    ):
+        {"source": "folder"}, none_with_folder, {"keep_labels": (4,)}, {"source": "meguro"}, {"similarity": 1.5}
+    ):  # fmt: skip
         with pytest.raises(ValidationError):
             MasksSettings(**wrong)
 
@@ -108,8 +111,7 @@ def test_large_images_give_the_mask_of_small_ones_at_full_size(tmp_path):
     small_masks = all_masks("meguro2025", [write(tmp_path / f"s{k}.png", s) for k, s in enumerate(small)])
     large_masks = all_masks("meguro2025", [write(tmp_path / f"l{k}.png", s) for k, s in enumerate(large)])
     for s, m in zip(small_masks, large_masks):
-        assert m.shape == (1920, 2560)
-        assert (m[2::4, 2::4] == s).mean() > 0.95
+        assert m.shape == (1920, 2560) and (m[2::4, 2::4] == s).mean() > 0.95
 
 
 def test_paper_001_masks_in_a_fraction_of_a_second_an_image(tmp_path):
@@ -148,3 +150,164 @@ def test_views_of_a_lens_are_one_witness_of_water(monkeypatch):
         SOURCES["learnt"].prepare(cameras, MasksSettings(source="learnt"), Tuning(), map)
     SOURCES["learnt"].prepare(cameras, MasksSettings(source="learnt", water="on"), Tuning(), map)
     assert asked == ["auto", "off", "on"]
+
+
+FRAMES = FramesTuning()
+
+
+def test_the_first_and_the_last_frame_are_taken_equal_or_differently_sized_ones_passed_over(tmp_path):
+    a, b = two_frames(sequence(tmp_path), FRAMES)
+    assert (a == grey(frame(0))).all() and (b == grey(frame(3))).all()
+    images = sequence(tmp_path)
+    write(images[3], frame(0))
+    write(images[2], frame(2)[:100])
+    a, b = two_frames(images, FRAMES)
+    assert (b == grey(frame(1))).all()
+
+
+@pytest.mark.parametrize("broken", [0, 3])
+def test_broken_end_frame_is_passed_over(tmp_path, broken, caplog):
+    images = sequence(tmp_path)
+    images[broken].write_bytes(b"not an image")
+    a, b = two_frames(images, FRAMES)
+    assert (a == grey(frame(1 if broken == 0 else 0))).all()
+    assert (b == grey(frame(2 if broken == 3 else 3))).all() and images[broken].name in caplog.text
+
+
+def test_one_image_equal_images_or_none_readable_give_none(tmp_path, caplog):
+    one, same = (write(tmp_path / name, frame(0)) for name in ("a.png", "b.png"))
+    with caplog.at_level(logging.WARNING):
+        for images in ([one], [one, same], [tmp_path / "gone.png"]):
+            assert two_frames(images, FRAMES) is None
+    assert caplog.text.count("no mask from two frames") == 3
+
+
+@pytest.mark.parametrize("size", [(2000, 3000), (1300, 700), (480, 640), (481, 641), (35, 6000)])
+def test_reduced_size_keeps_the_shape(tmp_path, size):
+    path = write(tmp_path / "a.jpg", np.full((*size, 3), 99, np.uint8))
+    small = read_small(path, FRAMES.work_px)
+    assert image_size(path) == size and small.shape[:2] == small_shape(size, FRAMES.work_px)
+    assert max(small.shape) <= FRAMES.work_px
+    assert full_size(np.ones(small.shape[:2], bool), size).shape == size
+
+
+def test_reduced_reading_agrees_with_full_reading_and_grey_is_three_equal_channels(tmp_path):
+    image = cv2.resize(frame(0), (2560, 1920), interpolation=cv2.INTER_CUBIC)
+    small = read_small(write(tmp_path / "a.jpg", image), FRAMES.work_px).astype(float)
+    full = cv2.resize(image, (640, 480), interpolation=cv2.INTER_AREA)
+    assert np.abs(small - full).mean() < 2.0  # grey levels
+    small = read_small(write(tmp_path / "a.png", grey(frame(0))), FRAMES.work_px)
+    assert small.shape == (*SHAPE, 3) and np.ptp(small, axis=2).max() == 0
+
+
+@pytest.mark.parametrize("data", [b"", b"GIF89a nonsense", None])
+def test_unreadable_image_names_the_file(tmp_path, data):
+    path = tmp_path / "a.jpg"
+    if data is not None:
+        path.write_bytes(data)
+    for read in (image_size, lambda p: read_small(p, FRAMES.work_px)):
+        with pytest.raises(InputError, match=r"a\.jpg"):
+            read(path)
+
+
+TOML = 'onnx = "tiny.onnx"\nsize = [32, 24]\n[classes]\nsky = [2]\nplatform = [0]\n'
+
+
+def _field(number, value):
+    """One field of a protocol buffer: bytes, text or a number."""
+
+    def varint(n):
+        out = bytearray()
+        while n > 127:
+            out.append(n & 127 | 128)
+            n >>= 7
+        return bytes([*out, n])
+
+    if isinstance(value, int):
+        return varint(number << 3) + varint(value)
+    data = value.encode() if isinstance(value, str) else value
+    return varint(number << 3 | 2) + varint(len(data)) + data
+
+
+def tiny_model():
+    """ONNX bytes of Identity: the three colours of the image are the scores of three classes."""
+
+    def value(name):
+        dims = b"".join(_field(1, _field(1, n)) for n in (1, 3, 24, 32))
+        return _field(1, name) + _field(2, _field(1, _field(1, 1) + _field(2, dims)))
+
+    node = _field(1, "image") + _field(2, "scores") + _field(4, "Identity")
+    graph = _field(1, node) + _field(2, "tiny") + _field(11, value("image")) + _field(12, value("scores"))
+    return _field(1, 8) + _field(7, graph) + _field(8, _field(1, "") + _field(2, 13))
+
+
+@pytest.fixture
+def model(tmp_path):
+    (tmp_path / "tiny.onnx").write_bytes(tiny_model())
+    (tmp_path / "model.toml").write_text(TOML)
+    return tmp_path / "model.toml"
+
+
+def test_a_model_of_the_users_makes_masks(model, tmp_path):
+    pytest.importorskip("onnxruntime")
+    image = np.zeros((240, 320, 3), np.uint8)
+    image[:80], image[80:160], image[160:] = (255, 0, 0), (0, 255, 0), (0, 0, 255)  # blue, green, red
+    path = write(tmp_path / "a.png", image)
+    settings = MasksSettings(source="model", model=model)
+    source = SOURCES["model"]
+    prepared = source.prepare({0: Camera((path,))}, settings, Tuning(), map)[0]
+    classes = source.look(path, prepared, settings, Tuning(), "a.png")
+    assert (classes[:75] == SKY).all() and (classes[85:155] == USE).all() and (classes[165:] == EGO).all()
+    mask = source.mask(path, prepared, settings, Tuning(), "a.png")
+    assert mask.shape == (240, 320) and not mask[:75].any() and mask[85:155].all()
+    (tmp_path / "tiny.onnx").write_bytes(b"nonsense")
+    plugin._session.cache_clear()
+    with pytest.raises(InputError, match="not a model ONNX Runtime can load"):
+        source.mask(path, prepared, settings, Tuning(), "a.png")
+
+
+def test_without_onnx_runtime_it_says_what_to_install(model, monkeypatch):
+    monkeypatch.setitem(sys.modules, "onnxruntime", None)
+    plugin._session.cache_clear()
+    with pytest.raises(EngineMissing, match=r"tiegraph\[onnx\]"):
+        plugin.model_classes(np.zeros((24, 32, 3), np.uint8), plugin.read_model(model))
+
+
+@pytest.mark.parametrize(
+    "text, said",
+    [
+        ("onnx = 3 =", "not valid TOML"),
+        ("size = [32, 24]\n[classes]\nsky = [1]\n", "needs onnx"),
+        (TOML.replace("tiny", "absent"), "no model .*absent"),
+        (TOML.replace("sky", "heaven"), "no class 'heaven'"),
+        (TOML.replace("[32, 24]", "[0, 24]"), "make no sense"),
+    ],
+)
+def test_wrong_tables_are_refused_by_name(model, text, said):
+    model.write_text(text)
+    with pytest.raises(InputError, match=said):
+        plugin.read_model(model)
+    with pytest.raises(InputError, match="cannot be read"):
+        plugin.read_model(model.with_name("nowhere.toml"))
+
+
+def test_blurred_and_repeated_images_are_flagged(tmp_path):
+    images = [frame(k) for k in range(9)]
+    images[4] = cv2.GaussianBlur(images[4], (0, 0), 4)
+    images[7] = cv2.add(images[6], 3)
+    paths = [write(tmp_path / f"{k}.png", image) for k, image in enumerate(images)]
+    use = np.ones((240, 320), bool)
+    quality = [image_quality(p, before, use, TUNING) for p, before in zip(paths, [None, *paths[:-1]])]
+    found = flags(quality, TUNING.quality)
+    assert found[4].startswith("blurred: 0.") and found[7].startswith("similar: ")
+    assert [k for k, why in enumerate(found) if why] == [4, 7]
+
+
+def test_nothing_is_said_of_masked_or_lone_images(tmp_path):
+    path = write(tmp_path / "a.png", frame(0))
+    quality = image_quality(path, None, np.zeros((240, 320), bool), TUNING)
+    assert np.isnan(quality.sharpness) and np.isnan(quality.moved)
+    assert flags([quality], TUNING.quality) == [""]
+    dark = write(tmp_path / "dark.png", np.zeros((240, 320, 3), np.uint8))
+    again = [image_quality(dark, path, np.ones((240, 320), bool), TUNING)] * 5
+    assert flags(again, TUNING.quality) == [""] * 5

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -92,12 +91,6 @@ def shuffled_ring(count: int, spacing: float = 12.0) -> Places:
     return Places(np.random.default_rng(1).permutation(count) * spacing, around=count * spacing)
 
 
-def photos(count: int) -> Scene:
-    """Loose photographs."""
-    rig = Rig("camera", (Sensor("camera"),))
-    return simple_scene(rig, [f"img_{k:04d}.jpg" for k in range(count)], np.arange(count), np.zeros(count))
-
-
 def video(count: int) -> Scene:
     """Frames of one camera."""
     rig = Rig("camera", (Sensor("camera"),))
@@ -110,14 +103,3 @@ def video(count: int) -> Scene:
 def passes_of(count: int) -> tuple[Pass, ...]:
     """The one pass of ``video``."""
     return find_passes(video(count))
-
-
-def found(pairs, useful: Callable | tuple) -> tuple[float, float]:
-    """Recall and precision of kept pairs against ``Places.useful``."""
-    i, j, good = useful
-    kept = pairs.kept()
-    n = int(j.max()) + 1
-    true = np.zeros((n, n), bool)
-    true[i, j] = good
-    hit = true[kept.i, kept.j].sum()
-    return float(hit / max(good.sum(), 1)), float(hit / max(len(kept), 1))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -9,10 +10,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from blocks_world import CAMERA, FRAMES, WALL_M, Mapper, place, survey, ties_of
+from near import off_after_similarity
 from network_steps import Mapper as Steps
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import Similarity, umeyama
-from tiegraph.network.coarse.assembled import assembled
+from tiegraph.geometry.align import Similarity
+from tiegraph.network.coarse.assembled import Assembled, assembled
 from tiegraph.network.coarse.model import CoarseModel
 from tiegraph.network.tuning import Tuning
 from tiegraph.scene.blocks import Block, blocks_of
@@ -32,25 +34,29 @@ def world() -> tuple[Scene, np.ndarray, PreviewMatches]:
     return scene, truth, ties_of(scene)
 
 
+def mapped(world, make) -> Assembled:
+    """The models of all blocks, joined; ``make`` maps one of them."""
+    scene, _, ties = world
+    return Steps(scene, Tuning(), make, TUNING)(ties)
+
+
 def error_m(model: CoarseModel, truth: np.ndarray) -> np.ndarray:
     """(K,) distances of the placed images from the truth after the best similarity."""
     there = model.placed()
-    found, true = transforms.centre(model.cam_from_world[there]), transforms.centre(truth[there])
-    return np.linalg.norm(umeyama(found, true)(found) - true, axis=1)
+    found, true = (transforms.centre(poses[there]) for poses in (model.cam_from_world, truth))
+    return np.linalg.norm(off_after_similarity(found, true), axis=1)
 
 
 def test_both_passes_of_a_place_are_in_one_block(world) -> None:
     scene, _, ties = world
     found = blocks_of(scene, ties, TUNING.blocks)
-    assert len(found) in (3, 4)
-    assert max(map(len, found)) <= TUNING.blocks.whole
+    assert len(found) in (3, 4) and max(map(len, found)) <= TUNING.blocks.whole
     own = np.concatenate([b.images[b.own] for b in found])
     assert np.array_equal(np.sort(own), np.arange(len(scene)))
     for block in found:
         where = np.array([place(int(f)) for f in scene.frame[block.images[block.own]]])
         back = scene.frame[block.images[block.own]] >= FRAMES
-        assert abs(np.mean(where[back]) - np.mean(where[~back])) < 6
-        assert spread(scene, block) < 1.3
+        assert abs(np.mean(where[back]) - np.mean(where[~back])) < 6 and spread(scene, block) < 1.3
         assert 1.0 <= len(block) / block.own.sum() < 1.7
 
 
@@ -67,10 +73,8 @@ def test_positions_keep_places_that_look_alike_apart(world, missing: float) -> N
     where = np.array([place(int(f)) for f in scene.frame])
     i, j = np.triu_indices(len(scene), 1)
     alike = np.flatnonzero((np.abs(np.abs(where[i] - where[j]) - 100) < 8) & (rng.random(len(i)) < 0.5))
-    false = PreviewMatches(
-        i[alike], j[alike], 60 * np.arange(len(alike) + 1), np.zeros((60 * len(alike), 2), np.uint16)
-    )
-    torn = ties | false
+    starts, none = 60 * np.arange(len(alike) + 1), np.zeros((60 * len(alike), 2), np.uint16)
+    torn = ties | PreviewMatches(i[alike], j[alike], starts, none)
     assert max(spread(scene, b) for b in blocks_of(scene, torn, TUNING.blocks)) > 1.8
     first = np.unique(scene.frame, return_index=True)[1]
     known = np.full((scene.frames, 4, 4), np.nan)
@@ -99,14 +103,10 @@ def test_a_block_beyond_the_last_position_of_its_pass_is_tied_to_the_others(worl
         assert 30 <= len(np.intersect1d(block.images, others)) <= 4 * TUNING.blocks.lent
 
 
-def test_surveys_without_positions_are_cut_into_larger_blocks(world) -> None:
-    scene, truth, ties = world
+def test_the_size_of_blocks_is_in_reach_and_larger_without_positions(world) -> None:
+    scene, _, ties = world
     assert len(blocks_of(scene, ties, BlocksTuning())) == 1  # 960 of up to 1500
     assert len(blocks_of(scene, ties, BlocksTuning(unplaced=1.2))) == 2
-
-
-def test_the_size_of_blocks_is_in_reach(world) -> None:
-    scene, _, ties = world
     assert len(blocks_of(scene, ties, BlocksTuning(whole=960, unplaced=1))) == 1
     small = blocks_of(scene, ties, BlocksTuning(own=200, lent=20, unplaced=1))
     assert len(small) >= 5 and max(int(b.own.sum()) for b in small) <= 200
@@ -125,9 +125,9 @@ def test_a_small_survey_is_mapped_whole(world) -> None:
 
 
 def test_blocks_come_together_in_one_frame(world) -> None:
-    scene, truth, ties = world
+    scene, truth, _ = world
     mapper = Mapper(scene, truth, noise_m=0.02)
-    made = Steps(scene, Tuning(), mapper, TUNING)(ties)
+    made = mapped(world, mapper)
     (model,), notes = made.models, made.notes
     assert len(mapper.sizes) > 2 and max(mapper.sizes) <= TUNING.blocks.whole
     assert model.placed().all()
@@ -141,8 +141,7 @@ def test_blocks_come_together_in_one_frame(world) -> None:
 
 
 def test_a_torn_block_is_said_and_the_parts_stay_usable(world) -> None:
-    scene, truth, ties = world
-    made = Steps(scene, Tuning(), Mapper(scene, truth, broken=1), TUNING)(ties)
+    made = mapped(world, Mapper(*world[:2], broken=1))
     models, notes = made.models, made.notes
     assert len(models) >= 2
     assert any("not joined there" in n for n in notes) and any("torn into" in n for n in notes)
@@ -152,21 +151,20 @@ def test_a_torn_block_is_said_and_the_parts_stay_usable(world) -> None:
 
 
 def test_a_block_that_cannot_be_mapped_is_said(world) -> None:
-    scene, truth, ties = world
+    scene, truth, _ = world
     mapper = Mapper(scene, truth)
 
     def make(part: Scene, inside: PreviewMatches) -> CoarseModel | None:
         model = mapper(part, inside)
         return None if len(mapper.sizes) == 2 else model
 
-    made = Steps(scene, Tuning(), make, TUNING)(ties)
+    made = mapped(world, make)
     assert any("none could be made" in n for n in made.notes)
     assert 0.4 < sum(m.placed().sum() for m in made.models) / len(scene) < 0.95
 
 
 def test_a_model_is_the_same_from_its_file(world) -> None:
-    scene, truth, ties = world
-    (model,) = Steps(scene, Tuning(), Mapper(scene, truth), TUNING)(ties).models
+    (model,) = mapped(world, Mapper(*world[:2])).models
     again = CoarseModel.from_npz(model.to_npz())
     for name in ("cam_from_world", "points", "image", "point"):
         assert np.array_equal(getattr(again, name), getattr(model, name), equal_nan=True)
@@ -181,15 +179,9 @@ def _models(
     models, own = [], []
     for a, b in ends:
         s = Similarity(rng.uniform(0.5, 2), Rotation.random(random_state=a).as_matrix(), rng.normal(0, 9, 3))
-        rotation = truth[a:b, :3, :3] @ s.rotation.T
-        centre = s(transforms.centre(truth[a:b]))
-        models.append(
-            Poses(
-                np.arange(a, b),
-                transforms.rigid(rotation, -np.einsum("kab,kb->ka", rotation, centre)),
-                WALL_M * s.scale,
-            )
-        )
+        world_from_cam = transforms.invert(truth[a:b])
+        moved = transforms.rigid(s.rotation @ world_from_cam[:, :3, :3], s(world_from_cam[:, :3, 3]))
+        models.append(Poses(np.arange(a, b), transforms.invert(moved), WALL_M * s.scale))
         own.append(s)
     return models, own
 
@@ -235,8 +227,7 @@ def test_a_loop_of_blocks_closes_and_a_false_join_is_refused() -> None:
     wrong = Poses(np.sort(wrong.images), wrong.cam_from_world[np.argsort(wrong.images)], wrong.range_)
     joined = join_models([*models[:3], wrong], TUNING.joining)
     refused = [j for j in joined.joins if not j.holds]
-    assert [(j.a, j.b) for j in refused] == [(3, 1)]
-    assert joined.part.tolist() == [0, 0, 0, 0]
+    assert [(j.a, j.b) for j in refused] == [(3, 1)] and joined.part.tolist() == [0, 0, 0, 0]
 
 
 def _tied_model(part: Scene, truth: np.ndarray, ties: PreviewMatches, off_m: float) -> CoarseModel:
@@ -253,16 +244,20 @@ def _tied_model(part: Scene, truth: np.ndarray, ties: PreviewMatches, off_m: flo
     return CoarseModel(pose, (CAMERA,) * len(pose), point, images, points, part.rigs)
 
 
+def _tied_models(world, blocks: Sequence[Block], wrong: int | None = None) -> list[CoarseModel]:
+    """Of all blocks; in that of a number the way back stands 30 m further."""
+    scene, truth, ties = world
+    parts = [(*block.part_of(scene, ties), truth[block.images]) for block in blocks]
+    return [_tied_model(part, true, inside, 30.0 * (k == wrong)) for k, (part, inside, true) in enumerate(parts)]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("wrong", [0, 1])
 def test_the_ties_that_put_one_pass_of_a_block_elsewhere_are_found(world, wrong: int) -> None:
     """And only those of the block that is wrong; the frames of a pass are never cut apart."""
     scene, truth, ties = world
     blocks = blocks_of(scene, ties, TUNING.blocks)
-    models = []
-    for k, block in enumerate(blocks):
-        part, inside = block.part_of(scene, ties)
-        models.append(_tied_model(part, truth[block.images], inside, 30.0 if k == wrong else 0.0))
+    models = _tied_models(world, blocks, wrong)
     made = assembled(scene, blocks, models, Tuning().coarse, TUNING.joining)
     i, j = made.suspects
     assert len(i) > 50 and len(made.models) > 1
@@ -273,8 +268,7 @@ def test_the_ties_that_put_one_pass_of_a_block_elsewhere_are_found(world, wrong:
     sharing = {(a, b) for a, b in zip(i, j)}
     false = [(a, b) for a, b in zip(ties.i[across], ties.j[across]) if inside[a] and inside[b]]
     assert 0.2 < np.mean([pair in sharing for pair in false]) < 0.3, "every fourth made it into the model"
-    right = [_tied_model(*(b.part_of(scene, ties)[0], truth[b.images], b.part_of(scene, ties)[1]), 0.0) for b in blocks]
-    whole = assembled(scene, blocks, right, Tuning().coarse, TUNING.joining)
+    whole = assembled(scene, blocks, _tied_models(world, blocks), Tuning().coarse, TUNING.joining)
     assert len(whole.models) == 1 and not len(whole.suspects[0])
 
 
@@ -282,10 +276,7 @@ def test_a_rig_is_taken_from_the_block_that_agrees_with_the_others(world) -> Non
     """Not from the one with most images, which may be mapped as roughly as any."""
     scene, truth, ties = world
     blocks = blocks_of(scene, ties, TUNING.blocks)
-    models = []
-    for block in blocks:
-        part, inside = block.part_of(scene, ties)
-        models.append(_tied_model(part, truth[block.images], inside, 0.0))
+    models = _tied_models(world, blocks)
     largest = int(np.argmax([len(b) for b in blocks]))
     rng = np.random.default_rng(1)
     for k, model in enumerate(models):

@@ -1,4 +1,4 @@
-"""The coarse model on a simulated boat survey: it decides where it is right, and is not asked where it tore."""
+"""The coarse model: it decides where it is right, is not asked where it tore, and has points of all tracks."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -9,12 +9,16 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from boat_world import HALF_WIDTH_M, World, boat
-from network_steps import estimate_network
+from boat_world import found as shares
+from network_steps import network_of as steps_of
 from tiegraph.geometry import transforms
 from tiegraph.network.coarse.model import CoarseModel
 from tiegraph.network.coarse.search import NO_MODEL, _judged, calibrated_rigs
+from tiegraph.network.coarse.surface import with_surface
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
+from tiegraph.network.tuning.coarse import TracksTuning
+from tiegraph.scene.matches import PreviewMatches
 from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.rig import Rig, Sensor
 
@@ -53,16 +57,7 @@ def network_of(world: World, model: CoarseModel | Callable[[], CoarseModel] | No
         asked.append(ties)
         return model() if callable(model) else model
 
-    light = np.full(len(world.scene), 128.0)
-    return estimate_network(world.scene, light, world.match, settings, TUNING, make, sections="off"), asked
-
-
-def shares(world: World, pairs) -> tuple[float, float]:
-    """Recall and precision of the kept pairs against pairs that truly share a fifth of the view."""
-    i, j = np.triu_indices(len(world.scene), k=1)
-    useful = np.maximum(world.overlap(i, j), world.overlap(j, i)) >= 0.2
-    kept = pairs.matrix(len(world.scene))[i, j] == 1
-    return (kept & useful).sum() / useful.sum(), (kept & useful).sum() / kept.sum()
+    return steps_of(world.scene, world.match, settings, make=make, sections="off"), asked
 
 
 @pytest.fixture(scope="module")
@@ -70,55 +65,51 @@ def world() -> World:
     return boat((12, 12), (2.0, 2.0))
 
 
+@pytest.fixture(scope="module")
+def believed(world):
+    """The network by a right model, and what the models were made of."""
+    return network_of(world, true_model(world))
+
+
 @pytest.mark.slow
-def test_the_model_finds_what_previews_miss(world) -> None:
-    found, asked = network_of(world, true_model(world))
-    recall, precision = shares(world, found.pairs)
+def test_the_model_finds_what_previews_miss(world, believed) -> None:
+    found, asked = believed
+    recall, precision = shares(found.pairs, world.useful(0.2))
     without, _ = network_of(world, None)
-    assert precision > shares(world, without.pairs)[1]
-    assert recall > 0.9
+    assert precision > shares(without.pairs, world.useful(0.2))[1] and recall > 0.9
     assert np.any(found.pairs.from_source("model") & ~found.pairs.from_source("offsets"))
-    assert 0 < len(asked[0]) < 0.5 * len(world.scene) ** 2 / 2
-    assert asked[0].counts().min() >= 15
+    assert 0 < len(asked[0]) < 0.5 * len(world.scene) ** 2 / 2 and asked[0].counts().min() >= 15
     assert found.trusted.all()
-
-
-@pytest.mark.slow
-def test_pairs_that_share_nothing_are_dropped_with_their_reason(world) -> None:
-    found, _ = network_of(world, true_model(world))
     gone = found.pairs.where(found.pairs.overlap < SETTINGS.min_overlap)
-    assert len(gone) and np.all(gone.dropped != 0)
-    assert found.pairs.funnel().get("overlap", 0) > 0
+    assert len(gone) and np.all(gone.dropped != 0) and found.pairs.funnel().get("overlap", 0) > 0
 
 
 @pytest.mark.slow
-def test_a_torn_model_is_made_again_and_believed_on_one_side_of_the_tear(world) -> None:
-    whole, once = network_of(world, true_model(world))
+def test_a_torn_model_is_made_again_and_believed_on_one_side_of_the_tear(world, believed) -> None:
+    whole, once = believed
     torn, asked = network_of(world, true_model(world, broken_at=7))
     assert len(once) == 1 and len(asked) == TUNING.coarse.tries
-    step = world.scene.sequence_index[world.scene.frame]
+    step = world.step
     assert torn.trusted[step < 7].all() and not torn.trusted[step >= 7].any()
     assert any("not believed" in note for note in torn.notes)
     assert any(f"made {TUNING.coarse.tries} times" in note for note in torn.notes)
     across = (step[torn.pairs.i] >= 7) != (step[torn.pairs.j] >= 7)
     assert np.isnan(torn.pairs.overlap[across]).all()
-    assert np.sum(across & (torn.pairs.dropped == 0)) > 20
-    assert whole.trusted.all()
+    assert np.sum(across & (torn.pairs.dropped == 0)) > 20 and whole.trusted.all()
 
 
 @pytest.mark.slow
 def test_a_model_is_made_again_until_it_holds(world) -> None:
     models = iter((true_model(world, broken_at=7), true_model(world)))
     found, asked = network_of(world, lambda: next(models))
-    assert len(asked) == 2
-    assert found.trusted.all()
+    assert len(asked) == 2 and found.trusted.all()
     assert any("made 2 times" in note for note in found.notes)
 
 
 @pytest.mark.slow
 def test_a_pass_put_some_metres_further_is_noticed_and_made_again_without_what_drew_it_there(world) -> None:
     folded = true_model(world, shifted_m=30.0)
-    track = world.scene.sequence[world.scene.frame]
+    track = world.track
     found, asked = network_of(world, folded)
     assert len(asked) == TUNING.coarse.tries and len(asked[1]) < len(asked[0])
     assert len(np.unique(track[found.trusted])) == 1
@@ -139,9 +130,8 @@ def turned_by(model: CoarseModel, degrees: float) -> CoarseModel:
 
 
 @pytest.mark.slow
-def test_a_camera_that_only_one_model_turns_far_is_made_again(world) -> None:
-    right = true_model(world)
-    once, _ = network_of(world, right)
+def test_a_camera_that_only_one_model_turns_far_is_made_again(world, believed) -> None:
+    right, (once, _) = true_model(world), believed
     models = iter((turned_by(right, 55.0), right))
     found, asked = network_of(world, lambda: next(models))
     assert len(asked) == 2 and found.trusted.all() and len(found.ties) == len(once.ties)
@@ -160,16 +150,13 @@ def test_a_camera_that_every_model_turns_otherwise_stays_as_given_and_is_not_bel
     second = world.scene.sensor == 1
     assert len(asked) == TUNING.coarse.tries
     assert not found.trusted[second].any() and found.trusted[~second].all()
-    assert np.array_equal(
-        found.scene.rigs[0].sensors[1].sensor_from_rig, world.scene.rigs[0].sensors[1].sensor_from_rig
-    )
+    assert np.array_equal(*(s.rigs[0].sensors[1].sensor_from_rig for s in (found.scene, world.scene)))
     assert any("not believed for cam1" in note for note in found.notes)
 
 
 @pytest.mark.slow
-def test_frames_of_one_camera_that_follow_each_other_always_tie_the_model(world) -> None:
-    _, asked = network_of(world, true_model(world))
-    scene = world.scene
+def test_frames_of_one_camera_that_follow_each_other_always_tie_the_model(world, believed) -> None:
+    (_, asked), scene = believed, world.scene
     track, step = scene.sequence[scene.frame], scene.sequence_index[scene.frame]
     i, j = asked[0].i, asked[0].j
     near = (track[i] == track[j]) & (scene.sensor_key[i] == scene.sensor_key[j]) & (np.abs(step[i] - step[j]) == 1)
@@ -202,33 +189,96 @@ def test_one_limit_of_the_angle_holds_for_axes_and_for_the_views_of_a_surface(wo
 
 def test_without_a_model_counts_decide(world) -> None:
     found, _ = network_of(world, None)
-    assert NO_MODEL in found.notes
-    assert found.coarse.model is None and not found.trusted.any()
+    assert NO_MODEL in found.notes and found.coarse.model is None and not found.trusted.any()
+
+
+def lens(focal: float, x: float, y: float, known: bool = False) -> pycolmap.Camera:
+    camera = pycolmap.Camera(model="SIMPLE_PINHOLE", width=640, height=480, params=[focal, x, y])
+    camera.has_prior_focal_length = known
+    return camera
 
 
 def test_only_what_was_guessed_is_calibrated() -> None:
-    guessed = pycolmap.Camera(model="SIMPLE_PINHOLE", width=640, height=480, params=[768.0, 320, 240])
-    known = pycolmap.Camera(model="SIMPLE_PINHOLE", width=640, height=480, params=[310.0, 321.5, 240])
-    known.has_prior_focal_length = True
-    found = pycolmap.Camera(model="SIMPLE_PINHOLE", width=640, height=480, params=[305.0, 318, 241])
+    guessed, given, found = lens(768, 320, 240), lens(310, 321.5, 240, known=True), lens(305, 318, 241)
     turn = transforms.rigid(np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]]), np.array([0.1, 0.0, 0.2]))
     nominal = transforms.rigid(np.eye(3), np.array([0.3, 0.0, 0.0]))
-    rig = Rig("r", (Sensor("a", guessed, np.eye(4)), Sensor("b", known, nominal)), nominal=True)
+    rig = Rig("r", (Sensor("a", guessed, np.eye(4)), Sensor("b", given, nominal)), nominal=True)
     model = Rig("r", (Sensor("a", found, np.eye(4)), Sensor("b", found, turn)))
-    (out,), notes = calibrated_rigs([rig], [model], TUNING.coarse.most_focal)
-    assert out.sensors[0].camera.params[0] == 305.0
-    assert out.sensors[1].camera.params[0] == 310.0
+
+    def calibrated(rig: Rig) -> tuple[Rig, tuple[str, ...]]:
+        (out,), notes = calibrated_rigs([rig], [model], TUNING.coarse.most_focal)
+        return out, notes
+
+    out, notes = calibrated(rig)
+    assert [s.camera.params[0] for s in out.sensors] == [305.0, 310.0]
     assert np.allclose(out.sensors[1].sensor_from_rig[:3, :3], turn[:3, :3])
     assert np.allclose(transforms.centre(out.sensors[1].sensor_from_rig), transforms.centre(nominal))
     assert "90.00 deg" in notes[0]
-    sheet = pycolmap.Camera(model="SIMPLE_PINHOLE", width=640, height=480, params=[320.0, 320, 240])
-    wrong = pycolmap.Camera(model="SIMPLE_PINHOLE", width=640, height=480, params=[600.0, 320, 240])
-    for given, focal in ((sheet, 305.0), (wrong, 600.0)):
-        given.has_prior_focal_length = True
-        one = replace(rig, sensors=(Sensor("a", given, np.eye(4)),))
-        (lone,), _ = calibrated_rigs([one], [model], TUNING.coarse.most_focal)
-        camera = lone.sensors[0].camera
-        assert camera is not None and camera.params[0] == focal
-        assert camera.has_prior_focal_length == (focal == 600.0)
-    (kept,), said = calibrated_rigs([replace(rig, nominal=False)], [model], TUNING.coarse.most_focal)
+    for sheet_px, focal in ((320.0, 305.0), (600.0, 600.0)):  # of a data sheet; far from what the model found
+        one = replace(rig, sensors=(Sensor("a", lens(sheet_px, 320, 240, known=True), np.eye(4)),))
+        camera = calibrated(one)[0].sensors[0].camera
+        assert camera.params[0] == focal and camera.has_prior_focal_length == (focal == 600.0)
+    kept, said = calibrated(replace(rig, nominal=False))
     assert np.allclose(kept.sensors[1].sensor_from_rig, nominal) and said == ()
+
+
+CAMERA = pycolmap.Camera.create_from_model_name(1, "PINHOLE", 500.0, 640, 480)
+IMAGES, POINTS = 5, 40
+TRACKS = TracksTuning()
+
+
+@pytest.fixture
+def street():
+    """Five images a metre apart before a wall at ten metres: model without points, ties, pixels, true points."""
+    rng = np.random.default_rng(0)
+    points = np.column_stack([rng.uniform(-2, 6, POINTS), rng.uniform(-3, 3, POINTS), rng.uniform(9, 11, POINTS)])
+    centres = np.column_stack([np.arange(IMAGES), np.zeros(IMAGES), np.zeros(IMAGES)])
+    poses = transforms.rigid(np.repeat(np.eye(3)[None], IMAGES, axis=0), -centres)
+    pixels = [CAMERA.img_from_cam(points - c) for c in centres]
+    none = np.zeros(0, int)
+    model = CoarseModel(poses, (CAMERA,) * IMAGES, np.zeros((0, 3)), none, none, ())
+    i, j = np.triu_indices(IMAGES, 1)
+    own = np.column_stack([np.arange(POINTS)] * 2)
+    return model, PreviewMatches.make(i, j, [own] * len(i)), pixels, points
+
+
+def made(street, tuning=TRACKS):
+    model, ties, pixels, _ = street
+    return with_surface(model, ties, lambda k: pixels[k], tuning)
+
+
+def test_points_stand_where_the_rays_meet_and_a_ray_that_misses_is_left_out(street):
+    found = made(street)
+    assert len(found.points) == POINTS and len(found.image) == POINTS * IMAGES
+    nearest = np.linalg.norm(found.points[:, None] - street[3][None], axis=2).min(axis=0)
+    assert 0 <= nearest.max() < 1e-5 and np.all(np.bincount(found.point) == IMAGES)
+    street[2][2][7] += 60  # 7 degrees
+    found = made(street)
+    assert len(found.points) == POINTS and len(found.image) == POINTS * IMAGES - 1
+    assert np.linalg.norm(found.points[:, None] - street[3][None], axis=2).min(axis=0).max() < 1e-5
+
+
+@pytest.mark.parametrize(("tuning", "kept"), [({"images": 5}, POINTS), ({"images": 6}, 0), ({"angle_deg": 40.0}, 0)])
+def test_a_point_needs_rays_that_are_enough_and_apart(street, tuning, kept):
+    assert len(made(street, TRACKS.model_copy(update=tuning)).points) == kept
+
+
+def test_tracks_that_hold_an_image_twice_are_no_points(street):
+    model, ties, pixels, _ = street
+    wrong = ties.matches.copy()
+    wrong[0] = 0, 1  # joins the tracks of two points
+    joined = PreviewMatches(i=ties.i, j=ties.j, start=ties.start, matches=wrong)
+    found = with_surface(model, joined, lambda k: pixels[k], TRACKS)
+    assert len(found.points) == POINTS - 2
+    assert not len(with_surface(model, PreviewMatches.empty(), lambda k: pixels[k], TRACKS).points)
+
+
+def test_what_lies_behind_and_images_that_are_not_placed_make_no_points(street):
+    model, ties, pixels, points = street
+    poses = model.cam_from_world.copy()
+    poses[:2] = np.nan
+    found = with_surface(replace(model, cam_from_world=poses), ties, lambda k: pixels[k], TRACKS)
+    assert set(found.image) == {2, 3, 4} and len(found.points) == POINTS
+    turned = poses @ np.diag([1.0, 1, 1, 1])
+    turned[2:, :3, 3] *= -1  # rays meet behind the cameras
+    assert not len(with_surface(replace(model, cam_from_world=turned), ties, lambda k: pixels[k], TRACKS).points)

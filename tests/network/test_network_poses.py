@@ -7,13 +7,13 @@ import pycolmap
 import pytest
 from scipy.spatial.transform import Rotation
 
-from boat_world import Result, World, boat, ring
-from network_steps import estimate_network
+from boat_world import Result, World, boat, found, ring
+from network_steps import network_of
 from tiegraph.geometry import transforms
 from tiegraph.network.candidates import find_candidates
 from tiegraph.network.passes import MatchCache, find_passes
-from tiegraph.network.poses.check import check_prior, checked_pose_pairs
-from tiegraph.network.poses.poses import assumed_range, pose_pairs, view_cameras
+from tiegraph.network.poses.check import PriorCheck, check_prior, checked_pose_pairs
+from tiegraph.network.poses.poses import PoseResult, assumed_range, pose_pairs, view_cameras
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.scene.pairs import REASONS, Pairs
@@ -35,31 +35,25 @@ def with_priors(world: World, rotation: bool = True) -> Scene:
     return scene.with_(world_from_rig=poses, position_sigma_m=sigma, prior="trajectory" if rotation else "gnss")
 
 
-def recall(world: World, pairs: Pairs) -> tuple[float, float]:
-    n = len(world.scene)
-    i, j = np.triu_indices(n, 1)
-    useful = np.maximum(world.overlap(i, j), world.overlap(j, i)) >= 0.15
-    kept = pairs.kept()
-    found = np.isin(i * n + j, kept.i.astype(np.int64) * n + kept.j)
-    return (found & useful).sum() / useful.sum(), (found & useful).sum() / max(found.sum(), 1)
+def paired(scene: Scene, settings: CandidatesSettings = SETTINGS) -> PoseResult:
+    return pose_pairs(scene, find_passes(scene), settings, TUNING)
 
 
 @pytest.mark.slow
 def test_full_poses_find_what_overlaps() -> None:
     world = boat((10, 10), (2.0, 2.0))
-    result = pose_pairs(with_priors(world), find_passes(world.scene), SETTINGS, TUNING)
-    share, precision = recall(world, result.pairs)
+    result = paired(with_priors(world))
+    share, precision = found(result.pairs, world.useful())
     assert share > 0.93 and 0.6 < precision < 1
     reasons = result.pairs.funnel()
     assert reasons["axes"] > 0 and reasons["sight"] > 0 and reasons["overlap"] > 0
-    assert (result.pairs.kept().angle_deg <= 80.001).all()
-    assert not len(result.without)
+    assert (result.pairs.kept().angle_deg <= 80.001).all() and not len(result.without)
 
 
 def test_positions_alone_take_the_heading_from_the_track() -> None:
     world = boat((10, 10), (2.0, 2.0))
-    result = pose_pairs(with_priors(world, rotation=False), find_passes(world.scene), SETTINGS, TUNING)
-    share, precision = recall(world, result.pairs)
+    result = paired(with_priors(world, rotation=False))
+    share, precision = found(result.pairs, world.useful())
     assert share > 0.85 and precision > 0.2
     assert any("heading of 20 frames" in note for note in result.notes)
     angles = result.pairs.angle_deg
@@ -73,30 +67,28 @@ def test_frames_without_prior_fall_back_on_previews() -> None:
     poses = scene.world_from_rig.copy()
     poses[5:8] = np.nan
     world.scene = scene.with_(world_from_rig=poses)
-    network = estimate_network(world.scene, np.full(len(scene), 100.0), world.match, SETTINGS, TUNING)
+    network = network_of(world.scene, world.match, SETTINGS)
     lost = np.isin(scene.frame, range(5, 8))
     assert (network.pairs.degree(len(scene))[lost] > 0).all()
-    assert recall(world, network.pairs)[0] > 0.8
+    assert found(network.pairs, world.useful())[0] > 0.8
     assert any("3 of 20 frames have no prior position" in note for note in network.notes)
 
 
 def test_beyond_some_ranges_nothing_is_shared() -> None:
     """And a prior that is not sure enough does not refuse."""
-    world = boat((10,), (2.0,))
-    scene = with_priors(world)
+    scene = with_priors(boat((10,), (2.0,)))
     near = CandidatesSettings(sources=("poses",), range_m=3.5, axes_deg=80)
-    pairs = pose_pairs(scene, find_passes(scene), near, TUNING).pairs
+    pairs = paired(scene, near).pairs
     far = pairs.dropped == REASONS.index("distance")
     assert TUNING.poses.far_ranges == 2.0  # frames stand every 2 m
     assert (pairs.baseline_m[~far].max(), pairs.baseline_m[far].min()) == (6.0, 8.0)
     unsure = scene.with_(position_sigma_m=np.full((scene.frames, 3), 4.0))
-    assert "distance" not in pose_pairs(unsure, find_passes(scene), near, TUNING).pairs.funnel()
+    assert "distance" not in paired(unsure, near).pairs.funnel()
 
 
 def test_odometry_of_two_passes_is_never_compared() -> None:
-    world = boat((10, 10), (2.0, 2.0))
-    scene = with_priors(world).with_(prior="odometry")
-    pairs = pose_pairs(scene, find_passes(scene), SETTINGS, TUNING).pairs
+    scene = with_priors(boat((10, 10), (2.0, 2.0))).with_(prior="odometry")
+    pairs = paired(scene).pairs
     track = scene.sequence[scene.frame]
     assert len(pairs) and (track[pairs.i] == track[pairs.j]).all()
 
@@ -114,11 +106,11 @@ def _across(scene: Scene, pairs: Pairs) -> int:
 @pytest.mark.slow
 def test_passes_with_odometry_of_their_own_are_tied_by_previews(two_passes: World) -> None:
     scene = with_priors(two_passes).with_(prior="odometry")
-    found = find_candidates(scene, MatchCache(two_passes.match, len(scene)), SETTINGS, TUNING)
-    share, precision = recall(two_passes, found.pairs)
+    candidates = find_candidates(scene, MatchCache(two_passes.match, len(scene)), SETTINGS, TUNING)
+    share, precision = found(candidates.pairs, two_passes.useful())
     assert 0.9 < share < 1 and 0.7 < precision < 1
-    assert 500 < _across(scene, found.pairs.kept()) < 2000
-    assert any("2 passes have poses in worlds of their own" in note for note in found.notes)
+    assert 500 < _across(scene, candidates.pairs.kept()) < 2000
+    assert any("2 passes have poses in worlds of their own" in note for note in candidates.notes)
 
 
 @pytest.mark.slow
@@ -131,9 +123,9 @@ def test_passes_that_nothing_ties_are_said(two_passes: World) -> None:
         same = track[pairs[:, 0]] == track[pairs[:, 1]]
         return [m if s else Result(inliers=0) for m, s in zip(two_passes.match(pairs), same)]
 
-    found = find_candidates(scene, MatchCache(blind, len(scene)), SETTINGS, TUNING)
-    assert _across(scene, found.pairs.kept()) == 0
-    assert any("nothing ties them, so that they can only make models" in note for note in found.notes)
+    candidates = find_candidates(scene, MatchCache(blind, len(scene)), SETTINGS, TUNING)
+    assert _across(scene, candidates.pairs.kept()) == 0
+    assert any("nothing ties them, so that they can only make models" in note for note in candidates.notes)
 
 
 MOVED = {
@@ -154,27 +146,25 @@ def test_a_trajectory_of_each_pass_in_a_frame_that_nothing_tells(name: str | Non
     second = scene.sequence == 1
     poses[second] = moved @ poses[second]
     scene = scene.with_(world_from_rig=poses)
-    found = find_candidates(scene, MatchCache(two_passes.match, len(scene)), SETTINGS, TUNING)
-    share, precision = recall(two_passes, found.pairs)
+    candidates = find_candidates(scene, MatchCache(two_passes.match, len(scene)), SETTINGS, TUNING)
+    share, precision = found(candidates.pairs, two_passes.useful())
     assert 0.9 < share < 1 and 0.6 < precision < 1
-    assert any("do not stand in one world" in note for note in found.notes) == (name is not None)
-    assert found.scene.prior == ("odometry" if name else "trajectory")
-    assert found.scene.measured_positions().any() == (name is None)
+    assert any("do not stand in one world" in note for note in candidates.notes) == (name is not None)
+    assert candidates.scene.prior == ("odometry" if name else "trajectory")
+    assert candidates.scene.measured_positions().any() == (name is None)
     if name:  # what the poses know of their own pass is kept
         track = scene.sequence[scene.frame]
-        same = track[found.pairs.i] == track[found.pairs.j]
-        assert {"sight", "overlap"} <= set(found.pairs.where(same).funnel())
+        same = track[candidates.pairs.i] == track[candidates.pairs.j]
+        assert {"sight", "overlap"} <= set(candidates.pairs.where(same).funnel())
 
 
 def test_too_short_a_base_of_one_camera_is_dropped() -> None:
-    world = boat((10,), (2.0,))
-    scene = with_priors(world)
+    scene = with_priors(boat((10,), (2.0,)))
     poses = scene.world_from_rig.copy()
     poses[4] = poses[3]
-    pairs = pose_pairs(scene.with_(world_from_rig=poses), find_passes(scene), SETTINGS, TUNING).pairs
+    pairs = paired(scene.with_(world_from_rig=poses)).pairs
     dropped = pairs.where(pairs.dropped == REASONS.index("baseline"))
-    assert len(dropped) == 6
-    assert set(scene.frame[dropped.i]) | set(scene.frame[dropped.j]) == {3, 4}
+    assert len(dropped) == 6 and set(scene.frame[dropped.i]) | set(scene.frame[dropped.j]) == {3, 4}
 
 
 def test_drone_photographs_take_their_nearest() -> None:
@@ -187,18 +177,17 @@ def test_drone_photographs_take_their_nearest() -> None:
     scene = scene.with_(world_from_rig=poses, position_sigma_m=np.full((count, 3), 3.0))
     pairs = pose_pairs(scene, (), CandidatesSettings(sources=("poses",)), TUNING).pairs.kept()
     distance = np.linalg.norm(where[pairs.i] - where[pairs.j], axis=1)
-    assert (pairs.degree(count) >= 20).all()
-    assert len(pairs) < 0.3 * count * count / 2
+    assert (pairs.degree(count) >= 20).all() and len(pairs) < 0.3 * count * count / 2
     assert np.allclose(distance, pairs.baseline_m, rtol=1e-4)
 
 
 def test_no_prior_at_all_is_said() -> None:
-    world = boat((4,), (2.0,))
-    result = pose_pairs(world.scene, find_passes(world.scene), SETTINGS, TUNING)
+    result = paired(boat((4,), (2.0,)).scene)
     assert len(result.pairs) == 0 and len(result.without) == 4 and "fewer than two" in result.notes[0]
 
 
 def test_a_vehicle_that_mostly_stands_is_given_the_range_of_its_drive() -> None:
+    """And positions that a telephone wrote into several photographs are one place."""
     world = boat((10,), (2.0,))
     scene, passes = with_priors(world), find_passes(world.scene)
     steady = assumed_range(scene, passes, TUNING.poses)
@@ -206,9 +195,6 @@ def test_a_vehicle_that_mostly_stands_is_given_the_range_of_its_drive() -> None:
     poses = scene.world_from_rig.copy()
     poses[passes[0].frames[:7], :3, 3] = poses[passes[0].frames[6], :3, 3] + np.linspace(0, 0.05, 7)[:, None]
     assert assumed_range(scene.with_(world_from_rig=poses), passes, TUNING.poses) == pytest.approx(steady, rel=0.1)
-
-
-def test_positions_that_a_telephone_wrote_into_several_photographs_are_one_place() -> None:
     scene = with_priors(boat((12,), (2.0,)))
     poses = scene.world_from_rig.copy()
     poses[:, :3, 3] = poses[np.arange(12) // 3 * 3, :3, 3]  # four places, 6 m apart
@@ -217,10 +203,9 @@ def test_positions_that_a_telephone_wrote_into_several_photographs_are_one_place
 
 @pytest.mark.slow
 def test_an_unsure_prior_refuses_little_by_sight() -> None:
-    world = boat((8, 8), (2.0, 2.0))
-    scene = with_priors(world)
-    sure = pose_pairs(scene, find_passes(scene), SETTINGS, TUNING).pairs
-    unsure = pose_pairs(scene.with_(position_sigma_m=np.full((16, 3), 4.0)), find_passes(scene), SETTINGS, TUNING).pairs
+    scene = with_priors(boat((8, 8), (2.0, 2.0)))
+    sure = paired(scene).pairs
+    unsure = paired(scene.with_(position_sigma_m=np.full((16, 3), 4.0))).pairs
     assert sure.funnel()["sight"] > 30
     assert "sight" not in unsure.funnel() and "overlap" not in unsure.funnel()
     assert set(zip(sure.kept().i, sure.kept().j)) <= set(zip(unsure.kept().i, unsure.kept().j))
@@ -228,18 +213,17 @@ def test_an_unsure_prior_refuses_little_by_sight() -> None:
 
 def test_a_guessed_focal_length_is_widened_to_the_rig() -> None:
     guess = pycolmap.Camera(model="SIMPLE_PINHOLE", width=640, height=480, params=[768.0, 320.0, 240.0])
-    world = boat((3,), (2.0,))
-    rig = world.scene.rigs[0]
+    scene = boat((3,), (2.0,)).scene
+    rig = scene.rigs[0]
 
-    def with_camera(camera: pycolmap.Camera) -> Scene:
-        return world.scene.with_(rigs=(replace(rig, sensors=tuple(replace(s, camera=camera) for s in rig.sensors)),))
+    def focal_lengths(camera: pycolmap.Camera) -> set[float]:
+        given = replace(rig, sensors=tuple(replace(s, camera=camera) for s in rig.sensors))
+        return {c.mean_focal_length() for c in view_cameras(scene.with_(rigs=(given,)), TUNING.poses)}
 
-    scene = with_camera(guess)
-    focal = {c.mean_focal_length() for c in view_cameras(scene, TUNING.poses)}
+    focal = focal_lengths(guess)
     assert len(focal) <= 2 and max(focal) < 330  # five cameras, 72 degrees apart
     guess.has_prior_focal_length = True
-    known = with_camera(guess)
-    assert {c.mean_focal_length() for c in view_cameras(known, TUNING.poses)} == {768.0}
+    assert focal_lengths(guess) == {768.0}
 
 
 ROS = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])  # camera from vehicle axes
@@ -265,18 +249,20 @@ def canal() -> World:
     return boat((12, 12), (2.0, 2.0))
 
 
+def asked(world: World, scene: Scene) -> tuple[PriorCheck, MatchCache]:
+    """What previews say of the priors of a scene, and those previews."""
+    cache = MatchCache(world.match, len(scene))
+    return check_prior(scene, find_passes(scene), cache, paired(scene), SETTINGS, TUNING), cache
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", WRONG)
 def test_a_wrong_prior_is_noticed_and_named(name: str, canal: World) -> None:
     spoil, said = WRONG[name]
     true = with_priors(canal)
     scene = true.with_(world_from_rig=spoil(np.array(true.world_from_rig)))
-    passes = find_passes(scene)
-    result = pose_pairs(scene, passes, SETTINGS, TUNING)
-    cache = MatchCache(canal.match, len(scene))
-    check = check_prior(scene, passes, cache, result, SETTINGS, TUNING)
-    assert len(cache) <= 240
-    assert check.good == (name == "as it is")
+    check, cache = asked(canal, scene)
+    assert len(cache) <= 240 and check.good == (name == "as it is")
     assert said in check.better and bool(said) == bool(check.better)
     assert "prior checked by previews" in check.notes[0]
     sure = name in ("inverted", "OpenGL", "mirrored")  # by so few pairs a shift in time may be chance, and it is said
@@ -291,10 +277,7 @@ def test_a_wrong_prior_is_noticed_and_named(name: str, canal: World) -> None:
 def test_a_right_prior_of_a_camera_that_looks_ahead_is_believed() -> None:
     # All near frames share nearly all of their pictures: readings that only follow the distance correlate better.
     world = boat((40,), (1.0,), ring(1, up=False))
-    scene = with_priors(world)
-    passes = find_passes(scene)
-    cache = MatchCache(world.match, len(scene))
-    check = check_prior(scene, passes, cache, pose_pairs(scene, passes, SETTINGS, TUNING), SETTINGS, TUNING)
+    check, _ = asked(world, with_priors(world))
     assert check.good and not check.better and check.fit < 0.6
 
 
@@ -304,6 +287,6 @@ def test_a_bad_prior_loses_no_pair(canal: World) -> None:
     poses = np.array(true.world_from_rig)[np.random.default_rng(0).permutation(true.frames)]
     scene = true.with_(world_from_rig=poses)
     cache = MatchCache(canal.match, len(scene))
-    found = checked_pose_pairs(scene, find_passes(scene), cache, SETTINGS, TUNING)
-    assert len(found.without) == scene.frames and (found.pairs.dropped == 0).all()
-    assert any("refuses nothing" in note for note in found.notes)
+    checked = checked_pose_pairs(scene, find_passes(scene), cache, SETTINGS, TUNING)
+    assert len(checked.without) == scene.frames and (checked.pairs.dropped == 0).all()
+    assert any("refuses nothing" in note for note in checked.notes)

@@ -1,19 +1,23 @@
-"""Retrieval: look-alikes by visual words, and loops nobody expects."""
+"""Retrieval: look-alikes by visual words, loops nobody expects, and what ties loose photographs."""
 
 import tracemalloc
 
 import numpy as np
 import pytest
-from place_world import Places, found, passes_of, photos, shuffled_ring, video, words_of
+from place_world import Places, passes_of, shuffled_ring, video, words_of
 
-from boat_world import boat
+from boat_world import Result, boat, found, photos
 from tiegraph.network.passes import MatchCache, find_passes
+from tiegraph.network.retrieval.loose import scored_pairs, supported
 from tiegraph.network.retrieval.retrieval import loop_candidates, nearest_images, retrieve
 from tiegraph.network.retrieval.vocabulary import BagsOfWords, bags_of_words
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.network.tuning.retrieval import LoopSearchTuning
+from tiegraph.scene.graph import components
 from tiegraph.scene.pairs import REASONS, Pairs
+from tiegraph.scene.rig import Rig, Sensor
+from tiegraph.scene.scene import Scene, simple_scene
 
 SETTINGS, TUNING = CandidatesSettings(), Tuning()
 WORDS = TUNING.retrieval.vocabulary
@@ -52,8 +56,7 @@ def test_blank_images_have_no_look_alikes() -> None:
     blank = np.zeros((0, 128), np.uint8)
     descriptors = [blank, *shuffled_ring(20).descriptors(), blank]
     index, cosine = nearest_images(descriptors, 50, WORDS)
-    assert index.shape == (22, 21)
-    assert (index[[0, -1]] == -1).all() and (cosine[[0, -1]] == 0).all()
+    assert index.shape == (22, 21) and (index[[0, -1]] == -1).all() and (cosine[[0, -1]] == 0).all()
     assert not np.isin(index, [0, 21]).any()
     assert (nearest_images([blank] * 3, 2, WORDS)[0] == -1).all()
     assert nearest_images([], 5, WORDS)[0].shape == (0, 0)
@@ -77,8 +80,7 @@ def test_a_video_that_comes_back_is_tied_to_its_start(ghosts) -> None:
     world = Places(np.arange(400) * 12.0, around=3600, ghosts=ghosts)
     result = loops(world)
     recall, precision = found(result.pairs, far(world, 100))
-    assert recall > 0.95 and precision > 0.8
-    assert world.asked < 5 * len(world)
+    assert recall > 0.95 and precision > 0.8 and world.asked < 5 * len(world)
     assert len(result.notes) == 1
     assert "clip frames 0.." in result.notes[0] and "..398 see the same place" in result.notes[0]
     assert result.pairs.from_source("retrieval").all()
@@ -89,8 +91,7 @@ def test_a_slow_video_is_sampled_and_the_frames_between_are_filled() -> None:
     world = Places(np.arange(400) * 4.0, around=1200)
     result = loops(world)
     recall, precision = found(result.pairs, far(world, 100))
-    assert recall > 0.9 and precision > 0.75
-    assert world.asked < len(world)
+    assert recall > 0.9 and precision > 0.75 and world.asked < len(world)
     assert len(result.pairs.kept()) > 5 * world.asked
 
 
@@ -98,8 +99,7 @@ def test_a_slow_video_is_sampled_and_the_frames_between_are_filled() -> None:
 def test_single_false_look_alikes_are_not_believed() -> None:
     world = Places(np.arange(300) * 12.0, ghosts=0.2)
     result = loops(world)
-    assert len(result.pairs.kept()) == 0
-    assert np.mean(result.pairs.score >= 15) > 0.15
+    assert len(result.pairs.kept()) == 0 and np.mean(result.pairs.score >= 15) > 0.15
     assert (result.pairs.dropped == REASONS.index("weak")).all()
     assert "no loops: none of" in result.notes[0]
 
@@ -129,12 +129,8 @@ def test_the_return_pass_of_a_rig_is_found_without_any_order() -> None:
     count = len(survey.scene)
     words = _words_by(survey, count)
     result = loop_candidates(find_passes(survey.scene), words, MatchCache(survey.match, count), SETTINGS, TUNING)
-    i, j = np.triu_indices(count, 1)
-    track = survey.scene.sequence[survey.scene.frame]
-    useful = (np.maximum(survey.overlap(i, j), survey.overlap(j, i)) >= 0.15) & (track[i] != track[j])
-    recall, precision = found(result.pairs, (i, j, useful))
-    assert recall > 0.6 and precision > 0.6
-    assert survey.asked < 16 * count
+    recall, precision = found(result.pairs, survey.across())
+    assert recall > 0.6 and precision > 0.6 and survey.asked < 16 * count
 
 
 def _words_by(survey, count: int) -> BagsOfWords:
@@ -156,8 +152,7 @@ def test_scenes_without_passes_or_photographs() -> None:
     alone = loop_candidates(passes_of(2), bags_of_words(world.descriptors()[:2], WORDS), cache, SETTINGS, TUNING)
     assert len(alone.pairs) == 0
     result = retrieve(photos(30), (), cache, SETTINGS, TUNING, world.descriptors)
-    assert found(result.pairs, world.useful())[0] == 1
-    assert "30 loose photographs" in result.notes[0]
+    assert found(result.pairs, world.useful())[0] == 1 and "30 loose photographs" in result.notes[0]
     clip = video(30)
     moving = retrieve(clip, find_passes(clip), MatchCache(world.match, 30), SETTINGS, TUNING, world.descriptors)
     assert all("loose" not in note for note in moving.notes)
@@ -178,3 +173,94 @@ def test_many_images_are_looked_up_in_linear_memory() -> None:
         rows = np.repeat(np.arange(count), 20)
         assert (world.overlap(rows, index.ravel()) >= 0.1).mean() > 0.9
     assert 1.48 < peak[1] / peak[0] < 1.6
+
+
+LOOSE = TUNING.retrieval.loose
+
+
+def tied(world: Places, with_words: bool = True, scene: Scene | None = None, images=None) -> Pairs:
+    count = len(world)
+    words = words_of(world) if with_words else None
+    chosen = np.arange(count) if images is None else images
+    return scored_pairs(scene or photos(count), chosen, MatchCache(world.match, count), SETTINGS, TUNING, words)
+
+
+def test_few_photographs_are_all_previewed() -> None:
+    world = shuffled_ring(LOOSE.all_limit)
+    recall, precision = found(tied(world), world.useful())
+    assert world.asked == LOOSE.all_limit * (LOOSE.all_limit - 1) // 2
+    assert recall > 0.98 and precision > 0.8
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("ghosts, least", [(0.0, 0.8), (0.2, 0.5)])
+def test_a_ring_of_300_photographs_needs_few_previews(ghosts, least) -> None:
+    world = shuffled_ring(300)
+    world.ghosts = ghosts
+    pairs = tied(world)
+    recall, precision = found(pairs, world.useful())
+    assert recall > 0.97 and precision > least and world.asked <= TUNING.previews_an_image * 300
+    assert components(pairs, 300).max() == 0 and pairs.from_source("retrieval").all()
+
+
+@pytest.mark.slow
+def test_previews_grow_with_the_images_and_not_with_their_square() -> None:
+    small, large = shuffled_ring(120), shuffled_ring(300)
+    assert found(tied(small), small.useful())[0] > 0.97 and found(tied(large), large.useful())[0] > 0.97
+    assert large.asked < 3.0 * small.asked
+
+
+def test_two_unrelated_groups_stay_two() -> None:
+    order = np.random.default_rng(2).permutation(150)
+    world = Places(np.where(order < 75, order * 12.0, 50_000 + order * 12.0))
+    pairs = tied(world)
+    assert found(pairs, world.useful())[0] > 0.97
+    sure = pairs.where(pairs.score >= SETTINGS.min_matches)
+    parts = components(sure, 150)
+    assert parts.max() == 1
+    assert len({(a, b) for a, b in zip(parts.tolist(), (order < 75).tolist())}) == 2
+
+
+@pytest.mark.slow
+def test_photographs_are_tied_to_the_frames_of_a_pass() -> None:
+    world = Places(np.r_[np.arange(200) * 12.0, np.arange(40) * 60.0 + 6])
+    names = [*video(200).names, *(f"img_{k:03d}.jpg" for k in range(40))]
+    track, step = np.r_[np.zeros(200), np.full(40, -1)], np.r_[np.arange(200), np.zeros(40)]
+    rig, every = Rig("camera", (Sensor("camera"),)), np.arange(240)
+    scene = simple_scene(rig, names, every, 0 * every, track, step, sequences=("clip",))
+    pairs = tied(world, scene=scene, images=np.arange(200, 240))
+    assert (pairs.j >= 200).all()
+    i, j, useful = world.useful()
+    every_fourth = (i % 4 == 0) | (i >= 200)
+    assert found(pairs, (i, j, useful & (j >= 200) & every_fourth))[0] > 0.95
+
+
+def test_without_words_names_and_chance_must_do() -> None:
+    world = shuffled_ring(300)
+    recall, precision = found(tied(world, with_words=False), world.useful())
+    assert recall > 0.95 and precision > 0.8 and world.asked > TUNING.previews_an_image * 300
+
+
+def test_nothing_to_tie() -> None:
+    world = shuffled_ring(12)
+    assert len(tied(world, images=np.zeros(0, int))) == 0
+    cache = MatchCache(lambda pairs: [Result(0) for _ in pairs], 150)
+    words = bags_of_words([np.zeros((0, 128), np.uint8)] * 150, TUNING.retrieval.vocabulary)
+    pairs = scored_pairs(photos(150), np.arange(150), cache, SETTINGS, TUNING, words)
+    assert len(pairs.kept()) == 0 and len(pairs) < 150 * 10
+
+
+def test_common_ties_decide_about_faint_pairs() -> None:
+    a, b = np.triu_indices(6, 1)
+    clique = (a < 5) & (b < 5)
+    score = np.where(clique, 40, 0)
+    score[(a == 0) & (b == 1)] = 10  # faint between images that tie to the same others
+    score[(a == 4) & (b == 5)] = 10  # faint and alone
+    kept = supported((a, b), score, 6, 12, TUNING)
+    assert kept[clique].all() and not kept[~clique].any()
+    assert supported((np.array([0]), np.array([1])), np.array([24]), 2, 12, TUNING)[0]  # two photographs alone
+
+
+def test_same_result_every_time() -> None:
+    one, two = tied(shuffled_ring(130)), tied(shuffled_ring(130))
+    assert np.array_equal(one.i, two.i) and np.array_equal(one.j, two.j) and np.array_equal(one.dropped, two.dropped)

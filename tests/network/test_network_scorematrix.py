@@ -1,4 +1,4 @@
-"""The lattice of previews: smoothing, growing, confirming, interpolating."""
+"""The lattice of previews: smoothing, growing, confirming, interpolating, and long passes along walls that repeat."""
 
 from dataclasses import replace
 
@@ -7,11 +7,18 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from boat_world import Result, boat
+from tiegraph.network.offsets.background import corridor, noise_floor_within
+from tiegraph.network.offsets.offsets import estimate_offsets
 from tiegraph.network.passes import MatchCache, find_passes
-from tiegraph.network.scorematrix import ScoreMatrix, score_matrix
+from tiegraph.network.retrieval.retrieval import seen_by_the_rig, unrelated
+from tiegraph.network.retrieval.timeline import Timeline
+from tiegraph.network.scorematrix import NoiseFloor, ScoreMatrix, score_matrix
+from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
+from tiegraph.scene.rig import Rig, Sensor
+from tiegraph.scene.scene import Scene, simple_scene
 
-TUNING = Tuning()
+SETTINGS, TUNING = CandidatesSettings(), Tuning()
 
 
 def scores(stride: int = 2) -> ScoreMatrix:
@@ -23,36 +30,6 @@ def scores(stride: int = 2) -> ScoreMatrix:
 def test_nodes_include_the_last_frame() -> None:
     assert scores().rows.tolist() == [0, 2, 4, 6, 8, 10]
     assert scores(3).columns.tolist() == [0, 3, 6, 8]
-
-
-def test_smoothing_is_bounded_and_keeps_even_ground() -> None:
-    flat = replace(scores(), inliers=np.full((6, 6, 6, 5), 12.0, np.float32))
-    assert np.allclose(flat.smoothed(10, TUNING), 12.0, atol=1e-4)
-    wild = replace(flat, inliers=np.random.default_rng(0).uniform(0, 500, (6, 6, 6, 5)).astype(np.float32))
-    smooth = wild.smoothed(10, TUNING)
-    assert smooth.min() >= TUNING.counts.floor * 10 - 1e-4 and smooth.max() <= TUNING.counts.ceiling * 10 + 1e-4
-
-
-def test_one_hit_alone_counts_less_than_a_row_of_them() -> None:
-    inliers = np.full((6, 6, 6, 5), 8.0, np.float32)
-    inliers[0, 0, 2, 2] = 40
-    inliers[0, 1, :, 2] = 40
-    smooth = replace(scores(), inliers=inliers).smoothed(10, TUNING)
-    assert 8 < smooth[0, 0, 2, 2] < smooth[0, 1, 2, 2] < 20
-    assert np.isnan(replace(scores()).smoothed(10, TUNING)).all()
-
-
-def test_frontier_are_the_unmeasured_neighbours_of_hits() -> None:
-    inliers = scores().inliers.copy()
-    inliers[1, 2, 3, 3] = 30
-    inliers[1, 2, 3, 4] = 8
-    grown = replace(scores(), inliers=inliers)
-    frontier = set(zip(*(x.tolist() for x in grown.frontier(inliers, 12, np.ones((6, 5), bool)))))
-    around = {(1, 2, a, b) for a in (2, 3, 4) for b in (2, 3, 4)}
-    assert frontier == around - {(1, 2, 3, 3), (1, 2, 3, 4)}
-    beside = np.ones((6, 5), bool)
-    beside[:, 2] = False
-    assert len(grown.frontier(inliers, 12, beside)[0]) == 4
 
 
 @pytest.mark.parametrize("same", [True, False])
@@ -94,8 +71,7 @@ def test_interpolation_is_bilinear_between_nodes() -> None:
     smooth[2, 3] = 5 + np.add.outer(np.arange(6), np.arange(5))
     full = replace(scores(), inliers=smooth * 2)
     c, d, m, n, count = full.interpolated(smooth, 10.0, TUNING.counts)
-    assert set(c) == {2} and set(d) == {3}
-    assert np.allclose(count, 2 * (5 + m / 2 + n / 2))
+    assert set(c) == {2} and set(d) == {3} and np.allclose(count, 2 * (5 + m / 2 + n / 2))
     expected = {(a, b) for a in range(11) for b in range(9) if 5 + a / 2 + b / 2 >= 10}
     assert set(zip(m.tolist(), n.tolist())) == expected
 
@@ -164,3 +140,111 @@ def test_one_pass_is_symmetric_and_never_asks_twice() -> None:
     assert len(asked) == len({tuple(a) for a in asked}) == 30 * 29 // 2
     assert np.array_equal(full.inliers, full.inliers.transpose(1, 0, 3, 2), equal_nan=True)
     assert np.isnan(full.inliers[0, 0, 1, 1]) and full.inliers[0, 1, 1, 1] == 20
+
+
+REACH, WALL = 9, 4  # frames over which a camera sees the same; of one wall
+SENSORS, FRAMES = 4, 150
+
+
+class Street:
+    """A rig whose cameras each see a street of walls; a share ``alike`` of two walls look the same."""
+
+    def __init__(self, alike: float = 0.5, frames: int = FRAMES, back_from: int = 10**6) -> None:
+        self.alike, self.asked, self.back_from = alike, 0, back_from
+        rig = Rig("car", tuple(Sensor(f"cam{k}") for k in range(SENSORS)))
+        frame, sensor = np.repeat(np.arange(frames), SENSORS), np.tile(np.arange(SENSORS), frames)
+        names = [f"cam{s}/{f:04d}.jpg" for f, s in zip(frame, sensor)]
+        order = np.argsort(names)
+        self.frame, self.sensor = frame[order], sensor[order]
+        self.scene: Scene = simple_scene(
+            rig, [names[k] for k in order], self.frame, self.sensor, np.zeros(frames, int), np.arange(frames)
+        )
+
+    def place(self, frame: np.ndarray) -> np.ndarray:
+        """Where on the street: from ``back_from`` on it is driven again."""
+        return np.where(frame >= self.back_from, frame - self.back_from, frame)
+
+    def true(self, i: np.ndarray, j: np.ndarray) -> np.ndarray:
+        apart = np.abs(self.place(self.frame[i]) - self.place(self.frame[j]))
+        return (self.sensor[i] == self.sensor[j]) & (apart <= REACH)
+
+    def match(self, pairs: np.ndarray) -> list[Result]:
+        self.asked += len(pairs)
+        i, j = pairs.T
+        walls = np.stack([self.place(self.frame[k]) // WALL for k in (i, j)], axis=1)
+        seeds = np.column_stack([np.sort(walls, axis=1), np.sort(self.sensor[pairs], axis=1)])
+        same = np.array([np.random.default_rng((3, *map(int, s))).random() < self.alike for s in seeds])
+        apart = np.abs(self.place(self.frame[i]) - self.place(self.frame[j]))
+        count = np.where(self.true(i, j), 100 * np.exp(-apart / 6), np.where(same, 26, 8))
+        return [Result(int(c)) for c in count]
+
+
+@pytest.fixture
+def few_axes(monkeypatch):
+    """Any two cameras may tie."""
+    every = lambda rig, limit: np.ones((len(rig.sensors),) * 2, bool)  # noqa: E731
+    monkeypatch.setattr("tiegraph.network.offsets.offsets.allowed_within", every)
+
+
+def test_a_long_pass_is_tied_as_far_as_its_cameras_see_and_no_further(few_axes) -> None:
+    world = Street()
+    cache = MatchCache(world.match, len(world.scene))
+    kept = estimate_offsets(find_passes(world.scene), cache, len(world.scene), SETTINGS, TUNING).pairs.kept()
+    i, j = np.triu_indices(len(world.scene), 1)
+    hit = np.zeros((len(world.scene),) * 2, bool)
+    hit[kept.i, kept.j] = True
+    useful = world.true(i, j) & (np.abs(world.frame[i] - world.frame[j]) <= 6)
+    assert hit[i, j][useful].mean() > 0.9 and world.true(kept.i, kept.j).mean() > 0.6
+    assert world.asked < 40 * len(world.scene)
+
+
+def test_the_level_of_frames_that_share_nothing() -> None:
+    world = Street()
+    cache = MatchCache(world.match, len(world.scene))
+    p = find_passes(world.scene)[0]
+    level = noise_floor_within(p, np.ones((SENSORS, SENSORS), bool), cache, 12, TUNING)
+    assert level is not None and 13 < level.mean.mean() < 19  # half 8, half 24
+    assert level.above(np.array(24.0), (0, 0)) == pytest.approx(24)
+    assert level.above(np.array(level.mean[0, 0]), (0, 0)) == pytest.approx(8)
+    short = Street(frames=20)
+    p = find_passes(short.scene)[0]
+    assert noise_floor_within(p, np.ones((SENSORS, SENSORS), bool), MatchCache(short.match, 80), 12, TUNING) is None
+
+
+def test_the_band_is_one_run_of_distances() -> None:
+    p = find_passes(Street().scene)[0]
+    level = NoiseFloor(np.full((4, 4), 12.0), 24.0, 8.0, 24.0, TUNING.offsets.scores.most_level)
+    scores = score_matrix(p, p, 5, np.ones((SENSORS, SENSORS), bool), TUNING.offsets.scores, level)
+    scores.inliers[:] = 8.0
+    a, b = np.indices(scores.inliers.shape[2:])
+    scores.inliers[1, 1, np.abs(a - b) <= 2] = 24.0
+    scores.inliers[1, 1, (np.abs(a - b) == 6) & (a < 8)] = 24.0  # a wall that comes again, for some frames
+    near = corridor(scores, np.arange(len(scores.rows), dtype=float), 10, TUNING)
+    assert near[1, 1, 10, 8:13].all() and not near[1, 1, 2, 8] and not near[0, 0].any()
+
+
+def line_of(world: Street) -> Timeline:
+    """Places, cells of ten frames, no strides."""
+    frames = world.scene.frames
+    image_at = np.full((frames, SENSORS), -1)
+    image_at[world.frame, world.sensor] = np.arange(len(world.scene))
+    zero = np.zeros(frames, int)
+    cell = np.arange(frames) // 10
+    return Timeline(
+        image_at, zero, np.arange(frames), zero + 1, cell, zero[: cell.max() + 1], world.frame, world.sensor
+    )
+
+
+def test_a_loop_is_what_most_cameras_see_again() -> None:
+    world = Street(back_from=100)
+    line, cache = line_of(world), MatchCache(world.match, len(world.scene))
+    near = np.abs(np.subtract.outer(np.arange(15), np.arange(15))) <= 1
+    level = unrelated(line, near, cache, 12, TUNING)
+    assert level is not None
+    # One camera's hits of a true return, and of a wall that looks like another.
+    again = [(line.image_at[f, 0], line.image_at[f + 100, 0]) for f in range(10, 40)]
+    alike = [(line.image_at[f, 0], line.image_at[g, 0]) for f in range(10, 30) for g in range(60, 80)]
+    hits = [(i, j) for i, j in alike if world.match(np.array([[i, j]]))[0].inliers > 20]
+    i, j = np.array(again + hits).T
+    patch = np.repeat([0, 1], [len(again), len(hits)])
+    assert list(seen_by_the_rig(line, (i, j), patch, cache, level, TUNING.retrieval.loops)) == [True, False]

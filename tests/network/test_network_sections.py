@@ -4,54 +4,56 @@ import numpy as np
 import pytest
 
 from boat_world import boat, ring
-from network_steps import estimate_network
+from network_steps import network_of
 from tiegraph.network.passes import find_passes
 from tiegraph.network.sections.light import UpLight, by_up_frame, otsu, two_states
 from tiegraph.network.sections.sections import Section, SectionResult, find_sections, join_places
-from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.scene.pairs import REASONS, Pairs
+from tiegraph.scene.scene import Scene
 
 TUNING = Tuning().sections
 
 
-def survey(frames: int = 20, dark: tuple[int, int] = (8, 13)):
-    """Two passes; the first and the return pass see the bridge at the same place. Brightness (N,) by image."""
+def survey(frames: int = 20):
+    """Two passes; the first and the return pass see the bridge at the same place. Brightness (N,) by image, and which
+    of them (N,) are below it."""
     world = boat((frames, frames), (2.0, 2.0))
-    step = world.scene.sequence_index[world.scene.frame]
-    there = np.where(world.scene.sequence[world.scene.frame] == 0, step, frames - step)
-    under = (there >= dark[0]) & (there < dark[1])
+    there = np.where(world.track == 0, world.step, frames - world.step)
+    under = (there >= 8) & (there < 13)
     noise = np.random.default_rng(0).normal(0, 4, len(world.scene))
     return world, np.where(under, 60, 150) + noise, under
 
 
-def bridges(found, frames: int) -> np.ndarray:
+def of_frames(scene: Scene, under: np.ndarray) -> np.ndarray:
+    return by_up_frame(scene, under.astype(float)) > 0.5
+
+
+def cut(scene: Scene, light: np.ndarray | UpLight) -> SectionResult:
+    return find_sections(scene, find_passes(scene), light, TUNING)
+
+
+def bridges(found: SectionResult) -> np.ndarray:
     """(F,) bool: frames in a bridge section."""
-    out = np.zeros(frames, bool)
-    for section in found.sections:
-        if section.kind == "bridge":
-            out[list(section.frames)] = True
-    return out
+    frames = [f for section in found.sections if section.kind == "bridge" for f in section.frames]
+    return np.isin(np.arange(len(found.of_frame)), frames)
 
 
 def test_bridge_is_found_and_joined_over_both_passes() -> None:
     world, brightness, under = survey()
-    network = estimate_network(world.scene, brightness, world.match, CandidatesSettings(), Tuning())
+    network = network_of(world.scene, world.match, light=brightness)
     kinds = {s.name: s for s in network.network.cut.sections}
     assert sorted(kinds) == ["bridge 1", "open 1", "open 2"]
     bridge = np.isin(world.scene.frame, kinds["bridge 1"].frames)
-    assert np.array_equal(bridge, under)
-    assert 80 < network.network.cut.threshold < 130
+    assert np.array_equal(bridge, under) and 80 < network.network.cut.threshold < 130
     assert set(network.scene.section) == {0, 1, 2}
 
 
 @pytest.mark.slow
 def test_paper_001_cuts_between_sections_and_link_does_not() -> None:
     world, brightness, _ = survey()
-    linked = estimate_network(world.scene, brightness, world.match, CandidatesSettings(), Tuning())
-    split = estimate_network(
-        world.scene, brightness, world.match, CandidatesSettings(), Tuning(), sections="meguro2025"
-    )
+    linked = network_of(world.scene, world.match, light=brightness)
+    split = network_of(world.scene, world.match, light=brightness, sections="meguro2025")
     section = split.scene.section[split.scene.frame]
     kept = split.pairs.kept()
     assert (section[kept.i] == section[kept.j]).all()
@@ -61,27 +63,20 @@ def test_paper_001_cuts_between_sections_and_link_does_not() -> None:
     assert any("components" in note for note in split.notes)
 
 
-def test_even_light_is_one_section_and_says_why() -> None:
-    world, _, _ = survey()
-    rng = np.random.default_rng(1)
-    light = UpLight(rng.normal(150, 5, len(world.scene)), rng.normal(0.8, 0.03, len(world.scene)))
-    found = find_sections(world.scene, find_passes(world.scene), light, TUNING)
+def test_even_light_and_slow_change_of_it_are_one_section() -> None:
+    scene, rng = survey()[0].scene, np.random.default_rng(1)
+    found = cut(scene, UpLight(rng.normal(150, 5, len(scene)), rng.normal(0.8, 0.03, len(scene))))
     assert len(found.sections) == 1 and "two clear classes" in found.notes[0] and "needed" in found.notes[0]
     assert (found.of_frame == 0).all() and np.isnan(found.threshold)
-
-
-def test_slow_change_of_light_is_no_bridge() -> None:
-    world, _, _ = survey(30)
-    dusk = 150 - 0.5 * world.scene.frame
-    found = find_sections(world.scene, find_passes(world.scene), dusk, TUNING)
-    assert len(found.sections) == 1
+    scene = survey(30)[0].scene
+    assert len(cut(scene, 150 - 0.5 * scene.frame).sections) == 1
 
 
 def test_automatic_exposure_hides_the_bridge_from_brightness_but_not_from_the_sky_share() -> None:
     """The camera opens within three frames: the deck becomes as bright as the sky was, and the sky then burns out."""
     world, _, under = survey()
     scene = world.scene
-    frame_under = by_up_frame(scene, under.astype(float)) > 0.5
+    frame_under = of_frames(scene, under)
     rng = np.random.default_rng(3)
     grey = np.zeros(scene.frames)
     gain = 1.0
@@ -90,11 +85,10 @@ def test_automatic_exposure_hides_the_bridge_from_brightness_but_not_from_the_sk
         grey[f] = min(255.0, light * gain) + rng.normal(0, 4)
         gain *= (130.0 / (light * gain)) ** 0.6
     sky = np.where(frame_under, 0.12, 0.8) + rng.normal(0, 0.05, scene.frames)
-    passes = find_passes(scene)
-    alone = find_sections(scene, passes, grey[scene.frame], TUNING)
-    both = find_sections(scene, passes, UpLight(grey[scene.frame], sky[scene.frame]), TUNING)
-    assert np.mean(bridges(alone, scene.frames) == frame_under) < 0.9
-    assert np.array_equal(bridges(both, scene.frames), frame_under)
+    alone = cut(scene, grey[scene.frame])
+    both = cut(scene, UpLight(grey[scene.frame], sky[scene.frame]))
+    assert np.mean(bridges(alone) == frame_under) < 0.9
+    assert np.array_equal(bridges(both), frame_under)
     assert len(both.cues) == 2 and both.cues[0].decided
 
 
@@ -104,62 +98,46 @@ def test_exif_exposure_gives_the_light_itself() -> None:
     exposure = np.where(under, 1 / 60, 1 / 600) * np.exp(rng.normal(0, 0.1, len(under)))
     luminance = np.where(under, 8.0, 80.0)
     grey = 255 * np.clip(luminance * exposure, 0, 1) ** (1 / 2.2) + rng.normal(0, 2, len(under))
-    passes = find_passes(world.scene)
-    found = find_sections(world.scene, passes, UpLight(grey, None, exposure), TUNING)
-    truth = by_up_frame(world.scene, under.astype(float)) > 0.5
-    assert np.array_equal(bridges(found, world.scene.frames), truth)
+    found = cut(world.scene, UpLight(grey, None, exposure))
+    assert np.array_equal(bridges(found), of_frames(world.scene, under))
     assert [c.name for c in found.cues] == ["luminance by EXIF exposure"]
     half = np.where(world.scene.frame % 2 == 0, exposure, np.nan)  # too few images carry it
-    cues = find_sections(world.scene, passes, UpLight(grey, None, half), TUNING).cues
-    assert [c.name for c in cues] == ["brightness"]
+    assert [c.name for c in cut(world.scene, UpLight(grey, None, half)).cues] == ["brightness"]
 
 
 def test_each_pass_has_its_own_threshold_and_a_clouded_pass_is_not_a_bridge() -> None:
     world, brightness, under = survey()
-    back = world.scene.sequence[world.scene.frame] == 1
-    passes = find_passes(world.scene)
-    found = find_sections(world.scene, passes, np.where(back, 0.45, 1.0) * brightness, TUNING)
-    truth = by_up_frame(world.scene, under.astype(float)) > 0.5
-    assert np.array_equal(bridges(found, world.scene.frames), truth)
+    back, passes = world.track == 1, find_passes(world.scene)
+    found = cut(world.scene, np.where(back, 0.45, 1.0) * brightness)
+    assert np.array_equal(bridges(found), of_frames(world.scene, under))
     first, second = (found.cues[0].threshold[p.frames[0]] for p in passes)
     assert first > 1.7 * second
     clouded = np.where(back, 60 + 0.1 * brightness, brightness)  # the whole way back as dark as the bridge was
-    found = find_sections(world.scene, passes, clouded, TUNING)
-    there = bridges(found, world.scene.frames)
+    there = bridges(cut(world.scene, clouded))
     assert there[passes[0].frames].any() and not there[passes[1].frames].any()
 
 
 def test_no_up_camera_and_off_are_one_section() -> None:
     world = boat((10,), (2.0,), ring(5, up=False))
-    found = find_sections(world.scene, find_passes(world.scene), np.zeros(len(world.scene)), TUNING)
+    found = cut(world.scene, np.zeros(len(world.scene)))
     assert len(found.sections) == 1 and "no camera looks up" in found.notes[0]
     dark, brightness, _ = survey()
-    off = estimate_network(dark.scene, brightness, dark.match, CandidatesSettings(), Tuning(), sections="off")
+    off = network_of(dark.scene, dark.match, light=brightness, sections="off")
     assert len(off.network.cut.sections) == 1 and (off.scene.section == 0).all()
 
 
-def test_a_single_dark_frame_is_no_bridge() -> None:
-    world, brightness, _ = survey()
-    up = world.scene.sensor == 5
-    flash = brightness.copy()
-    flash[up & (world.scene.frame == 3)] = 60
-    found = find_sections(world.scene, find_passes(world.scene), flash, TUNING)
-    assert all(3 not in s.frames for s in found.sections if s.kind == "bridge")
-
-
-def test_missing_up_images_take_the_state_of_their_neighbours() -> None:
+def test_a_single_dark_frame_is_no_bridge_and_missing_images_take_the_state_of_their_neighbours() -> None:
     world, brightness, under = survey()
-    gone = (world.scene.sensor == 5) & np.isin(world.scene.frame, (2, 10))
-    found = find_sections(world.scene, find_passes(world.scene), np.where(gone, np.nan, brightness), TUNING)
-    truth = by_up_frame(world.scene, under.astype(float)) > 0.5
-    assert np.array_equal(bridges(found, world.scene.frames), truth)
+    up, frame = world.scene.sensor == 5, world.scene.frame
+    assert not bridges(cut(world.scene, np.where(up & (frame == 3), 60, brightness)))[3]
+    found = cut(world.scene, np.where(up & np.isin(frame, (2, 10)), np.nan, brightness))
+    assert np.array_equal(bridges(found), of_frames(world.scene, under))
 
 
 def test_otsu_splits_two_heaps() -> None:
     rng = np.random.default_rng(0)
     found = otsu(np.r_[rng.normal(60, 5, 30), rng.normal(150, 8, 70)])
-    threshold, separation, low, high = found.threshold, found.separation, found.low, found.high
-    assert 75 < threshold < 130 and 0.9 < separation <= 1 and 2.2 < high / low < 2.8
+    assert 75 < found.threshold < 130 and 0.9 < found.separation <= 1 and 2.2 < found.high / found.low < 2.8
     assert otsu(np.full(9, 7.0)).separation == 0.0
 
 
@@ -187,15 +165,3 @@ def test_places_are_joined_in_order_even_where_everything_sees_everything(back: 
     within = scene.sequence[scene.frame[pairs.i]] == scene.sequence[scene.frame[pairs.j]]
     apart = join_places(result, scene, pairs.where(within), TUNING)
     assert len(apart.sections) == 6
-
-
-def three_sections():
-    """One pass of 12 frames, six cameras, cut into open, bridge, open."""
-    scene = boat((12,), (2.0,)).scene
-    cuts = (range(4), range(4, 8), range(8, 12))
-    kinds = ("open", "bridge", "open")
-    return scene, tuple(Section(f"{k} {n}", k, tuple(c)) for n, (k, c) in enumerate(zip(kinds, cuts)))
-
-
-def image(scene, frame: int, sensor: int) -> int:
-    return int(np.flatnonzero((scene.frame == frame) & (scene.sensor == sensor))[0])

@@ -1,13 +1,16 @@
-"""Pair sources: files, sequences, loose photographs, and what is chosen by itself."""
+"""Pair sources: files, sequences that their images show, loose photographs, and what is chosen by itself."""
+
+from __future__ import annotations
 
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from boat_world import Result, boat
-from network_steps import estimate_network
+from boat_world import Result, boat, photos
+from network_steps import network_of
 from tiegraph.errors import InputError, SettingsError
+from tiegraph.network.candidates import shown_order
 from tiegraph.network.passes import MatchCache, find_passes
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.sources import Context, axes_count, axes_pairs, exhaustive, sequence
@@ -17,29 +20,9 @@ from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Dropped, Scene, simple_scene
 
 
-def photos(count: int) -> Scene:
-    rig = Rig("camera", (Sensor("camera"),))
-    return simple_scene(rig, [f"img_{k:04d}.jpg" for k in range(count)], np.arange(count), np.zeros(count))
-
-
 def context(scene: Scene, settings: CandidatesSettings) -> Context:
-    cache = MatchCache(lambda pairs: [Result(0) for _ in pairs], len(scene))
+    cache = MatchCache(lambda pairs: [Result(0)] * len(pairs), len(scene))
     return Context(scene, find_passes(scene), cache, settings, Tuning())
-
-
-def line_match(reach: int, seed: int = 0):
-    """Photographs in a hidden order that share things with the next ``reach``: their places and match function."""
-
-    def build(count: int):
-        place = np.random.default_rng(seed).permutation(count)
-
-        def match(pairs: np.ndarray) -> list[Result]:
-            apart = np.abs(place[pairs[:, 0]] - place[pairs[:, 1]])
-            return [Result(int(60 / a) + 9 if a <= reach else 9) for a in apart]
-
-        return place, match
-
-    return build
 
 
 def write(folder: Path, text: str) -> Path:
@@ -49,8 +32,8 @@ def write(folder: Path, text: str) -> Path:
 
 
 def test_pair_list_is_read_and_oddities_are_counted(tmp_path) -> None:
-    text = "# made by hand\nimg_0000.jpg img_0002.jpg\n\nimg_0002.jpg img_0000.jpg # again\nimg_0001.jpg img_0001.jpg\n"
-    pairs, notes = read_pair_list(write(tmp_path, text + "img_0003.jpg  img_0001.jpg\n"), photos(4))
+    text = "# made by hand\n000.jpg 002.jpg\n\n002.jpg 000.jpg # again\n001.jpg 001.jpg\n"
+    pairs, notes = read_pair_list(write(tmp_path, text + "003.jpg  001.jpg\n"), photos(4))
     assert list(zip(pairs.i.tolist(), pairs.j.tolist())) == [(0, 2), (1, 3)]
     assert "1 self pairs (line 5), 1 repeated pairs (line 4)" in notes[0]
 
@@ -58,13 +41,13 @@ def test_pair_list_is_read_and_oddities_are_counted(tmp_path) -> None:
 @pytest.mark.parametrize(
     "text, parts",
     [
-        ("img_0000.jpg img_0001.jpg\nimg_0000.jpg imgg_03.jpg\n", ["pairs.txt, line 2", "'imgg_03.jpg'", "perhaps"]),
-        ("img_0000.jpg\n", ["line 1", "two image names"]),
-        ("img_0000.jpg img_0001.jpg 3\n", ["line 1", "3 words"]),
+        ("000.jpg 001.jpg\n000.jpg imgg_03.jpg\n", ["pairs.txt, line 2", "'imgg_03.jpg'", "perhaps"]),
+        ("000.jpg\n", ["line 1", "two image names"]),
+        ("000.jpg 001.jpg 3\n", ["line 1", "3 words"]),
         ("# nothing\n", ["no pairs"]),
-        ("\nimg_0001.jpg img_0001.jpg\nimg_0002.jpg img_0002.jpg\n", ["line 2", "its 2 lines", "themselves"]),
-        ("img_0000.jpg img\0_1\n", ["pairs.txt: is no text"]),
-        ("img_0000.jpg broken.jpg\n", ["left out by scan: truncated"]),
+        ("\n001.jpg 001.jpg\n002.jpg 002.jpg\n", ["line 2", "its 2 lines", "themselves"]),
+        ("000.jpg img\0_1\n", ["pairs.txt: is no text"]),
+        ("000.jpg broken.jpg\n", ["left out by scan: truncated"]),
     ],
 )  # fmt: skip
 def test_bad_pair_lists_name_file_line_and_name(tmp_path, text, parts) -> None:
@@ -75,19 +58,21 @@ def test_bad_pair_lists_name_file_line_and_name(tmp_path, text, parts) -> None:
         assert part in str(error.value)
 
 
-def test_missing_pair_list_is_an_error(tmp_path) -> None:
+def test_missing_pair_list_and_unknown_source_are_errors(tmp_path) -> None:
+    with pytest.raises(ValueError):
+        CandidatesSettings(sources=("offset",))  # type: ignore[arg-type]
     with pytest.raises(InputError, match="cannot be read"):
         read_pair_list(tmp_path / "none.txt", photos(3))
     with pytest.raises(SettingsError, match="pairs_file"):
-        estimate_network(photos(3), np.zeros(3), lambda p: [], CandidatesSettings(sources=("file",)), Tuning())
+        network_of(photos(3), lambda p: [], CandidatesSettings(sources=("file",)))
 
 
 def test_pair_list_as_only_source_previews_nothing(tmp_path) -> None:
-    path = write(tmp_path, "img_0000.jpg img_0001.jpg\n")
+    path = write(tmp_path, "000.jpg 001.jpg\n")
     settings = CandidatesSettings(sources=("file",), pairs_file=path)
-    network = estimate_network(photos(4), np.zeros(4), lambda p: pytest.fail("asked"), settings, Tuning())
+    network = network_of(photos(4), lambda p: pytest.fail("asked"), settings)
     assert len(network.pairs.kept()) == 1
-    assert any("2 images have no pair: img_0002.jpg, img_0003.jpg" in n for n in network.notes)
+    assert any("2 images have no pair: 002.jpg, 003.jpg" in n for n in network.notes)
 
 
 def test_sequence_ties_the_next_frames_of_each_camera() -> None:
@@ -96,9 +81,8 @@ def test_sequence_ties_the_next_frames_of_each_camera() -> None:
     step, key = world.scene.sequence_index[world.scene.frame], world.scene.sensor_key
     assert len(plain) == 6 * (5 + 4) + 6 * (4 + 3)
     assert (key[plain.i] == key[plain.j]).all() and (np.abs(step[plain.i] - step[plain.j]) <= 2).all()
-    wide = sequence(
-        context(world.scene, CandidatesSettings(sequence_frames=1, sequence_cameras=True, axes_deg=80))
-    ).pairs
+    wider = CandidatesSettings(sequence_frames=1, sequence_cameras=True, axes_deg=80)
+    wide = sequence(context(world.scene, wider)).pairs
     across = wide.where(key[wide.i] != key[wide.j])
     angle = world.scene.rigs[0].axis_angles_deg()
     assert len(across) and angle[world.scene.sensor[across.i], world.scene.sensor[across.j]].max() < 80
@@ -113,7 +97,7 @@ def test_sequence_bridges_a_lost_image() -> None:
 
 
 def test_few_photographs_are_compared_with_one_another() -> None:
-    network = estimate_network(photos(11), np.zeros(11), lambda p: [Result(0)] * len(p), CandidatesSettings(), Tuning())
+    network = network_of(photos(11), lambda p: [Result(0)] * len(p))
     assert len(network.pairs.kept()) == 55  # whatever the previews say
     assert len(exhaustive(context(photos(11), CandidatesSettings())).pairs) == 55
     assert "sources chosen: exhaustive" in network.notes
@@ -122,32 +106,24 @@ def test_few_photographs_are_compared_with_one_another() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("count, share", [(150, 1.0), (700, 0.35)])
 def test_many_photographs_are_found_by_previews(count, share) -> None:
-    place, match = line_match(8)(count)
-    asked = [0]
+    """In a hidden order each shares things with the next eight."""
+    place, asked = np.random.default_rng(0).permutation(count), [0]
 
-    def counted(pairs):
+    def counted(pairs: np.ndarray) -> list[Result]:
         asked[0] += len(pairs)
-        return match(pairs)
+        apart = np.abs(place[pairs[:, 0]] - place[pairs[:, 1]])
+        return [Result(int(60 / a) + 9 if a <= 8 else 9) for a in apart]
 
-    network = estimate_network(photos(count), np.zeros(count), counted, CandidatesSettings(), Tuning())
+    network = network_of(photos(count), counted)
     kept = network.pairs.kept()
     tied = np.abs(place[kept.i] - place[kept.j]) <= 8
-    truth = 8 * count - 36
-    assert tied.sum() > 0.9 * truth
-    assert tied.mean() > 0.8
-    assert asked[0] <= share * count * (count - 1) / 2
-    assert (network.pairs.degree(count) > 0).all()
+    assert tied.sum() > 0.9 * (8 * count - 36) and tied.mean() > 0.8
+    assert asked[0] <= share * count * (count - 1) / 2 and (network.pairs.degree(count) > 0).all()
 
 
 def test_nothing_matches_at_all_is_said_and_not_fatal() -> None:
     world = boat((6,), (2.0,))
-    network = estimate_network(
-        world.scene,
-        np.zeros(len(world.scene)),
-        lambda pairs: [Result(0) for _ in pairs],
-        CandidatesSettings(),
-        Tuning(),
-    )
+    network = network_of(world.scene, lambda pairs: [Result(0)] * len(pairs))
     assert network.pairs.funnel()["votes"] > 0
     assert len(network.pairs.kept()) == 6 * (5 + 4)  # the sequence stays
 
@@ -155,14 +131,9 @@ def test_nothing_matches_at_all_is_said_and_not_fatal() -> None:
 def test_sources_are_merged() -> None:
     world = boat((6,), (2.0,))
     settings = CandidatesSettings(sources=("sequence", "exhaustive"))
-    pairs = estimate_network(world.scene, np.zeros(36), world.match, settings, Tuning()).pairs
+    pairs = network_of(world.scene, world.match, settings).pairs
     assert len(pairs) == 36 * 35 // 2
     assert pairs.from_source("sequence").sum() == 6 * 9 and pairs.from_source("exhaustive").all()
-
-
-def test_unknown_source_is_refused() -> None:
-    with pytest.raises(ValueError):
-        CandidatesSettings(sources=("offset",))  # type: ignore[arg-type]
 
 
 def test_pairs_that_the_axes_rule_out_are_counted_without_a_table() -> None:
@@ -175,7 +146,7 @@ def test_pairs_that_the_axes_rule_out_are_counted_without_a_table() -> None:
 
 
 def test_pair_lists_of_another_system_and_no_text(tmp_path) -> None:
-    path = write(tmp_path, "\ufeffimg_0000.jpg ./img_0001.jpg\r\nimg_0001.jpg img_0002.jpg\r\n")
+    path = write(tmp_path, "\ufeff000.jpg ./001.jpg\r\n001.jpg 002.jpg\r\n")
     assert len(read_pair_list(path, photos(4))[0]) == 2
     assert pair_lines(write(tmp_path, "I 1.jpg,I 2.jpg\n'a' \"b c.jpg\"\n")) == [
         (1, ["I 1.jpg", "I 2.jpg"]), (2, ["'a'", "b c.jpg"])
@@ -184,3 +155,99 @@ def test_pair_lists_of_another_system_and_no_text(tmp_path) -> None:
         path.write_bytes(data)
         with pytest.raises(InputError, match="pairs.txt(: is no text|, line 1: expected two image names)"):
             read_pair_list(path, photos(4))
+
+
+def numbered(*counts: int) -> Scene:
+    """Passes of so many images of one camera, in the order of their names, which is a guess."""
+    names = [f"p{p}/{k:04d}.jpg" for p, count in enumerate(counts) for k in range(count)]
+    track = np.repeat(np.arange(len(counts)), counts)
+    step = np.concatenate([np.arange(count) for count in counts])
+    tracks = tuple(f"p{p}" for p in range(len(counts)))
+    frames, rig = np.arange(len(names)), Rig("camera", (Sensor("camera"),))
+    return simple_scene(rig, names, frames, np.zeros(len(names)), track, step, sequences=tracks, guessed=tracks)
+
+
+def along(place: np.ndarray, reach: float, lost: float = 0.0, far: int = 9):
+    """Match function of images at places on a line: they tie within a reach, but for a share of them; ``far``: matches
+    of those beyond it."""
+    asked: list[int] = []
+
+    def match(pairs: np.ndarray) -> list[Result]:
+        asked.append(len(pairs))
+        blind = (pairs.sum(axis=1) * 7919 % 100) < 100 * lost
+        apart = np.abs(place[pairs[:, 0]] - place[pairs[:, 1]])
+        return [Result(0 if b else 60 if a <= reach else far) for a, b in zip(apart, blind)]
+
+    return match, asked
+
+
+def ordered(scene: Scene, match, **settings: object) -> tuple[Scene, tuple[str, ...]]:
+    return shown_order(scene, MatchCache(match, len(scene)), CandidatesSettings(**settings), Tuning())
+
+
+def test_a_pass_whose_neighbours_tie_is_a_sequence() -> None:
+    scene = numbered(60)
+    match, asked = along(np.arange(60.0), 4)
+    found, (note,) = ordered(scene, match)
+    assert (found.sequence == 0).all() and found.sequences == ("p0",) and found.guessed == ()
+    assert "a sequence, 40 of 40 previews of neighbours tie, and 0 of 40" in note
+    assert Tuning().sources.sample < sum(asked) <= 2 * Tuning().sources.sample
+
+
+@pytest.mark.parametrize("case", ["another order", "everything ties", "gaps", "nothing ties"])
+def test_photographs_that_are_only_numbered_are_loose(case: str) -> None:
+    scene = numbered(40)
+    place = np.arange(40.0)
+    match = {
+        "another order": along(np.random.default_rng(0).permutation(place), 4),
+        "everything ties": along(place, 100),  # a turntable: each image sees the same
+        "gaps": along(np.cumsum(np.where(np.arange(40) % 3, 1.0, 9.0)), 4),  # stations of three
+        "nothing ties": along(place, 0),
+    }[case][0]
+    found, (note,) = ordered(scene, match)
+    assert (found.sequence == -1).all() and found.sequences == () and found.guessed == ()
+    assert found.sequence_index.tolist() == list(range(40))
+    assert "pass p0: 40 loose photographs and no sequence" in note and "--scan.layout sequence" in note
+
+
+def test_a_few_lost_neighbours_do_not_part_a_sequence_and_a_handful_of_images_shows_nothing() -> None:
+    match, _ = along(np.arange(60.0), 4, lost=0.15)
+    assert (ordered(numbered(60), match)[0].sequence == 0).all()
+    found, (note,) = ordered(numbered(8), along(np.arange(8.0), 1)[0])
+    assert (found.sequence == -1).all() and "too few to tell" in note
+
+
+@pytest.mark.parametrize("far, sequence", [(20, True), (50, False)])
+def test_images_far_apart_may_tie_by_clearly_fewer_matches(far: int, sequence: bool) -> None:
+    match, _ = along(np.arange(40.0), 4, far=far)
+    assert (ordered(numbered(40), match)[0].sequence == (0 if sequence else -1)).all()
+
+
+def test_each_pass_is_asked_for_itself() -> None:
+    scene = numbered(40, 30, 50)
+    place = np.r_[np.arange(40.0), 1000 + np.random.default_rng(0).permutation(30) * 10.0, 2000 + np.arange(50.0)]
+    found, notes = ordered(scene, along(place, 3)[0])
+    assert found.sequences == ("p0", "p2") and len(notes) == 3
+    assert found.sequence.tolist() == [0] * 40 + [-1] * 30 + [1] * 50
+    assert found.sequence_index.tolist() == [*range(40), *range(30), *range(50)]
+
+
+def test_who_asks_for_a_sequence_gets_one_and_who_looks_at_nothing_none() -> None:
+    scene = numbered(40)
+    match, asked = along(np.arange(40.0), 4)
+    assert (ordered(scene, match, sources=("sequence",))[0].sequence == 0).all()
+    assert (ordered(scene, match, sources=("exhaustive",))[0].sequence == -1).all()
+    assert (ordered(scene.with_(guessed=()), along(np.zeros(40), 1)[0])[0].sequence == 0).all()  # known: nobody asks
+    assert not asked
+
+
+def test_the_network_looks_at_every_pair_of_numbered_photographs() -> None:
+    """60 of them in no order: as a sequence only neighbours and their offsets would be tried."""
+    place = np.random.default_rng(3).permutation(60).astype(float)
+    match, _ = along(place, 2)
+    network = network_of(numbered(60), match)
+    assert (network.scene.sequence == -1).all() and Scene.from_json(network.scene.to_json()).guessed == ()
+    kept = network.pairs.kept()
+    true = np.abs(place[:, None] - place) <= 2
+    assert true[kept.i, kept.j].sum() == (true.sum() - 60) // 2
+    assert any("loose photographs and no sequence" in note for note in network.notes)

@@ -51,69 +51,60 @@ def row_of_cameras(count: int = 10, step: float = 4.0) -> np.ndarray:
     return look(np.column_stack([np.arange(count) * step, np.zeros(count), np.zeros(count)]), np.zeros(count))
 
 
-def shared(poses, cameras, proxy, max_angle_deg: float = 90.0, slack_rad: float = 0.0, **changed) -> Overlap:
-    visibility = TUNING.visible.model_copy(update=changed)
+def shared(poses, proxy, max_angle_deg: float = 90.0, slack_rad: float = 0.0, cameras=None, **changed) -> Overlap:
+    visibility, cameras = TUNING.visible.model_copy(update=changed), cameras or [CAMERA] * len(poses)
     return shared_surface(poses, cameras, proxy, visibility, max_angle_deg, slack_rad)
 
 
+def between(found: Overlap, i: int, j: int) -> float:
+    return float(found.between(np.array([i]), np.array([j]))[0])
+
+
 def test_share_of_a_wall_is_that_of_the_geometry() -> None:
-    poses = row_of_cameras()
-    points = wall()
-    proxy = observed_proxy(points, *observers(points, poses), poses)
-    found = shared(poses, [CAMERA] * 10, proxy)
+    poses, points = row_of_cameras(), wall()
+    found = shared(poses, observed_proxy(points, *observers(points, poses), poses))
     # 20 m of wall in view from 10 m; images k * 4 m apart share 1 - k * 0.2 of it
     for k, share in ((1, 0.8), (2, 0.6), (3, 0.4), (4, 0.2)):
-        assert found.between(np.array([3]), np.array([3 + k]))[0] == pytest.approx(share, abs=0.06)
-    assert found.between(np.array([0]), np.array([9]))[0] == 0
+        assert between(found, 3, 3 + k) == pytest.approx(share, abs=0.06)
+    assert between(found, 0, 9) == 0
     assert (found.i < found.j).all() and len(found) == len(set(zip(found.i, found.j)))
 
 
 def test_angle_and_scale_of_the_shared_surface() -> None:
     poses = look(np.array([[0.0, 0, 0], [0, -10, 0], [10, 10, 0]]), np.array([0.0, 0, 90]))
     points = np.random.default_rng(0).normal([0, 10, 0], 0.5, (500, 3))
-    found = shared(poses, [CAMERA] * 3, points_proxy(points), max_angle_deg=180)
+    found = shared(poses, points_proxy(points), max_angle_deg=180)
     pairs = {(a, b): k for k, (a, b) in enumerate(zip(found.i, found.j))}
-    assert found.angle_deg[pairs[0, 2]] == pytest.approx(90, abs=3)
-    assert found.angle_deg[pairs[0, 1]] < 5
+    assert found.angle_deg[pairs[0, 2]] == pytest.approx(90, abs=3) and found.angle_deg[pairs[0, 1]] < 5
     assert found.scale[pairs[0, 1]] == pytest.approx(0.5, abs=0.03)
-    assert (0, 2) not in set(zip(*_pairs(shared(poses, [CAMERA] * 3, points_proxy(points), max_angle_deg=60))))
-    assert len(shared(poses, [CAMERA] * 3, points_proxy(points), max_scale=1.5, max_angle_deg=60)) == 0
-
-
-def _pairs(found: Overlap) -> tuple[np.ndarray, np.ndarray]:
-    return found.i, found.j
+    narrow = shared(poses, points_proxy(points), max_angle_deg=60)
+    assert (0, 2) not in set(zip(narrow.i, narrow.j))
+    assert len(shared(poses, points_proxy(points), max_scale=1.5, max_angle_deg=60)) == 0
 
 
 def test_a_nearer_wall_hides_the_one_behind() -> None:
     poses = look(np.array([[0.0, 0, 0], [0, 20.5, 0]]), np.array([0.0, 0.0]))
-    behind = wall(4000, 30.0)
-    screen = wall(4000, 20.0, seed=1)
-    cameras = [CAMERA, CAMERA]
-    open_ = shared(poses, cameras, points_proxy(behind), max_scale=10)
-    hidden = shared(poses, cameras, points_proxy(np.concatenate([behind, screen])), max_scale=10)
-    assert open_.share.max() > 0.9
-    assert len(hidden) == 0
+    behind, screen = wall(4000, 30.0), wall(4000, 20.0, seed=1)
+    open_ = shared(poses, points_proxy(behind), max_scale=10)
+    hidden = shared(poses, points_proxy(np.concatenate([behind, screen])), max_scale=10)
+    assert open_.share.max() > 0.9 and len(hidden) == 0
 
 
 def test_a_wall_is_not_seen_from_behind() -> None:
     front = look(np.array([[0.0, 0, 0], [2, 0, 0], [4, 0, 0]]), np.zeros(3))
-    back = look(np.array([[0.0, 20, 0]]), np.array([180.0]))
+    poses = np.concatenate([front, look(np.array([[0.0, 20, 0]]), np.array([180.0]))])
     points = wall(3000, width=10.0) * (1, 1, 0.2)
-    proxy = observed_proxy(points, *observers(points, front), np.concatenate([front, back]))
-    found = shared(np.concatenate([front, back]), [CAMERA] * 4, proxy, max_angle_deg=180)
+    found = shared(poses, observed_proxy(points, *observers(points, front), poses), max_angle_deg=180)
     assert set(zip(found.i, found.j)) == {(0, 1), (0, 2), (1, 2)}
 
 
 def test_images_without_observations_and_without_pose() -> None:
-    poses = row_of_cameras()
-    points = wall()
+    poses, points = row_of_cameras(), wall()
     image, point = observers(points, poses)
-    mine = image != 4
-    proxy = observed_proxy(points, image[mine], point[mine], poses)
-    lost = poses.copy()
-    lost[7] = np.nan
-    found = shared(lost, [CAMERA] * 10, proxy)
-    assert found.between(np.array([4]), np.array([5]))[0] > 0.7
+    proxy = observed_proxy(points, image[image != 4], point[image != 4], poses)
+    poses[7] = np.nan
+    found = shared(poses, proxy)
+    assert between(found, 4, 5) > 0.7
     assert not np.isin(7, np.concatenate([found.i, found.j]))
 
 
@@ -122,28 +113,26 @@ def test_a_cluster_of_points_does_not_stand_for_the_image() -> None:
     rng = np.random.default_rng(0)
     cluster = np.column_stack([rng.normal(9.0, 0.3, 1500), np.full(1500, 10.0), rng.normal(0, 0.3, 1500)])
     points = np.concatenate([wall(4000), cluster])
-    found = shared(poses, [CAMERA] * 2, points_proxy(points))
+    found = shared(poses, points_proxy(points))
     assert found.share[0] == pytest.approx(8 / 15, abs=0.06)  # of 15 m of wall; 0.77 if every point had a vote
 
 
 def test_assumed_range_of_a_ring_looking_in_and_out() -> None:
     angle = np.radians(np.arange(0, 360, 15))
     where = 10 * np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
-    inwards = look(where, np.degrees(angle) + 90)
-    outwards = look(where, np.degrees(angle) - 90)
-    one = np.ones(len(angle), int)
-    at, opposite, beside = 0 * one[:1], 12 * one[:1], one[:1]
-    seen_in = shared(inwards, [CAMERA] * 24, assumed_proxy(inwards, [CAMERA] * 24, 10.0, TUNING), max_angle_deg=120)
-    seen_out = shared(outwards, [CAMERA] * 24, assumed_proxy(outwards, [CAMERA] * 24, 10.0, TUNING))
-    assert seen_in.between(at, beside)[0] > 0.6 and seen_out.between(at, beside)[0] > 0.4
-    assert seen_in.between(at, opposite)[0] < 0.1 and seen_out.between(at, opposite)[0] == 0
-    assert seen_in.between(at, 4 * beside)[0] > 0.3 > seen_out.between(at, 8 * beside)[0]
+    seen_in, seen_out = (
+        shared(poses, assumed_proxy(poses, [CAMERA] * 24, 10.0, TUNING), max_angle_deg=most)
+        for poses, most in ((look(where, np.degrees(angle) + 90), 120), (look(where, np.degrees(angle) - 90), 90))
+    )
+    assert between(seen_in, 0, 1) > 0.6 and between(seen_out, 0, 1) > 0.4
+    assert between(seen_in, 0, 12) < 0.1 and between(seen_out, 0, 12) == 0
+    assert between(seen_in, 0, 4) > 0.3 > between(seen_out, 0, 8)
 
 
 def test_pair_share_is_the_same_measure(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(visible, "_OWNERS", 3)  # several parts
     poses = row_of_cameras(8)
-    found = shared(poses, [CAMERA] * 8, assumed_proxy(poses, [CAMERA] * 8, 10.0, TUNING))
+    found = shared(poses, assumed_proxy(poses, [CAMERA] * 8, 10.0, TUNING))
     i, j = np.triu_indices(8, 1)
     direct = pair_share(poses, [CAMERA] * 8, i, j, 10.0, TUNING)
     listed = found.between(i, j)
@@ -163,26 +152,24 @@ def test_pair_share_of_cameras_of_several_kinds_is_that_of_each_pair() -> None:
     one_by_one = [pair_share(poses, cameras, i[k : k + 1], j[k : k + 1], 10.0, TUNING)[0] for k in range(len(i))]
     np.testing.assert_array_equal(at_once, one_by_one)
     np.testing.assert_array_equal(np.isnan(at_once), (i == 4) | (j == 4))
-    listed = shared(poses, cameras, assumed_proxy(poses, cameras, 10.0, TUNING)).between(i, j)
+    listed = shared(poses, assumed_proxy(poses, cameras, 10.0, TUNING), cameras=cameras).between(i, j)
     known = np.isfinite(at_once) & (at_once > 0.02)
     assert known.sum() > 10 and np.abs(at_once - listed)[known].max() < 0.12
 
 
 def test_slack_widens_the_view_of_unsure_poses() -> None:
-    poses = row_of_cameras(2, 22.0)
-    cameras = [CAMERA] * 2
-    proxy = points_proxy(wall())
-    assert len(shared(poses, cameras, proxy, max_angle_deg=180)) == 0
-    assert len(shared(poses, cameras, proxy, slack_rad=0.3, max_angle_deg=180)) == 1
+    poses, proxy = row_of_cameras(2, 22.0), points_proxy(wall())
+    assert len(shared(poses, proxy, max_angle_deg=180)) == 0
+    assert len(shared(poses, proxy, slack_rad=0.3, max_angle_deg=180)) == 1
 
 
 def test_many_points_are_thinned_without_loss() -> None:
     poses = row_of_cameras()
     proxy = points_proxy(wall(60000))
-    found = shared(poses, [CAMERA] * 10, proxy)
-    assert found.between(np.array([3]), np.array([4]))[0] == pytest.approx(0.8, abs=0.05)
-    fewer = shared(poses, [CAMERA] * 10, proxy, mean_visible=(300, 300))
-    assert fewer.between(np.array([3]), np.array([4]))[0] == pytest.approx(0.8, abs=0.12)
+    found = shared(poses, proxy)
+    assert between(found, 3, 4) == pytest.approx(0.8, abs=0.05)
+    fewer = shared(poses, proxy, mean_visible=(300, 300))
+    assert between(fewer, 3, 4) == pytest.approx(0.8, abs=0.12)
 
 
 def test_the_table_is_the_same_in_blocks_of_any_size(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -190,9 +177,9 @@ def test_the_table_is_the_same_in_blocks_of_any_size(monkeypatch: pytest.MonkeyP
     poses, points = row_of_cameras(40, 2.0), wall(width=80)
     poses[11, :3] = np.nan
     proxy = replace(points_proxy(points), reach=np.full(len(points), 30.0))
-    whole = shared(poses, [CAMERA] * len(poses), proxy)
+    whole = shared(poses, proxy)
     monkeypatch.setattr(visible, "_BLOCK", 3)
-    parts = shared(poses, [CAMERA] * len(poses), proxy)
+    parts = shared(poses, proxy)
     assert len(whole) > 100 and 11 not in np.r_[whole.i, whole.j] and np.ptp(whole.j) == 38
     for name in ("i", "j", "share", "angle_deg", "scale"):
         assert np.array_equal(getattr(whole, name), getattr(parts, name))
@@ -220,8 +207,8 @@ def test_boxes_leave_out_only_points_that_no_cone_holds(monkeypatch: pytest.Monk
 def test_nothing_in_nothing_out() -> None:
     poses = row_of_cameras(3)
     empty = Proxy(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3)), np.zeros(0, int), np.zeros(0, int))
-    assert len(shared(poses, [None] * 3, empty)) == 0
-    assert len(shared(np.full((3, 4, 4), np.nan), [CAMERA] * 3, points_proxy(wall(10)))) == 0
+    assert len(shared(poses, empty, cameras=[None] * 3)) == 0
+    assert len(shared(np.full((3, 4, 4), np.nan), points_proxy(wall(10)))) == 0
     assert len(assumed_proxy(np.full((3, 4, 4), np.nan), [CAMERA] * 3, 5.0, TUNING)) == 0
-    without_camera = shared(poses, [None] * 3, points_proxy(wall()))
+    without_camera = shared(poses, points_proxy(wall()), cameras=[None] * 3)
     assert without_camera.share[:2] == pytest.approx([0.65, 0.31], abs=0.06)  # 60 degrees of view, 4 m apart

@@ -27,9 +27,8 @@ _NOISE = 2.0  # grey levels
 def camera() -> pycolmap.Camera:
     """Pinhole, 65 degrees wide."""
     width, height = SIZE
-    made = pycolmap.Camera(
-        model="PINHOLE", width=width, height=height, params=[250.0, 250.0, width / 2 + 2, height / 2 - 3]
-    )
+    params = [250.0, 250.0, width / 2 + 2, height / 2 - 3]
+    made = pycolmap.Camera(model="PINHOLE", width=width, height=height, params=params)
     made.has_prior_focal_length = True
     return made
 
@@ -40,13 +39,12 @@ def stereo() -> Cameras:
     return Cameras(("left", "right"), (camera(), camera()), np.stack([np.eye(4), right]))
 
 
-def back_to_back() -> Cameras:
-    """Two cameras that look to the sides, without a common view."""
-    turns = [Rotation.from_euler("y", a, degrees=True).as_matrix() for a in (60, -60)]
-    poses = [transforms.rigid(t, [0, 0, 0.1]) for t in turns]
-    return Cameras(
-        ("port", "starboard"), (camera(), camera()), np.stack([p @ transforms.invert(poses[0]) for p in poses])
-    )
+def apart(aside_deg: float, radius_m: float) -> Cameras:
+    """Two cameras turned to the left and to the right, on a circle."""
+    turns = [Rotation.from_euler("y", a, degrees=True).as_matrix() for a in (aside_deg, -aside_deg)]
+    poses = [transforms.rigid(t, [0, 0, radius_m]) for t in turns]
+    both = np.stack([p @ transforms.invert(poses[0]) for p in poses])
+    return Cameras(("port", "starboard"), (camera(), camera()), both)
 
 
 def rig_of(cameras: Cameras) -> Rig:

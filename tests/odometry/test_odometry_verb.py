@@ -13,7 +13,7 @@ from tiegraph.errors import InputError
 from tiegraph.scan.rigfiles.rigspec import write_rig_toml
 from tiegraph.scene.posefile import FREE_UNIT, read_poses
 
-FRAMES = 8
+FRAMES, CAMERA = 8, "PINHOLE,320x240,250,250,162,117"
 
 
 def written(folder, frames):
@@ -38,13 +38,12 @@ def start(tmp_path_factory):
     return written(tmp_path_factory.mktemp("start"), 2)
 
 
+def opened(survey, out, **more):
+    return open_project(survey / "images", out, pool="serial", **more)
+
+
 def run(folder, *arguments, images="images"):
     return main(["odometry", str(folder / images), "--pool", "serial", "--quiet", *map(str, arguments)])
-
-
-def copied(survey, tmp_path):
-    shutil.copytree(survey / "images", tmp_path / "images")
-    return tmp_path
 
 
 @pytest.mark.slow
@@ -58,11 +57,8 @@ def test_what_the_verb_writes_is_read_by_run(survey, tmp_path):
     assert table["image"].tolist() == [f"left/{k:06d}.png" for k in range(FRAMES)]
     assert table["sigma_x"][0] == 0 < table["sigma_x"][-1] < 0.05
     for times in (None, tmp_path / "vo.csv"):
-        project = open_project(
-            survey / "images", tmp_path / f"out{times is None}", pool="serial", rig=str(survey / "rig.toml"),
-            trajectory=out, times=times,
-        )  # fmt: skip
-        scene = project.run("scan").scene()
+        given = {"rig": str(survey / "rig.toml"), "trajectory": out, "times": times}
+        scene = opened(survey, tmp_path / f"out{times is None}", **given).run("scan").scene()
         assert scene.prior == "trajectory" and not scene.started
         assert np.allclose(scene.world_from_rig, found, atol=1e-6)
 
@@ -70,9 +66,7 @@ def test_what_the_verb_writes_is_read_by_run(survey, tmp_path):
 @pytest.mark.slow
 def test_a_run_follows_its_own_images(survey, tmp_path):
     truth = true_path(list(range(FRAMES)))
-    project = open_project(
-        survey / "images", tmp_path / "out", pool="serial", rig=str(survey / "rig.toml"), trajectory="auto"
-    )
+    project = opened(survey, tmp_path / "out", rig=str(survey / "rig.toml"), trajectory="auto")
     scene = project.run("scan").scene()
     assert scene.prior == "trajectory" and not scene.started
     assert 1e-6 < np.linalg.norm((scene.world_from_rig - truth)[:, :3, 3], axis=1).max() < 0.02
@@ -85,7 +79,7 @@ def test_a_run_follows_its_own_images(survey, tmp_path):
 
 @pytest.mark.slow
 def test_a_run_that_is_to_follow_its_images_needs_a_calibrated_rig(survey, tmp_path):
-    project = open_project(survey / "images", tmp_path / "out", pool="serial", trajectory="auto")
+    project = opened(survey, tmp_path / "out", trajectory="auto")
     with pytest.raises(InputError, match="calibrat"):
         project.run("scan")
     assert not (tmp_path / "out" / "images").exists()  # said before any is prepared
@@ -93,24 +87,21 @@ def test_a_run_that_is_to_follow_its_images_needs_a_calibrated_rig(survey, tmp_p
 
 @pytest.mark.slow
 def test_a_single_camera_says_that_it_has_no_scale_and_holds_nothing(survey, tmp_path, capsys):
-    camera = "PINHOLE,320x240,250,250,162,117"
-    arguments = ["odometry", str(survey / "images" / "left"), "--pool", "serial", "--camera", camera]
+    arguments = ["odometry", str(survey / "images" / "left"), "--pool", "serial", "--camera", CAMERA]
     assert main([*arguments, "-o", str(tmp_path / "vo.tum")]) == 0
     assert "no scale" in "".join(capsys.readouterr()) and FREE_UNIT in (tmp_path / "vo.tum").read_text()
-    project = open_project(
-        survey / "images" / "left", tmp_path / "out", pool="serial", camera=camera, trajectory=tmp_path / "vo.tum"
-    )
-    scene = project.run("scan").scene()
+    given = {"camera": CAMERA, "trajectory": tmp_path / "vo.tum"}
+    scene = open_project(survey / "images" / "left", tmp_path / "out", pool="serial", **given).run("scan").scene()
     assert scene.started and not scene.measured_positions().any() and scene.has_orientations()
 
 
 @pytest.mark.slow
 def test_an_image_that_cannot_be_read_and_one_of_another_size_are_told_and_not_fatal(survey, tmp_path, capsys):
-    folder = copied(survey, tmp_path)
-    (folder / "images" / "left" / "000003.png").write_bytes(b"no image")
-    small = cv2.imread(str(folder / "images" / "right" / "000005.png"))[:100]
-    cv2.imwrite(str(folder / "images" / "right" / "000005.png"), small)
-    arguments = ["odometry", str(folder / "images"), "--pool", "serial", "--rig", str(survey / "rig.toml")]
+    folder = shutil.copytree(survey / "images", tmp_path / "images")
+    (folder / "left" / "000003.png").write_bytes(b"no image")
+    small = cv2.imread(str(folder / "right" / "000005.png"))[:100]
+    cv2.imwrite(str(folder / "right" / "000005.png"), small)
+    arguments = ["odometry", str(folder), "--pool", "serial", "--rig", str(survey / "rig.toml")]
     assert main([*arguments, "-o", str(tmp_path / "vo.tum")]) == 0
     said = "".join(capsys.readouterr())
     assert "left/000003.png" in said and "320 x 100" in said
@@ -124,14 +115,6 @@ def test_a_stereo_head_without_its_rig_is_refused(start, tmp_path, capsys):
     assert not list(tmp_path.iterdir())
 
 
-def test_one_frame_is_refused(start, tmp_path, capsys):
-    (tmp_path / "one").mkdir()
-    shutil.copy(start / "images" / "left" / "000000.png", tmp_path / "one")
-    assert run(tmp_path, "-o", tmp_path / "vo.tum", images="one") == 2
-    assert "usable image" in capsys.readouterr().err
-    assert not (tmp_path / "vo.tum").exists()
-
-
 def test_a_file_that_is_there_is_not_written_over(start, tmp_path, capsys):
     out = tmp_path / "vo.tum"
     out.with_suffix(".csv").write_text("mine")
@@ -140,12 +123,13 @@ def test_a_file_that_is_there_is_not_written_over(start, tmp_path, capsys):
     assert out.with_suffix(".csv").read_text() == "mine" and not out.exists()
 
 
-def test_images_without_texture_give_an_error_and_no_file(tmp_path, capsys):
+def test_one_frame_and_images_without_texture_are_refused(start, tmp_path, capsys):
+    for folder in ("one", "grey"):
+        (tmp_path / folder).mkdir()
+    shutil.copy(start / "images" / "left" / "000000.png", tmp_path / "one")
     for frame in range(3):
-        (tmp_path / "grey").mkdir(exist_ok=True)
-        grey = np.full((240, 320), 128 + frame, np.uint8)
-        cv2.imwrite(str(tmp_path / "grey" / f"{frame:06d}.png"), grey)
-    camera = ("--camera", "PINHOLE,320x240,250,250,162,117")
-    assert run(tmp_path, *camera, "-o", tmp_path / "vo.tum", images="grey") != 0
-    assert "no pose was found" in capsys.readouterr().err
-    assert not (tmp_path / "vo.tum").exists()
+        cv2.imwrite(str(tmp_path / "grey" / f"{frame:06d}.png"), np.full((240, 320), 128 + frame, np.uint8))
+    assert run(tmp_path, "-o", tmp_path / "vo.tum", images="one") == 2
+    assert "usable image" in capsys.readouterr().err
+    assert run(tmp_path, "--camera", CAMERA, "-o", tmp_path / "vo.tum", images="grey") != 0
+    assert "no pose was found" in capsys.readouterr().err and not (tmp_path / "vo.tum").exists()

@@ -8,17 +8,16 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 import pytest
-from moving_world import moving_world, write_database
+from road_worlds import moving_world, write_database
+from sfm_worlds import drop_pairs, run_sparse
 
 from near import assert_reconstruction_near
+from tiegraph.scene.colmapdatabase import image_ids
 from tiegraph.scene.colmapmodel import MAX_IMAGES, image_poses
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import BlocksTuning
 from tiegraph.scene.tuning import Tuning as SceneTuning
 from tiegraph.sfm.database import write_working_copy
-from tiegraph.sfm.mapper import Source, reconstruct
-from tiegraph.sfm.settings import SparseSettings
-from tiegraph.sfm.tuning import Tuning
 
 
 @pytest.fixture
@@ -37,18 +36,14 @@ def test_a_working_copy_of_some_images_holds_nothing_else(world, tmp_path: Path)
         ends = {k for (p,) in copy.execute("SELECT pair_id FROM two_view_geometries") for k in divmod(p, MAX_IMAGES)}
         frames = copy.execute("SELECT COUNT(*) FROM frames").fetchone()[0]
         ids = {k for (k,) in copy.execute("SELECT image_id FROM images")}
-    assert names == {scene.names[k] for k in some} and frames == 3
-    assert ends == ids
+    assert names == {scene.names[k] for k in some} and frames == 3 and ends == ids
 
 
 @pytest.mark.slow
 def test_blocks_make_one_model(world, tmp_path: Path) -> None:
     true, scene = world
     shared = SceneTuning(blocks=BlocksTuning(whole=30, own=40, least=6, lent=18, unplaced=1))
-    source = Source(tmp_path / "database.db", None)
-    result = reconstruct(
-        source, tmp_path / "sparse", scene, SparseSettings(covariance_frames=0), Tuning(), shared, tmp_path / "log.txt"
-    )
+    result = run_sparse(tmp_path, scene, shared=shared, covariance_frames=0)
     assert result.mapper == "preview" and result.counts["registered"] == len(scene) and result.counts["models"] == 1
     assert any("mapped in 2 blocks" in n and "1 of 1 joins hold" in n for n in result.remarks.notes)
     assert_reconstruction_near(result.load(), scene, true, m=0.006, deg=0.05)
@@ -57,12 +52,8 @@ def test_blocks_make_one_model(world, tmp_path: Path) -> None:
 
 def _cut(folder: Path, scene: Scene, frame: int) -> None:
     """No verified pair between the frames before and from ``frame`` on."""
-    with sqlite3.connect(folder / "database.db") as db:
-        names = dict(db.execute("SELECT image_id, name FROM images"))
-        late = {i for i, n in names.items() if scene.frame[scene.image_index[n]] >= frame}
-        for (pair,) in db.execute("SELECT pair_id FROM two_view_geometries").fetchall():
-            if len(set(divmod(pair, MAX_IMAGES)) & late) == 1:
-                db.execute("DELETE FROM two_view_geometries WHERE pair_id = ?", (pair,))
+    late = {number for k, number in image_ids(folder / "database.db", scene).items() if scene.frame[k] >= frame}
+    drop_pairs(folder / "database.db", lambda *pair: len({*pair} & late) == 1)
 
 
 @pytest.mark.slow
@@ -71,16 +62,7 @@ def test_two_surveys_in_one_folder_by_the_default_mapper(tmp_path: Path) -> None
     model, scene = moving_world(frames=12, points=1500)
     write_database(model, tmp_path / "database.db")
     _cut(tmp_path, scene, 7)
-    settings = SparseSettings(covariance_frames=0)
-    result = reconstruct(
-        Source(tmp_path / "database.db", None),
-        tmp_path / "sparse",
-        scene,
-        settings,
-        Tuning(),
-        SceneTuning(),
-        tmp_path / "log.txt",
-    )
+    result = run_sparse(tmp_path, scene, covariance_frames=0)
     assert result.mapper == "global" and result.components == (21, 15)
     assert [len(m.images) for m in result.models] == [21, 15]
     (said,) = (n for n in result.remarks.notes if "another survey" in n)
@@ -100,16 +82,7 @@ def test_two_surveys_in_one_folder_become_two_models(world, tmp_path: Path) -> N
     """The coarse model puts them side by side, but no verified pair ties them."""
     true, scene = world
     _cut(tmp_path, scene, 18)
-    source = Source(tmp_path / "database.db", None, preview=true)
-    result = reconstruct(
-        source,
-        tmp_path / "sparse",
-        scene,
-        SparseSettings(covariance_frames=0),
-        Tuning(),
-        SceneTuning(),
-        tmp_path / "log.txt",
-    )
+    result = run_sparse(tmp_path, scene, {"preview": true}, covariance_frames=0)
     assert result.mapper == "preview" and [len(m.images) for m in result.models] == [54, 18]
     assert any("18 images" in n and "another survey" in n for n in result.remarks.notes)
     assert len(result.remarks.dropped) == 18

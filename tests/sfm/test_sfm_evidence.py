@@ -6,14 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from sfm_worlds import with_positions
+from sfm_worlds import level_poses, lone_scene, with_positions
 
 from tiegraph.geometry import transforms
 from tiegraph.geometry.geodesy import Origin
 from tiegraph.geometry.gravity import Up
 from tiegraph.scene.control import Control, Marks
-from tiegraph.scene.rig import Rig, Sensor
-from tiegraph.scene.scene import Scene, simple_scene
+from tiegraph.scene.scene import Scene
 from tiegraph.sfm.settings import GeorefSettings
 from tiegraph.sfm.tuning.world import WorldTuning
 from tiegraph.sfm.world import georef
@@ -37,19 +36,8 @@ def drive(length_m: float = 40.0, back: bool = False) -> tuple[np.ndarray, Scene
     place_m = np.stack([s, 0.004 * s**2, 2 + 0.2 * np.sin(s / 9)], axis=1)
     if back:
         place_m = np.vstack([place_m[::2], place_m[::-2] + [0.5, 3.0, 0.0]])
-    ahead = np.gradient(place_m, axis=0)
-    ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
-    down = np.tile([0.0, 0.0, -1.0], (COUNT, 1))
-    across = np.cross(down, ahead)
-    across /= np.linalg.norm(across, axis=1, keepdims=True)
-    poses = transforms.rigid(np.stack([across, np.cross(ahead, across), ahead], axis=2), place_m)
-    rig = Rig("ring", (Sensor("cam0", None, np.eye(4), "side"),))
-    names = [f"cam0/{k:03d}.jpg" for k in range(COUNT)]
-    scene = simple_scene(
-        rig, names, np.arange(COUNT), 0 * np.arange(COUNT), np.zeros(COUNT), sequences=("way",),
-        time_s=np.arange(COUNT) * 1.0,
-    )  # fmt: skip
-    return poses, scene
+    poses = level_poses(place_m, np.gradient(place_m, axis=0))
+    return poses, lone_scene(COUNT, sequences=("way",), time_s=1.0 * np.arange(COUNT))
 
 
 def noise(seed: int, sigma: float, r: float = 0.5, count: int = COUNT) -> np.ndarray:
@@ -66,12 +54,9 @@ def control(poses: np.ndarray, sigma: float = 0.02, count: int = 6, seed: int = 
     rng = np.random.default_rng(seed)
     true = poses[np.linspace(2, COUNT - 3, count).astype(int), :3, 3] + rng.uniform(-6, 6, (count, 3)) * [0.2, 1, 0.3]
     surveyed = true + sigma * rng.standard_normal((count, 3))
-    empty = np.zeros(0, int)
-    names = tuple(f"P{k}" for k in range(count))
-    return Control(
-        names, surveyed, np.full((count, 3), sigma), np.zeros(count, bool),
-        Marks(empty, empty, np.zeros((0, 2)), empty, np.zeros(0)), Origin(35.0, 139.0, 40.0),
-    ), true  # fmt: skip
+    empty, names = np.zeros(0, int), tuple(f"P{k}" for k in range(count))
+    marks, origin = Marks(empty, empty, np.zeros((0, 2)), empty, np.zeros(0)), Origin(35.0, 139.0, 40.0)
+    return Control(names, surveyed, np.full((count, 3), sigma), np.zeros(count, bool), marks, origin), true
 
 
 def found_by(
@@ -133,13 +118,13 @@ def test_three_sources_tell_which_one_is_wrong() -> None:
     poses, scene = drive(back=True)
     points = control(poses)
     true = poses[:, :3, 3] + noise(3, 0.05)
-    found = found_by(poses, with_positions(scene, true, 0.05), rig_scale=1.03, points=points)
-    assert found.world_from_model.scale == pytest.approx(1, abs=0.005) and found.uncertainty.sigma["scale"] < 0.01
-    assert any("rig as given stands alone" in t for t in found.findings.contradictions)
     stretched = 1.03 * (true - true.mean(axis=0)) + true.mean(axis=0)
-    found = found_by(poses, with_positions(scene, stretched, 0.05), rig_scale=1.001, points=points)
-    assert found.world_from_model.scale == pytest.approx(1, abs=0.005) and found.uncertainty.sigma["scale"] < 0.01
-    assert any("GNSS positions stand alone" in t for t in found.findings.contradictions)
+    for at, rig_scale, alone in (
+        (true, 1.03, "rig as given stands alone"), (stretched, 1.001, "GNSS positions stand alone")
+    ):  # fmt: skip
+        found = found_by(poses, with_positions(scene, at, 0.05), rig_scale=rig_scale, points=points)
+        assert found.world_from_model.scale == pytest.approx(1, abs=0.005) and found.uncertainty.sigma["scale"] < 0.01
+        assert any(alone in t for t in found.findings.contradictions)
 
 
 @pytest.mark.slow
@@ -163,7 +148,7 @@ def test_one_control_point_tells_a_datum() -> None:
     assert any(t.startswith("place ") and "datum" in t for t in found.findings.contradictions)
 
 
-def test_a_refused_point_is_not_in_the_headline() -> None:
+def test_a_refused_point_is_not_in_the_headline_and_points_that_fit_nowhere_are_said() -> None:
     poses, scene = drive(back=True)
     given, true = control(poses, count=7)
     wrong = given.world_m.copy()
@@ -173,14 +158,8 @@ def test_a_refused_point_is_not_in_the_headline() -> None:
     assert found.counts()["points_refused"] == 1 and found.control.rows[3]["blunder"]
     (text,) = found.findings.contradictions
     assert "'P3' is not used" in text and "differ by 27.7" in text
-
-
-@pytest.mark.slow
-def test_control_points_that_fit_nowhere_are_said() -> None:
-    poses, scene = drive(back=True)
-    given, true = control(poses, count=6)
-    wrong = given.world_m + np.random.default_rng(1).standard_normal((6, 3))
-    found = found_by(poses, scene, points=(replace(given, world_m=wrong), true))
+    nowhere = given.world_m + np.random.default_rng(1).standard_normal((7, 3))
+    found = found_by(poses, scene, points=(replace(given, world_m=nowhere), true))
     assert any("contradict each other" in t for t in found.findings.contradictions)
 
 
@@ -191,10 +170,8 @@ def test_a_step_in_good_positions_is_said_and_widens_the_sigma(size: float) -> N
     off = noise(6, 0.03)
     off[22:, 1] += size
     found = found_by(poses, with_positions(scene, poses[:, :3, 3] + off, 0.03), rig_scale=1.0)
-    assert any(
-        "which noise does not do" in t or "times as much" in t or "contradict" in t
-        for t in found.findings.contradictions
-    )
+    said = ("which noise does not do", "times as much", "contradict")
+    assert any(words in t for t in found.findings.contradictions for words in said)
     error = found.world_from_model(poses[:, :3, 3]) - poses[:, :3, 3]
     assert np.linalg.norm(error.mean(axis=0)[:2]) < 3 * found.uncertainty.sigma["position_m"]
 

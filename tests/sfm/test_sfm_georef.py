@@ -7,24 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
-from sfm_worlds import make_world, true_frames, with_positions
+from sfm_worlds import World, elsewhere, make_world, true_frames, with_positions
 
-from tiegraph.geometry.align import Similarity
 from tiegraph.geometry.geodesy import make_origin
-from tiegraph.geometry.gravity import Up
 from tiegraph.scene.colmapmodel import image_poses
 from tiegraph.sfm.model import frame_poses
-from tiegraph.sfm.settings import GeorefSettings
-from tiegraph.sfm.tuning.world import WorldTuning
-from tiegraph.sfm.world.fit import Evidence, fit_similarity
 from tiegraph.sfm.world.fixes import Measurements
-from tiegraph.sfm.world.georef import georeference
-from tiegraph.sfm.world.unknowns import LeverArm
-
-import pycolmap  # isort: skip
-
-TUNING = WorldTuning()
 
 
 @pytest.fixture(scope="module")
@@ -32,24 +20,13 @@ def world(tmp_path_factory):
     return make_world(tmp_path_factory.mktemp("world") / "database.db", cameras=3, frames=20)
 
 
-def _moved(truth):
-    """The truth in another frame and unit, as a mapper would give it."""
-    model = pycolmap.Reconstruction(truth)
-    turn = Rotation.from_rotvec([0.4, -1.1, 0.7]).as_quat()
-    model.transform(pycolmap.Sim3d(0.37, pycolmap.Rotation3d(turn), np.array([5.0, -3.0, 2.0])))
-    return model
-
-
 @pytest.mark.slow
 def test_positions_bring_the_model_back(world) -> None:
-    truth, scene = world
-    true = true_frames(truth, scene)[:, :3, 3]
-    noise = 0.1 * np.random.default_rng(0).standard_normal(true.shape)
+    noise = 0.1 * np.random.default_rng(0).standard_normal((20, 3))
     noise[3] = [8, 0, 0]  # an outlier
-    survey = with_positions(scene, true + noise, 0.1)
-    found = georeference(_moved(truth), survey, GeorefSettings(), TUNING)
-    placed = frame_poses(image_poses(found.apply(_moved(truth)), scene), scene)[:, :3, 3]
-    error = np.sqrt(np.mean(np.sum((placed - true) ** 2, axis=1)))
+    survey = with_positions(world.scene, world.centres + noise, 0.1)
+    found = world.placed_by(survey)
+    error = world.error_m(found.apply(elsewhere(world.truth)))
     assert found.placed and found.scale_source == "gnss"
     assert found.world_from_model.scale == pytest.approx(1 / 0.37, rel=0.03)
     assert 0.005 < error < 0.12  # better than one position, not perfect
@@ -58,148 +35,89 @@ def test_positions_bring_the_model_back(world) -> None:
     held = np.isfinite(found.residuals.held_out_m).all(axis=1)
     assert held.sum() == len(found.residuals.held.residual_m) == found.to_dict()["held_out"]["count"] == 4
     assert found.to_dict()["held_out"]["sigma_m"] == pytest.approx(0.1 * np.sqrt(3))  # as stated
+    assert json.loads(json.dumps(found.to_dict(), allow_nan=False))["positions"] == 20
+    assert found.counts()["inliers"] == found.residuals.inlier.sum()
     assert 0.03 < found.residuals.held_out_rms_m()["east"] < 0.3
     # What all positions of a receiver share (0.07 m east and north) no residual shows.
     assert 0.1 < found.uncertainty.sigma["position_m"] < 0.2 and 0.1 < found.uncertainty.sigma["yaw_deg"] < 5
     assert error < 5 * found.uncertainty.sigma["position_m"]
-    for crs, place, tied_m in (
-        ("EPSG:27700", (52.0, -1.0, 0.0), 2.0),
-        ("EPSG:6677", (36.0, 140.0, 0.0), 0.0),
-    ):  # a shift of datum; one datum by two names
+    # A shift of datum; one datum by two names.
+    for crs, place, tied_m in (("EPSG:27700", (52.0, -1.0, 0.0), 2.0), ("EPSG:6677", (36.0, 140.0, 0.0), 0.0)):
         here = replace(survey, origin=make_origin(*place, crs))
-        there = georeference(_moved(truth), here, GeorefSettings(), TUNING).uncertainty.sigma
+        there = world.placed_by(here).uncertainty.sigma
         assert there["position_m"] == pytest.approx(np.hypot(found.uncertainty.sigma["position_m"], tied_m), rel=0.01)
         assert there["height_m"] == found.uncertainty.sigma["height_m"]
 
 
-def test_apply_scales_the_rig_too(world) -> None:
-    truth, scene = world
-    survey = with_positions(scene, true_frames(truth, scene)[:, :3, 3], 0.05)
-    model = _moved(truth)
-    placed = georeference(model, survey, GeorefSettings(), TUNING).apply(model)
-    for sensor, pose in truth.rig(1).non_ref_sensors.items():
-        np.testing.assert_allclose(placed.rig(1).sensor_from_rig(sensor).translation, pose.translation, atol=1e-4)
-
-
 def test_positions_that_do_not_tell_the_size_place_nothing(world) -> None:
     """Twenty photographs from one spot, to which positions of 5 m give places a millimetre apart."""
-    truth, scene = world
-    place = 0.001 * np.random.default_rng(0).standard_normal((20, 3))
-    survey = with_positions(scene, place, 5.0)
-    assert georeference(_moved(truth), survey, GeorefSettings(), TUNING).placed  # the rig tells its size
-    nominal = survey.with_(rigs=tuple(replace(r, nominal=True) for r in scene.rigs))
-    found = georeference(_moved(truth), nominal, GeorefSettings(), TUNING)
+    survey = with_positions(world.scene, 0.001 * np.random.default_rng(0).standard_normal((20, 3)), 5.0)
+    assert world.placed_by(survey).placed  # the rig tells its size
+    found = world.placed_by(survey.with_(rigs=tuple(replace(r, nominal=True) for r in survey.rigs)))
     assert not found.placed and any("do not tell its size" in n for n in found.findings.notes)
+
+
+ARM = (0.9, -0.4, 0.5)
+
+
+def _antenna(world: World) -> np.ndarray:
+    """Where it is at each frame, so far from the first camera."""
+    true = true_frames(*world)
+    return true[:, :3, 3] + true[:, :3, :3] @ ARM
 
 
 @pytest.mark.slow
 def test_lever_arm_given_and_estimated(world) -> None:
-    truth, scene = world
-    true = true_frames(truth, scene)
-    arm = np.array([0.9, -0.4, 0.5])
-    survey = with_positions(scene, true[:, :3, 3] + true[:, :3, :3] @ arm, 0.05)
-    given = survey.with_(rigs=(replace(scene.rigs[0], antenna_m=tuple(arm)),))
-    without = georeference(_moved(truth), survey, GeorefSettings(antenna="ignored"), TUNING)
-    with_arm = georeference(_moved(truth), given, GeorefSettings(), TUNING)
+    survey = with_positions(world.scene, _antenna(world), 0.05)
+    without = world.placed_by(survey, antenna="ignored")
+    with_arm = world.placed_by(survey.with_(rigs=(replace(survey.rigs[0], antenna_m=ARM),)))
     assert max(with_arm.residuals.rms_m().values()) < 1e-3 < 0.05 < max(without.residuals.rms_m().values())
-    estimated = georeference(_moved(truth), survey, GeorefSettings(antenna="estimated"), TUNING)
-    np.testing.assert_allclose(estimated.receiver.antenna_m, arm, atol=0.1)
+    estimated = world.placed_by(survey, antenna="estimated")
+    np.testing.assert_allclose(estimated.receiver.antenna_m, ARM, atol=0.1)
     assert any("estimated" in n for n in estimated.findings.notes)
 
 
 @pytest.mark.slow
 def test_a_stretch_of_multipath_does_not_hide_behind_the_lever_arm(world) -> None:
-    truth, scene = world
-    true, arm = true_frames(truth, scene), np.array([0.9, -0.4, 0.5])
-    antenna = true[:, :3, 3] + true[:, :3, :3] @ arm + 0.02 * np.random.default_rng(1).standard_normal((20, 3))
+    antenna = _antenna(world) + 0.02 * np.random.default_rng(1).standard_normal((20, 3))
     antenna[3:8] += [0.9, -0.6, 1.2]  # with the same sigma stated
-    found = georeference(_moved(truth), with_positions(scene, antenna, 0.02), GeorefSettings(), TUNING)
-    placed = frame_poses(image_poses(found.apply(_moved(truth)), scene), scene)[:, :3, 3]
-    assert 0.001 < np.sqrt(np.mean(np.sum((placed - true[:, :3, 3]) ** 2, axis=1))) < 0.04
-    np.testing.assert_allclose(found.receiver.antenna_m, arm, atol=0.05)
+    found = world.placed_by(with_positions(world.scene, antenna, 0.02))
+    assert 0.001 < world.error_m(found.apply(elsewhere(world.truth))) < 0.04
+    np.testing.assert_allclose(found.receiver.antenna_m, ARM, atol=0.05)
     assert not found.residuals.inlier[3:8].any() and found.residuals.inlier.sum() >= 15
 
 
 def test_fixed_rig_alone_gives_the_scale(world) -> None:
-    truth, scene = world
-    found = georeference(_moved(truth), scene, GeorefSettings(), TUNING)
+    scene = world.scene
+    found = world.placed_by(scene)
     assert not found.placed and found.scale_source == "rig baseline" and found.origin is None
     assert found.world_from_model.scale == pytest.approx(1 / 0.37, rel=1e-6)
-    nominal = scene.with_(rigs=(replace(scene.rigs[0], nominal=True),))
-    other = georeference(_moved(truth), nominal, GeorefSettings(), TUNING)
-    assert other.scale_source == "none" and any("nominal" in n for n in other.findings.notes)
     shrink = np.array([[1, 1, 1, 0.02]] * 3 + [[1, 1, 1, 1]])
     short = tuple(replace(s, sensor_from_rig=s.sensor_from_rig * shrink) for s in scene.rigs[0].sensors)
-    near = georeference(
-        _moved(truth), scene.with_(rigs=(replace(scene.rigs[0], sensors=short),)), GeorefSettings(), TUNING
-    )
-    assert near.scale_source == "none" and any("no scale taken from the rig" in n for n in near.findings.notes)
+    for change, said in (({"nominal": True}, "nominal"), ({"sensors": short}, "no scale taken from the rig")):
+        none = world.placed_by(scene.with_(rigs=(replace(scene.rigs[0], **change),)))
+        assert none.scale_source == "none" and any(said in n for n in none.findings.notes)
 
 
 @pytest.mark.slow
 def test_images_that_hardly_carry_the_baseline_widen_the_scale_of_the_rig(world) -> None:
-    truth, scene = world
-    survey = with_positions(scene, 1.03 * true_frames(truth, scene)[:, :3, 3], 0.05)
-    sure, vague = (
-        georeference(_moved(truth), survey, GeorefSettings(), TUNING, Measurements(model_scale_sigma=s))
-        for s in (1e-4, 0.05)
-    )
-    true_scale = 1 / 0.37
-    assert sure.placing is not None and vague.placing is not None and sure.placing.model.scale is not None
+    survey = with_positions(world.scene, 1.03 * world.centres, 0.05)
+    sure, vague = (world.placed_by(survey, Measurements(model_scale_sigma=s)) for s in (1e-4, 0.05))
     assert sure.placing.model.scale.sigma < 0.01
     assert vague.placing.model.scale == replace(sure.placing.model.scale, sigma=pytest.approx(0.05, rel=0.05))
-    assert vague.world_from_model.scale == pytest.approx(1.03 * true_scale, rel=0.01)  # the positions have their say
-    alone = georeference(_moved(truth), scene, GeorefSettings(), TUNING, Measurements(model_scale_sigma=0.05))
+    assert vague.world_from_model.scale == pytest.approx(1.03 / 0.37, rel=0.01)  # the positions have their say
+    alone = world.placed_by(world.scene, Measurements(model_scale_sigma=0.05))
     assert alone.scale_source == "rig baseline" and any("scale good to 5.0%" in n for n in alone.findings.notes)
 
 
-def test_trajectory_orientations_hold_the_roll(world) -> None:
+def test_a_trajectory_holds_the_roll_and_the_rig_is_scaled_too(world) -> None:
     truth, scene = world
     poses = true_frames(truth, scene)
     survey = scene.with_(world_from_rig=poses, position_sigma_m=np.full((scene.frames, 3), 0.1), prior="trajectory")
-    found = georeference(_moved(truth), survey, GeorefSettings(), TUNING)
+    found = world.placed_by(survey)
     assert found.scale_source in ("trajectory", "rig baseline")
-    placed = frame_poses(image_poses(found.apply(_moved(truth)), scene), scene)
+    placed = frame_poses(image_poses(found.apply(elsewhere(truth)), scene), scene)
     np.testing.assert_allclose(placed, poses, atol=1e-3)
-
-
-@pytest.mark.slow
-def test_to_dict_is_json(world) -> None:
-    truth, scene = world
-    survey = with_positions(scene, true_frames(truth, scene)[:, :3, 3], 0.05)
-    found = georeference(_moved(truth), survey, GeorefSettings(), TUNING)
-    assert json.loads(json.dumps(found.to_dict(), allow_nan=False))["positions"] == 20
-    assert found.counts()["inliers"] == 20
-
-
-def _straight(noise_m: float, seed: int = 0) -> tuple[Evidence, Similarity]:
-    """Thirty poses on a straight level line, upright; the model is turned, scaled and moved."""
-    rng = np.random.default_rng(seed)
-    true = Similarity(2.5, Rotation.from_euler("xyz", [0.6, 0.3, -1.0]).as_matrix(), np.array([10.0, 20.0, 3.0]))
-    world = np.zeros((30, 3))
-    world[:, 0] = np.linspace(0, 100, 30)
-    world[:, 1] = 0.3 * np.linspace(0, 100, 30)
-    pose = np.tile(np.eye(4), (30, 1, 1))
-    pose[:, :3, 3] = (world - true.translation) @ true.rotation / true.scale
-    upright = np.array([[0, 0, 1], [-1, 0, 0], [0, -1, 0]], float)
-    pose[:, :3, :3] = true.rotation.T @ upright
-    evidence = Evidence(
-        frame=np.arange(30), pose=pose, position=world + noise_m * rng.standard_normal((30, 3)),
-        sigma=np.full((30, 3), max(noise_m, 0.05)), orientation=np.full((30, 3, 3), np.nan), arm=LeverArm(np.zeros(3)),
-        log_scale=None,
-    )  # fmt: skip
-    return evidence, true
-
-
-def test_straight_track_needs_the_upward_direction() -> None:
-    evidence, true = _straight(noise_m=0.3)
-    up = Up(true.rotation.T @ np.array([0.0, 0.0, 1.0]), 3.0, True, True, "the ring")
-    alone = fit_similarity(evidence, None, TUNING.fit)
-    held = fit_similarity(evidence, up, TUNING.fit)
-    tilt = lambda fit: np.degrees(np.arccos((fit.similarity.rotation @ up.direction)[2]))  # noqa: E731
-    assert alone.roll_sigma_deg > 20
-    assert tilt(held) < 1.0
-    assert 0.1 < held.roll_sigma_deg < 5
-    assert held.similarity.scale == pytest.approx(true.scale, rel=0.02)
-    lone = fit_similarity(evidence, replace(up, ring=False, tilt=False, sigma_deg=10.0), TUNING.fit)
-    assert tilt(lone) < 1.0
+    placed = world.placed_by(world.measured(0.0, sigma_m=0.05)).apply(elsewhere(truth))
+    for sensor, pose in truth.rig(1).non_ref_sensors.items():
+        np.testing.assert_allclose(placed.rig(1).sensor_from_rig(sensor).translation, pose.translation, atol=1e-4)

@@ -1,51 +1,43 @@
-"""Mapping a synthetic rig survey: fixed, derived and absent rig, losses with reasons, and the errors."""
+"""Mapping a synthetic rig survey: rigs, losses with reasons, errors; which of two mappers' models stays."""
 
 from __future__ import annotations
 
 import sqlite3
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pycolmap
 import pytest
-from sfm_worlds import make_world, true_frames, with_positions, without_extrinsics
+from sfm_worlds import drop_pairs, frame_centres, make_world, run_sparse, with_positions, without_extrinsics
 
 from here import here
+from near import off_after_similarity, rms
 from tiegraph.child import run_in_child
 from tiegraph.errors import ChildDied, ReconstructionError, SettingsError
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import umeyama
 from tiegraph.scene.colmapdatabase import image_ids
-from tiegraph.scene.colmapmodel import MAX_IMAGES, image_poses
+from tiegraph.scene.colmapmodel import image_poses
 from tiegraph.scene.scene import Scene
-from tiegraph.scene.tuning import Tuning as SceneTuning
 from tiegraph.sfm import mapper, mapping
-from tiegraph.sfm.mapper import Source, SparseResult, reconstruct
-from tiegraph.sfm.mapping import choose_mapper
-from tiegraph.sfm.model import frame_poses, held_out_frames
+from tiegraph.sfm.mapper import SparseResult
+from tiegraph.sfm.mapping import choose_mapper, cost_in_the_end, ran_off
+from tiegraph.sfm.model import held_out_frames
 from tiegraph.sfm.rig.rig import model_extrinsics, rig_modes
 from tiegraph.sfm.settings import SparseSettings
 from tiegraph.sfm.tuning import MappingTuning, Tuning
 from tiegraph.sfm.tuning.world import FixTuning
 
 
-def _run(folder: Path, scene: Scene, **settings: object) -> SparseResult:
-    return reconstruct(
-        Source(folder / "database.db", folder),
-        folder / "sparse",
-        scene,
-        SparseSettings(**settings),
-        Tuning(),
-        SceneTuning(),
-        folder / "log.txt",
-    )
+def _run(folder: Path, scene: Scene, source: dict | None = None, **settings: object) -> SparseResult:
+    return run_sparse(folder, scene, {"images": folder} | (source or {}), **settings)
 
 
-def _centre_error(result: SparseResult, scene: Scene, truth: object) -> float:
-    found = frame_poses(image_poses(result.load(), scene), scene)[:, :3, 3]
-    true = true_frames(truth, scene)[:, :3, 3]
-    return float(np.sqrt(np.mean(np.sum((umeyama(found, true)(found) - true) ** 2, axis=1))))
+def _centre_error(result: SparseResult, scene: Scene, truth: pycolmap.Reconstruction) -> float:
+    return rms(off_after_similarity(frame_centres(result.load(), scene), frame_centres(truth, scene)))
 
 
 @pytest.mark.slow
@@ -53,15 +45,13 @@ def test_fixed_rig_keeps_its_metric_size(tmp_path: Path) -> None:
     truth, scene = make_world(tmp_path / "database.db")
     before = (tmp_path / "database.db").read_bytes()
     seen: list[tuple[int, int]] = []
-    source = Source(tmp_path / "database.db", tmp_path, on_progress=lambda done, total: seen.append((done, total)))
-    settings = SparseSettings(mapper="incremental")
-    result = reconstruct(source, tmp_path / "sparse", scene, settings, Tuning(), SceneTuning(), tmp_path / "log.txt")
+    watched = {"on_progress": lambda done, total: seen.append((done, total))}
+    result = _run(tmp_path, scene, watched, mapper="incremental")
     assert (tmp_path / "database.db").read_bytes() == before
     assert result.rig == "fixed" and result.mapper == "incremental"
     assert result.counts["registered"] == len(scene) and result.remarks.dropped == ()
     assert seen[0] == (0, len(scene)) and 0.5 * len(scene) <= seen[-1][0] <= len(scene)
-    found = frame_poses(image_poses(result.load(), scene), scene)[:, :3, 3]
-    scale = umeyama(found, true_frames(truth, scene)[:, :3, 3]).scale
+    scale = umeyama(frame_centres(result.load(), scene), frame_centres(truth, scene)).scale
     assert scale == pytest.approx(1, abs=0.01)  # the baselines, 0.5 m at 3-5 m, hold it
     extrinsics = model_extrinsics(result.load(), scene, 0)
     for sensor, pose in zip(scene.rigs[0].sensors, extrinsics):
@@ -76,11 +66,8 @@ def test_fixed_rig_keeps_its_metric_size(tmp_path: Path) -> None:
 def test_an_image_without_a_point_is_placed_by_its_rig_and_not_registered(tmp_path: Path) -> None:
     _, scene = make_world(tmp_path / "database.db")
     blind = scene.image_index[next(n for k, n in enumerate(scene.names) if scene.sensor[k] == 1)]
-    ids = {v: k for k, v in image_ids(tmp_path / "database.db", scene).items()}
-    with sqlite3.connect(tmp_path / "database.db") as connection:
-        for (pair,) in connection.execute("SELECT pair_id FROM two_view_geometries").fetchall():
-            if blind in (ids[pair // MAX_IMAGES], ids[pair % MAX_IMAGES]):
-                connection.execute("DELETE FROM two_view_geometries WHERE pair_id = ?", (pair,))
+    number = image_ids(tmp_path / "database.db", scene)[blind]
+    drop_pairs(tmp_path / "database.db", lambda *pair: number in pair)
     result = _run(tmp_path, scene, mapper="incremental", covariance_frames=0)
     assert result.counts["registered"] == len(scene) - 1 and result.counts["placed_by_rig"] == 1
     assert result.remarks.dropped == () and any("1 images see fewer than 10 points" in n for n in result.remarks.notes)
@@ -117,9 +104,7 @@ def test_a_narrow_lens_may_have_a_large_coefficient(tmp_path: Path) -> None:
 def test_a_rough_model_needs_no_images_and_no_final_adjustment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(mapping, "run_in_child", run_in_child)  # the log is of a real child
     truth, scene = make_world(tmp_path / "database.db")
-    source = Source(tmp_path / "database.db", None, rough=True)
-    settings = SparseSettings(covariance_frames=0)
-    result = reconstruct(source, tmp_path / "sparse", scene, settings, Tuning(), SceneTuning(), tmp_path / "log.txt")
+    result = run_sparse(tmp_path, scene, {"rough": True}, covariance_frames=0)
     assert result.mapper == "global"
     assert "Could not read image" not in (tmp_path / "log.txt").read_text(), "a line of each would fill the log"
     assert result.counts["registered"] + result.counts["placed_by_rig"] == len(scene)
@@ -144,23 +129,16 @@ def test_unknown_rig_is_found_and_used(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_absent_rig_and_lost_images_keep_their_reason(tmp_path: Path) -> None:
     _, scene = make_world(tmp_path / "database.db", cameras=2, frames=6)
+    *_, (before, name_before), (last, name) = sorted(
+        (number, scene.names[k]) for k, number in image_ids(tmp_path / "database.db", scene).items()
+    )
     with sqlite3.connect(tmp_path / "database.db") as db:
-        last, before = db.execute("SELECT image_id FROM images ORDER BY image_id DESC LIMIT 2").fetchall()
-        name = db.execute("SELECT name FROM images WHERE image_id = ?", last).fetchone()[0]
-        name_before = db.execute("SELECT name FROM images WHERE image_id = ?", before).fetchone()[0]
-        db.execute("UPDATE keypoints SET rows = 0, data = x'' WHERE image_id = ?", last)
-        for lost in (last[0], before[0]):
-            db.execute(
-                "DELETE FROM two_view_geometries WHERE pair_id / 2147483647 = ? OR pair_id % 2147483647 = ?",
-                (lost, lost),
-            )
+        db.execute("UPDATE keypoints SET rows = 0, data = x'' WHERE image_id = ?", (last,))
+    drop_pairs(tmp_path / "database.db", lambda *pair: last in pair or before in pair)
     result = _run(tmp_path, scene, rig="absent")
     assert result.rig == "absent" and result.mapper == "incremental"
-    assert dict(result.remarks.dropped) == {
-        name: "no features (masked, blank or unreadable)",
-        name_before: "no verified pair",
-    }
-    assert result.components == (10,)
+    reasons = {name: "no features (masked, blank or unreadable)", name_before: "no verified pair"}
+    assert dict(result.remarks.dropped) == reasons and result.components == (10,)
 
 
 @pytest.mark.slow
@@ -170,10 +148,11 @@ def test_the_same_input_gives_the_same_model(tmp_path: Path) -> None:
     np.testing.assert_array_equal(poses[0], poses[1])
 
 
-def test_no_verified_pair_says_what_is_there(tmp_path: Path) -> None:
+def test_what_cannot_be_mapped_is_said(tmp_path: Path) -> None:
     _, scene = make_world(tmp_path / "database.db", cameras=2, frames=4)
-    with sqlite3.connect(tmp_path / "database.db") as db:
-        db.execute("DELETE FROM two_view_geometries")
+    with pytest.raises(SettingsError, match="sensors without extrinsics"):
+        _run(tmp_path, without_extrinsics(scene), rig="fixed")
+    drop_pairs(tmp_path / "database.db", lambda *pair: True)
     with pytest.raises(ReconstructionError, match=r"Of 8 images 8 have features; 0 pairs .*Remedies"):
         _run(tmp_path, scene)
 
@@ -209,12 +188,6 @@ def test_a_child_that_dies_is_tried_in_its_safest_form(tmp_path: Path, monkeypat
     assert (ordered in result.remarks.contradictions) == (asked == "global")
 
 
-def test_fixed_rig_needs_extrinsics(tmp_path: Path) -> None:
-    _, scene = make_world(tmp_path / "database.db", cameras=2, frames=4)
-    with pytest.raises(SettingsError, match="sensors without extrinsics"):
-        _run(tmp_path, without_extrinsics(scene), rig="fixed")
-
-
 def test_rules_of_auto(tmp_path: Path) -> None:
     _, scene = make_world(tmp_path / "database.db", cameras=2, frames=4)
     assert rig_modes(scene, "auto") == {0: "fixed"}
@@ -231,14 +204,13 @@ def test_rules_of_auto(tmp_path: Path) -> None:
 def test_positions_put_the_incremental_model_into_the_world(tmp_path: Path) -> None:
     """With priors the model comes out metric and in place; held-out positions, 100 m off here, have no part in it."""
     truth, scene = make_world(tmp_path / "database.db", cameras=1, frames=12)
-    true = true_frames(truth, scene)[:, :3, 3]
+    true = frame_centres(truth, scene)
     held = held_out_frames(with_positions(scene, true, 0.02), FixTuning())
     assert held.sum() == 2
     given = true + 0.02 * np.random.default_rng(0).standard_normal(true.shape) + 100 * held[:, None]
     result = _run(tmp_path, with_positions(scene, given, 0.02))
     assert result.mapper == "incremental" and result.tables["runs"]["rows"][0][2] == "positions"
-    found = frame_poses(image_poses(result.load(), scene), scene)[:, :3, 3]
-    assert 0.001 < np.median(np.linalg.norm(found - true, axis=1)) < 0.1
+    assert 0.001 < np.median(np.linalg.norm(frame_centres(result.load(), scene) - true, axis=1)) < 0.1
 
 
 @pytest.mark.slow
@@ -246,17 +218,90 @@ def test_sections_mapped_apart_are_joined_and_adjusted_as_one(tmp_path: Path) ->
     truth, scene = make_world(tmp_path / "database.db", frames=16)
     late = scene.frame >= 8
     pairs = [(i, j) for i in range(len(scene)) for j in range(i + 1, len(scene)) if late[i] != late[j]]
-    args = SparseSettings(), Tuning(), SceneTuning(), tmp_path / "log.txt"
-    whole = reconstruct(Source(tmp_path / "database.db", tmp_path), tmp_path / "whole", scene, *args)
-    apart = Source(tmp_path / "database.db", tmp_path, apart=tuple(pairs))
-    result = reconstruct(apart, tmp_path / "apart", scene, *args)
+    whole = _centre_error(_run(tmp_path, scene), scene, truth)
+    result = _run(tmp_path, scene, {"apart": tuple(pairs)})
     assert len(result.models) == 1 and result.counts["registered"] + result.counts["placed_by_rig"] == len(scene)
     table = result.tables["sections mapped apart"]
     first, second = (dict(zip(table["columns"], row)) for row in table["rows"])
     assert first["images"] + second["images"] == len(scene) and first["joined"] == second["joined"] == "yes"
     assert second["matches that agree"] > 1000 and second["held-out matches that agree %"] > 70
     assert 0 < second["halves differ"] < 0.2 and second["halves differ deg"] < 2
-    errors = [_centre_error(r, scene, truth) for r in (whole, result)]
-    assert 0 < errors[0] < 0.05 and 0 < errors[1] < 1.5 * errors[0] + 1e-4
+    assert 0 < whole < 0.05 and 0 < _centre_error(result, scene, truth) < 1.5 * whole + 1e-4
     assert any("2 sections were mapped apart, 2 of them joined" in note for note in result.remarks.notes)
     assert not any("no verified pair" in note for note in result.remarks.notes)
+
+
+MOST = Tuning().mapping.other_focal
+
+
+def _with_focal(model: pycolmap.Reconstruction, factor: float) -> pycolmap.Reconstruction:
+    out = pycolmap.Reconstruction(model)
+    camera = out.camera(1)
+    for k in camera.focal_length_idxs():
+        camera.params[k] = factor * camera.params[k]
+    return out
+
+
+def test_only_what_is_far_from_a_given_focal_length_ran_off(tmp_path: Path) -> None:
+    truth, scene = make_world(tmp_path / "database.db", cameras=1, frames=4)
+    rig = scene.rigs[0]
+    camera = pycolmap.Camera(rig.sensors[0].camera.todict())
+    given_px = camera.mean_focal_length()
+    assert ran_off(_with_focal(truth, MOST - 0.01), scene, MOST) is None
+    assert ran_off(_with_focal(truth, 1 / MOST + 0.01), scene, MOST) is None
+    said = ran_off(_with_focal(truth, 2.0), scene, MOST)
+    assert said is not None and f"{2 * given_px:.0f} px, {given_px:.0f} px are given" in said
+    assert ran_off(_with_focal(truth, 1 / MOST - 0.01), scene, MOST) is not None
+    camera.has_prior_focal_length = False
+    guessed = scene.with_(rigs=(replace(rig, sensors=(replace(rig.sensors[0], camera=camera),)),))
+    assert ran_off(_with_focal(truth, 2.0), guessed, MOST) is None
+
+
+@pytest.mark.parametrize(
+    ("cost", "kept", "rough"), [(0.9, "global", False), (1.1, "incremental", False), (0.9, "global", True)]
+)
+def test_the_model_that_explains_the_images_better_stays(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cost: float, kept: str, rough: bool
+) -> None:
+    """A coarse model too: no adjustment comes back from poses with a wrong focal length."""
+    truth, scene = make_world(tmp_path / "database.db", cameras=1, frames=4)
+    job = _job(scene)
+    job = replace(job, source=replace(job.source, rough=rough))
+    first = mapping.Outcome("incremental", [_written(_with_focal(truth, 2.0), tmp_path / "first")], len(scene))
+    other = mapping.Outcome("global", [_written(truth, tmp_path / "other")], len(scene))
+    asked: list[str] = []
+    monkeypatch.setattr(mapping, "_run", lambda job, mapper, *rest: asked.append(mapper) or other)
+    px = truth.camera(1).mean_focal_length()
+    costs = {round(2 * px): 1.0, round(px): cost}
+    monkeypatch.setattr(mapping, "cost_in_the_end", lambda model, *_: costs[round(model.camera(1).mean_focal_length())])
+    assert mapping._near_given_focal_lengths(job, first, "").mapper == kept
+    assert asked == ["global"] and f"{cost:.2f} times as large: kept {kept}" in job.account.notes[0]
+    fewer = replace(other, registered=1)
+    monkeypatch.setattr(mapping, "_run", lambda *_: fewer)
+    assert mapping._near_given_focal_lengths(job, first, "") is first
+    assert mapping._near_given_focal_lengths(job, other, "") is other
+    ordered = replace(job, settings=SparseSettings(mapper="incremental"))
+    assert mapping._near_given_focal_lengths(ordered, first, "") is first
+
+
+def test_the_cost_is_that_after_the_adjustment(tmp_path: Path) -> None:
+    truth, _ = make_world(tmp_path / "database.db", cameras=1, frames=12, noise_px=0.2)
+    wrong, tuning = _with_focal(truth, 1.02), Tuning().adjust
+    before, after = cost_in_the_end(truth, (), (), tuning), cost_in_the_end(wrong, (), (), tuning)
+    assert 0.01 < before < 0.1 and after == pytest.approx(before, rel=0.02)
+    assert cost_in_the_end(wrong, (), (1,), tuning) > 1.05 * before
+
+
+def _job(scene: Scene) -> mapping.Job:
+    nothing: Any = SimpleNamespace()
+    source = mapping.Source(Path("none.db"), None)
+    return mapping.Job(
+        source=source, out=Path(), scene=scene, settings=SparseSettings(), tuning=Tuning(), shared=nothing,
+        log=Path("log.txt"), graph=nothing, account=mapping.Account(), rigs=mapping.RigsUsed({}, {}),
+    )  # fmt: skip
+
+
+def _written(model: pycolmap.Reconstruction, folder: Path) -> Path:
+    folder.mkdir()
+    model.write(folder)
+    return folder

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pycolmap
 import pytest
-from scipy.spatial.transform import Rotation
-from sfm_worlds import make_world, true_frames, with_positions
+from sfm_worlds import elsewhere, frame_centres, make_world, part_of, with_positions
 
 from tiegraph import papers
 from tiegraph.geometry import transforms
@@ -18,9 +18,7 @@ from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.verified import VerifiedMatches, read_verified
 from tiegraph.sfm.world.fixes import Measurements
 from tiegraph.sfm.world.georef import georeference
-from tiegraph.sfm.world.oneworld import ByPositions, one_world
-
-import pycolmap  # isort: skip
+from tiegraph.sfm.world.oneworld import ByPositions, OneWorld, one_world
 
 TUNING = Tuning()
 NONE = VerifiedMatches(np.zeros((0, 2), int), (), {})
@@ -33,38 +31,28 @@ def survey(tmp_path_factory):
     path = tmp_path_factory.mktemp("world") / "database.db"
     truth, scene = make_world(path, cameras=2, frames=20, points=200)
     rng = np.random.default_rng(5)
-    first = _part(truth, scene, range(FIRST), rng)
-    second = _part(truth, scene, range(FIRST, 20), rng)
-    turn = Rotation.from_rotvec([0.4, -1.1, 0.7]).as_quat()
-    second.transform(pycolmap.Sim3d(0.37, pycolmap.Rotation3d(turn), np.array([5.0, -3.0, 2.0])))
-    return scene, truth, (first, second), read_verified(path, scene)
+    first = part_of(truth, range(FIRST), 0.01, rng)
+    second = part_of(truth, range(FIRST, 20), 0.01, rng)
+    return scene, truth, (first, elsewhere(second)), read_verified(path, scene)
 
 
-def _part(truth, scene, frames, rng):
-    """The truth of some frames; each point is off by as much as its rays let it."""
-    model = pycolmap.Reconstruction(truth)
-    for number, frame_id in enumerate(sorted(model.frames)):
-        if number not in frames:
-            model.deregister_frame(frame_id)
-    for number in model.point3D_ids():
-        model.point3D(number).xyz += 0.01 * rng.standard_normal(3)
-    return model
-
-
-def _joined(survey, verified=None, scene=None, tuning=TUNING):
-    without, _, models, matches = survey
-    scene = without if scene is None else scene
+def _brought_together(models, scene, matches, tuning=TUNING) -> OneWorld:
     settings = GeorefSettings(adjust="no")
 
     def similarity(model, given):
-        return georeference(model, scene, settings, TUNING.world, given)
+        return georeference(model, scene, settings, tuning.world, given)
 
     def whole(model, given):
         found = similarity(model, given)
         return found, found.apply(model)
 
-    matches = matches if verified is None else verified
     return one_world(models, scene, matches, ByPositions(similarity, whole), Measurements(), tuning)
+
+
+def _joined(survey, verified=None, scene=None, tuning=TUNING) -> OneWorld:
+    without, _, models, matches = survey
+    scene, matches = without if scene is None else scene, matches if verified is None else verified
+    return _brought_together(models, scene, matches, tuning)
 
 
 def _off(found, survey):
@@ -81,14 +69,14 @@ def _off(found, survey):
 
 def _with_positions(survey, moved_m=0.0, sigma_m=0.02):
     scene, truth, _, _ = survey
-    true = true_frames(truth, scene)[:, :3, 3]
+    true = frame_centres(truth, scene)
     noise = sigma_m * np.random.default_rng(1).standard_normal(true.shape)
     noise[FIRST:, 0] += moved_m
     return with_positions(scene, true + noise, sigma_m)
 
 
 @pytest.mark.slow
-def test_matches_join_two_models_without_any_position(survey) -> None:
+def test_matches_join_two_models_without_any_position_into_a_whole_one(survey, tmp_path) -> None:
     found = _joined(survey)
     (second,) = found.others
     assert second.by == "matches" and not found.contradictions
@@ -99,11 +87,6 @@ def test_matches_join_two_models_without_any_position(survey) -> None:
     assert found.model.num_reg_images() == 40
     assert second.row()[:3] == ["sparse/1", 16, "matches"] and second.row()[-1] == ""
     assert "joined to the others by" in second.note(metric=True)
-
-
-@pytest.mark.slow
-def test_the_merged_model_is_whole(survey, tmp_path) -> None:
-    found = _joined(survey)
     found.model.write(tmp_path)
     again = pycolmap.Reconstruction(tmp_path)
     scene, _, (first, second), _ = survey
@@ -199,9 +182,8 @@ def test_one_place_for_all_frames_is_no_position(survey) -> None:
     assert found.others[0].by == "" and "too few positions" in found.others[0].why_not
     settings = GeorefSettings()
     alone = georeference(survey[2][1], scene.with_(world_from_rig=there), settings, TUNING.world)
-    assert (
-        not alone.placed and "8 registered frames have a prior position (1 different ones)" in alone.findings.notes[0]
-    )
+    assert not alone.placed
+    assert "8 registered frames have a prior position (1 different ones)" in alone.findings.notes[0]
 
 
 @pytest.mark.slow

@@ -8,11 +8,10 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 import pytest
-from driving_world import INTERVAL_S, LATE_S, Drive, driving_world
-from moving_world import moving_world
+from road_worlds import INTERVAL_S, LATE_S, Drive, driving_world, moving_world
 
+from near import off_after_similarity
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import umeyama
 from tiegraph.scene.colmapmodel import image_poses
 from tiegraph.scene.rig import Source
 from tiegraph.scene.scene import Scene
@@ -32,16 +31,15 @@ def _rigid(model: pycolmap.Reconstruction) -> pycolmap.Reconstruction:
     return final_adjustment(model, [1], list(model.cameras), tuning=TUNING.adjust).model
 
 
-def _checked(model: pycolmap.Reconstruction, scene: Scene, folder: Path, ordered: bool = False) -> Checked:
-    held = Held(
-        rigs=(0,), fixed=(0,), cameras=tuple(model.cameras), lenses_ordered=True, ordered=(0,) if ordered else ()
-    )
-    return checked_rig(_rigid(model), model, scene, FinishRequest(folder, folder, scene.to_json(), TUNING, held))
+def _checked(model: pycolmap.Reconstruction, scene: Scene, **more: object) -> Checked:
+    held = Held(**{"rigs": (0,), "fixed": (0,), "cameras": tuple(model.cameras), "lenses_ordered": True} | more)
+    nowhere = Path("nowhere")
+    return checked_rig(_rigid(model), model, scene, FinishRequest(nowhere, nowhere, scene.to_json(), TUNING, held))
 
 
-def test_a_good_rig_keeps_its_places(tmp_path: Path) -> None:
+def test_a_good_rig_keeps_its_places() -> None:
     model, scene = moving_world(points=1500)
-    found = _checked(model, scene, tmp_path)
+    found = _checked(model, scene)
     assert found.notes == [] and found.contradictions == [] and found.late == {}
     rows = found.tables["rig diagnostics"]["rows"]
     assert [row[0] for row in rows] == ["cam0", "cam1", "cam2"]
@@ -49,12 +47,12 @@ def test_a_good_rig_keeps_its_places(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_loose_camera_is_named_with_its_size_and_let_go(tmp_path: Path) -> None:
+def test_a_loose_camera_is_named_with_its_size_and_let_go() -> None:
     model, scene = moving_world(loose_deg=(0, 0, 0.2), points=1500)
     found = rig_diagnostics(_rigid(model), scene, (), 1.0, TUNING)
     assert set(found.loose) == {2} and "cam2 does not keep its place" in found.notes(scene)[0]
     assert 0.1 < np.degrees(found.strays[2].turn) < 0.4  # of the frames that the adjustment did not throw out
-    checked = _checked(model, scene, tmp_path)
+    checked = _checked(model, scene)
     assert any("cam2: not held by the rig any more" in note for note in checked.notes)
     alone = [checked.model.image(i) for i in checked.model.reg_image_ids() if checked.model.image(i).camera_id == 3]
     assert len(alone) == scene.frames and all(i.frame.rig_id == 4 for i in alone)
@@ -89,17 +87,17 @@ def test_a_camera_is_not_let_go_where_images_would_lose_their_place(tmp_path: Pa
 
 
 @pytest.mark.slow
-def test_views_of_one_picture_have_one_time_and_stay_together(tmp_path: Path) -> None:
+def test_views_of_one_picture_have_one_time_and_stay_together() -> None:
     model, scene = moving_world(loose_deg=(0, 0, 0.2), late_s=(0, 0, LATE), points=1500)
     views = [replace(s, source=Source(panorama=(1, 0, 0, 0, 1, 0, 0, 0, 1))) for s in scene.rigs[0].sensors]
-    found = _checked(model, scene.with_(rigs=(replace(scene.rigs[0], sensors=tuple(views)),)), tmp_path)
+    found = _checked(model, scene.with_(rigs=(replace(scene.rigs[0], sensors=tuple(views)),)))
     assert found.late == {} and not any("not held" in note for note in found.notes)
 
 
 @pytest.mark.slow
-def test_a_late_camera_has_its_time(tmp_path: Path) -> None:
+def test_a_late_camera_has_its_time() -> None:
     model, scene = moving_world(late_s=(0, 0, LATE), points=1500)
-    found = _checked(model, scene, tmp_path)
+    found = _checked(model, scene)
     assert found.late[3] == pytest.approx(LATE, rel=0.05) and abs(found.late[2]) < 0.05 * LATE
     assert any("do not fire at one instant" in n and "cam2 +40" in n for n in found.notes) and not found.contradictions
     assert found.tables["rig diagnostics"]["rows"][2][4] == pytest.approx(1000 * LATE, rel=0.05)
@@ -109,33 +107,31 @@ def test_a_late_camera_has_its_time(tmp_path: Path) -> None:
     last = [scene.image_index[f"cam{s}/017.jpg"] for s in (0, 2)]
     apart = transforms.apply(poses[last[0]], transforms.centre(poses[last[1]])[None])[0]
     assert apart[2] - 0.1 == pytest.approx(LATE * 0.4 * 8.5, abs=0.01)
-    told = _checked(model, scene, tmp_path, ordered=True)
+    told = _checked(model, scene, ordered=(0,))
     assert told.late == {} and any("ordered to stay" in c and "cam2 +" in c for c in told.contradictions)
 
 
 @pytest.mark.slow
-def test_a_calibrated_rig_keeps_its_rotations_though_the_lenses_are_not_as_told(tmp_path: Path) -> None:
+def test_a_calibrated_rig_keeps_its_rotations_though_the_lenses_are_not_as_told() -> None:
     """Distortion that the calibration leaves out must not turn the cameras; the offset is found all the same."""
     model, scene = moving_world(late_s=(0, 0, LATE), points=1500)
     for image_id in model.reg_image_ids():
         for point in model.image(image_id).points2D:
             ray = (point.xy - [400, 300]) / 400
             point.xy = point.xy + 400 * ray * 0.004 * (ray @ ray) + [0.6 * (ray[0] ** 2), 0.0]
-    held = Held(rigs=(0,), fixed=(0,), cameras=(1, 2, 3))
-    request = FinishRequest(tmp_path, tmp_path, scene.to_json(), TUNING, held)
-    found = checked_rig(_rigid(model), model, scene, request)
+    found = _checked(model, scene, lenses_ordered=False)
     assert found.late[3] == pytest.approx(LATE, rel=0.25)
     for sensor, pose in zip(scene.rigs[0].sensors[1:], found.model.rigs[1].non_ref_sensors.values()):
         np.testing.assert_allclose(pose.matrix(), sensor.sensor_from_rig[:3], atol=1e-9)
 
 
 @pytest.mark.slow
-def test_images_of_late_cameras_stand_where_they_were_and_know_how_well(tmp_path: Path) -> None:
+def test_images_of_late_cameras_stand_where_they_were_and_know_how_well() -> None:
     """Six cameras that a lidar fires, over two drives: all images right to millimetres, and sigma and error agree."""
     stated, actual = [], []
     for drive in (Drive(late_s=LATE_S, frames=16), Drive(late_s=LATE_S, gain=3.0, weave_deg=4.0)):
         mapped, scene = driving_world(drive)
-        found = _checked(mapped, scene, tmp_path)
+        found = _checked(mapped, scene)
         late = np.array([found.late[k] for k in range(2, 7)])
         assert np.abs(late - LATE_S[1:]).max() < 0.003
         motion = Motion(found.model, scene, 3.0)
@@ -145,7 +141,7 @@ def test_images_of_late_cameras_stand_where_they_were_and_know_how_well(tmp_path
             rig = drive.pose_at(INTERVAL_S * frame + drive.late_s[sensor])
             there.append(transforms.centre(scene.rigs[0].sensors[sensor].sensor_from_rig @ transforms.invert(rig)))
         here = transforms.centre(image_poses(placed, scene))
-        actual.append(float(np.median(np.linalg.norm(umeyama(here, np.stack(there))(here) - there, axis=1))))
+        actual.append(float(np.median(np.linalg.norm(off_after_similarity(here, np.stack(there)), axis=1))))
         times = motion, times_open(scene, True, TUNING.rig)
         stated.append(position_sigma(found.model, False, False, times=times, tuning=TUNING).median)
     assert max(actual) < 0.006

@@ -1,4 +1,4 @@
-"""A model from the roughly known poses of a coarse model: its rounds, the length of its path, its gate."""
+"""A model from the poses of a coarse one: its rounds, its path, its gate; a start model against that of the images."""
 
 from __future__ import annotations
 
@@ -8,23 +8,22 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 import pytest
-from moving_world import moving_world, write_database
+from road_worlds import moving_world, write_database
 from scipy.spatial.transform import Rotation
+from sfm_worlds import lone_scene, run_sparse
 
 from near import assert_reconstruction_near
 from tiegraph.geometry import transforms
 from tiegraph.scene.colmapmodel import image_poses
 from tiegraph.scene.scene import Scene
-from tiegraph.scene.tuning import Tuning as SceneTuning
 from tiegraph.sfm import mapping
-from tiegraph.sfm.mapper import Source, reconstruct
 from tiegraph.sfm.model import frame_poses
 from tiegraph.sfm.run import Fixed, MappingResult, Matches, Method, Request, run_mapper
-from tiegraph.sfm.settings import SparseSettings
 from tiegraph.sfm.start.pathscale import path_scale
 from tiegraph.sfm.start.poses import rig_of_poses, start_from
 from tiegraph.sfm.start.stagedadjustment import refusal
-from tiegraph.sfm.tuning import Tuning
+from tiegraph.sfm.startcheck import StartCheck, check_start, told
+from tiegraph.sfm.tuning import StartCheckTuning, Tuning
 from tiegraph.sfm.tuning.start import StagedTuning, StartTuning
 from tiegraph.sfm.verified import read_verified
 
@@ -44,9 +43,13 @@ def _rough(true: np.ndarray, scene: Scene, turn_deg: float = 0.15, shift_m: floa
     rng = np.random.default_rng(1)
     turn = Rotation.from_rotvec(np.radians(turn_deg) * rng.standard_normal((scene.frames, 3)) / 1.7).as_matrix()
     wrong = transforms.rigid(turn, shift_m * rng.standard_normal((scene.frames, 3)) / 1.7)
-    frames = frame_poses(true, scene) @ wrong
+    return _images(frame_poses(true, scene) @ wrong, scene)
+
+
+def _images(world_from_rig: np.ndarray, scene: Scene) -> np.ndarray:
+    """cam_from_world (N, 4, 4) of the images of frames."""
     extrinsics = np.stack([scene.rigs[0].sensors[s].sensor_from_rig for s in scene.sensor])
-    return extrinsics @ transforms.invert(frames[scene.frame])
+    return extrinsics @ transforms.invert(world_from_rig[scene.frame])
 
 
 def _map(
@@ -98,9 +101,8 @@ def test_frames_that_the_poses_have_at_a_wrong_place_are_placed_by_their_matches
         frames[7:] = transforms.rigid(_turned(20), np.array([3.0, 0, 12.0])) @ frames[7:]
     else:
         frames[[4, 9]] = frames[[10, 3]] @ transforms.rigid(_turned(20), np.array([3.0, 0, 0]))
-    extrinsics = np.stack([scene.rigs[0].sensors[s].sensor_from_rig for s in scene.sensor])
     tuning = Tuning(start=StartTuning(staged={"register_rounds": 0})) if part else None
-    mapped = _map(tmp_path, scene, extrinsics @ transforms.invert(frames[scene.frame]), tuning=tuning)
+    mapped = _map(tmp_path, scene, _images(frames, scene), tuning=tuning)
     assert mapped.refused == ""
     assert pycolmap.Reconstruction(mapped.folders[0]).num_reg_images() == len(scene)
     _assert_near(mapped.folders[0], true, scene)
@@ -133,8 +135,7 @@ def test_a_path_too_long_for_its_rig_is_made_right(world, tmp_path: Path) -> Non
     true, scene = world
     frames = frame_poses(true, scene)
     frames[:, :3, 3] *= 8.0
-    extrinsics = np.stack([scene.rigs[0].sensors[s].sensor_from_rig for s in scene.sensor])
-    mapped = _map(tmp_path, scene, extrinsics @ transforms.invert(frames[scene.frame]))
+    mapped = _map(tmp_path, scene, _images(frames, scene))
     assert mapped.refused == "" and "0.125 times as long, by its matches" in mapped.notes[0]
     assert _assert_near(mapped.folders[0], true, scene) == pytest.approx(1, abs=0.005)
 
@@ -151,16 +152,7 @@ def test_what_a_mapper_made_too_long_is_mapped_again(world, tmp_path: Path, monk
     stretched.mkdir()
     model.write(stretched)
     monkeypatch.setattr(mapping, "_mapped", lambda *job: mapping.Outcome("global", [stretched], len(scene)))
-    source = Source(tmp_path / "database.db", None)
-    made = reconstruct(
-        source,
-        tmp_path / "sparse",
-        scene,
-        SparseSettings(mapper="global"),
-        Tuning(),
-        SceneTuning(),
-        tmp_path / "log.txt",
-    )
+    made = run_sparse(tmp_path, scene, mapper="global")
     assert any("0.125 times as long, by its matches" in note for note in made.remarks.notes)
     assert _assert_near(tmp_path / "sparse" / "0", true, scene) == pytest.approx(1, abs=0.005)
     assert "path as long as its rig says" in str(made.tables)
@@ -251,16 +243,7 @@ def test_wrong_poses_are_mapped_from_nothing(world, tmp_path: Path) -> None:
     true, scene = world
     wrong = _rough(true, scene)
     wrong[:, :3, 3] += 6.0 * np.sin(scene.frame)[:, None]  # a frame here, the next elsewhere
-    source = Source(tmp_path / "database.db", None, preview=wrong)
-    result = reconstruct(
-        source,
-        tmp_path / "sparse",
-        scene,
-        SparseSettings(covariance_frames=0),
-        Tuning(),
-        SceneTuning(),
-        tmp_path / "log.txt",
-    )
+    result = run_sparse(tmp_path, scene, {"preview": wrong}, covariance_frames=0)
     assert result.mapper == "global" and any("could not start from the coarse model" in n for n in result.remarks.notes)
     assert_reconstruction_near(result.load(), scene, true, m=0.004, deg=0.03)
     assert [row[0] for row in result.tables["runs"]["rows"]][:2] == ["preview", "global"]
@@ -269,10 +252,80 @@ def test_wrong_poses_are_mapped_from_nothing(world, tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_the_stage_starts_from_the_coarse_model(world, tmp_path: Path) -> None:
     true, scene = world
-    source = Source(tmp_path / "database.db", None, preview=_rough(true, scene))
-    result = reconstruct(
-        source, tmp_path / "sparse", scene, SparseSettings(), Tuning(), SceneTuning(), tmp_path / "log.txt"
-    )
+    result = run_sparse(tmp_path, scene, {"preview": _rough(true, scene)})
     assert result.mapper == "preview" and result.counts["registered"] == len(scene)
     assert_reconstruction_near(result.load(), scene, true, m=0.004, deg=0.03)
     assert result.sigma is not None and 1e-5 < result.sigma.median < 0.01
+
+
+CHECK, COUNT, REACH = StartCheckTuning(), 40, 8.0
+
+
+def river(seed: int = 0) -> np.ndarray:
+    """(N, 4, 4) world_from_camera along a bent way."""
+    rng = np.random.default_rng(seed)
+    s = np.linspace(0, 60, COUNT)
+    turns = Rotation.from_euler("zyx", np.stack([s, rng.uniform(-9, 9, COUNT), 3 * s], axis=1), degrees=True)
+    return transforms.rigid(turns.as_matrix(), np.stack([s, 8 * np.sin(s / 15), rng.uniform(-0.3, 0.3, COUNT)], axis=1))
+
+
+def elsewhere(poses: np.ndarray, scale: float = 0.07) -> np.ndarray:
+    """In another world of another unit, with the noise of a finished model."""
+    rng = np.random.default_rng(5)
+    turn = Rotation.from_euler("xyz", [70, -20, 110], degrees=True).as_matrix()
+    noise = Rotation.from_rotvec(np.radians(rng.normal(0, 0.1, (COUNT, 3)))).as_matrix()
+    place = poses[:, :3, 3] + rng.normal(0, 0.02, (COUNT, 3))
+    return transforms.rigid(turn @ poses[:, :3, :3] @ noise, scale * place @ turn.T + [5.0, 6, 7])
+
+
+def turned(poses: np.ndarray, rows: slice, deg: float) -> np.ndarray:
+    out, turn = poses.copy(), Rotation.from_euler("z", deg, degrees=True).as_matrix()
+    pivot = out[rows][0, :3, 3].copy()
+    out[rows, :3, 3] = (out[rows, :3, 3] - pivot) @ turn.T + pivot
+    out[rows, :3, :3] = turn @ out[rows, :3, :3]
+    return out
+
+
+def judged(given: np.ndarray) -> tuple[StartCheck, str, bool]:
+    """A start model against that of the images: what is found, what is told, and whether it contradicts."""
+    found = check_start(given, river(), REACH, CHECK)
+    return found, *told(found, lone_scene(COUNT), CHECK)
+
+
+def test_a_model_of_another_world_and_unit_agrees() -> None:
+    found, text, contradicts = judged(elsewhere(river()))
+    assert found.both.all() and not found.bad.any()
+    assert 0.01 < np.median(found.turned_deg) < 0.5 and 1e-4 < np.median(found.off) < 0.02
+    assert not contradicts and text.startswith("start model: 40 of 40 images agree with it, to 0.")
+
+
+@pytest.mark.parametrize("rows", [slice(22, None), slice(0, 14), slice(30, None)])
+def test_a_part_that_is_turned_is_found_and_named(rows: slice) -> None:
+    found, text, contradicts = judged(turned(elsewhere(river()), rows, 20.0))
+    wrong = np.arange(COUNT)[rows]
+    assert np.array_equal(np.flatnonzero(found.bad), wrong)
+    assert np.median(found.turned_deg[wrong]) == pytest.approx(20, abs=0.3)
+    first = f"such as {wrong[0]:03d}.jpg"
+    assert contradicts and "turned against the others by 20 deg" in text and first in text and "bent there" in text
+
+
+def test_a_part_of_another_scale_is_found_though_it_is_not_turned() -> None:
+    given = elsewhere(river())
+    given[25:, :3, 3] = given[25, :3, 3] + 3 * (given[25:, :3, 3] - given[25, :3, 3])
+    found, _, contradicts = judged(given)
+    assert contradicts and not found.bad[:25].any() and found.bad[26:].mean() > 0.9 and np.nanmax(found.turned_deg) < 1
+
+
+def test_another_survey_is_told_as_one_and_few_wrong_images_are_no_contradiction() -> None:
+    _, text, contradicts = judged(river()[np.random.default_rng(1).permutation(COUNT)])
+    assert contradicts and "is it of another survey, or are images named otherwise?" in text
+    _, text, contradicts = judged(turned(elsewhere(river()), slice(37, None), 20.0))
+    assert not contradicts and "37 of 40 images agree" in text and "3 images do not" in text
+
+
+def test_too_few_common_images_say_nothing() -> None:
+    given = elsewhere(river())
+    given[2:] = np.nan
+    found, text, contradicts = judged(given)
+    assert found.both.sum() == 2 and not found.bad.any() and not contradicts
+    assert text == "start model: 2 of its images are in the model, too few to test it"

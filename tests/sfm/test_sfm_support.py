@@ -1,22 +1,30 @@
-"""Sensors without ties are placed by the rig as given, in the model's units."""
+"""What holds a model: sensors without ties placed as given, weak places named; images without a base are told."""
 
+from __future__ import annotations
+
+import re
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pycolmap
 import pytest
+from road_worlds import Sightings, drawn, sighted, write_database
+from scipy.spatial.transform import Rotation
 from sfm_worlds import make_world, true_frames, with_positions
 
 from tiegraph.geometry import transforms
 from tiegraph.scene.colmapmodel import model_rigs
 from tiegraph.scene.registered import Registration
 from tiegraph.scene.rig import Rig, Sensor
-from tiegraph.scene.scene import simple_scene
+from tiegraph.scene.scene import Scene, simple_scene
 from tiegraph.scene.weakties import WeaklyTied
+from tiegraph.sfm.database import ViewGraph
 from tiegraph.sfm.registrationreport import few_points, weakly_constrained
 from tiegraph.sfm.rig.support import place_as_given, ties_of, units_per_metre, unsupported_sensors
-from tiegraph.sfm.tuning import RegistrationTuning, Tuning
+from tiegraph.sfm.start.turning import no_base
+from tiegraph.sfm.tuning import MappingTuning, RegistrationTuning, Tuning
 from tiegraph.sfm.tuning.rig import SupportTuning
 
 LOSSES = RegistrationTuning()
@@ -26,6 +34,12 @@ TUNING = SupportTuning()
 @pytest.fixture
 def world(tmp_path):
     return make_world(tmp_path / "database.db")
+
+
+@pytest.fixture
+def everything(world):
+    """All images are registered and see a hundred points."""
+    return Registration(np.ones(len(world[1]), bool), np.full(len(world[1]), 100), 10)
 
 
 def graph_of(scene, lonely: int):
@@ -93,10 +107,9 @@ def test_what_little_holds_is_named() -> None:
     assert "(cam0/003.jpg: 12, cam0/007.jpg .. cam0/009.jpg (3 frames): 31)" in loose
 
 
-def test_frames_that_few_points_of_the_model_tie_to_the_rest(world) -> None:
+def test_frames_that_few_points_of_the_model_tie_to_the_rest(world, everything) -> None:
     """The last frames of a model see hardly any of the points that others see."""
     truth, scene = world
-    everything = Registration(np.ones(len(scene), bool), np.full(len(scene), 100), 10)
     assert few_points(truth, scene, everything, LOSSES) == ()
     model, last = pycolmap.Reconstruction(truth), {scene.frames - 2, scene.frames - 1}
     tracks = [[(e.image_id, e.point2D_idx) for e in p.track.elements] for p in model.points3D.values()]
@@ -109,10 +122,9 @@ def test_frames_that_few_points_of_the_model_tie_to_the_rest(world) -> None:
     assert 0 < sum(group.points for group in weak) <= 60
 
 
-def test_points_of_two_images_hold_no_distance(world) -> None:
+def test_points_of_two_images_hold_no_distance(world, everything) -> None:
     """A frame slides on the line to each of its neighbours without a residual, however many such points there are."""
     truth, scene = world
-    everything = Registration(np.ones(len(scene), bool), np.full(len(scene), 100), 10)
     model, last = pycolmap.Reconstruction(truth), scene.frames - 1
     frame = {i: scene.frame[scene.image_index[model.image(i).name]] for i in model.reg_image_ids()}
     for key in list(model.points3D):
@@ -124,3 +136,51 @@ def test_points_of_two_images_hold_no_distance(world) -> None:
                 model.add_point3D(place, pycolmap.Track([pycolmap.TrackElement(*e) for e in part]))
     (weak,) = few_points(model, scene, everything, LOSSES)
     assert weak.frames == (last,) and weak.points == 0
+
+
+_WIDTH, _FOCAL = 1600, 1400.0
+
+
+def _survey(folder: Path, step_m: float, turn_deg: float, flat: bool) -> tuple[Path, Scene]:
+    """Photographs of a camera with a bent lens that steps and turns before points 8 to 30 m off, or all 20 m off."""
+    rng = np.random.default_rng(1)
+    given, true = (
+        pycolmap.Camera(model=model, width=_WIDTH, height=1200, params=params)
+        for model, params in (
+            ("SIMPLE_PINHOLE", [1920.0, 800.0, 600.0]), ("SIMPLE_RADIAL", [_FOCAL, 800.0, 600.0, -0.03])
+        )
+    )  # fmt: skip
+    depth = np.full(4000, 20.0) if flat else rng.uniform(8, 30, 4000)
+    world = np.c_[rng.uniform(-2, 2, (4000, 2)), np.ones(4000)] * depth[:, None]
+
+    def pose_at(number: float) -> np.ndarray:
+        turn = Rotation.from_euler("y", turn_deg * number, degrees=True).as_matrix()
+        return transforms.invert(transforms.rigid(turn, np.array([-step_m * number, 0.0, 0.0])))
+
+    def sight(number: int, _: int) -> Sightings:
+        return sighted(true, [transforms.invert(pose_at(number))] * 3, world, rng, far=np.inf, noise_px=0.5)
+
+    model, scene = drawn(Rig("one", (Sensor("camera", given, np.eye(4)),)), np.arange(8.0), pose_at, world, sight)
+    write_database(model, folder / "database.db", reach=8)
+    return folder / "database.db", scene
+
+
+@pytest.mark.parametrize(
+    ("step_m", "turn_deg", "flat", "said"),
+    [
+        (0.0, 7.0, False, "turned on the spot"),
+        (0.0, 0.0, False, "nothing moves between the images"),
+        (0.5, 7.0, False, ""),
+        (1.5, 0.0, True, ""),  # a flight over a plane
+        (0.2, 3.0, False, ""),
+    ],
+)
+def test_a_turn_on_the_spot_is_told_from_steps(
+    tmp_path: Path, step_m: float, turn_deg: float, flat: bool, said: str
+) -> None:
+    database, scene = _survey(tmp_path, step_m, turn_deg, flat)
+    found = no_base(database, ViewGraph(database, scene, 15).pairs, scene, MappingTuning())
+    assert said in found and bool(said) == bool(found)
+    if turn_deg and said:
+        times = re.search(r"focal length ([\d.]+) times", found)
+        assert times is not None and float(times[1]) == pytest.approx(_FOCAL / _WIDTH, rel=0.1)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from near import off_after_similarity, rms
 from tiegraph.geometry import transforms
 from tiegraph.scene.cloudfile import write_cloud
 from tiegraph.scene.results import Cloud
@@ -65,25 +66,17 @@ def _normals(direction, seed):
 def write_view(view, path, origin=None):
     """A cloud file as `tiegraph shots` leaves it."""
     count = len(view.xyz)
-    cloud = Cloud(
-        xyz_m=view.xyz,
-        rgb=np.full((count, 3), 128, np.uint8),
-        normal=view.normal.astype(np.float32),
-        sigma_m=view.sigma_m.astype(np.float32),
-        views=np.full(count, 2, np.uint8),
-        origin=origin,
-    )
+    normal, sigma = view.normal.astype(np.float32), view.sigma_m.astype(np.float32)
+    cloud = Cloud(view.xyz, np.full((count, 3), 128, np.uint8), normal, sigma, np.full(count, 2, np.uint8), origin)
     path.parent.mkdir(parents=True, exist_ok=True)
     write_cloud(cloud, path)
 
 
 def error_m(world_from_shot, some):
     """RMS of the true points of views by their poses, after one rigid motion of all."""
-    from tiegraph.geometry.align import umeyama
-
     here = np.concatenate([transforms.apply(p, v.true) for p, v in zip(world_from_shot, some)])
     there = np.concatenate([transforms.apply(v.world_from_station, v.true) for v in some])
-    return float(np.sqrt(np.mean(np.sum((umeyama(here, there, with_scale=False)(here) - there) ** 2, axis=1))))
+    return rms(off_after_similarity(here, there, with_scale=False))
 
 
 def hall(bays=8, bay_m=2.0, side_m=0.02):

@@ -6,16 +6,18 @@ import json
 from http.client import HTTPConnection
 from pathlib import Path
 from threading import Thread
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
 
-from targets.targets_world import EAST, NORTH, PLACES, survey
+from targets.targets_world import EAST, NORTH, PLACES, survey, table
 from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
 from tiegraph.pipeline.mark import ChangedMeanwhile, Marking, open_marking
 from tiegraph.pipeline.pages import MarkServer
+from tiegraph.project.settings import Settings
 from tiegraph.scene.gcp import read_gcps
 from tiegraph.scene.tuning import ControlTuning
 
@@ -31,10 +33,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def opened(folder: Path, tmp_path: Path, name: str = "gcp_list.txt", crs: str = "# crs: EPSG:32654\n") -> Marking:
-    from types import SimpleNamespace
-
-    from tiegraph.project.settings import Settings
-
     rows = "".join(f"{n},{EAST + x:.5f},{NORTH + y:.5f},{z:.5f}\n" for n, (x, y, z) in zip(NAMES, TRUE))
     (tmp_path / "points.csv").write_text(f"{crs}name,x,y,z\n{rows}")
     run = SimpleNamespace(path=folder.joinpath, settings=Settings())
@@ -43,8 +41,6 @@ def opened(folder: Path, tmp_path: Path, name: str = "gcp_list.txt", crs: str = 
 
 def pixel(session: Marking, image: int, point: int) -> tuple[float, float]:
     """Where an image truly sees a point."""
-    from targets.targets_world import table
-
     world = table()
     x, y = np.ravel(world.camera.img_from_cam(transforms.apply(world.poses[image], TRUE[point])))
     return float(x), float(y)
@@ -133,21 +129,11 @@ def test_the_server_serves_this_page_and_nobody_else(folder: Path, tmp_path: Pat
         assert ask("POST", "/mark", mark, Origin=f"http://{host}", Content_Type="text/plain")[0] == 403, "a form"
         status, state = ask("POST", "/mark", mark, **good)
         assert status == 200 and json.loads(state)["points"][0]["images"][0]["mark"] == [5.25, 6.5]
-        for bad in (
-            {**mark, "image": 99},
-            {**mark, "image": -1},
-            {**mark, "xy": [1e9, 0]},
-            {"point": 0},
-            {**mark, "xy": [1]},
-        ):
-            assert ask("POST", "/mark", bad, **good)[0] == 400, bad
-        for path in (
-            "/../points.csv",
-            "/images/000.png",
-            "/patch?k=../../points.csv&left=0&top=0",
-            "/image?k=8",
-            "/patch?k=0",
-        ):
+        for wrong in ({"image": 99}, {"image": -1}, {"xy": [1e9, 0]}, {"xy": [1]}):
+            assert ask("POST", "/mark", mark | wrong, **good)[0] == 400, wrong
+        assert ask("POST", "/mark", {"point": 0}, **good)[0] == 400
+        elsewhere = ("/../points.csv", "/images/000.png", "/patch?k=../../points.csv&left=0&top=0")
+        for path in (*elsewhere, "/image?k=8", "/patch?k=0"):
             assert ask("GET", path)[0] in (400, 404), path
         status, patch = ask("GET", "/patch?k=0&left=-10&top=20&size=40")
         pixels = cv2.imdecode(np.frombuffer(patch, np.uint8), cv2.IMREAD_COLOR)

@@ -1,4 +1,4 @@
-"""The pyramid between the levels, mutual information, and the hierarchical matcher as a whole."""
+"""The matchers of pairs as a whole; of the hierarchical one the pyramid between levels and mutual information."""
 
 import cv2
 import numpy as np
@@ -6,9 +6,10 @@ import pytest
 
 from tiegraph.dense import engine, tsgm
 from tiegraph.dense.settings import DenseSettings
+from tiegraph.dense.sgbm import _left_right, match_sgbm
 from tiegraph.dense.tsgm import mutual_information
 from tiegraph.dense.tuning import Tuning
-from tiegraph.errors import EngineMissing
+from tiegraph.errors import EngineMissing, SettingsError, choose
 
 sgm = pytest.importorskip("tiegraph.dense._sgm")
 SETTINGS = DenseSettings()
@@ -103,18 +104,22 @@ def test_grey_values_are_counted_where_the_disparity_leads():
         sgm.joint_greys(left, right[1:], disparity)
 
 
-@pytest.mark.parametrize("shift", [0.0, 7.0, 20.5, 80.25])
-def test_matcher_finds_a_shift(shift):
-    disparities = 100
+SGBM = [(match_sgbm, DenseSettings(paths=paths), 40, shift, 0.1) for paths in (3, 5, 8) for shift in (0.0, 7.0, 20.5)]
+# Quarters are drawn towards whole pixels.
+TSGM = [(tsgm.match_tsgm, SETTINGS, 100, shift, 0.2) for shift in (0.0, 7.0, 20.5, 80.25)]
+
+
+@pytest.mark.parametrize("match, settings, disparities, shift, most_px", [*SGBM, *TSGM])
+def test_a_matcher_finds_a_shift(match, settings, disparities, shift, most_px):
+    """Column x of the left image shows what column x + disparities - shift of the right one does."""
     wide = texture((100, 420))
     right = wide[:, : 240 + disparities]
     move = np.array([[1.0, 0, -(disparities - shift)], [0, 1, 0]])
     left = cv2.warpAffine(wide, move, (240, 100), flags=cv2.INTER_CUBIC)
-    found = tsgm.match_tsgm(grey(left), grey(right), disparities, SETTINGS, TUNING)
+    found = match(grey(left), grey(right), disparities, settings, TUNING)
     inner = found[5:-5, 5:-5]
     assert found.shape == (100, 240) and found.dtype == np.float32
-    assert np.isfinite(inner).mean() > 0.95
-    assert abs(np.nanmedian(inner) - shift) < 0.2  # quarters are drawn towards whole pixels
+    assert np.isfinite(inner).mean() > 0.95 and abs(np.nanmedian(inner) - shift) < most_px
     assert np.nanmean(np.abs(inner - shift) > 1) < 0.01
 
 
@@ -124,11 +129,11 @@ def test_pixels_not_in_use_are_hardly_searched_and_the_others_answered_as_before
     left[:60] = sky  # seen by this image alone
     padded = cv2.copyMakeBorder(right, 0, 0, 128, 0, cv2.BORDER_REPLICATE)
     searched = []
-    match = sgm.match_ragged
+    ragged = sgm.match_ragged
 
     def counted(left, right, first, blocks, *rest):
         searched.append(int(blocks.sum(dtype=np.int64)))
-        return match(left, right, first, blocks, *rest)
+        return ragged(left, right, first, blocks, *rest)
 
     monkeypatch.setattr(sgm, "match_ragged", counted)
     use = np.arange(160)[:, None] >= np.full(300, 60)
@@ -151,10 +156,19 @@ def test_a_thin_bar_before_the_wall_is_kept():
     assert np.mean(np.abs(found[20:-20, 20:140] - (-10)) < 2) < 0.01
 
 
-def test_matcher_refuses_what_the_other_image_does_not_show():
-    left, right = texture((120, 200), 1), texture((120, 264), 2)
-    found = tsgm.match_tsgm(grey(left), grey(right), 64, SETTINGS, TUNING)
-    assert np.isfinite(found).mean() < 0.25
+@pytest.mark.parametrize(
+    "match, shape, disparities, most", [(match_sgbm, (80, 160), 32, 0.15), (tsgm.match_tsgm, (120, 200), 64, 0.25)]
+)
+def test_a_matcher_refuses_what_the_other_image_does_not_show(match, shape, disparities, most):
+    left, right = texture(shape, 1), texture((shape[0], shape[1] + disparities), 2)
+    assert np.isfinite(match(grey(left), grey(right), disparities, SETTINGS, TUNING)).mean() < most
+
+
+@pytest.mark.parametrize("apart, stays", [(0, True), (1, True), (2, False)])
+def test_both_directions_may_differ_by_a_pixel(apart: int, stays: bool):
+    """Paper 004, section 5.2.2: "greater than 1 pixel" is invalid."""
+    found = _left_right(np.full((2, 6), 3, np.float32), np.full((2, 14), 3.0 + apart, np.float32), 8)
+    assert np.isfinite(found).all() == stays == np.isfinite(found).any()
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 50), (40, 1), (3, 200), (17, 16)])
@@ -163,8 +177,7 @@ def test_tiny_images_and_wide_ranges_do_no_harm(shape, disparities):
     left = np.zeros(shape, np.uint8)
     right = np.zeros((shape[0], shape[1] + disparities), np.uint8)
     found = tsgm.match_tsgm(left, right, disparities, SETTINGS, TUNING)
-    assert found.shape == shape
-    assert not np.any((found < -1) | (found > disparities))
+    assert found.shape == shape and not np.any((found < -1) | (found > disparities))
 
 
 def test_strips_change_almost_nothing(monkeypatch):
@@ -190,16 +203,13 @@ def test_strips_cover_every_row_once_and_stay_within_the_limit(monkeypatch, limi
         assert len(strips) == 1
 
 
-def test_the_volumes_stay_within_what_is_said_before():
+def test_the_volumes_stay_within_what_is_said_before(monkeypatch):
     wide = texture((480, 900))
     left, right = grey(wide[:, 200:840]), grey(wide)[:, :840]
     workspace = tsgm._sgm.Workspace()
     stated = tsgm.volume_bytes(480, 640, 200, TUNING.tsgm)
-    before = tsgm._memory.__dict__.pop("workspace", None)
-    tsgm._memory.workspace = workspace
+    monkeypatch.setattr(tsgm._memory, "workspace", workspace, raising=False)
     tsgm.match_tsgm(left, right, 200, SETTINGS, TUNING)
-    if before is not None:
-        tsgm._memory.workspace = before
     assert 0.05 * stated < workspace.bytes < 1.3 * stated  # the rows in work come on top
     assert tsgm.volume_bytes(2048, 2448, 512, TUNING.tsgm) <= 300e6
     assert tsgm.volume_bytes(4000, 6000, 1000, TUNING.tsgm) <= 800e6
@@ -214,6 +224,9 @@ def test_without_the_native_module_the_remedy_is_named(monkeypatch):
     assert name == "sgbm" and "compiler" in remark
 
 
-def test_the_chosen_engine_is_used_where_it_is_installed():
-    assert engine.installed("tsgm") == ("tsgm", "")
-    assert engine.installed("sgbm") == ("sgbm", "")
+def test_the_chosen_engine_is_used_where_it_is_installed_and_an_unknown_one_refused():
+    assert [engine.installed(name) for name in ("tsgm", "sgbm")] == [("tsgm", ""), ("sgbm", "")]
+    with pytest.raises(ValueError, match="engine"):
+        DenseSettings(engine="magic")
+    with pytest.raises(SettingsError, match="sgbm"):
+        choose("dense engine", "sgm", engine.ENGINES)
