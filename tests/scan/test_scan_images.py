@@ -4,7 +4,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from scan_worlds import data, exif_of, picture
+from scan_worlds import picture
 
 from tiegraph.errors import InputError
 from tiegraph.scene.decoding import EIGHT_BIT, eight_bit
@@ -109,60 +109,3 @@ def test_what_storage_keeps_is_passed_over_and_counted_as_are_images_of_other_na
     assert odd == "1 files begin like images but are not named so, and are passed over: a.jpg_original"
     assert [p.reason for p in (probe_image(tmp_path / n, ImageTuning()) for n in names)] == ["", "", "", "", (
         ".gif files are not read: convert to JPEG, PNG or TIFF")]  # fmt: skip
-
-
-def test_exif_position_time_and_focal_length(tmp_path: Path) -> None:
-    exif = exif_of(
-        make="Canon\0",
-        model="EOS",
-        time="2023:09:15 10:00:00",
-        subsec="25",
-        offset="+09:00",
-        focal_35mm=50,
-        lat=35.5,
-        lon=-120.25,
-        alt=-3,
-    )
-    found = probe_image(picture(tmp_path / "a.jpg", (3000, 2000), exif=exif), ImageTuning()).exif
-    assert found.focal_px == pytest.approx(50 / 43.27 * np.hypot(3000, 2000), rel=1e-9)
-    assert (found.lat_deg, found.lon_deg, found.height_m) == pytest.approx((35.5, -120.25, -3.0), abs=1e-7)
-    assert found.time_s == pytest.approx(1694739600.25) and found.time_utc  # 01:00:00.25 UTC
-    assert (found.make, found.model) == ("Canon", "EOS")
-
-
-@pytest.mark.parametrize(("reference", "height"), [(0, 428.0), (1, -428.0), (2, 428.0), (3, -428.0)])
-def test_exif_3_heights_below_sea_level(tmp_path: Path, reference: int, height: float) -> None:
-    exif = exif_of(lat=31.5, lon=35.5, alt=428)
-    exif.get_ifd(0x8825)[5] = bytes([reference])
-    assert probe_image(picture(tmp_path / "a.jpg", exif=exif), ImageTuning()).exif.height_m == height
-
-
-@pytest.mark.parametrize(
-    "size, smaller",
-    [((6000, 4000), 1.0), ((1500, 1000), 0.25), ((1000, 1500), 0.25), ((4000, 4000), 1.0), ((1000, 1000), 0.25)],
-)
-def test_the_focal_length_is_that_of_the_photograph_before_it_was_made_smaller_or_cut(
-    tmp_path: Path, size: tuple[int, int], smaller: float
-) -> None:
-    # 24 mm before a sensor of 36 x 24 mm and 6000 x 4000 pixels, by the density of the pixels and by its equivalent
-    written = {"width": 6000, "height": 4000}
-    density = exif_of(focal_mm=24.0, plane_x=6000 / 36 * 10, plane_unit=3, **written)
-    equivalent = exif_of(focal_35mm=24, **written)
-    for name, exif in ("density.jpg", density), ("equivalent.jpg", equivalent):
-        found = probe_image(picture(tmp_path / name, size, exif=exif), ImageTuning()).exif
-        assert found.focal_px == pytest.approx(4000.0 * smaller, rel=1e-3)
-
-
-def test_unbelievable_exif_counts_as_not_written(tmp_path: Path) -> None:
-    exif = exif_of(focal_35mm=1, time="0000:00:00 00:00:00", lat=0.0, lon=0.0, alt=0.0)
-    found = probe_image(picture(tmp_path / "a.jpg", (1500, 1000), exif=exif), ImageTuning()).exif
-    assert np.isnan([found.focal_px, found.time_s, found.lat_deg, found.lon_deg]).all()
-
-
-def test_phone_photographs_of_a_hill() -> None:
-    folder = data("oppaiyama", "images")
-    found = probe_image(folder / find_images(folder)[0], ImageTuning()).exif
-    # iPhone 5s: 29 mm equivalent on 1224 x 918 pixels; about 1040 px from the sensor's data sheet (4.15 mm on 4.89 mm).
-    assert 980 < found.focal_px < 1060
-    assert 38.2 < found.lat_deg < 38.3 and 140.9 < found.lon_deg < 141.0
-    assert found.position_sigma_m == 5.0 and not found.time_utc

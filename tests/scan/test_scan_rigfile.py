@@ -426,3 +426,43 @@ def test_a_pair_that_says_nothing_is_refused(tmp_path: Path, text: str, message:
     path.write_text(f'[[sensors]]\nname = "a"\n[[sensors]]\nname = "b"\n[[pairs]]\n{text}\n')
     with pytest.raises(InputError, match=message):
         read_rig_file(path, RIG)
+
+
+def test_a_key_that_is_missing_is_not_looked_for_in_the_next_sensor(tmp_path: Path) -> None:
+    (tmp_path / "rig.toml").write_text(
+        '# name = "remark"\n[[sensors]]\nfolder = "a"\n\n[[sensors]]\nname = "b"\n[sensors.camera]\nhfov_deg = 0\n'
+    )
+    with pytest.raises(InputError, match=r"rig.toml, line 2: sensor 1 needs a name"):
+        read_rig_file(tmp_path / "rig.toml", RIG)
+    text = (tmp_path / "rig.toml").read_text().replace('folder = "a"', 'name = "a"')
+    (tmp_path / "rig.toml").write_text(text)
+    with pytest.raises(InputError, match=r"rig.toml, line 8: hfov_deg = 0"):
+        read_rig_file(tmp_path / "rig.toml", RIG)
+
+
+def test_a_camera_of_a_rig_config_is_the_object_and_not_the_next_prefix(tmp_path: Path) -> None:
+    cameras = [
+        {"ref_sensor": True, "image_prefix": "a/"},
+        {"cam_from_rig_rotation": [1, 0, 0, 0], "cam_from_rig_translation": [0, 0], "image_prefix": "b/"},
+        {"cam_from_rig_rotation": [1, 0, 0, 0], "cam_from_rig_translation": [0, 0, 0], "image_prefix": "c/"},
+    ]
+    path = tmp_path / "rig_config.json"
+    path.write_text(json.dumps([{"cameras": cameras}], indent=1))
+    wrong = next(k for k, t in enumerate(path.read_text().split("\n"), 1) if "translation" in t)
+    with pytest.raises(InputError, match=rf"rig_config.json, line {wrong}: cam_from_rig_translation = \[0, 0\]"):
+        read_rig_file(path, RIG)
+    del cameras[1]["image_prefix"]
+    path.write_text(json.dumps([{"cameras": cameras}], indent=1))
+    head = [k for k, t in enumerate(path.read_text().split("\n"), 1) if t.strip() == "{"][2]
+    with pytest.raises(InputError, match=rf"line {head}: camera 2 needs an image_prefix"):
+        read_rig_file(path, RIG)
+
+
+def test_a_rig_is_not_named_after_its_file(tmp_path: Path) -> None:
+    path = tmp_path / "final_v3 (2).toml"
+    path.write_text('[[sensors]]\nname = "a"\n')
+    assert read_rig_file(path, RIG)[0].name == "rig"
+    path.write_text('name = "boat"\n[[sensors]]\nname = "a"\n')
+    assert read_rig_file(path, RIG)[0].name == "boat"
+    (tmp_path / "export17.json").write_text(json.dumps([{"cameras": [{"ref_sensor": True, "image_prefix": "a"}]}]))
+    assert read_rig_file(tmp_path / "export17.json", RIG)[0].name == "rig"

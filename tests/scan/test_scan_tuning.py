@@ -7,22 +7,17 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from scan_worlds import papers_rig, picture
-from test_scan_rigfile import TOML, toml
+from scan_worlds import Survey, papers_rig, picture
+from test_scan_rigfile import toml
 
 from tiegraph.api import open_project
 from tiegraph.errors import InputError
-from tiegraph.scan.scan import ScanInputs, build_scene, find_images, probe_image
-from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import Tuning
 from tiegraph.scene.scene import Scene
-from tiegraph.scene.tuning import ImageTuning
 
 
-def tuned(images: Path, changes: dict[str, Any], **inputs: Any) -> Scene:
-    names = find_images(images)
-    probes = [probe_image(images / n, ImageTuning()) for n in names]
-    return build_scene(ScanInputs(images, **inputs), names, probes, ScanSettings(), Tuning.model_validate(changes))
+def tuned(images: Path, changes: dict[str, Any]) -> Scene:
+    return Survey(images).scan(tuning=Tuning.model_validate(changes))
 
 
 def test_few_images_are_loose_however_many_that_is(tmp_path: Path) -> None:
@@ -33,10 +28,9 @@ def test_few_images_are_loose_however_many_that_is(tmp_path: Path) -> None:
 
 
 def test_the_guess_of_a_camera(tmp_path: Path) -> None:
-    for k in range(3):
-        picture(tmp_path / "in" / "fisheye0" / f"{k}.jpg", (64, 48))
-        picture(tmp_path / "in" / "fisheye1" / f"{k}.jpg", (64, 48))
-    scene = tuned(tmp_path / "in", {"rig": {"camera": {"guessed_fisheye_deg": 90}}})
+    for name in ("fisheye0/0", "fisheye0/1", "fisheye1/0", "fisheye1/1"):
+        picture(tmp_path / f"{name}.jpg")
+    scene = tuned(tmp_path, {"rig": {"camera": {"guessed_fisheye_deg": 90}}})
     camera = scene.sensor_of(0).camera
     assert camera is not None and camera.mean_focal_length() == pytest.approx(40.74, abs=0.01)
     assert any("a fisheye of 90 degrees across" in n for n in scene.notes)
@@ -54,10 +48,7 @@ def test_a_run_takes_them_from_its_settings(tmp_path: Path) -> None:
 
 
 def test_a_rig_is_held_against_them_before_the_run(tmp_path: Path) -> None:
+    settings = {"tuning": {"scan": {"rig": {"max_rig_m": 0.01}}}}
     images = papers_rig(tmp_path / "in", frames=2)
-    rig = str(toml(tmp_path, TOML))
-    project = open_project(
-        images, tmp_path / "out", rig=rig, settings={"tuning": {"scan": {"rig": {"max_rig_m": 0.01}}}}
-    )
     with pytest.raises(InputError, match=r"more than 0\.01 m"):
-        project.run("scan")
+        open_project(images, tmp_path / "out", rig=str(toml(tmp_path)), settings=settings).run("scan")

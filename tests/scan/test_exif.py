@@ -1,4 +1,4 @@
-"""EXIF and XMP as cameras and programs are reported to write them (docs/situations.md)."""
+"""EXIF and XMP as cameras and programs write them (docs/situations.md): places, times, focal lengths."""
 
 from __future__ import annotations
 
@@ -8,11 +8,17 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from PIL import Image
 from PIL.TiffImagePlugin import IFDRational
-from scan_worlds import exif_of, picture, scan
+from scan_worlds import ORIGIN, data, exif_of, in_enu, picture, scan
 
+from said import says
+from tiegraph.geometry.geodesy import geodetic_from_world
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scene.exif import Exif, read_exif
+from tiegraph.scene.images import find_images, probe_image
+from tiegraph.scene.scene import Scene
+from tiegraph.scene.tuning import ImageTuning
 
 HERE = {"lat": 35.5, "lon": 139.25, "alt": 100.0}
 EMPTY = IFDRational(0, 0)
@@ -164,3 +170,130 @@ def test_damaged_entries_count_as_not_written() -> None:
     found = facts(detail={0x920A: EMPTY, 0xA405: 0}, base={0x010F: b"\xff\0"}, xmp=xmp)
     assert (found.lat_deg, found.lon_deg, found.make) == (35.5, 139.25, "\xff")
     assert np.isnan([found.height_m, found.focal_mm, found.focal_px]).all()
+
+
+def flight(folder: Path, count: int = 6, **of_last: float) -> Scene:
+    """Photographs 11 m apart, the last of which is at another place."""
+    for k in range(count):
+        place = {"lat": 35.69 + 1e-4 * k, "lon": 139.77, "alt": 40.0, **(of_last if k == count - 1 else {})}
+        picture(folder / f"IMG_{k}.jpg", exif=exif_of(**place))
+    return scan(folder)
+
+
+@pytest.mark.parametrize(
+    "of_last, words, known",
+    [
+        ({"lat": 91.0}, r"EXIF of IMG_5.jpg: latitude 91, longitude 139.77 is no place.*not used, as in 1 of 6", 5),
+        ({"lat": 0.0, "lon": 0.0}, r"IMG_5.jpg: latitude 0, longitude 0 is what a receiver without a fix writes", 5),
+        ({"alt": 39558.0}, r"EXIF of IMG_5.jpg: height 39558 m, not within -500 to 9000 m.*; 1 positions are", 6),
+        ({"lat": 40.19}, r"IMG_5.jpg: lat 40.190000, lon 139.770000 lies 499 km .*1 of 6 positions are not used", 5),
+    ],
+)
+def test_exif_positions_that_are_said(tmp_path: Path, of_last: dict, words: str, known: int) -> None:
+    scene = flight(tmp_path, **of_last)
+    assert says(scene.notes, words), scene.notes
+    places = scene.world_from_rig[:, :3, 3]
+    assert np.isfinite(places[:, 0]).sum() == known and np.nanmax(np.abs(np.ptp(places[:5], axis=0))) < 60
+
+
+def test_no_exif_position_in_range_one_and_the_same_for_all(tmp_path: Path) -> None:
+    for k in range(4):
+        picture(tmp_path / "none" / f"{k}.jpg", exif=exif_of(lat=91.0, lon=139.77))
+        picture(tmp_path / "same" / f"{k}.jpg", exif=exif_of(lat=35.69, lon=139.77, alt=40.0))
+        picture(tmp_path / "one" / f"{k}.jpg", exif=exif_of(lat=35.69, lon=139.77) if k == 1 else Image.Exif())
+    none, same = scan(tmp_path / "none"), scan(tmp_path / "same")
+    assert says(none.notes, "latitude 91, .*as in 4 of 4 images; mend it in the files") and none.prior == "none"
+    assert says(same.notes, "EXIF: all 4 positions are lat 35.69.*Not used") and same.prior == "none"
+    assert says(scan(tmp_path / "one").notes, "1 of 4 frames has a position.*not used")
+
+
+def test_exif_without_hemisphere_and_of_no_accuracy() -> None:
+    found = facts({1: ""}, lat=-35.69, lon=139.77, alt=40.0)
+    assert found.lat_deg > 0 and "north or south" in found.doubt
+    found = facts({31: 1e7}, lat=35.69, lon=139.77, alt=40.0)
+    assert np.isnan(found.lat_deg) and "accuracy of 1e+07 m is none" in found.doubt
+
+
+def test_two_photographs_far_apart_are_said_and_used(tmp_path: Path) -> None:
+    scene = flight(tmp_path, 2, lat=40.19)
+    assert says(scene.notes, "499 km.*as 1 of 2 positions do") and np.isfinite(scene.world_from_rig[:, 0, 3]).all()
+
+
+def test_positions_from_exif(tmp_path: Path) -> None:
+    enu = np.array([[0.0, 0, 0], [30, 10, 2], [60, 0, 4]])
+    for k, (a, o, h) in enumerate(geodetic_from_world(enu, ORIGIN)):
+        picture(tmp_path / f"IMG_{k}.jpg", exif=exif_of(lat=a, lon=o, alt=h))
+    picture(tmp_path / "IMG_9.jpg")
+    scene = scan(tmp_path, ScanSettings(crs="EPSG:6677"))
+    got = in_enu(scene)
+    assert np.linalg.norm(got[:3] - enu, axis=1).max() < 0.05
+    assert np.isnan(got[3]).all() and scene.prior == "exif"
+    assert np.allclose(scene.position_sigma_m[:3], [5, 5, 10])
+    assert scene.origin is not None and scene.origin.crs == "EPSG:6677"
+
+
+@pytest.mark.parametrize(("others", "taken"), [(400.0, False), (2.0, True)])
+def test_a_height_of_nought_among_others_is_none(tmp_path: Path, others: float, taken: bool) -> None:
+    for k in range(5):
+        place = {"lat": 35.0, "lon": 139 + 1e-4 * k, "alt": 0.0 if k == 2 else others + k}
+        picture(tmp_path / f"IMG_{k}.jpg", exif=exif_of(**place))
+    scene = scan(tmp_path, ScanSettings(crs="ENU"))
+    assert np.ptp(scene.world_from_rig[:, 2, 3]) < 10
+    assert says(scene.notes, "1 positions have no height") != taken and (scene.position_sigma_m[2, 2] > 50) != taken
+
+
+@pytest.mark.parametrize("crs", ["ENU", "auto"])
+def test_a_survey_on_both_sides_of_180_degrees_is_one_place(tmp_path: Path, crs: str) -> None:
+    for k in range(4):
+        east = (179.9997 + 0.0002 * k + 180) % 360 - 180
+        picture(tmp_path / f"IMG_{k}.jpg", exif=exif_of(lat=-16.8, lon=east, alt=5))
+    scene = scan(tmp_path, ScanSettings(crs=crs))
+    assert scene.origin is not None and abs(scene.origin.lon_deg) > 179.999
+    steps = np.diff(scene.world_from_rig[:, :3, 3], axis=0)
+    assert np.abs(scene.world_from_rig[:, :2, 3]).max() < 150
+    assert np.linalg.norm(steps, axis=1) == pytest.approx(np.full(3, 21.3), abs=0.05)  # 0.0002 deg at 16.8 south
+
+
+def test_exif_position_time_and_focal_length(tmp_path: Path) -> None:
+    when = {"time": "2023:09:15 10:00:00", "subsec": "25", "offset": "+09:00"}
+    exif = exif_of(make="Canon\0", model="EOS", focal_35mm=50, lat=35.5, lon=-120.25, alt=-3, **when)
+    found = probe_image(picture(tmp_path / "a.jpg", (3000, 2000), exif=exif), ImageTuning()).exif
+    assert found.focal_px == pytest.approx(50 / 43.27 * np.hypot(3000, 2000), rel=1e-9)
+    assert (found.lat_deg, found.lon_deg, found.height_m) == pytest.approx((35.5, -120.25, -3.0), abs=1e-7)
+    assert found.time_s == pytest.approx(1694739600.25) and found.time_utc  # 01:00:00.25 UTC
+    assert (found.make, found.model) == ("Canon", "EOS")
+
+
+@pytest.mark.parametrize(("reference", "height"), [(0, 428.0), (1, -428.0), (2, 428.0), (3, -428.0)])
+def test_exif_3_heights_below_sea_level(reference: int, height: float) -> None:
+    assert facts({5: bytes([reference])}, lat=31.5, lon=35.5, alt=428).height_m == height
+
+
+@pytest.mark.parametrize(
+    "size, smaller",
+    [((6000, 4000), 1.0), ((1500, 1000), 0.25), ((1000, 1500), 0.25), ((4000, 4000), 1.0), ((1000, 1000), 0.25)],
+)
+def test_the_focal_length_is_that_of_the_photograph_before_it_was_made_smaller_or_cut(
+    tmp_path: Path, size: tuple[int, int], smaller: float
+) -> None:
+    # 24 mm before a sensor of 36 x 24 mm and 6000 x 4000 pixels, by the density of the pixels and by its equivalent
+    written = {"width": 6000, "height": 4000}
+    density = exif_of(focal_mm=24.0, plane_x=6000 / 36 * 10, plane_unit=3, **written)
+    equivalent = exif_of(focal_35mm=24, **written)
+    for name, exif in ("density.jpg", density), ("equivalent.jpg", equivalent):
+        found = probe_image(picture(tmp_path / name, size, exif=exif), ImageTuning()).exif
+        assert found.focal_px == pytest.approx(4000.0 * smaller, rel=1e-3)
+
+
+def test_unbelievable_exif_counts_as_not_written() -> None:
+    found = facts(focal_35mm=1, time="0000:00:00 00:00:00", lat=0.0, lon=0.0, alt=0.0)
+    assert np.isnan([found.focal_px, found.time_s, found.lat_deg, found.lon_deg]).all()
+
+
+def test_phone_photographs_of_a_hill() -> None:
+    folder = data("oppaiyama", "images")
+    found = probe_image(folder / find_images(folder)[0], ImageTuning()).exif
+    # iPhone 5s: 29 mm equivalent on 1224 x 918 pixels; about 1040 px from the sensor's data sheet (4.15 mm on 4.89 mm).
+    assert 980 < found.focal_px < 1060
+    assert 38.2 < found.lat_deg < 38.3 and 140.9 < found.lon_deg < 141.0
+    assert found.position_sigma_m == 5.0 and not found.time_utc
