@@ -16,3 +16,9 @@ def one_pass(tmp_path_factory: pytest.TempPathFactory) -> Survey:
 def two_passes(tmp_path_factory: pytest.TempPathFactory) -> Survey:
     """Two cameras, three frames a pass."""
     return Survey(papers_rig(tmp_path_factory.mktemp("two") / "in", ("up", "down"), 2, 3))
+
+
+@pytest.fixture(scope="session")
+def three_cameras(tmp_path_factory: pytest.TempPathFactory) -> Survey:
+    """Two passes of three frames."""
+    return Survey(papers_rig(tmp_path_factory.mktemp("three") / "in"))

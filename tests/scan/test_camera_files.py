@@ -15,7 +15,7 @@ import pycolmap
 import pytest
 from scan_worlds import papers_rig, scan
 
-from tiegraph.errors import InputError
+from said import refused
 from tiegraph.geometry.transforms import centre, rigid
 from tiegraph.scan.cameras import read_camera
 from tiegraph.scan.rigfiles.rigfile import read_rig_file
@@ -220,7 +220,7 @@ def test_the_binary_of_colmap(tmp_path: Path) -> None:
     whole = (tmp_path / "cameras.bin").read_bytes()
     for wrong in (whole[:-3], whole + b"x", struct.pack("<Q", 0), b"", struct.pack("<QIi", 1, 1, 99) + whole[16:]):
         (tmp_path / "bad.bin").write_bytes(wrong)
-        with pytest.raises(InputError, match=r"bad.bin: no cameras.bin of COLMAP, or cut off; export"):
+        with refused(r"bad.bin: no cameras.bin of COLMAP, or cut off; export"):
             read_camera(str(tmp_path / "bad.bin"), RIG)
 
 
@@ -264,14 +264,13 @@ def _changed(form: str, old: str, new: str) -> str:
 )
 def test_what_no_model_can_say_is_refused(tmp_path: Path, form: str, old: str, new: str, words: str) -> None:
     (tmp_path / "camera.x").write_text(_changed(form, old, new))
-    with pytest.raises(InputError, match=words) as error:
+    with refused(words, "camera.x"):
         read_camera(str(tmp_path / "camera.x"), RIG)
-    assert "camera.x" in str(error.value)
 
 
 def test_line_ends_of_windows_are_line_ends(tmp_path: Path) -> None:
     (tmp_path / "c.yaml").write_bytes(_camchain([np.eye(4)]).replace("\n", "\r\n").encode())
-    with pytest.raises(InputError, match=r"2 cameras \(cam0, cam1\); keep the one"):
+    with refused(r"2 cameras \(cam0, cam1\); keep the one"):
         read_camera(str(tmp_path / "c.yaml"), RIG)
     assert len(read_rig_file(tmp_path / "c.yaml", RIG)[0].sensors) == 2
 
@@ -279,7 +278,7 @@ def test_line_ends_of_windows_are_line_ends(tmp_path: Path) -> None:
 def test_several_cameras_in_one_file_are_named(tmp_path: Path) -> None:
     one = json.loads(FORMS["brown"][0]()[0])
     (tmp_path / "cameras.json").write_text(json.dumps({"a": one["v2 dji"], "b": one["v2 dji"]}))
-    with pytest.raises(InputError, match=r"cameras.json: 2 cameras \(a, b\); keep the one"):
+    with refused(r"cameras.json: 2 cameras \(a, b\); keep the one"):
         read_camera(str(tmp_path / "cameras.json"), RIG)
     (tmp_path / "reconstruction.json").write_text(json.dumps([{"cameras": one, "shots": {}}]))
     assert read_camera(str(tmp_path / "reconstruction.json"), RIG).model == "FULL_OPENCV"
@@ -340,7 +339,7 @@ def test_camchains_that_cannot_be_meant(tmp_path: Path, old: str, new: str, word
     text = _camchain([rigid(np.eye(3), np.array([0.5, 0, 0]))])
     assert old in text
     (tmp_path / "camchain.yaml").write_text(text.replace(old, new))
-    with pytest.raises(InputError, match=words):
+    with refused(words):
         read_rig_file(tmp_path / "camchain.yaml", RIG)
 
 
@@ -357,5 +356,5 @@ def test_a_rig_file_names_the_calibrations_of_its_cameras(tmp_path: Path) -> Non
         ('file = "no.yaml"', "line 7: no.yaml"),
     ):
         path.write_text(f"{rig}[sensors.camera]\n{camera}\n")
-        with pytest.raises(InputError, match=words):
+        with refused(words):
             read_rig_file(path, RIG)

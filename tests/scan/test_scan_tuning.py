@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 from scan_worlds import Survey, papers_rig, picture
-from test_scan_rigfile import toml
+from test_rig_files import toml
 
 from tiegraph.api import open_project
 from tiegraph.errors import InputError

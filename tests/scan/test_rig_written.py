@@ -7,11 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scan_worlds import exif_of, papers_rig, picture, scan
+from test_rig_files import toml
 
 from tiegraph.cli.main import main
+from tiegraph.geometry.transforms import angle_deg, invert
 from tiegraph.scan.rigfiles.rigfile import read_rig_file
-from tiegraph.scan.rigfiles.rigspec import EXPLAINED
+from tiegraph.scan.rigfiles.rigspec import AXES, EXPLAINED, preset, rig_config, write_rig_toml
 from tiegraph.scan.tuning import RigTuning
+from tiegraph.scene.rig import Rig, Sensor, rig_from_dict, rig_to_dict
 
 RIG = RigTuning()
 
@@ -101,3 +104,90 @@ def test_init_says_what_else_may_be_given(tmp_path: Path, capsys: pytest.Capture
     assert "--camera: the camera's calibration" in said and "cameras.txt" in said
     assert "--gcp FILE: control points; points need the columns name, x, y, z" in said and "--marks" in said
     assert "--gnss FILE: positions; columns time or image, lat, lon, height" in said
+
+
+def near(a: Rig, b: Rig) -> None:
+    assert [(s.name, s.folder) for s in a.sensors] == [(s.name, s.folder) for s in b.sensors]
+    for s, t in zip(a.sensors, b.sensors):
+        assert s.sensor_from_rig is not None and t.sensor_from_rig is not None
+        assert angle_deg(s.sensor_from_rig[:3, :3], t.sensor_from_rig[:3, :3]) < 1e-5
+        assert np.allclose(s.sensor_from_rig[:3, 3], t.sensor_from_rig[:3, 3], atol=1e-9)
+        assert s.camera is not None and t.camera is not None and np.allclose(s.camera.params, t.camera.params)
+        assert s.camera.model == t.camera.model
+
+
+def test_written_rigs_are_read_back(tmp_path: Path) -> None:
+    images = papers_rig(tmp_path / "in", frames=1)
+    rig = scan(images, rig=str(toml(tmp_path))).rigs[0]
+    write_rig_toml(rig, tmp_path / "again.toml", "a comment")
+    again = scan(images, rig=str(tmp_path / "again.toml")).rigs[0]
+    near(rig, again)
+    assert again.antenna_m == pytest.approx(rig.antenna_m) and [s.role for s in again.sensors] == ["side", "side", "up"]
+    (tmp_path / "again.json").write_text(rig_config([rig]), encoding="utf-8")
+    near(rig, scan(images, rig=str(tmp_path / "again.json")).rigs[0])
+
+
+def test_a_written_rig_takes_a_vehicles_axes_by_one_word(tmp_path: Path) -> None:
+    spec = preset("ring:5", ("a", "b", "c", "d", "e"), RIG)
+    cameras = [Sensor(s.name, None, invert(s.body_from_sensor)) for s in spec.sensors]
+    path = tmp_path / "rig.toml"
+    write_rig_toml(Rig("ring", tuple(cameras)), path)
+    (as_camera,) = read_rig_file(path, RIG)
+    path.write_text(path.read_text().replace('axes = "camera"', 'axes = "flu"'))
+    (as_vehicle,) = read_rig_file(path, RIG)
+    for a, b in zip(as_camera.sensors, as_vehicle.sensors):
+        assert np.allclose(AXES["flu"].T @ a.body_from_sensor[:3, :3], b.body_from_sensor[:3, :3], atol=1e-9)
+
+
+def test_colmap_reads_what_we_write(tmp_path: Path) -> None:
+    import pycolmap
+
+    rig = scan(papers_rig(tmp_path / "in", frames=1), rig=str(toml(tmp_path))).rigs[0]
+    (tmp_path / "rig_config.json").write_text(rig_config([rig]), encoding="utf-8")
+    cameras = pycolmap.read_rig_config(tmp_path / "rig_config.json")[0].cameras
+    assert cameras[0].ref_sensor and [c.image_prefix for c in cameras] == ["cam0/", "cam1/", "cam2/"]
+    assert rig.sensors[1].sensor_from_rig is not None
+    assert np.allclose(cameras[1].cam_from_rig.matrix(), rig.sensors[1].sensor_from_rig[:3])
+
+
+def test_an_unknown_rig_is_written_without_poses(tmp_path: Path) -> None:
+    images = papers_rig(tmp_path / "in", frames=1)
+    rig = Rig("r", (Sensor("cam0", folder="cam0"), Sensor("cam1", folder="cam1")))
+    write_rig_toml(rig, tmp_path / "r.toml")
+    found = scan(images, rig=str(tmp_path / "r.toml")).rigs[0]
+    assert np.array_equal(found.sensors[0].sensor_from_rig, np.eye(4)) and found.sensors[1].sensor_from_rig is None
+
+
+def test_sigmas_and_pairs_go_to_the_file_and_back(tmp_path: Path) -> None:
+    path = tmp_path / "rig.toml"
+    path.write_text(
+        """
+[[sensors]]
+name = "a"
+yaw_pitch_roll_deg = [0, 0, 0]
+[[sensors]]
+name = "b"
+position_m = [0.5, 0, 0]
+yaw_pitch_roll_deg = [90, 0, 0]
+sigma_deg = 0.1
+sigma_m = 0.002
+[[pairs]]
+sensors = ["a", "b"]
+baseline_m = 0.5
+baseline_sigma_m = 0.001
+"""
+    )
+    (spec,) = read_rig_file(path, RIG)
+    assert spec.sensors[1].sigma_deg == 0.1 and spec.sensors[0].sigma_m is None
+    assert spec.pairs[0].sensors == ("a", "b") and spec.pairs[0].axis_deg is None
+    poses = [s.body_from_sensor for s in spec.sensors]
+    sensors = tuple(
+        Sensor(s.name, None, np.linalg.inv(p), sigma_deg=s.sigma_deg, sigma_m=s.sigma_m)
+        for s, p in zip(spec.sensors, poses)
+    )
+    rig = Rig("r", sensors, pairs=spec.pairs)
+    assert rig.soft() and not Rig("r", sensors, fixed=True, pairs=spec.pairs).soft()
+    assert rig_from_dict(rig_to_dict(rig)).pairs == rig.pairs
+    write_rig_toml(rig, tmp_path / "again.toml")
+    (again,) = read_rig_file(tmp_path / "again.toml", RIG)
+    assert again.pairs == spec.pairs and again.sensors[1].sigma_m == 0.002
