@@ -12,7 +12,7 @@ import pyproj
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tiegraph.errors import InputError
+from said import refused
 from tiegraph.evaluate import reference
 from tiegraph.evaluate.backprojection import View, pinhole_views
 from tiegraph.evaluate.reference import ModelPoses, ReferencePoses
@@ -135,28 +135,28 @@ def test_poses_with_times_are_of_no_pass_at_another_time(tmp_path: Path) -> None
 def test_unusable_references_say_why(tmp_path: Path) -> None:
     scene = make_scene()
     model = reference.model_poses(make_model(scene), scene)
-    with pytest.raises(InputError, match="neither a COLMAP model"):
+    with refused("neither a COLMAP model"):
         reference.read_reference_poses(tmp_path)
-    with pytest.raises(InputError, match="no such reference"):
+    with refused("no such reference"):
         reference.read_reference_poses(tmp_path / "none")
     bad = tmp_path / "bad.tum"
     bad.write_text("# time\n1 2 3\n")
-    with pytest.raises(InputError, match=r"bad.tum, line 2: 3 columns; expected"):
+    with refused(r"bad.tum, line 2: 3 columns; expected"):
         reference.read_tum(bad)
     bad.write_text("# nothing\n")
-    with pytest.raises(InputError, match="no rows; give the trajectory"):
+    with refused("no rows; give the trajectory"):
         reference.read_tum(bad)
     short = write_tum(tmp_path / "short.tum", np.arange(5.0), rig_poses()[:5])
-    with pytest.raises(InputError, match="5 poses for 12 frames"):
+    with refused("5 poses for 12 frames"):
         reference.match_poses(reference.read_reference_poses(short), model, scene, GAP_S)
-    with pytest.raises(InputError, match="only 0 poses"):
+    with refused("only 0 poses"):
         reference.match_poses(ReferencePoses({}, {"other": reference.read_tum(short)}, tmp_path), model, scene, GAP_S)
     (tmp_path / "colmap").mkdir()
     (tmp_path / "colmap" / "images.bin").write_bytes(b"nonsense")
-    with pytest.raises(InputError, match="images.bin: the file is cut off"):
+    with refused("images.bin: the file is cut off"):
         reference.read_reference_poses(tmp_path / "colmap")
     (tmp_path / "colmap" / "images.bin").write_bytes(bytes(8))
-    with pytest.raises(InputError, match="not a readable COLMAP model"):
+    with refused("not a readable COLMAP model"):
         reference.read_reference_poses(tmp_path / "colmap")
 
 
@@ -251,7 +251,7 @@ def test_a_cloud_whose_header_names_no_crs_is_in_that_of_the_run(tmp_path: Path)
         data = judged("reference.las", xyz, crs, **how)
         assert {m["name"]: m["value"] for m in data["metrics"]}["cloud_to_cloud_median"] < 0.002
         assert any("no CRS in its header" in note for note in data["notes"]) == (crs is None)
-    with pytest.raises(InputError, match="37 m apart: is one above the ellipsoid, the other above a geoid.*shift"):
+    with refused("37 m apart: is one above the ellipsoid, the other above a geoid.*shift"):
         judged("geoid.las", xyz - [0, 0, 37], world.crs)
 
 

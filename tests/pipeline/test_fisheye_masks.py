@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 import tiegraph
-from tiegraph.errors import InputError
+from said import refused
 
 SIDE = 160
 
@@ -62,7 +62,7 @@ def test_masks_of_the_user_are_those_of_the_views(tmp_path: Path) -> None:
     (tmp_path / "mine").mkdir()
     settings = {"masks": {"source": "folder", "folder": str(tmp_path / "mine")}}
     options = {"rig": str(rig(tmp_path / "rig.json", 1e-6)), "settings": settings, "pool": "serial"}
-    with pytest.raises(InputError, match="front/0.png"):
+    with refused("front/0.png"):
         tiegraph.open(images, out, **options).run("masks")
     side = 80
     for view in ("front", "right", "left", "up", "down"):

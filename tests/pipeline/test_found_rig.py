@@ -11,8 +11,8 @@ import numpy as np
 import pycolmap
 import pytest
 
+from said import refused, says
 from tiegraph.cli.main import main
-from tiegraph.errors import InputError
 from tiegraph.geometry.transforms import centre, invert, rigid
 from tiegraph.pipeline.foundrig import rig_file
 from tiegraph.scan.prepare import crop_camera
@@ -175,7 +175,7 @@ def test_a_camera_that_no_tie_holds_stands_as_it_was_drawn(tmp_path: Path) -> No
     placed = _sensor_from_rig(_read(found.text))
     np.testing.assert_allclose(placed[1], poses[1], rtol=0, atol=1e-9)
     np.testing.assert_allclose(placed[2], drawn[2], rtol=0, atol=1e-9)
-    assert any("c stands as given: too few ties" in s for s in found.said)
+    assert says(found.said, "c stands as given: too few ties")
 
 
 def test_constants_are_those_the_model_was_made_with_and_before_them_those_of_the_settings(tmp_path: Path) -> None:
@@ -193,7 +193,7 @@ def test_constants_are_those_the_model_was_made_with_and_before_them_those_of_th
     left = _read(rig_file(out).text).sensors[2]
     assert (left.sigma_deg, left.sigma_m) == (pytest.approx(3.0), pytest.approx(0.2))
     receipt.write_text(json.dumps({**sparse, "tuning": {"sfm": {"gone": 1}}}))
-    with pytest.raises(InputError, match="sparse.json.*gone.*finish that run again"):
+    with refused("sparse.json.*gone.*finish that run again"):
         rig_file(out)
 
 
@@ -207,13 +207,13 @@ def test_a_rig_that_was_held_keeps_its_lengths(tmp_path: Path) -> None:
     spec = _read(found.text)
     for mine, true in zip(_sensor_from_rig(spec), poses):
         np.testing.assert_allclose(mine, true, rtol=0, atol=1e-9)
-    assert spec.fixed and spec.sensors[1].sigma_m is None and any("the run held them" in s for s in found.said)
+    assert spec.fixed and spec.sensors[1].sigma_m is None and says(found.said, "the run held them")
     turned = [poses[0], poses[1], _poses(0.3, 0.2)[2]]
     out = _run(tmp_path / "turned", _given(nominal=False, fixed=True), turned)
     receipt = out / "receipts" / "sparse.json"
     receipt.write_text(json.dumps({**json.loads(receipt.read_text()), "contradictions": ["c is turned by 0.2 deg"]}))
     found = rig_file(out)
-    assert any("held by the run but for c, which the images turned or moved" in s for s in found.said)
+    assert says(found.said, "held by the run but for c, which the images turned or moved")
     assert "# contradicted in that run: c is turned by 0.2 deg" in found.text
     np.testing.assert_allclose(_sensor_from_rig(_read(found.text))[1], poses[1], rtol=0, atol=1e-9)
 
@@ -222,12 +222,10 @@ def test_a_rig_that_was_held_keeps_its_lengths(tmp_path: Path) -> None:
 def test_lengths_that_nothing_tells_in_metres_are_refused_in_a_rig_toml(tmp_path: Path, georef: bool) -> None:
     poses = _poses(0.37, 1.5)
     out = _run(tmp_path / "out", _given(), poses, scale_source="none", georef=georef)
-    with pytest.raises(
-        InputError, match=r"nothing in this run told metres, .* of head .* `tiegraph georef .*rig_config"
-    ):
+    with refused(r"nothing in this run told metres, .* of head .* `tiegraph georef .*rig_config"):
         rig_file(out)
     found = rig_file(out, "rig_config")
-    assert any("lengths are in units of the model" in s for s in found.said)
+    assert says(found.said, "lengths are in units of the model")
     rotation = json.loads(found.text)[0]["cameras"][1]["cam_from_rig_rotation"]
     assert len(rotation) == 4 and np.linalg.norm(rotation) == pytest.approx(1)
 
@@ -265,7 +263,7 @@ def test_cameras_are_written_as_the_files_of_the_user_have_them(tmp_path: Path) 
     found = rig_file(_run(tmp_path / "folds", _given(), poses, params=folds))
     first = _read(found.text).sensors[0]
     assert first.model == "SIMPLE_RADIAL" and first.params[0] == pytest.approx(np.mean(FOUND[:2]))  # type: ignore[index]
-    assert any("a: only the focal length is written, for OPENCV with" in s for s in found.said)
+    assert says(found.said, "a: only the focal length is written, for OPENCV with")
 
 
 def test_a_single_camera_needs_no_metres(tmp_path: Path) -> None:
@@ -298,7 +296,7 @@ def test_cameras_that_hang_on_a_wide_one_stay_as_given(tmp_path: Path) -> None:
 
 def test_hanging_cameras_have_the_unit_of_the_wide_ones_in_a_file_without_one(tmp_path: Path) -> None:
     out = _with_wide(tmp_path / "out", 2)
-    with pytest.raises(InputError, match="nothing in this run told metres"):
+    with refused("nothing in this run told metres"):
         rig_file(out)
     (config,) = json.loads(rig_file(out, "rig_config").text)
     places = [np.linalg.norm(c["cam_from_rig_translation"]) for c in config["cameras"][1:]]
@@ -308,24 +306,24 @@ def test_hanging_cameras_have_the_unit_of_the_wide_ones_in_a_file_without_one(tm
 
 
 def test_folders_that_have_no_rig_to_give(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"nowhere is no run folder: give one that"):
+    with refused(r"nowhere is no run folder: give one that"):
         rig_file(tmp_path / "nowhere")
     out = _run(tmp_path / "out", _given(), _poses(0.3))
     (out / "receipts" / "sparse.json").unlink()
-    with pytest.raises(InputError, match=r"has no sparse model yet; `tiegraph sparse .*out` makes it"):
+    with refused(r"has no sparse model yet; `tiegraph sparse .*out` makes it"):
         rig_file(out)
     views = tuple(replace(s, source=Source(panorama=(1, 0, 0, 0, 1, 0, 0, 0, 1))) for s in _given().sensors)
-    with pytest.raises(InputError, match=r"views of panoramas, .* give --rig panorama"):
+    with refused(r"views of panoramas, .* give --rig panorama"):
         rig_file(_run(tmp_path / "views", _given(sensors=views), _poses(0.3)))
     damaged = _run(tmp_path / "damaged", _given(), _poses(0.3))
     (damaged / "world.json").write_text("{")
-    with pytest.raises(InputError, match=r"world.json cannot be read any more .* finish that run again"):
+    with refused(r"world.json cannot be read any more .* finish that run again"):
         rig_file(damaged)
     two = (
         replace(_given(), name="x", sensors=_given().sensors[:1]),
         replace(_given(), name="y", sensors=_given().sensors[1:2]),
     )
-    with pytest.raises(InputError, match=r"2 rigs \(x, y\), and a rig.toml holds one; take --format rig_config"):
+    with refused(r"2 rigs \(x, y\), and a rig.toml holds one; take --format rig_config"):
         rig_file(_run(tmp_path / "two", two, None))
     assert len(json.loads(rig_file(tmp_path / "two", "rig_config").text)) == 2
 

@@ -3,10 +3,9 @@
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from masks_world import write
-from tiegraph.errors import InputError
+from said import refused
 from tiegraph.evaluate.settings import EvaluateSettings
 from tiegraph.pipeline.evaluate import _masks
 from tiegraph.pipeline.files import FINAL
@@ -32,7 +31,7 @@ def _run(tmp_path: Path) -> Run:
 def test_masks_of_no_image_are_refused_at_the_start(tmp_path: Path) -> None:
     run = _run(tmp_path)
     write(tmp_path / "truth/z.png", np.full((8, 10), 255, np.uint8))
-    with pytest.raises(InputError, match="no mask of any image; .*a.jpg.png"):
+    with refused("no mask of any image; .*a.jpg.png"):
         check_against(run, SCENE)
     write(tmp_path / "truth/b.png", np.full((8, 10), 255, np.uint8))
     assert check_against(run, SCENE) == ()

@@ -15,9 +15,9 @@ import bag_world as world
 import recording_world
 import tiegraph
 from bag_world import FORMS, START_S
+from said import refused
 from tiegraph.api import Project
 from tiegraph.cli.main import main
-from tiegraph.errors import InputError
 from tiegraph.scan.videos.bagfilms import find_bags
 from tiegraph.scene.exif import read_exif
 
@@ -129,7 +129,7 @@ def test_what_is_no_camera_of_its_own_is_left_out(tmp_path: Path) -> None:
     assert len(project.scene()) == 8 and len(project.scene().all_sensors) == 1
     assert said(project, "run.bag:/forward/image_raw/compressed: left out: as /forward/image_raw is")
     assert said(project, "run.bag:/depth/image: left out: encoding 16UC1")
-    with pytest.raises(InputError, match="no topic with pictures: only.bag:/depth/image: left out: encoding 16UC1"):
+    with refused("no topic with pictures: only.bag:/depth/image: left out: encoding 16UC1"):
         scanned(world.bag(tmp_path, "ros1", depth, name="only"), tmp_path / "none")
 
 
@@ -138,12 +138,12 @@ def test_two_topics_of_one_camera_are_asked_about(tmp_path: Path) -> None:
     rows = camera("/left/image_raw") + camera("/left/image_rect_color") + camera("/right/image_raw", APART_S)
     path = world.bag(tmp_path / "in", "sqlite", rows)
     words = r"/left/image_raw \(sensor_msgs/Image, 20\) and /left/image_rect_color .* are of one camera"
-    with pytest.raises(InputError, match=f"{words}.*run:/left/image_raw,/right/image_raw"):
+    with refused(f"{words}.*run:/left/image_raw,/right/image_raw"):
         scanned(tmp_path / "in", tmp_path / "out")
     for images in (path, tmp_path / "in"):  # both or a folder
         chosen = Path(f"{images}:/left/image_rect_color,/right/image_raw")
         assert len(scanned(chosen, tmp_path / f"of_{images.name}").scene()) == 16
-    with pytest.raises(InputError, match=r"has no topic /lft/image_raw of .*; 3 topics of that kind: /left/image_raw"):
+    with refused(r"has no topic /lft/image_raw of .*; 3 topics of that kind: /left/image_raw"):
         scanned(Path(f"{path}:/lft/image_raw"), tmp_path / "out2")
 
 
@@ -243,7 +243,7 @@ def test_the_command_line_takes_a_bag_and_stores_nothing_wrong(
 def test_bags_beside_images_and_broken_ones_are_said(tmp_path: Path) -> None:
     path = world.bag(tmp_path / "in", "ros1", camera())
     path.write_bytes(path.read_bytes()[:5000])
-    with pytest.raises(InputError, match="run.bag: cannot be read as a ROS bag"):
+    with refused("run.bag: cannot be read as a ROS bag"):
         scanned(tmp_path / "in", tmp_path / "out")
     for k in range(3):
         cv2.imwrite(str(tmp_path / "in" / f"{k}.png"), picture(k, seed=k))

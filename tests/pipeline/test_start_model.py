@@ -12,9 +12,9 @@ from scipy.spatial.transform import Rotation
 
 import tiegraph
 import worlds
+from said import refused
 from tiegraph.api import Project
 from tiegraph.cli.run import main
-from tiegraph.errors import InputError
 from tiegraph.evaluate.reference import model_poses
 from tiegraph.geometry.align import umeyama
 from tiegraph.geometry.transforms import invert
@@ -104,19 +104,19 @@ def test_a_survey_goes_on_from_a_model(survey: worlds.Survey, tmp_path: Path, tu
 def test_a_start_and_a_trajectory_are_refused_together(survey: worlds.Survey, tmp_path: Path) -> None:
     start = start_of(survey, tmp_path / "start")
     both = opened(survey, tmp_path / "out", start=start, trajectory=start)
-    with pytest.raises(InputError, match=r"--start .*start and --trajectory .*start: both give poses: leave one out"):
+    with refused(r"--start .*start and --trajectory .*start: both give poses: leave one out"):
         both.run("scan")
     assert not (tmp_path / "out" / "tiegraph.toml").exists()
 
 
 def test_a_wrong_start_is_refused_before_anything_is_stored(survey: worlds.Survey, tmp_path: Path) -> None:
     (tmp_path / "notes.json").write_text("{}")
-    with pytest.raises(InputError, match="notes.json: no model that is known; give a COLMAP model"):
+    with refused("notes.json: no model that is known; give a COLMAP model"):
         opened(survey, tmp_path / "out", start=tmp_path / "notes.json").run("scan")
     assert not (tmp_path / "out" / "tiegraph.toml").exists()
     start = start_of(survey, tmp_path / "start")
     (start / "cameras.txt").write_text("1 PINHOLE 320 320 211 211 160 160\n")
-    with pytest.raises(InputError, match=r"start, camera 1: .*'cam0' have 320 x 320, those here 320 x 240"):
+    with refused(r"start, camera 1: .*'cam0' have 320 x 320, those here 320 x 240"):
         opened(survey, tmp_path / "out", start=start).run("scan")
 
 

@@ -2,8 +2,9 @@
 
 import pytest
 
+from said import refused
 from tiegraph.api import open_project
-from tiegraph.errors import InputError, SettingsError
+from tiegraph.errors import SettingsError
 from tiegraph.pipeline import STAGES
 from tiegraph.project.folder import SETTINGS
 from tiegraph.project.inputs import Stamps
@@ -91,7 +92,7 @@ def test_a_project_remembers_inputs_preset_and_settings(tmp_path):
 
 
 def test_misuse(tmp_path):
-    with pytest.raises(InputError, match="not a run folder"):
+    with refused("not a run folder"):
         open_project(out=tmp_path)
     with pytest.raises(SettingsError, match="unknown input 'gps'"):
         open_project(tmp_path, gps="a.csv")

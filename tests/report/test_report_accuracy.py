@@ -9,6 +9,7 @@ from fake_survey_run import make_accuracy
 from markupsafe import escape
 
 from accuracy_marks import check, unmarked
+from said import says
 from tiegraph.report import accuracy
 from tiegraph.scene.accuracy import Accuracy, Figure
 
@@ -42,7 +43,7 @@ def test_the_terminal_says_what_the_page_says(full: Path) -> None:
     assert "10.0 cm for a camera, over the whole; 4.0 mm for what lies between two cameras 10 m apart" in lines[2]
     assert "Measured 12.1 cm (a camera, over the whole) by 54 reference poses" in lines[2]
     assert "predicted 3.6 cm" in lines[3] and "Nothing independent measured it" in lines[3]
-    assert not any("<" in line for line in lines)
+    assert not says(lines, "<")
     assert accuracy.terminal_lines(full / "none.json") == []
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from fake_survey_run import make_run
 
-from tiegraph.errors import InputError
+from said import refused
 from tiegraph.report.compare import compare_runs, compared, ratio
 
 
@@ -84,12 +84,12 @@ def test_names_with_brackets_are_printed_letter_by_letter(tmp_path: Path) -> Non
 
 
 def test_misuse(runs: list[Path], tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="at least two"):
+    with refused("at least two"):
         compare_runs(runs[:1])
-    with pytest.raises(InputError, match="no such run folder"):
+    with refused("no such run folder"):
         compare_runs([runs[0], tmp_path / "none"])
     (tmp_path / "file").write_text("x")
-    with pytest.raises(InputError, match="cannot write"):
+    with refused("cannot write"):
         compare_runs(runs, tmp_path / "file" / "x.html")
 
 
@@ -102,6 +102,6 @@ def test_only_its_own_page_is_overwritten(runs: list[Path], tmp_path: Path) -> N
     compare_runs(runs, page)
     compare_runs(runs, page)
     page.write_text("<html>notes of mine</html>")
-    with pytest.raises(InputError, match="compare.html is there"):
+    with refused("compare.html is there"):
         compare_runs(runs, page)
     assert page.read_text() == "<html>notes of mine</html>"

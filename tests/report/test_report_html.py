@@ -11,7 +11,7 @@ import pytest
 from fake_survey_run import FRAMES, make_run
 from scipy.spatial.transform import Rotation
 
-from tiegraph.errors import InputError
+from said import refused, says
 from tiegraph.geometry import transforms
 from tiegraph.report import charts, cloudview, formatting, summary
 from tiegraph.report.html import environment, write_report
@@ -112,9 +112,9 @@ def test_missing_and_damaged_pieces_are_left_out(tmp_path: Path) -> None:
 
 
 def test_a_folder_without_a_run_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="no such run folder"):
+    with refused("no such run folder"):
         write_report(tmp_path / "none", SMALL)
-    with pytest.raises(InputError, match="no run in it"):
+    with refused("no run in it"):
         write_report(tmp_path, SMALL)
 
 
@@ -138,10 +138,10 @@ def test_verdict_levels(tmp_path: Path, full: Path) -> None:
     assert any("50 of 60 images (83 %)" in s for s in summary.verdict(by_rig).sentences)
     few = replace(everything, placed=np.arange(60) < 20)
     poor = summary.verdict(replace(run, model=replace(run.model, images=few, others=(12, 8))))
-    assert poor.level == "poor" and any("the largest of 3; the others have 12, 8" in s for s in poor.sentences)
-    assert any("3 separate models" in w for w in poor.warnings)
+    assert poor.level == "poor" and says(poor.sentences, "the largest of 3; the others have 12, 8")
+    assert says(poor.warnings, "3 separate models")
     free = summary.verdict(replace(complete, world=None))
-    assert free.level == "check" and any("not georeferenced" in w for w in free.warnings)
+    assert free.level == "check" and says(free.warnings, "not georeferenced")
     assert not any("far worse" in w for w in summary.verdict(complete).warnings)
     bad = [{**f, "measured": 3.0} if f["key"] == "world.held_out" else f for f in run.metrics["accuracy"]["figures"]]  # type: ignore[index]
     bent = replace(complete, metrics={"accuracy": {**run.metrics["accuracy"], "figures": bad}})  # type: ignore[index]
@@ -307,5 +307,5 @@ def test_heights_lever_arm_and_adjustment_are_told() -> None:
     }  # fmt: skip
     text = summary.georeference_sentences(world)
     assert text[0] == "Heights are above the ellipsoid."
-    assert any("0.10, 0.20, 0.30 m" in t for t in text) and any("adjusted together" in t for t in text)
+    assert any("0.10, 0.20, 0.30 m" in t for t in text) and says(text, "adjusted together")
     assert summary.georeference_sentences({}) == []

@@ -12,7 +12,8 @@ from fake_survey_run import make_run
 from jinja2 import nodes
 
 from accuracy_marks import check, unmarked
-from tiegraph.errors import EngineMissing, InputError
+from said import refused
+from tiegraph.errors import EngineMissing
 from tiegraph.report import formatting, html, pdf, spatial, texts
 from tiegraph.report.formatting import without_folders
 from tiegraph.report.html import environment, write_report
@@ -203,7 +204,7 @@ def test_without_a_browser_the_remedy_is_named(monkeypatch: pytest.MonkeyPatch, 
     with pytest.raises(EngineMissing, match=r"did not print report.html \(exit code 3\)"):
         pdf.print_pdf(tmp_path / "report.html", tmp_path / "report.pdf")
     (tmp_path / "report.pdf").write_text("my own")
-    with pytest.raises(InputError, match="is no PDF"):
+    with refused("is no PDF"):
         pdf.print_pdf(tmp_path / "report.html", tmp_path / "report.pdf")
     assert (tmp_path / "report.pdf").read_text() == "my own"
 

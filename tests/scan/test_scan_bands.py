@@ -9,6 +9,7 @@ import pytest
 from PIL.TiffImagePlugin import ImageFileDirectory_v2
 from scan_worlds import exif_of, picture, scan
 
+from said import says
 from tiegraph.scan.rigfiles.rigspec import write_rig_toml
 from tiegraph.scene.images import probe_image
 from tiegraph.scene.rig import Rig
@@ -58,7 +59,7 @@ def test_the_bands_of_a_sequoia_in_one_folder_are_a_rig(tmp_path: Path) -> None:
     assert {(s.camera.width, s.camera.height) for s in rig.sensors[:4]} == {(64, 48)} and rig.sensors[
         4
     ].camera.width == 96
-    assert any("5 cameras that share folders, by the ends of the file names" in n for n in scene.notes)
+    assert says(scene.notes, "5 cameras that share folders, by the ends of the file names")
 
 
 def test_numbers_of_micasense_are_bands_and_their_xmp_turns_them(tmp_path: Path) -> None:
@@ -76,7 +77,7 @@ def test_numbers_of_micasense_are_bands_and_their_xmp_turns_them(tmp_path: Path)
     np.testing.assert_allclose(
         relative_rotation((1.0, 0, 0)) @ [0, 0, 1], [0, -np.sin(np.radians(1)), np.cos(np.radians(1))]
     )
-    assert any("RigRelatives" in n for n in scene.notes)
+    assert says(scene.notes, "RigRelatives")
 
 
 def test_the_reference_camera_comes_first(tmp_path: Path) -> None:
@@ -142,8 +143,8 @@ def test_several_lenses_of_one_make_are_several_cameras(tmp_path: Path) -> None:
     scene = scan(tmp_path)
     assert len(scene.rigs) == 2 and scene.sequences == ()
     assert sorted(np.bincount(scene.rig[scene.frame]).tolist()) == [10, 30]
-    assert any("2 cameras by make, model, lens" in n for n in scene.notes)
-    assert any("taken with different lenses" in n for n in scene.notes)
+    assert says(scene.notes, "2 cameras by make, model, lens")
+    assert says(scene.notes, "taken with different lenses")
 
 
 def test_one_lens_is_one_camera_also_where_some_files_do_not_say_it(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scan_worlds import exif_of, papers_rig, picture, scan
 
-from said import refused
+from said import refused, says
 from tiegraph.cli.main import main
 from tiegraph.scan.cameras import read_camera
 from tiegraph.scan.tuning import RigTuning
@@ -149,4 +149,4 @@ def test_several_cameras_need_a_rig_file_and_photographs_of_others_keep_theirs(t
     scene = scan(tmp_path / "two", camera=WORDS)
     taken = next(s.camera for s in scene.all_sensors if s.camera.width == 64)
     np.testing.assert_allclose(taken.params, PARAMS)
-    assert any("1 other cameras keep what EXIF says" in n for n in scene.notes)
+    assert says(scene.notes, "1 other cameras keep what EXIF says")

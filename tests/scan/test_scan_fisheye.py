@@ -11,7 +11,7 @@ from PIL import Image
 from scan_worlds import data, scan
 
 from near import baselines_m
-from tiegraph.errors import InputError
+from said import refused, says
 from tiegraph.scan.scan import prepare_image
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scene.fisheye import lit
@@ -72,7 +72,7 @@ def test_two_lenses_back_to_back_become_level_views_all_round(tmp_path: Path) ->
     x, y, radius = source.circle_px or (0, 0, 0)
     assert abs(x - 120) < 1 and abs(y - 120) < 1 and 0.95 * CIRCLE < radius < 0.99 * CIRCLE
     assert Scene.from_json(scene.to_json()).rigs[0].sensors[4].source == source
-    assert any("cut into views" in n for n in scene.notes)
+    assert says(scene.notes, "cut into views")
 
 
 @pytest.mark.slow
@@ -98,12 +98,12 @@ def test_views_show_what_the_rig_sees_there(tmp_path: Path) -> None:
 def test_a_guessed_lens_stays_whole_and_says_so(tmp_path: Path) -> None:
     images = two_lenses(tmp_path / "in")
     guessed = scan(images)
-    assert len(guessed.all_sensors) == 2 and any("not calibrated" in n for n in guessed.notes)
+    assert len(guessed.all_sensors) == 2 and says(guessed.notes, "not calibrated")
     cameras = [s.camera for s in guessed.all_sensors if s.camera is not None]  # by their circles: no name says fisheye
     assert [c.model.name for c in cameras] == ["OPENCV_FISHEYE"] * 2 and not cameras[0].has_prior_focal_length
     assert all(0.98 < c.mean_focal_length() / (CIRCLE / np.radians(100)) < 1.02 for c in cameras)
     assert all(s.source is not None and s.source.circle_px is not None for s in guessed.all_sensors)
-    with pytest.raises(InputError, match=r"scan.fisheye = views.*fish_a.*not calibrated"):
+    with refused(r"scan.fisheye = views.*fish_a.*not calibrated"):
         scan(images, ScanSettings(fisheye="views"))
 
 
@@ -139,7 +139,7 @@ def test_a_narrow_fisheye_stays_whole(tmp_path: Path) -> None:
     images = two_lenses(tmp_path / "in")
     rig = rig_config(tmp_path / "rig_config.json", [2 * FOCAL, 2 * FOCAL, *LENS[2:]])
     scene = scan(images, rig=rig)
-    assert len(scene.all_sensors) == 2 and not any("fisheye images" in n for n in scene.notes)
+    assert len(scene.all_sensors) == 2 and not says(scene.notes, "fisheye images")
 
 
 @pytest.mark.slow
@@ -189,7 +189,7 @@ def test_two_circles_side_by_side_are_two_lenses_back_to_back(tmp_path: Path) ->
             left = SIDE * int(name[4])
             expected = np.asarray(whole.crop((left, 0, left + SIDE, SIDE)), float)
             assert np.abs(np.asarray(made, float) - expected).mean() < 2
-    assert any("taken for upright" in n for n in scene.notes)
+    assert says(scene.notes, "taken for upright")
 
 
 @pytest.mark.parametrize(("roll", "second"), [(b"89.9", [1, -1, -1]), (b"0.1", [-1, 1, -1]), (b"-90.0", [1, -1, -1])])
@@ -209,11 +209,11 @@ def test_a_rig_file_for_two_circles_side_by_side(tmp_path: Path) -> None:
         prepare_image(images / scene.source_name(k), target, sensor, ScanSettings())
         with Image.open(target) as file:
             assert np.asarray(file).mean() > 90
-    with pytest.raises(InputError, match="--rig ring:5: the files hold two fisheye images"):
+    with refused("--rig ring:5: the files hold two fisheye images"):
         scan(images, rig="ring:5")
     one = tmp_path / "one.json"
     one.write_text(json.dumps([{"cameras": json.loads(Path(rig).read_text())[0]["cameras"][:1]}]))
-    with pytest.raises(InputError, match=r"1 sensor\(s\), but the files hold two fisheye images"):
+    with refused(r"1 sensor\(s\), but the files hold two fisheye images"):
         scan(images, rig=str(one))
 
 
@@ -240,7 +240,7 @@ def test_the_distortion_starts_from_what_the_factory_measured(tmp_path: Path) ->
         at = np.asarray(sensor.camera.img_from_cam(rays))
         expected = 120 + FOCAL * np.radians([20, 50, 80])
         assert np.allclose(at[:, 0], expected, atol=0.15) and np.allclose(at[:, 1], 120)
-    assert any("their distortion starts from what the factory measured" in n for n in scene.notes)
+    assert says(scene.notes, "their distortion starts from what the factory measured")
     assert any("used whole" in n and "its calibration is a start" in n for n in scene.notes)  # views hold their lens
     assert len(scan(tmp_path / "in", ScanSettings(fisheye="views")).all_sensors) == 6
 
@@ -249,4 +249,4 @@ def test_the_distortion_starts_from_what_the_factory_measured(tmp_path: Path) ->
 def test_what_does_not_fit_the_circles_is_not_used_and_said(tmp_path: Path, words: bytes) -> None:
     scene = scan(side_by_side(tmp_path / "in", 2, words))
     assert all(s.camera is not None and not np.any(s.camera.params[4:]) for s in scene.all_sensors)
-    assert any("what the factory measured does not fit the circles" in n for n in scene.notes)
+    assert says(scene.notes, "what the factory measured does not fit the circles")

@@ -17,7 +17,7 @@ from PIL import Image, ImageCms, features
 from PIL.TiffImagePlugin import IFDRational
 from scan_worlds import exif_of, picture, scan
 
-from tiegraph.errors import InputError
+from said import refused
 from tiegraph.scan.scan import prepare_image
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scene.decoding import _register, opaque
@@ -134,7 +134,7 @@ def test_what_a_library_is_missing_for_is_said_with_the_remedy(
         else:
             path.write_bytes(HEIC.read_bytes() + bytes(k))
     _unregistered(monkeypatch)
-    with pytest.raises(InputError, match=f"a1.*, a2.*: .*{remedy.replace('[', '.')}"):
+    with refused(f"a1.*, a2.*: .*{remedy.replace('[', '.')}"):
         scan(tmp_path)
     for k in range(2):
         picture(tmp_path / f"{k}.png")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scan_worlds import picture
 
-from tiegraph.errors import InputError
+from said import refused
 from tiegraph.scene.decoding import EIGHT_BIT, eight_bit
 from tiegraph.scene.images import find_images, probe_image, search_images
 from tiegraph.scene.tuning import ImageTuning
@@ -35,12 +35,12 @@ def test_no_images_is_an_error_with_a_remedy(tmp_path: Path, make: str, message:
         folder.mkdir()
     if make == "text":
         (folder / "a.txt").write_text("x")
-    with pytest.raises(InputError, match=message):
+    with refused(message):
         find_images(folder)
 
 
 def test_a_file_instead_of_a_folder(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="is a file"):
+    with refused("is a file"):
         find_images(picture(tmp_path / "a.jpg"))
 
 

@@ -7,7 +7,7 @@ import pytest
 from PIL import Image, ImageOps
 from scan_worlds import exif_of, picture, scan
 
-from tiegraph.errors import InputError
+from said import refused
 from tiegraph.scan.prepare import crop_camera, pinhole_camera, prepare_image
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scene.rig import Sensor, Source
@@ -132,5 +132,5 @@ def test_scene_camera_is_that_of_the_prepared_image(tmp_path: Path) -> None:
 
 
 def test_a_source_that_went_away(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="scan again"):
+    with refused("scan again"):
         prepare_image(tmp_path / "gone.jpg", tmp_path / "out" / "gone.jpg", PLAIN, ScanSettings())

@@ -11,8 +11,8 @@ import pytest
 from scan_worlds import papers_rig, picture
 
 import tiegraph
+from said import refused
 from tiegraph.cli.main import main
-from tiegraph.errors import InputError
 from tiegraph.scan.recording import Recording
 from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scan.videos.video import sharpest, take_pictures
@@ -91,7 +91,7 @@ def test_a_folder_that_cannot_be_read_is_named(images: Path, monkeypatch: pytest
         return real(path)
 
     monkeypatch.setattr(scene_images.os, "scandir", closed)
-    with pytest.raises(InputError, match="up/cam1: cannot be read .Permission denied"):
+    with refused("up/cam1: cannot be read .Permission denied"):
         search_images(images / "up")
 
 

@@ -10,8 +10,8 @@ import pytest
 from scan_worlds import Survey, papers_rig, picture
 from test_rig_files import toml
 
+from said import refused, says
 from tiegraph.api import open_project
-from tiegraph.errors import InputError
 from tiegraph.scan.tuning import Tuning
 from tiegraph.scene.scene import Scene
 
@@ -33,7 +33,7 @@ def test_the_guess_of_a_camera(tmp_path: Path) -> None:
     scene = tuned(tmp_path, {"rig": {"camera": {"guessed_fisheye_deg": 90}}})
     camera = scene.sensor_of(0).camera
     assert camera is not None and camera.mean_focal_length() == pytest.approx(40.74, abs=0.01)
-    assert any("a fisheye of 90 degrees across" in n for n in scene.notes)
+    assert says(scene.notes, "a fisheye of 90 degrees across")
 
 
 @pytest.mark.slow
@@ -50,5 +50,5 @@ def test_a_run_takes_them_from_its_settings(tmp_path: Path) -> None:
 def test_a_rig_is_held_against_them_before_the_run(tmp_path: Path) -> None:
     settings = {"tuning": {"scan": {"rig": {"max_rig_m": 0.01}}}}
     images = papers_rig(tmp_path / "in", frames=2)
-    with pytest.raises(InputError, match=r"more than 0\.01 m"):
+    with refused(r"more than 0\.01 m"):
         open_project(images, tmp_path / "out", rig=str(toml(tmp_path)), settings=settings).run("scan")

@@ -24,7 +24,7 @@ from start_models import (
     walk,
 )
 
-from said import refused
+from said import refused, says
 from tiegraph.geometry.transforms import angle_deg
 from tiegraph.scan.priors.startmodel import read_start
 from tiegraph.scan.settings import ScanSettings
@@ -77,12 +77,12 @@ def test_a_start_measures_nothing_and_is_never_in_metres(tmp_path: Path) -> None
     assert not scene.measured_positions().any() and not scene.metric_positions()
     measured = scene.measured()
     assert not measured.has_positions() and not measured.has_orientations()
-    assert any("its unit and its place are not taken over" in n for n in scene.notes)
+    assert says(scene.notes, "its unit and its place are not taken over")
     again = Scene.from_json(scene.to_json())
     assert again.started and not again.measured().has_orientations()
     as_trajectory = scan(tmp_path / "in", LOOSE, trajectory=tmp_path / "model")
     assert as_trajectory.measured_positions().all() and not as_trajectory.started
-    assert any("model: its unit is taken for metres; give it by --start" in n for n in as_trajectory.notes)
+    assert says(as_trajectory.notes, "model: its unit is taken for metres; give it by --start")
 
 
 def test_its_camera_is_a_start_and_no_calibration(tmp_path: Path) -> None:
@@ -100,7 +100,7 @@ def test_a_camera_that_the_user_gives_stays(tmp_path: Path) -> None:
     camera = scene.rigs[0].sensors[0].camera
     assert camera is not None and camera.params.tolist() == [70, 71, 31, 23]
     assert scene.rigs[0].sensors[0].camera_sigma_px is None
-    assert any("the cameras given are used, not those of the start model" in n for n in scene.notes)
+    assert says(scene.notes, "the cameras given are used, not those of the start model")
 
 
 def test_cameras_of_another_shape_are_refused_and_of_another_size_scaled(tmp_path: Path) -> None:
@@ -176,10 +176,10 @@ def test_the_largest_of_several_models_is_taken_and_said(tmp_path: Path) -> None
     colmap_model(tmp_path / "w" / "sparse" / "0", walk(2))
     colmap_model(tmp_path / "w" / "sparse" / "1", walk(6))
     start = read_start(tmp_path / "w")
-    assert start.path.name == "1" and any("sparse/1: the largest of 2 models" in n for n in start.notes)
+    assert start.path.name == "1" and says(start.notes, "sparse/1: the largest of 2 models")
     start = read_start(opensfm_file(tmp_path / "reconstruction.json", walk(), more=2))
     assert len(start.poses) == 6 and start.unposed == 2
-    assert any("the largest of 2 reconstructions is taken: 6 images; 2 are in others" in n for n in start.notes)
+    assert says(start.notes, "the largest of 2 reconstructions is taken: 6 images; 2 are in others")
 
 
 def test_the_largest_component_of_a_metashape_chunk(tmp_path: Path) -> None:
@@ -190,7 +190,7 @@ def test_the_largest_component_of_a_metashape_chunk(tmp_path: Path) -> None:
     path.write_text(text)
     start = read_start(path)
     assert set(start.poses) == {"a_2", "a_3", "a_4", "a_5"} and start.unposed == 3
-    assert any("the largest of 2 components is taken: 4 of 6" in n for n in start.notes)
+    assert says(start.notes, "the largest of 2 components is taken: 4 of 6")
 
 
 # --- names ----------------------------------------------------------------------------------------------------------
@@ -223,7 +223,7 @@ def test_a_model_of_more_images_is_no_error(tmp_path: Path) -> None:
     known = np.isfinite(scene.world_from_rig[:, 0, 0])
     assert [scene.sequences[s] for s in scene.sequence[known]] == ["up"] * 3
     assert any("3 of 6 poses are of images that are not here, such as third/cam0/000000.jpg" in n for n in scene.notes)
-    assert any("3 images by their names; 3 of 6 frames have none" in n for n in scene.notes)
+    assert says(scene.notes, "3 images by their names; 3 of 6 frames have none")
 
 
 def test_a_model_of_other_images_is_refused(tmp_path: Path) -> None:
@@ -255,7 +255,7 @@ def test_a_rig_tells_the_unit_of_a_start(tmp_path: Path) -> None:
     del poses["up/cam0/000002.jpg"]  # known by cam1 alone
     lone = colmap_model(tmp_path / "m", poses)
     scene = scan(images, rig=str(tmp_path / "rig.toml"), start=read_start(lone))
-    assert not any("its unit is" in n for n in scene.notes), "two frames are too few to tell"
+    assert not says(scene.notes, "its unit is"), "two frames are too few to tell"
     poses["up/cam0/000002.jpg"] = np.linalg.inv(np.block([[frames[2][:3, :3], 7 * frames[2][:3, 3:]], [0, 0, 0, 1]]))
     scene = scan(images, rig=str(tmp_path / "rig.toml"), start=read_start(colmap_model(tmp_path / "m", poses)))
     np.testing.assert_allclose(scene.world_from_rig, frames, atol=1e-6)

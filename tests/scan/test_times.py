@@ -106,7 +106,7 @@ def test_times_without_a_header(tmp_path: Path, text: str) -> None:
     (tmp_path / "t.csv").write_text(text)
     scene = scan(images, times=tmp_path / "t.csv")
     assert scene.time_s.tolist() == [43200.5, 43201.5]
-    assert any("no header; by its cells the columns are image, time" in n for n in scene.notes)
+    assert says(scene.notes, "no header; by its cells the columns are image, time")
 
 
 FRAMES = 8  # of ``one_pass``

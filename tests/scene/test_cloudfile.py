@@ -6,7 +6,8 @@ import laspy
 import numpy as np
 import pytest
 
-from tiegraph.errors import InputError, TiegraphError
+from said import refused
+from tiegraph.errors import TiegraphError
 from tiegraph.geometry.geodesy import Origin, make_origin
 from tiegraph.scene import cloudfile
 from tiegraph.scene.atomic import replacing
@@ -148,17 +149,17 @@ def test_files_of_others_lack_columns(tmp_path):
 
 
 def test_unreadable_files_are_named(tmp_path):
-    with pytest.raises(InputError, match="no such file"):
+    with refused("no such file"):
         read_cloud(tmp_path / "none.laz")
     for name, content in (("a.laz", b"LASF nonsense"), ("b.ply", b"solid"), ("c.txt", b"1 2 3")):
         (tmp_path / name).write_bytes(content)
-        with pytest.raises(InputError, match=name):
+        with refused(name):
             read_cloud(tmp_path / name)
     write_cloud(cloud(), tmp_path / "d.ply")
     (tmp_path / "d.ply").write_bytes((tmp_path / "d.ply").read_bytes()[:-100])
-    with pytest.raises(InputError, match="cut short"):
+    with refused("cut short"):
         read_cloud(tmp_path / "d.ply")
-    with pytest.raises(InputError, match="laz"):
+    with refused("laz"):
         write_cloud(cloud(), tmp_path / "c.xyz")
 
 
@@ -208,7 +209,7 @@ def test_depth_maps_come_back(tmp_path):
     assert np.nanmax(np.abs(after.normal - before.normal)) < 0.01
     np.testing.assert_array_equal(np.isnan(after.normal), np.isnan(before.normal))
     (tmp_path / "bad.npz").write_bytes(b"nothing")
-    with pytest.raises(InputError, match="bad.npz"):
+    with refused("bad.npz"):
         load_depth(tmp_path / "bad.npz")
 
 
@@ -227,7 +228,7 @@ def test_a_ply_of_more_points_than_it_has_is_refused_before_memory_is_asked_for(
     path = tmp_path / "a.ply"
     properties = "".join(f"property double {c}\n" for c in "xyz")
     path.write_text(f"ply\nformat {kind} 1.0\nelement vertex {10**12}\n{properties}end_header\n1 2 3\n")
-    with pytest.raises(InputError, match=f"cut short: its header says {10**12} points"):
+    with refused(f"cut short: its header says {10**12} points"):
         read_cloud(path)
 
 
@@ -242,5 +243,5 @@ def test_a_las_of_more_points_than_it_has_is_refused(tmp_path, ending):
     data = bytearray(path.read_bytes())
     data[247:255] = (10**12).to_bytes(8, "little")  # number of points of LAS 1.4
     path.write_bytes(data)
-    with pytest.raises(InputError, match="a.la"):
+    with refused("a.la"):
         read_cloud(path)

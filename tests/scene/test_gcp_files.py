@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from said import refused
 from tiegraph.cli.main import main
-from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import make_origin
 from tiegraph.scene.control import surveyed_world
 from tiegraph.scene.gcp import GcpFile, read_gcps
@@ -81,7 +81,7 @@ def test_degrees_in_two_tables(tmp_path: Path) -> None:
 )
 def test_what_is_missing_is_said_with_the_columns(tmp_path: Path, text: str, more: str | None, words: str) -> None:
     marks = None if more is None else _written(tmp_path, "marks.csv", more)
-    with pytest.raises(InputError, match=words):
+    with refused(words):
         read_gcps(_written(tmp_path, "gcp.csv", text), ControlTuning(), marks)
 
 
@@ -142,7 +142,7 @@ def test_targets_need_no_marks_and_bars_stand_in_a_table_of_their_own(tmp_path: 
     ],
 )
 def test_wrong_targets_and_bars_say_where(tmp_path: Path, text: str, said: str) -> None:
-    with pytest.raises(InputError, match=said):
+    with refused(said):
         read_gcps(_written(tmp_path, "gcp.csv", text), ControlTuning())
 
 

@@ -13,7 +13,7 @@ import numpy as np
 import pyproj
 import pytest
 
-from said import refused
+from said import refused, says
 from tiegraph.errors import InputError
 from tiegraph.scene.gnss import FORMATS, read_gnss
 from tiegraph.scene.gnss.fixes import Gnss, on_clock_of
@@ -156,7 +156,7 @@ def test_nmea(tmp_path: Path) -> None:
     found = read(tmp_path, "".join(rmc(f"12000{k}.00") + gga(k) + gst(k) for k in range(COUNT)))
     same(found)
     np.testing.assert_allclose(found.sigma_m, [[0.01 * (k + 2), 0.01 * (k + 1), 0.01 * (k + 3)] for k in range(COUNT)])
-    assert found.line[:2] == (2, 5) and any("4 RTK fixed" in n for n in found.notes)
+    assert found.line[:2] == (2, 5) and says(found.notes, "4 RTK fixed")
 
 
 @pytest.mark.parametrize(
@@ -182,7 +182,7 @@ def test_nmea_over_midnight(tmp_path: Path) -> None:
     dated = read(tmp_path, rmc("235957.50", "300424") + "".join(rows))
     np.testing.assert_allclose(dated.time_s, NOON - 43202 + np.arange(COUNT))
     bare = read(tmp_path, "".join(rows))
-    assert bare.period_s == 86400 and any("no RMC or ZDA gives a date" in n for n in bare.notes)
+    assert bare.period_s == 86400 and says(bare.notes, "no RMC or ZDA gives a date")
     np.testing.assert_allclose(bare.time_s, 86398 + np.arange(COUNT))
     for hours in (-11, 0, 11):  # frames of another time of that day
         found = on_clock_of(bare, np.array([NOON - 43200 + 3600 * hours]))
@@ -207,7 +207,7 @@ def test_of_two_talkers_the_better_fix_of_an_epoch_counts(tmp_path: Path, better
         text += "".join(pair if better_first else pair[::-1])
     found = read(tmp_path, text)
     same(found)
-    assert any("4 epochs have two positions, of two talkers: the better fix counts" in n for n in found.notes)
+    assert says(found.notes, "4 epochs have two positions, of two talkers: the better fix counts")
 
 
 def test_nmea_south_and_west(tmp_path: Path) -> None:
@@ -220,7 +220,7 @@ def test_heights_of_nmea_are_above_the_ellipsoid(tmp_path: Path) -> None:
     same_places(lacking)
     none = read(tmp_path, rmc() + "".join(gga(k, undulation="") for k in range(COUNT)))
     same_places(none, llh=LLH - [0, 0, UNDULATION])
-    assert any("above the sea, taken as they are" in n for n in none.notes)
+    assert says(none.notes, "above the sea, taken as they are")
 
 
 def test_nmea_rows_that_are_left_out(tmp_path: Path) -> None:
@@ -271,8 +271,8 @@ def test_rtklib(tmp_path: Path, clock: str, sep: str) -> None:
     found = read(tmp_path, solution(clock, CLOCKS[clock], sep=sep))
     same(found)
     np.testing.assert_allclose(found.sigma_m, SIGMA)
-    assert any("18 leap seconds" in n for n in found.notes) == ("GPST" in clock)
-    assert any("4 fixed" in n for n in found.notes)
+    assert says(found.notes, "18 leap seconds") == ("GPST" in clock)
+    assert says(found.notes, "4 fixed")
 
 
 def test_rtklib_in_degrees_minutes_and_seconds(tmp_path: Path) -> None:
@@ -309,7 +309,7 @@ def test_rtklib_that_is_cut_off_or_above_the_geoid_is_said(tmp_path: Path) -> No
     found = read(tmp_path, text[:-20])
     same_places(found, llh=LLH[:3])
     assert any("1 of 4 rows left out" in n and "(line 7)" in n for n in found.notes)
-    assert any("above the geoid" in n for n in found.notes)
+    assert says(found.notes, "above the geoid")
 
 
 # --- GPX and KML ----------------------------------------------------------------------------------------------------
@@ -340,7 +340,7 @@ def test_gpx(tmp_path: Path) -> None:
     same_places(plain)
     same_times(plain)
     same_places(raised, llh=LLH + [0, 0, UNDULATION])
-    assert any("above the sea" in n for n in plain.notes) and not raised.notes
+    assert says(plain.notes, "above the sea") and not raised.notes
     assert plain.line == (4, 5, 6, 7)
 
 
@@ -429,7 +429,7 @@ def sbet(start: float = SECOND) -> bytes:
 def test_sbet(tmp_path: Path) -> None:
     found = read(tmp_path, sbet(), "sbet_mission.out")
     same_places(found)
-    assert found.period_s == 604800 and any("no week" in n for n in found.notes)
+    assert found.period_s == 604800 and says(found.notes, "no week")
     same_times(on_clock_of(found, np.array([NOON, NOON + 9])))
 
 
@@ -440,7 +440,7 @@ def test_sbet_has_more_records_than_are_needed(tmp_path: Path) -> None:
     rows[:, 1] += 1e-9 * np.arange(1001)
     found = read(tmp_path, rows.astype("<f8").tobytes())
     np.testing.assert_allclose(found.time_s, SECOND + np.arange(101) / 20, atol=1e-9)
-    assert found.line[:3] == (1, 11, 21) and any("one in 10 is used" in n for n in found.notes)
+    assert found.line[:3] == (1, 11, 21) and says(found.notes, "one in 10 is used")
 
 
 # --- DJI ------------------------------------------------------------------------------------------------------------
@@ -460,7 +460,7 @@ def mrk(*changed: tuple[int, str, str]) -> str:
 def test_mrk(tmp_path: Path) -> None:
     found = read(tmp_path, mrk(), "100_Timestamp.MRK")
     same_places(found)
-    assert found.names == ("#7", "#8", "#9", "#10") and any("4 of Q 50" in n for n in found.notes)
+    assert found.names == ("#7", "#8", "#9", "#10") and says(found.notes, "4 of Q 50")
     np.testing.assert_allclose(found.sigma_m, [[0.02, 0.01 + 1e-4 * k, 0.03] for k in range(COUNT)])
     without = read(tmp_path, mrk((1, "50,Q", "0,Q")))  # a row without a position
     same_places(without, llh=LLH[[0, 2, 3]])

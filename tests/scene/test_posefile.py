@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tiegraph.errors import InputError
+from said import refused, says
 from tiegraph.geometry.transforms import rigid
 from tiegraph.scene.posefile import read_poses
 
@@ -75,14 +75,14 @@ def test_euroc(tmp_path: Path, header: str) -> None:
     found = read_poses(path)
     np.testing.assert_allclose(found.poses, poses_of(rows), atol=1e-7)
     np.testing.assert_allclose(found.time_s - START_NS * 1e-9, np.arange(len(rows)), atol=1e-5)
-    assert any("w first" in n for n in found.notes)
+    assert says(found.notes, "w first")
 
 
 @pytest.mark.parametrize("turn_deg", [30.0, 90.0, -200.0])
 def test_w_first_without_a_header_is_not_read_as_x_first(tmp_path: Path, turn_deg: float) -> None:
     rows = drive(turn_deg=turn_deg)
     np.testing.assert_allclose(read_poses(written(tmp_path, rows)).poses, poses_of(rows), atol=1e-7)
-    with pytest.raises(InputError, match=r"a.tum, line 1: the order .* not sure: .*'# time x y z qw qx qy qz'"):
+    with refused(r"a.tum, line 1: the order .* not sure: .*'# time x y z qw qx qy qz'"):
         read_poses(written(tmp_path, rows[:, W_FIRST]))
 
 
@@ -105,9 +105,7 @@ def test_an_order_that_nothing_tells_is_asked_for(tmp_path: Path) -> None:
     for rows in (straight, wild):
         for order in (list(range(8)), W_FIRST):
             path = written(tmp_path, rows[:, order], delimiter=",")
-            with pytest.raises(
-                InputError, match="a.tum, line 1: the order .* not sure: .*say it in a first line '# time"
-            ):
+            with refused("a.tum, line 1: the order .* not sure: .*say it in a first line '# time"):
                 read_poses(path)
 
 
@@ -115,12 +113,10 @@ def test_formats_whose_path_speaks_against_them_are_refused(tmp_path: Path) -> N
     rows = drive()
     nanoseconds = [f"{START_NS + k * 10**9}," + ",".join(f"{v:.9f}" for v in row[1:]) for k, row in enumerate(rows)]
     (tmp_path / "data.csv").write_text("\n".join(nanoseconds))
-    with pytest.raises(
-        InputError, match="data.csv, line 1: .*EuRoC's table has w first, but with w last the body moves"
-    ):
+    with refused("data.csv, line 1: .*EuRoC's table has w first, but with w last the body moves"):
         read_poses(tmp_path / "data.csv")
     wrong = read_poses(written(tmp_path, rows[:, W_FIRST], "# time x y z qx qy qz qw"))
-    assert any("is the header right about the order" in n for n in wrong.notes)
+    assert says(wrong.notes, "is the header right about the order")
     right = read_poses(written(tmp_path, rows, "# time x y z qx qy qz qw"))
     assert right.notes == ("a.tum: columns read: time, x, y, z, qx, qy, qz, qw",)
 
@@ -133,7 +129,7 @@ def test_euroc_of_seventeen_columns_without_a_header(tmp_path: Path) -> None:
     (tmp_path / "data.csv").write_text("\n".join(lines))
     found = read_poses(tmp_path / "data.csv")
     np.testing.assert_allclose(found.poses, poses_of(rows), atol=1e-7)
-    assert any("EuRoC's table, quaternions with w first" in n for n in found.notes)
+    assert says(found.notes, "EuRoC's table, quaternions with w first")
 
 
 def test_tum_with_nanoseconds_as_orb_slam_writes_it(tmp_path: Path) -> None:
@@ -162,7 +158,7 @@ def test_a_header_of_unusual_words(tmp_path: Path, header: str) -> None:
 
 
 def test_a_header_that_is_not_understood_is_not_passed_over(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="line 1: a header of other columns, '# time x y z q0 q1 q2 q3'; name them as"):
+    with refused("line 1: a header of other columns, '# time x y z q0 q1 q2 q3'; name them as"):
         read_poses(written(tmp_path, drive()[:, W_FIRST], "# time x y z q0 q1 q2 q3"))
     said = "# made by a program in the year 2024 again"  # as many words as columns
     assert len(read_poses(written(tmp_path, drive(), said)).poses) == 20
@@ -217,9 +213,8 @@ ZERO[1:, 1] = range(1, 6)
 )
 def test_what_no_trajectory_can_be(tmp_path: Path, rows: np.ndarray, message: str) -> None:
     path = written(tmp_path, rows)
-    with pytest.raises(InputError, match=message) as error:
+    with refused(message, str(path)):
         read_poses(path)
-    assert str(path) in str(error.value)
 
 
 def test_rows_out_of_order_and_doubled_times_are_said(tmp_path: Path) -> None:
@@ -249,5 +244,5 @@ def test_rows_out_of_order_and_doubled_times_are_said(tmp_path: Path) -> None:
 )
 def test_files_that_are_no_poses(tmp_path: Path, data: bytes, message: str) -> None:
     (tmp_path / "a.txt").write_bytes(data)
-    with pytest.raises(InputError, match=message):
+    with refused(message):
         read_poses(tmp_path / "a.txt")

@@ -14,7 +14,7 @@ import pycolmap
 import pytest
 
 from features_world import FRAMES, features, filled_database, poses, rig, scene
-from tiegraph.errors import InputError
+from said import refused
 from tiegraph.geometry import transforms
 from tiegraph.scene import colmapdatabase as db
 from tiegraph.scene.colmaprows import create_database
@@ -81,7 +81,7 @@ def test_one_position_prior_a_frame_on_its_reference_image(tmp_path):
 def test_sensor_without_a_camera_is_an_input_error(tmp_path):
     world = scene()
     blind = Rig("pair", (world.rigs[0].sensors[0], Sensor("cam1")))
-    with pytest.raises(InputError, match="'cam1' has no camera"):
+    with refused("'cam1' has no camera"):
         create_database(tmp_path / "database.db", world.with_(rigs=(blind,)))
     assert list(tmp_path.iterdir()) == []
 
@@ -170,10 +170,10 @@ def test_full_disk_is_an_input_error_and_earlier_batches_stay(tmp_path):
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (os.path.getsize(path) // 2, limits[1]))
     try:
-        with pytest.raises(InputError, match=r"database\.db cannot be written: .*ulimit -f"):
+        with refused(r"database\.db cannot be written: .*ulimit -f"):
             db.write_features(path, [(0, np.zeros((90000, 4)), np.zeros((90000, 128), np.uint8))])
         resource.setrlimit(resource.RLIMIT_FSIZE, (20000, limits[1]))
-        with pytest.raises(InputError, match=r"ulimit -f.*other\.db"):
+        with refused(r"ulimit -f.*other\.db"):
             create_database(tmp_path / "other.db", scene())
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
@@ -182,10 +182,10 @@ def test_full_disk_is_an_input_error_and_earlier_batches_stay(tmp_path):
 
 
 def test_missing_or_damaged_database_is_explained(tmp_path):
-    with pytest.raises(InputError, match="does not exist"):
+    with refused("does not exist"):
         db.feature_counts(tmp_path / "none.db")
     (tmp_path / "bad.db").write_bytes(b"this is no database at all" * 200)
-    with pytest.raises(InputError, match="bad.db cannot be read any more"):
+    with refused("bad.db cannot be read any more"):
         db.feature_counts(tmp_path / "bad.db")
 
 
@@ -213,6 +213,6 @@ def test_a_database_without_room_for_its_copy_stays(tmp_path, monkeypatch):
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(os, "replace", full)
-    with pytest.raises(InputError, match="No space left"):
+    with refused("No space left"):
         db.write_anew(path)
     assert path.read_bytes() == before and [p.name for p in tmp_path.iterdir()] == ["a.db"]

@@ -7,7 +7,7 @@ import urllib.request
 
 import pytest
 
-from tiegraph.errors import InputError
+from said import refused
 from tiegraph.pipeline.pages import WatchServer
 from tiegraph.watch.view import page
 
@@ -32,9 +32,9 @@ def test_the_page_and_its_state_are_served_on_the_loopback(server):
 
 def test_a_port_that_is_taken_is_said(server):
     port = int(server.url.rsplit(":", 1)[1].strip("/"))
-    with pytest.raises(InputError, match=rf"--port {port}.*another, or 0"):
+    with refused(rf"--port {port}.*another, or 0"):
         WatchServer(port)
-    with pytest.raises(InputError, match="--port 99999999"):
+    with refused("--port 99999999"):
         WatchServer(99999999)
 
 
