@@ -15,7 +15,7 @@ from scan_worlds import ORIGIN, data, exif_of, in_enu, picture, scan
 from said import says
 from tiegraph.geometry.geodesy import geodetic_from_world
 from tiegraph.scan.settings import ScanSettings
-from tiegraph.scene.exif import Exif, read_exif
+from tiegraph.scene.exif import Exif, orientation_of, read_exif
 from tiegraph.scene.images import find_images, probe_image
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import ImageTuning
@@ -297,3 +297,14 @@ def test_phone_photographs_of_a_hill() -> None:
     assert 980 < found.focal_px < 1060
     assert 38.2 < found.lat_deg < 38.3 and 140.9 < found.lon_deg < 141.0
     assert found.position_sigma_m == 5.0 and not found.time_utc
+
+
+@pytest.mark.parametrize(("written", "read"), [(8, 8), (3, 3), (9, 1), (0, 1), (None, 1)])
+def test_orientation_is_read_and_1_where_nothing_says_it(tmp_path: Path, written: int | None, read: int) -> None:
+    exif = Image.Exif()
+    if written is not None:
+        exif[0x0112] = written
+    Image.new("RGB", (4, 3)).save(tmp_path / "a.jpg", exif=exif)
+    assert orientation_of(tmp_path / "a.jpg") == read
+    (tmp_path / "b.jpg").write_bytes(b"no image")
+    assert orientation_of(tmp_path / "b.jpg") == orientation_of(tmp_path / "none.jpg") == 1

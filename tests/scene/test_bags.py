@@ -79,17 +79,16 @@ def test_compressed_bags_are_read(tmp_path: Path, form: str, packed: tuple) -> N
 def test_of_several_topics_one_is_named(tmp_path: Path, form: str) -> None:
     more = [world.fix("/rtk/fix", t, p + [0, 0, 1]) for t, p in zip(TIMES, LLH)]
     path = world.bag(tmp_path, form, fixes() + more + odometry())
-    both = r"2 topics of that kind: /gps/fix \(sensor_msgs/NavSatFix, 5\), /rtk/fix \(.*5\): name one"
-    with refused(both):
-        read_gnss(path, GnssTuning())
     for name in ("/rtk/fix", "rtk/fix"):
         assert np.array_equal(read_gnss(Path(f"{path}:{name}"), GnssTuning()).lat_lon_height, LLH + [0, 0, 1])
-    with refused(r"has no topic /rkt/fix of sensor_msgs/NavSatFix; 2 topics of that kind"):
-        read_gnss(Path(f"{path}:/rkt/fix"), GnssTuning())
-    with refused(r"topic /odom \(nav_msgs/Odometry, 5\) has no messages of sensor_msgs/Nav"):
-        read_gnss(Path(f"{path}:/odom"), GnssTuning())
-    with refused("name one of them, such as"):
-        read_gnss(Path(f"{path}:/gps/fix,/rtk/fix"), GnssTuning())
+    for topic, words in (
+        ("", r"2 topics of that kind: /gps/fix \(sensor_msgs/NavSatFix, 5\), /rtk/fix \(.*5\): name one"),
+        (":/rkt/fix", r"has no topic /rkt/fix of sensor_msgs/NavSatFix; 2 topics of that kind"),
+        (":/odom", r"topic /odom \(nav_msgs/Odometry, 5\) has no messages of sensor_msgs/Nav"),
+        (":/gps/fix,/rtk/fix", "name one of them, such as"),
+    ):
+        with refused(words):
+            read_gnss(Path(f"{path}{topic}"), GnssTuning())
 
 
 @pytest.mark.parametrize(
@@ -130,17 +129,19 @@ def test_poses_have_their_quaternions_in_order(tmp_path: Path, form: str, made) 
 
 
 def test_poses_that_cannot_be_are_refused_with_their_number(tmp_path: Path) -> None:
-    broken = [world.pose("/p", TIMES[1] + 0.1, (1, 2, 3), (0, 0, 0, 2.0))]
-    with refused(r"run.bag, line 3: the quaternion qx qy qz qw has length 2"):
-        read_trajectory(world.bag(tmp_path, "ros1", as_poses("/p") + broken))
-    lost = [world.pose("/p", TIMES[1] + 0.1, (np.nan, 2, 3), (0, 0, 0, 1.0))]
-    with refused(r"lost.bag, line 3: not a finite number"):
-        read_trajectory(world.bag(tmp_path, "ros1", as_poses("/p") + lost, name="lost"))
-    with refused(r"2 topics of that kind: /a \(geometry.*5\), /odom \(nav_msgs/Odometry, 5\)"):
-        read_trajectory(world.bag(tmp_path, "ros1", as_poses("/a") + odometry(), name="two"))
-    empty = world.bag(tmp_path, "ros1", [world.path("/way", START_S, [])], name="none")
-    with refused("none.bag: no poses"):
-        read_trajectory(empty)
+    at = TIMES[1] + 0.1
+    for name, rows, words in (
+        ("run", [*as_poses("/p"), world.pose("/p", at, (1, 2, 3), (0, 0, 0, 2.0))], "the quaternion .* has length 2"),
+        ("lost", [*as_poses("/p"), world.pose("/p", at, (np.nan, 2, 3), (0, 0, 0, 1.0))], "not a finite number"),
+    ):
+        with refused(f"{name}.bag, line 3: {words}"):
+            read_trajectory(world.bag(tmp_path, "ros1", rows, name=name))
+    for name, rows, words in (
+        ("two", as_poses("/a") + odometry(), r"2 topics of that kind: /a \(geom.*5\), /odom \(nav_msgs/Odometry, 5\)"),
+        ("none", [world.path("/way", START_S, [])], "none.bag: no poses"),
+    ):
+        with refused(words):
+            read_trajectory(world.bag(tmp_path, "ros1", rows, name=name))
 
 
 # --- pictures -------------------------------------------------------------------------------------------------------
@@ -242,19 +243,17 @@ def unindexed(path: Path) -> None:
 def test_files_that_are_no_bags_are_named(tmp_path: Path) -> None:
     for name, data in (("a.bag", b""), ("b.bag", b"time,lat,lon\n"), ("c.mcap", b"x" * 99), ("d.db3", b"y" * 99)):
         (tmp_path / name).write_bytes(data)
-        with refused(f"{name}: cannot be read as a ROS bag"):
-            read_gnss(tmp_path / name, GnssTuning())
-    path = world.bag(tmp_path, "ros1", fixes())
-    unindexed(path)
-    with refused("Bag is not indexed.*`rosbag reindex`"):
-        read_gnss(path, GnssTuning())
+    unindexed(world.bag(tmp_path, "ros1", fixes()))
     os.mkfifo(tmp_path / "pipe.bag")
-    with refused("pipe.bag: cannot be read .*a named pipe"):
-        read_gnss(tmp_path / "pipe.bag", GnssTuning())
-    folder = world.bag(tmp_path, "sqlite", fixes(), name="two")
-    next(folder.glob("*.db3")).unlink()
-    with refused("two: cannot be read .*missing"):
-        read_gnss(folder, GnssTuning())
+    next(world.bag(tmp_path, "sqlite", fixes(), name="two").glob("*.db3")).unlink()
+    for name, words in (
+        *((name, f"{name}: cannot be read as a ROS bag") for name in ("a.bag", "b.bag", "c.mcap", "d.db3")),
+        ("run.bag", "Bag is not indexed.*`rosbag reindex`"),
+        ("pipe.bag", "pipe.bag: cannot be read .*a named pipe"),
+        ("two", "two: cannot be read .*missing"),
+    ):
+        with refused(words):
+            read_gnss(tmp_path / name, GnssTuning())
 
 
 def test_without_rosbags_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

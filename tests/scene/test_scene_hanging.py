@@ -1,4 +1,6 @@
-"""Which images carry structure from motion, and those that hang on the rig in a model."""
+"""Which images carry structure from motion, which hang on the rig, and which count as registered in a model."""
+
+from __future__ import annotations
 
 from dataclasses import replace
 
@@ -10,8 +12,10 @@ from said import refused
 from tiegraph.geometry.transforms import invert, rigid
 from tiegraph.scene.colmapmodel import image_poses, tracks
 from tiegraph.scene.hanging import carries, carrying, with_hanging
+from tiegraph.scene.registered import registration
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
+from tiegraph.scene.tuning import RegisteredTuning
 
 
 def lens(camera_id: int = 1) -> pycolmap.Camera:
@@ -107,3 +111,55 @@ def test_hanging_images_stand_where_the_rig_places_them(tmp_path):
 
 def placed_a(pose: np.ndarray) -> np.ndarray:
     return (invert(pose) @ np.array([0.1, 0, 0, 1]))[:3]
+
+
+def alone(count: int) -> Scene:
+    """Photographs of one camera."""
+    return simple_scene(Rig("r", (Sensor("c"),)), [f"{k}.jpg" for k in range(count)], np.arange(count), np.zeros(count))
+
+
+def seen_off(pixels_off: list[np.ndarray]) -> pycolmap.Reconstruction:
+    """One image for each array: as many points as it is long, seen so far off where they are."""
+    camera = pycolmap.Camera(model="PINHOLE", width=640, height=480, params=[500, 500, 320, 240], camera_id=1)
+    model = pycolmap.Reconstruction()
+    model.add_camera_with_trivial_rig(camera)
+    for k, off in enumerate(pixels_off):
+        xy = np.stack([np.linspace(50, 600, len(off)), np.full(len(off), 200.0)], axis=1)
+        local = 5 * np.column_stack([camera.cam_from_img(xy), np.ones(len(off))]) if len(off) else np.zeros((0, 3))
+        seen = xy + np.stack([off, 0 * off], axis=1)
+        image = pycolmap.Image(name=f"{k}.jpg", camera_id=1, image_id=k + 1, keypoints=seen)
+        model.add_image_with_trivial_frame(image, pycolmap.Rigid3d())
+        for row, point in enumerate(local):
+            model.add_point3D(point, pycolmap.Track([pycolmap.TrackElement(k + 1, row)]))
+    return model
+
+
+def test_an_image_counts_if_it_sees_points_that_agree() -> None:
+    off = [
+        np.full(10, 3.9),
+        np.full(9, 0.1),  # one too few
+        np.zeros(0),  # none at all: a camera of a rig over forest
+        np.r_[np.full(9, 0.5), np.full(40, 4.1)],  # a camera moved to its given place: its points lie elsewhere
+        np.r_[np.full(300, 0.5), np.full(100, 30.0)],  # more than are looked at one by one
+    ]
+    found = registration(seen_off(off), alone(6), RegisteredTuning())
+    assert found.placed.tolist() == [True] * 5 + [False]
+    assert found.registered.tolist() == [True, False, False, False, True, False]
+    assert found.by_rig.tolist() == [False, True, True, True, False, False]
+    assert found.points[:4].tolist() == [10, 9, 0, 9] and found.points[4] == pytest.approx(300, abs=5)
+
+
+def test_points_behind_a_camera_do_not_agree() -> None:
+    model = seen_off([np.full(30, 0.1)])
+    for point in model.points3D.values():
+        point.xyz = -point.xyz
+    found = registration(model, alone(1), RegisteredTuning())
+    assert not found.registered.any() and found.by_rig.all() and found.points[0] == 0
+
+
+def test_what_counts_as_registered_is_in_reach() -> None:
+    model, scene = seen_off([np.full(10, 3.9), np.full(9, 0.1)]), alone(2)
+    assert registration(model, scene, RegisteredTuning()).registered.tolist() == [True, False]
+    assert registration(model, scene, RegisteredTuning(min_points=9)).registered.tolist() == [True, True]
+    strict = registration(model, scene, RegisteredTuning(min_points=9, agree_px=3.0))
+    assert strict.registered.tolist() == [False, True] and strict.by_rig.tolist() == [True, False]
