@@ -14,34 +14,28 @@ from tiegraph.scene.tuning import ImageTuning
 
 def test_find_images_is_sorted_posix_and_passes_over_hidden_files(tmp_path: Path) -> None:
     for name in ("b/2.JPG", "a/1.png", "a/._1.png", ".hidden/3.jpg", "a/Thumbs.db.jpg"):
-        picture(tmp_path / name, format="PNG")
-    (tmp_path / "Thumbs.db").write_bytes(b"x")
-    (tmp_path / "notes.txt").write_text("x")
-    assert find_images(tmp_path) == ["a/1.png", "a/Thumbs.db.jpg", "b/2.JPG"]
+        picture(tmp_path / "in" / name, format="PNG")
+    (tmp_path / "in" / "Thumbs.db").write_bytes(b"x")
+    (tmp_path / "in" / "notes.txt").write_text("x")
+    assert find_images(tmp_path / "in") == ["a/1.png", "a/Thumbs.db.jpg", "b/2.JPG"]
+    for name in ("images/cam0/0.jpg", "masks/cam0/0.jpg.png"):  # beside masks it is the only one searched
+        picture(tmp_path / "set" / name)
+    assert find_images(tmp_path / "set") == ["images/cam0/0.jpg"]
 
 
-def test_a_folder_images_beside_masks_is_the_only_one_searched(tmp_path: Path) -> None:
-    picture(tmp_path / "images" / "cam0" / "0.jpg")
-    picture(tmp_path / "masks" / "cam0" / "0.jpg.png")
-    assert find_images(tmp_path) == ["images/cam0/0.jpg"]
-
-
-@pytest.mark.parametrize(
-    "make, message", [("none", "no such folder"), ("empty", "an empty folder"), ("text", "none of them an image")]
-)
-def test_no_images_is_an_error_with_a_remedy(tmp_path: Path, make: str, message: str) -> None:
-    folder = tmp_path / "in"
-    if make != "none":
-        folder.mkdir()
-    if make == "text":
-        (folder / "a.txt").write_text("x")
-    with refused(message):
-        find_images(folder)
-
-
-def test_a_file_instead_of_a_folder(tmp_path: Path) -> None:
-    with refused("is a file"):
-        find_images(picture(tmp_path / "a.jpg"))
+def test_no_images_is_an_error_with_a_remedy(tmp_path: Path) -> None:
+    for name in ("empty", "texts"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "texts" / "a.txt").write_text("x")
+    picture(tmp_path / "a.jpg")
+    for name, message in (
+        ("none", "no such folder"),
+        ("empty", "an empty folder"),
+        ("texts", "none of them an image"),
+        ("a.jpg", "is a file"),
+    ):
+        with refused(message):
+            find_images(tmp_path / name)
 
 
 def test_probe_of_a_good_image_is_picklable_and_small(tmp_path: Path) -> None:
@@ -60,21 +54,19 @@ def test_truncated_images_are_found(tmp_path: Path, suffix: str, quality: dict, 
     assert probe_image(path, ImageTuning()).reason != ""
 
 
-@pytest.mark.parametrize(
-    "content, message", [(b"", "zero bytes"), (b"hello", "not an image"), (b"\xff\xd8\xff\xe0" + b"0" * 99, "")]
-)
-def test_files_that_are_no_images(tmp_path: Path, content: bytes, message: str) -> None:
-    path = tmp_path / "a.jpg"
-    path.write_bytes(content)
-    reason = probe_image(path, ImageTuning()).reason
-    assert reason and message in reason
-
-
-def test_unreadable_and_tiny_images_say_why(tmp_path: Path) -> None:
-    (tmp_path / "a.jxl").write_bytes(b"123")
-    assert "convert to JPEG" in probe_image(tmp_path / "a.jxl", ImageTuning()).reason
-    assert "cannot be read" in probe_image(tmp_path / "absent.jpg", ImageTuning()).reason
-    assert "8 x 6 pixels" in probe_image(picture(tmp_path / "b.png", (8, 6)), ImageTuning()).reason
+def test_files_that_are_no_images_and_unreadable_or_tiny_ones_say_why(tmp_path: Path) -> None:
+    for name, content in (
+        ("zero.jpg", b""),
+        ("text.jpg", b"hello"),
+        ("head.jpg", b"\xff\xd8\xff\xe0" + b"0" * 99),
+        ("a.jxl", b"123"),
+    ):
+        (tmp_path / name).write_bytes(content)
+    picture(tmp_path / "tiny.png", (8, 6))
+    reasons = {"zero.jpg": "zero bytes", "text.jpg": "not an image", "head.jpg": " ", "a.jxl": "convert to JPEG",
+               "absent.jpg": "cannot be read", "tiny.png": "8 x 6 pixels"}  # fmt: skip
+    for name, words in reasons.items():
+        assert words in probe_image(tmp_path / name, ImageTuning()).reason
 
 
 @pytest.mark.parametrize("low, high", [(0, 1000), (0, 65535), (28_500, 31_000)])
@@ -95,17 +87,15 @@ def test_the_levels_of_deep_images_are_what_most_pixels_use(
 
 
 def test_what_storage_keeps_is_passed_over_and_counted_as_are_images_of_other_names(tmp_path: Path) -> None:
-    for name in ("a.jpg", "b.JFIF", "c.jpe", "d.mpo"):
-        picture(tmp_path / "one.jpg")
-        (tmp_path / "one.jpg").rename(tmp_path / name)
-    for name in ("@eaDir/a.jpg", "x/#recycle/b.jpg", "$RECYCLE.BIN/c.jpg"):
-        picture(tmp_path / name)
+    images = ["a.jpg", "b.JFIF", "c.jpe", "d.mpo"]
+    for name in (*images, "@eaDir/a.jpg", "x/#recycle/b.jpg", "$RECYCLE.BIN/c.jpg"):
+        picture(tmp_path / name, format="JPEG")
     (tmp_path / "a.jpg_original").write_bytes((tmp_path / "a.jpg").read_bytes())
     (tmp_path / "raw.gif").write_bytes(b"II*\0")
     (tmp_path / "notes.txt").write_text("flown in the morning")
     names, (counted, odd) = search_images(tmp_path)
-    assert names == ["a.jpg", "b.JFIF", "c.jpe", "d.mpo", "raw.gif"]
+    assert names == [*images, "raw.gif"]
     assert counted.startswith("3 files in 3 folders of the storage passed over, such as ")
     assert odd == "1 files begin like images but are not named so, and are passed over: a.jpg_original"
-    assert [p.reason for p in (probe_image(tmp_path / n, ImageTuning()) for n in names)] == ["", "", "", "", (
-        ".gif files are not read: convert to JPEG, PNG or TIFF")]  # fmt: skip
+    reasons = [probe_image(tmp_path / n, ImageTuning()).reason for n in names]
+    assert reasons == ["", "", "", "", ".gif files are not read: convert to JPEG, PNG or TIFF"]

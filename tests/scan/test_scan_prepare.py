@@ -25,20 +25,19 @@ def prepared(source: Path, sensor: Sensor = PLAIN, settings: ScanSettings | None
 @pytest.mark.parametrize(
     "mode, suffix", [("RGB", ".jpg"), ("L", ".jpg"), ("RGB", ".png"), ("L", ".tif"), ("RGB", ".bmp")]
 )
-def test_common_images_are_linked_not_copied(tmp_path: Path, mode: str, suffix: str) -> None:
+def test_common_images_are_linked_or_where_that_fails_copied(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, mode: str, suffix: str
+) -> None:
     source = picture(tmp_path / f"a{suffix}", mode=mode)
     target = prepared(source)
     assert target.is_symlink() and target.resolve() == source.resolve()
     assert prepared(source).read_bytes() == source.read_bytes()  # again, over the first
 
-
-def test_a_file_system_without_links_gets_copies(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: object) -> None:
         raise OSError("no links here")
 
-    monkeypatch.setattr("os.symlink", refuse)
-    monkeypatch.setattr("os.link", refuse)
-    source = picture(tmp_path / "a.jpg")
+    for name in ("os.symlink", "os.link"):
+        monkeypatch.setattr(name, refuse)
     target = prepared(source)
     assert not target.is_symlink() and target.read_bytes() == source.read_bytes()
 
@@ -115,22 +114,15 @@ def test_undistorted_pixels_are_where_the_pinhole_camera_says(tmp_path: Path, mo
 
 
 def test_scene_camera_is_that_of_the_prepared_image(tmp_path: Path) -> None:
-    folder = tmp_path / "in"
     for k in range(3):
-        picture(folder / f"{k}.png", (320, 240))
-    (tmp_path / "rig.toml").write_text(
-        "[[sensors]]\nname = 'c'\ncrop_px = [10, 0, 0, 20]\n[sensors.camera]\nmodel = 'OPENCV'\nsize = [640, 480]\n"
-        "params = [500, 500, 320, 240, -0.1, 0.01, 0, 0]\n"
-    )
+        picture(tmp_path / "in" / f"{k}.png", (320, 240))
+    lens = "model = 'OPENCV'\nsize = [640, 480]\nparams = [500, 500, 320, 240, -0.1, 0.01, 0, 0]\n"
+    (tmp_path / "rig.toml").write_text(f"[[sensors]]\nname = 'c'\ncrop_px = [10, 0, 0, 20]\n[sensors.camera]\n{lens}")
     settings = ScanSettings(undistort=True)
-    scene = scan(folder, settings, rig=str(tmp_path / "rig.toml"))
-    target = prepared(folder / "0.png", scene.sensor_of(0), settings)
-    camera = scene.sensor_of(0).camera
+    sensor = scan(tmp_path / "in", settings, rig=str(tmp_path / "rig.toml")).sensor_of(0)
+    target, camera = prepared(tmp_path / "in" / "0.png", sensor, settings), sensor.camera
     assert camera is not None and camera.model.name == "PINHOLE" and camera.has_prior_focal_length
     assert Image.open(target).size == (camera.width, camera.height)
     assert camera.params[0] == pytest.approx(250)
-
-
-def test_a_source_that_went_away(tmp_path: Path) -> None:
-    with refused("scan again"):
+    with refused("scan again"):  # a source that went away
         prepare_image(tmp_path / "gone.jpg", tmp_path / "out" / "gone.jpg", PLAIN, ScanSettings())
