@@ -107,21 +107,21 @@ def test_a_guessed_lens_stays_whole_and_says_so(tmp_path: Path) -> None:
         scan(images, ScanSettings(fisheye="views"))
 
 
-def test_what_the_user_asks_for_holds(tmp_path: Path) -> None:
+def test_what_the_user_asks_for_holds_and_a_narrow_fisheye_stays_whole(tmp_path: Path) -> None:
     images = two_lenses(tmp_path / "in", frames=1)
     rig = rig_config(tmp_path / "rig_config.json", LENS)
     assert len(scan(images, ScanSettings(fisheye="whole"), rig=rig).all_sensors) == 2
     straight = rig_config(tmp_path / "straight.json", [*LENS[:4], 0, 0, 0, 0])
     assert len(scan(images, ScanSettings(fisheye="views"), rig=straight).all_sensors) == 6
+    narrow = scan(images, rig=rig_config(tmp_path / "narrow.json", [2 * FOCAL, 2 * FOCAL, *LENS[2:]]))
+    assert len(narrow.all_sensors) == 2 and not says(narrow.notes, "fisheye images")
 
 
 def test_a_lens_alone_is_cut_all_round_its_axis(tmp_path: Path) -> None:
     images = two_lenses(tmp_path / "in", frames=2) / "fish_a"
-    (tmp_path / "lens.json").write_text(
-        json.dumps([{"cameras": [{"image_prefix": "", "ref_sensor": True, **camera(LENS)}]}])
-    )
-    scene = scan(images, rig=str(tmp_path / "lens.json"))
-    rig, a, b = scene.rigs[0], np.cos(np.radians(47)), np.sin(np.radians(47))
+    lens = [{"cameras": [{"image_prefix": "", "ref_sensor": True, **camera(LENS)}]}]
+    (tmp_path / "lens.json").write_text(json.dumps(lens))
+    rig, a, b = scan(images, rig=str(tmp_path / "lens.json")).rigs[0], np.cos(np.radians(47)), np.sin(np.radians(47))
     axes = np.stack([s.optical_axis() for s in rig.sensors])
     assert np.allclose(axes, [[0, 0, 1], [a, 0, b], [-a, 0, b], [0, -a, b], [0, a, b]]) and rig.fixed
 
@@ -133,13 +133,6 @@ def test_lenses_that_lie_on_their_sides_have_level_views_too(tmp_path: Path) -> 
     axes = np.stack([s.optical_axis() for s in rig.sensors])
     assert np.allclose(axes[:, 0], 0) and np.allclose(np.sort(axes[:3, 1]), [-0.743, 0, 0.743], atol=1e-3)
     assert np.allclose(np.abs([s.sensor_from_rig[1, 0] for s in rig.sensors]), 1)  # down is along the lens' x
-
-
-def test_a_narrow_fisheye_stays_whole(tmp_path: Path) -> None:
-    images = two_lenses(tmp_path / "in")
-    rig = rig_config(tmp_path / "rig_config.json", [2 * FOCAL, 2 * FOCAL, *LENS[2:]])
-    scene = scan(images, rig=rig)
-    assert len(scene.all_sensors) == 2 and not says(scene.notes, "fisheye images")
 
 
 @pytest.mark.slow
@@ -205,16 +198,18 @@ def test_a_rig_file_for_two_circles_side_by_side(tmp_path: Path) -> None:
     scene = scan(images, rig=rig)
     assert (len(scene), scene.frames, scene.rigs[0].fixed) == (18, 3, True)
     for k in (0, 17):
-        sensor, target = scene.sensor_of(k), tmp_path / scene.names[k]
-        prepare_image(images / scene.source_name(k), target, sensor, ScanSettings())
+        target = tmp_path / scene.names[k]
+        prepare_image(images / scene.source_name(k), target, scene.sensor_of(k), ScanSettings())
         with Image.open(target) as file:
             assert np.asarray(file).mean() > 90
-    with refused("--rig ring:5: the files hold two fisheye images"):
-        scan(images, rig="ring:5")
     one = tmp_path / "one.json"
     one.write_text(json.dumps([{"cameras": json.loads(Path(rig).read_text())[0]["cameras"][:1]}]))
-    with refused(r"1 sensor\(s\), but the files hold two fisheye images"):
-        scan(images, rig=str(one))
+    for given, words in (
+        ("ring:5", "--rig ring:5: the files hold two fisheye images"),
+        (str(one), r"1 sensor\(s\), but the files hold two fisheye images"),
+    ):
+        with refused(words):
+            scan(images, rig=given)
 
 
 def sphere(focal_px: float = FOCAL, middle: float = SIDE / 2) -> bytes:
@@ -222,12 +217,9 @@ def sphere(focal_px: float = FOCAL, middle: float = SIDE / 2) -> bytes:
     angle = np.radians(np.arange(1, 100))
     m = np.tan(angle / 2)  # sin / (cos + xi), xi = 1
     f, *k = np.linalg.lstsq(np.stack([m, m**3, m**5, m**7], axis=1), focal_px * angle, rcond=None)[0]
-    bent = "_".join(f"{v / f:.8f}" for v in (*k, 0, 0))
-    each = [
-        f"1.0_{f:.3f}_{f:.3f}_{x}_{middle}_0.1_-0.2_0.3_0.0_0.0_-0.03_{bent}_480_240_113"
-        for x in (middle, middle + 240)
-    ]
-    return f"\x01\x022_{each[0]}_{each[1]}_{(3 << 16) + 1024}\0".encode()
+    lens = f"1.0_{f:.3f}_{f:.3f}_{{}}_{middle}_0.1_-0.2_0.3_0.0_0.0_-0.03_"
+    lens += "_".join(f"{v / f:.8f}" for v in (*k, 0, 0)) + "_480_240_113"
+    return f"\x01\x022_{lens.format(middle)}_{lens.format(middle + 240)}_{(3 << 16) + 1024}\0".encode()
 
 
 def test_the_distortion_starts_from_what_the_factory_measured(tmp_path: Path) -> None:

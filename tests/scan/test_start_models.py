@@ -6,12 +6,13 @@ import json
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 import pycolmap
 import pytest
-from scan_worlds import exif_of, papers_rig, picture, scan
+from scan_worlds import exif_of, papers_rig, picture, scan, two_cameras_rig
 from start_models import (
     FOCAL_PX,
     HEIGHT,
@@ -49,10 +50,16 @@ FORMATS: dict[str, Write] = {
 }
 
 
-def photographs(tmp_path: Path, count: int = 6, **save: object) -> Path:
+def photographs(tmp_path: Path, count: int = 6, size: tuple[int, int] = (WIDTH, HEIGHT)) -> Path:
     for k in range(count):
-        picture(tmp_path / "in" / f"a_{k}.jpg", (WIDTH, HEIGHT), **save)
+        picture(tmp_path / "in" / f"a_{k}.jpg", size)
     return tmp_path / "in"
+
+
+def lens_of(scene: Scene) -> pycolmap.Camera:
+    camera = scene.rigs[0].sensors[0].camera
+    assert camera is not None
+    return camera
 
 
 @pytest.mark.parametrize("name", FORMATS)
@@ -97,22 +104,17 @@ def test_its_camera_is_a_start_and_no_calibration(tmp_path: Path) -> None:
 def test_a_camera_that_the_user_gives_stays(tmp_path: Path) -> None:
     start = read_start(FORMATS["OpenSfM file"](tmp_path))
     scene = scan(photographs(tmp_path), LOOSE, start=start, camera="PINHOLE,70,71,31,23")
-    camera = scene.rigs[0].sensors[0].camera
-    assert camera is not None and camera.params.tolist() == [70, 71, 31, 23]
+    assert lens_of(scene).params.tolist() == [70, 71, 31, 23]
     assert scene.rigs[0].sensors[0].camera_sigma_px is None
     assert says(scene.notes, "the cameras given are used, not those of the start model")
 
 
 def test_cameras_of_another_shape_are_refused_and_of_another_size_scaled(tmp_path: Path) -> None:
     start = read_start(FORMATS["nerfstudio file"](tmp_path))
-    for k in range(6):
-        picture(tmp_path / "in" / f"a_{k}.jpg", (2 * WIDTH, 2 * HEIGHT))
-    camera = scan(tmp_path / "in", LOOSE, start=start).rigs[0].sensors[0].camera
-    assert camera is not None and camera.mean_focal_length() == pytest.approx(2 * FOCAL_PX)
-    for k in range(6):
-        picture(tmp_path / "in" / f"a_{k}.jpg", (WIDTH, WIDTH))
+    larger = scan(photographs(tmp_path, size=(2 * WIDTH, 2 * HEIGHT)), LOOSE, start=start)
+    assert lens_of(larger).mean_focal_length() == pytest.approx(2 * FOCAL_PX)
     with refused(r"transforms_train.json.*64 x 48, those here 64 x 64: start from a model of"):
-        scan(tmp_path / "in", LOOSE, start=start)
+        scan(photographs(tmp_path, size=(WIDTH, WIDTH)), LOOSE, start=start)
 
 
 @pytest.mark.parametrize(
@@ -142,8 +144,7 @@ def test_of_several_cameras_the_middle_one_is_taken(tmp_path: Path) -> None:
     text = (folder / "images.txt").read_text()
     (folder / "images.txt").write_text(text.replace("7 a_1", "8 a_1").replace("7 a_2", "9 a_2"))
     scene = scan(photographs(tmp_path, 3), LOOSE, start=read_start(folder))
-    camera = scene.rigs[0].sensors[0].camera
-    assert camera is not None and camera.mean_focal_length() == pytest.approx(61)
+    assert lens_of(scene).mean_focal_length() == pytest.approx(61)
     assert any("of 3 cameras of the start model (focal length 59.0 to 75.0 px)" in n for n in scene.notes)
 
 
@@ -201,18 +202,16 @@ def in_passes(tmp_path: Path, names: list[str]) -> Path:
     return colmap_model(tmp_path / "m", dict(zip(names, poses.values())))
 
 
-def test_names_that_fit_several_images_are_an_error_that_names_them(tmp_path: Path) -> None:
-    images = papers_rig(tmp_path / "in", ("up", "down"), 1, 3)
-    start = read_start(in_passes(tmp_path, [f"{k:06d}.jpg" for k in range(3)]))
-    with refused(r"000000.jpg .*several images are called so: write down/cam0/000000.jpg or up/"):
-        scan(images, start=start)
-
-
-def test_two_names_of_one_image_are_an_error_that_names_them(tmp_path: Path) -> None:
-    images = papers_rig(tmp_path / "in" / "up", (".",), 1, 3)
-    names = [f"{p}{k:06d}.jpg" for p in ("cam0/", "") for k in range(3)]
-    with refused(r"000000.jpg and cam0/000000.jpg may both be cam0/000000.jpg"):
-        scan(images, start=read_start(in_passes(tmp_path, names)))
+def test_names_that_fit_several_images_and_two_of_one_are_errors_that_name_them(tmp_path: Path) -> None:
+    short = [f"{k:06d}.jpg" for k in range(3)]
+    for images, names, words in (
+        (papers_rig(tmp_path / "in", ("up", "down"), 1, 3), short,
+         r"000000.jpg .*several images are called so: write down/cam0/000000.jpg or up/"),
+        (papers_rig(tmp_path / "one", (".",), 1, 3), [f"cam0/{n}" for n in short] + short,
+         r"000000.jpg and cam0/000000.jpg may both be cam0/000000.jpg"),
+    ):  # fmt: skip
+        with refused(words):
+            scan(images, start=read_start(in_passes(tmp_path, names)))
 
 
 def test_a_model_of_more_images_is_no_error(tmp_path: Path) -> None:
@@ -237,30 +236,22 @@ def test_a_model_of_other_images_is_refused(tmp_path: Path) -> None:
 
 def test_a_rig_tells_the_unit_of_a_start(tmp_path: Path) -> None:
     """Poses of a rig's cameras 7 times too large become metres, so that lengths of rig and path go together."""
-    images = papers_rig(tmp_path / "in", ("up",), 2, 3)
-    (tmp_path / "rig.toml").write_text(
-        '[[sensors]]\nname = "cam0"\nposition_m = [0.0, 0.0, 0.0]\nyaw_pitch_roll_deg = [0.0, 0.0, 0.0]\n'
-        '[[sensors]]\nname = "cam1"\nposition_m = [0.5, 0.0, 0.0]\nyaw_pitch_roll_deg = [90.0, 0.0, 0.0]\n'
-    )
-    rig = scan(images, rig=str(tmp_path / "rig.toml")).rigs[0]
-    on_rig = rig.sensors[1].sensor_from_rig
-    assert on_rig is not None
+    images, rig_toml = papers_rig(tmp_path / "in", ("up",), 2, 3), two_cameras_rig(tmp_path)
+    bare = scan(images, rig=rig_toml)
+    on_rig = [s.sensor_from_rig for s in bare.rigs[0].sensors]
     frames = [np.linalg.inv(p) for p in walk(3).values()]
     poses = {}
-    for k, pose in enumerate(frames):
-        for camera, at in enumerate((pose, pose @ np.linalg.inv(on_rig))):
-            at = at.copy()
-            at[:3, 3] *= 7
-            poses[f"up/cam{camera}/{k:06d}.jpg"] = np.linalg.inv(at)
-    del poses["up/cam0/000002.jpg"]  # known by cam1 alone
-    lone = colmap_model(tmp_path / "m", poses)
-    scene = scan(images, rig=str(tmp_path / "rig.toml"), start=read_start(lone))
+    for k, camera in product(range(3), range(2)):
+        at = frames[k] @ np.linalg.inv(on_rig[camera])
+        at[:3, 3] *= 7
+        poses[f"up/cam{camera}/{k:06d}.jpg"] = np.linalg.inv(at)
+    without = {n: p for n, p in poses.items() if n != "up/cam0/000002.jpg"}  # known by cam1 alone
+    scene = scan(images, rig=rig_toml, start=read_start(colmap_model(tmp_path / "m", without)))
     assert not says(scene.notes, "its unit is"), "two frames are too few to tell"
-    poses["up/cam0/000002.jpg"] = np.linalg.inv(np.block([[frames[2][:3, :3], 7 * frames[2][:3, 3:]], [0, 0, 0, 1]]))
-    scene = scan(images, rig=str(tmp_path / "rig.toml"), start=read_start(colmap_model(tmp_path / "m", poses)))
+    scene = scan(images, rig=rig_toml, start=read_start(colmap_model(tmp_path / "m", poses)))
     np.testing.assert_allclose(scene.world_from_rig, frames, atol=1e-6)
-    assert any("its unit is 0.1429 m by the distances between the rig's cameras" in n for n in scene.notes)
-    assert scene.guessed == scan(images, rig=str(tmp_path / "rig.toml")).guessed, "a model tells no order"
+    assert says(scene.notes, r"its unit is 0\.1429 m by the distances between the rig's cameras")
+    assert scene.guessed == bare.guessed, "a model tells no order"
 
 
 def test_a_start_is_laid_on_positions_tilted_or_not(tmp_path: Path) -> None:
