@@ -1,5 +1,4 @@
-"""What a fisheye lens does not light, and what is transparent, is masked, whatever the source of the masks; the user's
-are those of the views."""
+"""Masks of a run: of another source, of the user, the reference, and what a lens does not light."""
 
 from __future__ import annotations
 
@@ -12,7 +11,20 @@ import pytest
 from PIL import Image
 
 import tiegraph
+from masks_world import write
 from said import refused
+from tiegraph.errors import SettingsError
+from tiegraph.evaluate.settings import EvaluateSettings
+from tiegraph.masks.tuning import Meguro2024Tuning, Tuning
+from tiegraph.pipeline.evaluate import _masks
+from tiegraph.pipeline.files import FINAL
+from tiegraph.pipeline.inputs import check_against
+from tiegraph.pipeline.masks import masks_by
+from tiegraph.project.inputs import Inputs
+from tiegraph.project.run import Run
+from tiegraph.project.settings import Settings
+from tiegraph.scene.rig import Rig, Sensor
+from tiegraph.scene.scene import simple_scene
 
 SIDE = 160
 
@@ -93,3 +105,55 @@ def test_what_is_transparent_is_not_used(tmp_path: Path, kind: str) -> None:
     name = next(p.name for p in (out / "images").iterdir())
     keep = used(out, name)
     assert keep[:, :80].all() and not keep[:, 80:].any()
+
+
+def test_masks_of_another_source_for_the_same_images(tmp_path):
+    names = [f"cam0/{k}.png" for k in range(3)]
+    scene = simple_scene(Rig("rig", (Sensor("cam0"),)), names, np.arange(3), np.zeros(3, int), np.zeros(3, int))
+    for k, name in enumerate(names):
+        image = np.full((60, 80, 3), 40 + 60 * k, np.uint8)
+        image[40:] = 90  # equal in all: what paper 000 masks
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        cv2.imwrite(str(tmp_path / name), image)
+    masks_by("meguro2024", scene, tmp_path, tmp_path / "masks", Tuning())
+    for name in names:
+        mask = cv2.imread(str(tmp_path / "masks" / f"{name}.png"), cv2.IMREAD_GRAYSCALE)
+        assert mask.shape == (60, 80) and mask[44:].mean() < 20 and mask[:36].mean() > 200
+    with pytest.raises(SettingsError, match="unknown mask source 'folder'"):
+        masks_by("folder", scene, tmp_path, tmp_path / "masks", Tuning())
+    whole = Tuning(meguro2024=Meguro2024Tuning(min_area=0.5))  # the black third of the image is a speck then
+    masks_by("meguro2024", scene, tmp_path, tmp_path / "tuned", whole)
+    assert cv2.imread(str(tmp_path / "tuned" / f"{names[0]}.png"), cv2.IMREAD_GRAYSCALE).min() == 255
+
+
+NAMES = ["a.jpg", "b.jpg", "c.jpg"]
+SCENE = simple_scene(Rig("lone", (Sensor("cam0", None, np.eye(4), "side"),)), NAMES, np.arange(3), np.zeros(3, int))
+
+
+def _run(tmp_path: Path) -> Run:
+    settings = Settings(evaluate=EvaluateSettings(reference_masks=tmp_path / "truth"))
+    run = Run(tmp_path / "out", Inputs(tmp_path / "images"), settings, pool="serial")
+    for name in NAMES:
+        write(run.path(FINAL, "masks", f"{name}.png"), np.full((8, 10), 255, np.uint8))
+    return run
+
+
+def test_masks_of_no_image_are_refused_at_the_start(tmp_path: Path) -> None:
+    run = _run(tmp_path)
+    write(tmp_path / "truth/z.png", np.full((8, 10), 255, np.uint8))
+    with refused("no mask of any image; .*a.jpg.png"):
+        check_against(run, SCENE)
+    write(tmp_path / "truth/b.png", np.full((8, 10), 255, np.uint8))
+    assert check_against(run, SCENE) == ()
+
+
+def test_a_mask_that_does_not_fit_is_passed_over_and_said(tmp_path: Path) -> None:
+    run, found = _run(tmp_path), {}
+    write(tmp_path / "truth/a.png", np.full((16, 20), 255, np.uint8))
+    (said,) = _masks(run, SCENE, run.settings.evaluate, found)
+    assert said.startswith("no reference mask is compared: ") and "20 x 16" in said and not found
+    write(tmp_path / "truth/b.png", np.full((8, 10), 255, np.uint8))
+    (said,) = _masks(run, SCENE, run.settings.evaluate, found)
+    assert said.startswith("1 reference masks are not compared") and found["mask accuracy"]["rows"][-1][1] == 1
+    write(tmp_path / "truth/a.png", np.full((8, 10), 255, np.uint8))
+    assert _masks(run, SCENE, run.settings.evaluate, {}) == []
