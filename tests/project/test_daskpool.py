@@ -76,11 +76,8 @@ def test_items_run_on_all_workers_and_come_back_in_order(cluster, capfd):
     assert capfd.readouterr() == ("", "")
 
 
-def test_child_processes_run_in_a_worker(pool, tmp_path):
+def test_child_processes_run_in_a_worker_whose_threads_the_libraries_have(pool, tmp_path):
     assert pool(dask_world.in_child, [1, 2], tmp_path / "log.txt") == [2, 3]
-
-
-def test_threads_of_the_libraries_are_those_of_the_worker(pool):
     assert pool(dask_world.threads, [1, 2]) == [(1, "1"), (1, "1")]
 
 
@@ -92,12 +89,9 @@ def test_large_arguments_go_once_and_without_a_warning(pool, recwarn):
     assert not list(recwarn)
 
 
-def test_error_of_an_item_keeps_its_type(pool):
+def test_error_of_an_item_keeps_its_type_and_relative_paths_hold(pool, tmp_path, monkeypatch):
     with pytest.raises(KeyError, match="three"):
         pool(dask_world.refuse, range(6))
-
-
-def test_relative_paths_hold_where_the_run_was_started(pool, tmp_path, monkeypatch):
     (tmp_path / "beside.txt").write_text("found")
     monkeypatch.chdir(tmp_path)
     assert pool(dask_world.relative, [1]) == ["found"]
@@ -175,16 +169,13 @@ def test_a_client_that_comes_too_late_is_closed_by_its_own_thread(cluster, monke
     assert made[0].status == "closed"
 
 
-@pytest.mark.parametrize("spec", ["dask", "dask:"])
-def test_an_address_is_needed(spec):
-    with pytest.raises(SettingsError, match="address"):
-        open_pool(spec)
-
-
-@pytest.mark.parametrize("spec", ["dask:nonsense", "dask:tcp://127.0.0.1", "dask:ftp://a:1"])
-def test_what_is_no_address_is_named(spec):
-    with refused(spec):
-        open_pool(spec)
+def test_what_is_no_address_is_named():
+    for spec in ("dask", "dask:"):
+        with pytest.raises(SettingsError, match="address"):
+            open_pool(spec)
+    for spec in ("dask:nonsense", "dask:tcp://127.0.0.1", "dask:ftp://a:1"):
+        with refused(spec):
+            open_pool(spec)
 
 
 def test_a_scheduler_without_workers_is_said(commands, monkeypatch):

@@ -21,15 +21,20 @@ def test_every_preset_is_valid_and_changes_what_it_says():
                 assert own == (type(own).model_validate(value) if isinstance(value, dict) else value)
 
 
-def test_typos_are_refused_with_the_nearest_name():
-    with pytest.raises(SettingsError, match=r"unknown setting 'masks.sorce': perhaps you meant 'source'"):
-        merged({"masks": {"sorce": "none"}})
-    with pytest.raises(SettingsError, match=r"unknown setting 'mask': perhaps you meant 'masks'"):
-        merged({"mask": {"source": "none"}})
-    with pytest.raises(SettingsError, match=r"masks.difference = 999.*254"):
-        merged({"masks": {"difference": 999}})
-    with pytest.raises(SettingsError, match="unknown preset 'meguro2O24'.*meguro2024"):
-        preset("meguro2O24")
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"masks": {"sorce": "none"}}, r"unknown setting 'masks.sorce': perhaps you meant 'source'"),
+        ({"mask": {"source": "none"}}, r"unknown setting 'mask': perhaps you meant 'masks'"),
+        ({"masks": {"difference": 999}}, r"masks.difference = 999.*254"),
+        ({"tuning": {"filter": {"loops": {"trails": 3}}}}, r"'tuning.filter.loops.trails': perhaps you meant 'trials'"),
+        ({"tuning": {"filter": {"prior": {"margin": 0.5}}}}, r"tuning.filter.prior.margin = 0.5"),
+        ({"tuning": {"fliter": {}}}, r"'tuning.fliter': perhaps you meant 'filter'"),
+    ],
+)
+def test_typos_are_refused_with_the_nearest_name(given, words):
+    with pytest.raises(SettingsError, match=words):
+        merged(given)
 
 
 def test_about_seventy_settings_at_most():
@@ -58,15 +63,6 @@ def test_the_constants_of_an_engine_are_in_reach_and_in_the_keys_of_its_stages(t
     assert {name for name in before if before[name] != after[name]} == needs_filter
 
 
-def test_typos_of_constants_are_refused_with_the_nearest_name():
-    with pytest.raises(SettingsError, match=r"'tuning.filter.loops.trails': perhaps you meant 'trials'"):
-        merged({"tuning": {"filter": {"loops": {"trails": 3}}}})
-    with pytest.raises(SettingsError, match=r"tuning.filter.prior.margin = 0.5"):
-        merged({"tuning": {"filter": {"prior": {"margin": 0.5}}}})
-    with pytest.raises(SettingsError, match=r"'tuning.fliter': perhaps you meant 'filter'"):
-        merged({"tuning": {"fliter": {}}})
-
-
 def test_precedence_defaults_preset_file_call(tmp_path):
     out = tmp_path / "out"
     out.mkdir()
@@ -92,16 +88,16 @@ def test_a_project_remembers_inputs_preset_and_settings(tmp_path):
 
 
 def test_misuse(tmp_path):
+    with pytest.raises(SettingsError, match="unknown preset 'meguro2O24'.*meguro2024"):
+        preset("meguro2O24")
     with refused("not a run folder"):
         open_project(out=tmp_path)
     with pytest.raises(SettingsError, match="unknown input 'gps'"):
         open_project(tmp_path, gps="a.csv")
-    (tmp_path / SETTINGS).write_text("[masks\n")
-    with pytest.raises(SettingsError, match="not valid TOML"):
-        open_project(tmp_path, tmp_path)
-    (tmp_path / SETTINGS).write_text("masks = 3\n")
-    with pytest.raises(SettingsError, match="'masks' must be a section"):
-        open_project(tmp_path, tmp_path)
+    for text, words in (("[masks\n", "not valid TOML"), ("masks = 3\n", "'masks' must be a section")):
+        (tmp_path / SETTINGS).write_text(text)
+        with pytest.raises(SettingsError, match=words):
+            open_project(tmp_path, tmp_path)
 
 
 def test_what_is_unset_holds_no_more(tmp_path):
@@ -123,29 +119,13 @@ def test_what_is_unset_holds_no_more(tmp_path):
             open_project(out=out, unset=(name,))
 
 
-def test_control_points_are_an_input_and_a_setting(tmp_path):
-    from tiegraph.api import open_project
-
-    (tmp_path / "images").mkdir()
-    points = tmp_path / "gcp_list.txt"
+def test_control_points_and_a_tolerance_are_inputs_and_settings(tmp_path):
+    images, out, points = tmp_path / "images", tmp_path / "out", tmp_path / "gcp_list.txt"
+    images.mkdir()
     points.write_text("EPSG:32654\n")
-    project = open_project(tmp_path / "images", tmp_path / "out", gcp=points)
-    assert project.settings.georef.gcp == points.resolve()
+    project = open_project(images, out, gcp=points, tolerance=0.05)
     project.save()
-    again = open_project(None, tmp_path / "out")
-    assert again.settings.georef.gcp == points.resolve()
+    for found in (project.settings, open_project(out=out).settings):
+        assert found.georef.gcp == points.resolve() and found.evaluate.tolerance_m == 0.05
     with pytest.raises(SettingsError, match="known are rig, .*gcp, marks"):
-        open_project(tmp_path / "images", tmp_path / "out", gcps=points)
-
-
-def test_a_tolerance_is_an_input_and_a_setting(tmp_path):
-    (tmp_path / "images").mkdir()
-    project = open_project(tmp_path / "images", tmp_path / "out", tolerance=0.05)
-    assert project.settings.evaluate.tolerance_m == 0.05
-    project.folder.mkdir()
-    project.save()
-    assert open_project(out=tmp_path / "out").settings.evaluate.tolerance_m == 0.05
-    assert open_project(out=tmp_path / "out", unset=["tolerance"]).settings.evaluate.tolerance_m is None
-    for wrong in (-0.05, 0, float("nan"), "5 cm"):
-        with pytest.raises(SettingsError, match="--tolerance: evaluate.tolerance_m = "):
-            open_project(tmp_path / "images", tmp_path / "out", tolerance=wrong)
+        open_project(images, out, gcps=points)
