@@ -1,5 +1,6 @@
 """The report is one file, is complete, works for runs that stopped early, and escapes what it prints."""
 
+import base64
 import json
 import re
 from dataclasses import replace
@@ -26,6 +27,7 @@ SMALL = ReportSettings(viewer_points=2000)
 
 
 def test_the_whole_report(page: str) -> None:
+    """In one offline file, nothing unescaped or unfilled."""
     for text in (
         "<h1>quay survey</h1>",
         "49 of 60 images (82 %) are registered in one connected model; the place of 5 more rests on the rig",
@@ -45,15 +47,9 @@ def test_the_whole_report(page: str) -> None:
         "The files of the cloud are in its coordinates; those of the model, to keep numbers short, in these minus (",
     ):
         assert text in page, text
-
-
-def test_it_is_one_offline_file(page: str) -> None:
     assert not re.search(r'(?:src|href)\s*=\s*"(?!data:|#)', page)
     assert "http://" not in page and "https://" not in page
     assert page.count("data:image/") > 10 and len(page) < 6e6
-
-
-def test_nothing_is_left_unescaped_or_unfilled(page: str) -> None:
     assert "<of>" not in page and "ring &lt;of&gt; 3" in page
     visible = page.split("<script")[0]
     assert "nan" not in re.sub(r'"data:[^"]*"', "", visible).lower().replace("finance", "")
@@ -62,8 +58,7 @@ def test_nothing_is_left_unescaped_or_unfilled(page: str) -> None:
 
 def test_the_viewer_gets_the_points_it_can_unpack(full: Path, page: str) -> None:
     data = json.loads(re.search(r'id="viewer-data">(.*?)</script>', page, re.S)[1])  # type: ignore[index]
-    import base64
-
+    shift = json.loads((full / "world.json").read_text())["shift_m"]
     steps = np.frombuffer(base64.b64decode(data["xyz"]), "<u2").reshape(-1, 3)
     points = steps * data["step"] + data["low"]
     assert len(points) == data["count"] == 2000
@@ -71,16 +66,12 @@ def test_the_viewer_gets_the_points_it_can_unpack(full: Path, page: str) -> None
     assert [t["name"] for t in data["tracks"]] == ["up", "down"] and len(data["tracks"][0]["xyz"]) == 3 * (FRAMES - 1)
     height, sigma, section = data["scales"]
     assert [name for name, _ in section["kinds"]] == ["0", "1"] and not section["unknown"]
-    assert data["axes"] == ["E", "N", "H"] and data["north"] and data["offset"] == run_shift(full)
+    assert data["axes"] == ["E", "N", "H"] and data["north"] and data["offset"] == shift
     assert height["name"] == "height" and abs(height["low"] - data["offset"][2]) < 1, "heights are the CRS's"
     shown = np.frombuffer(base64.b64decode(sigma["values"]), np.uint8)
     assert sigma["name"] == "sigma of a point" and 0.002 < sigma["low"] < sigma["high"] < 0.1 and len(shown) == 2000
     assert len(data["images"]) == 54 and data["images"][0]["picture"].startswith("data:image/jpeg")
     assert "webgl" in cloudview.viewer_script()
-
-
-def run_shift(folder: Path) -> list[float]:
-    return json.loads((folder / "world.json").read_text())["shift_m"]
 
 
 SLOW = [pytest.param(s, marks=pytest.mark.slow) for s in ("masks", "network", "match", "georef", "cloud")]
@@ -112,10 +103,9 @@ def test_missing_and_damaged_pieces_are_left_out(tmp_path: Path) -> None:
 
 
 def test_a_folder_without_a_run_is_refused(tmp_path: Path) -> None:
-    with refused("no such run folder"):
-        write_report(tmp_path / "none", SMALL)
-    with refused("no run in it"):
-        write_report(tmp_path, SMALL)
+    for folder, words in ((tmp_path / "none", "no such run folder"), (tmp_path, "no run in it")):
+        with refused(words):
+            write_report(folder, SMALL)
 
 
 def test_verdict_levels(tmp_path: Path, full: Path) -> None:
@@ -238,9 +228,8 @@ def test_a_sound_network_is_said_to_be_sound(tmp_path: Path) -> None:
 
 def test_words() -> None:
     assert formatting.count(1698971) == "1\u202f698\u202f971" and formatting.count(None) == formatting.NONE
-    assert [formatting.number(v) for v in (0.02341, 2.345, 23.45, 1234.5, 0, float("nan"))] == [
-        "0.0234", "2.35", "23.4", "1\u202f234", "0", formatting.NONE,
-    ]  # fmt: skip
+    numbers = [formatting.number(v) for v in (0.02341, 2.345, 23.45, 1234.5, 0, float("nan"))]
+    assert numbers == ["0.0234", "2.35", "23.4", "1\u202f234", "0", formatting.NONE]
     assert [formatting.length(v) for v in (0.0042, 0.034, 0.55, 12.3)] == ["4.2 mm", "3.4 cm", "0.550 m", "12.3 m"]
     assert formatting.length(2.0, "units") == "2.00 units"
     assert [formatting.seconds(v) for v in (3.21, 75, 245, 7500)] == ["3.2 s", "75 s", "4 min 05 s", "2 h 05 min"]
@@ -251,15 +240,9 @@ def test_words() -> None:
     assert [row[1] for row in table.rows] == ["0.500", formatting.NONE, "0.123"]
     assert formatting.table({"columns": ["a"], "rows": []}) is None and formatting.table(3) is None
     assert formatting.table({"columns": ["a", "b"], "rows": [[1]]}).rows == (("1", formatting.NONE),)  # type: ignore[union-attr]
-
-
-def test_metrics_in_words() -> None:
     assert metric_text("rpe_10m_translation") == "relative pose error over 10 m, translation"
     assert metric_text("fscore_0.05m") == "F-score at 0.05 m"
-
-
-def test_what_acts_without_being_seen_is_escaped() -> None:
-    page = environment().from_string("{{ name }}|{{ ours|safe }}")
+    page = environment().from_string("{{ name }}|{{ ours|safe }}")  # what acts without being seen is escaped
     assert page.render(name="<script>\x1b\u202e\udc8e", ours="<b>") == "&lt;script&gt;\\x1b\\u202e\\x8e|<b>"
 
 

@@ -14,9 +14,8 @@ TUNING = ArrivalsTuning(settled_s=0.6, again_s=5.0, tries=3)
 
 @pytest.fixture
 def card(tmp_path):
-    folder = tmp_path / "card"
-    folder.mkdir()
-    return folder
+    (tmp_path / "card").mkdir()
+    return tmp_path / "card"
 
 
 def put(card, name, size, time_s=1000):
