@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import struct
 from datetime import datetime, timezone
 from pathlib import Path
 
@@ -33,12 +32,8 @@ def said(project: Project, words: str) -> bool:
 
 
 def film(path: Path, seconds: int) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    out = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 5, (160, 120))
     rng = np.random.default_rng(len(path.name))
-    for _ in range(5 * seconds):
-        out.write(rng.integers(0, 255, (120, 160, 3), dtype=np.uint8))
-    out.release()
+    video_world.film(path, (rng.integers(0, 255, (120, 160, 3), np.uint8) for _ in range(5 * seconds)), 5)
 
 
 def test_pictures_are_taken_and_follow_the_setting(tmp_path: Path) -> None:
@@ -70,11 +65,8 @@ def test_only_broken_videos_are_an_error_that_names_them(tmp_path: Path) -> None
 def recorded(path: Path, begin_s: float, **camera: object) -> Path:
     """Five seconds of a shaken rig, 15 frames a second, from a time on; the file says when, in whole seconds."""
     times = begin_s + np.arange(75) / 15
-    video_world.film(path, video_world.pictures(video_world.Shake.of(3), times, **camera), 15.0, "mp4v")
-    data = bytearray(path.read_bytes())
-    struct.pack_into(">I", data, data.index(b"mvhd") + 8, int(START_S + begin_s) + 2082844800)
-    path.write_bytes(data)
-    return path
+    video_world.film(path, video_world.pictures(video_world.Shake.of(3), times, **camera), 15.0)
+    return recording_world.created(path, int(START_S + begin_s))
 
 
 def taken_s(file: Path) -> float:

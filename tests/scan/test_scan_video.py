@@ -7,7 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from scan_worlds import scan
+from scan_worlds import picture, scan
 
 from tiegraph.scan.recording import Recording
 from tiegraph.scan.tuning import PicturesTuning
@@ -22,20 +22,19 @@ from tiegraph.scan.videos.video import (
 )
 from tiegraph.scan.videos.videotime import VideoClock
 from tiegraph.scene.images import has_images
+from video_world import film
 
 PICTURES = PicturesTuning()
 
 
-def film(path: Path, seconds: int, sharp: int = 3, seed: int = 0) -> Path:
+def seconds_of(path: Path, seconds: int, sharp: int = 3, seed: int = 0) -> Path:
     """Ten pictures a second; each second's picture ``sharp`` alone is not blurred, and as bright as its second."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    out = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 10, (320, 240))
     texture = np.random.default_rng(seed).integers(0, 120, (240, 320, 3), dtype=np.uint8)
-    for number in range(10 * seconds):
-        picture = texture if number % 10 == sharp else cv2.GaussianBlur(texture, (0, 0), 2 + number % 10 / 10)
-        out.write(np.clip(picture.astype(int) + 10 * (number // 10), 0, 255).astype(np.uint8))
-    out.release()
-    return path
+    numbers = range(10 * seconds)
+    pictures = (texture if n % 10 == sharp else cv2.GaussianBlur(texture, (0, 0), 2 + n % 10 / 10) for n in numbers)
+    return film(
+        path, (np.clip(p.astype(int) + 10 * (n // 10), 0, 255).astype(np.uint8) for n, p in enumerate(pictures))
+    )
 
 
 def take(video: Path, folder: Path, per_second: float) -> Pictures:
@@ -43,7 +42,7 @@ def take(video: Path, folder: Path, per_second: float) -> Pictures:
 
 
 def test_the_sharpest_of_each_second_is_taken_in_order(tmp_path: Path) -> None:
-    video = film(tmp_path / "river.avi", 6)
+    video = seconds_of(tmp_path / "river.avi", 6)
     taken = take(video, tmp_path / "out" / "river", 1.0)
     assert taken.said == "river.avi: 6 pictures, the sharpest of every 1 s"
     assert np.allclose(taken.stamps_s, 0.3 + np.arange(6), atol=1e-6) and taken.numbers == tuple(range(6))
@@ -60,7 +59,7 @@ def test_the_sharpest_of_each_second_is_taken_in_order(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_videos_are_passes_not_cameras(tmp_path: Path) -> None:
     for k, name in enumerate(("morning.avi", "noon.avi")):
-        film(tmp_path / "in" / name, 20, seed=k)
+        seconds_of(tmp_path / "in" / name, 20, seed=k)
     videos = find_videos(tmp_path / "in")
     for name, folder in zip(videos, picture_folders(videos)):
         take(tmp_path / "in" / name, tmp_path / "out" / folder, 1.0)
@@ -69,7 +68,7 @@ def test_videos_are_passes_not_cameras(tmp_path: Path) -> None:
 
 
 def test_a_video_is_a_sequence_however_short(tmp_path: Path) -> None:
-    take(film(tmp_path / "in" / "walk.avi", 3), tmp_path / "out" / "walk", 1.0)
+    take(seconds_of(tmp_path / "in" / "walk.avi", 3), tmp_path / "out" / "walk", 1.0)
     scene = scan(tmp_path / "out", video=True)
     assert (len(scene), scene.sequences, scene.guessed) == (3, ("walk",), ())
     assert scene.sequence.tolist() == [0, 0, 0] and np.allclose(scene.time_s, [0.3, 1.3, 2.3], atol=1e-5)
@@ -77,11 +76,9 @@ def test_a_video_is_a_sequence_however_short(tmp_path: Path) -> None:
 
 
 def test_videos_of_different_cameras_are_sequences_of_rigs_of_their_own(tmp_path: Path) -> None:
-    take(film(tmp_path / "in" / "boat.avi", 3), tmp_path / "out" / "boat", 1.0)
+    take(seconds_of(tmp_path / "in" / "boat.avi", 3), tmp_path / "out" / "boat", 1.0)
     for k in range(3):
-        (tmp_path / "out" / "phone").mkdir(exist_ok=True)
-        noise = np.random.default_rng(k).integers(0, 255, (60, 100, 3), np.uint8)
-        cv2.imwrite(str(tmp_path / "out" / "phone" / f"phone_{k:06d}.jpg"), noise)
+        picture(tmp_path / "out" / "phone" / f"phone_{k:06d}.jpg", (100, 60))
     scene = scan(tmp_path / "out", video=True)
     assert (scene.sequences, len(scene.rigs), scene.frames) == (("boat", "phone"), 2, 6)
     assert sorted(zip(scene.sequence.tolist(), scene.rig.tolist())) == [*[(0, 0)] * 3, *[(1, 1)] * 3]
@@ -97,12 +94,8 @@ def test_what_is_no_video_is_said(tmp_path: Path) -> None:
 
 
 def test_a_video_that_is_cut_off_says_so(tmp_path):
-    whole = tmp_path / "whole.avi"
-    made = cv2.VideoWriter(str(whole), cv2.VideoWriter_fourcc(*"MJPG"), 10.0, (96, 64))
     rng = np.random.default_rng(3)
-    for _ in range(40):
-        made.write(rng.integers(0, 255, (64, 96, 3), np.uint8))
-    made.release()
+    whole = film(tmp_path / "whole.avi", (rng.integers(0, 255, (64, 96, 3), np.uint8) for _ in range(40)))
     assert "could be decoded" not in take(whole, tmp_path / "a", 2.0).said
     cut = tmp_path / "cut.avi"
     cut.write_bytes(whole.read_bytes()[: whole.stat().st_size // 2])

@@ -6,17 +6,18 @@ import struct
 from datetime import datetime, timezone
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 from PIL import Image
 
+from recording_world import created
 from tiegraph.scan.recording import Recording
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scan.videos.video import sharpest, take_pictures
 from tiegraph.scan.videos.videotime import VideoClock, read_subtitles, video_clock
 from tiegraph.scene.exif import Exif, Taken, exif_of, read_exif
+from video_world import film
 
 PICTURES = PicturesTuning()
 START = datetime(2024, 5, 1, 10, 0, 0, tzinfo=timezone.utc).timestamp()
@@ -53,25 +54,18 @@ def seconds(text: str) -> float:
     return datetime.fromisoformat(text).replace(tzinfo=timezone.utc).timestamp()
 
 
-def film(path: Path, frames: int = 20, fps: float = 10.0) -> Path:
-    out = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), fps, (64, 48))
-    for k in range(frames):
-        out.write(np.full((48, 64, 3), 10 * k % 250, np.uint8))
-    out.release()
-    return path
+def grey(path: Path) -> Path:
+    return film(path, (np.full((48, 64, 3), 10 * k % 250, np.uint8) for k in range(20)))
 
 
 def stamped(path: Path, created_s: float, wide: bool = False) -> Path:
     """The video with its movie header's creation time set (seconds since 1970); ``wide``: of version 1."""
+    if not wide:
+        return created(path, created_s)
     data = bytearray(path.read_bytes())
     at = data.index(b"mvhd") + 4
-    old = struct.unpack_from(">IIII", data, at + 4)
-    created = round(created_s) + 2082844800  # 1904 ... 1970
-    if not wide:
-        struct.pack_into(">I", data, at + 4, created)
-    else:
-        tail = bytes(data[at + 20 : at + 100])
-        data[at : at + 100] = struct.pack(">B3xQQIQ", 1, created, 0, old[2], old[3]) + tail[: 100 - 32]
+    old, tail = struct.unpack_from(">IIII", data, at + 4), bytes(data[at + 20 : at + 88])
+    data[at : at + 100] = struct.pack(">B3xQQIQ", 1, round(created_s) + 2082844800, 0, old[2], old[3]) + tail
     path.write_bytes(data)
     return path
 
@@ -82,7 +76,7 @@ def clock(path: Path, **settings: object) -> VideoClock:
 
 @pytest.mark.parametrize("wide", [False, True])
 def test_the_container_says_when_a_video_began(tmp_path: Path, wide: bool) -> None:
-    video = stamped(film(tmp_path / "a.mp4"), START, wide)
+    video = stamped(grey(tmp_path / "a.mp4"), START, wide)
     found = clock(video)
     assert found.start_s == START and found.known and found.utc
     assert "2024-05-01 10:00:00 UTC" in found.note and "--scan.video-offset SECONDS, or end" in found.note
@@ -91,7 +85,7 @@ def test_the_container_says_when_a_video_began(tmp_path: Path, wide: bool) -> No
 
 
 def test_a_video_without_creation_time_counts_from_its_start(tmp_path: Path) -> None:
-    for video in (film(tmp_path / "a.mp4"), tmp_path / "cut.mp4", tmp_path / "loop.mp4"):
+    for video in (grey(tmp_path / "a.mp4"), tmp_path / "cut.mp4", tmp_path / "loop.mp4"):
         if not video.exists():
             video.write_bytes(b"\0\0\0\x04ftyp" if video.name == "loop.mp4" else b"\0\0\0\x08free" * 3 + b"\0\0")
         found = clock(video)
@@ -101,7 +95,7 @@ def test_a_video_without_creation_time_counts_from_its_start(tmp_path: Path) -> 
 
 
 def test_pictures_carry_the_time_of_their_frames(tmp_path: Path) -> None:
-    video = stamped(film(tmp_path / "a.mp4"), START)
+    video = stamped(grey(tmp_path / "a.mp4"), START)
     taken = take_pictures(
         Recording(video), tmp_path / "out", sharpest(2.0), clock(video, video_offset=("0.25",)), PICTURES
     )
@@ -148,7 +142,7 @@ def test_each_form_of_a_drones_subtitles(tmp_path: Path, text: str, start: str, 
 
 
 def test_subtitles_beside_a_video_come_first_and_others_are_said(tmp_path: Path) -> None:
-    video = stamped(film(tmp_path / "DJI_0001.mp4"), START)
+    video = stamped(grey(tmp_path / "DJI_0001.mp4"), START)
     (tmp_path / "DJI_0001.SRT").write_text(NEW)
     found = clock(video, video_offset=("-7200.0",))
     assert found.start_s == pytest.approx(seconds("2024-05-01T10:00:00.774808"), abs=1e-6) and not found.utc
