@@ -51,6 +51,8 @@ _PLAIN = (*mutate.BYTES, *mutate.PLACES)
 _GNSS = ("gnss", "position", "lat", "lon", "height", "sigma", "receiver", "crs", "metres", "time")
 _RIG = ("rig", "sensor", "camera", "cam0", "cam1", "focal", "axes", "calibrat", "baseline", "lens", "yaw")
 _GCP = ("gcp", "control", "point", "mark", "p1", "p2", "p3", "p4")
+_PAIRS = (*mutate.BYTES, *mutate.PLACES, mutate.names, mutate.encoded, mutate.separators, mutate.row)
+_CLOUD = (*_PLAIN, mutate.number, mutate.encoded, mutate.names)
 KINDS = (
     Kind("images", "images", (), (), weight=6),
     Kind("names", "images", (), (), weight=4),
@@ -58,58 +60,24 @@ KINDS = (
     Kind("times", "times.csv", _TABLE, ("times", "time", "frame", "pass", "clock"), weight=4),
     Kind("rig", "rig.toml", _TEXT, _RIG, weight=5),
     Kind("rig json", "rig_config.json", _TEXT, _RIG, ("--rig", "{}/rig_config.json")),
-    Kind(
-        "trajectory",
-        "trajectory.tum",
-        _TABLE,
-        ("trajectory", "pose", "quaternion", "time", "position", "prior"),
-        ("--trajectory", "{}/trajectory.tum"),
-        weight=3,
-    ),
+    Kind("trajectory", "trajectory.tum", _TABLE, ("trajectory", "pose", "quaternion", "time", "position", "prior"),
+         ("--trajectory", "{}/trajectory.tum"), weight=3),
     Kind("gcp", "gcp.csv", _TABLE, _GCP, ("--gcp", "{}/gcp.csv"), "sparse"),
     Kind("gcp list", "gcp_list.txt", _TABLE, _GCP, ("--gcp", "{}/gcp_list.txt"), "sparse"),
-    Kind(
-        "pairs",
-        "pairs.txt",
-        (*mutate.BYTES, *mutate.PLACES, mutate.names, mutate.encoded, mutate.separators, mutate.row),
-        ("pairs", "pair list", "pair"),
-        ("--candidates.sources", "file", "--candidates.pairs-file", "{}/pairs.txt", "--coarse.method", "off"),
-        "preview",
-        "network",
-    ),
+    Kind("pairs", "pairs.txt", _PAIRS, ("pairs", "pair list", "pair"),
+         ("--candidates.sources", "file", "--candidates.pairs-file", "{}/pairs.txt", "--coarse.method", "off"),
+         "preview", "network"),
     Kind("masks", "masks", _PLAIN, ("mask",), ("--masks.folder", "{}/masks"), "scan", "masks"),
-    Kind(
-        "mask model",
-        "model.toml",
-        _TEXT,
-        ("model", "onnx", "class", "size", "mean", "deviation"),
-        ("--masks.source", "model", "--masks.model", "{}/model.toml"),
-        "scan",
-        "masks",
-        1,
-    ),
-    Kind(
-        "reference",
-        "reference.tum",
-        _TABLE,
-        ("reference", "pose", "trajectory", "quaternion"),
-        ("--evaluate.reference", "{}/reference.tum", *_PLACE),
-        "cloud",
-        "evaluate",
-    ),
-    Kind(
-        "ref. cloud",
-        "reference.ply",
-        (*_PLAIN, mutate.number, mutate.encoded, mutate.names),
-        ("reference", "cloud", "point", "ply"),
-        ("--evaluate.reference-cloud", "{}/reference.ply", *_PLACE),
-        "cloud",
-        "evaluate",
-    ),
+    Kind("mask model", "model.toml", _TEXT, ("model", "onnx", "class", "size", "mean", "deviation"),
+         ("--masks.source", "model", "--masks.model", "{}/model.toml"), "scan", "masks", 1),
+    Kind("reference", "reference.tum", _TABLE, ("reference", "pose", "trajectory", "quaternion"),
+         ("--evaluate.reference", "{}/reference.tum", *_PLACE), "cloud", "evaluate"),
+    Kind("ref. cloud", "reference.ply", _CLOUD, ("reference", "cloud", "point", "ply"),
+         ("--evaluate.reference-cloud", "{}/reference.ply", *_PLACE), "cloud", "evaluate"),
     Kind("video", "video/walk.avi", _PLAIN, ("walk.avi", "video"), until="scan"),
     Kind("values", "", (), (), weight=6),
     Kind("settings", "", (), (), weight=4),
-)
+)  # fmt: skip
 _BY_NAME = {k.name: k for k in KINDS}
 _ROUND = [k for k in KINDS for _ in range(k.weight)]
 

@@ -14,6 +14,7 @@ from report.fake_survey_run import make_run
 from tiegraph.cli.main import main
 from tiegraph.pipeline.report import report
 from tiegraph.plan.figures import effort
+from tiegraph.plan.tables import comparison
 from tiegraph.plan.tuning import Tuning
 from tiegraph.report.settings import ReportSettings
 
@@ -128,17 +129,13 @@ def test_what_a_survey_costs_grows_with_its_images():
         (["--rig", "none.toml", "--distance", "1"], "none.toml"),
         ([*WALL, "--shpe", "canal"], "shpe"),
         (["--compare", "nowhere"], "plan.json"),
+        ([*PAPER, "--distance", "1", "-o", "."], "is there already"),
     ],
 )
-def test_misuse_is_named_before_anything_is_made(arguments, named, capsys, tmp_path):
-    assert main(["plan", *arguments, *([] if "--compare" in arguments else ["-o", str(tmp_path / "out")])]) == 2
+def test_misuse_is_named_before_anything_is_made(arguments, named, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["plan", *arguments, *([] if {"--compare", "-o"} & set(arguments) else ["-o", "out"])]) == 2
     assert named in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
-
-
-def test_a_folder_that_is_there_is_not_touched(tmp_path, capsys):
-    assert main(["plan", *PAPER, "--distance", "1", "-o", str(tmp_path)]) == 2
-    assert "is there already" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
 
 
@@ -152,3 +149,13 @@ def test_a_rig_file_gives_cameras_and_their_places(tmp_path, capsys):
     found = said(capsys, "--rig", str(rig), "--distance", "9", "--base", "1")
     assert found["camera"] == {"focal_px": 900.0, "size": [1200, 900]}
     assert np.isclose(found["stations"][0]["gsd_m"], 0.01)
+
+
+PLAN = {"stations": [{}], "path": {"position_shape_sigma_median_m": 0.002, "place_world_sigma_median_m": 0.03}}
+
+
+def test_it_is_said_in_a_sentence():
+    run = {"position_shape_sigma_median_m": 0.003, "place_world_sigma_median_m": 0.04, "ate_m": 0.01}
+    table = comparison(PLAN, run)
+    assert "known to 3 mm where 2 mm were planned" in table.sentence
+    assert any("ATE" in row[0] for row in table.rows)

@@ -69,17 +69,11 @@ def test_statements_that_cannot_both_be_right() -> None:
     points = Statement("scale", "control points", 1.01, 0.01, "")
     height = Statement("height", "EXIF", 64.0, float("nan"), "m")
     found = contradictions([rig, gnss, points, height])
-    assert [{c.first.source, c.second.source} for c in found] == [
-        {"rig as given", "GNSS positions"}, {"rig as given", "control points"},
-    ]  # fmt: skip
+    pairs = [{c.first.source, c.second.source} for c in found]
+    assert pairs == [{"rig as given", "GNSS positions"}, {"rig as given", "control points"}]
     assert found[0].sigmas == pytest.approx(0.115 / np.hypot(0.0016, 0.01)) and found[0].sigmas > LIMIT
     rows = table([rig, gnss, points, height])["rows"]
-    assert [r[6] for r in rows] == [
-        "GNSS positions",
-        "rig as given",
-        "rig as given",
-        "",
-    ]
+    assert [r[6] for r in rows] == ["GNSS positions", "rig as given", "rig as given", ""]
 
 
 def test_readings_that_are_no_better_are_called_so_once_in_a_thousand() -> None:
