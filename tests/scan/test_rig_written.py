@@ -59,6 +59,7 @@ def test_the_file_explains_order_sign_direction_and_frame(written: str) -> None:
 
 @pytest.mark.parametrize("axes", FRAMES)
 def test_angles_do_what_the_words_say(tmp_path: Path, written: str, axes: str) -> None:
+    assert FRAMES.keys() == AXES.keys()
     right, down, forward = (np.array(v, float) for v in FRAMES[axes])
 
     def turned(text: str) -> np.ndarray:

@@ -12,7 +12,6 @@ from scan_worlds import Survey, exif_of, papers_rig, picture, scan
 
 from said import refused, says
 from tiegraph.scan.priors.times import time_in_name
-from tiegraph.scene.cells import parse_time
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.times import out_of_order
 
@@ -223,20 +222,6 @@ def test_times_by_image_and_frames_in_time_order(tmp_path: Path) -> None:
 )  # fmt: skip
 def test_times_in_names(stem: str, seconds: float) -> None:
     assert time_in_name(stem) == pytest.approx(seconds, abs=1e-5, nan_ok=True)
-
-
-@pytest.mark.parametrize(
-    "text, seconds",
-    [
-        ("12.5", 12.5),
-        ("01:00:01.5", 3601.5),
-        ("2023-09-15T10:00:00.25+09:00", 1694739600.25),
-        ("2023/09/15 01:00:00", 1694739600.0),
-        ("soon", np.nan),
-    ],
-)
-def test_times_are_read(text: str, seconds: float) -> None:
-    assert parse_time(text) == pytest.approx(seconds, nan_ok=True)
 
 
 @pytest.mark.parametrize(

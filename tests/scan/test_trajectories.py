@@ -26,13 +26,6 @@ def drive(frames: int, turn_deg: float = 60.0) -> np.ndarray:
     return rigid(Rotation.from_rotvec(yaw[:, None] * [0.0, 0.0, 1.0]).as_matrix(), position)
 
 
-def test_tum_files_are_written_and_read(tmp_path: Path) -> None:
-    poses = drive(5)
-    write_tum(tmp_path / "a.tum", np.arange(5.0), poses)
-    again = read_trajectory(tmp_path / "a.tum")
-    assert np.allclose(again.poses, poses, atol=1e-8) and again.time_s.tolist() == [0, 1, 2, 3, 4]
-
-
 def test_one_trajectory_as_long_as_the_pass(one_pass: Survey, tmp_path: Path) -> None:
     write_tum(tmp_path / "a.tum", 50 + np.arange(8.0), drive(8))
     scene = one_pass.scan(trajectory=tmp_path / "a.tum")

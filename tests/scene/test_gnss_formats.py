@@ -80,6 +80,7 @@ HEADS = {
     "time_us": [f"{int(NOON) + k}000000" for k in range(COUNT)],
     "unix_time": [f"{NOON + k}" for k in range(COUNT)],
     "utc": [f"2024-05-01T12:00:0{k}Z" for k in range(COUNT)],
+    "timestamp": [f"2024/05/01 12:00:0{k}" for k in range(COUNT)],
     "time": [f"2024-05-01T21:00:0{k}+09:00" for k in range(COUNT)],
 }
 
