@@ -335,12 +335,12 @@ def test_poses_from_a_drawing_become_a_rig_toml(tmp_path: Path) -> None:
 
 def test_a_key_that_is_missing_is_not_looked_for_in_the_next_sensor(tmp_path: Path) -> None:
     text = '# name = "remark"\n[[sensors]]\nfolder = "a"\n\n[[sensors]]\nname = "b"\n[sensors.camera]\nhfov_deg = 0\n'
-    for given, words in (
+    for rig, words in (
         (text, r"rig.toml, line 2: sensor 1 needs a name"),
         (text.replace('folder = "a"', 'name = "a"'), r"rig.toml, line 8: hfov_deg = 0"),
     ):
         with refused(words):
-            read_rig_file(toml(tmp_path, given), RIG)
+            read_rig_file(toml(tmp_path, rig), RIG)
 
 
 def test_the_line_of_a_rig_config_is_that_of_the_camera_and_not_of_the_next_or_the_first(tmp_path: Path) -> None:
