@@ -9,7 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from fake_survey_run import FRAMES, make_run
+from fake_survey_run import FRAMES, make_run, tell
 from scipy.spatial.transform import Rotation
 
 from said import refused, says
@@ -108,44 +108,34 @@ def test_a_folder_without_a_run_is_refused(tmp_path: Path) -> None:
             write_report(folder, SMALL)
 
 
-def test_verdict_levels(tmp_path: Path, full: Path) -> None:
+def test_verdict_levels(full: Path) -> None:
     run = read_run(full)
-    assert summary.verdict(run).level == "check"
-    assert run.model is not None
-    everything = Registration(np.ones(60, bool), np.full(60, 10), 10)
-    complete = replace(run, model=replace(run.model, images=everything))
-    assert summary.verdict(complete).level == "check", "the tolerance is not held"
+    assert run.model is not None and summary.verdict(run).level == "check"
     layers = {**run.metrics["accuracy"], "tolerance": None}  # type: ignore[index]
-    run = replace(run, metrics={"accuracy": layers})
-    assert run.model is not None
-    complete = replace(complete, metrics={"accuracy": layers})
-    assert summary.verdict(complete).level == "good"
-    by_rig = replace(
-        run,
-        model=replace(run.model, images=replace(everything, points=np.r_[np.full(10, 9), everything.points[10:]])),
-    )
-    assert summary.verdict(by_rig).level == "check"
-    assert any("50 of 60 images (83 %)" in s for s in summary.verdict(by_rig).sentences)
-    few = replace(everything, placed=np.arange(60) < 20)
-    poor = summary.verdict(replace(run, model=replace(run.model, images=few, others=(12, 8))))
-    assert poor.level == "poor" and says(poor.sentences, "the largest of 3; the others have 12, 8")
-    assert says(poor.warnings, "3 separate models")
-    free = summary.verdict(replace(complete, world=None))
-    assert free.level == "check" and says(free.warnings, "not georeferenced")
-    assert not any("far worse" in w for w in summary.verdict(complete).warnings)
-    bad = [{**f, "measured": 3.0} if f["key"] == "world.held_out" else f for f in run.metrics["accuracy"]["figures"]]  # type: ignore[index]
-    bent = replace(complete, metrics={"accuracy": {**run.metrics["accuracy"], "figures": bad}})  # type: ignore[index]
-    assert any("far worse" in w for w in summary.verdict(bent).warnings)
-    turned = {**run.metrics["accuracy"], "placement": {"tilt_deg": 1.4}}  # type: ignore[index]
-    weak = summary.verdict(replace(complete, metrics={"accuracy": turned}))
+    everything = Registration(np.ones(60, bool), np.full(60, 10), 10)
+
+    def judged(images: Registration = everything, *, said: dict = layers, **changed: object) -> summary.Verdict:
+        model = replace(run.model, images=images, others=changed.pop("others", run.model.others))
+        return summary.verdict(replace(run, model=model, metrics={"accuracy": said}, **changed))
+
+    assert judged(said=run.metrics["accuracy"]).level == "check", "the tolerance is not held"
+    assert judged().level == "good" and not any("far worse" in w for w in judged().warnings)
+    by_rig = judged(replace(everything, points=np.r_[np.full(10, 9), everything.points[10:]]))
+    assert by_rig.level == "check" and any("50 of 60 images (83 %)" in s for s in by_rig.sentences)
+    poor = judged(replace(everything, placed=np.arange(60) < 20), others=(12, 8))
+    assert poor.level == "poor" and any("the largest of 3; the others have 12, 8" in s for s in poor.sentences)
+    assert any("3 separate models" in w for w in poor.warnings)
+    free = judged(world=None)
+    assert free.level == "check" and any("not georeferenced" in w for w in free.warnings)
+    bad = [{**f, "measured": 3.0} if f["key"] == "world.held_out" else f for f in layers["figures"]]
+    assert any("far worse" in w for w in judged(said={**layers, "figures": bad}).warnings)
+    weak = judged(said={**layers, "placement": {"tilt_deg": 1.4}})
     assert weak.level == "check" and any("tilt" in w and "1.4°" in w for w in weak.warnings)
 
 
 def test_settings_name_files_without_their_folders(tmp_path: Path) -> None:
     folder = make_run(tmp_path / "run", "scan")
-    path = folder / "receipts" / "scan.json"
-    receipt = json.loads(path.read_text())
-    path.write_text(json.dumps({**receipt, "settings": {"reference": "/home/somebody/truth/poses.tum", "ratio": 0.8}}))
+    tell(folder, "scan", settings={"reference": "/home/somebody/truth/poses.tum", "ratio": 0.8})
     text = write_report(folder, SMALL).read_text(encoding="utf-8")
     assert "poses.tum" in text and "0.800" in text and "somebody" not in text
 
@@ -196,33 +186,18 @@ def test_funnel_rows_add_up(full: Path) -> None:
 @pytest.mark.slow
 def test_the_network_says_whether_it_holds(tmp_path: Path) -> None:
     run = make_run(tmp_path / "run", "design")
-    for stage, more in (
-        ("coarse", {"notes": ["coarse model: 60 of 60 images"]}),
-        ("network", {"notes": ["odd light"], "tables": {}}),
-        ("design", {"tables": {"weak links": _WEAK}}),
-    ):
-        path = run / "receipts" / f"{stage}.json"
-        path.write_text(json.dumps({**json.loads(path.read_text()), **more}))
-    picture = np.zeros((40, 60, 3), np.uint8)
+    weak = {"columns": ["kind", "where"], "rows": [["joint", "up/cam0/000003.jpg"]]}
+    tell(run, "coarse", notes=["coarse model: 60 of 60 images"])
+    tell(run, "network", notes=["odd light"], tables={})
+    tell(run, "design", tables={"weak links": weak})
     for name in ("map", "funnel", "sections"):
-        cv2.imwrite(str(run / "network" / f"{name}.png"), picture)
+        cv2.imwrite(str(run / "network" / f"{name}.png"), np.zeros((40, 60, 3), np.uint8))
     part = network_part(read_run(run))
     assert part["model"] == ["Coarse model: 60 of 60 images."] and ("Network", ["odd light"]) in part["notes"]
     assert [c.split()[0] for _, c in part["pictures"]] == ["The", "Frame-offset", "What"]  # the funnel is drawn
     assert [t.rows[0][1] for t in part["links"]] == ["up/cam0/000003.jpg"] and part["sound"] is None
-    text = write_report(run, SMALL).read_text(encoding="utf-8")
-    assert "Weak links: places where" in text
-
-
-_WEAK = {"columns": ["kind", "where"], "rows": [["joint", "up/cam0/000003.jpg"]]}
-
-
-@pytest.mark.slow
-def test_a_sound_network_is_said_to_be_sound(tmp_path: Path) -> None:
-    run = make_run(tmp_path / "run", "design")
-    path = run / "receipts" / "design.json"
-    nothing = {"weak links": {"columns": ["kind"], "rows": []}}
-    path.write_text(json.dumps({**json.loads(path.read_text()), "tables": nothing}))
+    assert "Weak links: places where" in write_report(run, SMALL).read_text(encoding="utf-8")
+    tell(run, "design", tables={"weak links": {"columns": ["kind"], "rows": []}})
     assert network_part(read_run(run))["sound"].startswith("No weak links")
 
 
@@ -249,22 +224,18 @@ def test_words() -> None:
 @pytest.mark.slow
 def test_a_contradiction_is_a_level_of_its_own_and_the_evidence_a_section(tmp_path: Path) -> None:
     folder = make_run(tmp_path / "run", "georef")
-    receipt = json.loads((folder / "receipts" / "georef.json").read_text())
     text = "scale: GNSS positions 1.000 +- 0.014 and rig as given 1.1128 +- 0.0022 contradict each other by 7.9 sigmas"
     columns = ["quantity", "source", "value", "sigma", "unit", "used", "contradicted by"]
     rows = [["scale", "GNSS positions", 1.0, 0.014, "", "yes", "rig as given"]]
     rows += [["heading", "GNSS positions", 0.0001, 0.3, "deg", "yes", ""]]
     rows += [["scale", "rig as given", 1.1128, 0.0022, "", "", "GNSS positions"]]
-    receipt["contradictions"] = [text]
-    receipt["tables"] = {**(receipt.get("tables") or {}), "evidence": {"columns": columns, "rows": rows}}
     assert summary.verdict(read_run(folder)).level != "doubtful"
-    (folder / "receipts" / "georef.json").write_text(json.dumps(receipt))
+    tell(folder, "georef", contradictions=[text], tables={"evidence": {"columns": columns, "rows": rows}})
     found = summary.verdict(read_run(folder))
     assert found.level == "doubtful" and found.headline == "The survey contradicts itself: scale"
     page = write_report(folder, SMALL).read_text(encoding="utf-8")
-    assert "usable with care" not in page and page.count(f"S{text[1:]}") == 2, (
-        "on the first page, and where the engineer reads"
-    )
+    assert "usable with care" not in page
+    assert page.count(f"S{text[1:]}") == 2, "on the first page, and where the engineer reads"
     assert page.count("<td>rig as given</td>") == 2 and "What says what" in page
     shown = page[page.index("What says what") :]
     assert shown.index(">1.1128<") < shown.index("<td>heading<")  # statements of one quantity stand together
@@ -273,13 +244,11 @@ def test_a_contradiction_is_a_level_of_its_own_and_the_evidence_a_section(tmp_pa
 def test_registered_is_what_the_run_called_so(tmp_path: Path) -> None:
     folder = make_run(tmp_path / "run")
     before = read_run(folder).model
-    receipt = folder / "receipts" / "sparse.json"
-    data = json.loads(receipt.read_text())
-    receipt.write_text(json.dumps({**data, "tuning": {"scene": {"registered": {"min_points": 1000}}}}))
+    tell(folder, "sparse", tuning={"scene": {"registered": {"min_points": 1000}}})
     after = read_run(folder).model
     assert before is not None and before.registered.any() and before.images.min_points == 10
     assert after is not None and not after.registered.any() and after.images.min_points == 1000
-    receipt.write_text(json.dumps({**data, "tuning": {"scene": {"of another version": 1}}}))
+    tell(folder, "sparse", tuning={"scene": {"of another version": 1}})
     again = read_run(folder).model
     assert again is not None and again.images.min_points == 10
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import jsonschema
 import numpy as np
 import pytest
-from fake_survey_run import make_run
+from fake_survey_run import make_run, tell
 from jinja2 import nodes
 
 from accuracy_marks import check, unmarked
@@ -33,11 +33,9 @@ REASON = "no verified pair"
 @pytest.fixture(scope="module")
 def full(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = make_run(tmp_path_factory.mktemp("run") / "quay")
-    path = folder / "receipts" / "sparse.json"
     scene = json.loads((folder / "scene.json").read_text())
     missing = [[n, REASON] for n, f in zip(scene["names"], scene["frame"]) if f == 4]
-    notes = ["read /home/somebody/survey/rig.toml"]
-    path.write_text(json.dumps({**json.loads(path.read_text()), "dropped": missing, "notes": notes}))
+    tell(folder, "sparse", dropped=missing, notes=["read /home/somebody/survey/rig.toml"])
     return folder
 
 
@@ -196,17 +194,17 @@ def test_maps_and_overlap_are_drawn_where_the_data_are(full: Path) -> None:
 
 def test_without_a_browser_the_remedy_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
+    page, target, browser = (tmp_path / name for name in ("report.html", "report.pdf", "chromium"))
     with pytest.raises(EngineMissing, match="chromium.*open report.html in any browser and print it"):
-        pdf.print_pdf(tmp_path / "report.html", tmp_path / "report.pdf")
-    browser = tmp_path / "chromium"
+        pdf.print_pdf(page, target)
     browser.write_text("#!/bin/sh\nexit 3\n")
     browser.chmod(0o755)
     with pytest.raises(EngineMissing, match=r"did not print report.html \(exit code 3\)"):
-        pdf.print_pdf(tmp_path / "report.html", tmp_path / "report.pdf")
-    (tmp_path / "report.pdf").write_text("my own")
+        pdf.print_pdf(page, target)
+    target.write_text("my own")
     with refused("is no PDF"):
-        pdf.print_pdf(tmp_path / "report.html", tmp_path / "report.pdf")
-    assert (tmp_path / "report.pdf").read_text() == "my own"
+        pdf.print_pdf(page, target)
+    assert target.read_text() == "my own"
 
 
 @pytest.mark.slow
