@@ -195,7 +195,7 @@ def test_absolute_error_in_a_common_crs(tmp_path: Path) -> None:
     match, _ = reference.match_poses(reference.read_reference_poses(tmp_path), found, scene, GAP_S)
     match = reference.poses_to_world(match, local, world)
     result = evaluate_trajectory(match, (2.0,), TUNING.trajectory, same_frame=True)
-    assert result.absolute is not None and result.absolute.rmse_m == pytest.approx(0.2, abs=1e-3)
+    assert result.absolute.rmse_m == pytest.approx(0.2, abs=1e-3)
     settings = EvaluateSettings(reference=tmp_path / "up.tum", reference_origin=place)
     data = evaluate_survey(scene, made(scene, make_model(scene), origin=world), settings, TUNING).metrics
     assert "absolute_rmse" in [m["name"] for m in data["metrics"]]

@@ -49,7 +49,6 @@ def rig(path: Path, distortion: float) -> Path:
 
 def used(out: Path, name: str) -> np.ndarray:
     mask = cv2.imread(str(out / "masks" / f"{name}.png"), cv2.IMREAD_GRAYSCALE)
-    assert mask is not None
     return mask > 0
 
 

@@ -42,7 +42,6 @@ def start_of(made: worlds.Survey, folder: Path, turned_deg: float = 0.0) -> Path
     a tenth too long, too."""
     folder.mkdir()
     camera = made.rig.sensors[0].camera
-    assert camera is not None
     params = np.array(camera.params) * ([1.1, 1.1, 1, 1] if turned_deg else 1.0)
     lens = " ".join(map(repr, params.tolist()))
     (folder / "cameras.txt").write_text(f"1 PINHOLE {camera.width} {camera.height} {lens}\n")

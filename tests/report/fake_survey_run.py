@@ -202,7 +202,6 @@ def _surface(rng: np.random.Generator, points: int) -> tuple[np.ndarray, np.ndar
 
 def make_world(scene: Scene, rng: np.random.Generator) -> dict:
     """A world.json."""
-    assert scene.origin is not None
     frames = [f for f in range(scene.frames) if f not in MISSING_FRAMES]
     residuals = rng.normal(0, [0.2, 0.2, 0.4], (len(frames), 3))
     return {
@@ -219,7 +218,6 @@ def make_world(scene: Scene, rng: np.random.Generator) -> dict:
 
 def write_cloud(path: Path, scene: Scene, rng: np.random.Generator, points: int = 40_000) -> None:
     """A LAZ file in full CRS coordinates with sigma and views."""
-    assert scene.origin is not None
     xyz, rgb = _surface(rng, points)
     header = laspy.LasHeader(point_format=7, version="1.4")
     header.offsets, header.scales = np.array(scene.origin.shift_m), np.full(3, 0.001)

@@ -144,18 +144,16 @@ def test_a_model_without_a_world_is_drawn_upright(full: Path) -> None:
     """However its frame lies: as high as where it is placed, and the way along x."""
     run = read_run(full)
     placed = scenery(run)
-    assert run.model is not None and placed is not None
     anyhow = transforms.rigid(Rotation.random(random_state=2).as_matrix(), np.array([5.0, 2, -9]))
     turned = replace(run.model, world_from_camera=anyhow @ run.model.world_from_camera)
     free = scenery(replace(run, model=turned, world=None, cloud=None))
-    assert free is not None and not free.north
+    assert not free.north
     assert np.ptp(free.path[:, 2]) == pytest.approx(np.ptp(placed.path[:, 2]), abs=0.05)
     assert np.ptp(free.path[:, 0]) > 2 * np.ptp(free.path[:, 1]) > 0.5
 
 
 def test_missing_frames_are_put_between_their_neighbours(full: Path) -> None:
     run = read_run(full)
-    assert run.scene is not None and run.model is not None
     positions = frame_positions(run.scene, run.model.centres)
     assert np.isnan(positions[:, 0]).sum() == 2
     up, down = tracks(run.scene, positions)
@@ -165,14 +163,13 @@ def test_missing_frames_are_put_between_their_neighbours(full: Path) -> None:
 
 def test_the_cloud_comes_back_into_the_world(full: Path) -> None:
     run = read_run(full, 5000)
-    assert run.cloud is not None and run.cloud.count == 40_000 and 4000 <= len(run.cloud.xyz) <= 5000
+    assert run.cloud.count == 40_000 and 4000 <= len(run.cloud.xyz) <= 5000
     assert np.abs(run.cloud.xyz).max() < 30 and run.cloud.rgb.max() > 150
     assert 0.01 < np.median(run.cloud.sigma_m) < 0.05 and run.cloud.views.min() >= 3
 
 
 def test_funnel_rows_add_up(full: Path) -> None:
     run = read_run(full)
-    assert run.pairs is not None
     rows = charts.funnel_rows(run.pairs, run.network)
     counts = {name: n for name, n, _ in rows}
     names = [name for name, _, _ in rows]
@@ -211,7 +208,7 @@ def test_words() -> None:
     assert [formatting.percent(v) for v in (1.0, 0.9999, 0.5, 0.054)] == ["100 %", "99.9 %", "50 %", "5.4 %"]
     assert formatting.size(3.2e9) == "3.20 GB" and formatting.size(4.2e6) == "4.2 MB"
     table = formatting.table({"columns": ["camera_name", "iou"], "rows": [["a", 0.5], ["b", None], ["c", 0.1234]]})
-    assert table is not None and table.numeric == (False, True) and table.columns[0] == "camera name"
+    assert table.numeric == (False, True) and table.columns[0] == "camera name"
     assert [row[1] for row in table.rows] == ["0.500", formatting.NONE, "0.123"]
     assert formatting.table({"columns": ["a"], "rows": []}) is None and formatting.table(3) is None
     assert formatting.table({"columns": ["a", "b"], "rows": [[1]]}).rows == (("1", formatting.NONE),)  # type: ignore[union-attr]
@@ -246,11 +243,11 @@ def test_registered_is_what_the_run_called_so(tmp_path: Path) -> None:
     before = read_run(folder).model
     tell(folder, "sparse", tuning={"scene": {"registered": {"min_points": 1000}}})
     after = read_run(folder).model
-    assert before is not None and before.registered.any() and before.images.min_points == 10
-    assert after is not None and not after.registered.any() and after.images.min_points == 1000
+    assert before.registered.any() and before.images.min_points == 10
+    assert not after.registered.any() and after.images.min_points == 1000
     tell(folder, "sparse", tuning={"scene": {"of another version": 1}})
     again = read_run(folder).model
-    assert again is not None and again.images.min_points == 10
+    assert again.images.min_points == 10
 
 
 def test_heights_lever_arm_and_adjustment_are_told() -> None:

@@ -111,7 +111,6 @@ def test_images_that_hang_on_a_wide_camera_are_listed_as_such(tmp_path: Path) ->
     ring = Scene.from_json((folder / "scene.json").read_text())
     sensors = tuple(replace(s, role=WIDE if s.name == "cam0" else "side") for s in ring.rigs[0].sensors)
     for sensor in sensors:
-        assert sensor.camera is not None
         sensor.camera.has_prior_focal_length = True
     whole = ring.with_(rigs=(replace(ring.rigs[0], sensors=sensors),))
     (folder / "whole.json").write_text(whole.to_json())
@@ -172,13 +171,13 @@ def test_every_text_of_the_page_is_in_the_table(japanese: str, monkeypatch: pyte
         assert texts.t("{} usable", "<b>") == "使用可 &lt;b&gt;"
         named = {"columns": ["camera", "reason"], "rows": [["camera", "not verified"], ["all", "scale"]]}
         table = formatting.table(named)
-        assert table is not None and table.rows == (("camera", "幾何検証で不採用"), ("全体", "縮尺")), "a name stays"
+        assert table.rows == (("camera", "幾何検証で不採用"), ("全体", "縮尺")), "a name stays"
     assert texts.t("Glossary") == "Glossary"
 
 
 def test_maps_and_overlap_are_drawn_where_the_data_are(full: Path) -> None:
     seen = spatial.scenery(read_run(full, 5000))
-    assert seen is not None and seen.north
+    assert seen.north
     place = seen.place
     at = place.at(np.array([[place.low[0], place.high[1]], [place.high[0], place.low[1]]]))
     assert np.allclose(at, [[0, 0], [420, place.height]])

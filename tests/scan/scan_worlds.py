@@ -112,7 +112,6 @@ def times_csv(path: Path, frames: int, passes: tuple[str, ...] = ("up",), start:
 
 def in_enu(scene: Scene) -> np.ndarray:
     """(F, 3) positions of a scene in the ENU frame of these tests, metres."""
-    assert scene.origin is not None
     out = np.full((scene.frames, 3), np.nan)
     known = np.isfinite(scene.world_from_rig[:, 0, 3])
     out[known] = world_from_geodetic(geodetic_from_world(scene.world_from_rig[known, :3, 3], scene.origin), ORIGIN)

@@ -29,7 +29,6 @@ def placed(request, canal: Path):
     scene = scan(canal / "images", **given)
     model = read_model(canal / "truth" / "colmap")
     gnss = read_gnss(canal / name, ScanTuning().positions.gnss)
-    assert scene.origin is not None
     rows = PositionRows(gnss.time_s, world_from_geodetic(gnss.lat_lon_height, scene.origin), gnss.sigma_m)
     found = georeference(model, scene, GeorefSettings(), Tuning().world, Measurements(rows=rows))
     inside = np.linalg.inv(image_poses(model, scene))[:, :3, 3]

@@ -229,7 +229,7 @@ def test_positions_from_exif(tmp_path: Path) -> None:
     assert np.linalg.norm(got[:3] - enu, axis=1).max() < 0.05
     assert np.isnan(got[3]).all() and scene.prior == "exif"
     assert np.allclose(scene.position_sigma_m[:3], [5, 5, 10])
-    assert scene.origin is not None and scene.origin.crs == "EPSG:6677"
+    assert scene.origin.crs == "EPSG:6677"
 
 
 @pytest.mark.parametrize(("others", "taken"), [(400.0, False), (2.0, True)])
@@ -248,7 +248,7 @@ def test_a_survey_on_both_sides_of_180_degrees_is_one_place(tmp_path: Path, crs:
         east = (179.9997 + 0.0002 * k + 180) % 360 - 180
         picture(tmp_path / f"IMG_{k}.jpg", exif=exif_of(lat=-16.8, lon=east, alt=5))
     scene = scan(tmp_path, ScanSettings(crs=crs))
-    assert scene.origin is not None and abs(scene.origin.lon_deg) > 179.999
+    assert abs(scene.origin.lon_deg) > 179.999
     steps = np.diff(scene.world_from_rig[:, :3, 3], axis=0)
     assert np.abs(scene.world_from_rig[:, :2, 3]).max() < 150
     assert np.linalg.norm(steps, axis=1) == pytest.approx(np.full(3, 21.3), abs=0.05)  # 0.0002 deg at 16.8 south

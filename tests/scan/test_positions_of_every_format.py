@@ -137,7 +137,6 @@ def test_every_format_gives_the_places_of_the_csv(canal: Canal, by_csv: Scene, t
     found = canal.placed(written(tmp_path, write(canal.rows)), times_file(tmp_path, kind))
     placed = np.isfinite(by_csv.world_from_rig[:, 0, 3])
     assert placed.sum() > 5 and (~placed).sum() > 5  # the outage below the bridge stays
-    assert found.origin is not None and by_csv.origin is not None
     assert found.origin.crs == by_csv.origin.crs and found.origin.shift_m == by_csv.origin.shift_m
     # A millimetre is the rounding of the formats; times of 1.7e9 s are rounded to 0.2 us.
     np.testing.assert_allclose(found.world_from_rig[:, :3, 3], by_csv.world_from_rig[:, :3, 3], rtol=0, atol=1e-3)
@@ -152,7 +151,6 @@ def test_georef_reads_the_rows_on_the_frames_clock(canal: Canal, tmp_path: Path,
     scene = canal.placed(path, times_file(tmp_path, kind))
     run = SimpleNamespace(inputs=SimpleNamespace(gnss=path, times=tmp_path), settings=Settings())
     rows = _rows(run, scene)  # type: ignore[arg-type]
-    assert rows is not None
     np.testing.assert_allclose(rows.time_s, DAY + np.array([r[0] for r in canal.rows]), rtol=0, atol=1e-6)
 
 

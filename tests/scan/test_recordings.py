@@ -301,7 +301,6 @@ POLYNOMIAL = (  # form 2: the same radius, and its polynomial of the angle
 @pytest.mark.parametrize("number", [0, 1])
 def test_the_sphere_is_the_lens_that_the_other_forms_describe(number: int) -> None:
     found = factory_lenses(f"{OLD} {SPHERE}")
-    assert found is not None
     lens = found[number]
     assert 1e-4 < abs(float(lens.radius_px(np.radians(100.0))) / RADIUS[number] - 1) < 2e-3
     stated, coefficients = POLYNOMIAL[number]
@@ -313,7 +312,6 @@ def test_the_sphere_is_the_lens_that_the_other_forms_describe(number: int) -> No
 @pytest.mark.parametrize("number, width", [(0, 5376), (1, 2880)])
 def test_colmaps_lens_is_the_sphere_to_a_tenth_of_a_pixel(number: int, width: int) -> None:
     found = factory_lenses(SPHERE)
-    assert found is not None
     params = found[number].opencv_fisheye(number, width)
     camera = pycolmap.Camera(model="OPENCV_FISHEYE", width=width, height=width, params=params)
     angle = np.radians(np.arange(1.0, 88.0))
@@ -326,7 +324,6 @@ def test_colmaps_lens_is_the_sphere_to_a_tenth_of_a_pixel(number: int, width: in
 
 def test_the_newest_form_that_can_be_read_is_taken() -> None:
     old, both = factory_lenses(OLD), factory_lenses(f"{OLD} {SPHERE}")
-    assert old is not None and both is not None
     assert [lens.roll_deg for lens in old] == [lens.roll_deg for lens in both] == [89.729, 89.754]
     assert not old[0].sphere and both[0].sphere and old[0].centre_px == both[0].centre_px
     assert factory_lenses(f"{SPHERE.removesuffix('197632')}132096 {OLD}") == old  # its last number says another form
@@ -341,7 +338,7 @@ def test_words_that_are_no_lenses(text: str) -> None:
 
 def test_numbers_of_no_lens_give_no_camera() -> None:
     found = factory_lenses(SPHERE.replace("4291.910", "0").replace("4291.470", "0"))
-    assert found is not None and found[0].opencv_fisheye(0, 1000) == ()
+    assert found[0].opencv_fisheye(0, 1000) == ()
 
 
 @pytest.mark.slow

@@ -185,7 +185,7 @@ def test_a_camera_of_another_size_is_rescaled_and_of_another_shape_refused(tmp_p
     text = f"[camera]\n{lens}\n[[sensors]]\nname = 'c'\n"
     scene = scan(tmp_path / "in", rig=str(toml(tmp_path, text)))
     camera = scene.sensor_of(0).camera
-    assert camera is not None and (camera.width, camera.height) == (96, 64)
+    assert (camera.width, camera.height) == (96, 64)
     assert list(camera.params) == pytest.approx([86.22, 86.375, 47.5, 31.44], abs=0.01)
     assert says(scene.notes, "rescaled by 0.03125")
     for old, new, words in (
@@ -211,7 +211,7 @@ def test_ring_presets_are_nominal_common_centre_and_equally_spaced(
     if up:
         assert rig.sensors[5].optical_axis() == pytest.approx([0, -1, 0])
     camera = rig.sensors[0].camera
-    assert camera is not None and not camera.has_prior_focal_length
+    assert not camera.has_prior_focal_length
 
 
 def test_stereo_presets_and_folders_of_any_name(tmp_path: Path) -> None:
@@ -259,7 +259,7 @@ def test_colmap_rig_config_puts_the_reference_first(three_cameras: Survey, tmp_p
     assert np.allclose(rig.sensors[1].sensor_from_rig, given)
     assert rig.sensors[2].sensor_from_rig is None and not rig.known() and not rig.nominal
     camera = rig.sensors[2].camera
-    assert camera is not None and camera.has_prior_focal_length and camera.model.name == "PINHOLE"
+    assert camera.has_prior_focal_length and camera.model.name == "PINHOLE"
 
 
 @pytest.mark.parametrize(
@@ -329,7 +329,6 @@ def test_poses_from_a_drawing_become_a_rig_toml(tmp_path: Path) -> None:
     reference = orient(0, 0, 0, "flu")
     for name, sensor in zip(nominal, rig.sensors):
         cam_from_body = from_quaternion_wxyz(np.array(nominal[name]["cam_from_body_qwxyz"]), np.zeros(3))[:3, :3]
-        assert sensor.body_from_sensor is not None
         assert angle_deg(reference @ sensor.body_from_sensor[:3, :3], cam_from_body.T) < 1e-4
 
 

@@ -68,7 +68,7 @@ def test_two_lenses_back_to_back_become_level_views_all_round(tmp_path: Path) ->
     assert np.allclose(axes[:3], [[0, 0, 1], [a, 0, b], [-a, 0, b]])
     assert np.allclose(axes[3:], axes[:3] * (-1, 1, -1))
     source = rig.sensors[4].source
-    assert source is not None and source.view is not None and source.view.name == "fish_b"
+    assert source.view.name == "fish_b"
     x, y, radius = source.circle_px or (0, 0, 0)
     assert abs(x - 120) < 1 and abs(y - 120) < 1 and 0.95 * CIRCLE < radius < 0.99 * CIRCLE
     assert Scene.from_json(scene.to_json()).rigs[0].sensors[4].source == source
@@ -85,7 +85,7 @@ def test_views_show_what_the_rig_sees_there(tmp_path: Path) -> None:
         with Image.open(tmp_path / name) as file:
             seen = np.asarray(file, float)
         view, pose, used = sensor.camera, sensor.sensor_from_rig, lit(sensor, 80.0)
-        assert view is not None and pose is not None and seen.shape[:2] == (view.height, view.width)
+        assert pose is not None and seen.shape[:2] == (view.height, view.width)
         px = np.stack(np.meshgrid(np.arange(view.width) + 0.5, np.arange(view.height) + 0.5), axis=-1)
         rays = np.concatenate([view.cam_from_img(px.reshape(-1, 2)), np.ones((px[..., 0].size, 1))], axis=1)
         rays = rays / np.linalg.norm(rays, axis=1, keepdims=True) @ pose[:3, :3]

@@ -63,7 +63,7 @@ def prepared(folder: Path) -> np.ndarray:
     prepare_image(folder / scene.source_name(0), folder / "out" / scene.names[0], scene.sensor_of(0), ScanSettings())
     pixels = cv2.imread(str(folder / "out" / scene.names[0]), cv2.IMREAD_UNCHANGED)
     camera = scene.sensor_of(0).camera
-    assert camera is not None and pixels.shape[:2] == (camera.height, camera.width)
+    assert pixels.shape[:2] == (camera.height, camera.width)
     return pixels
 
 

@@ -101,7 +101,7 @@ def seen_of(folder: Path, scene: Scene, k: int, target: Path) -> tuple[np.ndarra
         pixels = np.asarray(file.convert("RGB"), float)
     shown = opaque(target / scene.names[k])
     camera, source = scene.sensor_of(k).camera, scene.sensor_of(k).source
-    assert camera is not None and source is not None and pixels.shape[:2] == (camera.height, camera.width)
+    assert source is not None and pixels.shape[:2] == (camera.height, camera.width)
     px = np.stack(np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5), axis=-1)
     rays = np.concatenate([camera.cam_from_img(px.reshape(-1, 2)), np.ones((px[..., 0].size, 1))], axis=1)
     x, y, z = (rays / np.linalg.norm(rays, axis=1, keepdims=True) @ np.reshape(source.panorama, (3, 3))).T.reshape(

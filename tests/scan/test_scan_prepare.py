@@ -121,7 +121,7 @@ def test_scene_camera_is_that_of_the_prepared_image(tmp_path: Path) -> None:
     settings = ScanSettings(undistort=True)
     sensor = scan(tmp_path / "in", settings, rig=str(tmp_path / "rig.toml")).sensor_of(0)
     target, camera = prepared(tmp_path / "in" / "0.png", sensor, settings), sensor.camera
-    assert camera is not None and camera.model.name == "PINHOLE" and camera.has_prior_focal_length
+    assert camera.model.name == "PINHOLE" and camera.has_prior_focal_length
     assert Image.open(target).size == (camera.width, camera.height)
     assert camera.params[0] == pytest.approx(250)
     with refused("scan again"):  # a source that went away

@@ -228,7 +228,7 @@ def test_loose_or_sequence_by_the_numbers(tmp_path: Path, pattern: str, count: i
     assert bool((scene.sequence == -1).all()) == loose
     assert scene.frames == count and says(scene.notes, "loose" if loose else "sequence")
     camera = scene.sensor_of(0).camera
-    assert camera is not None and camera.model.name == ("SIMPLE_RADIAL" if loose else "RADIAL")
+    assert camera.model.name == ("SIMPLE_RADIAL" if loose else "RADIAL")
     if not loose:
         assert scene.sequences == ("all",) and scene.sequence_index.tolist() == list(range(count))
         assert scene.guessed == ("all",) and says(scene.notes, "if the images bear it out")
@@ -260,7 +260,7 @@ def test_loose_photographs_of_several_cameras_are_several_rigs(tmp_path: Path) -
     assert len(scene.rigs) == 4 and scene.frames == 10 and not scene.dropped
     for k, name in enumerate(scene.names):
         camera = scene.sensor_of(k).camera
-        assert camera is not None and camera.has_prior_focal_length == (name[0] != "c")
+        assert camera.has_prior_focal_length == (name[0] != "c")
         assert (camera.width, camera.height) == {"c": (80, 60), "d": (48, 64)}.get(name[0], (64, 48))
     assert len({scene.sensor_key[scene.names.index(n)] for n in ("a0.jpg", "b0.jpg", "c0.jpg", "d0.jpg")}) == 4
 
@@ -272,8 +272,7 @@ def test_mixed_orientations_of_a_mounted_camera_keep_the_sensor_rows(tmp_path: P
     scene = scan(tmp_path)
     assert len(scene) == 6
     first, second = scene.all_sensors
-    assert first.source is not None and not first.source.upright and second.source is None
-    assert first.camera is not None and second.camera is not None
+    assert not first.source.upright and second.source is None
     assert (first.camera.width, second.camera.width) == (64, 48)
 
 
@@ -291,7 +290,7 @@ def test_names_with_blanks_are_renamed_and_remember_their_file(tmp_path: Path) -
 
 def test_crop_and_undistort_settings(three_cameras: Survey) -> None:
     camera = three_cameras.scan(ScanSettings(crop_px=(2, 4, 6, 8))).sensor_of(0).camera
-    assert camera is not None and (camera.width, camera.height) == (56, 36)
+    assert (camera.width, camera.height) == (56, 36)
     assert (camera.principal_point_x, camera.principal_point_y) == (30, 20)
     with refused("leaves less than 32 px"):
         three_cameras.scan(ScanSettings(crop_px=(30, 0, 30, 0)))
@@ -303,10 +302,10 @@ def test_camera_model_setting_and_fisheye_folders(tmp_path: Path) -> None:
     """And the angle of view that is guessed of a fisheye."""
     survey = Survey(photographs(tmp_path, "fisheye_left/0.jpg", "fisheye_right/0.jpg"))
     camera = survey.scan().sensor_of(0).camera
-    assert camera is not None and camera.model.name == "OPENCV_FISHEYE" and not camera.has_prior_focal_length
+    assert camera.model.name == "OPENCV_FISHEYE" and not camera.has_prior_focal_length
     assert camera.mean_focal_length() == pytest.approx(64 / np.pi)
     camera = survey.scan(ScanSettings(camera_model="OPENCV")).sensor_of(0).camera
-    assert camera is not None and camera.model.name == "OPENCV"
+    assert camera.model.name == "OPENCV"
     assert camera.mean_focal_length() == pytest.approx(1.2 * 64)
     narrow = survey.scan(tuning=tuned({"rig": {"camera": {"guessed_fisheye_deg": 90}}}))
     assert narrow.sensor_of(0).camera.mean_focal_length() == pytest.approx(40.74, abs=0.01)
@@ -317,7 +316,7 @@ def test_deep_images_tell_their_depth(tmp_path: Path) -> None:
     for k in range(2):
         Image.fromarray(np.full((48, 64), 900 + k, np.uint16)).save(tmp_path / f"{k}.png")
     source = scan(tmp_path).sensor_of(0).source
-    assert source is not None and source.levels == (900, 902)
+    assert source.levels == (900, 902)
 
 
 def test_scene_survives_json(tmp_path: Path) -> None:
@@ -329,7 +328,7 @@ def test_scene_survives_json(tmp_path: Path) -> None:
     assert again.to_json() == scene.to_json()
     assert again.sources == scene.sources and again.dropped == scene.dropped and again.notes == scene.notes
     source, other = again.sensor_of(0).source, scene.sensor_of(0).source
-    assert source is not None and other is not None and source.crop_px == other.crop_px == (1, 1, 1, 1)
+    assert source.crop_px == other.crop_px == (1, 1, 1, 1)
 
 
 def test_four_thousand_images_take_seconds() -> None:
@@ -383,7 +382,7 @@ def test_a_fixed_aperture_may_be_left_away(tmp_path: Path) -> None:
     for k in range(2):
         picture(tmp_path / f"{k}.jpg", exif=exif_of(exposure=0.01) if k else exif_of(iso=100))
     exposure = scan(tmp_path).exposure
-    assert exposure is not None and np.isnan(exposure[0]) and exposure[1] == pytest.approx(0.01)
+    assert np.isnan(exposure[0]) and exposure[1] == pytest.approx(0.01)
 
 
 def tuned(changes: dict) -> Tuning:
@@ -403,7 +402,7 @@ def test_a_run_takes_constants_from_its_settings(tmp_path: Path) -> None:
     changed = {"scan": {"rig": {"camera": {"guessed_focal": 0.5}}}}
     project = open_project(images, out, pool="serial", settings={"tuning": changed})
     camera = project.run("scan").scene().sensor_of(0).camera
-    assert camera is not None and camera.mean_focal_length() == 32.0
+    assert camera.mean_focal_length() == 32.0
     assert json.loads((out / "receipts" / "scan.json").read_text())["tuning"] == changed
 
 
@@ -432,7 +431,6 @@ def test_sections_by_the_exposure_that_the_camera_wrote(tmp_path: Path) -> None:
         picture(tmp_path / "cam0" / f"{k:04d}.jpg", exif=exif_of(exposure=1 / 250, f_number=2.8, iso=100))
         picture(tmp_path / "up" / f"{k:04d}.jpg", exif=exif_of(f_number=2.8, **shown))
     scene = scan(tmp_path)
-    assert scene.exposure is not None
     up = np.array([scene.sensor_of(k).role == "up" for k in range(len(scene))])
     assert scene.exposure[~up] == pytest.approx(100 / 250 / 2.8**2)
     assert sorted(set(scene.exposure[up])) == pytest.approx([100 / 500 / 2.8**2, 400 / 60 / 2.8**2])

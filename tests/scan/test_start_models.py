@@ -58,7 +58,6 @@ def photographs(tmp_path: Path, count: int = 6, size: tuple[int, int] = (WIDTH, 
 
 def lens_of(scene: Scene) -> pycolmap.Camera:
     camera = scene.rigs[0].sensors[0].camera
-    assert camera is not None
     return camera
 
 
@@ -73,7 +72,7 @@ def test_every_format_gives_the_same_poses_and_camera(tmp_path: Path, name: str)
         np.testing.assert_allclose(scene.world_from_rig[k], np.linalg.inv(truth), atol=1e-9)
     assert scene.prior == "trajectory" and scene.started and scene.has_orientations()
     camera = scene.rigs[0].sensors[0].camera
-    assert camera is not None and camera.has_prior_focal_length
+    assert camera.has_prior_focal_length
     pixel = camera.img_from_cam(np.array([[0.3, -0.2, 1.0]]))[0]
     stretch = FOCAL_PX * (1 + K1 * 0.13)
     np.testing.assert_allclose(pixel, [32 + 0.3 * stretch, 24 - 0.2 * stretch], atol=1e-4)
@@ -96,7 +95,7 @@ def test_its_camera_is_a_start_and_no_calibration(tmp_path: Path) -> None:
     start = read_start(metashape_file(tmp_path / "c.xml", walk(), lens="<cx>1.5</cx><cy>-0.5</cy>"))
     (rig,) = scan(photographs(tmp_path), LOOSE, start=start).rigs
     (sensor,) = rig.sensors
-    assert sensor.camera is not None and sensor.camera.principal_point_x == pytest.approx(33.5, abs=1e-6)
+    assert sensor.camera.principal_point_x == pytest.approx(33.5, abs=1e-6)
     assert sensor.camera_sigma_px == pytest.approx(0.01 * FOCAL_PX, rel=1e-3) and not rig.measured()
     assert replace(rig, sensors=(replace(sensor, camera_sigma_px=None),)).measured()
 
@@ -129,7 +128,7 @@ def test_a_perspective_camera_is_adjusted_from_the_nearest_radial_one(
     folder = colmap_model(tmp_path / "m", walk())
     (folder / "cameras.txt").write_text(f"7 {words}\n")
     camera = scan(photographs(tmp_path), LOOSE, start=read_start(folder)).rigs[0].sensors[0].camera
-    assert camera is not None and camera.model.name == "RADIAL"
+    assert camera.model.name == "RADIAL"
     model, width, height, *params = words.split()
     given = pycolmap.Camera(model=model, width=int(width), height=int(height), params=[float(v) for v in params])
     rays = np.array([[x, y, 1.0] for x in np.linspace(-0.5, 0.5, 5) for y in np.linspace(-0.35, 0.35, 5)])

@@ -130,7 +130,7 @@ def test_canal_gnss_and_odometry() -> None:
     scene = scan(data("canal_demo", "images"), rig="ladybug5", gnss=sensors / "gnss.csv", trajectory=sensors)
     known = np.isfinite(scene.position_sigma_m[:, 0])
     assert 8 <= known.sum() <= 12 and np.isfinite(scene.world_from_rig).all()
-    assert scene.origin is not None and scene.origin.crs == "EPSG:32654"
+    assert scene.origin.crs == "EPSG:32654"
     assert np.ptp(scene.world_from_rig[:, :3, 3], axis=0).max() < 40  # m: the boat stays on its canal
 
 
@@ -198,7 +198,7 @@ def test_a_frame_without_its_first_camera_has_the_pose_by_another(tmp_path: Path
     """By the rig's geometry; frames and images that lack are said."""
     images, rig_toml = papers_rig(tmp_path / "in", ("up",), 2, 3), two_cameras_rig(tmp_path)
     on_rig = scan(images, rig=rig_toml).rigs[0].sensors[1].sensor_from_rig
-    assert on_rig is not None and np.linalg.norm(on_rig[:3, 3]) == pytest.approx(0.5)
+    assert np.linalg.norm(on_rig[:3, 3]) == pytest.approx(0.5)
     turns = [Rotation.from_euler("xyz", [5 * k, 10, 0], degrees=True).as_matrix() for k in range(3)]
     rig = [rigid(turn, np.array([k, 2.0, 3])) for k, turn in enumerate(turns)]
     poses = {"cam0/000000": rig[0], "cam1/000001": rig[1] @ np.linalg.inv(on_rig), "cam0/9": rig[2]}

@@ -132,7 +132,6 @@ def test_what_is_written_is_read_again(tmp_path: Path, taken: Taken) -> None:
 def test_each_form_of_a_drones_subtitles(tmp_path: Path, text: str, start: str, place: tuple, later: tuple) -> None:
     (tmp_path / "a.SRT").write_text(text)
     found = read_subtitles(tmp_path / "a.SRT", 5.0)
-    assert found is not None
     assert found.start_s == pytest.approx(seconds(start) if start else np.nan, abs=1e-6, nan_ok=True)
     for stamp, expected in ((0.05, place), (5.0, later)):
         at = found.place(stamp)

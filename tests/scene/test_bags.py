@@ -182,7 +182,7 @@ GREY = cv2.cvtColor(SMOOTH, cv2.COLOR_BGR2GRAY)
 )
 def test_encodings_become_the_colours_they_stand_for(tmp_path: Path, encoding, pixels, truth, off) -> None:
     found = decoded(tmp_path, world.image("/image", START_S, pixels, encoding, padding=5))
-    assert found is not None and found.shape == truth.shape
+    assert found.shape == truth.shape
     inside = np.s_[2:-2, 2:-2]
     assert np.abs(found[inside].astype(int) - truth[inside]).max() <= off
 

@@ -79,7 +79,7 @@ def test_geographic_points_and_a_world_of_their_own(tmp_path) -> None:
     found = control(tmp_path, "name,lat,lon,height,image,px,py\nA,35.6965,139.7695,40,000.jpg,1,1\n")
     np.testing.assert_allclose(locate(found, _scene()).world_m, _scene().world_from_rig[:1, :3, 3], atol=1e-6)
     alone = locate(_odm(tmp_path, f"{EAST} {NORTH} 3 1 1 000.jpg\n"), _scene(positions=False))
-    assert alone.origin is not None and alone.origin.crs == "EPSG:32654"
+    assert alone.origin.crs == "EPSG:32654"
     np.testing.assert_allclose(crs_coordinates(alone.world_m, alone.origin)[0, :2], [EAST, NORTH], atol=1e-3)
 
 

@@ -156,7 +156,6 @@ def test_sigkill_while_writing_keeps_whole_images_only(tmp_path):
         "    print(n, flush=True)\n"
     )
     with subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True) as writer:
-        assert writer.stdout is not None
         while int(writer.stdout.readline()) < 5:
             pass
         writer.send_signal(signal.SIGKILL)

@@ -54,12 +54,12 @@ def test_one_bad_value_is_no_trend_and_the_words_hold_the_figures() -> None:
     bad[4] = 5.0
     assert trend(bad, TUNING) is None and trend(np.zeros(30), TUNING) is None and trend(x[:5], TUNING) is None
     line = trend(0.7 * x + 0.02 * rng.standard_normal(30), TUNING)
-    assert line is not None and line.text().startswith("run in a line from -0.") and " m to +0." in line.text()
+    assert line.text().startswith("run in a line from -0.") and " m to +0." in line.text()
     assert line.start == pytest.approx(-0.7, abs=0.05) and line.end == pytest.approx(0.7, abs=0.05)
     step = trend(np.where(x > 0, 0.5, 0.0) + 0.02 * rng.standard_normal(30), TUNING)
-    assert step is not None and step.text().startswith("jump by +0.") and step.at == 0.5
+    assert step.text().startswith("jump by +0.") and step.at == 0.5
     off = trend(0.5 + 0.02 * rng.standard_normal(30), TUNING, offset=True)
-    assert off is not None and off.text() == "stand off by +0.5 m all the time"
+    assert off.text() == "stand off by +0.5 m all the time"
     assert trend(0.5 + 0.02 * rng.standard_normal(30), TUNING) is None
 
 
