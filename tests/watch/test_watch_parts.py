@@ -1,5 +1,11 @@
-"""New frames take their place from ties to images with a pose; the plan is level and lies on the positions."""
+"""Parts of watch: files that arrive, new frames that take their place, and the page that shows them."""
 
+import json
+import os
+import re
+import shutil
+import urllib.error
+import urllib.request
 from dataclasses import replace
 from functools import partial
 
@@ -8,12 +14,82 @@ import pycolmap
 import pytest
 
 from boat_world import photos
+from said import refused
 from tiegraph.geometry import transforms
+from tiegraph.pipeline.pages import WatchServer
 from tiegraph.pipeline.watchmodel import resect_previews
 from tiegraph.scene.matches import PreviewMatches
+from tiegraph.watch.arrivals import Arrivals
 from tiegraph.watch.frames import Known, place_frames
-from tiegraph.watch.tuning import FramesTuning
-from tiegraph.watch.view import path_and_ties, plan_from_world
+from tiegraph.watch.tuning import ArrivalsTuning, FramesTuning
+from tiegraph.watch.view import page, path_and_ties, plan_from_world
+
+SETTLED = ArrivalsTuning(settled_s=0.6, again_s=5.0, tries=3)
+
+
+@pytest.fixture
+def card(tmp_path):
+    (tmp_path / "card").mkdir()
+    return tmp_path / "card"
+
+
+def put(card, name, size, time_s=1000):
+    path = card / name
+    path.parent.mkdir(exist_ok=True)
+    path.write_bytes(b"x" * size)
+    os.utime(path, (time_s, time_s))
+
+
+def test_a_file_is_handed_out_when_it_has_stopped_growing(card):
+    arrivals = Arrivals(card, SETTLED)
+    put(card, "a.jpg", 100)
+    assert arrivals.look(0.0) == []
+    put(card, "a.jpg", 200)
+    assert arrivals.look(0.5) == [] and arrivals.look(1.0) == []
+    assert arrivals.look(1.2) == ["a.jpg"] and arrivals.waiting() == 1
+    arrivals.opened("a.jpg", True, 1.2)
+    assert arrivals.look(100.0) == [] and arrivals.waiting() == 0
+    put(card, "a.jpg", 200, 1001)  # another picture of the same name
+    assert arrivals.look(101.0) == [] and arrivals.look(102.0) == ["a.jpg"]
+
+
+def test_a_broken_file_is_opened_again_later_and_less_often_then_no_more(card):
+    arrivals = Arrivals(card, SETTLED)
+    put(card, "a.jpg", 100)
+    handed = []
+    for now in np.arange(0, 60, 0.5):
+        if arrivals.look(now):
+            handed.append(now)
+            arrivals.opened("a.jpg", False, now)
+    assert len(handed) == SETTLED.tries
+    assert handed[1] - handed[0] == pytest.approx(5, abs=0.5) and handed[2] - handed[1] == pytest.approx(10, abs=0.5)
+    put(card, "a.jpg", 120)
+    arrivals.look(200.0)
+    assert arrivals.look(201.0) == ["a.jpg"], "it has changed, so it is opened again"
+
+
+def test_a_card_that_is_pulled_out_is_said_and_comes_back(card, tmp_path):
+    arrivals = Arrivals(card, SETTLED)
+    assert "empty" in (arrivals.look(0.0) or arrivals.trouble)
+    put(card, "DCIM/a.jpg", 100)
+    arrivals.look(0.0)
+    assert arrivals.look(1.0) == ["DCIM/a.jpg"] and not arrivals.trouble
+    arrivals.opened("DCIM/a.jpg", True, 1.0)
+    shutil.move(card, tmp_path / "away")
+    assert arrivals.look(2.0) == [] and str(card) in arrivals.trouble and "gone" in arrivals.trouble
+    shutil.move(tmp_path / "away", card)
+    put(card, "DCIM/b.jpg", 100)
+    arrivals.look(3.0)
+    assert arrivals.look(4.0) == ["DCIM/b.jpg"] and not arrivals.trouble
+
+
+def test_files_are_handed_out_in_the_order_they_were_written(card):
+    arrivals = Arrivals(card, SETTLED)
+    for name, time_s in (("b.jpg", 1000), ("a.jpg", 1001), ("c.jpg", 999)):
+        put(card, name, 100, time_s)
+    arrivals.look(0.0)
+    assert arrivals.look(1.0) == ["c.jpg", "b.jpg", "a.jpg"]
+
 
 TUNING = FramesTuning()
 IMAGES, POINTS = 5, 300
@@ -95,3 +171,35 @@ def test_positions_turn_and_scale_the_plan():
     assert len(shown["frames"]) == IMAGES and len(shown["ties"]) == 4 and shown["untied"] == []
     none = path_and_ties(placed_scene, PreviewMatches.empty(), xyz, np.ones(IMAGES, bool), least=12, most=4)
     assert none["untied"] == list(scene.names)
+
+
+@pytest.fixture
+def server():
+    served = WatchServer(0)
+    yield served
+    served.close()
+
+
+def test_the_page_and_its_state_are_served_on_the_loopback(server):
+    assert re.fullmatch(r"http://127\.0\.0\.1:\d+/", server.url)
+    assert urllib.request.urlopen(server.url).read() == page(None)
+    server.show({"counts": {"images": 3}})
+    assert json.load(urllib.request.urlopen(server.url + "state.json")) == {"counts": {"images": 3}}
+    for path, host, said in (("log.txt", None, "404"), ("../watch.npz", None, "404"), ("", "elsewhere.example", "403")):
+        request = urllib.request.Request(server.url + path, headers={} if host is None else {"Host": host})
+        with pytest.raises(urllib.error.HTTPError, match=said):
+            urllib.request.urlopen(request)
+
+
+def test_a_port_that_is_taken_is_said(server):
+    port = int(server.url.rsplit(":", 1)[1].strip("/"))
+    with refused(rf"--port {port}.*another, or 0"):
+        WatchServer(port)
+    with refused("--port 99999999"):
+        WatchServer(99999999)
+
+
+def test_a_page_that_is_kept_holds_its_state_and_nothing_from_elsewhere():
+    text = page({"folder": "</script><b>", "counts": {}}).decode()
+    assert '"folder": "\\u003c/script>' in text
+    assert "https:" not in text and "http:" not in text and "src=" not in text and "@import" not in text
