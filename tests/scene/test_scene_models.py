@@ -1,21 +1,126 @@
-"""Which images carry structure from motion, which hang on the rig, and which count as registered in a model."""
+"""Models of COLMAP: read or refused, which images carry, hang, count as registered, or are weakly tied."""
 
 from __future__ import annotations
 
+import itertools
+import os
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pycolmap
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from said import refused
 from tiegraph.geometry.transforms import invert, rigid
-from tiegraph.scene.colmapmodel import image_poses, tracks
+from tiegraph.scene.colmapmodel import image_poses, is_model, read_model, tracks
 from tiegraph.scene.hanging import carries, carrying, with_hanging
 from tiegraph.scene.registered import registration
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
 from tiegraph.scene.tuning import RegisteredTuning
+from tiegraph.scene.weakties import WeaklyTied, named, strongest_first, weakly_tied
+
+
+def test_whole_cut_and_odd_models(tmp_path: Path) -> None:
+    assert not is_model(tmp_path)
+    pycolmap.Reconstruction().write_binary(tmp_path)
+    assert is_model(tmp_path) and read_model(tmp_path).num_images() == 0
+    (tmp_path / "points3D.bin").write_bytes((10**12).to_bytes(8, "little"))
+    with refused("points3D.bin: the file is cut off"):
+        read_model(tmp_path)
+    (tmp_path / "points3D.bin").unlink()
+    with refused("not a readable COLMAP model"):
+        read_model(tmp_path)
+
+
+def model(folder: Path) -> None:
+    """Two cameras on a rig, two frames, one point."""
+    made = pycolmap.synthesize_dataset(
+        pycolmap.SyntheticDatasetOptions(num_rigs=1, num_cameras_per_rig=2, num_frames_per_rig=2, num_points3D=5)
+    )
+    made.write_binary(folder)
+
+
+def as_text(folder: Path, images: str, cameras: str = "1 SIMPLE_RADIAL 64 48 70 32 24 0.01\n") -> Path:
+    for name, text in ("images", images), ("cameras", cameras):
+        (folder / f"{name}.txt").write_bytes(text.encode("utf-8"))
+    return folder
+
+
+def image(k: int, name: str, points: str = "\n") -> str:
+    return f"{k} 1 0 0 0 {k} 0 0 1 {name}\n{points}"
+
+
+@pytest.mark.parametrize(
+    ("without", "begin", "end"), [("\n", "", "\n"), ("", "", "\n"), ("\n", "\ufeff# list\n", "\r\n")]
+)
+def test_text_as_other_programs_write_it(tmp_path: Path, without: str, begin: str, end: str) -> None:
+    """Names with blanks; images without points have an empty line or none."""
+    images = image(1, "A (1).jpg", without) + image(2, "A (2).jpg", "1 2 -1\n") + image(7, "sub dir/b  c.jpg", without)
+    images = (begin + images).replace("\n", end)
+    found = read_model(as_text(tmp_path, images)).images  # without points3D.txt
+    assert {k: (i.name, i.projection_center().tolist()) for k, i in found.items()} == {
+        1: ("A (1).jpg", [-1, 0, 0]),
+        2: ("A (2).jpg", [-2, 0, 0]),
+        7: ("sub dir/b  c.jpg", [-7, 0, 0]),
+    }
+    assert found[2].num_points2D() == 1
+
+
+def test_text_of_rigs_is_read_as_binary_is(tmp_path: Path) -> None:
+    (tmp_path / "text").mkdir()
+    model(tmp_path)
+    binary = read_model(tmp_path)
+    binary.write_text(tmp_path / "text")
+    text = read_model(tmp_path / "text")
+    assert (text.num_frames(), text.num_points3D()) == (2, 5)
+    for k, one in binary.images.items():
+        assert text.images[k].name == one.name
+        assert text.images[k].projection_center() == pytest.approx(one.projection_center(), abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("images", "cameras", "words"),
+    [
+        ("1 1,0 0,0 0,0 0,0 1 0 0 1 a.jpg\n", None, r"images.txt, line 1: neither an image \(.*decimal points"),
+        (image(1, "a.jpg") + "1 2\n", None, "line 3: neither an image"),
+        ("1 0 0 0 0 1 0 0 1 a.jpg\n", None, "line 1: 0 0 0 0 1 0 0 is no pose"),
+        (image(1, "a.jpg") + image(2, "a.jpg"), None, "line 3: a.jpg or its number 2 stands there twice"),
+        (image(1, "a.jpg"), "", "cameras.txt: no camera 1, which images.txt has for a.jpg"),
+    ],
+)
+def test_text_that_cannot_be_meant(tmp_path: Path, images: str, cameras: str | None, words: str) -> None:
+    as_text(tmp_path, images, *([] if cameras is None else [cameras]))
+    with refused(words):
+        read_model(tmp_path)
+
+
+@pytest.mark.timeout(120)
+@pytest.mark.parametrize("name", ["cameras", "rigs", "frames", "images", "points3D"])
+def test_a_file_cut_anywhere_is_named_at_once(tmp_path: Path, name: str) -> None:
+    model(tmp_path)
+    assert read_model(tmp_path).num_reg_images() == 4
+    path = tmp_path / f"{name}.bin"
+    whole = path.read_bytes()
+    for size in {*range(0, len(whole), max(1, len(whole) // 40)), len(whole) - 1}:
+        path.write_bytes(whole[:size])
+        with refused(f"{name}.bin: the file is cut off"):
+            read_model(tmp_path)
+    path.write_bytes(b"\xff" * 8 + whole[8:])
+    with refused(f"{name}.bin: the file is cut off"):
+        read_model(tmp_path)
+
+
+@pytest.mark.timeout(60)
+def test_a_pipe_among_its_files_is_refused(tmp_path: Path) -> None:
+    model(tmp_path)
+    (tmp_path / "images.bin").unlink()
+    os.mkfifo(tmp_path / "images.bin")
+    with refused("images.bin: cannot be read .a named pipe"):
+        read_model(tmp_path)
 
 
 def lens(camera_id: int = 1) -> pycolmap.Camera:
@@ -163,3 +268,52 @@ def test_what_counts_as_registered_is_in_reach() -> None:
     assert registration(model, scene, RegisteredTuning(min_points=9)).registered.tolist() == [True, True]
     strict = registration(model, scene, RegisteredTuning(min_points=9, agree_px=3.0))
     assert strict.registered.tolist() == [False, True] and strict.by_rig.tolist() == [True, False]
+
+
+def seen(*points: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Points and frames of sightings, from the frames that see each point."""
+    return np.repeat(np.arange(len(points)), [len(p) for p in points]), np.array([f for p in points for f in p], int)
+
+
+def test_groups_join_the_strongest_first() -> None:
+    a, b, weight = np.array([0, 1, 3, 2]), np.array([1, 2, 4, 3]), np.array([5.0, 9.0, 7.0, 1.0])
+    assert [g.tolist() for g in strongest_first(a, b, weight, 6)] == [[1, 2], [3, 4], [0, 1, 2], [0, 1, 2, 3, 4]]
+
+
+def test_three_frames_that_hang_on_few_points_are_named_together() -> None:
+    """Each of the three has hundreds of points, nearly all with the other two only."""
+    chain = [(k, k + 1, k + 2) for k in range(8)] * 100
+    inside, across = [(10, 11, 12)] * 300, [(9, 10)] * 20 + [(5, 12)] * 11
+    point, frame = seen(*chain, *inside, *across)
+    assert weakly_tied(point, frame, np.ones(13, bool), 50) == (WeaklyTied((10, 11, 12), 31),)
+    assert weakly_tied(point, frame, np.ones(13, bool), 31) == ()
+    assert weakly_tied(point, frame, np.ones(13, bool), 50, 10) == (WeaklyTied((10, 11, 12), 31),)
+    assert named(WeaklyTied((10, 11, 12), 31), tuple(f"{k}.jpg" for k in range(13))) == "10.jpg .. 12.jpg (3 frames)"
+
+
+def test_a_frame_without_points_is_weak_only_where_it_has_a_place() -> None:
+    point, frame = seen(*[(0, 1, 2)] * 60)
+    assert weakly_tied(point, frame, np.array([True, True, True, False]), 50) == ()
+    assert weakly_tied(point, frame, np.ones(4, bool), 50) == (WeaklyTied((3,), 0),)
+    assert weakly_tied(point, frame, np.array([True, True, True, False]), 100, 50) == ()  # 60 are enough for one
+    assert weakly_tied(point, np.zeros(len(frame), int), np.array([True]), 50) == ()  # there is no rest
+
+
+def test_frames_that_hold_together_by_sums_are_not_weak() -> None:
+    """No two frames share 50 points, but every frame shares more with all others together."""
+    point, frame = seen(*[pair for pair in itertools.combinations(range(6), 2) for _ in range(20)])
+    assert weakly_tied(point, frame, np.ones(6, bool), 50) == ()
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(2, 7), st.lists(st.sets(st.integers(0, 6), min_size=1, max_size=4), max_size=40), st.integers(1, 8))
+def test_what_is_found_is_weak_and_a_frame_that_is_weak_is_found(frames: int, points: list, least: int) -> None:
+    tracks = [tuple(sorted({f % frames for f in p})) for p in points]
+    found = weakly_tied(*seen(*tracks), np.ones(frames, bool), least)
+    for group in found:
+        across = sum(bool(set(t) & set(group.frames)) and bool(set(t) - set(group.frames)) for t in tracks)
+        assert across == group.points < least and 2 * len(group.frames) <= frames
+    taken = [f for group in found for f in group.frames]
+    assert len(taken) == len(set(taken))
+    alone = [sum(f in t and len(t) > 1 for t in tracks) for f in range(frames)]
+    assert bool(found) or min(alone) >= least
