@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 import tiegraph
 import worlds
 from said import refused
+from scan.start_models import colmap_model
 from tiegraph.api import Project
 from tiegraph.cli.run import main
 from tiegraph.evaluate.reference import model_poses
@@ -40,26 +41,20 @@ def survey(tmp_path_factory: pytest.TempPathFactory) -> worlds.Survey:
 def start_of(made: worlds.Survey, folder: Path, turned_deg: float = 0.0) -> Path:
     """The truth as a COLMAP model in another unit; if a pass of it is turned about its first image, its focal length is
     a tenth too long, too."""
-    folder.mkdir()
     camera = made.rig.sensors[0].camera
     params = np.array(camera.params) * ([1.1, 1.1, 1, 1] if turned_deg else 1.0)
-    lens = " ".join(map(repr, params.tolist()))
-    (folder / "cameras.txt").write_text(f"1 PINHOLE {camera.width} {camera.height} {lens}\n")
     turn = Rotation.from_euler("z", turned_deg, degrees=True).as_matrix()
     pivot = invert(made.cam_from_world["up/cam0/000000.jpg"])[:3, 3]
-    rows = []
-    for k, name in enumerate(sorted(made.cam_from_world), 1):
+    poses = {}
+    for name in sorted(made.cam_from_world):
         pose = invert(made.cam_from_world[name])
         if name.startswith("up/"):
             pose[:3, 3] = turn @ (pose[:3, 3] - pivot) + pivot
             pose[:3, :3] = turn @ pose[:3, :3]
         pose[:3, 3] /= _UNIT
-        cam = invert(pose)
-        x, y, z, w = Rotation.from_matrix(cam[:3, :3]).as_quat()
-        rows += [f"{k} " + " ".join(repr(float(v)) for v in (w, x, y, z, *cam[:3, 3])) + f" 1 {name}", ""]
-    (folder / "images.txt").write_text("\n".join(rows) + "\n")
-    (folder / "points3D.txt").write_text("")
-    return folder
+        poses[name] = invert(pose)
+    lens = " ".join(map(repr, params.tolist()))
+    return colmap_model(folder, poses, lens=f"1 PINHOLE {camera.width} {camera.height} {lens}")
 
 
 def opened(made: worlds.Survey, out: Path, **inputs: Path) -> Project:
