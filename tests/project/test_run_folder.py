@@ -144,14 +144,14 @@ def test_settings_edited_by_hand_are_kept_and_refused_ones_taken_back(tmp_path):
     assert path.read_text() == "a = 1\n"
 
 
-@pytest.mark.parametrize("refused", [InputError, SettingsError, EngineMissing])
-def test_what_is_refused_is_not_stored(proj, make, tmp_path, refused):
+@pytest.mark.parametrize("error", [InputError, SettingsError, EngineMissing])
+def test_what_is_refused_is_not_stored(proj, make, tmp_path, error):
     """An option on the command line, and what the first stage refuses."""
     arguments = ["run", str(proj / "images"), "-o", str(tmp_path / "run"), "--quiet", "--pool", "serial"]
     assert main([*arguments, "--scan.crs", "foo"]) == 2
     assert not (tmp_path / "run" / "tiegraph.toml").exists()
-    kept, stages = [], (Stage("last", lambda run: _raise(refused("not to be had")), (), ("last.txt",)),)
-    with pytest.raises(refused):
+    kept, stages = [], (Stage("last", lambda run: _raise(error("not to be had")), (), ("last.txt",)),)
+    with pytest.raises(error):
         run_stages(stages, make(), remember=lambda: lambda: kept.append("taken back"))
     assert kept == ["taken back"]
 
@@ -433,7 +433,10 @@ def test_an_artefact_that_cannot_be_read_is_made_again_although_it_looks_untouch
 
 
 def test_a_stage_that_always_fails_to_read_ends_the_run(make):
-    stages = (*STAGES[:2], replace(STAGES[2], run=lambda run: _raise(UnreadableArtefact(run.path("0.txt"), "always"))))
+    def unreadable(run):
+        raise UnreadableArtefact(run.path("many", "0.txt"), "always")
+
+    stages = (*STAGES[:2], replace(STAGES[2], run=unreadable))
     with pytest.raises(UnreadableArtefact, match="0.txt"):
         run_stages(stages, make())
 

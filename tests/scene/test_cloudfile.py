@@ -8,6 +8,7 @@ import json
 import shutil
 import subprocess
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import laspy
@@ -201,6 +202,8 @@ def test_depth_maps_come_back_and_do_not_depend_on_the_time(tmp_path, monkeypatc
     monkeypatch.setattr(zipfile.time, "localtime", lambda *_: (2030, 1, 2, 3, 4, 6, 0, 0, 0))
     save_depth(before, tmp_path / "1.npz")
     assert (tmp_path / "a" / "b.jpg.npz").read_bytes() == (tmp_path / "1.npz").read_bytes()
+    save_depth(replace(before, normal=None), tmp_path / "2.npz")
+    assert load_depth(tmp_path / "2.npz").normal is None
     (tmp_path / "bad.npz").write_bytes(b"nothing")
     with refused("bad.npz"):
         load_depth(tmp_path / "bad.npz")
