@@ -78,7 +78,6 @@ KINDS = (
     Kind("values", "", (), (), weight=6),
     Kind("settings", "", (), (), weight=4),
 )  # fmt: skip
-_BY_NAME = {k.name: k for k in KINDS}
 _ROUND = [k for k in KINDS for _ in range(k.weight)]
 
 
@@ -201,7 +200,7 @@ def _judge(case: Case, kind: Kind, spoiled: Spoiled, inputs: Path, out: Path) ->
         looks_same = kind.name not in ("images", "names") and not _other_scene(clean, out)
         if looks_same or (told and (case.context["short"] or (kind.name != "names" and case.rng.random() < 0.67))):
             text = _all_said(out, ended.text, inputs)
-            return oracle.passed(_with(ended, text), clean_text, spoiled.words, ()), ended
+            return oracle.passed(replace(ended, text=text), clean_text, spoiled.words, ()), ended
         if case.context["short"]:
             return oracle.text_fault(ended) or oracle.Verdict(oracle.LATER), ended
     ended = case.server.run(_command(kind, case.world, inputs, out), case.folder, PATIENCE_S)
@@ -213,15 +212,11 @@ def _judge(case: Case, kind: Kind, spoiled: Spoiled, inputs: Path, out: Path) ->
     named = tuple(n for n in spoiled.each if oracle.holds(told, [n]))
     allowed = replace(spoiled, without=(*spoiled.without, *named))
     different = [] if legitimate(kind, inputs) else _different(kind, clean, out, allowed)
-    verdict = oracle.passed(_with(ended, text), clean_text, spoiled.words, different)
+    verdict = oracle.passed(replace(ended, text=text), clean_text, spoiled.words, different)
     contradicted = any(line.startswith("! ") for line in notes)
     if verdict.name == oracle.SAID and len(named) < len(spoiled.each) and different and not contradicted:
         verdict = oracle.Verdict(oracle.SILENT, f"only {named} named; {'; '.join(different[:4])}")
     return verdict, ended
-
-
-def _with(ended: Ended, text: str) -> Ended:
-    return Ended(ended.code, ended.signal, text, ended.hung, ended.left)
 
 
 def _other_scene(clean: Path, out: Path) -> bool:
@@ -344,7 +339,7 @@ def _one_stage(case: Case, kind: str, stage: str, command: list[str], spoiled: S
         text = _all_said(out, ended.text, case.world.inputs)
         until = next(s.name for s in STAGES if s.name == stage)
         different = differences(case.world.clean[stage], out, until=until)
-        verdict = oracle.passed(_with(ended, text), clean_text, spoiled.words, different)
+        verdict = oracle.passed(replace(ended, text=text), clean_text, spoiled.words, different)
     if fingerprint(case.world.inputs) != case.world.marks:
         verdict = oracle.Verdict(oracle.LOSS, "the inputs were changed")
     return case.result(kind, f"{stage}: {spoiled.what}", verdict, ended.text)
