@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -59,11 +59,14 @@ def pictures(
         yield cv2.warpPerspective(texture, map_from_image, SIZE, flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
 
 
-def film(path: Path, images: Iterator[np.ndarray], fps: float, codec: str = "MJPG") -> Path:
-    """Write pictures as a video."""
+def film(path: Path, images: Iterable[np.ndarray], fps: float = 10.0) -> Path:
+    """Write pictures as a video: AVI if the file is called so, else MP4 whatever it is called."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    out = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*codec), fps, SIZE)
-    for image in images:
+    made = path if path.suffix == ".avi" else path.with_suffix(".mp4")
+    first, *others = images
+    codec = cv2.VideoWriter.fourcc(*("MJPG" if path.suffix == ".avi" else "mp4v"))
+    out = cv2.VideoWriter(str(made), codec, fps, first.shape[1::-1])
+    for image in (first, *others):
         out.write(image)
     out.release()
-    return path
+    return made.rename(path)

@@ -51,6 +51,8 @@ _PLAIN = (*mutate.BYTES, *mutate.PLACES)
 _GNSS = ("gnss", "position", "lat", "lon", "height", "sigma", "receiver", "crs", "metres", "time")
 _RIG = ("rig", "sensor", "camera", "cam0", "cam1", "focal", "axes", "calibrat", "baseline", "lens", "yaw")
 _GCP = ("gcp", "control", "point", "mark", "p1", "p2", "p3", "p4")
+_PAIRS = (*mutate.BYTES, *mutate.PLACES, mutate.names, mutate.encoded, mutate.separators, mutate.row)
+_CLOUD = (*_PLAIN, mutate.number, mutate.encoded, mutate.names)
 KINDS = (
     Kind("images", "images", (), (), weight=6),
     Kind("names", "images", (), (), weight=4),
@@ -58,59 +60,24 @@ KINDS = (
     Kind("times", "times.csv", _TABLE, ("times", "time", "frame", "pass", "clock"), weight=4),
     Kind("rig", "rig.toml", _TEXT, _RIG, weight=5),
     Kind("rig json", "rig_config.json", _TEXT, _RIG, ("--rig", "{}/rig_config.json")),
-    Kind(
-        "trajectory",
-        "trajectory.tum",
-        _TABLE,
-        ("trajectory", "pose", "quaternion", "time", "position", "prior"),
-        ("--trajectory", "{}/trajectory.tum"),
-        weight=3,
-    ),
+    Kind("trajectory", "trajectory.tum", _TABLE, ("trajectory", "pose", "quaternion", "time", "position", "prior"),
+         ("--trajectory", "{}/trajectory.tum"), weight=3),
     Kind("gcp", "gcp.csv", _TABLE, _GCP, ("--gcp", "{}/gcp.csv"), "sparse"),
     Kind("gcp list", "gcp_list.txt", _TABLE, _GCP, ("--gcp", "{}/gcp_list.txt"), "sparse"),
-    Kind(
-        "pairs",
-        "pairs.txt",
-        (*mutate.BYTES, *mutate.PLACES, mutate.names, mutate.encoded, mutate.separators, mutate.row),
-        ("pairs", "pair list", "pair"),
-        ("--candidates.sources", "file", "--candidates.pairs-file", "{}/pairs.txt", "--coarse.method", "off"),
-        "preview",
-        "network",
-    ),
+    Kind("pairs", "pairs.txt", _PAIRS, ("pairs", "pair list", "pair"),
+         ("--candidates.sources", "file", "--candidates.pairs-file", "{}/pairs.txt", "--coarse.method", "off"),
+         "preview", "network"),
     Kind("masks", "masks", _PLAIN, ("mask",), ("--masks.folder", "{}/masks"), "scan", "masks"),
-    Kind(
-        "mask model",
-        "model.toml",
-        _TEXT,
-        ("model", "onnx", "class", "size", "mean", "deviation"),
-        ("--masks.source", "model", "--masks.model", "{}/model.toml"),
-        "scan",
-        "masks",
-        1,
-    ),
-    Kind(
-        "reference",
-        "reference.tum",
-        _TABLE,
-        ("reference", "pose", "trajectory", "quaternion"),
-        ("--evaluate.reference", "{}/reference.tum", *_PLACE),
-        "cloud",
-        "evaluate",
-    ),
-    Kind(
-        "ref. cloud",
-        "reference.ply",
-        (*_PLAIN, mutate.number, mutate.encoded, mutate.names),
-        ("reference", "cloud", "point", "ply"),
-        ("--evaluate.reference-cloud", "{}/reference.ply", *_PLACE),
-        "cloud",
-        "evaluate",
-    ),
+    Kind("mask model", "model.toml", _TEXT, ("model", "onnx", "class", "size", "mean", "deviation"),
+         ("--masks.source", "model", "--masks.model", "{}/model.toml"), "scan", "masks", 1),
+    Kind("reference", "reference.tum", _TABLE, ("reference", "pose", "trajectory", "quaternion"),
+         ("--evaluate.reference", "{}/reference.tum", *_PLACE), "cloud", "evaluate"),
+    Kind("ref. cloud", "reference.ply", _CLOUD, ("reference", "cloud", "point", "ply"),
+         ("--evaluate.reference-cloud", "{}/reference.ply", *_PLACE), "cloud", "evaluate"),
     Kind("video", "video/walk.avi", _PLAIN, ("walk.avi", "video"), until="scan"),
     Kind("values", "", (), (), weight=6),
     Kind("settings", "", (), (), weight=4),
-)
-_BY_NAME = {k.name: k for k in KINDS}
+)  # fmt: skip
 _ROUND = [k for k in KINDS for _ in range(k.weight)]
 
 
@@ -233,7 +200,7 @@ def _judge(case: Case, kind: Kind, spoiled: Spoiled, inputs: Path, out: Path) ->
         looks_same = kind.name not in ("images", "names") and not _other_scene(clean, out)
         if looks_same or (told and (case.context["short"] or (kind.name != "names" and case.rng.random() < 0.67))):
             text = _all_said(out, ended.text, inputs)
-            return oracle.passed(_with(ended, text), clean_text, spoiled.words, ()), ended
+            return oracle.passed(replace(ended, text=text), clean_text, spoiled.words, ()), ended
         if case.context["short"]:
             return oracle.text_fault(ended) or oracle.Verdict(oracle.LATER), ended
     ended = case.server.run(_command(kind, case.world, inputs, out), case.folder, PATIENCE_S)
@@ -245,15 +212,11 @@ def _judge(case: Case, kind: Kind, spoiled: Spoiled, inputs: Path, out: Path) ->
     named = tuple(n for n in spoiled.each if oracle.holds(told, [n]))
     allowed = replace(spoiled, without=(*spoiled.without, *named))
     different = [] if legitimate(kind, inputs) else _different(kind, clean, out, allowed)
-    verdict = oracle.passed(_with(ended, text), clean_text, spoiled.words, different)
+    verdict = oracle.passed(replace(ended, text=text), clean_text, spoiled.words, different)
     contradicted = any(line.startswith("! ") for line in notes)
     if verdict.name == oracle.SAID and len(named) < len(spoiled.each) and different and not contradicted:
         verdict = oracle.Verdict(oracle.SILENT, f"only {named} named; {'; '.join(different[:4])}")
     return verdict, ended
-
-
-def _with(ended: Ended, text: str) -> Ended:
-    return Ended(ended.code, ended.signal, text, ended.hung, ended.left)
 
 
 def _other_scene(clean: Path, out: Path) -> bool:
@@ -376,7 +339,7 @@ def _one_stage(case: Case, kind: str, stage: str, command: list[str], spoiled: S
         text = _all_said(out, ended.text, case.world.inputs)
         until = next(s.name for s in STAGES if s.name == stage)
         different = differences(case.world.clean[stage], out, until=until)
-        verdict = oracle.passed(_with(ended, text), clean_text, spoiled.words, different)
+        verdict = oracle.passed(replace(ended, text=text), clean_text, spoiled.words, different)
     if fingerprint(case.world.inputs) != case.world.marks:
         verdict = oracle.Verdict(oracle.LOSS, "the inputs were changed")
     return case.result(kind, f"{stage}: {spoiled.what}", verdict, ended.text)

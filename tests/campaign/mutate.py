@@ -60,43 +60,29 @@ def _is_text(data: bytes) -> bool:
     return b"\0" not in data and data[:2] not in (b"\xff\xd8", b"\x89P", b"PK")
 
 
-def emptied(path: Path, rng: random.Random) -> str:
-    """No bytes at all."""
-    path.write_bytes(b"")
-    return f"{path.name} empty"
+def _replaced(name: str, what: str, make: Callable[[Path, random.Random], object]) -> Callable:
+    """The rule that makes something else of a file."""
+
+    def rule(path: Path, rng: random.Random) -> str:
+        make(path, rng)
+        return f"{path.name} {what}"
+
+    rule.__name__ = name
+    return rule
 
 
-def zeros(path: Path, rng: random.Random) -> str:
-    """The same length, nothing but zeros: what a crash of the machine leaves."""
-    path.write_bytes(bytes(path.stat().st_size))
-    return f"{path.name} full of zeros"
-
-
-def noise(path: Path, rng: random.Random) -> str:
-    """Random bytes."""
-    path.write_bytes(rng.randbytes(max(64, path.stat().st_size)))
-    return f"{path.name} random bytes"
-
-
-def folder_instead(path: Path, rng: random.Random) -> str:
-    """A folder in the place of a file."""
-    path.unlink()
-    path.mkdir()
-    return f"{path.name} is a folder"
-
-
-def pipe_instead(path: Path, rng: random.Random) -> str:
-    """A named pipe nobody writes into."""
-    path.unlink()
-    os.mkfifo(path)
-    return f"{path.name} is a named pipe"
-
-
-def loop_instead(path: Path, rng: random.Random) -> str:
-    """A link to itself."""
-    path.unlink()
-    path.symlink_to(path.name)
-    return f"{path.name} is a link to itself"
+emptied = _replaced("emptied", "empty", lambda path, rng: path.write_bytes(b""))
+# what a crash of the machine leaves
+zeros = _replaced("zeros", "full of zeros", lambda path, rng: path.write_bytes(bytes(path.stat().st_size)))
+noise = _replaced(
+    "noise", "random bytes", lambda path, rng: path.write_bytes(rng.randbytes(max(64, path.stat().st_size)))
+)
+folder_instead = _replaced("folder_instead", "is a folder", lambda path, rng: (path.unlink(), path.mkdir()))
+pipe_instead = _replaced("pipe_instead", "is a named pipe", lambda path, rng: (path.unlink(), os.mkfifo(path)))
+loop_instead = _replaced(
+    "loop_instead", "is a link to itself", lambda path, rng: (path.unlink(), path.symlink_to(path.name))
+)
+gone = _replaced("gone", "deleted", lambda path, rng: path.unlink())
 
 
 def device_instead(path: Path, rng: random.Random) -> str:
@@ -105,12 +91,6 @@ def device_instead(path: Path, rng: random.Random) -> str:
     device = rng.choice(("/dev/zero", "/dev/null", "/dev/full"))
     path.symlink_to(device)
     return f"{path.name} is a link to {device}"
-
-
-def gone(path: Path, rng: random.Random) -> str:
-    """Deleted."""
-    path.unlink()
-    return f"{path.name} deleted"
 
 
 def unreadable(path: Path, rng: random.Random) -> str:

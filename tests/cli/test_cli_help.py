@@ -72,18 +72,18 @@ def test_help_of_a_stage_has_its_own_settings_and_help_all_those_of_all(said):
     assert settings() <= options(said("dense", "--help-all"))
 
 
-def test_help_of_network_shows_coverage(said):
+@pytest.mark.parametrize(
+    ("verb", "option", "more", "given", "other"),
+    [
+        ("network", "--coverage", {"--coverage"}, (), "design"),
+        ("masks", "--compare", {"--beside", "--classes", "--keep-labels"}, ("x",), "refine"),
+    ],
+)
+def test_help_shows_the_other_form_of_a_verb(said, verb, option, more, given, other):
     for argument in ("--help", "--help-all"):
-        assert "--coverage" in options(said("network", argument))
-    assert "--coverage" in options(said("network", "--coverage", "--help"))
-    assert "--coverage" not in options(said("design", "--help"))
-
-
-def test_help_of_masks_shows_compare(said):
-    for argument in ("--help", "--help-all"):
-        assert "--compare" in options(said("masks", argument))
-    assert {"--beside", "--classes", "--keep-labels"} <= options(said("masks", "--compare", "x", "--help"))
-    assert "--compare" not in options(said("refine", "--help"))
+        assert option in options(said(verb, argument))
+    assert more <= options(said(verb, option, *given, "--help"))
+    assert option not in options(said(other, "--help"))
 
 
 def test_help_of_evaluate_shows_both_forms(said):

@@ -1,15 +1,26 @@
-"""The door: what `tiegraph --help` loads, the table of verbs, `python -m tiegraph`, and the names of the package."""
+"""The door: what the command line loads, the table of verbs, and verbs that do more than their stage."""
 
+import json
+import shutil
 import signal
 import subprocess
 import sys
+from collections import namedtuple
 
+import cv2
+import numpy as np
 import pytest
 
 import tiegraph
+from boat_world import photos
+from tiegraph.cli import network, report
 from tiegraph.cli.main import main
 from tiegraph.cli.verbs import VERBS, wants_page
+from tiegraph.errors import EngineMissing
 from tiegraph.pipeline import SHOTS, STAGES
+from tiegraph.pipeline import plan as forecast
+from tiegraph.scene.matches import PreviewMatches
+from tiegraph.scene.pairs import Pairs
 
 # Libraries that take a tenth of a second or more to load, and what of ours brings them.
 HEAVY = {"pycolmap", "cv2", "scipy", "numpy", "matplotlib", "pyproj", "laspy", "pydantic", "tyro", "rich", "PIL"}
@@ -116,3 +127,142 @@ def test_the_package_shows_its_names():
     assert tiegraph.open is tiegraph.api.open_project
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
         _ = tiegraph.nothing
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    """What the stage is run with, and what is printed."""
+    calls = []
+    monkeypatch.setattr(report.run, "main_stage", lambda stage, arguments, *_: calls.append((stage, arguments)) or 0)
+    monkeypatch.setattr(report, "find_browser", lambda: "chromium")
+    monkeypatch.setattr(report, "print_pdf", lambda page, target: calls.append((page.name, target)))
+    return calls
+
+
+def test_language_is_the_setting_and_pdf_prints_after_the_stage(asked, tmp_path, capsys):
+    assert report.main([str(tmp_path), "--language", "ja", "--pdf"]) == 0
+    assert asked == [
+        ("report", [str(tmp_path), "--report.language", "ja"]),
+        ("report.html", tmp_path / "report.pdf"),
+    ]
+    assert f"printed: {tmp_path / 'report.pdf'}" in capsys.readouterr().out
+    report.main([str(tmp_path), "--language=en"])
+    assert asked[2:] == [("report", [str(tmp_path), "--report.language=en"])]
+
+
+def test_what_is_missing_is_said_before_the_work(asked, monkeypatch, tmp_path):
+    def none():
+        raise EngineMissing("no browser")
+
+    monkeypatch.setattr(report, "find_browser", none)
+    with pytest.raises(EngineMissing, match="no browser"):
+        report.main([str(tmp_path), "--pdf"])
+    assert asked == []
+
+
+RING, CHAIN = Pairs.make([0, 1, 2, 0], [1, 2, 3, 3], "file"), Pairs.make([0, 1, 2], [1, 2, 3], "file")
+
+
+@pytest.fixture
+def judged(tmp_path, monkeypatch, capsys):
+    """What --coverage says of candidate pairs and of chosen ones, and its exit code."""
+    asked = []
+    monkeypatch.setattr(network.run, "main_stage", lambda stage, arguments, *_: asked.append(stage))
+    (tmp_path / "tiegraph.toml").write_text("[run]\nimages = '.'\n")
+    for name, folder in (("scene.json", tmp_path), ("scene.json", tmp_path / "network")):
+        folder.mkdir(exist_ok=True)
+        (folder / name).write_text(photos(4).to_json())
+
+    def say(candidates, chosen, *more, previews=None):
+        for folder, ties in (("coarse", previews or PreviewMatches.empty()), ("design", PreviewMatches.empty())):
+            (tmp_path / folder).mkdir(exist_ok=True)
+            np.savez(tmp_path / folder / "matches.npz", **ties.to_npz())
+        for name, pairs in (("network", candidates), ("pairs", chosen)):
+            np.savez(tmp_path / f"{name}.npz", **pairs.to_npz())
+        code = network.main(["--coverage", str(tmp_path), *more])
+        assert asked[-1] == "design", "else the pairs that it chose may be those of another network"
+        return code, capsys.readouterr().out
+
+    return say
+
+
+def test_coverage_judges_the_chosen_pairs_too(judged):
+    code, said = judged(RING, RING)
+    assert code == 0 and said.count("no place hangs on a single link") == 2
+    code, said = judged(RING, CHAIN)
+    assert code == 1 and "candidate pairs: 4 pairs hold 4 images together" in said
+    assert "pairs that the design chose: 3 single links" in said
+    assert "weak links of the pairs that the design chose" in said and "weak links of the candidate" not in said
+
+
+def test_coverage_as_json(judged):
+    code, said = judged(RING, CHAIN, "--json")
+    told = json.loads(said)
+    assert code == 1 and told["sound"] is False and told["bridges"] == 0 and told["pairs"] == 4
+    assert told["chosen"]["sound"] is False and told["chosen"]["bridges"] == 3
+    assert len(told["chosen"]["weak_links"]["rows"]) == 5 and told["weak_links"]["rows"] == []
+
+
+def test_coverage_judges_by_the_matches_of_previews_too(judged):
+    """All pairs of four photographs are sound by themselves; the last one shares 40 points with the first and what
+    noise has with the others. Of the pairs that the design chose the one of the 40 is not: these are worse.
+    """
+    ends = np.array([[0, 0, 1, 0, 1, 2], [1, 2, 2, 3, 3, 3]])
+    every, matches = np.stack([np.arange(400)] * 2, axis=1), [400, 400, 400, 40, 20, 20]
+    looks = PreviewMatches.make(*ends, [every[:n] for n in matches])
+    code, said = judged(
+        Pairs.make(*ends, "file"), Pairs.make(*ends[:, np.array(matches) != 40], "file"), previews=looks
+    )
+    first, second = said.split("pairs that the design chose", 1)
+    assert code == 1 and "candidate pairs: hardly tied to the others" in first and "003.jpg: 40" in first
+    assert "003.jpg: 0" in second and "000.jpg" not in said and "few points" in first
+    assert judged(RING, RING)[0] == 0  # without previews only pairs can be judged
+    whole = PreviewMatches.make(*ends, [every] * 6)
+    assert judged(RING, RING, previews=whole)[0] == 0
+
+
+@pytest.fixture
+def images(tmp_path):
+    folder = tmp_path / "images"
+    folder.mkdir()
+    for k in range(6):
+        cv2.imwrite(str(folder / f"{k}.png"), np.full((300, 400, 3), k, np.uint8))
+    return folder
+
+
+def plan(images, capsys, *more):
+    code = main(["run", str(images), "-o", str(images.parent / "out"), "--plan", *more])
+    return code, "".join(capsys.readouterr())
+
+
+def test_images_disk_and_time_are_said_and_nothing_is_made(images, capsys):
+    code, said = plan(images, capsys)
+    assert code == 0 and "images: 6" in said and "enough" in said and not (images.parent / "out").exists()
+    row = json.loads(plan(images, capsys, "--json")[1].splitlines()[-1])
+    assert row["images"] == 6 and 6 * 400 * 300 * 4 < row["dense_bytes"] < 6 * 400 * 300 * 9
+    assert 6 * 150e3 < row["model_bytes"] < 6 * 500e3 and row["there_bytes"] == 0
+    more = json.loads(plan(images, capsys, "--json", "--features.max-features", "64")[1].splitlines()[-1])
+    assert more["model_bytes"] < row["model_bytes"] and more["dense_bytes"] == row["dense_bytes"]
+
+
+def test_a_disk_that_is_too_small_is_said(images, capsys, monkeypatch):
+    usage = namedtuple("usage", "total used free")
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: usage(10**9, 10**9 - 10**6, 10**6))
+    code, said = plan(images, capsys)
+    assert code == 1 and "NOT ENOUGH" in said
+
+
+def test_what_is_there_already_counts(images, capsys):
+    run = images.parent / "out"
+    run.mkdir()
+    (run / "tiegraph.toml").write_text("")
+    (run / "database.db").write_bytes(b"x" * 10**6)
+    assert forecast._size(run) == 10**6
+    (run / "link").symlink_to(run / "database.db")
+    assert forecast._size(run) == 10**6
+
+
+def test_frames_of_videos_are_counted_by_scan(images, capsys):
+    (images / "drive.mp4").write_bytes(b"none is looked at")
+    code, said = plan(images, capsys)
+    assert code == 0 and "counted by the stage scan" in said and not (images.parent / "out").exists()

@@ -86,20 +86,14 @@ def test_tiles_do_not_change_the_points(tmp_path, monkeypatch):
     assert (distance < 1e-9).mean() > 0.99
 
 
-def test_parts_are_merged_in_bounded_memory(tmp_path, monkeypatch):
-    whole = fuse(list(WALLS), MAPS, tmp_path / "a", SETTINGS, TUNING).cloud()
-    monkeypatch.setattr(fuse_module, "_MERGE_ROWS", 1000)
-    parts = fuse(list(WALLS), MAPS, tmp_path / "b", SETTINGS, TUNING).cloud()
-    np.testing.assert_allclose(whole.xyz_m, parts.xyz_m, atol=1e-6)
-
-
-def test_maps_are_added_up_in_groups(tmp_path, monkeypatch):
+@pytest.mark.parametrize("limits", [{"_MERGE_ROWS": 1000}, {"_MAPS_AT_ONCE": 1, "_POINTS_AT_ONCE": 0}])
+def test_parts_and_groups_of_maps_give_the_same_points_in_bounded_memory(tmp_path, monkeypatch, limits):
     whole = fuse(list(WALLS), MAPS, tmp_path / "a", SETTINGS, TUNING)
-    monkeypatch.setattr(fuse_module, "_MAPS_AT_ONCE", 1)
-    monkeypatch.setattr(fuse_module, "_POINTS_AT_ONCE", 0)
-    groups = fuse(list(WALLS), MAPS, tmp_path / "b", SETTINGS, TUNING)
-    assert groups.counts == whole.counts
-    np.testing.assert_allclose(whole.cloud().xyz_m, groups.cloud().xyz_m, atol=1e-6)
+    for name, value in limits.items():
+        monkeypatch.setattr(fuse_module, name, value)
+    parts = fuse(list(WALLS), MAPS, tmp_path / "b", SETTINGS, TUNING)
+    assert parts.counts == whole.counts
+    np.testing.assert_allclose(whole.cloud().xyz_m, parts.cloud().xyz_m, atol=1e-6)
     assert not list((tmp_path / "b").glob("*.points"))
 
 
@@ -121,10 +115,9 @@ def test_a_point_lies_on_the_ray_through_the_centre_of_its_pixel():
 def test_missing_and_empty_maps(tmp_path):
     assert len(fuse(["0", "missing"], MAPS, tmp_path, SETTINGS, TUNING).cloud()) > 1000
     empty = DepthMap("e", np.full(SHAPE, np.nan, np.float32), WALLS["0"].sigma_m, WALLS["0"].views, K, np.eye(4))
-    with pytest.raises(ReconstructionError, match="empty"):
-        fuse(["e"], maps({"e": empty}), tmp_path / "e", SETTINGS, TUNING)
-    with pytest.raises(ReconstructionError, match="min-views"):
-        fuse(["e"], maps({"e": empty}), tmp_path / "f", CloudSettings(voxel_size=0.1), TUNING)
+    for name, settings, words in (("e", SETTINGS, "empty"), ("f", CloudSettings(voxel_size=0.1), "min-views")):
+        with pytest.raises(ReconstructionError, match=words):
+            fuse(["e"], maps({"e": empty}), tmp_path / name, settings, TUNING)
 
 
 def test_automatic_voxel_is_the_size_of_a_pixel():

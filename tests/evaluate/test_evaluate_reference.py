@@ -1,7 +1,6 @@
 """References are read, matched and brought into the world of the run."""
 
 import json
-import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,12 +11,13 @@ import pyproj
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tiegraph.errors import InputError
+from said import refused, says
 from tiegraph.evaluate import reference
 from tiegraph.evaluate.backprojection import View, pinhole_views
 from tiegraph.evaluate.reference import ModelPoses, ReferencePoses
 from tiegraph.evaluate.settings import EvaluateSettings
 from tiegraph.evaluate.survey import Products, evaluate_survey
+from tiegraph.evaluate.trajectory import evaluate_trajectory
 from tiegraph.evaluate.tuning import Tuning
 from tiegraph.geometry import geodesy, transforms
 from tiegraph.geometry.geodesy import Origin
@@ -31,7 +31,6 @@ from tiegraph.scene.tuning import RegisteredTuning
 FRAMES = 12
 TUNING = Tuning()
 GAP_S = TUNING.trajectory.max_gap_s
-DATA = Path(os.environ.get("TIEGRAPH_DATA", "../shared/data"))
 TURN = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])  # a camera looking along x, z up
 
 
@@ -42,9 +41,8 @@ def rig_poses() -> np.ndarray:
 
 
 def make_scene(times: bool = False) -> Scene:
-    rig = Rig(
-        "pair", (Sensor("cam0", None, np.eye(4)), Sensor("cam1", None, transforms.rigid(np.eye(3), [-0.5, 0, 0])))
-    )
+    beside = transforms.rigid(np.eye(3), [-0.5, 0, 0])
+    rig = Rig("pair", (Sensor("cam0", None, np.eye(4)), Sensor("cam1", None, beside)))
     names = [f"up/cam{c}/{f:04d}.jpg" for c in range(2) for f in range(FRAMES)]
     time_s = 100.0 + np.arange(FRAMES) if times else np.full(FRAMES, np.nan)
     frame, sensor = np.tile(np.arange(FRAMES), 2), np.repeat([0, 1], FRAMES)
@@ -84,24 +82,17 @@ def a_cloud() -> Cloud:
     return Cloud(xyz, np.zeros((len(xyz), 3), np.uint8), np.zeros((len(xyz), 3), np.float32), zero, zero)
 
 
-def test_model_poses_follow_the_scene() -> None:
-    scene = make_scene()
-    model = reference.model_poses(make_model(scene, missing=3), scene)
-    assert model.placed.sum() == 2 * FRAMES - 3
-    assert np.allclose(model.world_from_rig, rig_poses())
-    assert np.linalg.norm(model.world_from_camera[-1, :3, 3] - rig_poses()[-1, :3, 3]) == pytest.approx(0.5)
-
-
 @pytest.mark.parametrize("binary", [True, False])
 def test_a_colmap_model_is_matched_by_name(tmp_path: Path, binary: bool) -> None:
     scene = make_scene()
     truth = make_model(scene)
     (truth.write_binary if binary else truth.write_text)(tmp_path)
     model = reference.model_poses(make_model(scene, missing=3), scene)
+    assert model.placed.sum() == 2 * FRAMES - 3 and np.allclose(model.world_from_rig, rig_poses())
+    assert np.linalg.norm(model.world_from_camera[-1, :3, 3] - rig_poses()[-1, :3, 3]) == pytest.approx(0.5)
     match, said = reference.match_poses(reference.read_reference_poses(tmp_path), model, scene, GAP_S)
-    assert (
-        len(match) == 21 and "21 placed of 24" in said and set(match.parts["pass and camera"]) == {"up cam0", "up cam1"}
-    )
+    assert len(match) == 21 and "21 placed of 24" in said
+    assert set(match.parts["pass and camera"]) == {"up cam0", "up cam1"}
     assert np.allclose(match.estimate, match.reference, atol=1e-6)
 
 
@@ -118,46 +109,46 @@ def test_tum_by_time_or_in_order_with_other_body_axes(tmp_path: Path, times: boo
 
 def test_poses_with_times_are_of_no_pass_at_another_time(tmp_path: Path) -> None:
     """A file that ends half-way, with as many poses as the second pass has frames: those are not its poses."""
-    whole = make_scene(times=True)
-    scene = replace(
-        whole,
-        sequences=("up", "down"),
-        sequence=np.repeat([0, 1], FRAMES // 2),
-        sequence_index=np.tile(np.arange(FRAMES // 2), 2),
-    )
-    half = write_tum(tmp_path / "half.tum", whole.time_s[: FRAMES // 2], rig_poses()[: FRAMES // 2])
+    whole, half = make_scene(times=True), FRAMES // 2
+    order = {"sequence": np.repeat([0, 1], half), "sequence_index": np.tile(np.arange(half), 2)}
+    scene = replace(whole, sequences=("up", "down"), **order)
+    path = write_tum(tmp_path / "half.tum", whole.time_s[:half], rig_poses()[:half])
     model = reference.model_poses(make_model(scene), scene)
-    match, said = reference.match_poses(reference.read_reference_poses(half), model, scene, GAP_S)
+    match, said = reference.match_poses(reference.read_reference_poses(path), model, scene, GAP_S)
     assert "up by time; down at none of its times" in said and set(match.parts["pass"]) == {"up"}
-    assert len(match) == FRAMES // 2 and np.allclose(match.estimate, match.reference, atol=1e-5)
+    assert len(match) == half and np.allclose(match.estimate, match.reference, atol=1e-5)
 
 
 def test_unusable_references_say_why(tmp_path: Path) -> None:
     scene = make_scene()
     model = reference.model_poses(make_model(scene), scene)
-    with pytest.raises(InputError, match="neither a COLMAP model"):
-        reference.read_reference_poses(tmp_path)
-    with pytest.raises(InputError, match="no such reference"):
-        reference.read_reference_poses(tmp_path / "none")
-    bad = tmp_path / "bad.tum"
-    bad.write_text("# time\n1 2 3\n")
-    with pytest.raises(InputError, match=r"bad.tum, line 2: 3 columns; expected"):
-        reference.read_tum(bad)
-    bad.write_text("# nothing\n")
-    with pytest.raises(InputError, match="no rows; give the trajectory"):
-        reference.read_tum(bad)
+    (tmp_path / "empty").mkdir()
+    for name, data in (("cut", b"nonsense"), ("bare", bytes(8))):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "images.bin").write_bytes(data)
+    for name, words in (
+        ("empty", "neither a COLMAP model"),
+        ("none", "no such reference"),
+        ("cut", "images.bin: the file is cut off"),
+        ("bare", "not a readable COLMAP model"),
+    ):
+        with refused(words):
+            reference.read_reference_poses(tmp_path / name)
+    for text, words in (
+        ("# time\n1 2 3\n", r"bad.tum, line 2: 3 columns; expected"),
+        ("# nothing\n", "no rows; give the traj"),
+    ):
+        (tmp_path / "bad.tum").write_text(text)
+        with refused(words):
+            reference.read_tum(tmp_path / "bad.tum")
     short = write_tum(tmp_path / "short.tum", np.arange(5.0), rig_poses()[:5])
-    with pytest.raises(InputError, match="5 poses for 12 frames"):
-        reference.match_poses(reference.read_reference_poses(short), model, scene, GAP_S)
-    with pytest.raises(InputError, match="only 0 poses"):
-        reference.match_poses(ReferencePoses({}, {"other": reference.read_tum(short)}, tmp_path), model, scene, GAP_S)
-    (tmp_path / "colmap").mkdir()
-    (tmp_path / "colmap" / "images.bin").write_bytes(b"nonsense")
-    with pytest.raises(InputError, match="images.bin: the file is cut off"):
-        reference.read_reference_poses(tmp_path / "colmap")
-    (tmp_path / "colmap" / "images.bin").write_bytes(bytes(8))
-    with pytest.raises(InputError, match="not a readable COLMAP model"):
-        reference.read_reference_poses(tmp_path / "colmap")
+    other = ReferencePoses({}, {"other": reference.read_tum(short)}, tmp_path)
+    for poses, words in (
+        (reference.read_reference_poses(short), "5 poses for 12 frames"),
+        (other, "only 0 poses"),
+    ):
+        with refused(words):
+            reference.match_poses(poses, model, scene, GAP_S)
 
 
 def test_local_metres_become_world_metres() -> None:
@@ -169,16 +160,9 @@ def test_local_metres_become_world_metres() -> None:
     assert np.allclose(reference.to_world(moved, world, local), points, atol=1e-4)
 
 
-def made(
-    scene: Scene,
-    model: pycolmap.Reconstruction,
-    cloud: Cloud | None = None,
-    origin: Origin | None = None,
-    scratch: Path | None = None,
-) -> Products:
+def made(scene: Scene, model: pycolmap.Reconstruction, cloud: Cloud | None = None, **more: object) -> Products:
     images = registration(model, scene, RegisteredTuning())
-    points = None if cloud is None else points_of(cloud.xyz_m)
-    return Products(model=model, images=images, cloud=points, origin=origin, scratch=scratch)
+    return Products(model=model, images=images, cloud=None if cloud is None else points_of(cloud.xyz_m), **more)
 
 
 def test_a_survey_is_evaluated_whole(tmp_path: Path) -> None:
@@ -187,45 +171,33 @@ def test_a_survey_is_evaluated_whole(tmp_path: Path) -> None:
     las = laspy.LasData(laspy.LasHeader(point_format=2, version="1.2"))
     las.xyz = a_cloud().xyz_m
     las.write(tmp_path / "lidar.laz")
-    settings = EvaluateSettings(
-        reference=tmp_path, reference_cloud=tmp_path / "lidar.laz", range_m=100, distances_m=(0.02, 0.1)
-    )
-    model = make_model(scene, missing=3)
-    data = evaluate_survey(scene, made(scene, model, a_cloud(), scratch=tmp_path), settings, TUNING).metrics
+    given = {"reference": tmp_path, "reference_cloud": tmp_path / "lidar.laz"}
+    settings = EvaluateSettings(**given, range_m=100, distances_m=(0.02, 0.1))
+    products = made(scene, make_model(scene, missing=3), a_cloud(), scratch=tmp_path)
+    data = evaluate_survey(scene, products, settings, TUNING).metrics
     values = {m["name"]: m["value"] for m in data["metrics"]}
     assert values["registered_images"] == pytest.approx(100 * 20 / 24) and values["ate_sim3_rmse"] < 1e-6
     assert 0.001 < values["backprojection_rmse"] < 0.1 and values["fscore_0.02m"] > 99
     assert values["images_by_rig"] == pytest.approx(100 / 24)
-    assert any("round" in note for note in data["notes"])
-
-
-def test_a_survey_without_references_or_cloud(tmp_path: Path) -> None:
-    scene = make_scene()
-    data = evaluate_survey(scene, made(scene, make_model(scene)), EvaluateSettings(), TUNING).metrics
-    assert [m["name"] for m in data["metrics"]] == ["registered_images", "images_by_rig"]
+    assert says(data["notes"], "round")
+    bare = evaluate_survey(scene, made(scene, make_model(scene)), EvaluateSettings(), TUNING).metrics
+    assert [m["name"] for m in bare["metrics"]] == ["registered_images", "images_by_rig"]
 
 
 def test_absolute_error_in_a_common_crs(tmp_path: Path) -> None:
     """A model in UTM beside a reference in local metres: the absolute error is that of the model, not of the frames."""
-    lat_lon_height = (35.6965, 139.7695, 37.0)
-    world = geodesy.make_origin(*lat_lon_height)
-    scene = make_scene()
+    place = (35.6965, 139.7695, 37.0)
+    world, local, scene = geodesy.make_origin(*place), Origin(*place), make_scene()
     write_tum(tmp_path / "up.tum", np.arange(FRAMES), rig_poses())
-    model = make_model(scene)
-    local = Origin(*lat_lon_height)
     inside = reference.to_world(rig_poses()[:, :3, 3], local, world)
     poses = transforms.rigid(rig_poses()[:, :3, :3], inside + [0.2, 0, 0])
     found = ModelPoses(poses[scene.frame], poses)
-    match, _ = reference.match_poses(
-        reference.read_reference_poses(tmp_path), found, scene, TUNING.trajectory.max_gap_s
-    )
+    match, _ = reference.match_poses(reference.read_reference_poses(tmp_path), found, scene, GAP_S)
     match = reference.poses_to_world(match, local, world)
-    from tiegraph.evaluate.trajectory import evaluate_trajectory
-
     result = evaluate_trajectory(match, (2.0,), TUNING.trajectory, same_frame=True)
-    assert result.absolute is not None and result.absolute.rmse_m == pytest.approx(0.2, abs=1e-3)
-    settings = EvaluateSettings(reference=tmp_path / "up.tum", reference_origin=lat_lon_height)
-    data = evaluate_survey(scene, made(scene, model, origin=world), settings, TUNING).metrics
+    assert result.absolute.rmse_m == pytest.approx(0.2, abs=1e-3)
+    settings = EvaluateSettings(reference=tmp_path / "up.tum", reference_origin=place)
+    data = evaluate_survey(scene, made(scene, make_model(scene), origin=world), settings, TUNING).metrics
     assert "absolute_rmse" in [m["name"] for m in data["metrics"]]
 
 
@@ -251,7 +223,7 @@ def test_a_cloud_whose_header_names_no_crs_is_in_that_of_the_run(tmp_path: Path)
         data = judged("reference.las", xyz, crs, **how)
         assert {m["name"]: m["value"] for m in data["metrics"]}["cloud_to_cloud_median"] < 0.002
         assert any("no CRS in its header" in note for note in data["notes"]) == (crs is None)
-    with pytest.raises(InputError, match="37 m apart: is one above the ellipsoid, the other above a geoid.*shift"):
+    with refused("37 m apart: is one above the ellipsoid, the other above a geoid.*shift"):
         judged("geoid.las", xyz - [0, 0, 37], world.crs)
 
 
@@ -262,13 +234,12 @@ def test_metrics_survive_json() -> None:
     assert back == data and (back["metrics"][1]["value"], back["metrics"][1]["target"]) == (2.0, 1.0)
 
 
-def test_the_rendered_canal_matches_itself() -> None:
-    folder = DATA / "canal_demo" / "gt" / "colmap"
+def test_the_rendered_canal_matches_itself(data_root: Path) -> None:
+    folder = data_root / "canal_demo" / "gt"
     if not folder.exists():
         pytest.skip("canal_demo is not there")
-    poses = reference.read_reference_poses(folder)
-    assert len(poses.by_image) == 120
-    time_s, body = reference.read_tum(DATA / "canal_demo" / "gt" / "rig_up.tum")
+    assert len(reference.read_reference_poses(folder / "colmap").by_image) == 120
+    time_s, body = reference.read_tum(folder / "rig_up.tum")
     assert len(time_s) == 10 and np.all(np.isfinite(body))
 
 

@@ -61,7 +61,7 @@ MUTANTS: tuple[Mutant, ...] = (
         ("labels: edges alone", "connectivity=8", "connectivity=4"),
         ("labels: threshold side", "stats[:, cv2.CC_STAT_AREA] >= min_area", "stats[:, cv2.CC_STAT_AREA] > min_area"),
     ),
-    *_in("000", "scan/rigfiles/rigspec.py", "scan/test_scan_rigfile.py",
+    *_in("000", "scan/rigfiles/rigspec.py", "scan/test_rig_files.py",
         ("equation 3: sense of 2 pi / n", "orient(360.0 / count * k, 0, 0)", "orient(-360.0 / count * k, 0, 0)"),
         ("equation 3: pi / n", "orient(360.0 / count * k, 0, 0)", "orient(180.0 / count * k, 0, 0)"),
         ("equation 3: index", "orient(360.0 / count * k, 0, 0)", "orient(360.0 / count * (k + 1), 0, 0)"),

@@ -6,15 +6,16 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pycolmap
 import pytest
 
+from said import refused, says
+from scan.scan_worlds import picture
 from tiegraph.cli.main import main
-from tiegraph.errors import InputError
 from tiegraph.geometry.transforms import centre, invert, rigid
 from tiegraph.pipeline.foundrig import rig_file
+from tiegraph.project.inputs import Inputs, Stamps
 from tiegraph.scan.prepare import crop_camera
 from tiegraph.scan.rigfiles.rigfile import parse_rig_file, read_rig_file
 from tiegraph.scan.rigfiles.rigspec import RigSpec, orient
@@ -111,11 +112,6 @@ def _run(
     return out
 
 
-def _tune(out: Path, lines: str) -> None:
-    """Other constants of the rig in the settings of a run folder."""
-    (out / "tiegraph.toml").write_text(f'[run]\nimages = "{out}"\n[tuning.sfm.rig]\n{lines}\n')
-
-
 def _mounting(poses: list[np.ndarray], sigma: float = 0.001, turn_deg: float = 0.05) -> dict:
     rows = [[n, *(centre(p) / SCALE).tolist(), sigma, turn_deg] for (n, _), p in list(zip(TURNS, poses))[1:]]
     return {MOUNTING: {"columns": [], "rows": rows}}
@@ -130,13 +126,23 @@ def _sensor_from_rig(spec: RigSpec) -> list[np.ndarray]:
     return [np.linalg.inv(s.body_from_sensor) @ first for s in spec.sensors]
 
 
+def _same(spec: RigSpec, poses: list[np.ndarray]) -> None:
+    for mine, true in zip(_sensor_from_rig(spec), poses):
+        np.testing.assert_allclose(mine, true, rtol=0, atol=1e-9)
+
+
+def _receipt(out: Path, **changed: object) -> None:
+    """Other words in the receipt of sparse."""
+    path = out / "receipts" / "sparse.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), **changed}))
+
+
 def test_what_is_written_is_read_as_it_was_found(tmp_path: Path) -> None:
     poses = _poses(0.37, 1.5)
     table = {INTERIOR_TABLE: {"columns": list(INTERIOR), "rows": [["b", "fx", 61.2, 0.34, None, ""]]}}
     found = rig_file(_run(tmp_path / "out", _given(), poses, tables={**_mounting(poses), **table}))
     spec = _read(found.text)
-    for mine, true in zip(_sensor_from_rig(spec), poses):
-        np.testing.assert_allclose(mine, true, rtol=0, atol=1e-9)
+    _same(spec, poses)
     assert np.abs(poses[2] - _poses(0.3)[2]).max() > 0.01  # the other side: what was given is another rig
     assert all(s.params == tuple(FOUND) and s.size == SIZE and s.model == "OPENCV" for s in spec.sensors)
     assert not spec.nominal and not spec.fixed
@@ -175,25 +181,25 @@ def test_a_camera_that_no_tie_holds_stands_as_it_was_drawn(tmp_path: Path) -> No
     placed = _sensor_from_rig(_read(found.text))
     np.testing.assert_allclose(placed[1], poses[1], rtol=0, atol=1e-9)
     np.testing.assert_allclose(placed[2], drawn[2], rtol=0, atol=1e-9)
-    assert any("c stands as given: too few ties" in s for s in found.said)
+    assert says(found.said, "c stands as given: too few ties")
 
 
 def test_constants_are_those_the_model_was_made_with_and_before_them_those_of_the_settings(tmp_path: Path) -> None:
     poses = [*_poses(0.37, 1.5)[:2], _poses(0.3)[2]]
     out = _run(tmp_path / "out", _given(), poses, tables=_mounting(poses, sigma=0.3))
-    receipt = out / "receipts" / "sparse.json"
-    sparse = json.loads(receipt.read_text())
-    made = {"sfm": {"rig": {"nominal_deg": 4.0, "nominal_m": 0.2}}}
-    receipt.write_text(json.dumps({**sparse, "tuning": made}))
-    left = _read(rig_file(out).text).sensors[2]
-    assert (left.sigma_deg, left.sigma_m) == (pytest.approx(4.0), pytest.approx(0.2))
+
+    def sigmas() -> tuple:
+        left = _read(rig_file(out).text).sensors[2]
+        return left.sigma_deg, left.sigma_m
+
+    _receipt(out, tuning={"sfm": {"rig": {"nominal_deg": 4.0, "nominal_m": 0.2}}})
+    assert sigmas() == pytest.approx((4.0, 0.2))
     (out / "tiegraph.toml").write_text((out / "tiegraph.toml").read_text() + '[sparse]\nrig = "fixed"\n')
-    assert _read(rig_file(out).text).sensors[2].sigma_deg == pytest.approx(4.0), "the run did not hold the rig"
-    _tune(out, "nominal_deg = 3.0")
-    left = _read(rig_file(out).text).sensors[2]
-    assert (left.sigma_deg, left.sigma_m) == (pytest.approx(3.0), pytest.approx(0.2))
-    receipt.write_text(json.dumps({**sparse, "tuning": {"sfm": {"gone": 1}}}))
-    with pytest.raises(InputError, match="sparse.json.*gone.*finish that run again"):
+    assert sigmas()[0] == pytest.approx(4.0), "the run did not hold the rig"
+    (out / "tiegraph.toml").write_text(f'[run]\nimages = "{out}"\n[tuning.sfm.rig]\nnominal_deg = 3.0\n')
+    assert sigmas() == pytest.approx((3.0, 0.2))
+    _receipt(out, tuning={"sfm": {"gone": 1}})
+    with refused("sparse.json.*gone.*finish that run again"):
         rig_file(out)
 
 
@@ -205,29 +211,24 @@ def test_a_rig_that_was_held_keeps_its_lengths(tmp_path: Path) -> None:
         pose[:3, 3] *= 1.07
     found = rig_file(_run(tmp_path / "out", _given(nominal=False, fixed=True), scaled, tables=_mounting(scaled)))
     spec = _read(found.text)
-    for mine, true in zip(_sensor_from_rig(spec), poses):
-        np.testing.assert_allclose(mine, true, rtol=0, atol=1e-9)
-    assert spec.fixed and spec.sensors[1].sigma_m is None and any("the run held them" in s for s in found.said)
+    _same(spec, poses)
+    assert spec.fixed and spec.sensors[1].sigma_m is None and says(found.said, "the run held them")
     turned = [poses[0], poses[1], _poses(0.3, 0.2)[2]]
     out = _run(tmp_path / "turned", _given(nominal=False, fixed=True), turned)
-    receipt = out / "receipts" / "sparse.json"
-    receipt.write_text(json.dumps({**json.loads(receipt.read_text()), "contradictions": ["c is turned by 0.2 deg"]}))
+    _receipt(out, contradictions=["c is turned by 0.2 deg"])
     found = rig_file(out)
-    assert any("held by the run but for c, which the images turned or moved" in s for s in found.said)
+    assert says(found.said, "held by the run but for c, which the images turned or moved")
     assert "# contradicted in that run: c is turned by 0.2 deg" in found.text
     np.testing.assert_allclose(_sensor_from_rig(_read(found.text))[1], poses[1], rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("georef", [True, False])
 def test_lengths_that_nothing_tells_in_metres_are_refused_in_a_rig_toml(tmp_path: Path, georef: bool) -> None:
-    poses = _poses(0.37, 1.5)
-    out = _run(tmp_path / "out", _given(), poses, scale_source="none", georef=georef)
-    with pytest.raises(
-        InputError, match=r"nothing in this run told metres, .* of head .* `tiegraph georef .*rig_config"
-    ):
+    out = _run(tmp_path / "out", _given(), _poses(0.37, 1.5), scale_source="none", georef=georef)
+    with refused(r"nothing in this run told metres, .* of head .* `tiegraph georef .*rig_config"):
         rig_file(out)
     found = rig_file(out, "rig_config")
-    assert any("lengths are in units of the model" in s for s in found.said)
+    assert says(found.said, "lengths are in units of the model")
     rotation = json.loads(found.text)[0]["cameras"][1]["cam_from_rig_rotation"]
     assert len(rotation) == 4 and np.linalg.norm(rotation) == pytest.approx(1)
 
@@ -237,8 +238,7 @@ def test_a_rig_whose_cameras_have_their_own_times_says_what_is_left_out(tmp_path
     tables = {"rig diagnostics": {"columns": ["camera", "off m", "time offset ms"], "rows": rows}}
     found = rig_file(_run(tmp_path / "out", _given(nominal=False, fixed=True), _poses(0.3), tables=tables))
     spec = _read(found.text)
-    for mine, given in zip(_sensor_from_rig(spec), _poses(0.3)):
-        np.testing.assert_allclose(mine, given, rtol=0, atol=1e-9)
+    _same(spec, _poses(0.3))
     assert spec.fixed and all(s.params == tuple(GUESS) for s in spec.sensors)
     assert sum("its calibration is as given, though the images wanted it" in s for s in found.said) == 3
     assert any("do not fire at one instant" in s and "b -31 ms, c +11.5 ms" in s for s in found.said)
@@ -260,12 +260,12 @@ def test_cameras_are_written_as_the_files_of_the_user_have_them(tmp_path: Path) 
     _, second, third = _read(rig_file(out).text).sensors
     assert second.crop_px == crop and second.size == (68, 56)
     assert second.params == (FOUND[0], FOUND[1], FOUND[2] + 4, FOUND[3] + 2, *FOUND[4:])
-    assert third.params is None and any("c: its camera was guessed" in s for s in rig_file(out).said)
+    assert third.params is None and says(rig_file(out).said, "c: its camera was guessed")
     folds = [*FOUND[:4], -3.0, 0.0, 0.0, 0.0]
     found = rig_file(_run(tmp_path / "folds", _given(), poses, params=folds))
     first = _read(found.text).sensors[0]
     assert first.model == "SIMPLE_RADIAL" and first.params[0] == pytest.approx(np.mean(FOUND[:2]))  # type: ignore[index]
-    assert any("a: only the focal length is written, for OPENCV with" in s for s in found.said)
+    assert says(found.said, "a: only the focal length is written, for OPENCV with")
 
 
 def test_a_single_camera_needs_no_metres(tmp_path: Path) -> None:
@@ -291,14 +291,13 @@ def test_cameras_that_hang_on_a_wide_one_stay_as_given(tmp_path: Path) -> None:
     spec = _read(found.text)
     assert [(s.name, s.role) for s in spec.sensors] == [("a", WIDE), ("b", "side"), ("c", "side")]
     assert [s.params for s in spec.sensors] == [tuple(FOUND), tuple(GUESS), tuple(GUESS)]
-    for mine, true in zip(_sensor_from_rig(spec), _poses(0.3)):
-        np.testing.assert_allclose(mine, true, rtol=0, atol=1e-9)
+    _same(spec, _poses(0.3))
     assert "head: b, c hang on it: places and lenses are as given" in found.said
 
 
 def test_hanging_cameras_have_the_unit_of_the_wide_ones_in_a_file_without_one(tmp_path: Path) -> None:
     out = _with_wide(tmp_path / "out", 2)
-    with pytest.raises(InputError, match="nothing in this run told metres"):
+    with refused("nothing in this run told metres"):
         rig_file(out)
     (config,) = json.loads(rig_file(out, "rig_config").text)
     places = [np.linalg.norm(c["cam_from_rig_translation"]) for c in config["cameras"][1:]]
@@ -308,36 +307,29 @@ def test_hanging_cameras_have_the_unit_of_the_wide_ones_in_a_file_without_one(tm
 
 
 def test_folders_that_have_no_rig_to_give(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"nowhere is no run folder: give one that"):
-        rig_file(tmp_path / "nowhere")
     out = _run(tmp_path / "out", _given(), _poses(0.3))
     (out / "receipts" / "sparse.json").unlink()
-    with pytest.raises(InputError, match=r"has no sparse model yet; `tiegraph sparse .*out` makes it"):
-        rig_file(out)
     views = tuple(replace(s, source=Source(panorama=(1, 0, 0, 0, 1, 0, 0, 0, 1))) for s in _given().sensors)
-    with pytest.raises(InputError, match=r"views of panoramas, .* give --rig panorama"):
-        rig_file(_run(tmp_path / "views", _given(sensors=views), _poses(0.3)))
     damaged = _run(tmp_path / "damaged", _given(), _poses(0.3))
     (damaged / "world.json").write_text("{")
-    with pytest.raises(InputError, match=r"world.json cannot be read any more .* finish that run again"):
-        rig_file(damaged)
-    two = (
-        replace(_given(), name="x", sensors=_given().sensors[:1]),
-        replace(_given(), name="y", sensors=_given().sensors[1:2]),
-    )
-    with pytest.raises(InputError, match=r"2 rigs \(x, y\), and a rig.toml holds one; take --format rig_config"):
-        rig_file(_run(tmp_path / "two", two, None))
-    assert len(json.loads(rig_file(tmp_path / "two", "rig_config").text)) == 2
+    alone = [replace(_given(), name=n, sensors=_given().sensors[k : k + 1]) for k, n in enumerate("xy")]
+    two = _run(tmp_path / "two", tuple(alone), None)
+    for folder, words in (
+        (tmp_path / "nowhere", r"nowhere is no run folder: give one that"),
+        (out, r"has no sparse model yet; `tiegraph sparse .*out` makes it"),
+        (_run(tmp_path / "views", _given(sensors=views), _poses(0.3)), r"views of panoramas, .* give --rig panorama"),
+        (damaged, r"world.json cannot be read any more .* finish that run again"),
+        (two, r"2 rigs \(x, y\), and a rig.toml holds one; take --format rig_config"),
+    ):
+        with refused(words):
+            rig_file(folder)
+    assert len(json.loads(rig_file(two, "rig_config").text)) == 2
 
 
 def _survey(folder: Path) -> Path:
-    rng = np.random.default_rng(3)
     for name, _ in TURNS:
-        (folder / name).mkdir(parents=True)
         for k in range(2):
-            cv2.imwrite(
-                str(folder / name / f"{k:03d}.png"), rng.integers(0, 255, (SIZE[1], SIZE[0], 3), dtype=np.uint8)
-            )
+            picture(folder / name / f"{k:03d}.png", SIZE)
     return folder
 
 
@@ -409,23 +401,18 @@ def test_another_run_starts_from_it_at_once(tmp_path: Path, capsys: pytest.Captu
     assert main(command) == 0 and "scan  up to date" not in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    "what, words", [("sparse", "no sparse model yet"), ("mark", "a folder, not a file, and no run folder")]
-)
-def test_a_folder_that_cannot_be_meant_stores_nothing(
-    tmp_path: Path, what: str, words: str, capsys: pytest.CaptureFixture
-) -> None:
-    before = _run(tmp_path / "before", _given(), _poses(0.3))
-    (before / "receipts" / {"sparse": "sparse.json", "mark": "folder.json"}[what]).unlink()
-    images = _survey(tmp_path / "images")
-    assert main(["run", str(images), "-o", str(tmp_path / "out"), "--rig", str(before), "--until", "scan"]) == 2
-    err = capsys.readouterr().err
-    assert any(w in err for w in words.split("|")) and not (tmp_path / "out").exists()
+def test_a_folder_that_cannot_be_meant_stores_nothing(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    before, images = _run(tmp_path / "before", _given(), _poses(0.3)), _survey(tmp_path / "images")
+    for receipt, words in (
+        ("sparse", "no sparse model yet"),
+        ("folder", "a folder, not a file, and no run folder"),
+    ):
+        (before / "receipts" / f"{receipt}.json").unlink()
+        assert main(["run", str(images), "-o", str(tmp_path / "out"), "--rig", str(before), "--until", "scan"]) == 2
+        assert words in capsys.readouterr().err and not (tmp_path / "out").exists()
 
 
 def test_a_calibration_that_a_rig_file_names_counts_among_the_inputs(tmp_path: Path) -> None:
-    from tiegraph.project.inputs import Inputs, Stamps
-
     (tmp_path / "images").mkdir()
     (tmp_path / "rig.toml").write_text('[[sensors]]\nname = "a"\ncamera = {file = "left.yaml"}\n')
     (tmp_path / "left.yaml").write_text("one")

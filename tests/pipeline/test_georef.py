@@ -1,18 +1,115 @@
-"""Glue of georef: a child that dies, and a control file that does not fit."""
+"""Control points through the stages, and the glue of georef: a child that dies, a control file that does not fit."""
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
+
+import worlds
+from tiegraph.cli.main import main
+from tiegraph.project.settings import Settings
+from tiegraph.scene.rig import Rig, Sensor
+from tiegraph.scene.scene import simple_scene
+
+import pycolmap  # isort: skip
+from PIL import Image
 
 from tiegraph.errors import ChildDied, InputError, UnreadableArtefact
 from tiegraph.pipeline import georef
+from tiegraph.pipeline.inputs import orientations
+from tiegraph.scene.gcp import read_gcps
+from tiegraph.scene.tuning import ControlTuning
 from tiegraph.sfm.settings import GeorefSettings
 from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.world.georeferencing import GeorefRequest
 from tiegraph.sfm.world.worldadjust import ConstantParameters
+
+EAST, NORTH = 386_000.0, 3_951_000.0  # of the world's zero, EPSG:32654
+
+
+@pytest.mark.slow
+def test_a_file_of_another_survey_is_refused_before_anything_is_made(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    survey = worlds.make_survey(tmp_path / "images", passes=("up",), frames=2)
+    gcp = tmp_path / "gcp_list.txt"
+    gcp.write_text(f"EPSG:32654\n{EAST} {NORTH} 3 1 1 DJI_0042.jpg\n")
+    out = tmp_path / "out"
+    code = main(["run", str(survey.images), "-o", str(out), "--pool", "serial", "--gcp", str(gcp)])
+    said = "".join(capsys.readouterr())
+    assert code == 2 and "gcp_list.txt" in said and "line 2" in said and "DJI_0042.jpg" in said
+    assert "up/cam0/000000.jpg" in said, "says how images are named here"
+    assert not (out / "scene.json").exists() and not (out / "masks").exists()
+
+
+@pytest.mark.slow
+def test_marks_in_an_unknown_image_are_left_out_and_said_and_the_rest_is_used(tmp_path: Path) -> None:
+    model, names = _photographs(tmp_path)
+    points = sorted(model.points3D, key=lambda k: (-model.point3D(k).track.length(), k))[:6]
+    rows = ["EPSG:32654"]
+    for key in points:
+        x, y, z = model.point3D(key).xyz
+        for element in model.point3D(key).track.elements[:4]:
+            image = model.image(element.image_id)
+            u, v = image.points2D[element.point2D_idx].xy
+            rows.append(f"{EAST + x:.5f} {NORTH + y:.5f} {z:.5f} {u:.3f} {v:.3f} {image.name} p{key}")
+    wrong = len(rows) + 1
+    rows.append(rows[1].replace(rows[1].split()[5], "another/survey.jpg"))
+    (tmp_path / "gcp_list.txt").write_text("\n".join(rows) + "\n")
+    settings = Settings()
+    found = settings.georef.model_copy(update={"gcp": tmp_path / "gcp_list.txt"})
+    run = SimpleNamespace(
+        path=tmp_path.joinpath, settings=settings.model_copy(update={"georef": found}), log=tmp_path / "log.txt",
+        inputs=SimpleNamespace(gnss=None, images=tmp_path), receipts=SimpleNamespace(read=lambda stage: {}),
+    )  # fmt: skip
+    outcome = georef.georef(run)
+    said = f"gcp_list.txt, line {wrong}: image 'another/survey.jpg' is not in the survey; mark left out"
+    assert said in outcome.notes and said in json.loads((tmp_path / "world.json").read_text())["notes"]
+    table = outcome.tables["control and check points"]["rows"]
+    assert [row[2] for row in table] == [4] * 6, "the marks in images that are here"
+    assert all(abs(v) < 0.05 for row in table for v in row[3:6])
+    placed = pycolmap.Reconstruction(str(tmp_path / "sparse/world"))
+    assert placed.num_reg_images() == len(names)
+
+
+def _photographs(folder: Path) -> tuple[pycolmap.Reconstruction, list[str]]:
+    """The artefacts of a run up to sparse: loose photographs, a model that is right but for its place and scale."""
+    pycolmap.set_random_seed(3)
+    options = pycolmap.SyntheticDatasetOptions(
+        num_rigs=1, num_cameras_per_rig=1, num_frames_per_rig=8, num_points3D=80, camera_has_prior_focal_length=True
+    )
+    truth = pycolmap.synthesize_dataset(options)
+    names = sorted(truth.image(i).name for i in truth.reg_image_ids())
+    camera = next(iter(truth.cameras.values()))
+    count = len(names)
+    rig = Rig("photographs", (Sensor("camera", camera),))
+    scene = simple_scene(rig, names, np.arange(count), np.zeros(count, int), np.full(count, -1), sequences=())
+    model = pycolmap.Reconstruction(truth)
+    model.transform(pycolmap.Sim3d(0.3, pycolmap.Rotation3d(np.array([0.1, 0.2, 0.3, 0.9])), np.array([5.0, 1, 2])))
+    (folder / "network").mkdir()
+    (folder / "network/scene.json").write_text(scene.to_json())
+    (folder / "sparse/0").mkdir(parents=True)
+    model.write(str(folder / "sparse/0"))
+    return truth, names
+
+
+def test_orientations_are_those_of_the_marked_files_alone(tmp_path: Path) -> None:
+    names = ["a/0.jpg", "a/1.jpg", "a/2.jpg", "a/3.jpg"]
+    (tmp_path / "a").mkdir()
+    for number, orientation in ((0, 8), (1, 1), (2, 6)):
+        exif = Image.Exif()
+        exif[0x0112] = orientation
+        Image.new("RGB", (4, 3)).save(tmp_path / names[number], exif=exif)
+    rows = [f"1 2 3 1 1 {image}" for image in ("0.jpg", "a/1.jpg", "a\\0.jpg", "3.jpg", "another.jpg")]
+    (tmp_path / "gcp_list.txt").write_text("EPSG:32654\n" + "\n".join(rows))
+    scene = simple_scene(Rig("lone", (Sensor("cam"),)), names, np.arange(4), np.zeros(4))
+    run = SimpleNamespace(inputs=SimpleNamespace(images=tmp_path))
+    found = orientations(run, scene, read_gcps(tmp_path / "gcp_list.txt", ControlTuning()))  # type: ignore[arg-type]
+    assert found == {0: 8, 1: 1}
 
 
 def _request(target: Path) -> GeorefRequest:

@@ -12,8 +12,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from clouds_world import ground
+from said import refused
 from tiegraph.cli.main import main
-from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import Origin
 from tiegraph.pipeline.clouds import EpochOptions, compare_epochs
 from tiegraph.pipeline.evaluate import evaluate
@@ -76,7 +76,7 @@ def test_a_box_that_grew_by_5_cm(tmp_path: Path, capsys) -> None:
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == [
         f"changes.{e}" for e in ("csv", "json", "laz", "png")
     ]
-    with pytest.raises(InputError, match="is there already"):
+    with refused("is there already"):
         compare_epochs((first, second), tmp_path / "out", EpochOptions())
 
 
@@ -90,7 +90,7 @@ def test_a_shift_of_the_whole_survey_is_within_its_sigma_or_registered(tmp_path:
     found = compare_epochs((first, second), tmp_path / "placed", EpochOptions())
     assert found["changes"]["rows"] == [] and found["differences"]["median m"] == pytest.approx(0.05, abs=0.02)
     loose = [survey(tmp_path / n, xyz, placed_m=None) for n, xyz in (("c", flat), ("d", bumpy + [0, 0, 0.06]))]
-    with pytest.raises(InputError, match="c: its place on the Earth is not known.*--register rigid"):
+    with refused("c: its place on the Earth is not known.*--register rigid"):
         compare_epochs((loose[0], loose[1]), tmp_path / "loose", EpochOptions())
     found = compare_epochs((loose[0], loose[1]), tmp_path / "registered", EpochOptions(register="rigid"))
     rows = {name: (value, sigma) for name, value, sigma in found["registration"]["rows"]}
@@ -109,9 +109,9 @@ def test_a_survey_in_another_frame_is_laid_on_the_first_by_its_shape(tmp_path: P
     turn = Rotation.from_euler("zyx", [70, 20, 10], degrees=True).as_matrix()
     first = survey(tmp_path / "a", clouds[0], placed_m=None)
     second = survey(tmp_path / "b", clouds[1] @ turn.T + [300.0, -80, 12], placed_m=None)
-    with pytest.raises(InputError, match="--coarse starts a registration: add --register rigid"):
+    with refused("--coarse starts a registration: add --register rigid"):
         compare_epochs((first, second), tmp_path / "out", EpochOptions(coarse=True))
-    with pytest.raises(InputError, match="do not overlap"):
+    with refused("do not overlap"):
         compare_epochs((first, second), tmp_path / "out", EpochOptions(register="rigid"))
     found = compare_epochs((first, second), tmp_path / "out", EpochOptions(register="rigid", coarse=True))
     assert abs(found["differences"]["median m"]) < 0.005 and 0 < found["differences"]["significant %"] < 12
@@ -123,13 +123,13 @@ def test_a_survey_in_another_frame_is_laid_on_the_first_by_its_shape(tmp_path: P
 def test_what_cannot_be_compared_is_said_and_nothing_written(tmp_path: Path) -> None:
     first = survey(tmp_path / "a", ground(500, 0))
     (tmp_path / "none").mkdir()
-    with pytest.raises(InputError, match="none: it has no cloud.laz: run it to the stage cloud"):
+    with refused("none: it has no cloud.laz: run it to the stage cloud"):
         compare_epochs((first, tmp_path / "none"), tmp_path / "out", EpochOptions())
     elsewhere = survey(tmp_path / "b", ground(500, 0), shift=(5000.0, 0, 0))
     moved = survey(tmp_path / "c", ground(500, 0) + [5000.0, 0, 0])
-    with pytest.raises(InputError, match=r"c/cloud.laz \(EPSG:32654 by its header\): the cloud .* do not meet"):
+    with refused(r"c/cloud.laz \(EPSG:32654 by its header\): the cloud .* do not meet"):
         compare_epochs((first, moved), tmp_path / "out", EpochOptions())
-    with pytest.raises(InputError, match="a depth of -1 m does not fit: give .* to .* m"):
+    with refused("a depth of -1 m does not fit: give .* to .* m"):
         compare_epochs((first, elsewhere), tmp_path / "out", EpochOptions(depth_m=-1.0))
     assert not (tmp_path / "out").exists()
     found = compare_epochs((first, elsewhere), tmp_path / "out", EpochOptions(depth_m=9.5))
@@ -182,5 +182,5 @@ def test_the_poses_of_a_run_without_a_cloud_are_compared(finished, tmp_path: Pat
 def test_one_pass_has_nothing_to_compare_with(finished, tmp_path: Path) -> None:
     folder = finished.after("cloud", tmp_path / "run")
     shutil.rmtree(folder / "depth")
-    with pytest.raises(InputError, match="depth maps of 0 passes, and two are needed: run it to the stage dense"):
+    with refused("depth maps of 0 passes, and two are needed: run it to the stage dense"):
         compare_passes(Run(folder, None, merged({})), tmp_path / "out")  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""``--start``: a survey goes on from a model, a good one and one that is wrong, and ends in the same place."""
+"""Surveys that go on from poses, of a start model or of odometry, good ones and wrong ones, end in the same place."""
 
 from __future__ import annotations
 
@@ -12,13 +12,16 @@ from scipy.spatial.transform import Rotation
 
 import tiegraph
 import worlds
+from said import refused
+from scan.start_models import colmap_model
 from tiegraph.api import Project
 from tiegraph.cli.run import main
-from tiegraph.errors import InputError
 from tiegraph.evaluate.reference import model_poses
+from tiegraph.geometry import transforms
 from tiegraph.geometry.align import umeyama
 from tiegraph.geometry.transforms import invert
 from tiegraph.scan.rigfiles.rigspec import write_rig_toml
+from tiegraph.scene.posefile import write_tum
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("children_are_functions")]  # slow: the world they share
 
@@ -38,27 +41,20 @@ def survey(tmp_path_factory: pytest.TempPathFactory) -> worlds.Survey:
 def start_of(made: worlds.Survey, folder: Path, turned_deg: float = 0.0) -> Path:
     """The truth as a COLMAP model in another unit; if a pass of it is turned about its first image, its focal length is
     a tenth too long, too."""
-    folder.mkdir()
     camera = made.rig.sensors[0].camera
-    assert camera is not None
     params = np.array(camera.params) * ([1.1, 1.1, 1, 1] if turned_deg else 1.0)
-    lens = " ".join(map(repr, params.tolist()))
-    (folder / "cameras.txt").write_text(f"1 PINHOLE {camera.width} {camera.height} {lens}\n")
     turn = Rotation.from_euler("z", turned_deg, degrees=True).as_matrix()
     pivot = invert(made.cam_from_world["up/cam0/000000.jpg"])[:3, 3]
-    rows = []
-    for k, name in enumerate(sorted(made.cam_from_world), 1):
+    poses = {}
+    for name in sorted(made.cam_from_world):
         pose = invert(made.cam_from_world[name])
         if name.startswith("up/"):
             pose[:3, 3] = turn @ (pose[:3, 3] - pivot) + pivot
             pose[:3, :3] = turn @ pose[:3, :3]
         pose[:3, 3] /= _UNIT
-        cam = invert(pose)
-        x, y, z, w = Rotation.from_matrix(cam[:3, :3]).as_quat()
-        rows += [f"{k} " + " ".join(repr(float(v)) for v in (w, x, y, z, *cam[:3, 3])) + f" 1 {name}", ""]
-    (folder / "images.txt").write_text("\n".join(rows) + "\n")
-    (folder / "points3D.txt").write_text("")
-    return folder
+        poses[name] = invert(pose)
+    lens = " ".join(map(repr, params.tolist()))
+    return colmap_model(folder, poses, lens=f"1 PINHOLE {camera.width} {camera.height} {lens}")
 
 
 def opened(made: worlds.Survey, out: Path, **inputs: Path) -> Project:
@@ -104,19 +100,19 @@ def test_a_survey_goes_on_from_a_model(survey: worlds.Survey, tmp_path: Path, tu
 def test_a_start_and_a_trajectory_are_refused_together(survey: worlds.Survey, tmp_path: Path) -> None:
     start = start_of(survey, tmp_path / "start")
     both = opened(survey, tmp_path / "out", start=start, trajectory=start)
-    with pytest.raises(InputError, match=r"--start .*start and --trajectory .*start: both give poses: leave one out"):
+    with refused(r"--start .*start and --trajectory .*start: both give poses: leave one out"):
         both.run("scan")
     assert not (tmp_path / "out" / "tiegraph.toml").exists()
 
 
 def test_a_wrong_start_is_refused_before_anything_is_stored(survey: worlds.Survey, tmp_path: Path) -> None:
     (tmp_path / "notes.json").write_text("{}")
-    with pytest.raises(InputError, match="notes.json: no model that is known; give a COLMAP model"):
+    with refused("notes.json: no model that is known; give a COLMAP model"):
         opened(survey, tmp_path / "out", start=tmp_path / "notes.json").run("scan")
     assert not (tmp_path / "out" / "tiegraph.toml").exists()
     start = start_of(survey, tmp_path / "start")
     (start / "cameras.txt").write_text("1 PINHOLE 320 320 211 211 160 160\n")
-    with pytest.raises(InputError, match=r"start, camera 1: .*'cam0' have 320 x 320, those here 320 x 240"):
+    with refused(r"start, camera 1: .*'cam0' have 320 x 320, those here 320 x 240"):
         opened(survey, tmp_path / "out", start=start).run("scan")
 
 
@@ -133,3 +129,47 @@ def test_a_start_is_stored_and_only_its_model_is_watched(survey: worlds.Survey, 
     model = pycolmap.Reconstruction(str(tmp_path / "work" / "sparse" / "0"))
     model.write_binary(str(tmp_path / "work" / "sparse" / "0"))
     assert again.status()[0][1] == f"changed: --start {tmp_path / 'work' / 'sparse' / '0'}"
+
+
+_MOVED = transforms.rigid(Rotation.from_rotvec([0.1, -0.2, 2.1]).as_matrix(), np.array([400.0, -90.0, 12.0]))
+
+
+def odometry_of(made: worlds.Survey, folder: Path, own_start: bool) -> Path:
+    """A TUM file of each pass: from the pose of its first frame on, or (``own_start`` false) the second in a frame that
+    nothing tells."""
+    folder.mkdir()
+    for name in ("up", "down"):
+        keys = sorted(key for key in made.world_from_rig if key.startswith(f"{name}/"))
+        poses = np.array([made.world_from_rig[key] for key in keys])
+        moved = transforms.invert(poses[:1])[0] if own_start else {"up": np.eye(4), "down": _MOVED}[name]
+        write_tum(folder / f"vo_{name}.tum", np.array([made.times_s[key] for key in keys]), moved @ poses)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> worlds.Survey:
+    return worlds.make_survey(tmp_path_factory.mktemp("survey") / "images", frames=4)
+
+
+@pytest.mark.parametrize("own_start", [True, False])
+def test_two_passes_with_odometry_of_their_own_end_in_one_model(
+    own_start: bool, made: worlds.Survey, tmp_path: Path
+) -> None:
+    write_rig_toml(made.rig, tmp_path / "rig.toml")
+    given = {
+        "rig": tmp_path / "rig.toml",
+        "times": worlds.write_times(made, tmp_path / "times.csv"),
+        "trajectory": odometry_of(made, tmp_path / "vo", own_start),
+    }
+    settings = {"masks": {"source": "none"}, "candidates": {"sources": ["poses"]}}
+    project = tiegraph.open(made.images, tmp_path / "out", pool="serial", settings=settings, **given).run("georef")
+    scene = project.scene()
+    assert scene.prior == "odometry", "no pass is placed by what holds for another"
+    notes = " ".join(dict((name, receipt) for name, _, receipt in project.status())["candidates"]["notes"])
+    assert "2 passes have poses in worlds of their own" in notes
+    assert ("do not stand in one world" in notes) == (not own_start)
+    poses = model_poses(project.model(), scene)
+    assert poses.placed.all() and len(scene) == 16
+    truth = made.centres_m(list(scene.names))
+    fit = umeyama(poses.centres(), truth)
+    assert 1e-5 < np.sqrt(np.mean(np.sum((fit(poses.centres()) - truth) ** 2, axis=1))) < 0.03

@@ -1,7 +1,9 @@
-"""`tiegraph plan`: tables, files, planned against reached, and errors at the door."""
+"""tiegraph plan: tables, files, planned against reached, the examples of docs/plan.md, and errors at the door."""
 
 import csv
 import json
+import re
+import shlex
 from pathlib import Path
 from types import SimpleNamespace
 from xml.etree import ElementTree
@@ -14,6 +16,7 @@ from report.fake_survey_run import make_run
 from tiegraph.cli.main import main
 from tiegraph.pipeline.report import report
 from tiegraph.plan.figures import effort
+from tiegraph.plan.tables import comparison
 from tiegraph.plan.tuning import Tuning
 from tiegraph.report.settings import ReportSettings
 
@@ -128,17 +131,13 @@ def test_what_a_survey_costs_grows_with_its_images():
         (["--rig", "none.toml", "--distance", "1"], "none.toml"),
         ([*WALL, "--shpe", "canal"], "shpe"),
         (["--compare", "nowhere"], "plan.json"),
+        ([*PAPER, "--distance", "1", "-o", "."], "is there already"),
     ],
 )
-def test_misuse_is_named_before_anything_is_made(arguments, named, capsys, tmp_path):
-    assert main(["plan", *arguments, *([] if "--compare" in arguments else ["-o", str(tmp_path / "out")])]) == 2
+def test_misuse_is_named_before_anything_is_made(arguments, named, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["plan", *arguments, *([] if {"--compare", "-o"} & set(arguments) else ["-o", "out"])]) == 2
     assert named in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
-
-
-def test_a_folder_that_is_there_is_not_touched(tmp_path, capsys):
-    assert main(["plan", *PAPER, "--distance", "1", "-o", str(tmp_path)]) == 2
-    assert "is there already" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
 
 
@@ -152,3 +151,53 @@ def test_a_rig_file_gives_cameras_and_their_places(tmp_path, capsys):
     found = said(capsys, "--rig", str(rig), "--distance", "9", "--base", "1")
     assert found["camera"] == {"focal_px": 900.0, "size": [1200, 900]}
     assert np.isclose(found["stations"][0]["gsd_m"], 0.01)
+
+
+PLAN = {"stations": [{}], "path": {"position_shape_sigma_median_m": 0.002, "place_world_sigma_median_m": 0.03}}
+
+
+def test_it_is_said_in_a_sentence():
+    run = {"position_shape_sigma_median_m": 0.003, "place_world_sigma_median_m": 0.04, "ate_m": 0.01}
+    table = comparison(PLAN, run)
+    assert "known to 3 mm where 2 mm were planned" in table.sentence
+    assert any("ATE" in row[0] for row in table.rows)
+
+
+PAGE = Path(__file__).parents[2] / "docs" / "plan.md"
+COMMANDS = [c for c in re.findall(r"```\n(tiegraph plan .*?)\n```", PAGE.read_text()) if "--compare" not in c]
+SHAPES = [re.search(r"--shape (\w+)", c) for c in COMMANDS]
+
+
+def run(command: str, folder: Path) -> dict:
+    words = shlex.split(command)[1:]
+    if "-o" in words:
+        words[words.index("-o") + 1] = str(folder / "out")
+    else:
+        words += ["-o", str(folder / "out")]
+    assert main(words) == 0
+    return json.loads((folder / "out" / "plan.json").read_text())
+
+
+def test_there_is_one_for_each_kind_of_user():
+    assert [found and found[1] for found in SHAPES] == [None, "canal", "facade", "grid", "tunnel"]
+    assert (PAGE.parent / "pictures" / "plan_grid.png").exists()
+
+
+def test_the_table_of_the_paper(tmp_path):
+    rows = run(COMMANDS[0], tmp_path)["stations"]
+    for row in rows:
+        assert f"{1000 * row['depth_sigma_2_rays_m']:.3f}" in PAGE.read_text()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", range(1, 5))
+def test_a_path_has_the_images_and_sigmas_that_the_page_says(number, tmp_path):
+    path = run(COMMANDS[number], tmp_path)["path"]
+    said = PAGE.read_text().split(COMMANDS[number])[1].split("```")[1]
+    counted = re.search(r"(\d+) images", said)
+    assert counted is None or int(counted[1]) == path["images"]
+    bounds = [(0.6, 1.1), (1.5, 2.6), (10, 25), (2, 9)][number - 1]  # mm: cameras of the boat, else points
+    figure = "position" if number == 1 else "point"
+    assert bounds[0] < 1000 * path[f"{figure}_shape_sigma_median_m"] < bounds[1]
+    world = [(38, 46), (4, 9), (18, 32), (6, 12)][number - 1]
+    assert world[0] < 1000 * path[f"{figure}_world_sigma_median_m"] < world[1]

@@ -104,7 +104,6 @@ def cloud() -> Cloud:
 
 def in_folder(path: Path) -> None:
     with new_folder(path) as folder:
-        assert folder is not None
         for name in "ab":
             (folder / name).write_text(name)
 

@@ -18,6 +18,7 @@ WARNING = "TIFFReadDirectory: Warning, Unknown field with tag 50000 (0xc350) enc
 
 
 def test_a_library_writes_to_the_log_and_we_to_the_terminal(tmp_path: Path, capfd: pytest.CaptureFixture) -> None:
+    before = sys.stderr
     with working_in(tmp_path / "run"):
         os.write(2, f"{WARNING}\n".encode())
         sys.stderr.write("ours\n")
@@ -25,11 +26,7 @@ def test_a_library_writes_to_the_log_and_we_to_the_terminal(tmp_path: Path, capf
     said = capfd.readouterr().err
     assert "TIFF" not in said and said.count("ours") == 1 and "later" in said
     assert (tmp_path / "run" / LOG).read_text().count(WARNING) == 1
-
-
-def test_an_error_within_gives_standard_error_back(tmp_path: Path, capfd: pytest.CaptureFixture) -> None:
-    before = sys.stderr
-    with pytest.raises(KeyboardInterrupt), working_in(tmp_path / "run"):
+    with pytest.raises(KeyboardInterrupt), working_in(tmp_path / "run"):  # an error within gives it back
         raise KeyboardInterrupt
     os.write(2, b"back\n")
     assert sys.stderr is before and "back" in capfd.readouterr().err

@@ -202,7 +202,6 @@ def _surface(rng: np.random.Generator, points: int) -> tuple[np.ndarray, np.ndar
 
 def make_world(scene: Scene, rng: np.random.Generator) -> dict:
     """A world.json."""
-    assert scene.origin is not None
     frames = [f for f in range(scene.frames) if f not in MISSING_FRAMES]
     residuals = rng.normal(0, [0.2, 0.2, 0.4], (len(frames), 3))
     return {
@@ -219,7 +218,6 @@ def make_world(scene: Scene, rng: np.random.Generator) -> dict:
 
 def write_cloud(path: Path, scene: Scene, rng: np.random.Generator, points: int = 40_000) -> None:
     """A LAZ file in full CRS coordinates with sigma and views."""
-    assert scene.origin is not None
     xyz, rgb = _surface(rng, points)
     header = laspy.LasHeader(point_format=7, version="1.4")
     header.offsets, header.scales = np.array(scene.origin.shift_m), np.full(3, 0.001)
@@ -234,15 +232,9 @@ def write_cloud(path: Path, scene: Scene, rng: np.random.Generator, points: int 
 
 def make_metrics() -> dict:
     """A metrics.json."""
-    values = {
-        "registered_images": (90.0, "%"),
-        "backprojection_rmse": (0.0162, "m"),
-        "ate_sim3_rmse": (0.082, "m"),
-        "ate_se3_rmse": (0.121, "m"),
-        "rpe_1m_translation": (None, "m"),
-        "cloud_to_cloud_median": (0.034, "m"),
-        "cloud_to_cloud_90": (0.21, "m"),
-    }
+    values = {"registered_images": (90.0, "%"), "backprojection_rmse": (0.0162, "m"), "ate_sim3_rmse": (0.082, "m"),
+              "ate_se3_rmse": (0.121, "m"), "rpe_1m_translation": (None, "m"), "cloud_to_cloud_median": (0.034, "m"),
+              "cloud_to_cloud_90": (0.21, "m")}  # fmt: skip
     metrics = [{"name": n, "value": v, "unit": u, "better": "low", "target": None} for n, (v, u) in values.items()]
     shares = [[0.02, 31.0, 22.0, 25.7], [0.05, 62.0, 40.0, 48.6], [0.1, 80.0, 55.0, 65.2], [0.2, 90.1, 63.0, 74.2]]
     columns = ["distance m", "accuracy %", "completeness %", "F %"]
@@ -293,3 +285,9 @@ def write_receipt(folder: Path, stage: str, seconds: float) -> None:
     path = folder / "receipts" / f"{stage}.json"
     path.parent.mkdir(exist_ok=True)
     path.write_text(json.dumps(receipt))
+
+
+def tell(folder: Path, stage: str, **more: object) -> None:
+    """Other words in the receipt of a stage."""
+    path = folder / "receipts" / f"{stage}.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), **more}))

@@ -1,4 +1,6 @@
-"""Page one, the file for programs, the languages, the images that are not used, and what a report never shows."""
+"""Page one, the file for programs, languages, unused images, accuracies, and what a report never shows."""
+
+from __future__ import annotations
 
 import json
 import re
@@ -8,12 +10,14 @@ from pathlib import Path
 import jsonschema
 import numpy as np
 import pytest
-from fake_survey_run import make_run
+from fake_survey_run import make_accuracy, make_run, tell
 from jinja2 import nodes
+from markupsafe import escape
 
 from accuracy_marks import check, unmarked
-from tiegraph.errors import EngineMissing, InputError
-from tiegraph.report import formatting, html, pdf, spatial, texts
+from said import refused, says
+from tiegraph.errors import EngineMissing
+from tiegraph.report import accuracy, formatting, html, pdf, spatial, texts
 from tiegraph.report.formatting import without_folders
 from tiegraph.report.html import environment, write_report
 from tiegraph.report.reportjson import schema
@@ -21,6 +25,7 @@ from tiegraph.report.runfolder import read_run
 from tiegraph.report.settings import ReportSettings
 from tiegraph.report.tables import about
 from tiegraph.report.warnings import ABSENT, HANGING, LEFT_OUT, REGISTERED, image_rows
+from tiegraph.scene.accuracy import Accuracy, Figure
 from tiegraph.scene.hanging import WIDE, carrying
 from tiegraph.scene.scene import Scene
 
@@ -32,11 +37,9 @@ REASON = "no verified pair"
 @pytest.fixture(scope="module")
 def full(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = make_run(tmp_path_factory.mktemp("run") / "quay")
-    path = folder / "receipts" / "sparse.json"
     scene = json.loads((folder / "scene.json").read_text())
     missing = [[n, REASON] for n, f in zip(scene["names"], scene["frame"]) if f == 4]
-    notes = ["read /home/somebody/survey/rig.toml"]
-    path.write_text(json.dumps({**json.loads(path.read_text()), "dropped": missing, "notes": notes}))
+    tell(folder, "sparse", dropped=missing, notes=["read /home/somebody/survey/rig.toml"])
     return folder
 
 
@@ -112,7 +115,6 @@ def test_images_that_hang_on_a_wide_camera_are_listed_as_such(tmp_path: Path) ->
     ring = Scene.from_json((folder / "scene.json").read_text())
     sensors = tuple(replace(s, role=WIDE if s.name == "cam0" else "side") for s in ring.rigs[0].sensors)
     for sensor in sensors:
-        assert sensor.camera is not None
         sensor.camera.has_prior_focal_length = True
     whole = ring.with_(rigs=(replace(ring.rigs[0], sensors=sensors),))
     (folder / "whole.json").write_text(whole.to_json())
@@ -173,13 +175,13 @@ def test_every_text_of_the_page_is_in_the_table(japanese: str, monkeypatch: pyte
         assert texts.t("{} usable", "<b>") == "使用可 &lt;b&gt;"
         named = {"columns": ["camera", "reason"], "rows": [["camera", "not verified"], ["all", "scale"]]}
         table = formatting.table(named)
-        assert table is not None and table.rows == (("camera", "幾何検証で不採用"), ("全体", "縮尺")), "a name stays"
+        assert table.rows == (("camera", "幾何検証で不採用"), ("全体", "縮尺")), "a name stays"
     assert texts.t("Glossary") == "Glossary"
 
 
 def test_maps_and_overlap_are_drawn_where_the_data_are(full: Path) -> None:
     seen = spatial.scenery(read_run(full, 5000))
-    assert seen is not None and seen.north
+    assert seen.north
     place = seen.place
     at = place.at(np.array([[place.low[0], place.high[1]], [place.high[0], place.low[1]]]))
     assert np.allclose(at, [[0, 0], [420, place.height]])
@@ -195,17 +197,17 @@ def test_maps_and_overlap_are_drawn_where_the_data_are(full: Path) -> None:
 
 def test_without_a_browser_the_remedy_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
+    page, target, browser = (tmp_path / name for name in ("report.html", "report.pdf", "chromium"))
     with pytest.raises(EngineMissing, match="chromium.*open report.html in any browser and print it"):
-        pdf.print_pdf(tmp_path / "report.html", tmp_path / "report.pdf")
-    browser = tmp_path / "chromium"
+        pdf.print_pdf(page, target)
     browser.write_text("#!/bin/sh\nexit 3\n")
     browser.chmod(0o755)
     with pytest.raises(EngineMissing, match=r"did not print report.html \(exit code 3\)"):
-        pdf.print_pdf(tmp_path / "report.html", tmp_path / "report.pdf")
-    (tmp_path / "report.pdf").write_text("my own")
-    with pytest.raises(InputError, match="is no PDF"):
-        pdf.print_pdf(tmp_path / "report.html", tmp_path / "report.pdf")
-    assert (tmp_path / "report.pdf").read_text() == "my own"
+        pdf.print_pdf(page, target)
+    target.write_text("my own")
+    with refused("is no PDF"):
+        pdf.print_pdf(page, target)
+    assert target.read_text() == "my own"
 
 
 @pytest.mark.slow
@@ -217,3 +219,47 @@ def test_the_page_prints(page: str, full: Path, tmp_path: Path) -> None:
     pdf.print_pdf(full / "report.html", tmp_path / "report.pdf")
     data = (tmp_path / "report.pdf").read_bytes()
     assert data[:4] == b"%PDF" and 20_000 < len(data) < 10e6
+
+
+def test_every_accuracy_on_the_page_is_the_one_of_the_source(full: Path, page: str) -> None:
+    keys = check(full, page)
+    layers = set(make_accuracy().values())
+    assert layers <= keys, "each figure of the source stands on the page"
+    assert {"metrics.ate_se3_rmse", "tables.cloud against reference.0.1"} <= keys
+    assert unmarked(page) == []
+    top = page[page.index('<div class="verdict') : page.index('<div class="tiles">')]
+    order = [top.index(text) for text in ("Tolerance of", "In the world:", "In shape", "Of a point")]
+    assert order == sorted(order) and order[0] < top.index("are registered")
+
+
+def test_the_check_finds_what_it_is_for(full: Path, page: str) -> None:
+    with pytest.raises(AssertionError):
+        check(full, page.replace(">2.58 m<", ">2.50 m<"))
+    assert unmarked(page.replace("</h1>", "</h1><p>A point has a standard deviation of 3.6 cm.</p>"))
+    assert unmarked(page.replace("</main>", "<table><tr><th>rmse m</th></tr><tr><td>0.02</td></tr></table></main>"))
+
+
+def test_the_terminal_says_what_the_page_says(full: Path) -> None:
+    lines = accuracy.terminal_lines(full / "metrics.json")
+    assert [line.split()[0] for line in lines] == ["Tolerance", "In", "In", "Of"]
+    assert lines[0].startswith("Tolerance of 5.0 cm in the world: no. Reason: 3 check points measured more. What would")
+    assert (
+        "predicted 2.58 m for a point of the cloud" in lines[1]
+        and "Measured 6.2 cm (a check point) by 3 check points" in lines[1]
+    )
+    assert "10.0 cm for a camera, over the whole; 4.0 mm for what lies between two cameras 10 m apart" in lines[2]
+    assert "Measured 12.1 cm (a camera, over the whole) by 54 reference poses" in lines[2]
+    assert "predicted 3.6 cm" in lines[3] and "Nothing independent measured it" in lines[3]
+    assert not says(lines, "<")
+    assert accuracy.terminal_lines(full / "none.json") == []
+
+
+def test_what_is_not_known_is_said_to_be_so() -> None:
+    said = Accuracy("units", "nothing", (Figure("shape.whole", "a camera", 0.3), Figure("point", "a point")))
+    world, shape, point = (str(escape(s).striptags()) for s in accuracy.sentences(said))
+    assert "not known" in world and "0.300 units" in shape and "Nothing independent" in shape and "\u2013" in point
+    assert accuracy.placement(said) == ""
+    held = Accuracy(
+        "m", "positions", (Figure("world", "a", 0.1), Figure("world.held_out", "a", measured=0.2, by="4 b"))
+    )
+    assert "4 b are met within 20.0 cm" in escape(accuracy.sentences(held)[0]).striptags()

@@ -29,17 +29,19 @@ def walk(count: int = 6) -> dict[str, np.ndarray]:
     return out
 
 
-def colmap_model(folder: Path, poses: dict[str, np.ndarray], binary: bool = False) -> Path:
-    """images.txt with quaternion (w first) and translation; a camera SIMPLE_RADIAL."""
+LENS = f"7 SIMPLE_RADIAL {WIDTH} {HEIGHT} {FOCAL_PX} 32 24 {K1}"
+
+
+def colmap_model(folder: Path, poses: dict[str, np.ndarray], binary: bool = False, lens: str = LENS) -> Path:
+    """images.txt with quaternion (w first) and translation; one camera."""
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "cameras.txt").write_text(f"7 SIMPLE_RADIAL {WIDTH} {HEIGHT} {FOCAL_PX} 32 24 {K1}\n")
-    rows = []
+    rows = ""
     for k, (name, pose) in enumerate(poses.items(), 1):
         x, y, z, w = Rotation.from_matrix(pose[:3, :3]).as_quat()
-        rows += [" ".join(map(repr, map(float, (w, x, y, z, *pose[:3, 3])))), ""]
-        rows[-2] = f"{k} {rows[-2]} 7 {name}"
-    (folder / "images.txt").write_text("\n".join(rows) + "\n")
-    (folder / "points3D.txt").write_text("")
+        numbers = " ".join(map(repr, map(float, (w, x, y, z, *pose[:3, 3]))))
+        rows += f"{k} {numbers} {lens.split()[0]} {name}\n\n"
+    for file, text in (("cameras", f"{lens}\n"), ("images", rows), ("points3D", "")):
+        (folder / f"{file}.txt").write_text(text)
     if binary:
         model = pycolmap.Reconstruction(str(folder))
         for file in folder.iterdir():

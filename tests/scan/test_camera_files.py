@@ -1,7 +1,6 @@
-"""Calibrations of other programs: what is read projects points as the program's own formulas do, or is refused.
+"""Calibrations of cameras and rigs: what is read projects points as the program's own formulas do, or is refused.
 
-The formulas are written out here as the programs document them, in their own pixels.
-"""
+The formulas are written out here as the programs document them, in their own pixels."""
 
 from __future__ import annotations
 
@@ -10,12 +9,14 @@ import struct
 from collections.abc import Callable
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pycolmap
 import pytest
-from scan_worlds import papers_rig, scan
+from scan_worlds import exif_of, papers_rig, picture, scan
 
-from tiegraph.errors import InputError
+from said import refused, says
+from tiegraph.cli.main import main
 from tiegraph.geometry.transforms import centre, rigid
 from tiegraph.scan.cameras import read_camera
 from tiegraph.scan.rigfiles.rigfile import read_rig_file
@@ -220,58 +221,19 @@ def test_the_binary_of_colmap(tmp_path: Path) -> None:
     whole = (tmp_path / "cameras.bin").read_bytes()
     for wrong in (whole[:-3], whole + b"x", struct.pack("<Q", 0), b"", struct.pack("<QIi", 1, 1, 99) + whole[16:]):
         (tmp_path / "bad.bin").write_bytes(wrong)
-        with pytest.raises(InputError, match=r"bad.bin: no cameras.bin of COLMAP, or cut off; export"):
+        with refused(r"bad.bin: no cameras.bin of COLMAP, or cut off; export"):
             read_camera(str(tmp_path / "bad.bin"), RIG)
 
 
-def _changed(form: str, old: str, new: str) -> str:
+def _but(form: str, old: str, new: str) -> str:
     text = FORMS[form][0]()[0]
     assert old in text
     return text.replace(old, new)
 
 
-@pytest.mark.parametrize(
-    "form, old, new, words",
-    [
-        ("agisoft frame", "<b1>", "<b2>0.5</b2><b1>", r"b2 = 0.5, which no camera model of COLMAP has here; optimise"),
-        ("agisoft frame", "<k1>", "<k4>-0.01</k4><k1>", r"k4 = -0.01, which no .* optimise or calibrate without it"),
-        ("agisoft frame", "<k1>", "<p3>0.01</p3><k1>", r"p3 = 0.01, which no"),
-        ("agisoft frame", "<f>2900.0</f>", "<f>29x0</f>", r"f = '29x0': expected a number"),
-        ("agisoft fisheye", "<f>2900.0</f>", "<fy>2900.0</fy><f></f>", r"no calibration that is known|f = ''"),
-        ("kalibr fov", "[4000, 3000]", "[4000, 1e999]", r"images of 4000 x 1000000000: at most"),
-        ("agisoft frame", ">frame<", ">spherical<", r"a camera of type spherical: read are frame and fisheye"),
-        ("agisoft frame", "<width>4000</width>", "", r"width and height are missing"),
-        ("agisoft frame", "<f>2900.0</f>", "<fx>2900</fx><fy>2900</fy>", r"old version \(fx, fy\): p1 = 0.002"),
-        ("fisheye62", '"k1"', '"k5": 0.1, "k1"', r"k5 = 0.1, which no .* calibrate as fisheye_opencv"),
-        ("brown", "brown", "dual", r"projection_type dual: read are perspective"),
-        ("brown", '"width": 4000', '"width": 0', r"width and height are missing"),
-        ("brown", "0.71", '"x"', r"focal_y = 'x': expected a finite number"),
-        ("brown", "}}", "}", r"not valid JSON"),
-        ("kalibr omni", "[0.0, 0.0,", "[0.1, 0.0,", r"xi = 1.3: k1 = 0.1, which no .* equidistant"),
-        ("kalibr eucm", "eucm", "ds", r"ds with none: read are pinhole|4 expected"),
-        (
-            "plumb_bob",
-            "plumb_bob",
-            "inverse_brown_conrady",
-            r"distortion_model inverse_brown_conrady: read are plumb_bob",
-        ),
-        ("plumb_bob", "[2900.0, 0,", "[2900.0, 3.0,", r"a skew of 3"),
-        ("ros2 message", "binning_x: 0", "binning_x: 2", r"binning_x = 2: the camera_info is of binned images"),
-        ("plumb_bob", "camera_matrix", "camera_matrix: 1\ncamera_matrix", r"2 camera matrices; keep those of"),
-        ("kalibr fov", "cam0:", "cam0:\n  camera_model: pinhole\n  more:", r"each camera has one camera_model"),
-        ("ros2 message", "x_offset: 0", "x_offset: 64", r"x_offset = 64: the camera_info is of"),
-    ],
-)
-def test_what_no_model_can_say_is_refused(tmp_path: Path, form: str, old: str, new: str, words: str) -> None:
-    (tmp_path / "camera.x").write_text(_changed(form, old, new))
-    with pytest.raises(InputError, match=words) as error:
-        read_camera(str(tmp_path / "camera.x"), RIG)
-    assert "camera.x" in str(error.value)
-
-
 def test_line_ends_of_windows_are_line_ends(tmp_path: Path) -> None:
     (tmp_path / "c.yaml").write_bytes(_camchain([np.eye(4)]).replace("\n", "\r\n").encode())
-    with pytest.raises(InputError, match=r"2 cameras \(cam0, cam1\); keep the one"):
+    with refused(r"2 cameras \(cam0, cam1\); keep the one"):
         read_camera(str(tmp_path / "c.yaml"), RIG)
     assert len(read_rig_file(tmp_path / "c.yaml", RIG)[0].sensors) == 2
 
@@ -279,7 +241,7 @@ def test_line_ends_of_windows_are_line_ends(tmp_path: Path) -> None:
 def test_several_cameras_in_one_file_are_named(tmp_path: Path) -> None:
     one = json.loads(FORMS["brown"][0]()[0])
     (tmp_path / "cameras.json").write_text(json.dumps({"a": one["v2 dji"], "b": one["v2 dji"]}))
-    with pytest.raises(InputError, match=r"cameras.json: 2 cameras \(a, b\); keep the one"):
+    with refused(r"cameras.json: 2 cameras \(a, b\); keep the one"):
         read_camera(str(tmp_path / "cameras.json"), RIG)
     (tmp_path / "reconstruction.json").write_text(json.dumps([{"cameras": one, "shots": {}}]))
     assert read_camera(str(tmp_path / "reconstruction.json"), RIG).model == "FULL_OPENCV"
@@ -340,7 +302,7 @@ def test_camchains_that_cannot_be_meant(tmp_path: Path, old: str, new: str, word
     text = _camchain([rigid(np.eye(3), np.array([0.5, 0, 0]))])
     assert old in text
     (tmp_path / "camchain.yaml").write_text(text.replace(old, new))
-    with pytest.raises(InputError, match=words):
+    with refused(words):
         read_rig_file(tmp_path / "camchain.yaml", RIG)
 
 
@@ -357,5 +319,162 @@ def test_a_rig_file_names_the_calibrations_of_its_cameras(tmp_path: Path) -> Non
         ('file = "no.yaml"', "line 7: no.yaml"),
     ):
         path.write_text(f"{rig}[sensors.camera]\n{camera}\n")
-        with pytest.raises(InputError, match=words):
+        with refused(words):
             read_rig_file(path, RIG)
+
+
+# One camera, as each program writes it: OpenCV and Kalibr count pixels from the centre of the first one.
+PARAMS = [60.0, 61.0, 32.5, 24.5, 0.01, -0.02, 0.001, -0.002]
+WORDS = "OPENCV,64x48," + ",".join(map(str, PARAMS))
+COLMAP = (
+    "# Camera list\n# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n1 OPENCV 64 48 " + " ".join(map(str, PARAMS)) + "\n"
+)
+KALIBR = """cam0:
+  cam_overlaps: []
+  camera_model: pinhole
+  distortion_coeffs: [0.01, -0.02, 0.001, -0.002]
+  distortion_model: radtan
+  intrinsics: [60.0, 61.0, 32.0, 24.0]
+  resolution: [64, 48]
+  rostopic: /cam0/image_raw
+"""
+BLOCK = KALIBR.replace("intrinsics: [60.0, 61.0, 32.0, 24.0]", "intrinsics:\n  - 60.0\n  - 61.0\n  - 32.0\n  - 24.0")
+ROS = """image_width: 64
+image_height: 48
+camera_name: left
+camera_matrix:
+  rows: 3
+  cols: 3
+  data: [60.0, 0.0, 32.0, 0.0, 61.0, 24.0, 0.0, 0.0, 1.0]
+distortion_model: plumb_bob
+distortion_coefficients:
+  rows: 1
+  cols: 5
+  data: [0.01, -0.02, 0.001, -0.002, 0.0]
+"""
+TOML = f'[camera]\nmodel = "OPENCV"\nsize = [64, 48]\nparams = {PARAMS}\n'
+ONE = f'[[sensors]]\nname = "a"\ncamera = {{model = "OPENCV", size = [64, 48], params = {PARAMS}}}\n'
+
+
+def _photographs(folder: Path, size: tuple[int, int] = (64, 48), count: int = 3) -> Path:
+    for k in range(count):
+        picture(folder / f"IMG_{k}.jpg", size)
+    return folder
+
+
+def _storage(path: Path) -> None:
+    out = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    out.write("image_width", 64)
+    out.write("image_height", 48)
+    out.write("camera_matrix", np.array([[60.0, 0, 32], [0, 61, 24], [0, 0, 1]]))
+    out.write("distortion_coefficients", np.array([[0.01, -0.02, 0.001, -0.002, 0.0]]))
+    out.release()
+
+
+@pytest.mark.parametrize(
+    "name, content",
+    [("", WORDS), ("cameras.txt", COLMAP), ("camchain.yaml", KALIBR), ("block.yaml", BLOCK), ("left.yaml", ROS),
+     ("cv.yml", None), ("cv.xml", None), ("rig.toml", TOML), ("one.toml", ONE)],
+)  # fmt: skip
+def test_one_camera_in_every_form(tmp_path: Path, name: str, content: str | None) -> None:
+    path = tmp_path / name
+    if name and content is None:
+        _storage(path)
+    elif name:
+        path.write_text(str(content))
+    scene = scan(_photographs(tmp_path / "in"), camera=str(path) if name else WORDS)
+    camera = scene.rigs[0].sensors[0].camera
+    assert camera.model.name == "OPENCV" and (camera.width, camera.height) == (64, 48)
+    np.testing.assert_allclose(camera.params, PARAMS, atol=1e-12)
+    assert camera.has_prior_focal_length
+    assert any("camera from" in n and (path.name if name else "--camera") in n for n in scene.notes)
+    assert not any(str(tmp_path) in n for n in scene.notes), "no folder of this machine"
+
+
+def test_models_of_other_programs(tmp_path: Path) -> None:
+    path = tmp_path / "c.yaml"
+    path.write_text(KALIBR.replace("radtan", "equidistant"))
+    assert read_camera(str(path), RIG).model == "OPENCV_FISHEYE"
+    path.write_text(ROS.replace("-0.002, 0.0]", "-0.002, 0.003]"))
+    found = read_camera(str(path), RIG)
+    assert found.model == "FULL_OPENCV" and found.params == (*PARAMS, 0.003, 0.0, 0.0, 0.0)
+
+
+def test_parameters_of_another_size_are_rescaled_and_of_another_shape_refused(tmp_path: Path) -> None:
+    camera = scan(_photographs(tmp_path / "in", (128, 96)), camera=WORDS).rigs[0].sensors[0].camera
+    np.testing.assert_allclose(camera.params[:4], 2 * np.array(PARAMS[:4]), atol=1e-9)
+    with refused(r"--camera OPENCV.* is for 64 x 48 images, but its images have 64 x 64"):
+        scan(_photographs(tmp_path / "square", (64, 64)), camera=WORDS)
+
+
+@pytest.mark.parametrize(
+    "text, words",
+    [
+        ("OPENCV,60,61,32", r"--camera OPENCV,60,61,32: OPENCV has 8 parameters \(fx, fy, cx, cy, k1, .*\), got 3"),
+        ("OPENVC,60", r"'OPENVC' is no camera model; perhaps you meant 'OPENCV'\?; give MODEL,.*cameras.txt"),
+        ("PINHOLE,60,61,32,x", "'x' is no number; give MODEL"),
+        ("PINHOLE,64x48,60,61,3200,24", r"principal point \(3200, 24\) is not inside the 64 x 48 image"),
+        ("nowhere/cameras.txt", "nowhere/cameras.txt: no such file; give MODEL"),
+    ],
+)
+def test_words_that_cannot_be_meant(tmp_path: Path, text: str, words: str, capsys: pytest.CaptureFixture) -> None:
+    with refused(words):
+        read_camera(text, RIG)
+    images = _photographs(tmp_path / "in", count=2)
+    assert main(["run", str(images), "-o", str(tmp_path / "out"), "--calibration", text]) == 2
+    assert not (tmp_path / "out").exists() and "--camera" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "text, words",
+    [
+        (_but("agisoft frame", "<b1>", "<b2>0.5</b2><b1>"),
+         r"b2 = 0.5, which no camera model of COLMAP has here; optimise"),
+        (_but("agisoft frame", "<k1>", "<k4>-0.01</k4><k1>"),
+         r"k4 = -0.01, which no .* optimise or calibrate without it"),
+        (_but("agisoft frame", "<k1>", "<p3>0.01</p3><k1>"), r"p3 = 0.01, which no"),
+        (_but("agisoft frame", "<f>2900.0</f>", "<f>29x0</f>"), r"f = '29x0': expected a number"),
+        (_but("agisoft fisheye", "<f>2900.0</f>", "<fy>2900.0</fy><f></f>"), r"no calibration that is known|f = ''"),
+        (_but("kalibr fov", "[4000, 3000]", "[4000, 1e999]"), r"images of 4000 x 1000000000: at most"),
+        (_but("agisoft frame", ">frame<", ">spherical<"), r"a camera of type spherical: read are frame and fisheye"),
+        (_but("agisoft frame", "<width>4000</width>", ""), r"width and height are missing"),
+        (_but("agisoft frame", "<f>2900.0</f>", "<fx>2900</fx><fy>2900</fy>"), r"old version \(fx, fy\): p1 = 0.002"),
+        (_but("fisheye62", '"k1"', '"k5": 0.1, "k1"'), r"k5 = 0.1, which no .* calibrate as fisheye_opencv"),
+        (_but("brown", "brown", "dual"), r"projection_type dual: read are perspective"),
+        (_but("brown", '"width": 4000', '"width": 0'), r"width and height are missing"),
+        (_but("brown", "0.71", '"x"'), r"focal_y = 'x': expected a finite number"),
+        (_but("brown", "}}", "}"), r"not valid JSON"),
+        (_but("kalibr omni", "[0.0, 0.0,", "[0.1, 0.0,"), r"xi = 1.3: k1 = 0.1, which no .* equidistant"),
+        (_but("kalibr eucm", "eucm", "ds"), r"ds with none: read are pinhole|4 expected"),
+        (_but("plumb_bob", "plumb_bob", "inverse_brown_conrady"),
+         r"distortion_model inverse_brown_conrady: read are plumb_bob"),
+        (_but("plumb_bob", "[2900.0, 0,", "[2900.0, 3.0,"), r"a skew of 3"),
+        (_but("ros2 message", "binning_x: 0", "binning_x: 2"), r"binning_x = 2: the camera_info is of binned images"),
+        (_but("plumb_bob", "camera_matrix", "camera_matrix: 1\ncamera_matrix"), r"2 camera matrices; keep those of"),
+        (_but("kalibr fov", "cam0:", "cam0:\n  camera_model: pinhole\n  more:"), r"each camera has one camera_model"),
+        (_but("ros2 message", "x_offset: 0", "x_offset: 64"), r"x_offset = 64: the camera_info is of"),
+        (COLMAP + "2 PINHOLE 64 48 60 60 32 24\n", r"2 cameras \(1, 2\); keep the one"),
+        (COLMAP.replace("-0.002\n", "\n"), r"line 3: OPENCV has 8 parameters .*, got 7"),
+        (KALIBR + KALIBR.replace("cam0", "cam1"), r"2 cameras \(cam0, cam1\); keep the one"),
+        (KALIBR.replace("pinhole", "omni"), "xi = 60: k1 = 0.01, which no camera model|5 expected"),
+        (KALIBR.replace(", 24.0]", "]"), r"intrinsics \(fu, fv, pu, pv\): 3 numbers, 4 expected"),
+        (ROS.replace(", 0.0, 0.0, 1.0]", "]"), "camera_matrix: 6 numbers, 9 expected"),
+        ("hello: world\n", "no calibration that is known; known are COLMAP"),
+    ],
+)  # fmt: skip
+def test_files_that_cannot_be_meant(tmp_path: Path, text: str, words: str) -> None:
+    (tmp_path / "camera.x").write_text(text)
+    with refused(words, "camera.x"):
+        read_camera(str(tmp_path / "camera.x"), RIG)
+
+
+def test_several_cameras_need_a_rig_file_and_photographs_of_others_keep_theirs(tmp_path: Path) -> None:
+    with refused(r"images are of 3 cameras: cam0 \(64 x 48\), .* in a rig.toml"):
+        scan(papers_rig(tmp_path / "rig"), camera=WORDS)
+    for k in range(3):
+        picture(tmp_path / "two" / f"IMG_{k}.jpg", exif=exif_of(make="A", model="B"))
+        picture(tmp_path / "two" / f"P{k}.jpg", (60, 60), exif=exif_of(make="C", model="D"))
+    scene = scan(tmp_path / "two", camera=WORDS)
+    taken = next(s.camera for s in scene.all_sensors if s.camera.width == 64)
+    np.testing.assert_allclose(taken.params, PARAMS)
+    assert says(scene.notes, "1 other cameras keep what EXIF says")

@@ -1,4 +1,4 @@
-"""The canal's own positions as every format, scanned: the places, sigmas and gaps that its CSV gives."""
+"""The example's own positions as every format: the places, sigmas and gaps that its CSV gives; its receivers."""
 
 from __future__ import annotations
 
@@ -11,17 +11,21 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scan_worlds import exif_of, picture, scan
+from scan_worlds import Survey, exif_of, picture, scan
 
-from tiegraph.errors import InputError
+from said import refused
+from tiegraph.geometry.geodesy import geodetic_from_world, make_origin, world_from_geodetic
 from tiegraph.pipeline.georef import _rows
 from tiegraph.project.settings import Settings
-from tiegraph.scan.scan import ScanInputs, build_scene, find_images, probe_image
 from tiegraph.scan.settings import ScanSettings
-from tiegraph.scan.tuning import Tuning
-from tiegraph.scene.images import Probe
+from tiegraph.scan.tuning import Tuning as ScanTuning
+from tiegraph.scene.colmapmodel import image_poses, read_model
+from tiegraph.scene.gnss import read_gnss
 from tiegraph.scene.scene import Scene
-from tiegraph.scene.tuning import ImageTuning
+from tiegraph.sfm.settings import GeorefSettings
+from tiegraph.sfm.tuning import Tuning
+from tiegraph.sfm.world.fixes import Measurements, PositionRows
+from tiegraph.sfm.world.georef import georeference
 
 CANAL = Path(__file__).parents[2] / "examples" / "canal"
 DAY = 1714521600.0  # 2024-05-01 0:00 UTC, a Wednesday: second 259218 of GPS week 2312
@@ -29,18 +33,16 @@ UNDULATION = 36.7
 Table = list[tuple[float, float, float, float, float, float]]
 
 
-class Canal:
-    """The example's images, opened once, and its rows: time, lat, lon, height, sigma_h, sigma_v."""
+class Canal(Survey):
+    """The example, and its rows: time, lat, lon, height, sigma_h, sigma_v."""
 
     def __init__(self) -> None:
-        self.names = find_images(CANAL / "images")
-        self.probes: Sequence[Probe] = [probe_image(CANAL / "images" / n, ImageTuning()) for n in self.names]
+        super().__init__(CANAL / "images")
         lines = (CANAL / "gnss.csv").read_text().split()[1:]
         self.rows: Table = [tuple(float(v) for v in line.split(",")[:6]) for line in lines]  # type: ignore[misc]
 
-    def scan(self, gnss: Path, times: Path) -> Scene:
-        inputs = ScanInputs(CANAL / "images", rig=str(CANAL / "rig.toml"), gnss=gnss, times=times)
-        return build_scene(inputs, self.names, self.probes, ScanSettings(), Tuning())
+    def placed(self, gnss: Path, times: Path) -> Scene:
+        return self.scan(rig=str(CANAL / "rig.toml"), gnss=gnss, times=times)
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +52,7 @@ def canal() -> Canal:
 
 @pytest.fixture(scope="module")
 def by_csv(canal: Canal) -> Scene:
-    return canal.scan(CANAL / "gnss.csv", CANAL / "times.csv")
+    return canal.placed(CANAL / "gnss.csv", CANAL / "times.csv")
 
 
 def iso(time: float, offset: float = 0.0) -> str:
@@ -131,15 +133,18 @@ def times_file(folder: Path, kind: str) -> Path:
     return path
 
 
+def written(folder: Path, data: str | bytes) -> Path:
+    path = folder / "positions"
+    path.write_bytes(data if isinstance(data, bytes) else data.encode())
+    return path
+
+
 @pytest.mark.parametrize("name", FORMATS)
 def test_every_format_gives_the_places_of_the_csv(canal: Canal, by_csv: Scene, tmp_path: Path, name: str) -> None:
     write, kind, sigma = FORMATS[name]
-    data = write(canal.rows)
-    (tmp_path / "positions").write_bytes(data if isinstance(data, bytes) else data.encode())
-    found = canal.scan(tmp_path / "positions", times_file(tmp_path, kind))
+    found = canal.placed(written(tmp_path, write(canal.rows)), times_file(tmp_path, kind))
     placed = np.isfinite(by_csv.world_from_rig[:, 0, 3])
     assert placed.sum() > 5 and (~placed).sum() > 5  # the outage below the bridge stays
-    assert found.origin is not None and by_csv.origin is not None
     assert found.origin.crs == by_csv.origin.crs and found.origin.shift_m == by_csv.origin.shift_m
     # A millimetre is the rounding of the formats; times of 1.7e9 s are rounded to 0.2 us.
     np.testing.assert_allclose(found.world_from_rig[:, :3, 3], by_csv.world_from_rig[:, :3, 3], rtol=0, atol=1e-3)
@@ -150,51 +155,41 @@ def test_every_format_gives_the_places_of_the_csv(canal: Canal, by_csv: Scene, t
 @pytest.mark.parametrize("name", ["nmea by the frames' day", "sbet", "rtklib"])
 def test_georef_reads_the_rows_on_the_frames_clock(canal: Canal, tmp_path: Path, name: str) -> None:
     write, kind, _ = FORMATS[name]
-    data = write(canal.rows)
-    path = tmp_path / "positions"
-    path.write_bytes(data if isinstance(data, bytes) else data.encode())
-    scene = canal.scan(path, times_file(tmp_path, kind))
+    path = written(tmp_path, write(canal.rows))
+    scene = canal.placed(path, times_file(tmp_path, kind))
     run = SimpleNamespace(inputs=SimpleNamespace(gnss=path, times=tmp_path), settings=Settings())
     rows = _rows(run, scene)  # type: ignore[arg-type]
-    assert rows is not None
     np.testing.assert_allclose(rows.time_s, DAY + np.array([r[0] for r in canal.rows]), rtol=0, atol=1e-6)
+
+
+def since_1980(rows: Table) -> str:
+    return "time,lat,lon,height\n" + "".join(f"{DAY + 18 - 315964800 + t},{a},{o},{h}\n" for t, a, o, h, *_ in rows)
 
 
 @pytest.mark.parametrize(
     "data, kind, words",
     [
         (lambda rows: sbet(rows, 0.0), "dates", r"do not overlap"),
-        (lambda rows: sbet(rows), "seconds", r"it has seconds of the GPS week without a date: give the frames' times"),
+        (sbet, "seconds", r"it has seconds of the GPS week without a date: give the frames' times"),
         (lambda rows: gpx([(r[0] - 9 * 3600, *r[1:]) for r in rows]), "dates", r"-9 h would bring .* in local time\?"),
         (lambda rows: weeks(rows).replace("gps_week,gps_sow", "unit,time"), "dates", "do not overlap"),
-        (
-            lambda rows: "time,lat,lon,height\n"
-            + "".join(f"{DAY + 18 - 315964800 + r[0]},{r[1]},{r[2]},{r[3]}\n" for r in rows),
-            "dates",
-            r"look like seconds since 1980 \(GPS\): name the column gps_seconds",
-        ),
+        (since_1980, "dates", r"look like seconds since 1980 \(GPS\): name the column gps_seconds"),
     ],
-)  # fmt: skip
-def test_a_wrong_scale_is_refused(
-    canal: Canal, tmp_path: Path, data: Callable[[Table], str | bytes], kind: str, words: str
-) -> None:
-    text = data(canal.rows)
-    (tmp_path / "positions").write_bytes(text if isinstance(text, bytes) else text.encode())
-    with pytest.raises(InputError, match=words) as error:
-        canal.scan(tmp_path / "positions", times_file(tmp_path, kind))
-    assert "positions" in str(error.value)
+)
+def test_a_wrong_scale_is_refused(canal: Canal, tmp_path: Path, data: Callable, kind: str, words: str) -> None:
+    with refused(words, "positions"):
+        canal.placed(written(tmp_path, data(canal.rows)), times_file(tmp_path, kind))
 
 
 # --- DJI's MRK: by number -------------------------------------------------------------------------------------------
 
 
 def mrk(count: int) -> str:
-    rows = [
+    return "".join(
         f"{k}\t{300000 + 2 * k}.5\t[2312]\t-15,N\t4,E\t192,V\t{35.69 + 1e-5 * k:.8f},Lat\t139.77,Lon\t60.000,Ellh\t"
-        "0.011, 0.012, 0.021\t50,Q"
+        "0.011, 0.012, 0.021\t50,Q\n"
         for k in range(1, count + 1)
-    ]
-    return "\n".join(rows) + "\n"
+    )
 
 
 def drone(folder: Path, names: Sequence[str]) -> Path:
@@ -216,9 +211,7 @@ def test_an_mrk_names_its_images_by_number(tmp_path: Path, name: str) -> None:
 def test_an_mrk_of_two_flights_is_refused(tmp_path: Path) -> None:
     images = drone(tmp_path / "in", [f"{f}/DJI_{k:04d}.JPG" for f in ("one", "two") for k in range(1, 4)])
     (tmp_path / "a.MRK").write_text(mrk(3))
-    with pytest.raises(
-        InputError, match="a.MRK, line 1: image 1 may be one/DJI_0001.JPG or two/DJI_0001.JPG: give the"
-    ):
+    with refused("a.MRK, line 1: image 1 may be one/DJI_0001.JPG or two/DJI_0001.JPG: give the"):
         scan(images, ScanSettings(layout="loose"), gnss=tmp_path / "a.MRK")
 
 
@@ -237,10 +230,7 @@ def rtk_picture(path: Path, k: int, flag: int = 50, sigma: float = 0.012, elemen
         '<rdf:Description xmlns:drone-dji="http://www.dji.com/drone-dji/1.0/" '
         f"{attributes}>{elements}</rdf:Description></rdf:RDF></x:xmpmeta>"
     )
-    picture(path, exif=exif_of(make="DJI", lat=round(lat, 4), lon=lon, alt=60.0))
-    body = b"http://ns.adobe.com/xap/1.0/\0" + xmp.encode()
-    raw = path.read_bytes()
-    path.write_bytes(raw[:2] + b"\xff\xe1" + struct.pack(">H", len(body) + 2) + body + raw[2:])
+    picture(path, exif=exif_of(make="DJI", lat=round(lat, 4), lon=lon, alt=60.0), xmp=xmp.encode())
 
 
 @pytest.mark.parametrize("element", [False, True])
@@ -259,3 +249,38 @@ def test_positions_of_a_drone_without_a_fix_are_those_of_exif(tmp_path: Path) ->
     scene = scan(tmp_path)
     assert np.all(scene.position_sigma_m[:, 0] == ScanSettings().gnss_sigma_m)
     assert scene.world_from_rig[0, 2, 3] + scene.origin.shift_m[2] == pytest.approx(60.0)  # type: ignore[union-attr]
+
+
+RTK, FLOAT = "gnss.csv", "gnss_float.csv"
+OUTAGES_S = {RTK: ((36003.6, 36008.4), (36250.6, 36255.4)), FLOAT: ((36003.8, 36007.8), (36251.4, 36255.2))}
+
+
+@pytest.fixture(scope="module", params=[RTK, FLOAT], ids=["rtk", "float"])
+def placed(request):
+    """The name of a file, the scene with its positions, and how far it puts the true model from where it is, (N, 3)."""
+    name = request.param
+    given = {"rig": str(CANAL / "rig.toml"), "gnss": CANAL / name, "times": CANAL / "times.csv"}
+    scene = scan(CANAL / "images", **given)
+    model = read_model(CANAL / "truth" / "colmap")
+    gnss = read_gnss(CANAL / name, ScanTuning().positions.gnss)
+    rows = PositionRows(gnss.time_s, world_from_geodetic(gnss.lat_lon_height, scene.origin), gnss.sigma_m)
+    found = georeference(model, scene, GeorefSettings(), Tuning().world, Measurements(rows=rows))
+    inside = np.linalg.inv(image_poses(model, scene))[:, :3, 3]
+    truth = geodetic_from_world(inside, make_origin(35.6965, 139.7695, 37.0, "ENU"))
+    return name, scene, found.world_from_model(inside) - world_from_geodetic(truth, scene.origin)
+
+
+@pytest.mark.slow
+def test_frames_without_a_fix_under_the_bridge_stay_without(placed) -> None:
+    name, scene, _ = placed
+    known = np.isfinite(scene.world_from_rig[:, :3, 3]).all(axis=1)
+    under = np.any([(first < scene.time_s) & (scene.time_s < last) for first, last in OUTAGES_S[name]], axis=0)
+    assert not known[under].any() and known.sum() == 10 and under.sum() == (10 if name == RTK else 8)
+    assert name == FLOAT or known[~under].all(), "the poor one ends before the last frames"
+
+
+@pytest.mark.slow
+def test_the_true_model_is_placed_as_well_as_the_receiver_is_good(placed) -> None:
+    name, _, off = placed
+    rmse = float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
+    assert (0.003 < rmse < 0.05) if name == RTK else (0.2 < rmse < 3.0), rmse

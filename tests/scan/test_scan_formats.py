@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import builtins
 import io
 import re
 import shutil
 import struct
+import sys
 import zlib
 from pathlib import Path
 
@@ -17,7 +17,7 @@ from PIL import Image, ImageCms, features
 from PIL.TiffImagePlugin import IFDRational
 from scan_worlds import exif_of, picture, scan
 
-from tiegraph.errors import InputError
+from said import refused
 from tiegraph.scan.scan import prepare_image
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scene.decoding import _register, opaque
@@ -36,15 +36,9 @@ def dng(path: Path, rgb: np.ndarray, orientation: int = 6) -> Path:
     for row, column, channel in ((0, 0, 0), (0, 1, 1), (1, 0, 1), (1, 1, 2)):
         mosaic[row::2, column::2] = rgb[row::2, column::2, channel]
     exif = exif_of(orientation=orientation, **WHEN)
-    exif[50706], exif[33421], exif[33422], exif[50717], exif[50708] = (
-        bytes([1, 4, 0, 0]),
-        (2, 2),
-        b"\0\1\1\2",
-        4095,
-        "C",
-    )
-    exif[50721] = tuple(IFDRational(int(v)) for v in np.eye(3).ravel())
-    exif[50728], exif[50778], exif[50708] = (IFDRational(1),) * 3, 21, "Cam"
+    identity = tuple(IFDRational(int(v)) for v in np.eye(3).ravel())
+    exif.update({50706: bytes([1, 4, 0, 0]), 33421: (2, 2), 33422: b"\0\1\1\2", 50717: 4095, 50721: identity,
+                 50728: (IFDRational(1),) * 3, 50778: 21, 50708: "Cam"})  # fmt: skip
     file = io.BytesIO()
     Image.fromarray(mosaic).save(file, "TIFF", exif=exif.tobytes())
     data = bytearray(file.getvalue())
@@ -69,7 +63,7 @@ def prepared(folder: Path) -> np.ndarray:
     prepare_image(folder / scene.source_name(0), folder / "out" / scene.names[0], scene.sensor_of(0), ScanSettings())
     pixels = cv2.imread(str(folder / "out" / scene.names[0]), cv2.IMREAD_UNCHANGED)
     camera = scene.sensor_of(0).camera
-    assert camera is not None and pixels.shape[:2] == (camera.height, camera.width)
+    assert pixels.shape[:2] == (camera.height, camera.width)
     return pixels
 
 
@@ -107,48 +101,31 @@ def test_formats_of_cameras_are_read_upright_and_with_their_exif(tmp_path: Path,
 
 
 @pytest.mark.parametrize(
-    "name, remedy",
-    [
-        ("a.heic", "tiegraph[heif]"),
-        ("a.jpg", "tiegraph[heif]"),
-        ("a.dng", "tiegraph[raw]"),
-        ("a.jxl", "convert to JPEG"),
-    ],
-)
+    "name, remedy", [("a.heic", "tiegraph[heif]"), ("a.jpg", "tiegraph[heif]"), ("a.dng", "tiegraph[raw]"),
+                     ("a.jxl", "convert to JPEG")],
+)  # fmt: skip
 def test_what_a_library_is_missing_for_is_said_with_the_remedy(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, remedy: str
 ) -> None:
-    real = builtins.__import__
-
-    def without(module: str, *rest: object, **more: object) -> object:
-        if module in ("rawpy",):
-            raise ImportError(module)
-        return real(module, *rest, **more)
-
-    monkeypatch.setattr(builtins, "__import__", without)
-    monkeypatch.setattr("tiegraph.scene.decoding._PLUGINS", ())
     for k in (1, 2):
         path = tmp_path / name.replace("a", f"a{k}")
         if name == "a.dng":
             dng(path, LARGE.astype(int) * 10)
         else:
             path.write_bytes(HEIC.read_bytes() + bytes(k))
-    _unregistered(monkeypatch)
-    with pytest.raises(InputError, match=f"a1.*, a2.*: .*{remedy.replace('[', '.')}"):
+    monkeypatch.setitem(sys.modules, "rawpy", None)
+    monkeypatch.setattr("tiegraph.scene.decoding._PLUGINS", ())
+    _register.cache_clear()
+    Image.init()  # and as if no plugin of Pillow for HEIC were there
+    monkeypatch.setattr(Image, "ID", [i for i in Image.ID if i != "HEIF"])
+    monkeypatch.delitem(Image.OPEN, "HEIF", raising=False)
+    with refused(f"a1.*, a2.*: .*{remedy.replace('[', '.')}"):
         scan(tmp_path)
     for k in range(2):
         picture(tmp_path / f"{k}.png")
     said = scan(tmp_path)
     assert len(said) == 2 and len(said.dropped) == 2
     assert any(n.startswith("2 images: ") and remedy in n for n in said.notes) or remedy.startswith("convert")
-
-
-def _unregistered(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As if no plugin of Pillow for HEIC were there."""
-    _register.cache_clear()
-    Image.init()
-    monkeypatch.setattr(Image, "ID", [i for i in Image.ID if i != "HEIF"])
-    monkeypatch.delitem(Image.OPEN, "HEIF", raising=False)
 
 
 @pytest.mark.parametrize(

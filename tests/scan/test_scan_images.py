@@ -1,47 +1,48 @@
+"""Images: found, probed, and prepared for the other stages: linked, turned, cropped, undistorted."""
+
 import pickle
 from pathlib import Path
 
 import cv2
 import numpy as np
+import pycolmap
 import pytest
-from scan_worlds import data, exif_of, picture
+from PIL import Image, ImageOps
+from scan_worlds import exif_of, picture, scan
 
-from tiegraph.errors import InputError
+from said import refused
+from tiegraph.scan.prepare import crop_camera, pinhole_camera, prepare_image
+from tiegraph.scan.settings import ScanSettings
 from tiegraph.scene.decoding import EIGHT_BIT, eight_bit
 from tiegraph.scene.images import find_images, probe_image, search_images
+from tiegraph.scene.rig import Sensor, Source
 from tiegraph.scene.tuning import ImageTuning
 
 
 def test_find_images_is_sorted_posix_and_passes_over_hidden_files(tmp_path: Path) -> None:
     for name in ("b/2.JPG", "a/1.png", "a/._1.png", ".hidden/3.jpg", "a/Thumbs.db.jpg"):
-        picture(tmp_path / name, format="PNG")
-    (tmp_path / "Thumbs.db").write_bytes(b"x")
-    (tmp_path / "notes.txt").write_text("x")
-    assert find_images(tmp_path) == ["a/1.png", "a/Thumbs.db.jpg", "b/2.JPG"]
+        picture(tmp_path / "in" / name, format="PNG")
+    (tmp_path / "in" / "Thumbs.db").write_bytes(b"x")
+    (tmp_path / "in" / "notes.txt").write_text("x")
+    assert find_images(tmp_path / "in") == ["a/1.png", "a/Thumbs.db.jpg", "b/2.JPG"]
+    for name in ("images/cam0/0.jpg", "masks/cam0/0.jpg.png"):  # beside masks it is the only one searched
+        picture(tmp_path / "set" / name)
+    assert find_images(tmp_path / "set") == ["images/cam0/0.jpg"]
 
 
-def test_a_folder_images_beside_masks_is_the_only_one_searched(tmp_path: Path) -> None:
-    picture(tmp_path / "images" / "cam0" / "0.jpg")
-    picture(tmp_path / "masks" / "cam0" / "0.jpg.png")
-    assert find_images(tmp_path) == ["images/cam0/0.jpg"]
-
-
-@pytest.mark.parametrize(
-    "make, message", [("none", "no such folder"), ("empty", "an empty folder"), ("text", "none of them an image")]
-)
-def test_no_images_is_an_error_with_a_remedy(tmp_path: Path, make: str, message: str) -> None:
-    folder = tmp_path / "in"
-    if make != "none":
-        folder.mkdir()
-    if make == "text":
-        (folder / "a.txt").write_text("x")
-    with pytest.raises(InputError, match=message):
-        find_images(folder)
-
-
-def test_a_file_instead_of_a_folder(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="is a file"):
-        find_images(picture(tmp_path / "a.jpg"))
+def test_no_images_is_an_error_with_a_remedy(tmp_path: Path) -> None:
+    for name in ("empty", "texts"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "texts" / "a.txt").write_text("x")
+    picture(tmp_path / "a.jpg")
+    for name, message in (
+        ("none", "no such folder"),
+        ("empty", "an empty folder"),
+        ("texts", "none of them an image"),
+        ("a.jpg", "is a file"),
+    ):
+        with refused(message):
+            find_images(tmp_path / name)
 
 
 def test_probe_of_a_good_image_is_picklable_and_small(tmp_path: Path) -> None:
@@ -60,21 +61,19 @@ def test_truncated_images_are_found(tmp_path: Path, suffix: str, quality: dict, 
     assert probe_image(path, ImageTuning()).reason != ""
 
 
-@pytest.mark.parametrize(
-    "content, message", [(b"", "zero bytes"), (b"hello", "not an image"), (b"\xff\xd8\xff\xe0" + b"0" * 99, "")]
-)
-def test_files_that_are_no_images(tmp_path: Path, content: bytes, message: str) -> None:
-    path = tmp_path / "a.jpg"
-    path.write_bytes(content)
-    reason = probe_image(path, ImageTuning()).reason
-    assert reason and message in reason
-
-
-def test_unreadable_and_tiny_images_say_why(tmp_path: Path) -> None:
-    (tmp_path / "a.jxl").write_bytes(b"123")
-    assert "convert to JPEG" in probe_image(tmp_path / "a.jxl", ImageTuning()).reason
-    assert "cannot be read" in probe_image(tmp_path / "absent.jpg", ImageTuning()).reason
-    assert "8 x 6 pixels" in probe_image(picture(tmp_path / "b.png", (8, 6)), ImageTuning()).reason
+def test_files_that_are_no_images_and_unreadable_or_tiny_ones_say_why(tmp_path: Path) -> None:
+    for name, content in (
+        ("zero.jpg", b""),
+        ("text.jpg", b"hello"),
+        ("head.jpg", b"\xff\xd8\xff\xe0" + b"0" * 99),
+        ("a.jxl", b"123"),
+    ):
+        (tmp_path / name).write_bytes(content)
+    picture(tmp_path / "tiny.png", (8, 6))
+    reasons = {"zero.jpg": "zero bytes", "text.jpg": "not an image", "head.jpg": " ", "a.jxl": "convert to JPEG",
+               "absent.jpg": "cannot be read", "tiny.png": "8 x 6 pixels"}  # fmt: skip
+    for name, words in reasons.items():
+        assert words in probe_image(tmp_path / name, ImageTuning()).reason
 
 
 @pytest.mark.parametrize("low, high", [(0, 1000), (0, 65535), (28_500, 31_000)])
@@ -95,74 +94,131 @@ def test_the_levels_of_deep_images_are_what_most_pixels_use(
 
 
 def test_what_storage_keeps_is_passed_over_and_counted_as_are_images_of_other_names(tmp_path: Path) -> None:
-    for name in ("a.jpg", "b.JFIF", "c.jpe", "d.mpo"):
-        picture(tmp_path / "one.jpg")
-        (tmp_path / "one.jpg").rename(tmp_path / name)
-    for name in ("@eaDir/a.jpg", "x/#recycle/b.jpg", "$RECYCLE.BIN/c.jpg"):
-        picture(tmp_path / name)
+    images = ["a.jpg", "b.JFIF", "c.jpe", "d.mpo"]
+    for name in (*images, "@eaDir/a.jpg", "x/#recycle/b.jpg", "$RECYCLE.BIN/c.jpg"):
+        picture(tmp_path / name, format="JPEG")
     (tmp_path / "a.jpg_original").write_bytes((tmp_path / "a.jpg").read_bytes())
     (tmp_path / "raw.gif").write_bytes(b"II*\0")
     (tmp_path / "notes.txt").write_text("flown in the morning")
     names, (counted, odd) = search_images(tmp_path)
-    assert names == ["a.jpg", "b.JFIF", "c.jpe", "d.mpo", "raw.gif"]
+    assert names == [*images, "raw.gif"]
     assert counted.startswith("3 files in 3 folders of the storage passed over, such as ")
     assert odd == "1 files begin like images but are not named so, and are passed over: a.jpg_original"
-    assert [p.reason for p in (probe_image(tmp_path / n, ImageTuning()) for n in names)] == ["", "", "", "", (
-        ".gif files are not read: convert to JPEG, PNG or TIFF")]  # fmt: skip
+    reasons = [probe_image(tmp_path / n, ImageTuning()).reason for n in names]
+    assert reasons == ["", "", "", "", ".gif files are not read: convert to JPEG, PNG or TIFF"]
 
 
-def test_exif_position_time_and_focal_length(tmp_path: Path) -> None:
-    exif = exif_of(
-        make="Canon\0",
-        model="EOS",
-        time="2023:09:15 10:00:00",
-        subsec="25",
-        offset="+09:00",
-        focal_35mm=50,
-        lat=35.5,
-        lon=-120.25,
-        alt=-3,
-    )
-    found = probe_image(picture(tmp_path / "a.jpg", (3000, 2000), exif=exif), ImageTuning()).exif
-    assert found.focal_px == pytest.approx(50 / 43.27 * np.hypot(3000, 2000), rel=1e-9)
-    assert (found.lat_deg, found.lon_deg, found.height_m) == pytest.approx((35.5, -120.25, -3.0), abs=1e-7)
-    assert found.time_s == pytest.approx(1694739600.25) and found.time_utc  # 01:00:00.25 UTC
-    assert (found.make, found.model) == ("Canon", "EOS")
+PLAIN = Sensor("camera")
 
 
-@pytest.mark.parametrize(("reference", "height"), [(0, 428.0), (1, -428.0), (2, 428.0), (3, -428.0)])
-def test_exif_3_heights_below_sea_level(tmp_path: Path, reference: int, height: float) -> None:
-    exif = exif_of(lat=31.5, lon=35.5, alt=428)
-    exif.get_ifd(0x8825)[5] = bytes([reference])
-    assert probe_image(picture(tmp_path / "a.jpg", exif=exif), ImageTuning()).exif.height_m == height
+def prepared(source: Path, sensor: Sensor = PLAIN, settings: ScanSettings | None = None, name: str = "") -> Path:
+    target = source.parent / "out" / "deep" / (name or source.name)
+    prepare_image(source, target, sensor, settings or ScanSettings())
+    assert [p.name for p in target.parent.iterdir()] == [target.name]
+    return target
 
 
 @pytest.mark.parametrize(
-    "size, smaller",
-    [((6000, 4000), 1.0), ((1500, 1000), 0.25), ((1000, 1500), 0.25), ((4000, 4000), 1.0), ((1000, 1000), 0.25)],
+    "mode, suffix", [("RGB", ".jpg"), ("L", ".jpg"), ("RGB", ".png"), ("L", ".tif"), ("RGB", ".bmp")]
 )
-def test_the_focal_length_is_that_of_the_photograph_before_it_was_made_smaller_or_cut(
-    tmp_path: Path, size: tuple[int, int], smaller: float
+def test_common_images_are_linked_or_where_that_fails_copied(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, mode: str, suffix: str
 ) -> None:
-    # 24 mm before a sensor of 36 x 24 mm and 6000 x 4000 pixels, by the density of the pixels and by its equivalent
-    written = {"width": 6000, "height": 4000}
-    density = exif_of(focal_mm=24.0, plane_x=6000 / 36 * 10, plane_unit=3, **written)
-    equivalent = exif_of(focal_35mm=24, **written)
-    for name, exif in ("density.jpg", density), ("equivalent.jpg", equivalent):
-        found = probe_image(picture(tmp_path / name, size, exif=exif), ImageTuning()).exif
-        assert found.focal_px == pytest.approx(4000.0 * smaller, rel=1e-3)
+    source = picture(tmp_path / f"a{suffix}", mode=mode)
+    target = prepared(source)
+    assert target.is_symlink() and target.resolve() == source.resolve()
+    assert prepared(source).read_bytes() == source.read_bytes()  # again, over the first
+
+    def refuse(*_: object) -> None:
+        raise OSError("no links here")
+
+    for name in ("os.symlink", "os.link"):
+        monkeypatch.setattr(name, refuse)
+    target = prepared(source)
+    assert not target.is_symlink() and target.read_bytes() == source.read_bytes()
 
 
-def test_unbelievable_exif_counts_as_not_written(tmp_path: Path) -> None:
-    exif = exif_of(focal_35mm=1, time="0000:00:00 00:00:00", lat=0.0, lon=0.0, alt=0.0)
-    found = probe_image(picture(tmp_path / "a.jpg", (1500, 1000), exif=exif), ImageTuning()).exif
-    assert np.isnan([found.focal_px, found.time_s, found.lat_deg, found.lon_deg]).all()
+@pytest.mark.parametrize(
+    "mode, suffix, channels",
+    [("RGBA", ".png", 3), ("CMYK", ".jpg", 3), ("P", ".png", 3), ("LA", ".png", 1), ("1", ".png", 1)],
+)
+def test_odd_modes_become_eight_bit_grey_or_rgb(tmp_path: Path, mode: str, suffix: str, channels: int) -> None:
+    source = picture(tmp_path / f"a{suffix}", mode=mode)
+    target = prepared(source)
+    assert not target.is_symlink()
+    with Image.open(target) as image:
+        assert len(image.getbands()) == channels and image.mode in ("L", "RGB")
+        want = np.asarray(Image.open(source).convert(image.mode), int)
+        assert np.abs(np.asarray(image, int) - want).mean() < 3
 
 
-def test_phone_photographs_of_a_hill() -> None:
-    folder = data("oppaiyama", "images")
-    found = probe_image(folder / find_images(folder)[0], ImageTuning()).exif
-    # iPhone 5s: 29 mm equivalent on 1224 x 918 pixels; about 1040 px from the sensor's data sheet (4.15 mm on 4.89 mm).
-    assert 980 < found.focal_px < 1060
-    assert 38.2 < found.lat_deg < 38.3 and 140.9 < found.lon_deg < 141.0
-    assert found.position_sigma_m == 5.0 and not found.time_utc
+@pytest.mark.parametrize("channels", [1, 3, 4])
+def test_twelve_bit_images_keep_their_brightness(tmp_path: Path, channels: int) -> None:
+    pixels = np.full((64, 64, channels), 2048, np.uint16)
+    pixels[:, 32:, 0] = 1024
+    cv2.imwrite(str(tmp_path / "a.png"), pixels)
+    target = prepared(tmp_path / "a.png", Sensor("camera", source=Source(levels=(0, 4095))))
+    out = cv2.imread(str(target), cv2.IMREAD_UNCHANGED)
+    assert out.dtype == np.uint8 and out.reshape(64, 64, -1)[0, 0].tolist() == [128] * (1 if channels == 1 else 3)
+    assert out.reshape(64, 64, -1)[0, 40, 0] == 64
+
+
+@pytest.mark.parametrize("orientation", range(2, 9))
+def test_turned_images_stand_upright_for_every_reader(tmp_path: Path, orientation: int) -> None:
+    source = picture(tmp_path / "a.png", (80, 48), exif=exif_of(orientation=orientation))
+    target = prepared(source)
+    want = np.asarray(ImageOps.exif_transpose(Image.open(source)))
+    with Image.open(target) as image:
+        assert image.getexif().get(0x0112, 1) == 1
+        np.testing.assert_array_equal(np.asarray(image), want)
+    kept = prepared(source, Sensor("camera", source=Source(upright=False)))
+    np.testing.assert_array_equal(cv2.imread(str(kept))[:, :, ::-1], np.asarray(Image.open(source)))
+
+
+def test_crop_moves_the_principal_point(tmp_path: Path) -> None:
+    camera = pycolmap.Camera(model="OPENCV", width=64, height=48, params=[60, 61, 32, 24, 0, 0, 0, 0])
+    smaller = crop_camera(camera, 4, 6, 10, 2)
+    assert (smaller.width, smaller.height) == (50, 40)
+    assert list(smaller.params[:4]) == [60, 61, 28, 18]
+    source = picture(tmp_path / "a.png")
+    target = prepared(source, Sensor("camera", smaller, source=Source(camera, (4, 6, 10, 2))))
+    np.testing.assert_array_equal(np.asarray(Image.open(target)), np.asarray(Image.open(source))[6:46, 4:54])
+
+
+@pytest.mark.parametrize(
+    "model, extra", [("OPENCV", [-0.2, 0.05, 0.002, -0.001]), ("OPENCV_FISHEYE", [0.02, -0.01, 0.002, 0.0])]
+)
+def test_undistorted_pixels_are_where_the_pinhole_camera_says(tmp_path: Path, model: str, extra: list[float]) -> None:
+    camera = pycolmap.Camera(model=model, width=320, height=240, params=[200, 201, 163, 118, *extra])
+    pinhole = pinhole_camera(camera)
+    points = np.array([[x, y, 1.0] for x in (-0.5, 0.1, 0.45) for y in (-0.35, 0.0, 0.3)])
+    image = np.zeros((240, 320), np.float32)
+    yy, xx = np.mgrid[:240, :320] + 0.5
+    for u, v in camera.img_from_cam(points):
+        image += np.exp(-((xx - u) ** 2 + (yy - v) ** 2) / 8)
+    Image.fromarray((255 * image).astype(np.uint8)).save(tmp_path / "a.png")
+    target = prepared(
+        tmp_path / "a.png", Sensor("camera", pinhole, source=Source(camera)), ScanSettings(undistort=True)
+    )
+    out = np.asarray(Image.open(target), float)
+    assert out.shape == (pinhole.height, pinhole.width)
+    yy, xx = np.mgrid[: out.shape[0], : out.shape[1]] + 0.5
+    for u, v in pinhole.img_from_cam(points):
+        weight = out * ((xx - u) ** 2 + (yy - v) ** 2 < 49)
+        centre = np.array([(weight * xx).sum(), (weight * yy).sum()]) / weight.sum()
+        assert np.linalg.norm(centre - (u, v)) < 0.35  # px; blobs lose a little of their symmetry
+
+
+def test_scene_camera_is_that_of_the_prepared_image(tmp_path: Path) -> None:
+    for k in range(3):
+        picture(tmp_path / "in" / f"{k}.png", (320, 240))
+    lens = "model = 'OPENCV'\nsize = [640, 480]\nparams = [500, 500, 320, 240, -0.1, 0.01, 0, 0]\n"
+    (tmp_path / "rig.toml").write_text(f"[[sensors]]\nname = 'c'\ncrop_px = [10, 0, 0, 20]\n[sensors.camera]\n{lens}")
+    settings = ScanSettings(undistort=True)
+    sensor = scan(tmp_path / "in", settings, rig=str(tmp_path / "rig.toml")).sensor_of(0)
+    target, camera = prepared(tmp_path / "in" / "0.png", sensor, settings), sensor.camera
+    assert camera.model.name == "PINHOLE" and camera.has_prior_focal_length
+    assert Image.open(target).size == (camera.width, camera.height)
+    assert camera.params[0] == pytest.approx(250)
+    with refused("scan again"):  # a source that went away
+        prepare_image(tmp_path / "gone.jpg", tmp_path / "out" / "gone.jpg", PLAIN, ScanSettings())

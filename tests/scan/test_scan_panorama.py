@@ -12,7 +12,7 @@ from PIL import Image
 from scan_worlds import exif_of, picture, scan
 
 from near import baselines_m
-from tiegraph.errors import InputError
+from said import refused, says
 from tiegraph.scan.scan import prepare_image
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scene.decoding import opaque
@@ -62,7 +62,7 @@ def test_each_panorama_is_a_frame_of_views_with_one_centre(walk: tuple[Path, Sce
     assert np.allclose(angles[0, 1:], [72, 144, 144, 72, 90])
     assert {scene.source_name(k) for k in range(24)} == {f"p{k:02d}.jpg" for k in range(4)}
     assert [d.name for d in scene.dropped] == ["portrait.jpg"]
-    assert any("4 equirectangular panoramas" in n for n in scene.notes)
+    assert says(scene.notes, "4 equirectangular panoramas")
     assert scene.prior == "exif" and scene.has_positions()
     assert Scene.from_json(scene.to_json()).rigs[0].sensors[3].source == rig.sensors[3].source
 
@@ -101,7 +101,7 @@ def seen_of(folder: Path, scene: Scene, k: int, target: Path) -> tuple[np.ndarra
         pixels = np.asarray(file.convert("RGB"), float)
     shown = opaque(target / scene.names[k])
     camera, source = scene.sensor_of(k).camera, scene.sensor_of(k).source
-    assert camera is not None and source is not None and pixels.shape[:2] == (camera.height, camera.width)
+    assert source is not None and pixels.shape[:2] == (camera.height, camera.width)
     px = np.stack(np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5), axis=-1)
     rays = np.concatenate([camera.cam_from_img(px.reshape(-1, 2)), np.ones((px[..., 0].size, 1))], axis=1)
     x, y, z = (rays / np.linalg.norm(rays, axis=1, keepdims=True) @ np.reshape(source.panorama, (3, 3))).T.reshape(
@@ -193,5 +193,5 @@ def test_the_user_may_say_so(tmp_path: Path) -> None:
     assert len(scan(tmp_path, rig="panorama").all_sensors) == 6
     picture(tmp_path / "other" / "a.jpg", (640, 480))
     picture(tmp_path / "other" / "b.jpg", (640, 480))
-    with pytest.raises(InputError, match="640 x 480.*equirectangular"):
+    with refused("640 x 480.*equirectangular"):
         scan(tmp_path / "other", rig="panorama")

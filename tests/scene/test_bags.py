@@ -16,7 +16,8 @@ from scipy.spatial.transform import Rotation
 
 import bag_world as world
 from bag_world import FORMS, START_S
-from tiegraph.errors import EngineMissing, InputError
+from said import refused
+from tiegraph.errors import EngineMissing
 from tiegraph.scan.priors.trajectory import read_trajectory
 from tiegraph.scan.videos.bagfilms import KINDS, bgr, unread
 from tiegraph.scene.bags import is_bag, open_bag, shown, split_topics
@@ -78,17 +79,16 @@ def test_compressed_bags_are_read(tmp_path: Path, form: str, packed: tuple) -> N
 def test_of_several_topics_one_is_named(tmp_path: Path, form: str) -> None:
     more = [world.fix("/rtk/fix", t, p + [0, 0, 1]) for t, p in zip(TIMES, LLH)]
     path = world.bag(tmp_path, form, fixes() + more + odometry())
-    both = r"2 topics of that kind: /gps/fix \(sensor_msgs/NavSatFix, 5\), /rtk/fix \(.*5\): name one"
-    with pytest.raises(InputError, match=both):
-        read_gnss(path, GnssTuning())
     for name in ("/rtk/fix", "rtk/fix"):
         assert np.array_equal(read_gnss(Path(f"{path}:{name}"), GnssTuning()).lat_lon_height, LLH + [0, 0, 1])
-    with pytest.raises(InputError, match=r"has no topic /rkt/fix of sensor_msgs/NavSatFix; 2 topics of that kind"):
-        read_gnss(Path(f"{path}:/rkt/fix"), GnssTuning())
-    with pytest.raises(InputError, match=r"topic /odom \(nav_msgs/Odometry, 5\) has no messages of sensor_msgs/Nav"):
-        read_gnss(Path(f"{path}:/odom"), GnssTuning())
-    with pytest.raises(InputError, match="name one of them, such as"):
-        read_gnss(Path(f"{path}:/gps/fix,/rtk/fix"), GnssTuning())
+    for topic, words in (
+        ("", r"2 topics of that kind: /gps/fix \(sensor_msgs/NavSatFix, 5\), /rtk/fix \(.*5\): name one"),
+        (":/rkt/fix", r"has no topic /rkt/fix of sensor_msgs/NavSatFix; 2 topics of that kind"),
+        (":/odom", r"topic /odom \(nav_msgs/Odometry, 5\) has no messages of sensor_msgs/Nav"),
+        (":/gps/fix,/rtk/fix", "name one of them, such as"),
+    ):
+        with refused(words):
+            read_gnss(Path(f"{path}{topic}"), GnssTuning())
 
 
 @pytest.mark.parametrize(
@@ -100,7 +100,7 @@ def test_of_several_topics_one_is_named(tmp_path: Path, form: str) -> None:
     ],
 )
 def test_bags_without_positions_say_what_is_there(tmp_path: Path, rows: list[world.Row], words: str) -> None:
-    with pytest.raises(InputError, match=words):
+    with refused(words):
         read_gnss(world.bag(tmp_path, "mcap", rows), GnssTuning())
 
 
@@ -129,17 +129,19 @@ def test_poses_have_their_quaternions_in_order(tmp_path: Path, form: str, made) 
 
 
 def test_poses_that_cannot_be_are_refused_with_their_number(tmp_path: Path) -> None:
-    broken = [world.pose("/p", TIMES[1] + 0.1, (1, 2, 3), (0, 0, 0, 2.0))]
-    with pytest.raises(InputError, match=r"run.bag, line 3: the quaternion qx qy qz qw has length 2"):
-        read_trajectory(world.bag(tmp_path, "ros1", as_poses("/p") + broken))
-    lost = [world.pose("/p", TIMES[1] + 0.1, (np.nan, 2, 3), (0, 0, 0, 1.0))]
-    with pytest.raises(InputError, match=r"lost.bag, line 3: not a finite number"):
-        read_trajectory(world.bag(tmp_path, "ros1", as_poses("/p") + lost, name="lost"))
-    with pytest.raises(InputError, match=r"2 topics of that kind: /a \(geometry.*5\), /odom \(nav_msgs/Odometry, 5\)"):
-        read_trajectory(world.bag(tmp_path, "ros1", as_poses("/a") + odometry(), name="two"))
-    empty = world.bag(tmp_path, "ros1", [world.path("/way", START_S, [])], name="none")
-    with pytest.raises(InputError, match="none.bag: no poses"):
-        read_trajectory(empty)
+    at = TIMES[1] + 0.1
+    for name, rows, words in (
+        ("run", [*as_poses("/p"), world.pose("/p", at, (1, 2, 3), (0, 0, 0, 2.0))], "the quaternion .* has length 2"),
+        ("lost", [*as_poses("/p"), world.pose("/p", at, (np.nan, 2, 3), (0, 0, 0, 1.0))], "not a finite number"),
+    ):
+        with refused(f"{name}.bag, line 3: {words}"):
+            read_trajectory(world.bag(tmp_path, "ros1", rows, name=name))
+    for name, rows, words in (
+        ("two", as_poses("/a") + odometry(), r"2 topics of that kind: /a \(geom.*5\), /odom \(nav_msgs/Odometry, 5\)"),
+        ("none", [world.path("/way", START_S, [])], "none.bag: no poses"),
+    ):
+        with refused(words):
+            read_trajectory(world.bag(tmp_path, "ros1", rows, name=name))
 
 
 # --- pictures -------------------------------------------------------------------------------------------------------
@@ -180,7 +182,7 @@ GREY = cv2.cvtColor(SMOOTH, cv2.COLOR_BGR2GRAY)
 )
 def test_encodings_become_the_colours_they_stand_for(tmp_path: Path, encoding, pixels, truth, off) -> None:
     found = decoded(tmp_path, world.image("/image", START_S, pixels, encoding, padding=5))
-    assert found is not None and found.shape == truth.shape
+    assert found.shape == truth.shape
     inside = np.s_[2:-2, 2:-2]
     assert np.abs(found[inside].astype(int) - truth[inside]).max() <= off
 
@@ -215,7 +217,7 @@ def cut(path: Path, form: str) -> Path:
 )
 def test_bags_that_are_cut_off_say_how_they_are_mended(tmp_path: Path, form: str, tool: str) -> None:
     path = cut(world.bag(tmp_path, form, [r for k in range(30) for r in fixes(f"/gps{k}/fix")]), form)
-    with pytest.raises(InputError, match=f"run.*: cannot be read as a ROS bag .*`{tool}"):
+    with refused(f"run.*: cannot be read as a ROS bag .*`{tool}"):
         read_gnss(Path(f"{path}:/gps0/fix"), GnssTuning())
 
 
@@ -224,10 +226,10 @@ def test_a_count_of_messages_that_are_not_there_is_no_crash(tmp_path: Path) -> N
     file = next(folder.glob("*.db3"))
     with sqlite3.connect(file) as database:
         database.execute("DELETE FROM messages WHERE topic_id = (SELECT id FROM topics WHERE name = '/gps/fix')")
-    with pytest.raises(InputError, match=r"should have /gps/fix \(sensor_msgs/NavSatFix, 5\), and has none"):
+    with refused(r"should have /gps/fix \(sensor_msgs/NavSatFix, 5\), and has none"):
         read_gnss(folder, GnssTuning())
     (folder / "metadata.yaml").write_text("nothing: 1")
-    with pytest.raises(InputError, match="cannot be read as a ROS bag .*`ros2 bag reindex` may mend it"):
+    with refused("cannot be read as a ROS bag .*`ros2 bag reindex` may mend it"):
         read_gnss(folder, GnssTuning())
 
 
@@ -241,19 +243,17 @@ def unindexed(path: Path) -> None:
 def test_files_that_are_no_bags_are_named(tmp_path: Path) -> None:
     for name, data in (("a.bag", b""), ("b.bag", b"time,lat,lon\n"), ("c.mcap", b"x" * 99), ("d.db3", b"y" * 99)):
         (tmp_path / name).write_bytes(data)
-        with pytest.raises(InputError, match=f"{name}: cannot be read as a ROS bag"):
-            read_gnss(tmp_path / name, GnssTuning())
-    path = world.bag(tmp_path, "ros1", fixes())
-    unindexed(path)
-    with pytest.raises(InputError, match="Bag is not indexed.*`rosbag reindex`"):
-        read_gnss(path, GnssTuning())
+    unindexed(world.bag(tmp_path, "ros1", fixes()))
     os.mkfifo(tmp_path / "pipe.bag")
-    with pytest.raises(InputError, match="pipe.bag: cannot be read .*a named pipe"):
-        read_gnss(tmp_path / "pipe.bag", GnssTuning())
-    folder = world.bag(tmp_path, "sqlite", fixes(), name="two")
-    next(folder.glob("*.db3")).unlink()
-    with pytest.raises(InputError, match="two: cannot be read .*missing"):
-        read_gnss(folder, GnssTuning())
+    next(world.bag(tmp_path, "sqlite", fixes(), name="two").glob("*.db3")).unlink()
+    for name, words in (
+        *((name, f"{name}: cannot be read as a ROS bag") for name in ("a.bag", "b.bag", "c.mcap", "d.db3")),
+        ("run.bag", "Bag is not indexed.*`rosbag reindex`"),
+        ("pipe.bag", "pipe.bag: cannot be read .*a named pipe"),
+        ("two", "two: cannot be read .*missing"),
+    ):
+        with refused(words):
+            read_gnss(tmp_path / name, GnssTuning())
 
 
 def test_without_rosbags_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

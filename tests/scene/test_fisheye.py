@@ -90,10 +90,10 @@ def test_a_view_shows_what_its_rays_see_and_nothing_behind_the_lens() -> None:
     assert np.abs(2 * seen[..., :2] - expected)[before].max() < 0.2
     sensor = Sensor("v", pinhole(), source=Source(camera=pinhole(), view=view))
     used = lit(sensor, 80.0)
-    assert used is not None and used[before].all() and not used[angle > np.radians(93)].any()
+    assert used[before].all() and not used[angle > np.radians(93)].any()
     circle = Sensor("v", pinhole(), source=Source(camera=pinhole(), view=view, circle_px=(200, 200, 120)))
     used = lit(circle, 80.0)
-    assert used is not None and used[angle < 1.19].all() and not used[angle > 1.21].any()
+    assert used[angle < 1.19].all() and not used[angle > 1.21].any()
     assert lens.width == 400
 
 
@@ -103,7 +103,7 @@ def test_what_is_used_of_a_whole_fisheye_image() -> None:
     off = np.hypot(x - 200, y - 200)
     for half_deg, radius in ((60.0, np.radians(60) * 100), (80.0, 130.0)):
         used = lit(sensor, half_deg)
-        assert used is not None and used[off < radius - 1.5].all() and not used[off > radius + 1.5].any()
+        assert used[off < radius - 1.5].all() and not used[off > radius + 1.5].any()
     assert lit(Sensor("p", pinhole()), 80.0) is None
 
 

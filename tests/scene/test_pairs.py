@@ -1,9 +1,12 @@
+"""Pairs and their ties: sorted, unique, joined, found by either order of the ends, written and read unchanged."""
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tiegraph.scene.pairs import REASONS, Pairs
+from tiegraph.scene.matches import PreviewMatches
+from tiegraph.scene.pairs import REASON_LOOKS, REASONS, Pairs
 
 rows = st.lists(st.tuples(st.integers(0, 12), st.integers(0, 12)), max_size=40)
 
@@ -49,8 +52,7 @@ def test_filters_only_drop_and_the_first_reason_stays(pairs, data):
 def test_a_pair_kept_by_one_source_is_kept_and_known_numbers_win():
     a = Pairs.make([0, 1], [1, 2], "offsets", score=np.array([3.0, 7.0])).drop(np.array([True, False]), "weak")
     both = a | Pairs.make([1], [0], "sequence")
-    assert both.dropped.tolist() == [0, 0]
-    assert both.score.tolist() == [3.0, 7.0]
+    assert both.dropped.tolist() == [0, 0] and both.score.tolist() == [3.0, 7.0]
 
 
 def test_best_score_of_duplicates_and_round_trips():
@@ -68,3 +70,35 @@ def test_unsorted_columns_are_refused():
         good.where(np.array([1, 0]))
     with pytest.raises(ValueError, match="read-only"):
         good.i[0] = 5
+
+
+def test_every_reason_has_a_look() -> None:
+    assert all(words and colour for words, colour in REASON_LOOKS.values())
+    assert len({colour for _, colour in REASON_LOOKS.values()}) == len(REASONS)
+
+
+def ties() -> PreviewMatches:
+    return PreviewMatches.make([3, 0, 0], [5, 2, 1], [np.array([[1, 2], [3, 4]]), np.zeros((0, 2)), np.array([[7, 8]])])
+
+
+def test_ties_are_sorted_with_their_matches_and_found_in_either_order() -> None:
+    made = ties()
+    assert list(zip(made.i, made.j)) == [(0, 1), (0, 2), (3, 5)]
+    assert made.counts().tolist() == [1, 0, 2] and made.of(2).tolist() == [[1, 2], [3, 4]]
+    assert made.find(np.array([5, 1, 4]), np.array([3, 0, 5])).tolist() == [2, 0, -1]
+    assert PreviewMatches.empty().find(np.array([1]), np.array([2])).tolist() == [-1]
+    with pytest.raises(ValueError, match="PreviewMatches.make"):
+        PreviewMatches(np.array([2]), np.array([1]), np.array([0, 0]), np.zeros((0, 2)))
+
+
+def test_subset_and_round_trip() -> None:
+    kept = ties().where(np.array([True, False, True]))
+    assert kept.counts().tolist() == [1, 2]
+    again = PreviewMatches.from_npz(kept.to_npz())
+    assert np.array_equal(again.matches, kept.matches) and np.array_equal(again.start, kept.start)
+
+
+def test_union_keeps_the_first_of_a_pair_in_both() -> None:
+    both = ties() | PreviewMatches.make([0, 1], [1, 2], [np.array([[1, 1], [2, 2]]), np.array([[5, 6]])])
+    assert list(zip(both.i, both.j)) == [(0, 1), (0, 2), (1, 2), (3, 5)]
+    assert both.of(0).tolist() == [[7, 8]] and both.of(2).tolist() == [[5, 6]]

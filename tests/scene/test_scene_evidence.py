@@ -54,12 +54,12 @@ def test_one_bad_value_is_no_trend_and_the_words_hold_the_figures() -> None:
     bad[4] = 5.0
     assert trend(bad, TUNING) is None and trend(np.zeros(30), TUNING) is None and trend(x[:5], TUNING) is None
     line = trend(0.7 * x + 0.02 * rng.standard_normal(30), TUNING)
-    assert line is not None and line.text().startswith("run in a line from -0.") and " m to +0." in line.text()
+    assert line.text().startswith("run in a line from -0.") and " m to +0." in line.text()
     assert line.start == pytest.approx(-0.7, abs=0.05) and line.end == pytest.approx(0.7, abs=0.05)
     step = trend(np.where(x > 0, 0.5, 0.0) + 0.02 * rng.standard_normal(30), TUNING)
-    assert step is not None and step.text().startswith("jump by +0.") and step.at == 0.5
+    assert step.text().startswith("jump by +0.") and step.at == 0.5
     off = trend(0.5 + 0.02 * rng.standard_normal(30), TUNING, offset=True)
-    assert off is not None and off.text() == "stand off by +0.5 m all the time"
+    assert off.text() == "stand off by +0.5 m all the time"
     assert trend(0.5 + 0.02 * rng.standard_normal(30), TUNING) is None
 
 
@@ -69,17 +69,11 @@ def test_statements_that_cannot_both_be_right() -> None:
     points = Statement("scale", "control points", 1.01, 0.01, "")
     height = Statement("height", "EXIF", 64.0, float("nan"), "m")
     found = contradictions([rig, gnss, points, height])
-    assert [{c.first.source, c.second.source} for c in found] == [
-        {"rig as given", "GNSS positions"}, {"rig as given", "control points"},
-    ]  # fmt: skip
+    pairs = [{c.first.source, c.second.source} for c in found]
+    assert pairs == [{"rig as given", "GNSS positions"}, {"rig as given", "control points"}]
     assert found[0].sigmas == pytest.approx(0.115 / np.hypot(0.0016, 0.01)) and found[0].sigmas > LIMIT
     rows = table([rig, gnss, points, height])["rows"]
-    assert [r[6] for r in rows] == [
-        "GNSS positions",
-        "rig as given",
-        "rig as given",
-        "",
-    ]
+    assert [r[6] for r in rows] == ["GNSS positions", "rig as given", "rig as given", ""]
 
 
 def test_readings_that_are_no_better_are_called_so_once_in_a_thousand() -> None:

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from tiegraph.errors import InputError
+from said import refused, says
 from tiegraph.scene.gcp import GcpFile, read_gcps, read_points
 from tiegraph.scene.gnss import read_gnss
 from tiegraph.scene.gnss.fixes import Gnss
+from tiegraph.scene.pairs import pair_lines
 from tiegraph.scene.posefile import read_poses
+from tiegraph.scene.table import read_table
 from tiegraph.scene.tuning import ControlTuning, GnssTuning
 
 LLH = [[46.5, 126.25, 539.9], [46.50001, 126.25002, 540.4]]  # what all tables below say, where they are of degrees
@@ -90,10 +95,71 @@ def test_positions_of_images(tmp_path: Path, name: str) -> None:
     assert [n.replace("_", " ") for n in found.names] == ["I 1.JPG", "I 2.JPG"]
     if "0.04" in BY_IMAGE[name]:
         np.testing.assert_allclose(found.sigma_m, [[0.02, 0.02, 0.04]] * 2)
-    assert any("heights above the sea, taken as they are" in n for n in found.notes) == (
-        "msl" in BY_IMAGE[name].lower()
-    )
+    assert says(found.notes, "heights above the sea, taken as they are") == ("msl" in BY_IMAGE[name].lower())
     assert np.isnan(found.heading_deg).all() == (name != "Mission Planner")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "time,lat,lon,height,sigma\n10,35,139,40,0.1\n11,35.001,139.001,41,0.1\n",
+        "Time (s);Latitude [deg];Longitude [deg];Altitude (m);Accuracy\n10;35;139;40;0.1\n11;35.001;139.001;41;0.1\n",
+        "# made by a receiver\n# t lat long elevation sigma_m\n10 35 139 40 0.1\n11 35.001 139.001 41 0.1\n",
+        "\ufefftimestamp\tlat_deg\tlng\talt\tstd\n10\t35\t139\t40\t0.1\n\n11\t35.001\t139.001\t41\t0.1\n",
+        "q,height,lon,lat,time,sigma_h,sigma_v\n1,40,139,35,1970-01-01T00:00:10Z,0.1,0.2\n"
+        "1,41,139.001,35.001,1970-01-01 00:00:11.0,0.1,0.2\n",
+        "date,time,lat,lon,height,sde,sdn,sdu\n1970/01/01,00:00:10.0,35,139,40,.1,.1,.2\n"
+        "1970/01/01,00:00:11.0,35.001,139.001,41,.1,.1,.2\n",
+    ],
+)  # fmt: skip
+def test_tables_of_many_shapes(tmp_path: Path, text: str) -> None:
+    found = gnss(tmp_path, text)
+    assert found.time_s.tolist() == [10, 11]
+    assert found.lat_lon_height.tolist() == [[35, 139, 40], [35.001, 139.001, 41]]
+    assert found.sigma_m == pytest.approx(np.array([[0.1, 0.1, 0.2]] * 2))
+    assert len(found.notes) == 1 and found.notes[0].startswith("g.txt: columns read: ")
+    assert ("; passed over, though it may count: q (a fix: 2 of '1')" in found.notes[0]) == (text[0] == "q")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "image,lat,lat_ref,lon,lon_ref,height\na.jpg,33.5,S,70.25,W,40\n",
+        "image,lat,n/s,lon,e/w,alt\na.jpg,33.5,s,70.25,w,40\n",
+        "SourceFile,GPSLatitude,GPSLongitude,GPSAltitude\n"
+        "a.jpg,\"33 deg 30' 0.00\"\" S\",\"70 deg 15' 0.00\"\" W\",40\n",
+        "image;lat;lon;height\na.jpg;S33.5;70.25 W;40\n",
+        "image;lat;lon;height\na.jpg;33°30'0\"S;70°15'W;40\n",
+    ],
+)  # fmt: skip
+def test_the_half_of_the_earth_may_be_a_letter(tmp_path: Path, text: str) -> None:
+    found = gnss(tmp_path, text)
+    assert found.lat_lon_height == pytest.approx(np.array([[-33.5, -70.25, 40.0]]))
+    assert len(found.notes) == 1 and "passed over" not in found.notes[0]
+
+
+def test_lengths_have_the_unit_of_their_header(tmp_path: Path) -> None:
+    found = gnss(tmp_path, "image,lat,lon,height (ft),sigma_h (mm),sigma_v (cm)\na.jpg,33.5,70.25,100,12,3\n")
+    assert found.lat_lon_height[0, 2] == pytest.approx(30.48)
+    assert "height [ft], sigma_h [mm] (horizontal sigma), sigma_v [cm] (vertical sigma)" in found.notes[0]
+    assert found.sigma_m == pytest.approx(np.array([[0.012, 0.012, 0.03]]))
+
+
+@pytest.mark.parametrize(("pitch", "heading"), [(-90, np.nan), (4, 120), (359.5, 120)])
+def test_the_yaw_of_a_tilted_camera_is_no_heading(tmp_path: Path, pitch: float, heading: float) -> None:
+    found = gnss(tmp_path, f"image,lat,lon,height,yaw,pitch,roll\na.jpg,33.5,70.25,40,120,{pitch},0\n")
+    np.testing.assert_equal(found.heading_deg, [heading])
+    said = "yaw, pitch, roll: cameras tilted by up to 90 degrees: these angles are passed over"
+    assert (said in found.notes[0]) == (pitch == -90)
+
+
+def test_rows_that_cannot_be_used_are_left_out_with_their_lines(tmp_path: Path) -> None:
+    rows = "3,35,139,1\n1,35,139,2\n2,,139,3\n2,95,139,3\n2,0,0,0\n1,35,139,9\nx,35,139,1\n"
+    found = gnss(tmp_path, f"time,lat,lon,height\n{rows}")
+    assert found.time_s.tolist() == [1, 3] and found.lat_lon_height[:, 2].tolist() == [2, 1]
+    assert says(found.notes, r"4 of 7 rows left out.*\(line 4, 5, 6, 8\)")
+    assert says(found.notes, "not in time order") and says(found.notes, "1 rows have the time")
+    assert gnss(tmp_path, 'note,time,lat,lon,height\n"a, b",1,35,139,40\n"c",2,35,139,40\n').time_s.tolist() == [1, 2]
 
 
 def test_positions_in_a_grid_of_feet_and_one_whose_x_is_north(tmp_path: Path) -> None:
@@ -102,13 +168,13 @@ def test_positions_in_a_grid_of_feet_and_one_whose_x_is_north(tmp_path: Path) ->
         found = gnss(tmp_path, text.format(unit, height))
         np.testing.assert_allclose(found.lat_lon_height, [[40.7, -74.0, 30.48006]], rtol=0, atol=1e-4)
     notes = gnss(tmp_path, "# crs: EPSG:6677\nimage,x,y,z\na.jpg,-5000,-34000,3\n").notes
-    assert any("IX counts to the north, but x is read as the easting" in n for n in notes)
+    assert says(notes, "IX counts to the north, but x is read as the easting")
 
 
 def test_control_in_degrees_of_the_southern_half(tmp_path: Path) -> None:
     text = "name,lat,lat_ref,lon,lon_ref,height\nA,33.5,S,70.25,W,40\n"
     assert control(tmp_path, text).points[0].xyz == (-33.5, -70.25, 40.0)
-    with pytest.raises(InputError, match="column 'half' has halves of the Earth"):
+    with refused("column 'half' has halves of the Earth"):
         control(tmp_path, text.replace("lat_ref", "half"))
 
 
@@ -117,7 +183,7 @@ def test_localised_headers_in_the_encodings_of_windows(tmp_path: Path, encoding:
     text = BY_IMAGE["Japanese" if encoding == "cp932" else "German"]
     found = gnss(tmp_path, text.encode(encoding))
     np.testing.assert_allclose(found.lat_lon_height, LLH, rtol=0, atol=1e-8)
-    assert any("not UTF-8" in n for n in found.notes) == encoding.startswith("cp")
+    assert says(found.notes, "not UTF-8") == encoding.startswith("cp")
     widened = text.replace("\n", ";Genauigkeit\n", 1).replace("\n", ";0,02\n").replace("keit;0,02", "keit")
     if encoding != "cp932":
         assert gnss(tmp_path, widened.encode(encoding)).sigma_m[:, :2] == pytest.approx(np.full((2, 2), 0.02))
@@ -155,21 +221,61 @@ def test_positions_at_times(tmp_path: Path, name: str) -> None:
         assert any("q (a fix: 2 of '1')" in n for n in found.notes)
 
 
+WRONG = [
+    ("time,lat,height\n1,2,3\n", "no column lon; found: time, lat, height"),
+    ("lat,lon,height\n1,2,3\n", r"no column time \(or image\)"),
+    ("1,2,3,4\n5,6,7,8\n", "line 1: no header says what .* such as time,lat,lon,height"),
+    ("time,lat,lon,height\n1,nan,2,3\n", "none of 1 rows"),
+    ("image,lat,lat_ref,lon,height\na.jpg,33.5,E,70.25,40\n", "g.txt, line 2: lat_ref 'E' is not N or S"),
+    ("a.jpg,46.5,6.5,539.9\nb.jpg,46.6,6.5,540\n", "line 1: no header says .* such as .*image,lat,lon,height"),
+    ("image,lat,lon,height\na.jpg;46,5;6,5;539,9\n", "none of 1 rows|fewer cells"),
+    ("image;lat;lon;height\na.jpg;46.5;6.5;1,234\n", "line 2: '1,234' may be 1.234 or 1234: write numbers"),
+    ("image,lat,lon,height (fathoms)\na.jpg,46.5,6.5,5\n", "column 'height' has lengths in 'fathoms': give m, cm"),
+    ("image,lat,lon,height,half\na.jpg,46.5,6.5,5,S\n", r"column 'half' has halves of the Earth \(S\), .* lat_ref"),
+    ("image,lat [gon],lon [gon],height\na.jpg,46.5,6.5,5\n", "column 'lat' is in gon: write degrees"),
+]
+
+
+@pytest.mark.parametrize(("text", "words"), WRONG)
+def test_tables_that_may_be_two_things_are_refused(tmp_path: Path, text: str, words: str) -> None:
+    with refused(words, "g.txt"):
+        gnss(tmp_path, text)
+
+
+@pytest.mark.parametrize("what", ["folder", "pipe", "device", "absent"])
+def test_tables_that_are_no_files(tmp_path: Path, what: str) -> None:
+    path = {"folder": tmp_path, "pipe": tmp_path / "p", "device": Path("/dev/zero"), "absent": tmp_path / "no"}[what]
+    if what == "pipe":
+        os.mkfifo(path)
+    for read in (partial(read_gnss, tuning=GnssTuning()), partial(read_table, purpose="GNSS file", example="time,lat")):
+        with refused("is a folder|is no plain file|cannot be read", str(path), "give the GNSS file"):
+            read(path)
+
+
+ABOVE = "\ufeff# what a person writes above\n\n# more\fof it\n"  # a form feed ends no line in an editor
+CONTROL = "name,x,y,z,image,px,py\nA,1,2,3,a.jpg,4,5\n\n# next\nB,1,2,WRONG,a.jpg,4,5\n"
+
+
 @pytest.mark.parametrize(
-    ("text", "words"),
+    "read, text",
     [
-        ("a.jpg,46.5,6.5,539.9\nb.jpg,46.6,6.5,540\n", "line 1: no header says .* such as .*image,lat,lon,height"),
-        ("image,lat,lon,height\na.jpg;46,5;6,5;539,9\n", "none of 1 rows|fewer cells"),
-        ("image;lat;lon;height\na.jpg;46.5;6.5;1,234\n", "line 2: '1,234' may be 1.234 or 1234: write numbers"),
-        ("image,lat,lon,height (fathoms)\na.jpg,46.5,6.5,5\n", "column 'height' has lengths in 'fathoms': give m, cm"),
-        ("image,lat,lon,height,half\na.jpg,46.5,6.5,5,S\n", r"column 'half' has halves of the Earth \(S\), .* lat_ref"),
-        ("image,lat [gon],lon [gon],height\na.jpg,46.5,6.5,5\n", "column 'lat' is in gon: write degrees"),
+        (partial(read_gnss, tuning=GnssTuning()), "time,lat,lon,height\n1,35,139,4\n\n# a pause\n2,35,139,4,5 WRONG\n"),
+        (partial(read_gcps, tuning=ControlTuning()), CONTROL),
+        (read_poses, "# time x y z qx qy qz qw\n1 0 0 0 0 0 0 1\n\n2 1 0 0 0 0 0 WRONG\n"),
+        (pair_lines, "a.jpg b.jpg\n\n# and\na.jpg b.jpg WRONG\n"),
     ],
 )
-def test_tables_that_may_be_two_things_are_refused(tmp_path: Path, text: str, words: str) -> None:
-    with pytest.raises(InputError, match=words) as error:
-        gnss(tmp_path, text)
-    assert "g.txt" in str(error.value)
+def test_every_table_counts_lines_as_an_editor_does(tmp_path: Path, read: Callable, text: str) -> None:
+    (tmp_path / "table.txt").write_text(ABOVE + text, encoding="utf-8")
+    line = next(k for k, words in enumerate((ABOVE + text).split("\n"), 1) if "WRONG" in words)
+    with refused(rf"table.txt, line {line}:"):
+        read(tmp_path / "table.txt")
+
+
+def test_so_does_the_list_of_odm(tmp_path: Path) -> None:
+    (tmp_path / "gcp_list.txt").write_text("EPSG:32654\n\n# two\n1 2 3 4 5 a.jpg\n1 2 3 WRONG 5 b.jpg\n")
+    with refused(r"gcp_list.txt, line 5: 'WRONG' is no number"):
+        read_gcps(tmp_path / "gcp_list.txt", ControlTuning())
 
 
 # --- control points -------------------------------------------------------------------------------------------------
@@ -230,15 +336,15 @@ def test_lists_of_points(tmp_path: Path, name: str) -> None:
     "text", ["1,5000.0,4000.0,100.0,IP\n", "# crs: EPSG:6677\n1,-34000,-5000,3,IP\n", "G1,46.2,6.5,300,0.02,0.03\n"]
 )
 def test_a_list_whose_order_nothing_tells_is_asked_for(tmp_path: Path, text: str) -> None:
-    with pytest.raises(InputError, match=r"line \d: no header says .*name,northing,easting,height,code"):
+    with refused(r"line \d: no header says .*name,northing,easting,height,code"):
         control(tmp_path, text)
 
 
 def test_a_grid_whose_x_is_north_is_said(tmp_path: Path) -> None:
     notes = control(tmp_path, "# crs: EPSG:6677\nname,x,y,z\nA,-5000,-34000,3\n").notes
-    assert any("X of JGD2011 / Japan Plane Rectangular CS IX counts to the north, but x is read as" in n for n in notes)
+    assert says(notes, "X of JGD2011 / Japan Plane Rectangular CS IX counts to the north, but x is read as")
     other = control(tmp_path, "# crs: EPSG:6677\nname,easting,northing,z\nA,-5000,-34000,3\n").notes
-    assert not any("counts to the north" in n for n in other)
+    assert not says(other, "counts to the north")
 
 
 def test_coordinates_of_the_world_are_no_degrees(tmp_path: Path) -> None:
@@ -254,7 +360,7 @@ def test_coordinates_of_the_world_are_no_degrees(tmp_path: Path) -> None:
     ],
 )
 def test_exchanged_coordinates_are_found_in_the_file(tmp_path: Path, text: str) -> None:
-    with pytest.raises(InputError, match=r"of point '.*' are exchanged \((northing,easting|lon,lat)\)"):
+    with refused(r"of point '.*' are exchanged \((northing,easting|lon,lat)\)"):
         control(tmp_path, text)
 
 
@@ -267,7 +373,7 @@ def test_marks_without_a_header(tmp_path: Path, rows: str) -> None:
 def test_rows_behind_a_comment_sign_and_ends_of_names_are_said(tmp_path: Path) -> None:
     found = control(tmp_path, "# crs: EPSG:32652\nname,east,north,height\nP,1,2,3\n#Q,1,3,4\n# a word\n")
     assert any("c.txt, line 4: 1 rows begin with # or % and are passed over" in n for n in found.notes)
-    with pytest.raises(InputError, match="line 2: the image 'I' has no suffix, but a word behind it has"):
+    with refused("line 2: the image 'I' has no suffix, but a word behind it has"):
         control(tmp_path, "EPSG:32652\n1 2 3 4 5 I 1.JPG P\n")
     quoted = control(tmp_path, 'EPSG:32652\n288991 5153277 3 4 5 "I 1.JPG" "P 1"\n')
     assert [(m.image, m.name) for m in quoted.marks] == [("I 1.JPG", "P 1")]

@@ -1,0 +1,205 @@
+"""Parts of watch: files that arrive, new frames that take their place, and the page that shows them."""
+
+import json
+import os
+import re
+import shutil
+import urllib.error
+import urllib.request
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pycolmap
+import pytest
+
+from boat_world import photos
+from said import refused
+from tiegraph.geometry import transforms
+from tiegraph.pipeline.pages import WatchServer
+from tiegraph.pipeline.watchmodel import resect_previews
+from tiegraph.scene.matches import PreviewMatches
+from tiegraph.watch.arrivals import Arrivals
+from tiegraph.watch.frames import Known, place_frames
+from tiegraph.watch.tuning import ArrivalsTuning, FramesTuning
+from tiegraph.watch.view import page, path_and_ties, plan_from_world
+
+SETTLED = ArrivalsTuning(settled_s=0.6, again_s=5.0, tries=3)
+
+
+@pytest.fixture
+def card(tmp_path):
+    (tmp_path / "card").mkdir()
+    return tmp_path / "card"
+
+
+def put(card, name, size, time_s=1000):
+    path = card / name
+    path.parent.mkdir(exist_ok=True)
+    path.write_bytes(b"x" * size)
+    os.utime(path, (time_s, time_s))
+
+
+def test_a_file_is_handed_out_when_it_has_stopped_growing(card):
+    arrivals = Arrivals(card, SETTLED)
+    put(card, "a.jpg", 100)
+    assert arrivals.look(0.0) == []
+    put(card, "a.jpg", 200)
+    assert arrivals.look(0.5) == [] and arrivals.look(1.0) == []
+    assert arrivals.look(1.2) == ["a.jpg"] and arrivals.waiting() == 1
+    arrivals.opened("a.jpg", True, 1.2)
+    assert arrivals.look(100.0) == [] and arrivals.waiting() == 0
+    put(card, "a.jpg", 200, 1001)  # another picture of the same name
+    assert arrivals.look(101.0) == [] and arrivals.look(102.0) == ["a.jpg"]
+
+
+def test_a_broken_file_is_opened_again_later_and_less_often_then_no_more(card):
+    arrivals = Arrivals(card, SETTLED)
+    put(card, "a.jpg", 100)
+    handed = []
+    for now in np.arange(0, 60, 0.5):
+        if arrivals.look(now):
+            handed.append(now)
+            arrivals.opened("a.jpg", False, now)
+    assert len(handed) == SETTLED.tries
+    assert handed[1] - handed[0] == pytest.approx(5, abs=0.5) and handed[2] - handed[1] == pytest.approx(10, abs=0.5)
+    put(card, "a.jpg", 120)
+    arrivals.look(200.0)
+    assert arrivals.look(201.0) == ["a.jpg"], "it has changed, so it is opened again"
+
+
+def test_a_card_that_is_pulled_out_is_said_and_comes_back(card, tmp_path):
+    arrivals = Arrivals(card, SETTLED)
+    assert "empty" in (arrivals.look(0.0) or arrivals.trouble)
+    put(card, "DCIM/a.jpg", 100)
+    arrivals.look(0.0)
+    assert arrivals.look(1.0) == ["DCIM/a.jpg"] and not arrivals.trouble
+    arrivals.opened("DCIM/a.jpg", True, 1.0)
+    shutil.move(card, tmp_path / "away")
+    assert arrivals.look(2.0) == [] and str(card) in arrivals.trouble and "gone" in arrivals.trouble
+    shutil.move(tmp_path / "away", card)
+    put(card, "DCIM/b.jpg", 100)
+    arrivals.look(3.0)
+    assert arrivals.look(4.0) == ["DCIM/b.jpg"] and not arrivals.trouble
+
+
+def test_files_are_handed_out_in_the_order_they_were_written(card):
+    arrivals = Arrivals(card, SETTLED)
+    for name, time_s in (("b.jpg", 1000), ("a.jpg", 1001), ("c.jpg", 999)):
+        put(card, name, 100, time_s)
+    arrivals.look(0.0)
+    assert arrivals.look(1.0) == ["c.jpg", "b.jpg", "a.jpg"]
+
+
+TUNING = FramesTuning()
+IMAGES, POINTS = 5, 300
+CAMERA = pycolmap.Camera(model="SIMPLE_PINHOLE", width=640, height=480, params=[500, 320, 240])
+
+
+def world(noise_px=0.5, step=0.7):
+    """A row of photographs of a wall: poses, key points of each (a feature a point), ties of all with all."""
+    rng = np.random.default_rng(1)
+    points = np.column_stack([rng.uniform(-3, 6, POINTS), rng.uniform(-2, 2, POINTS), rng.uniform(8, 12, POINTS)])
+    poses = np.stack([transforms.rigid(np.eye(3), [-step * k, 0, 0]) for k in range(IMAGES)])
+    seen = [np.asarray(CAMERA.img_from_cam(transforms.apply(p, points))) for p in poses]
+    seen = [xy + rng.normal(0, noise_px, xy.shape) for xy in seen]
+    i, j = np.triu_indices(IMAGES, 1)
+    every = np.stack([np.arange(POINTS)] * 2, axis=1)
+    return poses, seen, PreviewMatches.make(i, j, [every] * len(i))
+
+
+def placed(poses, seen, ties, known):
+    scene = photos(IMAGES)
+    start = np.where(np.isin(np.arange(IMAGES), known)[:, None, None], poses, np.nan)
+    rig = calibrated_rig(scene)
+    state = Known(start, [CAMERA] * IMAGES, lambda k: seen[k], [rig])
+    frames = [int(scene.frame[k]) for k in range(IMAGES) if k not in known]
+    how = partial(resect_previews, size_px=400, tuning=TUNING)
+    return place_frames(scene, ties, state, frames, how, TUNING)
+
+
+def calibrated_rig(scene):
+    (rig,) = scene.rigs
+    return replace(rig, sensors=(replace(rig.sensors[0], camera=CAMERA, sensor_from_rig=np.eye(4)),))
+
+
+def test_frames_are_placed_one_by_one_from_those_before():
+    poses, seen, ties = world()
+    found = placed(poses, seen, ties, known=[0, 1])
+    off = np.linalg.norm(transforms.centre(found) - transforms.centre(poses), axis=1)
+    assert np.all(off[:2] == 0) and 1e-6 < off[2:].max() < 0.15
+
+
+def test_points_without_base_and_ties_of_another_wall_place_nothing():
+    poses, seen, ties = world()
+    assert np.isnan(placed(poses, seen, ties, known=[0])[1:]).all(), "one image tells no point"
+    near, seen_near, _ = world(step=0.03)
+    assert np.isnan(placed(near, seen_near, ties, known=[0, 1])[2:]).all(), "nor do two at one place"
+    rng = np.random.default_rng(2)
+    wrong = [xy if k < 2 else rng.uniform(0, 480, xy.shape) for k, xy in enumerate(seen)]
+    assert np.isnan(placed(poses, wrong, ties, known=[0, 1])[2:]).all()
+
+
+def test_positions_tell_what_is_up_where_cameras_look_down():
+    poses = np.stack([transforms.rigid(np.diag([1.0, -1, -1]), [-x, y, 30]) for x in range(4) for y in (0, 5)])
+    scene = photos(len(poses))
+    there = np.tile(np.eye(4), (len(poses), 1, 1))
+    there[:, :3, 3] = 2 * transforms.centre(poses)
+    known = scene.with_(world_from_rig=there, position_sigma_m=np.full((len(poses), 3), 0.1), prior="exif")
+    plan, scale = plan_from_world(poses, known)
+    assert scale == pytest.approx(2) and plan[2, :3] == pytest.approx([0, 0, 2], abs=1e-6)
+
+
+def test_positions_turn_and_scale_the_plan():
+    poses, _, ties = world()
+    scene, scale, turn = photos(IMAGES), 7.0, np.radians(30)
+    there = np.zeros((scene.frames, 4, 4))
+    there[:, :3, :3] = np.eye(3)
+    along = scale * 0.7 * np.arange(IMAGES)
+    bend = 0.5 * (np.arange(IMAGES) == 2)
+    poses[:, 2, 3] -= bend / scale
+    local = along + 1j * bend
+    world_xy = local * np.exp(1j * turn)
+    there[scene.frame, 0, 3], there[scene.frame, 1, 3] = 100 + world_xy.real, 200 + world_xy.imag
+    sigma = np.full((scene.frames, 3), 0.1)
+    placed_scene = scene.with_(world_from_rig=there, position_sigma_m=sigma, prior="exif")
+    plan, found = plan_from_world(poses, placed_scene)
+    assert found == pytest.approx(scale, rel=1e-3)
+    xyz = transforms.apply(plan, transforms.centre(poses))
+    assert xyz[:, 0] == pytest.approx(there[scene.frame, 0, 3], abs=0.05)
+    shown = path_and_ties(placed_scene, ties, xyz, np.ones(IMAGES, bool), least=12, most=4)
+    assert len(shown["frames"]) == IMAGES and len(shown["ties"]) == 4 and shown["untied"] == []
+    none = path_and_ties(placed_scene, PreviewMatches.empty(), xyz, np.ones(IMAGES, bool), least=12, most=4)
+    assert none["untied"] == list(scene.names)
+
+
+@pytest.fixture
+def server():
+    served = WatchServer(0)
+    yield served
+    served.close()
+
+
+def test_the_page_and_its_state_are_served_on_the_loopback(server):
+    assert re.fullmatch(r"http://127\.0\.0\.1:\d+/", server.url)
+    assert urllib.request.urlopen(server.url).read() == page(None)
+    server.show({"counts": {"images": 3}})
+    assert json.load(urllib.request.urlopen(server.url + "state.json")) == {"counts": {"images": 3}}
+    for path, host, said in (("log.txt", None, "404"), ("../watch.npz", None, "404"), ("", "elsewhere.example", "403")):
+        request = urllib.request.Request(server.url + path, headers={} if host is None else {"Host": host})
+        with pytest.raises(urllib.error.HTTPError, match=said):
+            urllib.request.urlopen(request)
+
+
+def test_a_port_that_is_taken_is_said(server):
+    port = int(server.url.rsplit(":", 1)[1].strip("/"))
+    with refused(rf"--port {port}.*another, or 0"):
+        WatchServer(port)
+    with refused("--port 99999999"):
+        WatchServer(99999999)
+
+
+def test_a_page_that_is_kept_holds_its_state_and_nothing_from_elsewhere():
+    text = page({"folder": "</script><b>", "counts": {}}).decode()
+    assert '"folder": "\\u003c/script>' in text
+    assert "https:" not in text and "http:" not in text and "src=" not in text and "@import" not in text
