@@ -12,9 +12,10 @@ from scipy.spatial.transform import Rotation
 from said import refused, says
 from tiegraph.errors import InputError
 from tiegraph.geometry.transforms import angle_deg, rigid
-from tiegraph.scan.priors.trajectory import read_trajectory, write_tum
+from tiegraph.scan.priors.trajectory import read_trajectory
 from tiegraph.scan.rigfiles.rigspec import orient
 from tiegraph.scan.settings import ScanSettings
+from tiegraph.scene.posefile import write_tum
 from tiegraph.scene.scene import Scene
 
 
