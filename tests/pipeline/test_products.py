@@ -1,0 +1,99 @@
+"""The stage products on the smallest survey: rasters that open, tiles that stay, errors that are named."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+import rasterio
+
+from tiegraph.errors import ReconstructionError
+from tiegraph.pipeline import products as glue
+from tiegraph.pipeline.files import world_origin
+from tiegraph.project.inputs import Inputs
+from tiegraph.project.run import Run
+from tiegraph.project.settings import merged
+from tiegraph.scene.copc import copc_box
+
+pytestmark = pytest.mark.slow
+
+
+def run_of(folder, **settings):
+    return Run(folder, Inputs(folder / "images"), merged({"products": settings}), pool="serial")
+
+
+def values(folder):
+    """The pixels of all rasters below a folder."""
+    out = {}
+    for path in sorted(folder.rglob("*.tif")):
+        with rasterio.open(path) as raster:
+            out[path.relative_to(folder).as_posix()] = raster.read()
+    return out
+
+
+@pytest.fixture(scope="module")
+def made(finished, tmp_path_factory):
+    """A run folder after products."""
+    return finished.after("products", tmp_path_factory.mktemp("made") / "run")
+
+
+def test_a_whole_run_makes_elevations_of_its_walls(made):
+    receipt = json.loads((made / "receipts" / "products.json").read_text())
+    assert receipt["counts"]["surfaces"] >= 1 and "look sideways" in receipt["notes"][0]
+    for folder in (p for p in (made / "products").iterdir()):
+        frame = json.loads((folder / "frame.json").read_text())
+        with rasterio.open(folder / "dsm.tif") as raster:
+            w, known = raster.read(1), raster.read_masks(1) > 0
+            assert raster.shape == tuple(frame["size"][::-1]) and raster.tags()["accuracy"].startswith(
+                "accuracy predicted"
+            )
+            v, u = np.nonzero(known)
+            uv = np.stack(raster.xy(v, u))
+        assert known.mean() > 0.05
+        # the points of the cloud lie on the raster, where its matrix puts them
+        origin = world_origin(made)
+        xyz = copc_box(made / "cloud.copc.laz", origin, np.full(3, -1e4), np.full(3, 1e4)).xyz_m + np.array(
+            origin.shift_m
+        )
+        uvw = np.c_[xyz, np.ones(len(xyz))] @ np.array(frame["surface_from_crs"]).T
+        near = np.abs(uvw[:, None, :2] - uv.T[None, ::50]).max(-1) < frame["pixel"] / 2
+        at, of = np.nonzero(near)
+        assert np.median(np.abs(uvw[at, 2] - w[v, u][::50][of])) < 0.05
+    assert not (made / "products" / ".tiles").exists()
+
+
+def test_finished_tiles_stay_when_a_later_one_fails(made, tmp_path, monkeypatch):
+    folder = tmp_path / "run"
+    shutil.copytree(made, folder, symlinks=True)
+    before = values(folder / "products")
+    shutil.rmtree(folder / "products")
+    monkeypatch.setattr(glue, "TILE", 32)
+    done = []
+
+    def failing(*args):
+        if len(done) == 5:
+            raise OSError(28, "No space left on device")
+        done.append(args[2])
+        return right(*args)
+
+    right = glue.height_tile
+    monkeypatch.setattr(glue, "height_tile", failing)
+    with pytest.raises(OSError):
+        glue.products(run_of(folder))
+    tiles = {p: p.stat().st_mtime_ns for p in (folder / "products" / ".tiles").rglob("heights*.npz")}
+    assert len(tiles) == 5
+    monkeypatch.setattr(glue, "height_tile", right)
+    glue.products(run_of(folder))
+    assert tiles == {p: p.stat().st_mtime_ns for p in tiles}
+    after = values(folder / "products")
+    assert after.keys() == before.keys()
+    for name in before:
+        np.testing.assert_allclose(after[name], before[name], atol=1e-5 if after[name].dtype == np.float32 else 3)
+    stamps = {p: p.stat().st_mtime_ns for p in folder.rglob("*.tif")}
+    glue.products(run_of(folder))
+    assert stamps == {p: p.stat().st_mtime_ns for p in stamps}
+
+
+def test_a_plane_without_points_says_so(made, tmp_path):
+    with pytest.raises(ReconstructionError, match="no points of the cloud lie within"):
+        glue.products(run_of(made, plane=(0.0, 0.0, 10.0, 0.0)))
