@@ -1,29 +1,36 @@
 """Glue of products: rasters of the finished cloud and the images over reference surfaces."""
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, fields
+from functools import cache, partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
+import cv2
 import numpy as np
 
 from tiegraph.dense.plan import CameraModel, ViewPlan
 from tiegraph.dense.settings import DenseSettings
-from tiegraph.dense.undistort import pinhole
+from tiegraph.dense.undistort import load_view, pinhole
 from tiegraph.pipeline.cloud import accuracy_said
-from tiegraph.pipeline.files import load_model, load_npz, reading, save_npz, world_origin, world_unit
+from tiegraph.pipeline.dense import depth_path, read_depth
+from tiegraph.pipeline.files import FINAL, load_model, load_npz, reading, save_npz, world_origin, world_unit
 from tiegraph.products.choose import Survey, choose
 from tiegraph.products.heights import height_tile, margin
+from tiegraph.products.ortho import Images, Patch, gains, ortho_margin, ortho_tile, patch
 from tiegraph.products.raster import Place, hillshade, read_window, write_raster
 from tiegraph.products.surface import Surface, View, Window
 from tiegraph.products.tuning import Tuning
+from tiegraph.products.visibility import Buffer, draw, meets
 from tiegraph.project.run import Run
 from tiegraph.project.settings import Settings
-from tiegraph.project.stages import Outcome, save_json
+from tiegraph.project.stages import Outcome, save_json, write_atomic
 from tiegraph.scene.cloudfile import shift_of
 from tiegraph.scene.colmapmodel import matrix
 from tiegraph.scene.copc import copc_box, copc_sample
+from tiegraph.text import csv_text
+
+T = TypeVar("T")
 
 FOLDER, CLOUD = "products", "cloud.copc.laz"
 TILE = 1024
@@ -41,7 +48,8 @@ def products(run: Run) -> Outcome:
         sample = copc_sample(run.path(CLOUD), place.origin, _SAMPLE)
     survey = Survey(sample, views, counted["voxel"], shift=shift_of(place.origin), unit=place.unit)
     surfaces, notes = choose(survey, run.settings.products, tuning.choose)
-    work = [_Work(run.folder, s, place, tuning) for s in surfaces]
+    sharp = _sharp(run.settings)
+    work = [_Work(run.folder, s, place, plans=plans, sharp=sharp, tuning=tuning) for s in surfaces]
     steps = [step for each in work for step in each.steps()]
     run.reporter.total(sum(len(s.items) for s in steps), sum(len(s.items) - len(s.todo()) for s in steps))
     for step in steps:
@@ -85,28 +93,35 @@ class _Step:
 
 @dataclass(frozen=True, eq=False)
 class _Work:
-    """The rasters of one surface below a run folder."""
+    """The rasters of one surface below a run folder, and the images that give it colour."""
 
     folder: Path
     surface: Surface
     place: Place
+    plans: list[ViewPlan]
+    sharp: DenseSettings
     tuning: Tuning
 
-    def path(self, *parts: str) -> Path:
-        """Where its rasters are."""
-        return self.folder.joinpath(FOLDER, self.surface.name, *parts)
+    def path(self, name: str) -> Path:
+        """Where a file of the surface is."""
+        return self.folder / FOLDER / self.surface.name / name
 
-    def scratch(self, kind: str, window: Window) -> Path:
-        """Where a finished tile is."""
-        return self.folder / FOLDER / ".tiles" / self.surface.name / f"{kind}_{window.row}_{window.column}.npz"
+    def scratch(self, kind: str, item: Window | int) -> Path:
+        """Where a finished item is until all are."""
+        name = f"{item.row}_{item.column}" if isinstance(item, Window) else f"{item}"
+        return self.folder / FOLDER / ".tiles" / self.surface.name / f"{kind}_{name}.npz"
 
     def steps(self) -> list[_Step]:
         """All steps, in their order."""
-        tile = partial(self.scratch, "heights")
-        heights = _Step(
-            self.surface.windows(TILE), tile, self.make_heights, self.finish_heights, self.path("hillshade.tif")
-        )
-        return [heights]
+        windows, images = self.surface.windows(TILE), list(range(len(self.plans)))
+        kept = [partial(self.scratch, kind) for kind in ("heights", "view", "colours")]
+        return [
+            _Step(windows, kept[0], self.make_heights, self.finish_heights, self.path("hillshade.tif")),
+            _Step(images, kept[1], self.make_view, self.finish_views, self.path("source.tif")),
+            _Step(windows, kept[2], self.make_colours, self.finish_colours, self.path("source.tif")),
+        ]
+
+    # --- heights ------------------------------------------------------------------------------------------------------
 
     def make_heights(self, window: Window) -> None:
         """Heights and sigmas of a tile."""
@@ -118,22 +133,82 @@ class _Work:
 
     def finish_heights(self) -> None:
         """The rasters of heights, of their sigmas and of shades."""
-        for name in ("dsm", "sigma"):
-            self._write(name, "heights")
-        if not self.path("hillshade.tif").exists():
-            write_raster(self.path("hillshade.tif"), self._shades(), self.surface, self.place, self._scratch())
+        self._write("dsm", self._tiles("heights", "dsm"))
+        self._write("sigma", self._tiles("heights", "sigma"))
+        shades = ((w, self.heights(w.grown(1))) for w in self.surface.windows(TILE))
+        self._write("hillshade", ((w, hillshade(h, self.surface.pixel_m)) for w, h in shades))
 
-    def _scratch(self) -> Path:
-        return self.folder / FOLDER / ".tiles"
+    def heights(self, window: Window, step: int = 1) -> np.ndarray:
+        """w of a window or its blocks, as written."""
+        with reading(self.path("dsm.tif")):
+            return read_window(self.path("dsm.tif"), window, step) - np.float32(self.surface.offset[2])
 
-    def _shades(self) -> Iterator[tuple[Window, np.ndarray]]:
+    # --- what the images see ------------------------------------------------------------------------------------------
+
+    def view(self, k: int) -> View:
+        """An image without its pixels."""
+        return View(self.plans[k].name, pinhole(self.plans[k], self.sharp))
+
+    def picture(self, k: int) -> tuple[np.ndarray, np.ndarray]:
+        """RGB (H, W, 3) u1 of an image, and which of its pixels may be used (H, W) bool."""
+        found = load_view(self.plans[k], self.folder / "images", self.folder / FINAL / "masks", self.sharp)
+        return cv2.cvtColor(found.image_bgr, cv2.COLOR_BGR2RGB), found.mask
+
+    def make_view(self, k: int) -> None:
+        """What an image sees of the surface, and its colours there for the exposures; nothing if it sees nothing."""
+        view, tuning, kept = self.view(k), self.tuning.ortho, self.scratch("view", k)
+        if not any(meets(view.camera, self.surface, w) for w in self.surface.windows(TILE)):
+            return save_npz(kept)
+        depth = depth_path(self.folder, view.name)
+        rgb, mask = self.picture(k)
+        own = read_depth(view.name, self.folder) if depth.exists() else None
+        buffer = draw(view, self.surface, self.heights, mask, own, tuning)
+        found = None if buffer is None else patch(view, buffer, rgb, self.surface, self.heights, tuning)
+        if buffer is None or found is None:
+            return save_npz(kept)
+        save_npz(kept, **{f"buffer_{n}": v for n, v in vars(buffer).items()}, **vars(found))
+
+    def finish_views(self) -> None:
+        """The gains that make the exposures equal."""
+        patches = [self._kept(k, Patch, "") for k in range(len(self.plans))]
+        save_npz(self.scratch("gains", 0), gains=gains(patches))
+
+    def _kept(self, k: int, kind: type[T], prefix: str) -> T | None:
+        """What was kept of an image; None if it sees nothing."""
+        found = load_npz(self.scratch("view", k))
+        names = [f.name for f in fields(kind)]  # type: ignore[arg-type]
+        return kind(**{n: found[f"{prefix}{n}"][()] for n in names}) if found else None
+
+    # --- colours ------------------------------------------------------------------------------------------------------
+
+    def make_colours(self, window: Window) -> None:
+        """Colours and sources of a tile."""
+        around = window.grown(ortho_margin(self.tuning.ortho))
+        with reading(self.path("sigma.tif")):
+            sigma = read_window(self.path("sigma.tif"), around)
+        images = Images(
+            views=[self.view(k) for k in range(len(self.plans))],
+            buffer=cache(lambda k: self._kept(k, Buffer, "buffer_")),
+            picture=lambda k: self.picture(k)[0],
+            gains=load_npz(self.scratch("gains", 0))["gains"],
+        )
+        heights = self.heights(around)
+        rgba, source = ortho_tile(self.surface, window, heights, sigma, images, self.tuning.ortho)
+        save_npz(self.scratch("colours", window), ortho=rgba, source=source)
+
+    def finish_colours(self) -> None:
+        """The orthophoto, and which image each pixel is of."""
+        self._write("ortho", self._tiles("colours", "ortho"))
+        rows = [(k, plan.name) for k, plan in enumerate(self.plans, 1)]
+        write_atomic(self.path("source.csv"), csv_text(("source", "image"), rows))
+        self._write("source", self._tiles("colours", "source"))
+
+    def _tiles(self, kind: str, name: str) -> Iterator[tuple[Window, np.ndarray]]:
         for window in self.surface.windows(TILE):
-            w = read_window(self.path("dsm.tif"), window.grown(1))
-            yield window, hillshade(w, self.surface.pixel_m)[None]
+            yield window, load_npz(self.scratch(kind, window))[name]
 
-    def _write(self, name: str, kind: str) -> None:
-        """One raster of its tiles, unless it is there."""
-        windows = self.surface.windows(TILE)
-        parts = ((w, np.atleast_3d(load_npz(self.scratch(kind, w))[name].T).T) for w in windows)
-        if not self.path(f"{name}.tif").exists():
-            write_raster(self.path(f"{name}.tif"), parts, self.surface, self.place, self._scratch())
+    def _write(self, name: str, parts: Iterable[tuple[Window, np.ndarray]]) -> None:
+        """A raster, unless it is there."""
+        path = self.path(f"{name}.tif")
+        if not path.exists():
+            write_raster(path, parts, self.surface, self.place, self.folder / FOLDER / ".tiles")

@@ -84,7 +84,8 @@ class Place:
 def write_raster(
     path: Path, parts: Iterable[tuple[Window, np.ndarray]], surface: Surface, place: Place, scratch: Path
 ) -> None:
-    """Write the raster whose kind is the name of ``path``, of windows and their values (bands, rows, columns).
+    """Write the raster whose kind is the name of ``path``, of windows and their values (bands, rows, columns); one band
+    may be without its axis.
 
     Lengths that are NaN become nodata. ``scratch``: a folder for its pixels as they are until it is done. Raises
     InputError for a full disk, before GDAL meets it: what GDAL cannot write it only logs.
@@ -104,6 +105,7 @@ def write_raster(
         _describe(out, kind, surface, place)
         for window, values in parts:
             known = np.where(np.isfinite(values), values, NODATA) if kind.lengths else values
+            known = known.reshape(len(kind.bands), window.rows, window.columns)
             part = Part(window.column, window.row, window.columns, window.rows)  # type: ignore[call-arg]
             out.write(known.astype(kind.dtype), window=part)
     need_room(path, int(_OVER_RAW * raw.stat().st_size))
@@ -125,13 +127,19 @@ def _describe(out: rasterio.io.DatasetWriter, kind: Kind, surface: Surface, plac
 
 
 def read_window(path: Path, window: Window, step: int = 1) -> np.ndarray:
-    """Values (rows, columns) of the only band of a raster in a window, or of its overview for blocks of ``step``
-    pixels; lengths that are not known, or beyond the raster, are NaN."""
+    """Lengths (rows, columns) f4 of a raster in a window, or of its overview for blocks of ``step`` pixels; NaN where
+    they are not known, and beyond the raster."""
     with rasterio.open(path) as raster:
-        part = Part(window.column, window.row, window.columns, window.rows)  # type: ignore[call-arg]
-        shape = -(-window.rows // step), -(-window.columns // step)
-        found = raster.read(1, window=part, out_shape=shape, boundless=True, fill_value=raster.nodata)
-        return np.where(found == raster.nodata, np.nan, found) if raster.nodata == NODATA else found
+        top, left = max(window.row, 0), max(window.column, 0)
+        rows = max(min(window.row + window.rows, raster.height) - top, 0)
+        columns = max(min(window.column + window.columns, raster.width) - left, 0)
+        out = np.full((-(-window.rows // step), -(-window.columns // step)), np.nan, np.float32)
+        if rows and columns:
+            shape = -(-rows // step), -(-columns // step)
+            found = raster.read(1, window=Part(left, top, columns, rows), out_shape=shape)  # type: ignore[call-arg]
+            at = (top - window.row) // step, (left - window.column) // step
+            out[at[0] : at[0] + shape[0], at[1] : at[1] + shape[1]] = np.where(found == NODATA, np.nan, found)
+        return out
 
 
 def hillshade(w: np.ndarray, pixel_m: float) -> np.ndarray:

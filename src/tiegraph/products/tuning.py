@@ -53,6 +53,9 @@ class OrthoTuning(Section):
     """The score of an image falls with the cosine of its angle to w to this power, ..."""
     border: float = Field(0.15, gt=0, lt=0.5)
     """... and nearer to the image border or mask than this share of the image size, in proportion."""
+    unconfirmed: float = Field(0.01, ge=0, le=1)
+    """Score of an image whose own depth map has no depth there, beside one that has the surface's: it may see something
+    else, such as a bridge in front of a wall."""
     shade_sigmas: float = Field(3.0, gt=0)
     """What lies this many standard deviations behind what the image saw is hidden."""
     bands: int = Field(4, ge=0, le=8)
