@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from tiegraph.geometry import transforms
@@ -50,12 +51,17 @@ class Scene:
         low, high = np.array([0.0, 0.0, -5.0]), np.array([*SIZE, 5.0])
         return Surface(self.name, transforms.invert(self.world_from_surface), low, high, pixel_m=PIXEL)
 
-    def cloud(self, spacing=0.025, seed=0):
-        """Points of the plane and the roof with noise, and of the sides of the box."""
+    def cloud(self, spacing=0.025, seed=0, together=True):
+        """Points of the plane and the roof with noise, and of the sides of the box. Neighbours have their errors
+        ``together``, as those of depth maps do, or each its own."""
         rng = np.random.default_rng(seed)
         count = int(SIZE[0] * SIZE[1] / spacing**2)
         u, v = rng.uniform(0, SIZE[0], count), rng.uniform(0, SIZE[1], count)
-        w = height(u, v) + NOISE_M * rng.normal(size=count)
+        error = rng.normal(size=count)
+        if together:
+            field = cv2.GaussianBlur(rng.normal(size=(140, 180)), None, 2.5)  # of 5 cm
+            error = (field / field.std())[(v / PIXEL).astype(int), (u / PIXEL).astype(int)]
+        w = height(u, v) + NOISE_M * error
         sides = rng.uniform(size=(count // 20, 2))
         su, sw = np.full(len(sides), BOX[0][0]), 0.2 + sides[:, 1] * (ROOF - 0.2)
         uvw = np.concatenate([np.stack([u, v, w], 1), np.stack([su, BOX[1][0] + 2 * sides[:, 0], sw], 1)])

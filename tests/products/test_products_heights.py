@@ -40,8 +40,15 @@ def test_heights_are_as_true_as_their_sigma_says(spacing):
     assert 0.7 < np.sqrt(np.mean((error / sigma[known]) ** 2)) < 1.2
     assert 0.93 < np.mean(np.abs(error) < 2 * sigma[known]) < 0.995
     assert abs(error.mean()) < 0.1 * NOISE_M  # no bias towards the top
-    assert np.median(dsm[roof & far]) == pytest.approx(ROOF, abs=0.01)
-    assert 0.3 * NOISE_M < np.median(sigma[known]) < NOISE_M
+    assert np.median(dsm[roof & far]) == pytest.approx(ROOF, abs=0.02)
+    assert 0.9 * NOISE_M < np.median(sigma[known]) < 1.1 * NOISE_M
+
+
+def test_errors_of_their_own_are_not_worse_than_the_sigma_says():
+    dsm, sigma = made(MAP, MAP.cloud(together=False))
+    w, edge, _ = truth(MAP)
+    known = (edge > 8) & np.isfinite(dsm)
+    assert 0.4 < np.sqrt(np.mean(((dsm - w) / sigma)[known] ** 2)) < 0.8
 
 
 def test_the_top_of_a_cell_is_its_surface_and_what_lies_below_or_alone_above_is_not():
@@ -77,8 +84,8 @@ def test_small_holes_are_interpolated_and_large_ones_are_not():
     x, y = np.meshgrid(*MAP.surface.places(Window(0, 0, *MAP.surface.shape)))
     apart = (np.abs(x - 6.5) > 1) | (np.abs(y - 2) > 1)
     hole = (np.abs(x % 1 - 0.5) < 0.19) & (np.abs(y % 1 - 0.5) < 0.19) & (edge > 16) & apart
-    assert np.isfinite(dsm[hole]).all() and np.abs(dsm - w)[hole].max() < 0.02
-    assert 0.5 < np.sqrt(np.mean(((dsm - w) / sigma)[hole] ** 2)) < 1.5 and sigma[hole].max() < 0.02
+    assert np.isfinite(dsm[hole]).all() and np.abs(dsm - w)[hole].max() < 4 * NOISE_M
+    assert 0.5 < np.sqrt(np.mean(((dsm - w) / sigma)[hole] ** 2)) < 1.5 and sigma[hole].max() < 2 * NOISE_M
     assert np.isnan(dsm[int(4 / PIXEL), int(6.5 / PIXEL)])
     assert (np.isnan(dsm) == np.isnan(sigma)).all()
 

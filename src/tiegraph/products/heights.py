@@ -31,8 +31,8 @@ def cells(points: Cloud, surface: Surface, window: Window, tuning: HeightTuning)
     """w and its sigma (rows, columns) f8 of the cells of a window in which there are points.
 
     The top of a cell is its highest point that another one supports from just below, which a stray has not; the height
-    is the mean by 1 / sigma^2 of the points that lie there. Its sigma is that of the mean, times what they scatter more
-    than their sigmas let expect.
+    is the mean by 1 / sigma^2 of the points that lie there. Its sigma is that of the mean of as many as do not share
+    their errors, times what they scatter more than their sigmas let expect.
     """
     uvw = transforms.apply(surface.surface_from_world, points.xyz_m)
     column = np.floor((uvw[:, 0] - surface.low[0]) / surface.pixel_m).astype(int) - window.column
@@ -60,7 +60,8 @@ def cells(points: Cloud, surface: Surface, window: Window, tuning: HeightTuning)
     count, total = np.add.reduceat((weight > 0).astype(float), start), np.add.reduceat(weight, start)
     mean = np.add.reduceat(weight * w, start) / total
     scatter = np.add.reduceat(weight * (w - mean[of]) ** 2, start) / np.maximum(count - 1, 1)
-    out.reshape(2, -1)[:, cell[start]] = mean, np.sqrt(np.maximum(scatter, 1) / total)
+    alike = np.minimum(count, tuning.shared)
+    out.reshape(2, -1)[:, cell[start]] = mean, np.sqrt(np.maximum(scatter, 1) * alike / total)
     return out[0], out[1]
 
 
@@ -75,8 +76,8 @@ def _without_strays(w: np.ndarray, tuning: HeightTuning) -> np.ndarray:
 def filled(w: np.ndarray, sigma: np.ndarray, tuning: HeightTuning) -> tuple[np.ndarray, np.ndarray]:
     """With small holes filled by the plane of the cells around each of their pixels, by a Gaussian of their distance.
 
-    The variance is that of the plane there, of the cells' own mean, and of what they scatter about the plane more than
-    by their sigmas, which is the surface's own roughness.
+    The variance is the mean one of the cells or, where they scatter more about the plane, for the surface is rough or
+    steps, that. It is not less for their number: neighbours share their errors.
     """
     known = np.isfinite(w)
     size = 2 * tuning.hole_px + 1
@@ -103,9 +104,7 @@ def filled(w: np.ndarray, sigma: np.ndarray, tuning: HeightTuning) -> tuple[np.n
     plane = np.einsum("nij,nj->ni", inverse, right)
     scatter = np.maximum(moment(height**2, 0, 0) - np.einsum("ni,ni->n", plane, right), 0) / support
     own = moment(np.where(known, sigma**2, 0.0), 0, 0) / support
-    spread = inverse[:, 0, 0] / 2  # the square of a Gaussian has half its sum
-    variance = np.maximum(scatter, own) * spread + np.maximum(scatter - own, 0)
     w, sigma = w.copy(), np.where(known, sigma, np.nan)
     w[wanted] = np.where(enough, plane[:, 0] + zero, np.nan)
-    sigma[wanted] = np.where(enough, np.sqrt(variance), np.nan)
+    sigma[wanted] = np.where(enough, np.sqrt(np.maximum(scatter, own)), np.nan)
     return w, sigma

@@ -5,6 +5,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 import rasterio
 import rasterio.shutil
@@ -145,7 +146,6 @@ def read_window(path: Path, window: Window, step: int = 1) -> np.ndarray:
 def hillshade(w: np.ndarray, pixel_m: float) -> np.ndarray:
     """Shades (rows, columns) u1, 1 to 255, 0 = not known, of heights (rows + 2, columns + 2) with a margin of a pixel;
     light from the upper left, 45 deg high."""
-    right = (w[1:-1, 2:] - w[1:-1, :-2]) / (2 * pixel_m)
-    up = (w[:-2, 1:-1] - w[2:, 1:-1]) / (2 * pixel_m)
-    shade = (1 + (right - up) / np.sqrt(2)) / np.sqrt(2 * (1 + right**2 + up**2))
+    right, down = (cv2.Sobel(w, cv2.CV_64F, *axis)[1:-1, 1:-1] / (8 * pixel_m) for axis in ((1, 0), (0, 1)))  # Horn's
+    shade = (1 + (right + down) / np.sqrt(2)) / np.sqrt(2 * (1 + right**2 + down**2))
     return np.where(np.isfinite(shade), 1 + np.clip(shade, 0, 1) * 254, 0).astype(np.uint8)

@@ -36,6 +36,9 @@ class HeightTuning(Section):
     layer_sigmas: float = Field(3.0, gt=0)
     """Points of a cell this many standard deviations (and a pixel, for slopes) apart may be of one surface: a top that
     no other supports is a stray, and what is farther below it is not seen from outside."""
+    shared: float = Field(10.0, ge=1)
+    """Points of a cell that have one error together, as the matcher's windows give it to neighbours: on the walls of
+    `canal_demo` points up to 5 spacings apart differ by 0.5 to 0.7 of what their sigmas say."""
     backward: float = Field(0.3, ge=0, le=1)
     """Points whose normals point this far away from w are not seen from outside: the underside of a bridge."""
     hole_px: int = Field(5, ge=1, le=50)

@@ -139,24 +139,25 @@ def score(view: View, buffer: Buffer, ground: Ground, surface: Surface, tuning: 
     camera = view.camera
     x, y, z = project(camera, ground.xyz)
     there = np.isfinite(z)
+    x, y, z = x[there], y[there], z[there]
     high, wide = buffer.depth.shape
-    column = np.where(there, np.minimum(np.nan_to_num(x) / buffer.scale[0], wide - 1), 0).astype(int)
-    row = np.where(there, np.minimum(np.nan_to_num(y) / buffer.scale[1], high - 1), 0).astype(int)
-    towards = transforms.centre(camera.cam_from_world) - ground.xyz
+    column = np.minimum(x / buffer.scale[0], wide - 1).astype(int)
+    row = np.minimum(y / buffer.scale[1], high - 1).astype(int)
+    towards = transforms.centre(camera.cam_from_world) - ground.xyz[there]
     towards /= np.linalg.norm(towards, axis=-1, keepdims=True)
-    front = np.sum(towards * ground.normal, axis=-1)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        steep = np.minimum(np.sqrt(np.maximum(1 - front**2, 0)) / np.maximum(front, 1e-9), _STEEPEST)
-        size = z / focal(camera)
-        play = size * buffer.scale.max() * (1 + 2 * steep) + tuning.shade_sigmas * ground.sigma
-        behind = z - buffer.own[row, column]
-        close = play + tuning.shade_sigmas * buffer.own_sigma[row, column]
-        seen = there & (front > 0) & (z <= buffer.depth[row, column] + play) & ~(behind > close)
-        seen &= size < tuning.coarsest * surface.pixel_m
-        away = np.maximum(towards @ surface.surface_from_world[2, :3], 0)
-        good = np.minimum(1, surface.pixel_m / size) * away**tuning.angle_power
-        good *= np.minimum(1, buffer.border[row, column] / tuning.border)
-        agrees = (seen & (np.abs(behind) <= close)).astype(np.float32)
+    front = np.einsum("nk,nk->n", towards, ground.normal[there])
+    steep = np.minimum(np.sqrt(np.maximum(1 - front**2, 0)) / np.maximum(front, 1e-9), _STEEPEST)
+    size = z / focal(camera)
+    play = size * buffer.scale.max() * (1 + 2 * steep) + tuning.shade_sigmas * ground.sigma[there]
+    behind = z - buffer.own[row, column]  # NaN where the image has no depth, which neither hides nor confirms
+    close = play + tuning.shade_sigmas * buffer.own_sigma[row, column]
+    free = (front > 0) & (z <= buffer.depth[row, column] + play) & ~(behind > close)
+    free &= size < tuning.coarsest * surface.pixel_m
+    away = np.maximum(towards @ surface.surface_from_world[2, :3], 0)
+    good, seen, agrees = np.zeros(there.shape), np.zeros(there.shape, bool), np.zeros(there.shape, np.float32)
+    good[there] = np.minimum(1, surface.pixel_m / size) * away**tuning.angle_power
+    good[there] *= np.minimum(1, buffer.border[row, column] / tuning.border)
+    seen[there], agrees[there] = free, free & (np.abs(behind) <= close)
     seen &= cv2.medianBlur((seen | ~there).astype(np.uint8), 5) > 0  # of what is hidden no specks are seen
     share = cv2.blur(agrees, (_AGREE_PX, _AGREE_PX), borderType=cv2.BORDER_REFLECT)
-    return np.where(seen & there, good * (tuning.unconfirmed + share), 0.0).astype(np.float32)
+    return np.where(seen, good * (tuning.unconfirmed + share), 0.0).astype(np.float32)
