@@ -1,5 +1,6 @@
 """The stage products on the smallest survey: rasters that open, tiles that stay, errors that are named."""
 
+import csv
 import json
 import shutil
 
@@ -10,6 +11,8 @@ import rasterio
 from tiegraph.errors import ReconstructionError
 from tiegraph.pipeline import products as glue
 from tiegraph.pipeline.files import world_origin
+from tiegraph.products.ortho import ortho_tile
+from tiegraph.products.visibility import draw
 from tiegraph.project.inputs import Inputs
 from tiegraph.project.run import Run
 from tiegraph.project.settings import merged
@@ -59,7 +62,51 @@ def test_a_whole_run_makes_elevations_of_its_walls(made):
         near = np.abs(uvw[:, None, :2] - uv.T[None, ::50]).max(-1) < frame["pixel"] / 2
         at, of = np.nonzero(near)
         assert np.median(np.abs(uvw[at, 2] - w[v, u][::50][of])) < 0.05
+        names = {"dsm.tif", "sigma.tif", "hillshade.tif", "ortho.tif", "source.tif", "source.csv", "frame.json"}
+        assert {p.name for p in folder.iterdir()} == names
+        with rasterio.open(folder / "ortho.tif") as raster:
+            alpha = raster.read(4)
+        with rasterio.open(folder / "source.tif") as raster:
+            source = raster.read(1)
+        assert ((alpha > 0) == (source > 0)).all() and (alpha > 0)[known].mean() > 0.7 and not alpha[~known].any()
+        listed = dict(csv.reader((folder / "source.csv").open()))
+        used = {listed[str(k)] for k in np.unique(source) if k}
+        assert len(used) > 1 and all((made / "images" / name).exists() for name in used)
     assert not (made / "products" / ".tiles").exists()
+
+
+def test_the_pool_does_not_change_a_byte(made, tmp_path):
+    folder = tmp_path / "run"
+    shutil.copytree(made, folder, symlinks=True)
+    shutil.rmtree(folder / "products")
+    run = Run(folder, Inputs(folder / "images"), merged({}), pool="local:2")
+    glue.products(run)
+    run.close()
+    files = sorted(p.relative_to(made) for p in (made / "products").rglob("*") if p.is_file())
+    assert len(files) >= 7
+    assert [f for f in files if (made / f).read_bytes() != (folder / f).read_bytes()] == []
+
+
+def test_what_is_kept_of_images_and_tiles_is_not_made_again(made, tmp_path, monkeypatch):
+    folder = tmp_path / "run"
+    shutil.copytree(made, folder, symlinks=True)
+    for name in ("ortho.tif", "source.tif"):
+        (folder / "products" / "elevation1" / name).unlink()
+    drawn = []
+    monkeypatch.setattr(glue, "draw", lambda *args: drawn.append(args[0].name) or right(*args))
+    monkeypatch.setattr(glue, "ortho_tile", stop)
+    right = draw
+    with pytest.raises(KeyboardInterrupt):
+        glue.products(run_of(folder))
+    assert len(drawn) == len(set(drawn)) > 0
+    first = list(drawn)
+    monkeypatch.setattr(glue, "ortho_tile", ortho_tile)
+    glue.products(run_of(folder))
+    assert drawn == first and values(folder / "products").keys() == values(made / "products").keys()
+
+
+def stop(*args):
+    raise KeyboardInterrupt
 
 
 def test_finished_tiles_stay_when_a_later_one_fails(made, tmp_path, monkeypatch):

@@ -54,7 +54,8 @@ def products(run: Run) -> Outcome:
     run.reporter.total(sum(len(s.items) for s in steps), sum(len(s.items) - len(s.todo()) for s in steps))
     for step in steps:
         run.map(step.make, step.todo())
-        step.finish()
+        if not step.result.exists():
+            step.finish()
     for each in work:
         save_json(each.path("frame.json"), place.described(each.surface))
     if surfaces and place.unit != "m":
@@ -114,11 +115,15 @@ class _Work:
     def steps(self) -> list[_Step]:
         """All steps, in their order."""
         windows, images = self.surface.windows(TILE), list(range(len(self.plans)))
-        kept = [partial(self.scratch, kind) for kind in ("heights", "view", "colours")]
+        first, last = self.path("hillshade.tif"), self.path("source.tif")
+
+        def step(items: list[Any], kind: str, make: Any, finish: Any, result: Path) -> _Step:
+            return _Step(items=items, artefact=partial(self.scratch, kind), make=make, finish=finish, result=result)
+
         return [
-            _Step(windows, kept[0], self.make_heights, self.finish_heights, self.path("hillshade.tif")),
-            _Step(images, kept[1], self.make_view, self.finish_views, self.path("source.tif")),
-            _Step(windows, kept[2], self.make_colours, self.finish_colours, self.path("source.tif")),
+            step(windows, "heights", self.make_heights, self.finish_heights, first),
+            step(images, "view", self.make_view, self.finish_views, last),
+            step(windows, "colours", self.make_colours, self.finish_colours, last),
         ]
 
     # --- heights ------------------------------------------------------------------------------------------------------

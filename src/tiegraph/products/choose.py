@@ -69,7 +69,8 @@ def choose(survey: Survey, settings: ProductsSettings, tuning: ChooseTuning) -> 
 
 
 def _map(survey: Survey) -> Surface:
-    return Surface(MAP, np.eye(4), survey.sample.xyz_m.min(axis=0), survey.sample.xyz_m.max(axis=0), pixel_m=0.0)
+    low, high = survey.sample.xyz_m.min(axis=0), survey.sample.xyz_m.max(axis=0)
+    return Surface(MAP, np.eye(4), low=low, high=high)
 
 
 def walls(survey: Survey, tuning: ChooseTuning) -> list[Surface]:
@@ -94,7 +95,7 @@ def walls(survey: Survey, tuning: ChooseTuning) -> list[Surface]:
         deep = within / tuning.flatness * tuning.reach
         low, high = np.array([-np.inf, -np.inf, -deep]), np.array([np.inf, np.inf, deep])
         name = f"elevation{len(found) + 1}"
-        found.append(Surface(name, plane, low, high, pixel_m=0.0, share=share))
+        found.append(Surface(name, plane, low=low, high=high, share=share))
         free[at] &= np.abs(transforms.apply(plane, xyz[at])[:, 2]) > deep
     return found
 
@@ -137,7 +138,7 @@ def _given(survey: Survey, ends: tuple[float, float, float, float], tuning: Choo
     deep = _near(survey, plane, tuning.reach)
     start = float(plane[0, :2] @ left + plane[0, 3])
     low, high = np.array([start, -np.inf, -deep]), np.array([start + np.hypot(*along), np.inf, deep])
-    found = Surface("elevation1", plane, low, high, pixel_m=0.0)
+    found = Surface("elevation1", plane, low=low, high=high)
     if np.count_nonzero(_inside(found, survey.sample)) < _FEWEST:
         low, high = (
             v[:2] + survey.shift[:2] for v in (survey.sample.xyz_m.min(axis=0), survey.sample.xyz_m.max(axis=0))
@@ -151,7 +152,7 @@ def _given(survey: Survey, ends: tuple[float, float, float, float], tuning: Choo
 
 def _inside(surface: Surface, cloud: Cloud) -> np.ndarray:
     uvw = transforms.apply(surface.surface_from_world, cloud.xyz_m)
-    return ((uvw >= surface.low) & (uvw <= surface.high)).all(axis=1)
+    return np.all((uvw >= surface.low) & (uvw <= surface.high), axis=1)
 
 
 def _trimmed(surface: Surface, survey: Survey, settings: ProductsSettings, tuning: ChooseTuning) -> Surface:

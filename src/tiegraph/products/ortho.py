@@ -79,7 +79,8 @@ def gains(patches: Sequence[Patch | None]) -> np.ndarray:
         return out
     compensator = cv2.detail.ChannelsCompensator(_FEEDS)
     corners, colours = [(p.column, p.row) for _, p in there], [p.rgb for _, p in there]
-    compensator.feed(corners, colours, [p.seen.astype(np.uint8) * 255 for _, p in there])
+    seen = [p.seen.astype(np.uint8) * 255 for _, p in there]
+    compensator.feed(corners, colours, seen)  # type: ignore[arg-type]  # arrays are images too
     found = np.array([np.ravel(g)[:3] for g in compensator.getMatGains()])
     out[[k for k, _ in there]] = np.clip(found / np.median(found, axis=0), 1 / _LARGEST_GAIN, _LARGEST_GAIN)
     return out
@@ -146,5 +147,5 @@ def _blended(
         visible = np.unpackbits(seen[k], count=source.size).reshape(source.shape) > 0
         filled = np.where((visible & (source > 0))[..., None], colours, around).astype(np.int16)
         blender.feed(filled, np.where(owner == k + 1, 255, 0).astype(np.uint8), (0, 0))
-    blended, _ = blender.blend(None, None)
+    blended, _ = blender.blend(None, None)  # type: ignore[call-overload]  # it makes them
     return np.where(source[..., None] > 0, np.clip(blended, 0, 255), 0).astype(np.uint8)

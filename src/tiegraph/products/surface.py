@@ -37,8 +37,8 @@ class View:
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """A frame (4, 4) surface_from_world, the corners (3,) of its box in (u, v, w), the edge of a pixel in world units,
-    and the share of the points that a wall has (NaN = not found by its points).
+    """A frame (4, 4) surface_from_world, the corners (3,) of its box in (u, v, w), the edge of a pixel in world units
+    (0 = not chosen yet), and the share of the points that a wall has (NaN = not found by its points).
 
     Files have (u, v, w) plus ``offset`` (3,): of a map the shift to its CRS, of a wall the height of it. There the
     corners in u and v are whole pixels; row 0 lies at the largest v.
@@ -48,7 +48,7 @@ class Surface:
     surface_from_world: np.ndarray
     low: np.ndarray
     high: np.ndarray
-    pixel_m: float
+    pixel_m: float = 0.0
     share: float = float("nan")
     offset: np.ndarray = field(default_factory=lambda: np.zeros(3))
 

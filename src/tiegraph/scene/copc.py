@@ -193,7 +193,7 @@ def copc_box(path: Path, origin: Origin | None, low: np.ndarray, high: np.ndarra
         corners = np.clip(low + shift, first, last), np.clip(high + shift, first, last)  # far ones overflow their type
         points = reader.query(bounds=laspy.copc.Bounds(mins=corners[0], maxs=corners[1]))
         cloud = las_cloud(points, reader.header, origin)
-    return cloud.where(((cloud.xyz_m >= low) & (cloud.xyz_m <= high)).all(axis=1))
+    return cloud.where(np.all((cloud.xyz_m >= low) & (cloud.xyz_m <= high), axis=1))
 
 
 def copc_sample(path: Path, origin: Origin | None, most: int) -> Cloud:
