@@ -62,7 +62,9 @@ def test_a_whole_run_makes_elevations_of_its_walls(made):
         near = np.abs(uvw[:, None, :2] - uv.T[None, ::50]).max(-1) < frame["pixel"] / 2
         at, of = np.nonzero(near)
         assert np.median(np.abs(uvw[at, 2] - w[v, u][::50][of])) < 0.05
-        names = {"dsm.tif", "sigma.tif", "hillshade.tif", "ortho.tif", "source.tif", "source.csv", "frame.json"}
+        names = {"dsm.tif", "sigma.tif", "hillshade.tif", "ortho.tif", "source.tif", "source.csv", "frame.json"} | {
+            "overview.jpg"
+        }
         assert {p.name for p in folder.iterdir()} == names
         with rasterio.open(folder / "ortho.tif") as raster:
             alpha = raster.read(4)

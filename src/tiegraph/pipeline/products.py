@@ -18,7 +18,7 @@ from tiegraph.pipeline.files import FINAL, load_model, load_npz, reading, save_n
 from tiegraph.products.choose import Survey, choose
 from tiegraph.products.heights import height_tile, margin
 from tiegraph.products.ortho import Images, Patch, gains, ortho_margin, ortho_tile, patch
-from tiegraph.products.raster import Place, hillshade, read_window, write_raster
+from tiegraph.products.raster import Place, hillshade, overview, read_window, write_raster
 from tiegraph.products.surface import Surface, View, Window
 from tiegraph.products.tuning import Tuning
 from tiegraph.products.visibility import Buffer, draw, meets
@@ -35,6 +35,7 @@ T = TypeVar("T")
 FOLDER, CLOUD = "products", "cloud.copc.laz"
 TILE = 1024
 """Pixels along the edge of what is made at once."""
+_OVERVIEW = 1400  # pixels across of a picture of an orthophoto, as the report shows it
 _SAMPLE = 100_000  # points of the cloud that tell which surfaces there are
 
 
@@ -204,6 +205,7 @@ class _Work:
     def finish_colours(self) -> None:
         """The orthophoto, and which image each pixel is of."""
         self._write("ortho", self._tiles("colours", "ortho"))
+        write_atomic(self.path("overview.jpg"), overview(self.path("ortho.tif"), _OVERVIEW))
         rows = [(k, plan.name) for k, plan in enumerate(self.plans, 1)]
         write_atomic(self.path("source.csv"), csv_text(("source", "image"), rows))
         self._write("source", self._tiles("colours", "source"))
