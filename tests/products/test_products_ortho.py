@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from products_world import BOX, CHECK, MAP, PIXEL, ROOF, SIZE, WALL, colour, height, in_box
-from tiegraph.products.ortho import Images, gains, ortho_margin, ortho_tile, patch
+from tiegraph.products.ortho import Images, block_px, gains, ortho_margin, ortho_tile, patch
 from tiegraph.products.surface import Window, project
 from tiegraph.products.tuning import OrthoTuning
 from tiegraph.products.visibility import draw
@@ -29,7 +29,7 @@ def images_of(scene, views=None, exposures=None):
     rgb = [np.clip(scene.picture(v) * e, 0, 255).astype(np.uint8) for v, e in zip(views, exposures)]
     masks = [np.ones(p.shape[:2], bool) for p in rgb]
     buffers = [draw(v, surface, heights, m, None, TUNING) for v, m in zip(views, masks)]
-    found = [patch(v, b, p, surface, heights, TUNING) for v, b, p in zip(views, buffers, rgb)]
+    found = [patch(v, b, p, surface, heights, block_px(len(views)), TUNING) for v, b, p in zip(views, buffers, rgb)]
     return Images(views, buffers.__getitem__, rgb.__getitem__, gains(found))
 
 
@@ -174,3 +174,7 @@ def test_an_image_that_sees_nothing_of_the_surface_has_no_buffer():
     away = MAP.view("away", (4, 3, 9.0), (4, 3.001, 20.0))
     assert draw(away, MAP.surface, heights_of(MAP), np.ones((360, 480), bool), None, TUNING) is None
     assert (gains([None, None]) == 1).all()
+
+
+def test_blocks_are_larger_for_many_images():
+    assert [block_px(n) for n in (1, 500, 501, 2000, 2001, 40_000)] == [8, 8, 16, 16, 32, 128]

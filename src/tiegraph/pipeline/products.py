@@ -12,16 +12,17 @@ import numpy as np
 from tiegraph.dense.plan import CameraModel, ViewPlan
 from tiegraph.dense.settings import DenseSettings
 from tiegraph.dense.undistort import load_view, pinhole
+from tiegraph.errors import ReconstructionError
 from tiegraph.pipeline.cloud import accuracy_said
 from tiegraph.pipeline.dense import depth_path, read_depth
 from tiegraph.pipeline.files import FINAL, load_model, load_npz, reading, save_npz, world_origin, world_unit
 from tiegraph.products.choose import Survey, choose
 from tiegraph.products.heights import height_tile, margin
-from tiegraph.products.ortho import Images, Patch, gains, ortho_margin, ortho_tile, patch
+from tiegraph.products.ortho import Images, Patch, block_px, gains, ortho_margin, ortho_tile, patch
 from tiegraph.products.raster import Place, hillshade, overview, read_window, write_raster
 from tiegraph.products.surface import Surface, View, Window
 from tiegraph.products.tuning import Tuning
-from tiegraph.products.visibility import Buffer, draw, meets
+from tiegraph.products.visibility import Buffer, draw, windows_met
 from tiegraph.project.run import Run
 from tiegraph.project.settings import Settings
 from tiegraph.project.stages import Outcome, save_json, write_atomic
@@ -36,12 +37,15 @@ FOLDER, CLOUD = "products", "cloud.copc.laz"
 TILE = 1024
 """Pixels along the edge of what is made at once."""
 _OVERVIEW = 1400  # pixels across of a picture of an orthophoto, as the report shows it
+_MOST_SOURCES = np.iinfo(np.uint16).max
 _SAMPLE = 100_000  # points of the cloud that tell which surfaces there are
 
 
 def products(run: Run) -> Outcome:
     """The rasters of each reference surface, tile by tile; finished tiles and rasters stay after an interruption."""
     plans, tuning = _plans(run), run.settings.tuning.products
+    if len(plans) > _MOST_SOURCES:
+        raise ReconstructionError(f"{len(plans)} images are more than source.tif can number: set products.make = none")
     views = [View(p.name, pinhole(p, _sharp(run.settings))) for p in plans]
     counted = run.receipts.read("cloud")["counts"]
     place = Place(world_origin(run.folder), world_unit(run.folder), accuracy_said(run, counted))
@@ -163,14 +167,17 @@ class _Work:
     def make_view(self, k: int) -> None:
         """What an image sees of the surface, and its colours there for the exposures; nothing if it sees nothing."""
         view, tuning, kept = self.view(k), self.tuning.ortho, self.scratch("view", k)
-        if not any(meets(view.camera, self.surface, w) for w in self.surface.windows(TILE)):
+        if not windows_met(view.camera, self.surface):
             return save_npz(kept)
         depth = depth_path(self.folder, view.name)
         rgb, mask = self.picture(k)
         own = read_depth(view.name, self.folder) if depth.exists() else None
         buffer = draw(view, self.surface, self.heights, mask, own, tuning)
-        found = None if buffer is None else patch(view, buffer, rgb, self.surface, self.heights, tuning)
-        if buffer is None or found is None:
+        if buffer is None:
+            return save_npz(kept)
+        block = block_px(len(self.plans))
+        found = patch(view, buffer, rgb, self.surface, self.heights, block=block, tuning=tuning)
+        if found is None:
             return save_npz(kept)
         save_npz(kept, **{f"buffer_{n}": v for n, v in vars(buffer).items()}, **vars(found))
 

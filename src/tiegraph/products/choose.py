@@ -57,10 +57,11 @@ def choose(survey: Survey, settings: ProductsSettings, tuning: ChooseTuning) -> 
         found.append(_given(survey, settings.plane, tuning))  # type: ignore[arg-type]
     elif wants_walls:
         found += walls(survey, tuning)
-    looks = f"{sideways:.0%} of the cameras look sideways, all on average {np.degrees(np.arcsin(down)):.0f} deg down"
+    lean = f"{abs(np.degrees(np.arcsin(down))):.0f} deg {'down' if down > 0 else 'up'}"
+    looks = f"{sideways:.0%} of the cameras look sideways, all on average {lean}"
     if not found:
-        wanted = f"no vertical plane has {tuning.least_share:.0%} of the points" if wants_walls else "of neither many"
-        return [], [f"no raster is made: {looks}, and {wanted}; products.make = map makes one all the same"]
+        no_wall = f", and no vertical plane has {tuning.least_share:.0%} of the points" if wants_walls else ""
+        return [], [f"no raster is made: {looks}{no_wall}; products.make = map makes one all the same"]
     why = [] if not auto else [f"made by what the survey is ({looks}): {', '.join(s.name for s in found)}"]
     made = [_trimmed(s, survey, settings, tuning) for s in found]
     shares = [f"{s.name}: {s.share:.0%} of the points" for s in made if np.isfinite(s.share)]

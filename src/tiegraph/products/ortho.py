@@ -1,5 +1,6 @@
 """True orthophotos: each pixel from the image that shows it best, exposures compensated, seams blended."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -9,11 +10,10 @@ from scipy.ndimage import distance_transform_edt
 
 from tiegraph.products.surface import Surface, View, Window, project
 from tiegraph.products.tuning import OrthoTuning
-from tiegraph.products.visibility import Buffer, Ground, Heights, meets, score
+from tiegraph.products.visibility import Buffer, Ground, Heights, meets, score, windows_met
 
-COARSE = 8
-"""Raster pixels along the edge of the blocks whose colours tell the exposures."""
-_TILE = 1024  # pixels along the edge of what is asked for at once
+_BLOCK, _FEW = 8, 500  # raster pixels along the edge of blocks whose colours tell exposures, of so many images ...
+_MOST = 10_000  # ... and images whose exposures are told at all: a matrix of them all is solved
 _FEEDS = 5  # times the exposures are compensated, each of what the one before has left: each is drawn to 1
 _LARGEST_GAIN = 2.0  # of an exposure, either way
 
@@ -48,34 +48,44 @@ class Images:
     gains: np.ndarray
 
 
+def block_px(images: int) -> int:
+    """Raster pixels along the edge of the blocks whose colours tell the exposures: larger for many images, whose blocks
+    are in memory together."""
+    return _BLOCK << max(0, math.ceil(math.log(max(images, 1) / _FEW, 4)))
+
+
 def patch(
-    view: View, buffer: Buffer, rgb: np.ndarray, surface: Surface, heights: Heights, tuning: OrthoTuning
+    view: View,
+    buffer: Buffer,
+    rgb: np.ndarray,
+    surface: Surface,
+    heights: Heights,
+    block: int,
+    tuning: OrthoTuning,
 ) -> Patch | None:
-    """What an image shows of the blocks of a surface; None if it sees none."""
-    tiles = [t for t in surface.windows(_TILE) if meets(view.camera, surface, t)]
-    first_row, first_column = min(t.row for t in tiles), min(t.column for t in tiles)
-    rows, columns = (
-        max(t.row + t.rows for t in tiles) - first_row,
-        max(t.column + t.columns for t in tiles) - first_column,
-    )
-    around = Window(first_row, first_column, rows=rows, columns=columns)
-    w = heights(around, COARSE)
-    ground = Ground.of(surface, around, w, np.full(w.shape, COARSE * surface.pixel_m), COARSE)
+    """What an image shows of the blocks of so many pixels of a surface; None if it sees none."""
+    tiles = windows_met(view.camera, surface)
+    row, column = min(t.row for t in tiles), min(t.column for t in tiles)
+    bottom, right = max(t.row + t.rows for t in tiles), max(t.column + t.columns for t in tiles)
+    around = Window(row, column, rows=bottom - row, columns=right - column)
+    w = heights(around, block)
+    ground = Ground.of(surface, around, w, np.full(w.shape, block * surface.pixel_m), block)
     seen = score(view, buffer, ground, surface, tuning) > 0
     if not seen.any():
         return None
-    top, left = (int(np.flatnonzero(seen.any(axis=k)).min()) for k in (1, 0))
-    bottom, right = (int(np.flatnonzero(seen.any(axis=k)).max()) + 1 for k in (1, 0))
-    part = slice(top, bottom), slice(left, right)
-    warped = warp(view, rgb, ground.xyz[part], COARSE * buffer.fine)
-    return Patch(row=first_row // COARSE + top, column=first_column // COARSE + left, rgb=warped, seen=seen[part])
+    rows, columns = (np.flatnonzero(seen.any(axis=k)) for k in (1, 0))
+    part = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+    warped = warp(view, rgb, ground.xyz[part], block * buffer.fine)
+    at = row // block + int(rows[0]), column // block + int(columns[0])
+    return Patch(row=at[0], column=at[1], rgb=warped, seen=seen[part])
 
 
 def gains(patches: Sequence[Patch | None]) -> np.ndarray:
-    """(N, 3) by what the red, green and blue of each image are multiplied so that images agree where they overlap."""
+    """(N, 3) by what the red, green and blue of each image are multiplied so that images agree where they overlap;
+    1 where there are more than 10 000."""
     out = np.ones((len(patches), 3))
     there = [(k, p) for k, p in enumerate(patches) if p is not None]
-    if len(there) < 2:
+    if not 2 <= len(there) <= _MOST:
         return out
     compensator = cv2.detail.ChannelsCompensator(_FEEDS)
     corners, colours = [(p.column, p.row) for _, p in there], [p.rgb for _, p in there]

@@ -149,8 +149,8 @@ def overview(path: Path, width: int) -> bytes:
         step = max(1.0, raster.width / width)
         shape = 4, max(1, int(raster.height / step)), max(1, int(raster.width / step))
         rgba = raster.read(out_shape=shape, resampling=Resampling.average).astype(float)
-    shown = 255 + (rgba[2::-1] - 255) * rgba[3] / 255
-    return cv2.imencode(".jpg", shown.transpose(1, 2, 0), [cv2.IMWRITE_JPEG_QUALITY, 85])[1].tobytes()
+    shown = np.rint(255 + (rgba[2::-1] - 255) * rgba[3] / 255).astype(np.uint8).transpose(1, 2, 0)
+    return cv2.imencode(".jpg", shown, [cv2.IMWRITE_JPEG_QUALITY, 85])[1].tobytes()
 
 
 def hillshade(w: np.ndarray, pixel_m: float) -> np.ndarray:

@@ -50,13 +50,18 @@ def meets(camera: Pinhole, surface: Surface, window: Window) -> bool:
     return not any(side.all() for side in outside)
 
 
+def windows_met(camera: Pinhole, surface: Surface) -> list[Window]:
+    """The tiles of a surface of which a camera may see something."""
+    return [t for t in surface.windows(_TILE) if meets(camera, surface, t)]
+
+
 def draw(
     view: View, surface: Surface, heights: Heights, mask: np.ndarray, own: DepthMap | None, tuning: OrthoTuning
 ) -> Buffer | None:
     """The buffer of an image whose pixels may be used by ``mask`` (H, W) bool; ``own``: its depth map, if it has one.
     None if it sees nothing of the surface."""
     camera = view.camera
-    tiles = [t for t in surface.windows(_TILE) if meets(camera, surface, t)]
+    tiles = windows_met(camera, surface)
     seen = [project(camera, _points(surface, t, heights(t, _LOOK), _LOOK))[2].ravel() for t in tiles]
     depths = np.concatenate([s[np.isfinite(s)] for s in seen]) if seen else np.zeros(0)
     if not len(depths):
