@@ -78,7 +78,7 @@ STAGES = (
            scratch=("products/.tiles",), tuned=("evaluate",)),
     _stage("evaluate", ("filter", "georef", "refine", "dense", "cloud"), ("metrics.json", "accuracy.csv", "evaluate"),
            version=10, scratch=("evaluate/.tiles",), tuned=("scene",), spares=("dense", "cloud")),
-    _stage("report", ("products", "evaluate"), ("report.html", "report.json"), version=13, alone=True),
+    _stage("report", ("products", "evaluate"), ("report.html", "report.json"), version=14, alone=True),
 )
 # fmt: on
 

@@ -11,9 +11,10 @@ from tiegraph.products.settings import ProductsSettings
 from tiegraph.products.surface import MAP, Surface, View, focal, project
 from tiegraph.products.tuning import ChooseTuning
 from tiegraph.scene.results import Cloud
+from tiegraph.scene.sorting import evenly
 
 _TRIED = 400  # planes that are tried for each wall
-_ASKED = 1000  # points that tell what the images resolve
+_ASKED = 10_000  # points of a surface that tell how far it reaches and what the images resolve
 _SERIES = (1, 1.5, 2, 2.5, 3, 4, 5, 6, 8, 10)  # of sizes of pixels
 _REFINED = 5  # times a plane is fitted to the points near it
 _FEWEST = 10  # points on a reference plane at least
@@ -70,8 +71,10 @@ def choose(survey: Survey, settings: ProductsSettings, tuning: ChooseTuning) -> 
 
 
 def _map(survey: Survey) -> Surface:
-    low, high = survey.sample.xyz_m.min(axis=0), survey.sample.xyz_m.max(axis=0)
-    return Surface(MAP, np.eye(4), low=low, high=high)
+    low, high = survey.sample.xyz_m[:, 2].min(), survey.sample.xyz_m[:, 2].max()
+    beyond = high - low  # a sample lacks the highest
+    out = np.array([np.inf, np.inf])
+    return Surface(MAP, np.eye(4), low=np.append(-out, low - beyond), high=np.append(out, high + beyond))
 
 
 def walls(survey: Survey, tuning: ChooseTuning) -> list[Surface]:
@@ -157,17 +160,19 @@ def _inside(surface: Surface, cloud: Cloud) -> np.ndarray:
 
 
 def _trimmed(surface: Surface, survey: Survey, settings: ProductsSettings, tuning: ChooseTuning) -> Surface:
-    """With the size of its pixels, and a box of whole pixels around nearly all of its points."""
-    own = survey.sample.where(_inside(surface, survey.sample))
-    uvw = transforms.apply(surface.surface_from_world, own.xyz_m)
-    pixel = settings.pixel_m or _rounded_up(max(_resolved(own, survey.views), survey.spacing / 2))
-    low, high = np.quantile(uvw, [tuning.trimmed, 1 - tuning.trimmed], axis=0)
+    """With the size of its pixels, and a box of whole pixels around nearly all of its points that images resolve."""
+    own = survey.sample.xyz_m[_inside(surface, survey.sample)]
+    own = own[evenly(len(own), _ASKED)]
+    sizes = _resolved(own, survey.views)
+    gsd = float(np.nanmedian(sizes)) if np.isfinite(sizes).any() else 0.0
+    pixel = settings.pixel_m or _rounded_up(max(gsd, survey.spacing / 2))
+    near = sizes <= tuning.coarsest * pixel
+    uv = transforms.apply(surface.surface_from_world, own[near] if near.any() else own)[:, :2]
+    low, high = np.quantile(uv, [tuning.trimmed, 1 - tuning.trimmed], axis=0)
     wide = 0.05 * (high - low)  # what was trimmed of an even cover, and more
-    low, high = np.maximum(low - wide, uvw.min(axis=0)), np.minimum(high + wide, uvw.max(axis=0))
-    ends = np.isfinite(surface.low[:2]), np.isfinite(surface.high[:2])
-    if surface.name != MAP:  # what was said of it holds
-        low = np.r_[np.where(ends[0], surface.low[:2], low[:2]), surface.low[2]]
-        high = np.r_[np.where(ends[1], surface.high[:2], high[:2]), surface.high[2]]
+    low, high = np.maximum(low - wide, uv.min(axis=0)), np.minimum(high + wide, uv.max(axis=0))
+    low = np.where(np.isfinite(surface.low), surface.low, np.append(low, 0.0))  # what was said of it holds
+    high = np.where(np.isfinite(surface.high), surface.high, np.append(high, 0.0))
     frame, offset = surface.surface_from_world.copy(), survey.shift
     if surface.name != MAP:  # u counts from the left end, v is the height
         offset = np.array([0.0, survey.shift[2], 0.0])
@@ -178,12 +183,12 @@ def _trimmed(surface: Surface, survey: Survey, settings: ProductsSettings, tunin
     return replace(surface, surface_from_world=frame, low=low, high=high, pixel_m=pixel, offset=offset)
 
 
-def _resolved(cloud: Cloud, views: Sequence[View]) -> float:
-    """Median over points of the size that a pixel of the nearest image has there; 0 where no image sees any."""
-    xyz = cloud.xyz_m[:: max(1, len(cloud) // _ASKED)]
-    sizes = np.array([project(v.camera, xyz)[2] / focal(v.camera) for v in views])
-    seen = np.isfinite(sizes).any(axis=0)
-    return float(np.median(np.nanmin(sizes[:, seen], axis=0))) if seen.any() else 0.0
+def _resolved(xyz: np.ndarray, views: Sequence[View]) -> np.ndarray:
+    """Size (M,) that a pixel of the image that is nearest has at points (M, 3); NaN where no image sees one."""
+    sizes = np.full(len(xyz), np.nan)
+    for view in views:
+        sizes = np.fmin(sizes, project(view.camera, xyz)[2] / focal(view.camera))
+    return sizes
 
 
 def _rounded_up(size: float) -> float:

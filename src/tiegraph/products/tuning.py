@@ -26,8 +26,10 @@ class ChooseTuning(Section):
     """Points this near to a plane, as the same share, speak for it."""
     upright_deg: float = Field(20.0, gt=0, le=90)
     """Normals of a wall's points deviate from that of its plane by at most this."""
+    coarsest: float = Field(3.0, ge=1)
+    """A raster reaches as far as images resolve the surface by so many of its pixels, ..."""
     trimmed: float = Field(0.005, ge=0, lt=0.5)
-    """Share of the points beyond each border of a raster at most: strays far away would make it endless."""
+    """... but for this share of the points at each border: strays far away would make it endless."""
 
 
 class HeightTuning(Section):
