@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, fields
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -24,7 +24,6 @@ from tiegraph.products.surface import Surface, View, Window
 from tiegraph.products.tuning import Tuning
 from tiegraph.products.visibility import Buffer, draw, windows_met
 from tiegraph.project.run import Run
-from tiegraph.project.settings import Settings
 from tiegraph.project.stages import Outcome, save_json, write_atomic
 from tiegraph.scene.cloudfile import shift_of
 from tiegraph.scene.colmapmodel import matrix
@@ -38,6 +37,7 @@ TILE = 1024
 """Pixels along the edge of what is made at once."""
 _OVERVIEW = 1400  # pixels across of a picture of an orthophoto, as the report shows it
 _MOST_SOURCES = np.iinfo(np.uint16).max
+_SHARP = 20_000  # longest side of an undistorted image: as large as they come
 _SAMPLE = 100_000  # points of the cloud that tell which surfaces there are
 
 
@@ -46,15 +46,16 @@ def products(run: Run) -> Outcome:
     plans, tuning = _plans(run), run.settings.tuning.products
     if len(plans) > _MOST_SOURCES:
         raise ReconstructionError(f"{len(plans)} images are more than source.tif can number: set products.make = none")
-    views = [View(p.name, pinhole(p, _sharp(run.settings))) for p in plans]
+    sharp = run.settings.dense.model_copy(update={"max_image_size": _SHARP})
+    views = [View(p.name, pinhole(p, sharp)) for p in plans]
     counted = run.receipts.read("cloud")["counts"]
     place = Place(world_origin(run.folder), world_unit(run.folder), accuracy_said(run, counted))
     with reading(run.path(CLOUD)):
         sample = copc_sample(run.path(CLOUD), place.origin, _SAMPLE)
     survey = Survey(sample, views, counted["voxel"], shift=shift_of(place.origin), unit=place.unit)
     surfaces, notes = choose(survey, run.settings.products, tuning.choose)
-    sharp = _sharp(run.settings)
-    work = [_Work(run.folder, s, place, plans=plans, sharp=sharp, tuning=tuning) for s in surfaces]
+    pictures = _Pictures(run.folder, plans, sharp)
+    work = [_Work(run.folder, s, place, pictures=pictures, views=views, tuning=tuning) for s in surfaces]
     steps = [step for each in work for step in each.steps()]
     run.reporter.total(sum(len(s.items) for s in steps), sum(len(s.items) - len(s.todo()) for s in steps))
     for step in steps:
@@ -67,11 +68,6 @@ def products(run: Run) -> Outcome:
         notes.append("the model has no scale: lengths are in its own units")
     pixels = sum(s.shape[0] * s.shape[1] for s in surfaces)
     return Outcome({"surfaces": len(surfaces), "pixels": pixels}, notes=tuple(notes))
-
-
-def _sharp(settings: Settings) -> DenseSettings:
-    """How images are undistorted for their colours: at their own resolution."""
-    return settings.dense.model_copy(update={"max_image_size": 20_000})
 
 
 def _plans(run: Run) -> list[ViewPlan]:
@@ -98,14 +94,28 @@ class _Step:
 
 
 @dataclass(frozen=True, eq=False)
+class _Pictures:
+    """Where the pixels of the images come from: at their own resolution, undistorted."""
+
+    folder: Path
+    plans: list[ViewPlan]
+    sharp: DenseSettings
+
+    def picture(self, k: int) -> tuple[np.ndarray, np.ndarray]:
+        """RGB (H, W, 3) u1 of an image, and which of its pixels may be used (H, W) bool."""
+        found = load_view(self.plans[k], self.folder / "images", self.folder / FINAL / "masks", self.sharp)
+        return cv2.cvtColor(found.image_bgr, cv2.COLOR_BGR2RGB), found.mask
+
+
+@dataclass(frozen=True, eq=False)
 class _Work:
     """The rasters of one surface below a run folder, and the images that give it colour."""
 
     folder: Path
     surface: Surface
     place: Place
-    plans: list[ViewPlan]
-    sharp: DenseSettings
+    pictures: _Pictures
+    views: list[View]
     tuning: Tuning
 
     def path(self, name: str) -> Path:
@@ -119,7 +129,7 @@ class _Work:
 
     def steps(self) -> list[_Step]:
         """All steps, in their order."""
-        windows, images = self.surface.windows(TILE), list(range(len(self.plans)))
+        windows, images = self.surface.windows(TILE), list(range(len(self.views)))
         first, last = self.path("hillshade.tif"), self.path("source.tif")
 
         def step(items: list[Any], kind: str, make: Any, finish: Any, result: Path) -> _Step:
@@ -155,27 +165,18 @@ class _Work:
 
     # --- what the images see ------------------------------------------------------------------------------------------
 
-    def view(self, k: int) -> View:
-        """An image without its pixels."""
-        return View(self.plans[k].name, pinhole(self.plans[k], self.sharp))
-
-    def picture(self, k: int) -> tuple[np.ndarray, np.ndarray]:
-        """RGB (H, W, 3) u1 of an image, and which of its pixels may be used (H, W) bool."""
-        found = load_view(self.plans[k], self.folder / "images", self.folder / FINAL / "masks", self.sharp)
-        return cv2.cvtColor(found.image_bgr, cv2.COLOR_BGR2RGB), found.mask
-
     def make_view(self, k: int) -> None:
         """What an image sees of the surface, and its colours there for the exposures; nothing if it sees nothing."""
-        view, tuning, kept = self.view(k), self.tuning.ortho, self.scratch("view", k)
+        view, tuning, kept = self.views[k], self.tuning.ortho, self.scratch("view", k)
         if not windows_met(view.camera, self.surface):
             return save_npz(kept)
         depth = depth_path(self.folder, view.name)
-        rgb, mask = self.picture(k)
+        rgb, mask = self.pictures.picture(k)
         own = read_depth(view.name, self.folder) if depth.exists() else None
         buffer = draw(view, self.surface, self.heights, mask, own, tuning)
         if buffer is None:
             return save_npz(kept)
-        block = block_px(len(self.plans))
+        block = block_px(len(self.views))
         found = patch(view, buffer, rgb, self.surface, self.heights, block=block, tuning=tuning)
         if found is None:
             return save_npz(kept)
@@ -183,7 +184,7 @@ class _Work:
 
     def finish_views(self) -> None:
         """The gains that make the exposures equal."""
-        patches = [self._kept(k, Patch, "") for k in range(len(self.plans))]
+        patches = [self._kept(k, Patch, "") for k in range(len(self.views))]
         save_npz(self.scratch("gains", 0), gains=gains(patches))
 
     def _kept(self, k: int, kind: type[T], prefix: str) -> T | None:
@@ -200,9 +201,9 @@ class _Work:
         with reading(self.path("sigma.tif")):
             sigma = read_window(self.path("sigma.tif"), around)
         images = Images(
-            views=[self.view(k) for k in range(len(self.plans))],
-            buffer=cache(lambda k: self._kept(k, Buffer, "buffer_")),
-            picture=lambda k: self.picture(k)[0],
+            views=self.views,
+            buffer=lambda k: self._kept(k, Buffer, "buffer_"),
+            picture=lambda k: self.pictures.picture(k)[0],
             gains=load_npz(self.scratch("gains", 0))["gains"],
         )
         heights = self.heights(around)
@@ -213,7 +214,7 @@ class _Work:
         """The orthophoto, and which image each pixel is of."""
         self._write("ortho", self._tiles("colours", "ortho"))
         write_atomic(self.path("overview.jpg"), overview(self.path("ortho.tif"), _OVERVIEW))
-        rows = [(k, plan.name) for k, plan in enumerate(self.plans, 1)]
+        rows = [(k, view.name) for k, view in enumerate(self.views, 1)]
         write_atomic(self.path("source.csv"), csv_text(("source", "image"), rows))
         self._write("source", self._tiles("colours", "source"))
 

@@ -15,7 +15,7 @@ from tiegraph.scene.results import DepthMap
 _NOTHING = np.float32(1e30)  # a depth
 _STEEPEST = 5.0  # tangent of the angle at which a surface is seen, for how far its depth may be off
 _SMOOTH_PX = 5  # raster pixels over which the slope of the surface is taken
-_COVER = 1.5  # raster pixels in one of the buffer, more than the square root of 2: none is left without any
+_COVER = 2.0  # raster pixels in one of the buffer, more than the square root of 2: none is left without any
 _AGREE_PX = 15  # raster pixels over which the share of those is taken whose depth the image confirms
 _LOOK = 16  # raster pixels between those that tell how near the surface is
 _TILE = 1024  # raster pixels along the edge of what is drawn at once
@@ -27,7 +27,7 @@ Heights = Callable[[Window, int], np.ndarray]
 @dataclass(frozen=True, eq=False)
 class Buffer:
     """What an image sees: depth (h, w) f4 of the surface where it is nearest; own (h, w) f4 the image's own depth and
-    own_sigma (h, w) f4, NaN = not known; border (h, w) f4 the distance to the image border or mask as a share of the
+    own_sigma (h, w) f2, NaN = not known; border (h, w) f2 the distance to the image border or mask as a share of the
     image's shorter side, 0 = masked; ``scale`` (2,) image pixels, across and down, of one of the buffer's, and how many
     image pixels a pixel of the raster has where it is nearest (``fine``)."""
 
@@ -86,8 +86,9 @@ def draw(
     usable = cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.999
     padded = np.pad(usable.astype(np.uint8), 1)
     away = cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
-    seen = {"depth": depth, "own": measured[0], "own_sigma": measured[1], "border": away / min(size)}
-    return Buffer(**seen, scale=scale, fine=fine)
+    near = {"own": measured[0], "own_sigma": measured[1].astype(np.float16)}
+    border = (away / min(size)).astype(np.float16)
+    return Buffer(depth=depth, **near, border=border, scale=scale, fine=fine)
 
 
 def _points(surface: Surface, window: Window, w: np.ndarray, step: int) -> np.ndarray:
