@@ -15,6 +15,7 @@ SOURCE = ROOT / "src" / "tiegraph"
 PAGES = {"DESIGN.md": "design.md", "CONTRIBUTING.md": "contributing.md"}
 CHAPTERS = ("project", "pipeline", "scan", "masks", "network", "design", "features", "filter", "sfm", "dense", "cloud")
 CHAPTERS += (
+    "products",
     "evaluate",
     "report",
     "calibrate",

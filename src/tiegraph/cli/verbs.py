@@ -99,6 +99,9 @@ VERBS: dict[str, Verb] = {
     "refine": Verb("stage: makes refine/masks, refine/classes", "run", "refine"),
     "dense": Verb("stage: makes depth", "run", "dense"),
     "cloud": Verb("stage: makes cloud.copc.laz, cloud.laz, cloud.ply, passes", "run", "cloud"),
+    "products": Verb(
+        "stage: makes products; surface models and true orthophotos of ground or walls", "run", "products"
+    ),
     "evaluate": Verb(
         "stage: makes metrics.json, accuracy.csv, evaluate; or a point cloud against a reference cloud", "evaluate"
     ),

@@ -1,6 +1,6 @@
 """Glue of cloud: the depth maps fused."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -33,7 +33,7 @@ def cloud(run: Run) -> Outcome:
     settings, tuning = run.settings.cloud, run.settings.tuning.cloud
     fused = fuse(sorted(plans), maps, scratch, settings, tuning, world_origin(run.folder), _mapper(run))
     sigmas = _sigmas(run, fused.clouds())
-    said = _said(run, sigmas)
+    said = accuracy_said(run, sigmas)
     notes = [*write_copc(fused.clouds, run.path("cloud.copc.laz"), fused.voxel, scratch, said)]
     same_file(run.path("cloud.copc.laz"), run.path("cloud.laz"))
     notes += write_ply(fused.clouds(), run.path("cloud.ply"), said)
@@ -61,8 +61,8 @@ def _sigmas(run: Run, parts: Iterable[Cloud]) -> dict[str, float]:
     return {f"{name}_m": round(float(value), 4) for name, value in known.items()}
 
 
-def _said(run: Run, sigmas: dict[str, float]) -> str:
-    """The accuracy that the cloud's files state: what is predicted, for nothing is measured when they are made."""
+def accuracy_said(run: Run, sigmas: Mapping[str, float]) -> str:
+    """The accuracy that the files of clouds and rasters state: what is predicted, for nothing is measured yet."""
     found = in_layers(stated(run, sigmas), ())
     heads = {name: found.head(layer).predicted for layer, name in LAYERS.items()}
     parts = [f"{name} {value:.3g} {found.unit}" for name, value in heads.items() if np.isfinite(value)]

@@ -195,7 +195,7 @@ class Receipts:
         write_atomic(self.list_path(stage), json.dumps(files, separators=(",", ":")))
 
 
-_PACKAGES = ("pycolmap", "pycolmap-cuda12", "numpy", "opencv-python-headless", "scipy", "laspy", "pyproj")
+_PACKAGES = ("pycolmap", "pycolmap-cuda12", "numpy", "opencv-python-headless", "scipy", "laspy", "pyproj", "rasterio")
 
 
 def software() -> dict[str, str]:

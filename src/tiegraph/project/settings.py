@@ -29,6 +29,8 @@ from tiegraph.masks.tuning import Tuning as MasksTuning
 from tiegraph.network.settings import CandidatesSettings, CoarseSettings, NetworkSettings
 from tiegraph.network.tuning import Tuning as NetworkTuning
 from tiegraph.odometry.tuning import Tuning as OdometryTuning
+from tiegraph.products.settings import ProductsSettings
+from tiegraph.products.tuning import Tuning as ProductsTuning
 from tiegraph.report.settings import ReportSettings
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import Tuning as ScanTuning
@@ -74,6 +76,7 @@ class Tunings(Section):
     sfm: SfmTuning = Field(default_factory=SfmTuning)
     dense: DenseTuning = Field(default_factory=DenseTuning)
     cloud: CloudTuning = Field(default_factory=CloudTuning)
+    products: ProductsTuning = Field(default_factory=ProductsTuning)
     evaluate: EvaluateTuning = Field(default_factory=EvaluateTuning)
     targets: TargetsTuning = Field(default_factory=TargetsTuning)
     odometry: OdometryTuning = Field(default_factory=OdometryTuning)
@@ -102,6 +105,7 @@ class Settings(Section):
     refine: RefineSettings = Field(default_factory=RefineSettings)
     dense: DenseSettings = Field(default_factory=DenseSettings)
     cloud: CloudSettings = Field(default_factory=CloudSettings)
+    products: ProductsSettings = Field(default_factory=ProductsSettings)
     evaluate: EvaluateSettings = Field(default_factory=EvaluateSettings)
     report: ReportSettings = Field(default_factory=ReportSettings)
     shots: ShotsSettings = Field(default_factory=ShotsSettings)

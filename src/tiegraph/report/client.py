@@ -18,6 +18,7 @@ _FILES = {
     "cloud.copc.laz": "point cloud for viewers (COPC), colours, sigma of each point",
     "cloud.laz": "point cloud as LAZ, colours, sigma of each point",
     "cloud.ply": "point cloud as PLY, with normals",
+    "products": "surface models and true orthophotos (GeoTIFF)",
     "sparse/world": "camera positions and sparse points (COLMAP)",
     "metrics.json": "accuracy, all figures",
     "accuracy.csv": "accuracy, as a table",
@@ -56,7 +57,7 @@ def deliverables(run: RunFolder) -> list[tuple[str, str, int]]:
     out = []
     for name, words in _FILES.items():
         path = run.path / name
-        files = [f for f in path.iterdir() if f.is_file()] if path.is_dir() else [path]
+        files = [f for f in path.rglob("*") if f.is_file()] if path.is_dir() else [path]
         if path.exists():
             out.append((name, t(words), sum(f.stat().st_size for f in files)))
     return out

@@ -303,4 +303,7 @@ def _space(run: RunFolder, seen: spatial.Scenery | None, settings: ReportSetting
     if seen is None:
         return out
     out |= {"overlap": spatial.overlap_map(seen), "ellipses": spatial.ellipse_map(run, seen)}
-    return out | {"views": spatial.views(run, seen), **spatial.viewer_part(run, seen, settings)}
+    return out | {
+        "views": [*spatial.views(run, seen), *spatial.product_views(run)],
+        **spatial.viewer_part(run, seen, settings),
+    }

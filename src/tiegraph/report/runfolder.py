@@ -32,7 +32,7 @@ _POINTS = 200_000  # of a sparse model that are drawn
 
 STAGES = (
     "scan", "masks", "preview", "candidates", "coarse", "network", "design", "features", "match", "filter", "sparse",
-    "georef", "refine", "dense", "cloud", "evaluate", "report",
+    "georef", "refine", "dense", "cloud", "products", "evaluate", "report",
 )  # fmt: skip
 
 

@@ -20,7 +20,7 @@ from tiegraph.report.runfolder import RunFolder, some_of
 from tiegraph.report.settings import ReportSettings
 from tiegraph.report.tables import receipt_tables, section_name
 from tiegraph.report.texts import t
-from tiegraph.report.thumbnails import jpeg, rgb_of, thumbnail
+from tiegraph.report.thumbnails import file_uri, jpeg, rgb_of, thumbnail
 from tiegraph.scene.sorting import evenly
 from tiegraph.text import round_below
 
@@ -129,6 +129,12 @@ def views(run: RunFolder, seen: Scenery) -> list[tuple[str, str]]:
         return []
     drawn = standard_views(seen.xyz, seen.rgb, seen.path, VIEW_PX, seen.north)
     return [(t(v.name), jpeg(with_scale_bar(v, seen.unit))) for v in drawn]
+
+
+def product_views(run: RunFolder) -> list[tuple[str, str]]:
+    """(name, data URI) of the orthophoto of each surface."""
+    found = [(p.parent.name, file_uri(p)) for p in sorted((run.path / "products").glob("*/overview.jpg"))]
+    return [(t("True orthophoto: {}", name), uri) for name, uri in found if uri is not None]
 
 
 def viewer_part(run: RunFolder, seen: Scenery, settings: ReportSettings) -> dict[str, Any]:

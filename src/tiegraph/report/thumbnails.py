@@ -46,13 +46,14 @@ def rgb_of(colour: str) -> list[int]:
 
 
 def file_uri(path: Path) -> Markup | None:
-    """A picture file as a data URI, scaled down to a width of 1400; None if it cannot be read."""
+    """A picture file (PNG or JPEG) as a data URI, scaled down to a width of 1400; None if it cannot be read."""
     data = path.read_bytes() if path.exists() else b""
     image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR) if data else None
     if image is None:
         return None
-    if image.shape[1] <= _WIDTH_PX and path.suffix.lower() == ".png":
-        return _data_uri(data, "png")
+    kind = {".png": "png", ".jpg": "jpeg"}.get(path.suffix.lower())
+    if image.shape[1] <= _WIDTH_PX and kind:
+        return _data_uri(data, kind)
     return png(_shrunk(image, _WIDTH_PX)[..., ::-1])
 
 

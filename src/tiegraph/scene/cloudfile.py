@@ -197,15 +197,20 @@ def refuse_cut_las(path: Path) -> None:
 def _read_las(path: Path, origin: Origin | None) -> Cloud:
     refuse_cut_las(path)
     las = laspy.read(path)
-    xyz = np.stack([np.asarray(las.x), np.asarray(las.y), np.asarray(las.z)], axis=1).astype(float)
-    names = set(las.point_format.dimension_names)
+    return las_cloud(las.points, las.header, origin)
+
+
+def las_cloud(points: laspy.ScaleAwarePointRecord, header: laspy.LasHeader, origin: Origin | None) -> Cloud:
+    """The cloud of point records; see ``read_cloud``."""
+    xyz = np.stack([np.asarray(points.x), np.asarray(points.y), np.asarray(points.z)], axis=1).astype(float)
+    names = set(points.point_format.dimension_names)
     rgb = np.full((len(xyz), 3), 128, np.uint8)
     if {"red", "green", "blue"} <= names:
-        wide = np.stack([np.asarray(las[c]) for c in ("red", "green", "blue")], axis=1)
+        wide = np.stack([np.asarray(points[c]) for c in ("red", "green", "blue")], axis=1)
         rgb = (wide >> 8 if wide.size and wide.max() > 255 else wide).astype(np.uint8)
-    columns: dict[str, Any] = {name: np.asarray(las[name]) for name, _ in _EXTRA if name in names}
+    columns: dict[str, Any] = {name: np.asarray(points[name]) for name, _ in _EXTRA if name in names}
     if origin is None:
-        origin = _origin_of(las.header, xyz)
+        origin = _origin_of(header, xyz)
     return _cloud(xyz, rgb, columns, origin)
 
 

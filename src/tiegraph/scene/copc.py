@@ -10,8 +10,9 @@ import laspy
 import lazrs
 import numpy as np
 
+from tiegraph.geometry.geodesy import Origin
 from tiegraph.scene.atomic import replacing
-from tiegraph.scene.cloudfile import las_header, las_points, shift_of, undate
+from tiegraph.scene.cloudfile import las_cloud, las_header, las_points, shift_of, undate
 from tiegraph.scene.results import Cloud
 from tiegraph.scene.sorting import order_of, row_numbers, run_starts
 
@@ -181,3 +182,23 @@ def _entries(out: BinaryIO, laz: lazrs.LazVlr, keys: list[np.ndarray], first: in
     entries["key"], entries["points"], entries["bytes"] = np.stack(keys), table[:, 0], table[:, 1]
     entries["offset"] = first + 8 + np.r_[0, np.cumsum(table[:-1, 1])]  # 8: where the chunk table is
     return entries
+
+
+def copc_box(path: Path, origin: Origin | None, low: np.ndarray, high: np.ndarray) -> Cloud:
+    """The points of a COPC file in the box between two corners (3,) of the world about ``origin``; only the nodes that
+    touch it are read."""
+    shift = shift_of(origin)
+    with laspy.CopcReader.open(path) as reader:
+        first, last = (np.asarray(v) for v in (reader.header.mins, reader.header.maxs))
+        corners = np.clip(low + shift, first, last), np.clip(high + shift, first, last)  # far ones overflow their type
+        points = reader.query(bounds=laspy.copc.Bounds(mins=corners[0], maxs=corners[1]))
+        cloud = las_cloud(points, reader.header, origin)
+    return cloud.where(np.all((cloud.xyz_m >= low) & (cloud.xyz_m <= high), axis=1))
+
+
+def copc_sample(path: Path, origin: Origin | None, most: int) -> Cloud:
+    """At most about ``most`` of the points of a COPC file, each with the same chance; all are read, part by part."""
+    with laspy.open(path) as reader:
+        step = max(1, reader.header.point_count // most)
+        parts = [p[:: min(step, len(p))] for p in reader.chunk_iterator(1_000_000)]
+        return Cloud.concatenate([las_cloud(p, reader.header, origin) for p in parts]) if parts else Cloud.empty(origin)

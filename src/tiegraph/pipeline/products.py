@@ -1,0 +1,229 @@
+"""Glue of products: rasters of the finished cloud and the images over reference surfaces."""
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, fields
+from functools import partial
+from pathlib import Path
+from typing import Any, TypeVar
+
+import cv2
+import numpy as np
+
+from tiegraph.dense.plan import CameraModel, ViewPlan
+from tiegraph.dense.settings import DenseSettings
+from tiegraph.dense.undistort import load_view, pinhole
+from tiegraph.errors import ReconstructionError
+from tiegraph.pipeline.cloud import accuracy_said
+from tiegraph.pipeline.dense import depth_path, read_depth
+from tiegraph.pipeline.files import FINAL, load_model, load_npz, reading, save_npz, world_origin, world_unit
+from tiegraph.products.choose import Survey, choose
+from tiegraph.products.heights import height_tile, margin
+from tiegraph.products.ortho import Images, Patch, block_px, gains, ortho_margin, ortho_tile, patch
+from tiegraph.products.raster import Place, hillshade, overview, read_window, write_raster
+from tiegraph.products.surface import Surface, View, Window
+from tiegraph.products.tuning import Tuning
+from tiegraph.products.visibility import Buffer, draw, windows_met
+from tiegraph.project.run import Run
+from tiegraph.project.stages import Outcome, save_json, write_atomic
+from tiegraph.scene.cloudfile import shift_of
+from tiegraph.scene.colmapmodel import matrix
+from tiegraph.scene.copc import copc_box, copc_sample
+from tiegraph.text import csv_text
+
+T = TypeVar("T")
+
+FOLDER, CLOUD = "products", "cloud.copc.laz"
+TILE = 1024
+"""Pixels along the edge of what is made at once."""
+_OVERVIEW = 1400  # pixels across of a picture of an orthophoto, as the report shows it
+_MOST_SOURCES = np.iinfo(np.uint16).max
+_SHARP = 20_000  # longest side of an undistorted image: as large as they come
+_SAMPLE = 100_000  # points of the cloud that tell which surfaces there are
+
+
+def products(run: Run) -> Outcome:
+    """The rasters of each reference surface, tile by tile; finished tiles and rasters stay after an interruption."""
+    plans, tuning = _plans(run), run.settings.tuning.products
+    if len(plans) > _MOST_SOURCES:
+        raise ReconstructionError(f"{len(plans)} images are more than source.tif can number: set products.make = none")
+    sharp = run.settings.dense.model_copy(update={"max_image_size": _SHARP})
+    views = [View(p.name, pinhole(p, sharp)) for p in plans]
+    counted = run.receipts.read("cloud")["counts"]
+    place = Place(world_origin(run.folder), world_unit(run.folder), accuracy_said(run, counted))
+    with reading(run.path(CLOUD)):
+        sample = copc_sample(run.path(CLOUD), place.origin, _SAMPLE)
+    survey = Survey(sample, views, counted["voxel"], shift=shift_of(place.origin), unit=place.unit)
+    surfaces, notes = choose(survey, run.settings.products, tuning.choose)
+    pictures = _Pictures(run.folder, plans, sharp)
+    work = [_Work(run.folder, s, place, pictures=pictures, views=views, tuning=tuning) for s in surfaces]
+    steps = [step for each in work for step in each.steps()]
+    run.reporter.total(sum(len(s.items) for s in steps), sum(len(s.items) - len(s.todo()) for s in steps))
+    for step in steps:
+        run.map(step.make, step.todo())
+        if not step.result.exists():
+            step.finish()
+    for each in work:
+        save_json(each.path("frame.json"), place.described(each.surface))
+    if surfaces and place.unit != "m":
+        notes.append("the model has no scale: lengths are in its own units")
+    pixels = sum(s.shape[0] * s.shape[1] for s in surfaces)
+    return Outcome({"surfaces": len(surfaces), "pixels": pixels}, notes=tuple(notes))
+
+
+def _plans(run: Run) -> list[ViewPlan]:
+    """The images of the model in the world, by name."""
+    images = load_model(run.path("sparse", "world")).images.values()
+    there = sorted((i for i in images if i.has_pose), key=lambda i: i.name)
+    return [ViewPlan(i.name, CameraModel.of(i.camera), matrix(i.cam_from_world())) for i in there]
+
+
+@dataclass(frozen=True, eq=False)
+class _Step:
+    """One of the steps in which the rasters of a surface are made: its items, where each leaves what it made, what
+    makes one, and what is made of all of them, of which the last file is ``result``."""
+
+    items: list[Any]
+    artefact: Callable[[Any], Path]
+    make: Callable[[Any], None]
+    finish: Callable[[], None]
+    result: Path
+
+    def todo(self) -> list[Any]:
+        """The items that are missing."""
+        return [] if self.result.exists() else [i for i in self.items if not self.artefact(i).exists()]
+
+
+@dataclass(frozen=True, eq=False)
+class _Pictures:
+    """Where the pixels of the images come from: at their own resolution, undistorted."""
+
+    folder: Path
+    plans: list[ViewPlan]
+    sharp: DenseSettings
+
+    def picture(self, k: int) -> tuple[np.ndarray, np.ndarray]:
+        """RGB (H, W, 3) u1 of an image, and which of its pixels may be used (H, W) bool."""
+        found = load_view(self.plans[k], self.folder / "images", self.folder / FINAL / "masks", self.sharp)
+        return cv2.cvtColor(found.image_bgr, cv2.COLOR_BGR2RGB), found.mask
+
+
+@dataclass(frozen=True, eq=False)
+class _Work:
+    """The rasters of one surface below a run folder, and the images that give it colour."""
+
+    folder: Path
+    surface: Surface
+    place: Place
+    pictures: _Pictures
+    views: list[View]
+    tuning: Tuning
+
+    def path(self, name: str) -> Path:
+        """Where a file of the surface is."""
+        return self.folder / FOLDER / self.surface.name / name
+
+    def scratch(self, kind: str, item: Window | int) -> Path:
+        """Where a finished item is until all are."""
+        name = f"{item.row}_{item.column}" if isinstance(item, Window) else f"{item}"
+        return self.folder / FOLDER / ".tiles" / self.surface.name / f"{kind}_{name}.npz"
+
+    def steps(self) -> list[_Step]:
+        """All steps, in their order."""
+        windows, images = self.surface.windows(TILE), list(range(len(self.views)))
+        first, last = self.path("hillshade.tif"), self.path("source.tif")
+
+        def step(items: list[Any], kind: str, make: Any, finish: Any, result: Path) -> _Step:
+            return _Step(items=items, artefact=partial(self.scratch, kind), make=make, finish=finish, result=result)
+
+        return [
+            step(windows, "heights", self.make_heights, self.finish_heights, first),
+            step(images, "view", self.make_view, self.finish_views, last),
+            step(windows, "colours", self.make_colours, self.finish_colours, last),
+        ]
+
+    # --- heights ------------------------------------------------------------------------------------------------------
+
+    def make_heights(self, window: Window) -> None:
+        """Heights and sigmas of a tile."""
+        around = self.surface.box(window.grown(margin(self.tuning.heights)))
+        with reading(self.folder / CLOUD):
+            points = copc_box(self.folder / CLOUD, self.place.origin, *around)
+        w, sigma = height_tile(points, self.surface, window, self.tuning.heights)
+        save_npz(self.scratch("heights", window), dsm=w + np.float32(self.surface.offset[2]), sigma=sigma)
+
+    def finish_heights(self) -> None:
+        """The rasters of heights, of their sigmas and of shades."""
+        self._write("dsm", self._tiles("heights", "dsm"))
+        self._write("sigma", self._tiles("heights", "sigma"))
+        shades = ((w, self.heights(w.grown(1))) for w in self.surface.windows(TILE))
+        self._write("hillshade", ((w, hillshade(h, self.surface.pixel_m)) for w, h in shades))
+
+    def heights(self, window: Window, step: int = 1) -> np.ndarray:
+        """w of a window or its blocks, as written."""
+        with reading(self.path("dsm.tif")):
+            return read_window(self.path("dsm.tif"), window, step) - np.float32(self.surface.offset[2])
+
+    # --- what the images see ------------------------------------------------------------------------------------------
+
+    def make_view(self, k: int) -> None:
+        """What an image sees of the surface, and its colours there for the exposures; nothing if it sees nothing."""
+        view, tuning, kept = self.views[k], self.tuning.ortho, self.scratch("view", k)
+        if not windows_met(view.camera, self.surface):
+            return save_npz(kept)
+        depth = depth_path(self.folder, view.name)
+        rgb, mask = self.pictures.picture(k)
+        own = read_depth(view.name, self.folder) if depth.exists() else None
+        buffer = draw(view, self.surface, self.heights, mask, own, tuning)
+        if buffer is None:
+            return save_npz(kept)
+        block = block_px(len(self.views))
+        found = patch(view, buffer, rgb, self.surface, self.heights, block=block, tuning=tuning)
+        if found is None:
+            return save_npz(kept)
+        save_npz(kept, **{f"buffer_{n}": v for n, v in vars(buffer).items()}, **vars(found))
+
+    def finish_views(self) -> None:
+        """The gains that make the exposures equal."""
+        patches = [self._kept(k, Patch, "") for k in range(len(self.views))]
+        save_npz(self.scratch("gains", 0), gains=gains(patches))
+
+    def _kept(self, k: int, kind: type[T], prefix: str) -> T | None:
+        """What was kept of an image; None if it sees nothing."""
+        found = load_npz(self.scratch("view", k))
+        names = [f.name for f in fields(kind)]  # type: ignore[arg-type]
+        return kind(**{n: found[f"{prefix}{n}"][()] for n in names}) if found else None
+
+    # --- colours ------------------------------------------------------------------------------------------------------
+
+    def make_colours(self, window: Window) -> None:
+        """Colours and sources of a tile."""
+        around = window.grown(ortho_margin(self.tuning.ortho))
+        with reading(self.path("sigma.tif")):
+            sigma = read_window(self.path("sigma.tif"), around)
+        images = Images(
+            views=self.views,
+            buffer=lambda k: self._kept(k, Buffer, "buffer_"),
+            picture=lambda k: self.pictures.picture(k)[0],
+            gains=load_npz(self.scratch("gains", 0))["gains"],
+        )
+        heights = self.heights(around)
+        rgba, source = ortho_tile(self.surface, window, heights, sigma, images, self.tuning.ortho)
+        save_npz(self.scratch("colours", window), ortho=rgba, source=source)
+
+    def finish_colours(self) -> None:
+        """The orthophoto, and which image each pixel is of."""
+        self._write("ortho", self._tiles("colours", "ortho"))
+        write_atomic(self.path("overview.jpg"), overview(self.path("ortho.tif"), _OVERVIEW))
+        rows = [(k, view.name) for k, view in enumerate(self.views, 1)]
+        write_atomic(self.path("source.csv"), csv_text(("source", "image"), rows))
+        self._write("source", self._tiles("colours", "source"))
+
+    def _tiles(self, kind: str, name: str) -> Iterator[tuple[Window, np.ndarray]]:
+        for window in self.surface.windows(TILE):
+            yield window, load_npz(self.scratch(kind, window))[name]
+
+    def _write(self, name: str, parts: Iterable[tuple[Window, np.ndarray]]) -> None:
+        """A raster, unless it is there."""
+        path = self.path(f"{name}.tif")
+        if not path.exists():
+            write_raster(path, parts, self.surface, self.place, self.folder / FOLDER / ".tiles")

@@ -1,0 +1,110 @@
+"""From the points over a window of a reference surface to heights and their standard deviations."""
+
+import cv2
+import numpy as np
+
+from tiegraph.geometry import transforms
+from tiegraph.products.surface import Surface, Window
+from tiegraph.products.tuning import HeightTuning
+from tiegraph.scene.results import Cloud
+from tiegraph.scene.sorting import run_starts
+
+_LEAST_SUPPORT = 1.0  # sum of the weights of the cells around a pixel of a hole, ...
+_LEAST_SPREAD = 1e-2  # ... which lie not in a line: squared deviations along their axes, multiplied, in pixels^4
+
+
+def margin(tuning: HeightTuning) -> int:
+    """Pixels around a window whose points decide about its heights."""
+    return 6 * tuning.hole_px
+
+
+def height_tile(points: Cloud, surface: Surface, window: Window, tuning: HeightTuning) -> tuple[np.ndarray, np.ndarray]:
+    """w and its sigma (rows, columns) f4 of a window, NaN = not known, of the points over it and its margin."""
+    wide = margin(tuning)
+    w, sigma = cells(points, surface, window.grown(wide), tuning)
+    w, sigma = filled(_without_strays(w, tuning), sigma, tuning)
+    inner = slice(wide, wide + window.rows), slice(wide, wide + window.columns)
+    return w[inner].astype(np.float32), sigma[inner].astype(np.float32)
+
+
+def cells(points: Cloud, surface: Surface, window: Window, tuning: HeightTuning) -> tuple[np.ndarray, np.ndarray]:
+    """w and its sigma (rows, columns) f8 of the cells of a window in which there are points.
+
+    The top of a cell is its highest point that another one supports from just below, which a stray has not; the height
+    is the mean by 1 / sigma^2 of the points that lie there. Its sigma is that of the mean of as many as do not share
+    their errors, times what they scatter more than their sigmas let expect.
+    """
+    uvw = transforms.apply(surface.surface_from_world, points.xyz_m)
+    column = np.floor((uvw[:, 0] - surface.low[0]) / surface.pixel_m).astype(int) - window.column
+    row = np.floor((surface.high[1] - uvw[:, 1]) / surface.pixel_m).astype(int) - window.row
+    use = (row >= 0) & (column >= 0) & (row < window.rows) & (column < window.columns)
+    use &= (uvw[:, 2] >= surface.low[2]) & (uvw[:, 2] <= surface.high[2])
+    use &= ~(points.normal @ surface.surface_from_world[2, :3] < -tuning.backward)
+    w, cell = uvw[use, 2], (row * window.columns + column)[use]
+    known = np.nan_to_num(points.sigma_m[use].astype(float), nan=surface.pixel_m)
+    order = np.lexsort((points.xyz_m[use, 1], points.xyz_m[use, 0], -w, cell))
+    w, cell, sigma = w[order], cell[order], np.maximum(known[order], 1e-3 * surface.pixel_m)
+    out = np.full((2, window.rows, window.columns), np.nan)
+    if not len(w):
+        return out[0], out[1]
+    start = run_starts(cell)
+    of = np.repeat(np.arange(len(start)), np.diff(start, append=len(cell)))
+    below = np.r_[1 : len(w), len(w) - 1]  # the next lower point, where it is of the same cell
+    held = (cell[below] == cell) & (below > np.arange(len(w)))
+    held &= w - w[below] <= tuning.layer_sigmas * np.hypot(sigma, sigma[below]) + surface.pixel_m
+    at = np.flatnonzero(held)
+    top = np.r_[at, len(w)][np.searchsorted(at, start)]
+    top = np.where(top < np.append(start[1:], len(w)), top, start)
+    near = tuning.layer_sigmas * np.hypot(sigma, sigma[top][of]) + surface.pixel_m
+    weight = np.where(np.abs(w - w[top][of]) <= near, sigma**-2.0, 0.0)
+    count, total = np.add.reduceat((weight > 0).astype(float), start), np.add.reduceat(weight, start)
+    mean = np.add.reduceat(weight * w, start) / total
+    scatter = np.add.reduceat(weight * (w - mean[of]) ** 2, start) / np.maximum(count - 1, 1)
+    alike = np.minimum(count, tuning.shared)
+    out.reshape(2, -1)[:, cell[start]] = mean, np.sqrt(np.maximum(scatter, 1) * alike / total)
+    return out[0], out[1]
+
+
+def _without_strays(w: np.ndarray, tuning: HeightTuning) -> np.ndarray:
+    """Without cells that have hardly a neighbour."""
+    known = np.isfinite(w)
+    size = 2 * tuning.hole_px + 1
+    around = cv2.boxFilter(known.astype(np.float32), -1, (size, size), normalize=False, borderType=cv2.BORDER_CONSTANT)
+    return np.where(around < tuning.lone + 0.5, np.nan, w)
+
+
+def filled(w: np.ndarray, sigma: np.ndarray, tuning: HeightTuning) -> tuple[np.ndarray, np.ndarray]:
+    """With small holes filled by the plane of the cells around each of their pixels, by a Gaussian of their distance.
+
+    The variance is the mean one of the cells or, where they scatter more about the plane, for the surface is rough or
+    steps, that. It is not less for their number: neighbours share their errors.
+    """
+    known = np.isfinite(w)
+    size = 2 * tuning.hole_px + 1
+    closed = cv2.morphologyEx(
+        known.astype(np.uint8), cv2.MORPH_CLOSE, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
+    )
+    wanted = (closed > 0) & ~known
+    if not wanted.any():
+        return w, np.where(known, sigma, np.nan)
+    zero = np.median(w[known])
+    there, height = known.astype(float), np.where(known, w - zero, 0.0)
+    at = np.arange(-2 * tuning.hole_px, 2 * tuning.hole_px + 1.0)
+    bell = np.exp(-0.5 * (at / (tuning.hole_px / 2)) ** 2)
+
+    def moment(values: np.ndarray, x: int, y: int) -> np.ndarray:
+        return cv2.sepFilter2D(values, cv2.CV_64F, bell * at**x, bell * at**y, borderType=cv2.BORDER_CONSTANT)[wanted]
+
+    powers = ((0, 0), (1, 0), (0, 1))
+    normal = np.stack([np.stack([moment(there, a + c, b + d) for c, d in powers], -1) for a, b in powers], -2)
+    right = np.stack([moment(height, a, b) for a, b in powers], -1)
+    enough = (normal[:, 0, 0] > _LEAST_SUPPORT) & (np.linalg.det(normal) > _LEAST_SPREAD * normal[:, 0, 0] ** 3)
+    normal[~enough] = np.eye(3)
+    support, inverse = normal[:, 0, 0], np.linalg.inv(normal)
+    plane = np.einsum("nij,nj->ni", inverse, right)
+    scatter = np.maximum(moment(height**2, 0, 0) - np.einsum("ni,ni->n", plane, right), 0) / support
+    own = moment(np.where(known, sigma**2, 0.0), 0, 0) / support
+    w, sigma = w.copy(), np.where(known, sigma, np.nan)
+    w[wanted] = np.where(enough, plane[:, 0] + zero, np.nan)
+    sigma[wanted] = np.where(enough, np.sqrt(np.maximum(scatter, own)), np.nan)
+    return w, sigma

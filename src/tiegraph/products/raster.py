@@ -1,0 +1,161 @@
+"""Cloud Optimized GeoTIFFs of the rasters over a reference surface, written window by window."""
+
+import json
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import rasterio
+import rasterio.shutil
+from rasterio.enums import ColorInterp, Resampling
+from rasterio.windows import Window as Part
+
+from tiegraph.geometry import transforms
+from tiegraph.geometry.geodesy import ENU, Origin, parse_crs
+from tiegraph.limits import need_room
+from tiegraph.products.surface import MAP, NODATA, Surface, Window
+from tiegraph.scene.atomic import remove, replacing
+
+_BLOCK = 512  # pixels along the edge of a block of the file
+_OVER_RAW = 1.5  # a file with its overviews takes so many times the bytes of its pixels at most
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A raster: type of its numbers, its bands and what each means, the value that stands for none, how overviews are
+    made of it, and whether it is in units of the world."""
+
+    dtype: str
+    bands: tuple[str, ...]
+    nodata: float | None = None
+    overviews: str = "average"
+    lengths: bool = False
+
+
+KINDS = {
+    "dsm": Kind("float32", ("w: height over the reference surface",), NODATA, lengths=True),
+    "sigma": Kind("float32", ("standard deviation of w",), NODATA, lengths=True),
+    "ortho": Kind("uint8", ("red", "green", "blue", "alpha")),
+    "source": Kind("uint16", ("image that gave the colour, a row of source.csv",), 0, overviews="nearest"),
+    "hillshade": Kind("uint8", ("shaded w, light from the upper left",), 0),
+}
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where the world of the rasters is: its origin on the Earth, if any, the unit of its lengths ("m" or "units"), and
+    what is ``said`` of the accuracy."""
+
+    origin: Origin | None
+    unit: str = "m"
+    said: str = ""
+
+    def crs(self, surface: Surface) -> rasterio.crs.CRS:
+        """Of a map that of the world, if it has one; else a local one. Raises InputError for one without metres."""
+        if surface.name == MAP and self.origin is not None and self.origin.crs != ENU:
+            return rasterio.crs.CRS.from_wkt(parse_crs(self.origin.crs).to_wkt())
+        axes = "east and north" if surface.name == MAP else "along the wall and up"
+        unit = "" if self.unit == "m" else " in units of the model"  # GeoTIFF knows no unit without a length
+        name = f"tiegraph {surface.name}: {axes}{unit}"
+        return rasterio.crs.CRS.from_wkt(f'LOCAL_CS["{name}",UNIT["metre",1],AXIS["u",EAST],AXIS["v",NORTH]]')
+
+    def frame(self, surface: Surface) -> np.ndarray:
+        """(4, 4) from coordinates of the CRS (of the world, where it has none) to (u, v, w) of the files."""
+        shift = np.zeros(3) if self.origin is None else np.asarray(self.origin.shift_m)
+        to_world = transforms.rigid(np.eye(3), -shift)
+        return transforms.rigid(np.eye(3), surface.offset) @ surface.surface_from_world @ to_world
+
+    def described(self, surface: Surface) -> dict:
+        """What ``frame.json`` says, JSON-ready."""
+        axes = ("east", "north", "up") if surface.name == MAP else ("along the wall", "up", "out of the wall")
+        return {
+            "surface": surface.name,
+            "axes": dict(zip("uvw", axes)),
+            "crs": None if self.origin is None else self.origin.crs,
+            "unit": self.unit,
+            "surface_from_crs": self.frame(surface).tolist(),
+            "pixel": surface.pixel_m,
+            "size": list(surface.shape[::-1]),
+            "upper_left_uv": [surface.low[0] + surface.offset[0], surface.high[1] + surface.offset[1]],
+        }
+
+
+def write_raster(
+    path: Path, parts: Iterable[tuple[Window, np.ndarray]], surface: Surface, place: Place, scratch: Path
+) -> None:
+    """Write the raster whose kind is the name of ``path``, of windows and their values (bands, rows, columns); one band
+    may be without its axis.
+
+    Lengths that are NaN become nodata. ``scratch``: a folder for its pixels as they are until it is done. Raises
+    InputError for a full disk, before GDAL meets it: what GDAL cannot write it only logs.
+    """
+    kind, raw = KINDS[path.stem], scratch / f"{path.stem}.tif"
+    rows, columns = surface.shape
+    path.parent.mkdir(parents=True, exist_ok=True)
+    scratch.mkdir(parents=True, exist_ok=True)
+    need_room(raw, int(_OVER_RAW * rows * columns * np.dtype(kind.dtype).itemsize * len(kind.bands)))
+    left, top = (surface.low + surface.offset)[0], (surface.high + surface.offset)[1]
+    profile = {
+        "driver": "GTiff", "height": rows, "width": columns, "count": len(kind.bands), "dtype": kind.dtype,
+        "crs": place.crs(surface), "transform": rasterio.Affine(surface.pixel_m, 0, left, 0, -surface.pixel_m, top),
+        "nodata": kind.nodata, "tiled": True, "blockxsize": _BLOCK, "blockysize": _BLOCK, "bigtiff": "IF_SAFER",
+    }  # fmt: skip
+    with replacing(raw) as temporary, rasterio.open(temporary, "w", **profile) as out:
+        _describe(out, kind, surface, place)
+        for window, values in parts:
+            known = np.where(np.isfinite(values), values, NODATA) if kind.lengths else values
+            known = known.reshape(len(kind.bands), window.rows, window.columns)
+            part = Part(window.column, window.row, window.columns, window.rows)  # type: ignore[call-arg]
+            out.write(known.astype(kind.dtype), window=part)
+    need_room(path, int(_OVER_RAW * raw.stat().st_size))
+    packed = {"compress": "DEFLATE", "predictor": "YES", "blocksize": _BLOCK, "bigtiff": "IF_SAFER"}
+    made = {"overview_resampling": kind.overviews, "statistics": "YES", "num_threads": "1"}
+    with replacing(path) as temporary:
+        rasterio.shutil.copy(raw, temporary, driver="COG", **packed, **made)
+    remove(raw)
+
+
+def _describe(out: rasterio.io.DatasetWriter, kind: Kind, surface: Surface, place: Place) -> None:
+    out.descriptions = kind.bands
+    if kind.lengths:
+        out.units = (place.unit,)
+    if "alpha" in kind.bands:
+        out.colorinterp = [ColorInterp[name] for name in kind.bands]
+    told = {"software": "tiegraph", "surface": surface.name, "accuracy": place.said, "unit": place.unit}
+    out.update_tags(**told, surface_from_crs=json.dumps(place.frame(surface).tolist()))
+
+
+def read_window(path: Path, window: Window, step: int = 1) -> np.ndarray:
+    """Lengths (rows, columns) f4 of a raster in a window, or of its overview for blocks of ``step`` pixels; NaN where
+    they are not known, and beyond the raster."""
+    with rasterio.open(path) as raster:
+        top, left = max(window.row, 0), max(window.column, 0)
+        rows = max(min(window.row + window.rows, raster.height) - top, 0)
+        columns = max(min(window.column + window.columns, raster.width) - left, 0)
+        out = np.full((-(-window.rows // step), -(-window.columns // step)), np.nan, np.float32)
+        if rows and columns:
+            shape = -(-rows // step), -(-columns // step)
+            found = raster.read(1, window=Part(left, top, columns, rows), out_shape=shape)  # type: ignore[call-arg]
+            at = (top - window.row) // step, (left - window.column) // step
+            out[at[0] : at[0] + shape[0], at[1] : at[1] + shape[1]] = np.where(found == NODATA, np.nan, found)
+        return out
+
+
+def overview(path: Path, width: int) -> bytes:
+    """A JPEG file of an RGBA raster on white, at most so many pixels wide."""
+    with rasterio.open(path) as raster:
+        step = max(1.0, raster.width / width)
+        shape = 4, max(1, int(raster.height / step)), max(1, int(raster.width / step))
+        rgba = raster.read(out_shape=shape, resampling=Resampling.average).astype(float)
+    shown = np.rint(255 + (rgba[2::-1] - 255) * rgba[3] / 255).astype(np.uint8).transpose(1, 2, 0)
+    return cv2.imencode(".jpg", shown, [cv2.IMWRITE_JPEG_QUALITY, 85])[1].tobytes()
+
+
+def hillshade(w: np.ndarray, pixel_m: float) -> np.ndarray:
+    """Shades (rows, columns) u1, 1 to 255, 0 = not known, of heights (rows + 2, columns + 2) with a margin of a pixel;
+    light from the upper left, 45 deg high."""
+    right, down = (cv2.Sobel(w, cv2.CV_64F, *axis)[1:-1, 1:-1] / (8 * pixel_m) for axis in ((1, 0), (0, 1)))  # Horn's
+    shade = (1 + (right + down) / np.sqrt(2)) / np.sqrt(2 * (1 + right**2 + down**2))
+    return np.where(np.isfinite(shade), 1 + np.clip(shade, 0, 1) * 254, 0).astype(np.uint8)

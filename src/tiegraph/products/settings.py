@@ -1,0 +1,20 @@
+"""Settings of the products stage."""
+
+from typing import Literal
+
+from pydantic import Field
+
+from tiegraph.settings import Section
+
+
+class ProductsSettings(Section):
+    """Rasters that are taken away: surface model, its sigma, true orthophoto; of a map or of elevations of walls."""
+
+    make: Literal["auto", "none", "map", "elevations", "both"] = "auto"
+    """What is made; auto = a map where cameras look down, elevations of the largest walls where they look sideways."""
+    pixel_m: float | None = Field(None, gt=0, le=1000)
+    """Size of a pixel in metres (units of the model without georeference; default: by what the images resolve and how
+    dense the points are, rounded up)."""
+    plane: tuple[float, float, float, float] | None = None
+    """A vertical reference plane instead of those that are found: east and north of its left and of its right end as
+    seen from in front of it, in the CRS."""

@@ -1,0 +1,148 @@
+"""The stage products on the smallest survey: rasters that open, tiles that stay, errors that are named."""
+
+import csv
+import json
+import shutil
+
+import numpy as np
+import pytest
+import rasterio
+
+from tiegraph.errors import ReconstructionError
+from tiegraph.pipeline import products as glue
+from tiegraph.pipeline.files import world_origin
+from tiegraph.products.ortho import ortho_tile
+from tiegraph.products.visibility import draw
+from tiegraph.project.inputs import Inputs
+from tiegraph.project.run import Run
+from tiegraph.project.settings import merged
+from tiegraph.scene.copc import copc_box
+
+pytestmark = pytest.mark.slow
+
+
+def run_of(folder, **settings):
+    return Run(folder, Inputs(folder / "images"), merged({"products": settings}), pool="serial")
+
+
+def values(folder):
+    """The pixels of all rasters below a folder."""
+    out = {}
+    for path in sorted(folder.rglob("*.tif")):
+        with rasterio.open(path) as raster:
+            out[path.relative_to(folder).as_posix()] = raster.read()
+    return out
+
+
+@pytest.fixture(scope="module")
+def made(finished, tmp_path_factory):
+    """A run folder after products."""
+    return finished.after("products", tmp_path_factory.mktemp("made") / "run")
+
+
+def test_a_whole_run_makes_elevations_of_its_walls(made):
+    receipt = json.loads((made / "receipts" / "products.json").read_text())
+    assert receipt["counts"]["surfaces"] >= 1 and "look sideways" in receipt["notes"][0]
+    for folder in (p for p in (made / "products").iterdir()):
+        frame = json.loads((folder / "frame.json").read_text())
+        with rasterio.open(folder / "dsm.tif") as raster:
+            w, known = raster.read(1), raster.read_masks(1) > 0
+            assert raster.shape == tuple(frame["size"][::-1]) and raster.tags()["accuracy"].startswith(
+                "accuracy predicted"
+            )
+            v, u = np.nonzero(known)
+            uv = np.stack(raster.xy(v, u))
+        assert known.mean() > 0.05
+        # the points of the cloud lie on the raster, where its matrix puts them
+        origin = world_origin(made)
+        xyz = copc_box(made / "cloud.copc.laz", origin, np.full(3, -1e4), np.full(3, 1e4)).xyz_m + np.array(
+            origin.shift_m
+        )
+        uvw = np.c_[xyz, np.ones(len(xyz))] @ np.array(frame["surface_from_crs"]).T
+        near = np.abs(uvw[:, None, :2] - uv.T[None, ::50]).max(-1) < frame["pixel"] / 2
+        at, of = np.nonzero(near)
+        assert np.median(np.abs(uvw[at, 2] - w[v, u][::50][of])) < 0.05
+        names = {"dsm.tif", "sigma.tif", "hillshade.tif", "ortho.tif", "source.tif", "source.csv", "frame.json"} | {
+            "overview.jpg"
+        }
+        assert {p.name for p in folder.iterdir()} == names
+        with rasterio.open(folder / "ortho.tif") as raster:
+            alpha = raster.read(4)
+        with rasterio.open(folder / "source.tif") as raster:
+            source = raster.read(1)
+        assert ((alpha > 0) == (source > 0)).all() and (alpha > 0)[known].mean() > 0.7 and not alpha[~known].any()
+        listed = dict(csv.reader((folder / "source.csv").open()))
+        used = {listed[str(k)] for k in np.unique(source) if k}
+        assert len(used) > 1 and all((made / "images" / name).exists() for name in used)
+    assert not (made / "products" / ".tiles").exists()
+
+
+def test_the_pool_does_not_change_a_byte(made, tmp_path):
+    folder = tmp_path / "run"
+    shutil.copytree(made, folder, symlinks=True)
+    shutil.rmtree(folder / "products")
+    run = Run(folder, Inputs(folder / "images"), merged({}), pool="local:2")
+    glue.products(run)
+    run.close()
+    files = sorted(p.relative_to(made) for p in (made / "products").rglob("*") if p.is_file())
+    assert len(files) >= 7
+    assert [f for f in files if (made / f).read_bytes() != (folder / f).read_bytes()] == []
+
+
+def test_what_is_kept_of_images_and_tiles_is_not_made_again(made, tmp_path, monkeypatch):
+    folder = tmp_path / "run"
+    shutil.copytree(made, folder, symlinks=True)
+    for name in ("ortho.tif", "source.tif"):
+        (folder / "products" / "elevation1" / name).unlink()
+    drawn = []
+    monkeypatch.setattr(glue, "draw", lambda *args: drawn.append(args[0].name) or right(*args))
+    monkeypatch.setattr(glue, "ortho_tile", stop)
+    right = draw
+    with pytest.raises(KeyboardInterrupt):
+        glue.products(run_of(folder))
+    assert len(drawn) == len(set(drawn)) > 0
+    first = list(drawn)
+    monkeypatch.setattr(glue, "ortho_tile", ortho_tile)
+    glue.products(run_of(folder))
+    assert drawn == first and values(folder / "products").keys() == values(made / "products").keys()
+
+
+def stop(*args):
+    raise KeyboardInterrupt
+
+
+def test_finished_tiles_stay_when_a_later_one_fails(made, tmp_path, monkeypatch):
+    folder = tmp_path / "run"
+    shutil.copytree(made, folder, symlinks=True)
+    before = values(folder / "products")
+    shutil.rmtree(folder / "products")
+    monkeypatch.setattr(glue, "TILE", 32)
+    done = []
+
+    def failing(*args):
+        if len(done) == 5:
+            raise OSError(28, "No space left on device")
+        done.append(args[2])
+        return right(*args)
+
+    right = glue.height_tile
+    monkeypatch.setattr(glue, "height_tile", failing)
+    with pytest.raises(OSError):
+        glue.products(run_of(folder))
+    tiles = {p: p.stat().st_mtime_ns for p in (folder / "products" / ".tiles").rglob("heights*.npz")}
+    assert len(tiles) == 5
+    monkeypatch.setattr(glue, "height_tile", right)
+    glue.products(run_of(folder))
+    assert tiles == {p: p.stat().st_mtime_ns for p in tiles}
+    after = values(folder / "products")
+    assert after.keys() == before.keys()
+    for name in before:
+        np.testing.assert_allclose(after[name], before[name], atol=1e-5 if after[name].dtype == np.float32 else 3)
+    stamps = {p: p.stat().st_mtime_ns for p in folder.rglob("*.tif")}
+    glue.products(run_of(folder))
+    assert stamps == {p: p.stat().st_mtime_ns for p in stamps}
+
+
+def test_a_plane_without_points_says_so(made, tmp_path):
+    with pytest.raises(ReconstructionError, match="no points of the cloud lie within"):
+        glue.products(run_of(made, plane=(0.0, 0.0, 10.0, 0.0)))
