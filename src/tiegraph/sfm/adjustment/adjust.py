@@ -7,7 +7,7 @@ import numpy as np
 import pycolmap
 
 from tiegraph.scene.solver import all_images, factorised, options_of, undamped
-from tiegraph.sfm.adjustment import lens
+from tiegraph.sfm.adjustment import lens, leverarmprior
 from tiegraph.sfm.adjustment.constraints import PoseConstraints, add_priors
 from tiegraph.sfm.adjustment.fewpoints import take_poses, thinned
 from tiegraph.sfm.tuning import AdjustTuning
@@ -44,6 +44,8 @@ def final_adjustment(
     """
     free = free_cameras(model, tuning) - set(constant_cameras)
     adjusted = lens.extended(model, lens.extensible(model, free))
+    if leverarmprior.bring_back(adjusted, fixed_rigs, soft and soft.nominal, tuning):
+        solve_points(adjusted, tuning)
     drop_momentary(adjusted, tuning.enough_seen)
     few, last = thinned(adjusted, tuning.few_points), tuning.model_copy(update={"iterations": tuning.last_iterations})
     _solve(few, fixed_rigs, free, False, soft, tuning)

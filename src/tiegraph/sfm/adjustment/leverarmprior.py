@@ -7,7 +7,7 @@ have around it (empirical Bayes: Efron and Morris 1975). A camera that stands ap
 where the images tell the place they outweigh it.
 """
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -110,6 +110,40 @@ def information(
     taken = each[:, None] * rows
     whole = np.diag(each) - taken @ np.linalg.pinv(rows.T @ taken, hermitian=True) @ taken.T
     return keys, whole[3:, 3:]
+
+
+def bring_back(
+    model: pycolmap.Reconstruction,
+    fixed: Collection[int],
+    nominal: Mapping[int, NominalGeometry] | None,
+    tuning: AdjustTuning,
+) -> bool:
+    """Put cameras that share hardly a point with others, and stand apart from where the others of their rig let expect
+    them, there; whether there are any. Not of rigs (ids) that are ``fixed``.
+
+    A camera that ties to itself alone, as one that looks up at a bridge, may stand anywhere along the vertical, with
+    all its points: a few false matches took it 3.4 m away in a rig of 0.06 m, and there the robust weight lets it be.
+    So the images have to take it away from its place, not this rule back to it.
+    """
+    rules, there = tuning.lever_arms, False
+    for rig_id, rig in model.rigs.items():
+        expected = {} if rig_id in fixed else expected_centres(rig, rules, (nominal or {}).get(rig_id))
+        for sensor, pose in rig.non_ref_sensors.items():
+            if pose is None or sensor.id not in expected:
+                continue
+            centre, sigma = expected[sensor.id]
+            apart = np.linalg.norm(pose.inverse().translation - centre) > rules.cauchy_sigmas * sigma
+            if apart and _shared(model, sensor.id) < tuning.min_points:
+                pose.translation = -pose.rotation.matrix() @ centre
+                there = True
+    return there
+
+
+def _shared(model: pycolmap.Reconstruction, camera: int) -> int:
+    """Points that a camera sees and another one too."""
+    of = {k: model.image(k).camera_id for k in model.reg_image_ids()}
+    seen = ({of[e.image_id] for e in p.track.elements} for p in model.points3D.values())
+    return sum(camera in cameras and len(cameras) > 1 for cameras in seen)
 
 
 def centres_of(poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
