@@ -161,8 +161,23 @@ def test_a_camera_goes_where_it_is_expected_only_if_the_images_leave_it_open(tmp
     far = np.linalg.norm(_centre(start) - expected)
     near = np.linalg.norm(_centre(final_adjustment(start, tuning=Tuning().adjust).model) - expected)
     monkeypatch.setattr(leverarmprior, "add_priors", lambda *arguments: [])
+    monkeypatch.setattr(leverarmprior, "bring_back", lambda *arguments: False)
     without = np.linalg.norm(_centre(final_adjustment(start, tuning=Tuning().adjust).model) - expected)
     assert far > 1.5 * sigma and without > 0.8 * far and near < 0.5 * far
+
+
+def test_only_a_camera_that_ties_to_itself_alone_starts_from_where_its_rig_has_it(tmp_path: Path) -> None:
+    """The up camera of the example's second section stood 3.4 m away in a rig of 0.06 m."""
+    truth, _ = make_world(tmp_path / "database.db", cameras=6, frames=4, points=200)
+    far = np.array([0.0, 3.0, 0.0])
+    for model, back in ((pycolmap.Reconstruction(truth), False), (_hardly_seeing(truth), True)):
+        expected = leverarmprior.expected_centres(model.rig(1), TUNING)[6][0]
+        for identity, pose in model.rig(1).non_ref_sensors.items():
+            if identity.id == 6:
+                pose.translation = -pose.rotation.matrix() @ (expected + far)
+        assert not leverarmprior.bring_back(model, {1}, None, Tuning().adjust), "a rig that is fixed stays"
+        assert leverarmprior.bring_back(model, (), None, Tuning().adjust) == back
+        np.testing.assert_allclose(_centre(model), expected + (not back) * far, atol=1e-9)
 
 
 def _centre(model: pycolmap.Reconstruction) -> np.ndarray:

@@ -65,7 +65,7 @@ STAGES = (
     _stage("match", ("network", "design", "features"), ("match.npz",), "block of pairs", version=2,
            changes=("database.db",), clear=_forget_matches, scratch=("database.db.match",), tuned=("features",)),
     _stage("filter", ("coarse", "network", "match"), ("filter.npz",), "pair", version=5),
-    _stage("sparse", ("preview", "coarse", "network", "match", "filter"), ("sparse",), version=30,
+    _stage("sparse", ("preview", "coarse", "network", "match", "filter"), ("sparse",), version=31,
            scratch=("sparse/.run",), tuned=("scene", "features", "sfm")),
     _stage("georef", ("network", "match", "filter", "sparse"), ("sparse/world", "world.json"), version=26,
            scratch=("sparse/.world",), tuned=("scene", "sfm", "targets")),
