@@ -44,7 +44,7 @@ def final_adjustment(
     """
     free = free_cameras(model, tuning) - set(constant_cameras)
     adjusted = lens.extended(model, lens.extensible(model, free))
-    if leverarmprior.bring_back(adjusted, fixed_rigs, soft and soft.nominal, tuning):
+    if leverarmprior.bring_back(adjusted, fixed_rigs, None if soft is None else soft.nominal, tuning):
         solve_points(adjusted, tuning)
     drop_momentary(adjusted, tuning.enough_seen)
     few, last = thinned(adjusted, tuning.few_points), tuning.model_copy(update={"iterations": tuning.last_iterations})
