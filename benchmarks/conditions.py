@@ -1,7 +1,8 @@
 """Where it is dark, flat or uneven: ``python -m benchmarks.conditions --sets canal_demo --work DIR -o FILE``.
 
 Each survey with truth is made worse image by image, at three severities a condition, and run by tiegraph and by COLMAP
-(every pair, its defaults). ``--write`` puts the table of FILE between its markers in docs/benchmarks.md.
+(every pair, its defaults). ``--write`` puts the table of FILE between its markers in docs/benchmarks.md. ``--contrast
+FOLDER ...`` prints how much contrast the images below a folder show: the least, a tenth of them, the median, the most.
 
 * ``contrast``: the local contrast that a tenth of an image shows is scaled to so many grey levels (the sea floor of
   ``benchmarks/real`` shows 3 to 7), with shot noise and read noise of 0.7 grey levels, and a veil of 40.
@@ -120,7 +121,12 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--work", type=Path)
     parser.add_argument("-o", "--output", type=Path, default=_RESULTS)
     parser.add_argument("--write", action="store_true")
+    parser.add_argument("--contrast", nargs="*", type=Path, default=[], metavar="FOLDER")
     args = parser.parse_args(argv)
+    for folder in args.contrast:
+        images = (cv2.imread(str(f), cv2.IMREAD_GRAYSCALE) for f in sorted(folder.rglob("*")) if f.is_file())
+        shown = [contrast(i, ContrastTuning()) for i in images if i is not None]
+        sys.stdout.write(f"{folder}: {len(shown)}, {np.round(np.percentile(shown, (0, 10, 50, 100)), 1)}\n")
     kept = json.loads(args.output.read_text()) if args.output.exists() else []
     for name in args.sets:
         dataset = datasets.load(name, args.work / "inputs")

@@ -139,7 +139,7 @@ def run_one(
         row[clock] = first[clock] + again - once
     world = Origin.from_dict(said["world"]) if said.get("world") else None
     row |= accuracy.evaluate([Path(m) for m in said.get("models", [])], dataset, world)
-    if not args.keep and (first is not None or len(getattr(args, "seeds", ())) < 2):  # else others start from it
+    if not args.keep and (first is not None or len(args.seeds) < 2):  # else others start from it
         shutil.rmtree(work)
     return row
 

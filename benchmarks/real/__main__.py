@@ -74,7 +74,7 @@ def _arguments(argv: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--table", action="store_true", help="print the table and run nothing")
     parser.add_argument("--write", action="store_true", help="the tables into README.md; run nothing")
     parser.add_argument("-o", "--output", type=Path, default=RESULTS)
-    parser.set_defaults(calibrated=False)
+    parser.set_defaults(calibrated=False, seeds=(0,))
     args = parser.parse_args(argv)
     if not (args.table or args.write) and (args.root is None or args.work is None):
         parser.error("--root and --work are needed")

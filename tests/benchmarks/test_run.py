@@ -86,7 +86,7 @@ def test_another_seed_maps_the_matches_of_the_first_and_counts_their_time(tmp_pa
         return {"returncode": 0, "wall_s": 32.0, "cpu_s": 51.0}
 
     monkeypatch.setattr(run, "_run_process", process)
-    asked = SimpleNamespace(keep=None, calibrated=False, until="georef", timeout=1.0)
+    asked = SimpleNamespace(seeds=(0, 3), keep=None, calibrated=False, until="georef", timeout=1.0)
     dataset = datasets.Dataset("tiny", tmp_path, {})
     row = run.run_one(dataset, "colmap_exhaustive", 0, tmp_path, asked)
     stages[1]["cpu_s"] = 12.0

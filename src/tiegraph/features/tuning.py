@@ -33,8 +33,8 @@ class ContrastTuning(Section):
     """Images that show little contrast (`contrast.py`)."""
 
     enough: float = Field(10.0, ge=0)
-    """Grey levels of local contrast that a tenth of an image shows, or it is evened: sea floors show 3 to 7, an up
-    camera below a bridge 8 to 10, all else that was looked at 17 and more; 0: never."""
+    """Grey levels of local contrast that a tenth of an image shows, or it is evened: a sea floor shows 3 to 9, an up
+    camera below bridges 5 to 16, single bands 9 to 21, nine sets in daylight 12 and more; 0: never."""
     block: float = Field(0.02, gt=0, le=1)
     """Of the longer side: the side of a block within which contrast is local."""
     limit: float = Field(4.0, gt=0)

@@ -4,14 +4,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from tiegraph.filter.bearings import Matches, forget
 from tiegraph.filter.loops import Map, by_loops
 from tiegraph.filter.prior import Prior, agreement, held_by_rig
 from tiegraph.filter.settings import FilterSettings
 from tiegraph.filter.tuning import Tuning
+from tiegraph.scene.graph import parts
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
 
@@ -104,7 +103,7 @@ def _by_prior(scene: Scene, pairs: Pairs, matches: Matches, prior: Prior, tuning
         said += f"; it has {int(misplaced.sum())} images at the wrong place, whose pairs it is not asked about"
         placed = ~misplaced[ends].any(axis=0)
         rows, wrong, ends = rows[placed], wrong[placed], ends[:, placed]
-    part = _parts(ends[:, ~wrong], len(known))
+    part = parts(*ends[:, ~wrong], len(known))
     alone = wrong & (part[ends[0]] != part[ends[1]])
     if alone.any():
         said += f"; {int(alone.sum())} of the others are all that ties parts of it, and are not refused for it"
@@ -113,12 +112,6 @@ def _by_prior(scene: Scene, pairs: Pairs, matches: Matches, prior: Prior, tuning
     asked[rows] = True
     refused[rows[wrong]] = True
     return Judged(asked, refused, (said,))
-
-
-def _parts(ends: np.ndarray, count: int) -> np.ndarray:
-    """(N,) number of the part of each of ``count`` images that pairs (2, P) connect."""
-    there = coo_array((np.ones(ends.shape[1]), (ends[0], ends[1])), shape=(count, count))
-    return np.asarray(connected_components(there, directed=False)[1])
 
 
 def _table(scene: Scene, kept: Pairs, refused: np.ndarray) -> dict:

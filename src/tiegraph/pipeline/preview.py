@@ -27,7 +27,7 @@ def preview(run: Run) -> Outcome:
     dim = dim_images(run.folder, scene.names, tuning)
     said = () if not dim else (
         f"{len(dim)} of {len(scene)} images show little contrast, {np.median(list(dim.values())):.1f} grey levels in "
-        "the median (clear ones show 20 and more): it is evened before features are looked for",
+        "the median (most in daylight show 20 and more): it is evened before features are looked for",
     )  # fmt: skip
     return Outcome({"images": len(scene)}, notes=said)
 

@@ -4,11 +4,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from tiegraph.scene import colmaprows
 from tiegraph.scene.colmapdatabase import Rows
+from tiegraph.scene.graph import parts
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import held_out_frames
@@ -65,9 +64,7 @@ class ViewGraph:
         inside = (ends >= 0).all(axis=1) & np.array([(min(e), max(e)) not in away for e in ends.tolist()], bool)
         self.pairs, self.inliers = ends[inside], table[inside, 2]
         self.degree = np.bincount(self.pairs.ravel(), minlength=count)
-        graph = coo_matrix((np.ones(len(self.pairs)), self.pairs.T), shape=(count, count))
-        labels = connected_components(graph, directed=False)[1]
-        self.component = np.where(self.degree > 0, labels, -1)
+        self.component = np.where(self.degree > 0, parts(*self.pairs.T, count), -1)
 
     @property
     def components(self) -> list[int]:
