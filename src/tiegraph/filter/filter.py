@@ -103,7 +103,7 @@ def _by_prior(scene: Scene, pairs: Pairs, matches: Matches, prior: Prior, tuning
         said += f"; it has {int(misplaced.sum())} images at the wrong place, whose pairs it is not asked about"
         placed = ~misplaced[ends].any(axis=0)
         rows, wrong, ends = rows[placed], wrong[placed], ends[:, placed]
-    part = parts(*ends[:, ~wrong], len(known))
+    part = parts(ends[0, ~wrong], ends[1, ~wrong], len(known))
     alone = wrong & (part[ends[0]] != part[ends[1]])
     if alone.any():
         said += f"; {int(alone.sum())} of the others are all that ties parts of it, and are not refused for it"

@@ -64,7 +64,7 @@ class ViewGraph:
         inside = (ends >= 0).all(axis=1) & np.array([(min(e), max(e)) not in away for e in ends.tolist()], bool)
         self.pairs, self.inliers = ends[inside], table[inside, 2]
         self.degree = np.bincount(self.pairs.ravel(), minlength=count)
-        self.component = np.where(self.degree > 0, parts(*self.pairs.T, count), -1)
+        self.component = np.where(self.degree > 0, parts(self.pairs[:, 0], self.pairs[:, 1], count), -1)
 
     @property
     def components(self) -> list[int]:
