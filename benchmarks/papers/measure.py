@@ -139,7 +139,8 @@ def one_run(dataset: datasets.Dataset, method: Method, out: Path, seed: int = 0)
 
 def _colmap(dataset: datasets.Dataset, place: Path, seed: int) -> dict[str, Any]:
     first, out = (place.with_name(f"{place.name}-{k}") for k in (0, seed))
-    out.mkdir(parents=True, exist_ok=True)
+    shutil.rmtree(out, ignore_errors=True)  # a run that was stopped half-way: COLMAP takes its database for whole
+    out.mkdir(parents=True)
     record = out / "stages.json"
     run_in_child(colmap.exhaustive, dataset.images, out, record, seed, first if seed else None, log=out / "log.txt")
     said = json.loads(record.read_text())
