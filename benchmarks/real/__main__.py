@@ -7,6 +7,7 @@ is a row of its own as soon as it ends.
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import os
 import sys
@@ -21,6 +22,7 @@ from tiegraph.errors import InputError
 
 RESULTS = Path(__file__).resolve().parents[1] / "results" / "real.json"
 _FEW = 60  # up to so many images COLMAP's user matches every pair
+_KEY = ("set", "competitor", "repeat")
 _COMPETITORS = ("tiegraph", "colmap", "openmvg")
 
 
@@ -43,18 +45,27 @@ def main(argv: list[str] | None = None) -> int:
             sys.stderr.write(f"{error}\n")
             missing += 1
             continue
-        for competitor in args.competitors:
-            row = _row(survey, dataset, competitor, args)
-            run.add_row(run.load_results(args.output, ""), row, args.output, ("set", "competitor"))  # others add too
-            sys.stderr.write(f"{name} {competitor}: {row['status']}, {row['wall_s']:.0f} s\n")
+        first: dict[str, dict[str, Any]] = {}
+        for seed, competitor in itertools.product(args.seeds, args.competitors):
+            row = _row(survey, dataset, competitor, seed, args, first.get(competitor))
+            first.setdefault(competitor, row)
+            run.add_row(run.load_results(args.output, ""), row, args.output, _KEY)  # others add too
+            sys.stderr.write(f"{name} {competitor} {seed}: {row['status']}, {row['wall_s']:.0f} s\n")
     return int(missing > 0)
 
 
-def _row(survey: Survey, dataset: Dataset, competitor: str, args: argparse.Namespace) -> dict[str, Any]:
+def _row(
+    survey: Survey,
+    dataset: Dataset,
+    competitor: str,
+    seed: int,
+    args: argparse.Namespace,
+    first: dict[str, Any] | None,
+) -> dict[str, Any]:
     if competitor == "colmap":
         pairs = "exhaustive" if survey.count <= _FEW else "spatial" if survey.truth == "exif" else "sequential"
         competitor = f"colmap_{pairs}{'_mixed' if survey.mixed else ''}"
-    row = run.run_one(dataset, competitor, 0, args.work, args)
+    row = run.run_one(dataset, competitor, seed, args.work, args, first)
     peaks = [stage["peak_mib"] for stage in row.get("stages", [])]
     return {**row, "images": survey.count, "peak_mib": max(peaks, default=None), "note": args.note}
 
@@ -66,6 +77,7 @@ def _arguments(argv: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--work", type=Path, help="folder for runs")
     parser.add_argument("--sets", nargs="+", default=names, choices=names, metavar="SET")
     parser.add_argument("--competitors", nargs="+", default=list(_COMPETITORS), help=", ".join(_COMPETITORS))
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0], help="of the mappers, as in benchmarks.run")
     parser.add_argument("--until", default="georef", help="last stage of tiegraph")
     parser.add_argument("--timeout", type=float, default=14400.0, help="seconds a run may take")
     parser.add_argument("--core", type=int, default=max(os.sched_getaffinity(0)), help="the core that runs have")
@@ -74,7 +86,7 @@ def _arguments(argv: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--table", action="store_true", help="print the table and run nothing")
     parser.add_argument("--write", action="store_true", help="the tables into README.md; run nothing")
     parser.add_argument("-o", "--output", type=Path, default=RESULTS)
-    parser.set_defaults(calibrated=False, seeds=(0,))
+    parser.set_defaults(calibrated=False)
     args = parser.parse_args(argv)
     if not (args.table or args.write) and (args.root is None or args.work is None):
         parser.error("--root and --work are needed")

@@ -63,6 +63,22 @@ def test_one_bad_value_is_no_trend_and_the_words_hold_the_figures() -> None:
     assert trend(0.5 + 0.02 * rng.standard_normal(30), TUNING) is None
 
 
+def test_values_that_are_not_equally_good_count_by_their_sigmas() -> None:
+    """A receiver that loses its fix below a bridge: positions of 2 cm before and after, of metres in between, whose
+    errors go together. That is no jump; one of 0.3 m between the good ones is."""
+    rng, count, alarms, found = np.random.default_rng(8), 50, 0, []
+    sigma = np.where((np.arange(count) % 25 >= 10) & (np.arange(count) % 25 < 19), 1.0, 0.02)
+    jump = np.where(np.arange(count) >= 25, 0.3, 0.0)
+    for _ in range(60):
+        noise = sigma * np.where(sigma > 0.1, process(rng, count, 0.9), rng.standard_normal(count))
+        alarms += trend(noise, TUNING, 4, sigma=sigma) is not None
+        found.append(trend(noise + jump, TUNING, 4, sigma=sigma))
+    assert alarms <= 1
+    steps = [f for f in found if f is not None]
+    assert len(steps) >= 54 and all(f.form == "step" and f.size == pytest.approx(0.3, abs=0.05) for f in steps)
+    assert all(f.sigmas == pytest.approx(0.3 / 2 / 0.02, rel=0.3) for f in steps)
+
+
 def test_statements_that_cannot_both_be_right() -> None:
     rig = Statement("scale", "rig as given", 1.115, 0.0016, "")
     gnss = Statement("scale", "GNSS positions", 1.0, 0.01, "", used=True)

@@ -97,7 +97,8 @@ def table(statements: Sequence[Statement]) -> dict:
 @dataclass(frozen=True)
 class Trend:
     """Form of residuals along the way that noise does not take: from ``start`` to ``end``, a curve by ``bow`` off the
-    straight line between; a step after the share ``at`` of them. ``chance``: that noise does it."""
+    straight line between; a step after the share ``at`` of them. ``chance``: that noise does it; ``sigmas``: half its
+    size in sigmas of the values, of an offset its size."""
 
     form: str  # line, curve, step, offset
     start: float
@@ -105,6 +106,7 @@ class Trend:
     bow: float
     at: float
     chance: float
+    sigmas: float
 
     @property
     def size(self) -> float:
@@ -122,7 +124,13 @@ class Trend:
         return f"jump by {self.end - self.start:+.2g} {unit} after {self.at:.0%} of the way"
 
 
-def trend(values: np.ndarray, tuning: TrendTuning, tests: int = 1, offset: bool = False) -> Trend | None:
+def trend(
+    values: np.ndarray,
+    tuning: TrendTuning,
+    tests: int = 1,
+    offset: bool = False,
+    sigma: np.ndarray | float = 1.0,
+) -> Trend | None:
     """The line, curve or step that values (K,) in order of time follow beyond chance, None if there is none.
 
     ``offset``: or the constant, where they ought to be about zero. A step may have a line beside it: residuals are what
@@ -131,54 +139,61 @@ def trend(values: np.ndarray, tuning: TrendTuning, tests: int = 1, offset: bool 
     Noise is taken to be a first-order process: its correlation, estimated about the form itself and raised by two of
     its own sigmas (short series look less correlated than they are), sets how many of the values count (generalised
     least squares and Student's t). Single bad values are left out, and few values say nothing. ``tests``: how many
-    series are looked at, so that all together alarm at 0.1 %.
+    series are looked at, so that all together alarm at 0.1 %. ``sigma`` (K,): of values that are not equally good.
     """
     y = np.asarray(values, float)
+    x, sigma = np.linspace(-1.0, 1.0, len(y)), np.broadcast_to(np.asarray(sigma, float), y.shape)
     keep = np.flatnonzero(np.isfinite(y))
-    keep = keep[~_spikes(y[keep], tuning)]
-    x, y = np.linspace(-1.0, 1.0, len(y))[keep], y[keep]
+    keep = keep[~_spikes((y / sigma)[keep], tuning)]
+    x, y, sigma = x[keep], y[keep], sigma[keep]
     if len(y) < tuning.min_rows or np.ptp(y) == 0:
         return None
     one = np.ones(len(y))
     shapes = [("line", x[:, None]), ("curve", np.stack([x, x**2], axis=1))]
     side = tuning.step_rows
-    shapes += [("step", _best_step(y, one[:, None], side)), ("step", _best_step(y, np.stack([one, x], axis=1), side))]
+    shapes += [("step", _best_step(y, beside, sigma, side)) for beside in (one[:, None], np.stack([one, x], axis=1))]
     if offset:
         shapes.append(("offset", np.zeros((len(y), 0))))
     places = len(y) - 2 * side + 1  # of a step
-    found = [_tested(y, n, s, tests * len(shapes) * (places if n == "step" else 1), tuning) for n, s in shapes]
+    tries = {"step": tests * len(shapes) * places}
+    found = [_tested(y, sigma, n, s, tries.get(n, tests * len(shapes)), tuning) for n, s in shapes]
     best = min(found, key=lambda t: t.chance)
     return best if best.chance < CHANCE else None
 
 
-def _best_step(y: np.ndarray, beside: np.ndarray, side: int) -> np.ndarray:
+def _best_step(y: np.ndarray, beside: np.ndarray, sigma: np.ndarray, side: int) -> np.ndarray:
     """The step that parts values (K,) best beside a form (K, P) that begins with a constant, which is left away: (K, P)
     with the step as its last column. So many values at least are on either ``side``."""
     cuts = np.arange(side, len(y) - side + 1)
     steps = (np.arange(len(y))[:, None] >= cuts).astype(float)
-    base = np.linalg.qr(beside)[0]
-    off, free = y - base @ (base.T @ y), steps - base @ (base.T @ steps)
+    y, told = y / sigma, steps / sigma[:, None]
+    base = np.linalg.qr(beside / sigma[:, None])[0]
+    off, free = y - base @ (base.T @ y), told - base @ (base.T @ told)
     best = int(np.argmax((off @ free) ** 2 / np.sum(free**2, axis=0)))
     return np.column_stack([beside[:, 1:], steps[:, best]])
 
 
-def _tested(y: np.ndarray, form: str, shape: np.ndarray, tries: int, tuning: TrendTuning) -> Trend:
+def _tested(y: np.ndarray, sigma: np.ndarray, form: str, shape: np.ndarray, tries: int, tuning: TrendTuning) -> Trend:
     """A form (K, P) fitted to values (K,), and the chance of its last column times the number of tries."""
     design = np.column_stack([np.ones(len(y)), shape])
     count, unknowns = design.shape
-    plain = np.linalg.lstsq(design, y, rcond=None)[0]
-    r = _correlation(y - design @ plain, unknowns, tuning)
-    white = [np.vstack([np.sqrt(1 - r * r) * a[:1], a[1:] - r * a[:-1]]) for a in (design, y[:, None])]
+    told, seen = design / sigma[:, None], y / sigma
+    plain = np.linalg.lstsq(told, seen, rcond=None)[0]
+    r = _correlation(seen - told @ plain, unknowns, tuning)
+    white = [np.vstack([np.sqrt(1 - r * r) * a[:1], a[1:] - r * a[:-1]]) for a in (told, seen[:, None])]
     normal = np.linalg.pinv(white[0].T @ white[0])
     best = normal @ white[0].T @ white[1][:, 0]
     free = count - unknowns - 1  # the correlation is one more
     rest = float(np.sum((white[1][:, 0] - white[0] @ best) ** 2)) / free
-    sigma = float(np.sqrt(max(rest * normal[-1, -1], 1e-300)))
-    chance = min(1.0, 2 * tries * float(stdtr(free, -abs(best[-1]) / sigma)))
+    known_to = float(np.sqrt(max(rest * normal[-1, -1], 1e-300)))
+    chance = min(1.0, 2 * tries * float(stdtr(free, -abs(best[-1]) / known_to)))
     line = design[:, -1] * plain[-1] if form == "step" else design @ plain
     bow = float(-plain[-1]) if form == "curve" else 0.0
     at = float(1 - shape[:, -1].mean()) if form == "step" else float("nan")
-    return Trend(form=form, start=float(line[0]), end=float(line[-1]), bow=bow, at=at, chance=chance)
+    about = 0.0 if form == "offset" else float(np.average(line, weights=1 / sigma**2))
+    off = (line - about) / sigma
+    sigmas = float(np.abs(off).max() if form == "offset" else np.ptp(off) / 2)
+    return Trend(form=form, start=float(line[0]), end=float(line[-1]), bow=bow, at=at, chance=chance, sigmas=sigmas)
 
 
 def _correlation(rest: np.ndarray, unknowns: int, tuning: TrendTuning) -> float:

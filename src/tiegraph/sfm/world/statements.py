@@ -165,24 +165,21 @@ def _trends(found: Georeference, scene: Scene, model_sigma_m: float, scale_said:
     if not len(fixes):
         return []
     order = np.argsort(time_order(scene, fixes), kind="stable")
-    stated = np.hypot(np.median(fixes.sigma, axis=0), model_sigma_m)
+    sigma = np.hypot(fixes.sigma[order], model_sigma_m)
     residual = found.residuals.fixes_m[order]
     way = _directions(fixes.position[order] + residual)
-    series = [(a, residual[:, k], float(stated[k])) for k, a in enumerate(_AXES)]
-    series.append((_ALONG, np.sum(residual * way, axis=1), float(stated[:2].max())))
+    series = [(a, residual[:, k], sigma[:, k]) for k, a in enumerate(_AXES)]
+    series.append((_ALONG, np.sum(residual * way, axis=1), sigma[:, :2].max(axis=1)))
+    anywhere = placing.weighed.free_antenna and not placing.fit.arm.place.any()  # on the vehicle
     out = []
-    for axis, values, sigma in series:
-        form = trend(values, placing.tuning.trend, len(series), offset=axis == _ALONG)
-        if (
-            form is not None
-            and form.form == "offset"
-            and placing.weighed.free_antenna
-            and not placing.fit.arm.place.any()
-        ):
-            sigma = float(np.hypot(sigma, placing.tuning.fit.antenna_sigma_m))  # it stands anywhere on the vehicle
-        if form is None or form.size / 2 <= TWO_ENDS * sigma or (scale_said and form.form == "line"):
+    for axis, values, each in series:
+        form = trend(values, placing.tuning.trend, len(series), offset=axis == _ALONG, sigma=each)
+        if form is None or (scale_said and form.form == "line"):
             continue
-        out.append((axis, form.size, _trend_text(axis, form.text(), form.form, sigma, found)))
+        stated = form.size / 2 / form.sigmas
+        known_to = np.hypot(stated, placing.tuning.fit.antenna_sigma_m if form.form == "offset" and anywhere else 0.0)
+        if form.size / 2 > TWO_ENDS * known_to:
+            out.append((axis, form.size, _trend_text(axis, form.text(), form.form, stated, found)))
     return sorted(out, key=lambda t: -t[1])[:1]  # one cause shows on several axes
 
 

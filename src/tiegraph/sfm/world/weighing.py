@@ -205,7 +205,7 @@ def _spread(asked: Question) -> float:
 def _own_trend(asked: Question, source: Source) -> Trend | None:
     """A trend in the residuals of positions to their own fit that is beyond what is stated of them."""
     order = np.argsort(asked.times[: len(source.residual)], kind="stable")
-    stated = np.median(asked.evidence.sigma[: asked.count], axis=0)
-    found = [trend(source.residual[order, k], asked.tuning.trend, 3) for k in range(3)]
-    beyond = [t for t, s in zip(found, stated) if t is not None and t.size / 2 > TWO_ENDS * s]
+    sigma = asked.evidence.sigma[: len(order)][order]
+    found = [trend(source.residual[order, k], asked.tuning.trend, 3, sigma=sigma[:, k]) for k in range(3)]
+    beyond = [t for t in found if t is not None and t.sigmas > TWO_ENDS]
     return max(beyond, key=lambda t: t.size) if beyond else None
