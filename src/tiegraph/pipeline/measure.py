@@ -26,6 +26,13 @@ from tiegraph.text import csv_text, finite, some
 BASES = ("plane", "lowest")
 MOST_PIXELS = 4_000_000
 """Pixels of the window around a polygon at most, some 1 GB; a larger one is measured in an overview."""
+_PARTS = {
+    "noise": "noise",
+    "base": "of the base",
+    "world": "of the place, tilt and scale in the world",
+    "shape": "of the shape of the model",
+    "near_base": "of ground on the base",
+}
 _SAME_M = 1e-3  # where surface and terrain are nearer the ground was seen
 _SEEN = (0.5, 0.98)  # shares of a polygon: less is refused, less is told
 
@@ -224,7 +231,7 @@ def _measured(
     patch = _patch(map_, surface, window, step)
     known = _known(map_, polygon)
     ground = _ground(map_, window, step)
-    under = _other_surface(patch, polygon, *maps) or _base(base, patch, map_.shift[2])
+    under = _other_surface(patch, polygon, maps, surface) or _base(base, patch, map_.shift[2])
     if under is None:
         under = (plane if base == "plane" else lowest)(ground, polygon, known, tuning)
     area = patch.share(polygon)
@@ -255,15 +262,19 @@ def _window(polygon: np.ndarray, map_: MapFiles, tuning: VolumeTuning) -> tuple[
     left, top = (int(np.floor(v / step)) * step - wide for v in at.min(axis=0))
     right, low = (int(np.ceil(v / step)) * step + wide for v in at.max(axis=0))
     left, top = max(left, 0), max(top, 0)
-    return Window(top, left, rows=min(low, map_.shape[0]) - top, columns=min(right, map_.shape[1]) - left), step
+    rows, columns = ((min(b, size) - a) // step * step for a, b, size in zip((top, left), (low, right), map_.shape))
+    return Window(top, left, rows=rows, columns=columns), step
 
 
 def _patch(map_: MapFiles, name: str, window: Window, step: int) -> Patch:
     """A raster and its sigma in a window, in the world."""
-    sigma = "sigma" if name == "dsm" else f"{name}_sigma"
-    w, spread = (map_.read(n, window, step).astype(float) for n in (name, sigma))
+    w, spread = (map_.read(n, window, step).astype(float) for n in (name, _sigma(name)))
     corner = map_.corner + np.array([window.column, -window.row]) * map_.pixel - map_.shift[:2]
     return Patch(w - map_.shift[2], spread, corner=corner, pixel=map_.pixel * step)
+
+
+def _sigma(name: str) -> str:
+    return "sigma" if name == "dsm" else f"{name}_sigma"
 
 
 def _ground(map_: MapFiles, window: Window, step: int) -> Patch:
@@ -285,14 +296,17 @@ def _known(map_: MapFiles, polygon: np.ndarray) -> Known:
     return Known(placement_error(map_.folder), over_polygon=float(over), whole=float(whole))
 
 
-def _other_surface(patch: Patch, polygon: np.ndarray, map_: MapFiles, other: MapFiles | None) -> Base | None:
+def _other_surface(
+    patch: Patch, polygon: np.ndarray, maps: tuple[MapFiles, MapFiles | None], surface: str
+) -> Base | None:
+    map_, other = maps
     if other is None:
         return None
     east, north = patch.places()
     at = other.pixels(np.stack([east.ravel(), north.ravel()], axis=-1) + map_.shift[:2])
-    w, sigma = (sampled(partial(other.read, name), at).reshape(patch.w.shape) for name in ("dsm", "sigma"))
+    w, sigma = (sampled(partial(other.read, name), at).reshape(patch.w.shape) for name in (surface, _sigma(surface)))
     theirs = replace(patch, w=w - map_.shift[2], sigma=sigma)
-    return epoch(theirs, _moved_to(_known(other, polygon), other.shift - map_.shift), f"surface of {other.folder}")
+    return epoch(theirs, _moved_to(_known(other, polygon), other.shift - map_.shift), f"{surface} of {other.folder}")
 
 
 def _base(base: str, patch: Patch, shift: float) -> Base | None:

@@ -63,8 +63,7 @@ def sampled(read: Callable[[Window], np.ndarray], pixels: np.ndarray) -> np.ndar
 def chart(profile: Profile) -> bytes:
     """The profile as SVG: surface and terrain, each with a band of two sigmas; heights are exaggerated, as it says."""
     import matplotlib  # a second
-
-    matplotlib.use("Agg")
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=_SIZE, layout="constrained")
@@ -81,7 +80,7 @@ def chart(profile: Profile) -> bytes:
     axes.grid(alpha=0.3)
     if axes.lines:
         axes.legend(loc="best", frameon=False)
-    figure.canvas.draw()
+    FigureCanvasAgg(figure).draw()  # which lays it out
     box, (low, high) = axes.get_window_extent(), axes.get_ylim()
     larger = box.height / (high - low) / (box.width / float(profile.distance[-1]))
     axes.set_title(f"heights {larger:.2g} times as large as lengths", loc="right", fontsize=9)
