@@ -97,7 +97,7 @@ def test_volumes_over_a_level_are_those_of_the_plane(run, tmp_path, capsys):
     assert abs(found["net"]["value"]) < 0.02 < found["net"]["sigma"]
 
 
-def test_a_polygon_may_be_in_degrees_or_a_table_or_a_geopackage(run, tmp_path):
+def test_a_polygon_may_be_in_degrees_a_table_a_geopackage_or_a_drawing(run, tmp_path):
     to_degrees = pyproj.Transformer.from_crs(32654, 4326, always_xy=True)
     degrees = [list(to_degrees.transform(*place)) for place in ring(BOX)]
     files = [polygon(tmp_path / "degrees.geojson", degrees, crs="")]
@@ -109,12 +109,17 @@ def test_a_polygon_may_be_in_degrees_or_a_table_or_a_geopackage(run, tmp_path):
     meta, _, shapes, _ = raw.read(polygon(tmp_path / "a.geojson", ring(BOX)))
     raw.write(two, np.array([*shapes, *shapes]), [], [], driver="GPKG", geometry_type="Polygon", crs=meta["crs"])
     files.append(two)
+    drawing = tmp_path / "drawing.dxf"  # which has no CRS, and closed lines for polygons
+    line = {"type": "LineString", "coordinates": ring(BOX)}
+    meta, _, shapes, _ = raw.read(json.dumps({"type": "Feature", "properties": {}, "geometry": line}).encode())
+    raw.write(drawing, shapes, [], [], driver="DXF", geometry_type="LineString", crs="EPSG:32654")
+    files.append(drawing)
     counted = []
     for file in files:
         found = measured(run, tmp_path, "--base", "40", file=file)
         counted.append(len(found))
         assert [f["cut"]["value"] for f in found] == pytest.approx([280] * len(found), rel=1e-3)
-    assert counted == [1, 1, 2]
+    assert counted == [1, 1, 2, 1]
 
 
 def test_what_cannot_be_measured_is_said_with_its_remedy(run, tmp_path, capsys):

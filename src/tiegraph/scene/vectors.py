@@ -101,7 +101,11 @@ def _parts(data: dict[str, Any], kind: str) -> list[np.ndarray]:
     features = data["features"] if data.get("type") == "FeatureCollection" else [data]
     out = []
     for shape in (f.get("geometry", f) for f in features):
-        if shape is None or shape["type"] not in _WANTED[kind]:
+        if shape is None:
+            continue
+        if kind == "polygon" and shape["type"] == "LineString" and shape["coordinates"][0] == shape["coordinates"][-1]:
+            shape = {"type": "Polygon", "coordinates": [shape["coordinates"]]}  # as CAD has it
+        if shape["type"] not in _WANTED[kind]:
             continue
         each = shape["coordinates"] if shape["type"].startswith("Multi") else [shape["coordinates"]]
         if kind == "polygon":
@@ -122,5 +126,6 @@ def _by_gdal(path: Path, kind: str) -> tuple[list[np.ndarray], str | None]:
     raw = gdal(str(path), "or save it as GeoJSON, or as a CSV of east and north")
     meta, _, shapes, _ = raw.read(path, columns=[])
     text = io.BytesIO()
-    raw.write(text, shapes, [], [], driver="GeoJSON", geometry_type=meta["geometry_type"], crs=meta["crs"])
+    given = meta["crs"] or "EPSG:4326"  # some, without which pyogrio warns; coordinates stay as they are
+    raw.write(text, shapes, [], [], driver="GeoJSON", geometry_type=meta["geometry_type"], crs=given)
     return _parts(json.loads(text.getvalue()), kind), meta["crs"]
