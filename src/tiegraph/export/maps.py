@@ -4,23 +4,22 @@ A GeoPackage is written by GDAL (pyogrio) from the same features. Its table ``la
 a row there, marked as default, is drawn that way when it is opened.
 """
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tiegraph.errors import EngineMissing, InputError
+from tiegraph.errors import InputError
 from tiegraph.export.styles import STYLES
 from tiegraph.export.survey import Survey
 from tiegraph.geometry.geodesy import ENU, Origin, crs_coordinates, geodetic_from_world, parse_crs
 from tiegraph.geometry.transforms import invert
 from tiegraph.scene.colmapmodel import matrix
+from tiegraph.scene.vectors import Layer, collection, feature, gdal, write_layer
 
 _WGS84 = "EPSG:4979"
 FILE = "survey.gpkg"
-Layer = list[dict[str, Any]]
 
 
 def geojson(survey: Survey, target: Path) -> int:
@@ -29,7 +28,7 @@ def geojson(survey: Survey, target: Path) -> int:
     origin = _on_earth(survey)
     layers = _layers(survey, lambda xyz: _degrees(xyz, origin))
     for name, features in layers.items():
-        (target / f"{name}.geojson").write_text(_collection(features), encoding="utf-8")
+        (target / f"{name}.geojson").write_text(collection(features), encoding="utf-8")
     return len(layers["cameras"])
 
 
@@ -37,22 +36,14 @@ def gpkg(survey: Survey, target: Path) -> int:
     """``survey.gpkg`` with the same layers in the CRS (a world without one: in degrees), and their styles; the number
     of cameras. Raises EngineMissing without pyogrio, InputError for a world that is not on the Earth."""
     origin = _on_earth(survey)
-    try:
-        from pyogrio import raw
-    except ImportError:
-        text = (
-            "--to gpkg needs pyogrio: pip install 'tiegraph[gis]' (or pip install pyogrio); --to geojson needs nothing"
-        )
-        raise EngineMissing(text) from None
+    raw = gdal("--to gpkg", "--to geojson needs nothing")
     free = origin.crs.upper() == ENU
     layers = _layers(survey, lambda xyz: _degrees(xyz, origin) if free else crs_coordinates(xyz, origin))
     crs = _WGS84 if free else parse_crs(origin.crs).to_wkt()
     path = target / FILE
     for name, features in layers.items():
         if features:
-            meta, _, shapes, columns = raw.read(_collection(features).encode())
-            kind = {"layer": name, "geometry_type": meta["geometry_type"], "crs": crs}
-            raw.write(path, shapes, columns, meta["fields"], driver="GPKG", append=path.exists(), **kind)
+            write_layer(raw, path, name, features, crs)
     rows = {name: STYLES[name] for name, features in layers.items() if features}
     style: dict[str, np.ndarray] = {
         "f_table_catalog": _texts("" for _ in rows),
@@ -112,26 +103,17 @@ def _layers(survey: Survey, placed: Callable[[np.ndarray], np.ndarray]) -> dict[
             "pitch_deg": _number(np.degrees(np.arcsin(np.clip(up, -1, 1))), 3),
             "points": image.num_points3D,
         }
-        cameras.append(_feature("Point", place, said))
+        cameras.append(feature("Point", place, said))
         seen = np.array([survey.model.points3D[p.point3D_id].xyz for p in image.get_observation_points2D()])
         if len(seen):
             away = float(np.median((seen - centre) @ pose[:3, 2]))
             ends = placed(np.stack([centre, centre + away * pose[:3, 2]]))
-            views.append(_feature("LineString", ends, {"name": image.name, "distance_m": _number(away, 3)}))
+            views.append(feature("LineString", ends, {"name": image.name, "distance_m": _number(away, 3)}))
     at = {survey.names.get(i.name, i.name): c for i, c in zip(images, placed(centres))}
     known = [(a, b, n) for a, b, n in survey.ties if a in at and b in at]
-    ties = [_feature("LineString", np.stack([at[a], at[b]]), {"a": a, "b": b, "matches": n}) for a, b, n in known]
+    ties = [feature("LineString", np.stack([at[a], at[b]]), {"a": a, "b": b, "matches": n}) for a, b, n in known]
     return {"ties": ties, "views": views, "cameras": cameras}
 
 
 def _number(value: float, digits: int) -> float | None:
     return round(float(value), digits) if np.isfinite(value) else None
-
-
-def _feature(kind: str, coordinates: np.ndarray, said: dict[str, Any]) -> dict[str, Any]:
-    shape = {"type": kind, "coordinates": coordinates.tolist()}
-    return {"type": "Feature", "geometry": shape, "properties": said}
-
-
-def _collection(features: Layer) -> str:
-    return json.dumps({"type": "FeatureCollection", "features": features}, allow_nan=False)

@@ -1,10 +1,8 @@
 """Glue of products: rasters of the finished cloud and the images over reference surfaces."""
 
-from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, fields
-from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import cv2
 import numpy as np
@@ -16,12 +14,13 @@ from tiegraph.errors import ReconstructionError
 from tiegraph.pipeline.cloud import accuracy_said
 from tiegraph.pipeline.dense import depth_path, read_depth
 from tiegraph.pipeline.files import FINAL, load_model, load_npz, reading, save_npz, world_origin, world_unit
+from tiegraph.pipeline.surfaces import OnSurface, Step
+from tiegraph.pipeline.terrain import TerrainWork, wanted
 from tiegraph.products.choose import Survey, choose
 from tiegraph.products.heights import height_tile, margin
 from tiegraph.products.ortho import Images, Patch, block_px, gains, ortho_margin, ortho_tile, patch
-from tiegraph.products.raster import Place, hillshade, overview, read_window, write_raster
-from tiegraph.products.surface import Surface, View, Window
-from tiegraph.products.tuning import Tuning
+from tiegraph.products.raster import Place, hillshade, overview
+from tiegraph.products.surface import View, Window
 from tiegraph.products.visibility import Buffer, draw, windows_met
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, save_json, write_atomic
@@ -32,7 +31,7 @@ from tiegraph.text import csv_text
 
 T = TypeVar("T")
 
-FOLDER, CLOUD = "products", "cloud.copc.laz"
+CLOUD = "cloud.copc.laz"
 TILE = 1024
 """Pixels along the edge of what is made at once."""
 _OVERVIEW = 1400  # pixels across of a picture of an orthophoto, as the report shows it
@@ -55,8 +54,14 @@ def products(run: Run) -> Outcome:
     survey = Survey(sample, views, counted["voxel"], shift=shift_of(place.origin), unit=place.unit)
     surfaces, notes = choose(survey, run.settings.products, tuning.choose)
     pictures = _Pictures(run.folder, plans, sharp)
-    work = [_Work(run.folder, s, place, pictures=pictures, views=views, tuning=tuning) for s in surfaces]
-    steps = [step for each in work for step in each.steps()]
+    about = {"place": place, "tuning": tuning, "tile": TILE}
+    work = [_Work(run.folder, s, **about, pictures=pictures, views=views) for s in surfaces]
+    bare = [
+        TerrainWork(run.folder, s, **about, objects_m=run.settings.products.objects_m)
+        for s in surfaces
+        if wanted(s, place)
+    ]
+    steps = [step for each in (*work, *bare) for step in each.steps()]
     run.reporter.total(sum(len(s.items) for s in steps), sum(len(s.items) - len(s.todo()) for s in steps))
     for step in steps:
         run.map(step.make, step.todo())
@@ -64,6 +69,7 @@ def products(run: Run) -> Outcome:
             step.finish()
     for each in work:
         save_json(each.path("frame.json"), place.described(each.surface))
+    notes += [each.said() for each in bare]
     if surfaces and place.unit != "m":
         notes.append("the model has no scale: lengths are in its own units")
     pixels = sum(s.shape[0] * s.shape[1] for s in surfaces)
@@ -75,22 +81,6 @@ def _plans(run: Run) -> list[ViewPlan]:
     images = load_model(run.path("sparse", "world")).images.values()
     there = sorted((i for i in images if i.has_pose), key=lambda i: i.name)
     return [ViewPlan(i.name, CameraModel.of(i.camera), matrix(i.cam_from_world())) for i in there]
-
-
-@dataclass(frozen=True, eq=False)
-class _Step:
-    """One of the steps in which the rasters of a surface are made: its items, where each leaves what it made, what
-    makes one, and what is made of all of them, of which the last file is ``result``."""
-
-    items: list[Any]
-    artefact: Callable[[Any], Path]
-    make: Callable[[Any], None]
-    finish: Callable[[], None]
-    result: Path
-
-    def todo(self) -> list[Any]:
-        """The items that are missing."""
-        return [] if self.result.exists() else [i for i in self.items if not self.artefact(i).exists()]
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,37 +98,19 @@ class _Pictures:
 
 
 @dataclass(frozen=True, eq=False)
-class _Work:
-    """The rasters of one surface below a run folder, and the images that give it colour."""
+class _Work(OnSurface):
+    """The rasters of one surface that all have, and the images that give it colour."""
 
-    folder: Path
-    surface: Surface
-    place: Place
     pictures: _Pictures
     views: list[View]
-    tuning: Tuning
 
-    def path(self, name: str) -> Path:
-        """Where a file of the surface is."""
-        return self.folder / FOLDER / self.surface.name / name
-
-    def scratch(self, kind: str, item: Window | int) -> Path:
-        """Where a finished item is until all are."""
-        name = f"{item.row}_{item.column}" if isinstance(item, Window) else f"{item}"
-        return self.folder / FOLDER / ".tiles" / self.surface.name / f"{kind}_{name}.npz"
-
-    def steps(self) -> list[_Step]:
+    def steps(self) -> list[Step]:
         """All steps, in their order."""
-        windows, images = self.surface.windows(TILE), list(range(len(self.views)))
-        first, last = self.path("hillshade.tif"), self.path("source.tif")
-
-        def step(items: list[Any], kind: str, make: Any, finish: Any, result: Path) -> _Step:
-            return _Step(items=items, artefact=partial(self.scratch, kind), make=make, finish=finish, result=result)
-
+        windows, images = self.windows, list(range(len(self.views)))
         return [
-            step(windows, "heights", self.make_heights, self.finish_heights, first),
-            step(images, "view", self.make_view, self.finish_views, last),
-            step(windows, "colours", self.make_colours, self.finish_colours, last),
+            self.step(windows, "heights", self.make_heights, self.finish_heights, "hillshade.tif"),
+            self.step(images, "view", self.make_view, self.finish_views, "source.tif"),
+            self.step(windows, "colours", self.make_colours, self.finish_colours, "source.tif"),
         ]
 
     # --- heights ------------------------------------------------------------------------------------------------------
@@ -153,15 +125,10 @@ class _Work:
 
     def finish_heights(self) -> None:
         """The rasters of heights, of their sigmas and of shades."""
-        self._write("dsm", self._tiles("heights", "dsm"))
-        self._write("sigma", self._tiles("heights", "sigma"))
-        shades = ((w, self.heights(w.grown(1))) for w in self.surface.windows(TILE))
-        self._write("hillshade", ((w, hillshade(h, self.surface.pixel_m)) for w, h in shades))
-
-    def heights(self, window: Window, step: int = 1) -> np.ndarray:
-        """w of a window or its blocks, as written."""
-        with reading(self.path("dsm.tif")):
-            return read_window(self.path("dsm.tif"), window, step) - np.float32(self.surface.offset[2])
+        self.write("dsm", self.tiles("heights", "dsm"))
+        self.write("sigma", self.tiles("heights", "sigma"))
+        shades = ((w, self.heights(w.grown(1))) for w in self.windows)
+        self.write("hillshade", ((w, hillshade(h, self.surface.pixel_m)) for w, h in shades))
 
     # --- what the images see ------------------------------------------------------------------------------------------
 
@@ -198,8 +165,7 @@ class _Work:
     def make_colours(self, window: Window) -> None:
         """Colours and sources of a tile."""
         around = window.grown(ortho_margin(self.tuning.ortho))
-        with reading(self.path("sigma.tif")):
-            sigma = read_window(self.path("sigma.tif"), around)
+        sigma = self.read("sigma", around)
         images = Images(
             views=self.views,
             buffer=lambda k: self._kept(k, Buffer, "buffer_"),
@@ -212,18 +178,8 @@ class _Work:
 
     def finish_colours(self) -> None:
         """The orthophoto, and which image each pixel is of."""
-        self._write("ortho", self._tiles("colours", "ortho"))
+        self.write("ortho", self.tiles("colours", "ortho"))
         write_atomic(self.path("overview.jpg"), overview(self.path("ortho.tif"), _OVERVIEW))
         rows = [(k, view.name) for k, view in enumerate(self.views, 1)]
         write_atomic(self.path("source.csv"), csv_text(("source", "image"), rows))
-        self._write("source", self._tiles("colours", "source"))
-
-    def _tiles(self, kind: str, name: str) -> Iterator[tuple[Window, np.ndarray]]:
-        for window in self.surface.windows(TILE):
-            yield window, load_npz(self.scratch(kind, window))[name]
-
-    def _write(self, name: str, parts: Iterable[tuple[Window, np.ndarray]]) -> None:
-        """A raster, unless it is there."""
-        path = self.path(f"{name}.tif")
-        if not path.exists():
-            write_raster(path, parts, self.surface, self.place, self.folder / FOLDER / ".tiles")
+        self.write("source", self.tiles("colours", "source"))

@@ -1,4 +1,4 @@
-"""Rasters of a finished survey over reference surfaces: heights, their sigma, true orthophoto, sources, shading.
+"""Rasters of a finished survey over reference surfaces: heights, sigma, true orthophoto, terrain; and what is measured.
 
 A map and the elevation of a wall are one mechanism: a rigid frame (u, v, w), and rasters of w over (u, v). Of a map
 the axes are east, north and up; of a wall u runs along it, v up and w out of it, so that a viewer in front of it sees
@@ -14,6 +14,9 @@ A true orthophoto takes a pixel from an image only if the image saw the surface 
 into each image as a depth buffer, with the faces of its steps, and the image's own depth map stands before it what the
 surface does not have, such as a mast in front of a wall. Of the images that see a pixel the best by angle, resolution
 and distance from the border gives its colour; OpenCV compensates the exposures of all at once and blends the seams.
+
+Of a map the terrain is told from what stands on it (`terrain.py`), and contour lines are drawn of it; profiles and
+volumes are measured in the finished rasters. A volume's sigma is mostly of what all its pixels share (`volumes.py`).
 
 Everything is made by tiles with margins from which the same values follow whatever the tiles, so that memory does not
 grow with the survey and a tile that is finished stays.

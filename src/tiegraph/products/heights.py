@@ -22,7 +22,7 @@ def height_tile(points: Cloud, surface: Surface, window: Window, tuning: HeightT
     """w and its sigma (rows, columns) f4 of a window, NaN = not known, of the points over it and its margin."""
     wide = margin(tuning)
     w, sigma = cells(points, surface, window.grown(wide), tuning)
-    w, sigma = filled(_without_strays(w, tuning), sigma, tuning)
+    w, sigma = filled(_without_strays(w, tuning), sigma, tuning.hole_px)
     inner = slice(wide, wide + window.rows), slice(wide, wide + window.columns)
     return w[inner].astype(np.float32), sigma[inner].astype(np.float32)
 
@@ -73,24 +73,36 @@ def _without_strays(w: np.ndarray, tuning: HeightTuning) -> np.ndarray:
     return np.where(around < tuning.lone + 0.5, np.nan, w)
 
 
-def filled(w: np.ndarray, sigma: np.ndarray, tuning: HeightTuning) -> tuple[np.ndarray, np.ndarray]:
-    """With small holes filled by the plane of the cells around each of their pixels, by a Gaussian of their distance.
+def filled(w: np.ndarray, sigma: np.ndarray, hole_px: int) -> tuple[np.ndarray, np.ndarray]:
+    """w and its sigma (rows, columns), NaN = not known, with holes of up to about twice ``hole_px`` filled by the plane
+    of the cells around each of their pixels, by a Gaussian of their distance.
 
     The variance is the mean one of the cells or, where they scatter more about the plane, for the surface is rough or
     steps, that. It is not less for their number: neighbours share their errors.
     """
     known = np.isfinite(w)
-    size = 2 * tuning.hole_px + 1
+    size = 2 * hole_px + 1
     closed = cv2.morphologyEx(
         known.astype(np.uint8), cv2.MORPH_CLOSE, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
     )
     wanted = (closed > 0) & ~known
     if not wanted.any():
         return w, np.where(known, sigma, np.nan)
-    zero = np.median(w[known])
+    plane = planes(w, sigma, hole_px / 2, wanted)
+    w, sigma = w.copy(), np.where(known, sigma, np.nan)
+    w[wanted], sigma[wanted] = plane
+    return w, sigma
+
+
+def planes(w: np.ndarray, sigma: np.ndarray, bell_px: float, wanted: np.ndarray) -> np.ndarray:
+    """(2, M): w at the pixels ``wanted`` (rows, columns) bool, and its sigma, by the plane through the known cells
+    around each, weighted by a Gaussian of ``bell_px``; NaN where there are too few."""
+    known = np.isfinite(w)
+    zero = np.median(w[known]) if known.any() else 0.0
     there, height = known.astype(float), np.where(known, w - zero, 0.0)
-    at = np.arange(-2 * tuning.hole_px, 2 * tuning.hole_px + 1.0)
-    bell = np.exp(-0.5 * (at / (tuning.hole_px / 2)) ** 2)
+    wide = round(4 * bell_px)
+    at = np.arange(-wide, wide + 1.0)
+    bell = np.exp(-0.5 * (at / bell_px) ** 2)
 
     def moment(values: np.ndarray, x: int, y: int) -> np.ndarray:
         return cv2.sepFilter2D(values, cv2.CV_64F, bell * at**x, bell * at**y, borderType=cv2.BORDER_CONSTANT)[wanted]
@@ -104,7 +116,5 @@ def filled(w: np.ndarray, sigma: np.ndarray, tuning: HeightTuning) -> tuple[np.n
     plane = np.einsum("nij,nj->ni", inverse, right)
     scatter = np.maximum(moment(height**2, 0, 0) - np.einsum("ni,ni->n", plane, right), 0) / support
     own = moment(np.where(known, sigma**2, 0.0), 0, 0) / support
-    w, sigma = w.copy(), np.where(known, sigma, np.nan)
-    w[wanted] = np.where(enough, plane[:, 0] + zero, np.nan)
-    sigma[wanted] = np.where(enough, np.sqrt(np.maximum(scatter, own)), np.nan)
-    return w, sigma
+    found = np.stack([plane[:, 0] + zero, np.sqrt(np.maximum(scatter, own))])
+    return np.where(enough, found, np.nan)

@@ -37,6 +37,8 @@ class Kind:
 KINDS = {
     "dsm": Kind("float32", ("w: height over the reference surface",), NODATA, lengths=True),
     "sigma": Kind("float32", ("standard deviation of w",), NODATA, lengths=True),
+    "dtm": Kind("float32", ("w of the terrain below trees, cars and houses",), NODATA, lengths=True),
+    "dtm_sigma": Kind("float32", ("standard deviation of w of the terrain",), NODATA, lengths=True),
     "ortho": Kind("uint8", ("red", "green", "blue", "alpha")),
     "source": Kind("uint16", ("image that gave the colour, a row of source.csv",), 0, overviews="nearest"),
     "hillshade": Kind("uint8", ("shaded w, light from the upper left",), 0),

@@ -18,3 +18,6 @@ class ProductsSettings(Section):
     plane: tuple[float, float, float, float] | None = None
     """A vertical reference plane instead of those that are found: east and north of its left and of its right end as
     seen from in front of it, in the CRS."""
+    objects_m: float = Field(40.0, gt=0, le=1000)
+    """Of a map: trees, cars and houses up to so wide, metres, are taken off the terrain model; what is wider in every
+    direction, such as a hall or a closed forest, stays in it. Terrain is interpolated to half of this."""

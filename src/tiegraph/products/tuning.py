@@ -49,6 +49,56 @@ class HeightTuning(Section):
     """A pixel with fewer known ones within that distance is a stray."""
 
 
+class TerrainTuning(Section):
+    """The terrain below what stands on it (`terrain.py`): cell, slope and height above ground are those of PDAL's
+    filters.smrf, the same filter."""
+
+    cell_m: float = Field(1.0, gt=0)
+    """Cells in which ground is looked for are at most this large."""
+    lowest: float = Field(0.1, ge=0, le=0.5)
+    """Height of a cell: the quantile of its pixels. Their minimum would be a stray or the noise; a tenth of a cell is a
+    gap between leaves."""
+    slope: float = Field(0.15, gt=0)
+    """What an opening by a disc takes off in one step is an object if it is higher than this share of its radius."""
+    above_m: float = Field(0.5, gt=0)
+    """A pixel this high above the cells of the ground, and more on slopes, is not ground."""
+    noise_sigmas: float = Field(3.0, gt=0)
+    """Both are widened to so many standard deviations of the heights."""
+    rim_px: int = Field(5, ge=0)
+    """Pixels around an object that its edge may raise: the matcher's windows blur edges over a few."""
+
+
+class ContourTuning(Section):
+    """Contour lines (`contours.py`)."""
+
+    most_lines: float = Field(40.0, ge=1)
+    """Lines between the lowest and the highest height at most: of 1, 2, 5, 10 ... one gives 16 to 40."""
+    sigmas: float = Field(2.0, ge=0)
+    """Lines are at least so many standard deviations of the heights apart."""
+    smooth_cells: float = Field(2.0, gt=0)
+    """Lines are drawn on heights smoothed by a Gaussian of so many of their cells, half a terrain cell each: a metre at
+    most, the width of the pen on a plan at 1:2000."""
+    shortest_cells: float = Field(16.0, ge=0)
+    """Lines shorter than so many cells are left out."""
+
+
+class VolumeTuning(Section):
+    """Volumes and their sigma (`volumes.py`)."""
+
+    rim_px: int = Field(10, ge=1)
+    """The ground around a polygon: so many pixels outside of it."""
+    sectors: int = Field(16, ge=8)
+    """Parts of that ring whose errors are taken as independent: enough for the sigma of a plane's three parameters to
+    be good to a fifth, few enough for each to be longer than the errors of neighbours reach."""
+    lowest: float = Field(0.01, ge=0, le=0.5)
+    """The lowest ground is this quantile of the ring: the least of a thousand pixels is noise."""
+    local_px: int = Field(10, ge=3)
+    """Heights are compared with planes by a Gaussian of so many pixels: twice as far as the matcher's windows share
+    errors, and short enough for a heap to be a plane."""
+    least_shared: float = Field(0.2, ge=0, lt=1)
+    """A share of the variance that does not show as scatter counts from this on: less is the error of finding it."""
+
+
 class OrthoTuning(Section):
     """True orthophoto (`visibility.py`, `ortho.py`)."""
 
@@ -72,4 +122,7 @@ class Tuning(Section):
 
     choose: ChooseTuning = Field(default_factory=ChooseTuning)
     heights: HeightTuning = Field(default_factory=HeightTuning)
+    terrain: TerrainTuning = Field(default_factory=TerrainTuning)
+    contours: ContourTuning = Field(default_factory=ContourTuning)
+    volumes: VolumeTuning = Field(default_factory=VolumeTuning)
     ortho: OrthoTuning = Field(default_factory=OrthoTuning)

@@ -1,0 +1,335 @@
+"""Glue of what is measured in a finished map: profiles along a line, volumes inside polygons."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rasterio
+
+from tiegraph.errors import InputError
+from tiegraph.geometry.geodesy import ENU, Origin, world_from_geodetic
+from tiegraph.pipeline.files import load_json, placement_error, reading, world_origin, world_unit
+from tiegraph.pipeline.surfaces import FOLDER
+from tiegraph.products.profile import Profile, along, sampled
+from tiegraph.products.raster import read_window
+from tiegraph.products.surface import MAP, Window
+from tiegraph.products.tuning import VolumeTuning
+from tiegraph.products.volumes import Base, Known, Patch, area_of, crossing, epoch, level, lowest, plane, volumes
+from tiegraph.project.folder import check_format
+from tiegraph.project.stages import write_atomic
+from tiegraph.scene.vectors import Shapes, read_shapes
+from tiegraph.text import csv_text, finite, some
+
+BASES = ("plane", "lowest")
+MOST_PIXELS = 4_000_000
+"""Pixels of the window around a polygon at most, some 1 GB; a larger one is measured in an overview."""
+_PARTS = {
+    "noise": "noise",
+    "base": "of the base",
+    "world": "of the place, tilt and scale in the world",
+    "shape": "of the shape of the model",
+    "near_base": "of ground on the base",
+}
+_SAME_M = 1e-3  # where surface and terrain are nearer the ground was seen
+_SEEN = (0.5, 0.98)  # shares of a polygon: less is refused, less is told
+
+
+@dataclass(frozen=True, eq=False)
+class MapFiles:
+    """The rasters of the map of a run folder: edge of a pixel, rows and columns, the upper left corner (2,) in the CRS,
+    the shift (3,) from the world to that, and where the world is."""
+
+    folder: Path
+    origin: Origin | None
+    unit: str
+    pixel: float
+    shape: tuple[int, int]
+    corner: np.ndarray
+    shift: np.ndarray
+
+    def path(self, name: str) -> Path:
+        """Where a raster is."""
+        return self.folder / FOLDER / MAP / f"{name}.tif"
+
+    def read(self, name: str, window: Window, step: int = 1) -> np.ndarray:
+        """Lengths of a raster as files have them; NaN where it is not there."""
+        if not self.path(name).exists():
+            return np.full((-(-window.rows // step), -(-window.columns // step)), np.nan, np.float32)
+        with reading(self.path(name)):
+            return read_window(self.path(name), window, step)
+
+    def pixels(self, places: np.ndarray) -> np.ndarray:
+        """Columns and rows (N, 2), from the corner, of places (N, 2) in the CRS."""
+        return (places - self.corner) / self.pixel * [1, -1]
+
+    def inside(self, places: np.ndarray) -> np.ndarray:
+        """(N,) whether places (N, 2) in the CRS lie on the rasters."""
+        at = self.pixels(places)
+        return np.all((at >= 0) & (at <= self.shape[::-1]), axis=1)
+
+    def extent(self) -> str:
+        """How far the map reaches, in words."""
+        far = self.corner + np.array([self.shape[1], -self.shape[0]]) * self.pixel
+        east, north = (f"{a:.2f} to {b:.2f}" for a, b in ((self.corner[0], far[0]), (far[1], self.corner[1])))
+        return f"the map reaches from {east} east and from {north} north"
+
+
+def open_map(folder: Path) -> MapFiles:
+    """The map of a run folder. Raises InputError if it has none."""
+    check_format(folder)
+    path = folder / FOLDER / MAP / "dsm.tif"
+    if not path.exists():
+        raise InputError(f"{folder} has no map yet: tiegraph products {folder} --products.make map")
+    origin = world_origin(folder)
+    with reading(path), rasterio.open(path) as raster:
+        shape, to_crs = raster.shape, raster.transform
+    return MapFiles(
+        folder=folder,
+        origin=origin,
+        unit=world_unit(folder),
+        pixel=float(to_crs.a),
+        shape=shape,
+        corner=np.array([to_crs.c, to_crs.f]),
+        shift=np.zeros(3) if origin is None else np.array(origin.shift_m, float),
+    )
+
+
+# --- lines and polygons in the CRS of the survey ---------------------------------------------------------------------
+
+
+def line_of(given: Sequence[str], map_: MapFiles) -> np.ndarray:
+    """Vertices (N, 2) in the CRS of a line that is given as places "E,N", or as a file that has one."""
+    if len(given) == 1 and Path(given[0]).suffix and not _pair(given[0]):
+        parts = _in_crs(read_shapes(Path(given[0]), "line"), Path(given[0]), map_)
+        if len(parts) > 1:
+            raise InputError(f"--line {given[0]}: the file has {len(parts)} lines, and a profile is along one")
+        return parts[0]
+    found = [_pair(text) for text in given]
+    wrong = next((text for text, pair in zip(given, found) if not pair), None)
+    if wrong is not None or len(found) < 2:
+        raise InputError(f"--line {wrong or ' '.join(given)}: give two places or more as E,N E,N or a file with a line")
+    return np.array(found)
+
+
+def _pair(text: str) -> tuple[float, ...]:
+    try:
+        east, north = (float(part) for part in text.split(","))
+    except ValueError:
+        return ()
+    return (east, north) if np.isfinite([east, north]).all() else ()
+
+
+def _in_crs(shapes: Shapes, path: Path, map_: MapFiles) -> list[np.ndarray]:
+    """Vertices in the CRS of the survey. Raises InputError for those of another."""
+    if shapes.crs is None:
+        return shapes.parts
+    import pyproj
+
+    theirs = pyproj.CRS.from_user_input(shapes.crs)
+    place = map_.origin
+    if theirs.is_geographic and place is not None and theirs.to_2d().equals(_wgs84(), ignore_axis_order=True):
+        flat = np.full(1, place.height_m)
+        degrees = (np.c_[p[:, ::-1], np.repeat(flat, len(p))] for p in shapes.parts)
+        return [(world_from_geodetic(d, place) + map_.shift)[:, :2] for d in degrees]
+    if place is None or place.crs == ENU:
+        if theirs.is_projected or theirs.is_geographic:
+            raise InputError(f"{path} is in {theirs.name}, and the survey has a CRS of its own: give it without one")
+        return shapes.parts
+    ours = pyproj.CRS.from_user_input(place.crs)
+    ours = ours.sub_crs_list[0] if ours.is_compound else ours
+    theirs = theirs.sub_crs_list[0] if theirs.is_compound else theirs
+    if not theirs.equals(ours, ignore_axis_order=True):
+        raise InputError(f"{path} is in {theirs.name}, the survey in {place.crs} ({ours.name}): save it in that CRS")
+    return shapes.parts
+
+
+def _wgs84() -> Any:
+    import pyproj
+
+    return pyproj.CRS.from_epsg(4326)
+
+
+# --- profiles --------------------------------------------------------------------------------------------------------
+
+
+def make_profile(folder: Path, line: Sequence[str], out: Path) -> Profile:
+    """Write heights along a line of a map as CSV, and beside it a chart as SVG. Raises InputError for no map, a line
+    that is none or lies outside, and another CRS."""
+    from tiegraph.products.profile import chart  # draws
+
+    map_ = open_map(folder)
+    vertices = line_of(line, map_)
+    distance, places = along(vertices, map_.pixel)
+    if not map_.inside(places).any():
+        raise InputError(f"the line lies outside: {map_.extent()}")
+    at = map_.pixels(places)
+    names = {"dsm": "dsm", "dsm_sigma": "sigma", "dtm": "dtm", "dtm_sigma": "dtm_sigma"}
+    values = {column: sampled(partial(map_.read, name), at) for column, name in names.items()}
+    profile = Profile(distance, places, values, unit=map_.unit)
+    write_atomic(out, csv_text(*profile.table))
+    write_atomic(out.with_suffix(".svg"), chart(profile))
+    return profile
+
+
+# --- volumes ---------------------------------------------------------------------------------------------------------
+
+
+def measure_volumes(
+    folder: Path, polygon: Path, tuning: VolumeTuning, base: str = "plane", surface: str = "dsm"
+) -> list[dict[str, Any]]:
+    """Volumes inside each polygon of a file, JSON-ready. ``base``: plane, lowest, a height in the CRS, or the run
+    folder of another survey; ``surface``: dsm or dtm. Raises InputError for no map, polygons that are none, cross
+    themselves, lie outside or where nothing is known, and another CRS."""
+    map_ = open_map(folder)
+    if not map_.path(surface).exists():
+        raise InputError(f"{folder} has no terrain model: tiegraph products {folder}")
+    other = None if base in BASES or _height(base) is not None else _other(Path(base), map_)
+    parts = _in_crs(read_shapes(polygon, "polygon"), polygon, map_)
+    for part in parts:
+        _check(part, polygon, map_)
+    return [_measured(part - map_.shift[:2], (map_, other), base, surface, tuning) for part in parts]
+
+
+def _height(base: str) -> float | None:
+    try:
+        found = float(base)
+    except ValueError:
+        return None
+    return found if np.isfinite(found) else None
+
+
+def _other(folder: Path, map_: MapFiles) -> MapFiles:
+    if not folder.is_dir():
+        raise InputError(f"--base {folder}: give plane, lowest, a height, or the run folder of another survey")
+    other = open_map(folder)
+    ours, theirs = (None if m.origin is None else m.origin.crs for m in (map_, other))
+    if ours is None or ours == ENU or ours != theirs or other.unit != map_.unit:
+        names = " and ".join(str(c or "none") for c in (ours, theirs))
+        raise InputError(f"--base {folder}: both surveys must lie in one CRS of the Earth, and these are in {names}")
+    return other
+
+
+def _check(polygon: np.ndarray, path: Path, map_: MapFiles) -> None:
+    sides = crossing(polygon)
+    if sides is not None:
+        a, b = (f"{polygon[k][0]:.2f}, {polygon[k][1]:.2f}" for k in sides)
+        raise InputError(f"{path}: the polygon crosses itself: the sides that begin at ({a}) and ({b}) meet")
+    if not map_.inside(polygon).all():
+        east, north = polygon[np.argmin(map_.inside(polygon))]
+        raise InputError(f"{path}: ({east:.2f}, {north:.2f}) of the polygon lies outside: {map_.extent()}")
+
+
+def _measured(
+    polygon: np.ndarray, maps: tuple[MapFiles, MapFiles | None], base: str, surface: str, tuning: VolumeTuning
+) -> dict[str, Any]:
+    """Of a polygon in the world, on the first of the maps."""
+    map_ = maps[0]
+    window, step = _window(polygon, map_, tuning)
+    patch = _patch(map_, surface, window, step)
+    known = _known(map_, polygon)
+    ground = _ground(map_, window, step)
+    under = _other_surface(patch, polygon, maps, surface) or _base(base, patch, map_.shift[2])
+    if under is None:
+        under = (plane if base == "plane" else lowest)(ground, polygon, known, tuning)
+    area = patch.share(polygon)
+    seen = float(area[np.isfinite(patch.w - under.w)].sum() / area.sum())
+    if seen < _SEEN[0]:
+        raise InputError(f"heights are known on {seen:.0%} of the polygon: draw it where the map shows ground")
+    found = volumes(patch, under, polygon, known, tuning)
+    notes = []
+    if seen < _SEEN[1]:
+        notes.append(f"heights are known on {seen:.0%} of the polygon, and volumes are of that")
+    if known.placed is None:
+        notes.append("nothing tells how well the survey lies in the world: sigmas are without that")
+    if step > 1:
+        notes.append(f"measured in pixels of {patch.pixel:g} {map_.unit}, for the polygon is large")
+    return finite({
+        "unit": map_.unit, "area": area_of(polygon), "seen": seen, "surface": surface, "base": under.said,
+        **{k: {"value": v.value, "sigma": v.sigma, "parts": v.parts} for k, v in found.items()}, "notes": notes,
+    })  # fmt: skip
+
+
+def _window(polygon: np.ndarray, map_: MapFiles, tuning: VolumeTuning) -> tuple[Window, int]:
+    """The pixels around a polygon that tell its volume, and how many of them along an edge are taken together."""
+    at = map_.pixels(polygon + map_.shift[:2])
+    step, size = 1, np.ptp(at, axis=0)
+    while np.prod(size / step + 2) > MOST_PIXELS:
+        step *= 2
+    wide = step * (tuning.rim_px + 2 * tuning.local_px)
+    left, top = (int(np.floor(v / step)) * step - wide for v in at.min(axis=0))
+    right, low = (int(np.ceil(v / step)) * step + wide for v in at.max(axis=0))
+    left, top = max(left, 0), max(top, 0)
+    rows, columns = ((min(b, size) - a) // step * step for a, b, size in zip((top, left), (low, right), map_.shape))
+    return Window(top, left, rows=rows, columns=columns), step
+
+
+def _patch(map_: MapFiles, name: str, window: Window, step: int) -> Patch:
+    """A raster and its sigma in a window, in the world."""
+    w, spread = (map_.read(n, window, step).astype(float) for n in (name, _sigma(name)))
+    corner = map_.corner + np.array([window.column, -window.row]) * map_.pixel - map_.shift[:2]
+    return Patch(w - map_.shift[2], spread, corner=corner, pixel=map_.pixel * step)
+
+
+def _sigma(name: str) -> str:
+    return "sigma" if name == "dsm" else f"{name}_sigma"
+
+
+def _ground(map_: MapFiles, window: Window, step: int) -> Patch:
+    """The surface where it is the terrain, or as it is where there is no terrain model."""
+    surface = _patch(map_, "dsm", window, step)
+    if not map_.path("dtm").exists():
+        return surface
+    terrain = _patch(map_, "dtm", window, step)
+    seen = np.abs(surface.w - terrain.w) < _SAME_M
+    return replace(surface, w=np.where(seen, surface.w, np.nan))
+
+
+def _known(map_: MapFiles, polygon: np.ndarray) -> Known:
+    """Of three axes a height is one."""
+    world = load_json(map_.folder / "world.json")
+    between = np.array([[0.0, 0.0], *(world.get("between_frames") or [])])
+    over = np.interp(np.linalg.norm(np.ptp(polygon, axis=0)), *between.T) / np.sqrt(3)
+    whole = (world.get("model_sigma") or {}).get("median", 0.0) / np.sqrt(3)
+    return Known(placement_error(map_.folder), over_polygon=float(over), whole=float(whole))
+
+
+def _other_surface(
+    patch: Patch, polygon: np.ndarray, maps: tuple[MapFiles, MapFiles | None], surface: str
+) -> Base | None:
+    map_, other = maps
+    if other is None:
+        return None
+    east, north = patch.places()
+    at = other.pixels(np.stack([east.ravel(), north.ravel()], axis=-1) + map_.shift[:2])
+    w, sigma = (sampled(partial(other.read, name), at).reshape(patch.w.shape) for name in (surface, _sigma(surface)))
+    theirs = replace(patch, w=w - map_.shift[2], sigma=sigma)
+    return epoch(theirs, _moved_to(_known(other, polygon), other.shift - map_.shift), f"{surface} of {other.folder}")
+
+
+def _base(base: str, patch: Patch, shift: float) -> Base | None:
+    height = _height(base)
+    return None if height is None else level(patch, height - shift, f"level at {height:.3f}")
+
+
+def _moved_to(known: Known, shift: np.ndarray) -> Known:
+    """Of another survey's world in ours."""
+    if known.placed is None:
+        return known
+    return replace(known, placed=replace(known.placed, middle=known.placed.middle + shift))
+
+
+def said(found: dict[str, Any]) -> str:
+    """What was measured of a polygon, in a sentence."""
+    unit = found["unit"]
+    each = [
+        f"{name} {found[name]['value']:.2f} ± {found[name]['sigma']:.2f} {unit}3" for name in ("cut", "fill", "net")
+    ]
+    why = found["net"]["parts"]
+    largest = max(why, key=lambda k: why[k])
+    text = (
+        f"{', '.join(each)} on {found['area']:.2f} {unit}2; base: {found['base']}; most of the sigma is of: {largest}"
+    )
+    return f"{text}. {some(found['notes'], joint='. ')}" if found["notes"] else text

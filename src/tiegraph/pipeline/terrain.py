@@ -1,0 +1,194 @@
+"""Glue of the terrain of a map: its model below trees, cars and houses, and contour lines."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from tiegraph.errors import EngineMissing
+from tiegraph.geometry.geodesy import geodetic_from_world
+from tiegraph.pipeline.files import load_npz, save_npz
+from tiegraph.pipeline.surfaces import OnSurface, Step
+from tiegraph.products.contours import Line, contour_lines, equidistance
+from tiegraph.products.raster import Place
+from tiegraph.products.surface import MAP, Surface, Window
+from tiegraph.products.terrain import (
+    Terrain,
+    bare,
+    footprint,
+    ground,
+    ground_cells,
+    low_cells,
+    margin,
+    step_of,
+    terrain_tile,
+    through,
+)
+from tiegraph.project.stages import write_atomic
+from tiegraph.scene.atomic import replacing
+from tiegraph.scene.vectors import Layer, collection, feature, gdal, write_layer
+
+_DONE = "dtm.tif"  # the last file
+
+
+def wanted(surface: Surface, place: Place) -> bool:
+    """Whether a surface has a terrain: a map whose metres tell a house from a hill."""
+    return surface.name == MAP and place.unit == "m"
+
+
+@dataclass(frozen=True, eq=False)
+class TerrainWork(OnSurface):
+    """The terrain model of a map and its contour lines, below objects of up to so many metres."""
+
+    objects_m: float
+
+    def steps(self) -> list[Step]:
+        """All steps, in their order."""
+        return [
+            self.step(self.windows, "low", self.make_low, self.finish_low, _DONE),
+            self.step(self.windows, "ground", self.make_ground, self.finish_ground, _DONE),
+            self.step(self.windows, "terrain", self.make_terrain, self.finish_terrain, _DONE),
+        ]
+
+    @cached_property
+    def cell(self) -> int:
+        """Pixels along a cell."""
+        return step_of(self.surface.shape, self.surface.pixel_m, self.tuning.terrain)
+
+    @cached_property
+    def reach(self) -> int:
+        """Cells to which terrain is interpolated."""
+        return int(np.ceil(self.objects_m / 2 / (self.cell * self.surface.pixel_m)))
+
+    # --- which cells are ground ---------------------------------------------------------------------------------------
+
+    def make_low(self, window: Window) -> None:
+        """Heights of the cells of a tile, low ones, and their sigma."""
+        low = low_cells(self.heights(window), self.cell, self.tuning.terrain)
+        sigma = low_cells(self.read("sigma", window), self.cell, self.tuning.terrain)
+        save_npz(self.scratch("low", window), low=low, sigma=sigma)
+
+    def finish_low(self) -> None:
+        """The terrain through the cells that are ground by their heights."""
+        low, sigma = (self._whole("low", name, self.cell) for name in ("low", "sigma"))
+        noise = float(np.nanmedian(sigma)) if np.isfinite(sigma).any() else 0.0
+        cell_m = self.cell * self.surface.pixel_m
+        found = bare(low, noise, cell_m, self.objects_m, self.tuning.terrain)
+        within = footprint(np.isfinite(low))
+        self._keep("low", through(found, np.where(np.isfinite(found), noise, np.nan), self.cell, self.reach, within))
+
+    # --- the terrain through them -------------------------------------------------------------------------------------
+
+    def make_ground(self, window: Window) -> None:
+        """Heights of the cells of a tile by their pixels on the ground."""
+        wide = self.tuning.terrain.rim_px + 1
+        around = window.grown(wide)
+        w, sigma = self.heights(around), self.read("sigma", around)
+        on_ground = ground(w, sigma, self._kept("low"), around, self.tuning.terrain)
+        inner = slice(wide, -wide), slice(wide, -wide)
+        found = ground_cells(w[inner], sigma[inner], on_ground[inner], self.cell)
+        save_npz(self.scratch("ground", window), w=found[0], sigma=found[1])
+
+    def finish_ground(self) -> None:
+        """The terrain through the cells on the ground."""
+        w, sigma = (self._whole("ground", name, self.cell) for name in ("w", "sigma"))
+        within = footprint(np.isfinite(self._whole("low", "low", self.cell)))
+        self._keep("ground", through(w, sigma, self.cell, self.reach, within))
+
+    # --- at the pixels ------------------------------------------------------------------------------------------------
+
+    def make_terrain(self, window: Window) -> None:
+        """Heights of the terrain of a tile, their sigma, and both by the cells in which contour lines are drawn."""
+        around = window.grown(margin(self.cell, self.tuning.terrain))
+        w, sigma = self.heights(around), self.read("sigma", around)
+        w, sigma = terrain_tile(w, sigma, self._kept("low"), self._kept("ground"), window, self.tuning.terrain)
+        drawn = ground_cells(w, sigma, np.isfinite(w), self._drawn)
+        dtm = w + np.float32(self.surface.offset[2])
+        save_npz(self.scratch("terrain", window), dtm=dtm, sigma=sigma, drawn=drawn[0], drawn_sigma=drawn[1])
+
+    @property
+    def _drawn(self) -> int:
+        return max(1, self.cell // 2)
+
+    def finish_terrain(self) -> None:
+        """Contour lines, and the rasters of the terrain and its sigma."""
+        self._contours()
+        self.write("dtm_sigma", self.tiles("terrain", "sigma"))
+        self.write("dtm", self.tiles("terrain", "dtm"))
+
+    def _contours(self) -> None:
+        step, surface, tuning = self._drawn, self.surface, self.tuning.contours
+        w, sigma = (self._whole("terrain", name, step) for name in ("drawn", "drawn_sigma"))
+        w = w + surface.offset[2]
+        whole = Window(0, 0, rows=surface.shape[0], columns=surface.shape[1])
+        every = equidistance(w, sigma, tuning)
+        u, v = (at + off for at, off in zip(surface.places(whole, step), surface.offset))
+        lines = contour_lines(w, sigma, (u, v), every, tuning)
+        written = _write_lines(self.path("contours.gpkg"), lines, surface, self.place) if lines else ""
+        levels = len({line.w for line in lines})
+        save_npz(self.scratch("contours", 0), every=every, lines=len(lines), levels=levels, written=written)
+
+    def said(self) -> str:
+        """What was drawn, in words."""
+        path = self.scratch("contours", 0)
+        if not path.exists():
+            return "contour lines: as they were"
+        found = load_npz(path)
+        if not found["lines"]:
+            return "contour lines: none, for no height of the terrain is known or all are one"
+        counted = f"{int(found['lines'])} lines at {int(found['levels'])} heights, {float(found['every']):g} m apart"
+        return f"contour lines: {counted} ({found['written']})"
+
+    # --- the grid of the whole map ------------------------------------------------------------------------------------
+
+    def _whole(self, kind: str, name: str, step: int) -> np.ndarray:
+        """Cells (rows, columns) of ``step`` pixels of all tiles."""
+        out = np.full([-(-n // step) for n in self.surface.shape], np.nan, np.float32)
+        for window, values in self.tiles(kind, name):
+            row, column = window.row // step, window.column // step
+            out[row : row + values.shape[0], column : column + values.shape[1]] = values
+        return out
+
+    def _keep(self, kind: str, terrain: Terrain) -> None:
+        save_npz(self.scratch(f"{kind}_cells", 0), **vars(terrain))
+
+    def _kept(self, kind: str) -> Terrain:
+        found = load_npz(self.scratch(f"{kind}_cells", 0))
+        return Terrain(step=int(found["step"]), w=found["w"], sigma=found["sigma"], known=found["known"])
+
+
+def _write_lines(path: Path, lines: list[Line], surface: Surface, place: Place) -> str:
+    """Write contour lines as a GeoPackage in the CRS of the map, or as GeoJSON in degrees where pyogrio is missing; the
+    name of the file, or why there is none."""
+    try:
+        raw = gdal("contours.gpkg", "")
+    except EngineMissing:
+        if place.origin is None:
+            return "not written: that needs pyogrio, pip install 'tiegraph[gis]'"
+        shift = np.asarray(place.origin.shift_m)
+        lat_lon = ((geodetic_from_world(p - shift, place.origin), line) for p, line in _placed(lines))
+        degrees = ((np.round(p[:, [1, 0, 2]], 9), line) for p, line in lat_lon)
+        path = path.with_suffix(".geojson")
+        write_atomic(path, collection(_features(degrees)))
+        return path.name
+    with replacing(path) as temporary:
+        write_layer(raw, temporary, "contours", _features(_placed(lines)), place.crs(surface).to_wkt())
+    return path.name
+
+
+def _placed(lines: list[Line]) -> Iterator[tuple[np.ndarray, Line]]:
+    for line in lines:
+        yield np.c_[line.uv, np.full(len(line.uv), line.w)], line
+
+
+def _features(placed: Iterator[tuple[np.ndarray, Line]]) -> Layer:
+    return [
+        feature(
+            "LineString",
+            coordinates,
+            {"elevation_m": line.w, "index": line.index, "sigma_m": round(line.sigma, 4)},
+        )
+        for coordinates, line in placed
+    ]

@@ -1,0 +1,131 @@
+"""Points, lines and polygons of GIS: GeoJSON features, the layers of a GeoPackage, which GDAL (pyogrio) writes from
+them, and lines and polygons that are read from files."""
+
+import io
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tiegraph.errors import EngineMissing, InputError
+
+Layer = list[dict[str, Any]]
+_WRITTEN = "1970-01-01T00:00:00.000Z"  # the date that a GeoPackage has of itself: the same data, the same bytes
+
+
+def feature(kind: str, coordinates: np.ndarray, said: dict[str, Any]) -> dict[str, Any]:
+    """A GeoJSON feature of a kind (Point, LineString) with its coordinates (..., 2 or 3) and properties."""
+    shape = {"type": kind, "coordinates": coordinates.tolist()}
+    return {"type": "Feature", "geometry": shape, "properties": said}
+
+
+def collection(features: Layer) -> str:
+    """The text of a GeoJSON file."""
+    return json.dumps({"type": "FeatureCollection", "features": features}, allow_nan=False)
+
+
+def gdal(what: str, instead: str) -> Any:
+    """pyogrio's functions. Raises EngineMissing, which says that ``what`` needs them and what to do ``instead``."""
+    try:
+        from pyogrio import raw, set_gdal_config_options
+    except ImportError:
+        text = f"{what} needs pyogrio: pip install 'tiegraph[gis]' (or pip install pyogrio); {instead}"
+        raise EngineMissing(text) from None
+    set_gdal_config_options({"OGR_CURRENT_DATE": _WRITTEN})
+    return raw
+
+
+def write_layer(raw: Any, path: Path, name: str, features: Layer, crs: str) -> None:
+    """Add a layer of features in a CRS to a GeoPackage, which is made if it is not there; ``raw``: of ``gdal``."""
+    meta, _, shapes, columns = raw.read(collection(features).encode())
+    kind = {"layer": name, "geometry_type": meta["geometry_type"], "crs": crs}
+    raw.write(path, shapes, columns, meta["fields"], driver="GPKG", append=path.exists(), **kind)
+
+
+@dataclass(frozen=True)
+class Shapes:
+    """Lines or outer rings of polygons of a file, (N, 2) east and north each (degrees: longitude and latitude), and
+    the CRS that it names, if any."""
+
+    parts: list[np.ndarray]
+    crs: str | None
+
+
+_WANTED = {"line": ("LineString", "MultiLineString"), "polygon": ("Polygon", "MultiPolygon")}
+
+
+def read_shapes(path: Path, kind: str) -> Shapes:
+    """The lines or polygons (``kind``: line, polygon) of a file: GeoJSON, a CSV of east and north, and what else GDAL
+    reads. Raises InputError for a file that has none or cannot be read, EngineMissing where it needs pyogrio."""
+    if not path.is_file():
+        raise InputError(f"{path} is no file")
+    ending = path.suffix.lower()
+    try:
+        if ending in (".csv", ".txt"):
+            parts, crs = [_table(path)], None
+        elif ending in (".geojson", ".json"):
+            data = json.loads(path.read_text(encoding="utf-8"))
+            parts, crs = _parts(data, kind), _named(data)
+        else:
+            parts, crs = _by_gdal(path, kind)
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, RuntimeError) as error:
+        raise InputError(f"{path} cannot be read as a {kind}: {error}") from error
+    least = 2 if kind == "line" else 3
+    if not parts or any(len(p) < least or not np.isfinite(p).all() for p in parts):
+        raise InputError(f"{path} has no {kind} of {least} vertices or more")
+    return Shapes(parts, crs)
+
+
+def _table(path: Path) -> np.ndarray:
+    rows = [line.replace(";", ",").split(",") for line in path.read_text(encoding="utf-8").splitlines()]
+    first = 0 if _is_number(rows[0][0]) else 1  # a row of names
+    return _open(np.array([[float(v) for v in row[:2]] for row in rows[first:] if "".join(row).strip()]))
+
+
+def _is_number(text: str) -> bool:
+    try:
+        return bool(np.isfinite(float(text)))
+    except ValueError:
+        return False
+
+
+def _open(vertices: np.ndarray) -> np.ndarray:
+    """Without vertices that are there twice in a row, and without the first again at the end of a ring of three."""
+    kept = vertices[np.r_[True, np.any(np.diff(vertices, axis=0) != 0, axis=1)]]
+    return kept[:-1] if len(kept) > 3 and (kept[0] == kept[-1]).all() else kept
+
+
+def _parts(data: dict[str, Any], kind: str) -> list[np.ndarray]:
+    features = data["features"] if data.get("type") == "FeatureCollection" else [data]
+    out = []
+    for shape in (f.get("geometry", f) for f in features):
+        if shape is None:
+            continue
+        if kind == "polygon" and shape["type"] == "LineString" and shape["coordinates"][0] == shape["coordinates"][-1]:
+            shape = {"type": "Polygon", "coordinates": [shape["coordinates"]]}  # as CAD has it
+        if shape["type"] not in _WANTED[kind]:
+            continue
+        each = shape["coordinates"] if shape["type"].startswith("Multi") else [shape["coordinates"]]
+        if kind == "polygon":
+            if any(len(rings) > 1 for rings in each):
+                raise InputError("a polygon with a hole is not taken: cut it in two")
+            each = [rings[0] for rings in each]
+        found = [np.array([c[:2] for c in part], float).reshape(-1, 2) for part in each]
+        out += found if kind == "line" else [_open(p) for p in found]
+    return out
+
+
+def _named(data: dict[str, Any]) -> str:
+    """The CRS that older GeoJSON names; by RFC 7946 it is WGS84."""
+    return str((data.get("crs") or {}).get("properties", {}).get("name", "OGC:CRS84"))
+
+
+def _by_gdal(path: Path, kind: str) -> tuple[list[np.ndarray], str | None]:
+    raw = gdal(str(path), "or save it as GeoJSON, or as a CSV of east and north")
+    meta, _, shapes, _ = raw.read(path, columns=[])
+    text = io.BytesIO()
+    given = meta["crs"] or "EPSG:4326"  # some, without which pyogrio warns; coordinates stay as they are
+    raw.write(text, shapes, [], [], driver="GeoJSON", geometry_type=meta["geometry_type"], crs=given)
+    return _parts(json.loads(text.getvalue()), kind), meta["crs"]
