@@ -18,10 +18,8 @@ from tiegraph.scene.colmapmodel import image_poses
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm import mapping
 from tiegraph.sfm.model import frame_poses
-from tiegraph.sfm.run import Fixed, MappingResult, Matches, Method, Request, run_mapper
-from tiegraph.sfm.start.pathscale import path_scale
-from tiegraph.sfm.start.poses import rig_of_poses, start_from
-from tiegraph.sfm.start.stagedadjustment import refusal
+from tiegraph.sfm.run import Fixed, MappingResult, Matches, Method, Request, refusal, run_mapper
+from tiegraph.sfm.start import path_scale, rig_of_poses, start_from
 from tiegraph.sfm.startcheck import StartCheck, check_start, told
 from tiegraph.sfm.tuning import StartCheckTuning, Tuning
 from tiegraph.sfm.tuning.start import StagedTuning, StartTuning

@@ -34,7 +34,7 @@ from tiegraph.sfm.registrationreport import no_model_text
 from tiegraph.sfm.rig.rig import held_by_mapper
 from tiegraph.sfm.run import Fixed, MappingResult, Matches, Method, Request, run_mapper
 from tiegraph.sfm.settings import SparseSettings
-from tiegraph.sfm.start.poses import length_of_path
+from tiegraph.sfm.start import length_of_path
 from tiegraph.sfm.tuning import AdjustTuning, MappingTuning, Tuning
 from tiegraph.sfm.tuning.rig import RigTuning
 from tiegraph.sfm.verified import read_verified

@@ -27,7 +27,7 @@ class MappingTuning(Section):
     second_survey: int = Field(10, gt=0)
     """Images without any tie to the model that are mapped by themselves."""
     turned_share: float = Field(0.9, gt=0, le=1)
-    """Of pairs that turns alone explain, where there is no base to make a model of (`start/turning.py`). Views of one
+    """Of pairs that turns alone explain, where there is no base to make a model of (`turning.py`). Views of one
     panorama 0.99; thirty real surveys 0 to 0.06, a drone over the sea 0.33."""
     turned_off: float = Field(0.002, gt=0)
     """What a turn may leave of such a pair, in parts of the longer side: 0.0003 in those views, 0.003 to 0.06 in the
@@ -151,7 +151,7 @@ class SigmaTuning(Section):
 
 
 class ShutterTuning(Section):
-    """Whether the rows of images are read one after another (`shutter.py`)."""
+    """Whether the rows of images are read one after another (`finish.py`)."""
 
     max_gap_s: float = Field(3.0, gt=0)
     """Between neighbours of a pass: beyond, their difference is no velocity at either (`scan.max_gap_s`)."""
