@@ -15,8 +15,7 @@ import numpy as np
 
 from benchmarks.network.simulated import Survey, position_sigma, survey
 from tiegraph import papers
-from tiegraph.design.design import METHODS, design
-from tiegraph.design.hybrid import Budget, choose
+from tiegraph.design.design import METHODS, Budget, choose, design
 from tiegraph.design.matchprediction import expected_matches
 from tiegraph.design.settings import DesignSettings
 from tiegraph.design.tracks import Candidates
