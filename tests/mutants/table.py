@@ -290,7 +290,7 @@ MUTANTS: tuple[Mutant, ...] = (
          "dense = furthest >= settings.radius_voxels * spacing"),
         ("points: the corner of a pixel", "(column + 0.5) * ray[k, 0]", "column * ray[k, 0]"),
     ),
-    *_in("004", "dense/shotscale.py", "dense/test_dense_shot.py",
+    *_in("004", "dense/shot.py", "dense/test_dense_shot.py",
         ("scale of the poses: the camera's place left out", "(self.read(scale)[1] - camera[2, 3]) / along",
          "self.read(scale)[1] / along"),
         ("scale of the poses: upside down", "scale = float(np.median(medians))",

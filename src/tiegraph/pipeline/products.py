@@ -18,11 +18,21 @@ from tiegraph.pipeline.dense import depth_path, read_depth
 from tiegraph.pipeline.files import FINAL, load_model, load_npz, reading, save_npz, world_origin, world_unit
 from tiegraph.products.choose import Survey, choose
 from tiegraph.products.heights import height_tile, margin
-from tiegraph.products.ortho import Images, Patch, block_px, gains, ortho_margin, ortho_tile, patch
+from tiegraph.products.ortho import (
+    Buffer,
+    Images,
+    Patch,
+    block_px,
+    draw,
+    gains,
+    ortho_margin,
+    ortho_tile,
+    patch,
+    windows_met,
+)
 from tiegraph.products.raster import Place, hillshade, overview, read_window, write_raster
 from tiegraph.products.surface import Surface, View, Window
 from tiegraph.products.tuning import Tuning
-from tiegraph.products.visibility import Buffer, draw, windows_met
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, save_json, write_atomic
 from tiegraph.scene.cloudfile import shift_of
