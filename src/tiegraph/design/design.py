@@ -147,9 +147,9 @@ def _chosen(
         return Choice(np.union1d(start, top), np.nan, 0)
     candidates = Candidates.make(kept.i, kept.j, kept.strength, kept.known, len(scene))
     if settings.budget == "pairs":
-        return choose(candidates, start, Budget(allowed), tuning)
+        return choose(candidates, start, allowed, tuning)
     judge = Predictor(candidates, tuning.net, _units(scene))
-    return choose(candidates, start, Budget(allowed, settings.loss_percent / 100), tuning, judge)
+    return choose(candidates, start, allowed, tuning, judge, settings.loss_percent / 100)
 
 
 def _units(scene: Scene) -> np.ndarray:
@@ -256,22 +256,18 @@ class Choice:
     rounds: int
 
 
-@dataclass(frozen=True)
-class Budget:
-    """When to stop: at ``pairs`` pairs, or at the ``loss`` (a share) where that is given."""
-
-    pairs: int
-    loss: float | None = None
-
-
 def choose(
-    candidates: Candidates, start: np.ndarray, budget: Budget, tuning: Tuning, judge: Predictor | None = None
+    candidates: Candidates,
+    start: np.ndarray,
+    most: int,
+    tuning: Tuning,
+    judge: Predictor | None = None,
+    enough: float | None = None,
 ) -> Choice:
     """Greedy design from the candidates at start (K,), which must connect what is connectable; never fewer than those.
 
-    ``judge`` predicts the loss where the budget asks for one; by default images count one by one.
+    It stops at ``most`` pairs, or where the loss (a share) that ``judge`` predicts is ``enough``.
     """
-    judge = Predictor(candidates, tuning.net) if judge is None and budget.loss is not None else judge
     tracks, own = Tracks(candidates, tuning.net), tuning.growth
     chosen = np.zeros(len(candidates), bool)
     weight = np.zeros(len(candidates))  # of the chosen links of the net
@@ -283,16 +279,16 @@ def choose(
     while True:
         count = int(chosen.sum())
         done = count == len(candidates)
-        if judge is not None and budget.loss is not None and (done or count >= (1 + own.look) * looked):
+        if judge is not None and enough is not None and (done or count >= (1 + own.look) * looked):
             loss = judge.loss(tracks.chosen, tracks)
             _log.info("round %d: %d of %d pairs, loss over previews %.1f %%", rounds, count, len(chosen), 100 * loss)
-            if loss <= budget.loss:
+            if loss <= enough:
                 places = np.concatenate(order)
                 between = max(looked, len(start)), count
-                end, loss = _shortest(places, before, between, (loss, budget.loss), judge)
+                end, loss = _shortest(places, before, between, (loss, enough), judge)
                 return Choice(places[:end], loss, rounds)
             before, looked = tracks.copy(), count
-        room = min(budget.pairs, len(candidates)) - count
+        room = min(most, len(candidates)) - count
         if room <= 0:
             break
         new = tracks.new()

@@ -127,16 +127,16 @@ def filter_pairs(
     matches = Matches.of(database, scene, tuning.matches_a_pair)
     judged = Judged.none(len(kept)) if prior is None else _by_prior(scene, kept, matches, prior, tuning, run_map)
     others = np.flatnonzero(~judged.asked)
-    loops = by_loops(scene, kept.where(others), matches, settings, tuning.loops, run_map)
+    by_rotation = by_loops(scene, kept.where(others), matches, settings, tuning.loops, run_map)
     forget()
     refused, undecided = judged.refused.copy(), np.zeros(len(kept), bool)
-    refused[others], undecided[others] = loops.refused, loops.undecided
+    refused[others], undecided[others], said = by_rotation
     gone = int(refused.sum())
     return Filtering(
         pairs=pairs.drop(_in_table(pairs, refused), "repeat"),
         undecided=_in_table(pairs, undecided),
         counts={"pairs": len(kept), "kept": len(kept) - gone, "refused": gone, "undecided": int(undecided.sum())},
-        notes=(*judged.notes, *loops.notes),
+        notes=(*judged.notes, *said),
         tables={"camera pairs": _table(scene, kept, refused)},
     )
 

@@ -170,26 +170,20 @@ def _reliable(units: int, ends: np.ndarray, agreeing: np.ndarray) -> np.ndarray:
     return parts[ends[:, 0]] == parts[ends[:, 1]]
 
 
-@dataclass(frozen=True)
-class Loops:
-    """Of each pair (P,) bool whether it is refused, or kept though it contradicts and no loop tells; notes."""
-
-    refused: np.ndarray
-    undecided: np.ndarray
-    notes: tuple[str, ...] = ()
-
-
 def by_loops(
     scene: Scene, pairs: Pairs, matches: Matches, settings: FilterSettings, tuning: LoopTuning, run_map: Map
-) -> Loops:
-    """Judge pairs by loops of rotations. ``run_map(function, items, *args)`` runs items anywhere."""
+) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
+    """Judge pairs by loops of rotations: of each pair (P,) bool whether it is refused, or kept though it contradicts
+    and no loop tells; notes. ``run_map(function, items, *args)`` runs items anywhere."""
     bound = settings.max_error_px / matches.focal_px()
     unit, turned = _units(scene)
     outside = np.flatnonzero(unit[pairs.i] != unit[pairs.j])
     i, j = pairs.i[outside].astype(int), pairs.j[outside].astype(int)
-    found: list[PairRotation] = run_map(pair_rotation, list(zip(i.tolist(), j.tolist())), matches, bound, tuning)
-    support = np.array([f.support for f in found], int)
-    rotation = np.array([f.rotation for f in found]).reshape(-1, 3, 3)
+    found: list[tuple[np.ndarray, int]] = run_map(
+        pair_rotation, list(zip(i.tolist(), j.tolist())), matches, bound, tuning
+    )
+    support = np.array([explained for _, explained in found], int)
+    rotation = np.array([turn for turn, _ in found]).reshape(-1, 3, 3)
     rotation = np.swapaxes(turned[j], 1, 2) @ rotation @ turned[i]  # of the units
     near = _neighbours(scene, scene.frame[i], scene.frame[j], tuning.neighbour_steps)
     weight = np.minimum(support, tuning.votes_a_pair) * np.where(near, tuning.neighbour_weight, 1.0)
@@ -208,14 +202,14 @@ def by_loops(
         notes.append(f"{int(undecided.sum())} pairs have no loops to tell by and contradict others: kept")
     if tolerance > tuning.noisy_deg:
         said = f"rotations of pairs contradict each other by {spread:.1f} deg (median): focal lengths, or the rig, are"
-        return Loops(refused, undecided, (f"{said} probably wrong. No pair was refused", *notes))
+        return refused, undecided, (f"{said} probably wrong. No pair was refused", *notes)
     doubtful = np.flatnonzero(off & loops.reliable)
     asked = [
         (int(i[k]), int(j[k]), turned[j[k]] @ loops.predicted(*ends[k].tolist()) @ turned[i[k]].T) for k in doubtful
     ]
     agree = np.array(run_map(agreeing, asked, matches, bound, tuning), int)
     refused[outside[doubtful]] = agree < tuning.as_good * support[doubtful]
-    return Loops(refused, undecided, tuple(notes))
+    return refused, undecided, tuple(notes)
 
 
 def _units(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
@@ -234,25 +228,20 @@ def _neighbours(scene: Scene, a: np.ndarray, b: np.ndarray, steps: int) -> np.nd
     return (scene.sequence[a] == scene.sequence[b]) & (scene.sequence[a] >= 0) & (apart <= steps)
 
 
-@dataclass(frozen=True)
-class PairRotation:
-    """Rotation (3, 3) from the first to the second image of a pair and the matches it explains, 0 = it has none."""
-
-    rotation: np.ndarray
-    support: int
-
-
-def pair_rotation(pair: tuple[int, int], matches: Matches, bound_rad: float, tuning: LoopTuning) -> PairRotation:
-    """The rotation between two images by five-point RANSAC and least squares."""
+def pair_rotation(
+    pair: tuple[int, int], matches: Matches, bound_rad: float, tuning: LoopTuning
+) -> tuple[np.ndarray, int]:
+    """The rotation (3, 3) from the first to the second image of a pair by five-point RANSAC and least squares, and the
+    matches it explains, 0 = it has none."""
     a, b = matches.rays(*pair)
     options = pycolmap.RANSACOptions(max_error=bound_rad, random_seed=_SEED)
     options.max_num_trials, options.min_num_trials = tuning.trials, 60
     found = pycolmap.estimate_relative_pose(a, b, options) if len(a) >= tuning.least_matches else None
     if not found:
-        return PairRotation(np.eye(3), 0)
+        return np.eye(3), 0
     inliers = np.asarray(found["inlier_mask"], bool)
     better = pycolmap.refine_relative_pose(found["cam2_from_cam1"], a, b, inliers)
-    return PairRotation((better or found)["cam2_from_cam1"].rotation.matrix(), int(inliers.sum()))
+    return (better or found)["cam2_from_cam1"].rotation.matrix(), int(inliers.sum())
 
 
 def agreeing(item: tuple[int, int, np.ndarray], matches: Matches, bound_rad: float, tuning: LoopTuning) -> int:

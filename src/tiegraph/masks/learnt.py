@@ -112,18 +112,10 @@ def first_labels(job: LabelJob) -> Labels:
     return _seeds(image, {USE: static & free & ~water, WATER: water & free, SKY: sky & free & ~water}, tuning, low)
 
 
-@dataclass(frozen=True)
-class TriedJob:
-    """An image with what was learnt of its camera, to be looked at again."""
-
-    seed: LabelJob
-    learnt: Classifier
-    settings: MasksSettings
-
-
-def second_labels(job: TriedJob) -> Labels:
-    """What the first try calls water, sky and scene: it covers the images, the first seeds do not."""
-    seed, learnt, settings = job.seed, job.learnt, job.settings
+def second_labels(job: tuple[LabelJob, Classifier], settings: MasksSettings) -> Labels:
+    """What the first try, learnt of its camera, calls water, sky and scene of an image: it covers the images, the first
+    seeds do not."""
+    seed, learnt = job
     tuning = seed.tuning
     image = read_small(seed.image, tuning.frames.look_px)
     labels = classify(image, learnt, settings, tuning)
@@ -247,7 +239,7 @@ def learn(
         for k in keys
     }  # fmt: skip
     # Once more, with what the first try calls water, sky and scene as seeds: they cover the images, the first did not.
-    again = list(apply(second_labels, [TriedJob(job, first[job.camera], settings) for job in jobs]))
+    again = list(apply(partial(second_labels, settings=settings), [(job, first[job.camera]) for job in jobs]))
     made = _proven(first, jobs, again, settings.water == "on", tuning)
     told = {k: f", no sky: {m.no_sky}" if m.no_sky else "" for k, m in made.items()}
     wet = {k: ", no water seen" if m.water is None else ", water" for k, m in made.items()}

@@ -213,14 +213,6 @@ def block_px(images: int) -> int:
     return _BLOCK << max(0, math.ceil(math.log(max(images, 1) / _FEW, 4)))
 
 
-@dataclass(frozen=True, eq=False)
-class _Seen:
-    """Which pixels of a window an image sees, as packed bits, and its ``Buffer.fine``."""
-
-    pixels: np.ndarray
-    fine: float
-
-
 def patch(
     view: View,
     buffer: Buffer,
@@ -282,7 +274,7 @@ def ortho_tile(
     wide = ortho_margin(tuning)
     ground = Ground.of(surface, window.grown(wide), heights, sigma)
     best, source = np.zeros(heights.shape, np.float32), np.zeros(heights.shape, np.uint16)
-    seen: dict[int, _Seen] = {}
+    seen: dict[int, tuple[np.ndarray, float]] = {}
     for k, view in enumerate(images.views):
         buffer = images.buffer(k) if meets(view.camera, surface, window.grown(wide)) else None
         if buffer is None:
@@ -290,7 +282,7 @@ def ortho_tile(
         found = score(view, buffer, ground, surface, tuning)
         better = found > best
         if better.any():
-            seen[k] = _Seen(np.packbits(found > 0), buffer.fine)
+            seen[k] = np.packbits(found > 0), buffer.fine
             best[better], source[better] = found[better], k + 1
     rgb = _blended(ground, source, seen, images, tuning)
     inner = slice(wide, wide + window.rows), slice(wide, wide + window.columns)
@@ -299,9 +291,10 @@ def ortho_tile(
 
 
 def _blended(
-    ground: Ground, source: np.ndarray, seen: dict[int, _Seen], images: Images, tuning: OrthoTuning
+    ground: Ground, source: np.ndarray, seen: dict[int, tuple[np.ndarray, float]], images: Images, tuning: OrthoTuning
 ) -> np.ndarray:
-    """RGB (rows, columns, 3) u1 by the sources (rows, columns), with blended seams.
+    """RGB (rows, columns, 3) u1 by the sources (rows, columns), with blended seams; ``seen``: by image which pixels it
+    sees, as packed bits, and its ``Buffer.fine``.
 
     Where an image does not see a pixel it has the colour of the one that does, lest what hides it shines through; where
     none does all have that of the nearest pixel, lest what is not there does.
@@ -309,7 +302,7 @@ def _blended(
     rgb = np.zeros((*source.shape, 3), np.uint8)
     warped: dict[int, np.ndarray] = {}
     for k in (int(s) - 1 for s in np.unique(source) if s):
-        colours = warp(images.views[k], images.picture(k), ground.xyz, seen[k].fine)
+        colours = warp(images.views[k], images.picture(k), ground.xyz, seen[k][1])
         warped[k] = np.clip(np.rint(colours * images.gains[k]), 0, 255).astype(np.uint8)
         rgb[source == k + 1] = warped[k][source == k + 1]
     if len(warped) < 2:
@@ -319,7 +312,7 @@ def _blended(
     blender = cv2.detail.MultiBandBlender(0, tuning.bands)
     blender.prepare((0, 0, source.shape[1], source.shape[0]))
     for k, colours in warped.items():
-        visible = np.unpackbits(seen[k].pixels, count=source.size).reshape(source.shape) > 0
+        visible = np.unpackbits(seen[k][0], count=source.size).reshape(source.shape) > 0
         filled = np.where((visible & (source > 0))[..., None], colours, around).astype(np.int16)
         blender.feed(filled, np.where(owner == k + 1, 255, 0).astype(np.uint8), (0, 0))
     blended, _ = blender.blend(None, None)  # type: ignore[call-overload]  # it makes them

@@ -31,7 +31,7 @@ from tiegraph.sfm.world.bars import bars_in
 from tiegraph.sfm.world.fixes import Measurements
 from tiegraph.sfm.world.georef import Georeference, PointsFound, applied_receiver, bar_rows, georeference, residuals_of
 from tiegraph.sfm.world.marks import Target, as_copy, by_chance, copy_of, marked, point_table, targets
-from tiegraph.sfm.world.oneworld import ByPositions, OneWorld, one_world
+from tiegraph.sfm.world.oneworld import OneWorld, one_world
 from tiegraph.sfm.world.placed import SimilarityFit
 from tiegraph.sfm.world.statements import with_statements
 
@@ -186,11 +186,12 @@ def georeference_folders(request: GeorefRequest, send: Callable[[Any], None]) ->
     given, unfit = as_marked(models[0], scene, request.measurements, tuning.world)
     nothing = VerifiedMatches(np.zeros((0, 2), int), (), {})
     verified = read_verified(request.database, scene, request.refused) if len(models) > 1 else nothing
-    by_positions = ByPositions(
+    made = one_world(
+        models, scene, verified,
         similarity=lambda model, given: georeference(model, scene, settings, tuning.world, given),
         whole=lambda model, given: georeference_model(model, scene, settings, tuning, given, held),
-    )
-    made = one_world(models, scene, verified, by_positions, given, tuning)
+        given=given, tuning=tuning,
+    )  # fmt: skip
     assert made.model is not None
     request.target.mkdir(parents=True, exist_ok=True)
     made.model.write(str(request.target))
