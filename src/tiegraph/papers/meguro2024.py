@@ -33,7 +33,7 @@ from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.papers import colmap_alone
 from tiegraph.scene.pairs import REASONS, Pairs
-from tiegraph.scene.sorting import evenly
+from tiegraph.scene.sorting import among_best, evenly
 
 
 def difference_mask(a: np.ndarray, b: np.ndarray, threshold: int, tuning: Meguro2024Tuning) -> np.ndarray:
@@ -184,12 +184,7 @@ def _around(
     if settings.offset_best == 0:
         return Pairs.make(i, j, "offsets", score=cache.known(i, j))
     score = cache.measure(i, j)
-    order = np.lexsort((-score, i))
-    first = np.r_[True, np.diff(i[order]) != 0]
-    start = np.maximum.accumulate(np.where(first, np.arange(len(order)), 0))
-    rank = np.empty(len(order), int)
-    rank[order] = np.arange(len(order)) - start
-    keep = (rank < settings.offset_best) & (score >= settings.min_matches)
+    keep = among_best(i, score, settings.offset_best) & (score >= settings.min_matches)
     return Pairs.make(i, j, "offsets", score=score, dropped=np.where(keep, 0, REASONS.index("weak")))
 
 

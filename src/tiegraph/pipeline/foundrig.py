@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import pycolmap
 
 from tiegraph.errors import InputError, UnreadableArtefact
 from tiegraph.pipeline.files import load_scene
@@ -22,7 +21,7 @@ from tiegraph.project.folder import names_run
 from tiegraph.scan.rigfiles.rigfaults import SIGMA_DEG, SIGMA_M
 from tiegraph.scan.rigfiles.rigfile import parse_rig_file
 from tiegraph.scan.rigfiles.rigspec import rig_config, rig_toml
-from tiegraph.scene.colmapmodel import model_rigs
+from tiegraph.scene.colmapmodel import model_rigs, sensor_id
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.sfm.covariance import INTERIOR_TABLE, MOUNTING
 from tiegraph.sfm.mapping import believed_cameras
@@ -95,7 +94,7 @@ def _found(run: FoundRun, index: int) -> Rig:
     """A rig with the cameras, places and sigmas of the model."""
     given, several = run.scene.rigs[index], len(run.scene.rigs[index].sensors) > 1
     mode = rig_modes(run.scene.measured(), run.receipt.get("settings", {}).get("rig", "auto")).get(index, "")
-    reference = pycolmap.sensor_t(pycolmap.SensorType.CAMERA, 1 + run.scene.first_sensor(index))
+    reference = sensor_id(1 + run.scene.first_sensor(index))
     in_model = index + 1 in run.mapped.rigs and run.mapped.rigs[index + 1].is_ref_sensor(reference)
     rigid = several and bool(mode) and in_model
     held = model_rigs(run.mapped, run.scene)[index]
@@ -108,7 +107,7 @@ def _found(run: FoundRun, index: int) -> Rig:
         run.said.append(f"{given.name}: its places are as given: the run did not use the rig (sparse.rig = absent)")
         found = given
     elif mode == "fixed":
-        found = _scaled(held, 1 / _units(held, given))
+        found = held.scaled(1 / held.units(given))
         pairs = [(s.name, s.sensor_from_rig, g.sensor_from_rig) for s, g in zip(found.sensors, given.sensors)]
         moved = [n for n, a, b in pairs if a is not None and b is not None and not np.allclose(a, b, rtol=0, atol=1e-6)]
         but = f" but for {', '.join(moved)}, which the images turned or moved"
@@ -144,7 +143,7 @@ def _with_hanging(run: FoundRun, found: Rig, whole: Rig) -> Rig:
         replace(whole, sensors=tuple(s for s in whole.sensors if (s.name in own) == of)) for of in (True, False)
     )
     if run.unscaled:  # rig_config.json has no unit, but one for all cameras
-        hung = _scaled(hung, _units(found, given))
+        hung = hung.scaled(found.units(given))
     sensors = []
     for sensor in hung.sensors:
         with_file, said = with_camera(sensor, sensor.camera, True, (), run.tuning.scan.rig.camera)
@@ -186,29 +185,6 @@ def _say_scale(run: FoundRun, rig: Rig) -> None:
     elif any(s.sensor_from_rig is not None and s.sensor_from_rig[:3, 3].any() for s in rig.sensors):
         run.unscaled.append(rig.name)
         run.said.append(f"{rig.name}: lengths are in units of the model, for nothing told metres")
-
-
-def _scaled(rig: Rig, factor: float) -> Rig:
-    sensors = []
-    for sensor in rig.sensors:
-        pose = None if sensor.sensor_from_rig is None else np.array(sensor.sensor_from_rig)
-        if pose is not None:
-            pose[:3, 3] *= factor
-        sensors.append(replace(sensor, sensor_from_rig=pose))
-    return replace(rig, sensors=tuple(sensors))
-
-
-def _units(held: Rig, given: Rig) -> float:
-    """Units of the model in a metre, by the lengths of a rig that was held as given."""
-    pairs = [(s.sensor_from_rig, g.sensor_from_rig) for s, g in zip(held.sensors, given.sensors)]
-    lengths = [
-        (np.linalg.norm(a[:3, 3]), np.linalg.norm(b[:3, 3])) for a, b in pairs if a is not None and b is not None
-    ]
-    ratios = [a / b for a, b in lengths if b > 0]
-    return float(np.median(ratios)) if ratios else 1.0
-
-
-# --- sigmas -----------------------------------------------------------------------------------------------------------
 
 
 def _with_sigmas(run: FoundRun, found: Rig, index: int) -> Rig:

@@ -148,10 +148,9 @@ def believed_cameras(scene: Scene, settings: SparseSettings) -> tuple[int, ...]:
     """
     if settings.refine_intrinsics == "yes":
         return ()
-    out, key = [], 0
-    for rig in scene.rigs:
-        for sensor in rig.sensors:
-            key += 1
+    out = []
+    for first, rig in scene.keyed_rigs:
+        for key, sensor in enumerate(rig.sensors, start=first + 1):
             camera = sensor.camera
             stated = camera is not None and rig.fixed and camera.has_prior_focal_length
             believed = (stated or (camera is not None and calibrated(camera))) and not sensor.camera_sigma_px

@@ -166,10 +166,8 @@ def checked_rig(
 
 def _confront_single_lenses(out: Checked, scene: Scene, request: FinishRequest) -> None:
     """The calibrations of single cameras that were held."""
-    first = 0
-    for index, rig in enumerate(scene.rigs):
+    for index, (first, rig) in enumerate(scene.keyed_rigs):
         held = len(rig.sensors) == 1 and first + 1 in request.held.cameras
-        first += len(rig.sensors)
         try:
             test = lens_prior_test(out.model, scene, index, request.tuning) if held else None
         except (RuntimeError, ValueError) as error:

@@ -227,7 +227,9 @@ def rig_of_poses(scene: Scene, index: int, rig: Rig, cam_from_world: np.ndarray,
             steps = cam_from_world[rows] @ transforms.invert(cam_from_world[reference[scene.frame[rows]]])
             shift = np.median(steps[:, :3, 3], axis=0)
             shown[place] = transforms.rigid(l1_mean_rotation(steps[:, :3, :3]), shift)
-    units = _units(rig, shown)
+    units = replace(
+        rig, sensors=tuple(replace(s, sensor_from_rig=shown.get(k)) for k, s in enumerate(rig.sensors))
+    ).units(rig)
     sensors = list(rig.sensors)
     for place, sensor in enumerate(rig.sensors):
         own = sensor.sensor_from_rig
@@ -244,17 +246,6 @@ def _ran_off(found: np.ndarray, given: np.ndarray, units: float, most: float) ->
     """Whether a lever arm is unlike the given one: a camera with few ties (canal's up camera, three times too long)."""
     length = units * float(np.linalg.norm(given[:3, 3]))
     return length > 0 and float(np.linalg.norm(found[:3, 3] - units * given[:3, 3])) > most * length
-
-
-def _units(rig: Rig, shown: Mapping[int, np.ndarray]) -> float:
-    """Units of the poses of one of the rig's, by the median baseline."""
-    ratios = []
-    for place, found in shown.items():
-        own = rig.sensors[place].sensor_from_rig
-        length = 0.0 if own is None else float(np.linalg.norm(own[:3, 3]))
-        if length > 0:
-            ratios.append(float(np.linalg.norm(found[:3, 3])) / length)
-    return float(np.median(ratios)) if ratios else 1.0
 
 
 def place_frames(model: pycolmap.Reconstruction, scene: Scene, start: Start) -> int:
