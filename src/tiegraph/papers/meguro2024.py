@@ -26,7 +26,7 @@ from tiegraph.masks.tuning import Meguro2024Tuning
 from tiegraph.masks.tuning import Tuning as MasksTuning
 from tiegraph.network.offsets.curves import Proposal, curves_of, facing, votes_of
 from tiegraph.network.passes import MatchCache, Pass
-from tiegraph.network.rig import commonview
+from tiegraph.network.rig import axes
 from tiegraph.network.rig.axes import allowed_within
 from tiegraph.network.scorematrix import ScoreMatrix, score_matrix
 from tiegraph.network.settings import CandidatesSettings
@@ -124,9 +124,9 @@ def _vote_constant(
     if p is not q:  # a few frames show the heading, then the axes rule pairs of cameras out
         few = np.isin(np.arange(len(rows)), evenly(len(rows), tuning.offsets.constant.heading_frames))[:, None]
         scores = _measured_oblong(scores, wanted & few, cache)
-        excess = commonview.above(scores.inliers, settings.min_matches)
+        excess = axes.above(scores.inliers, settings.min_matches)
         allowed = facing(scores, excess, settings, tuning.rig)
-        said = commonview.in_words(scores, excess, tuning.rig)
+        said = axes.in_words(scores, excess, tuning.rig)
         notes = (said,) if said else ()
         scores = replace(scores, allowed=allowed)
     return _measured_oblong(scores, wanted, cache), notes

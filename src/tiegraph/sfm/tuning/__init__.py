@@ -3,9 +3,8 @@
 from pydantic import Field
 
 from tiegraph.settings import Section
-from tiegraph.sfm.tuning.placement import PlacementTuning
+from tiegraph.sfm.tuning.placement import PlacementTuning, StartTuning
 from tiegraph.sfm.tuning.rig import LeverArmTuning, RigTuning
-from tiegraph.sfm.tuning.start import StartTuning
 from tiegraph.sfm.tuning.world import WorldTuning
 
 
@@ -206,7 +205,7 @@ class TwoViewTuning(Section):
 
 
 class StartCheckTuning(Section):
-    """Whether a start model agrees with the model that the images made (`startcheck.py`)."""
+    """Whether a start model agrees with the model that the images made (`start.py`)."""
 
     least: int = Field(3, ge=3)
     """Images with both poses that tell something."""
