@@ -29,9 +29,8 @@ import pycolmap
 
 import tiegraph  # noqa: F401  before pycolmap
 from tiegraph.calibrate.adjust import State, adjust_robustly
-from tiegraph.calibrate.board import read_board
+from tiegraph.calibrate.board import detect, read_board
 from tiegraph.calibrate.covariance import Precision, parameters, precision
-from tiegraph.calibrate.detect import detect
 from tiegraph.calibrate.judge import judge
 from tiegraph.calibrate.observations import CameraImages, Observations, View
 from tiegraph.calibrate.start import start

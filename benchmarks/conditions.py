@@ -30,7 +30,7 @@ import numpy as np
 from benchmarks import datasets, variants
 from benchmarks.papers.measure import COLMAP, one_run
 from benchmarks.table import line
-from tiegraph.features.contrast import contrast
+from tiegraph.features.sift import contrast
 from tiegraph.features.tuning import ContrastTuning
 
 _ROOT = Path(__file__).resolve().parents[1]

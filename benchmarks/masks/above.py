@@ -17,7 +17,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 import tiegraph  # noqa: F401  before pycolmap
 from benchmarks.masks.measure import load
 from tiegraph.masks import learnt
-from tiegraph.masks.labels import Edges, not_above
+from tiegraph.masks.learnt import Edges, not_above
 from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.tuning import Tuning
 from tiegraph.masks.tuning_learnt import LabelTuning

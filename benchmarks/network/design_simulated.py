@@ -15,8 +15,7 @@ import numpy as np
 
 from benchmarks.network.simulated import Survey, position_sigma, survey
 from tiegraph import papers
-from tiegraph.design.design import METHODS, design
-from tiegraph.design.hybrid import Budget, choose
+from tiegraph.design.design import METHODS, choose, design
 from tiegraph.design.matchprediction import expected_matches
 from tiegraph.design.settings import DesignSettings
 from tiegraph.design.tracks import Candidates
@@ -42,13 +41,12 @@ def orders(world: Survey, most: int, seed: int) -> dict[str, np.ndarray]:
     some_ties = ties.where(third)
     guess = expected_matches(blind, some_ties, TUNING.match_prediction)
     counted = Candidates.make(i, j, score, ties, len(world))
-    budget = Budget(most)
 
     def after(rest: np.ndarray) -> np.ndarray:
         return np.concatenate([tree, rest[~np.isin(rest, tree)]])
 
     def drawn(c: Candidates) -> np.ndarray:
-        return choose(c, forest(c.i, c.j, c.expected, c.images), budget, TUNING).places
+        return choose(c, forest(c.i, c.j, c.expected, c.images), most, TUNING).places
 
     return {
         "random + forest": after(rng.permutation(len(pairs))),

@@ -51,8 +51,7 @@ from tiegraph.sfm.shape import SHAPE, Shape
 from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.world.fixes import Measurements, PositionRows
 from tiegraph.sfm.world.georef import Georeference
-from tiegraph.sfm.world.georeferencing import georeference_model
-from tiegraph.sfm.world.worldadjust import ConstantParameters
+from tiegraph.sfm.world.georeferencing import ConstantParameters, georeference_model
 
 WAYS = ("frames", "rows", "adjusted")
 SETS = ("canal", "canal_demo", "pandaset", "oppaiyama")

@@ -31,7 +31,7 @@ from tiegraph.scene.colmapmodel import image_poses
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
 from tiegraph.sfm.finish import finish_model
-from tiegraph.sfm.placement.doubtful import MatchSource
+from tiegraph.sfm.placement import MatchSource
 from tiegraph.sfm.rigcheck import FinishRequest, Held
 from tiegraph.sfm.run import Fixed, Matches, Method, Request, run_mapper
 from tiegraph.sfm.tuning import Tuning

@@ -11,7 +11,7 @@ from typing import Any
 import tiegraph  # noqa: F401  before pycolmap
 from benchmarks.sfm.finished import each_run
 from tiegraph.pipeline.files import load_model, load_scene
-from tiegraph.sfm.shutter import find_readout
+from tiegraph.sfm.finish import find_readout
 from tiegraph.sfm.tuning import Tuning
 
 

@@ -42,12 +42,11 @@ from tiegraph.sfm.database import ViewGraph, write_working_copy
 from tiegraph.sfm.mapper import Source
 from tiegraph.sfm.mapping import Account, Job, RigsUsed, _request
 from tiegraph.sfm.model import frame_poses
-from tiegraph.sfm.placement.doubtful import MatchSource, explained, leave_out_doubtful
+from tiegraph.sfm.placement import MatchSource, explained, leave_out_doubtful
 from tiegraph.sfm.rig.rig import rig_modes
-from tiegraph.sfm.run import Request, _options, run_mapper
+from tiegraph.sfm.run import Request, _options, _triangulate, run_mapper
 from tiegraph.sfm.settings import SparseSettings
-from tiegraph.sfm.start.poses import Start, place_frames
-from tiegraph.sfm.start.stagedadjustment import _triangulate
+from tiegraph.sfm.start import Start, place_frames
 from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.verified import read_verified
 

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from calibrate.board_world import Renderer, board_before, camera, texture
-from tiegraph.calibrate.board import APRILGRID, CHECKER, read_board
-from tiegraph.calibrate.detect import detect
+from tiegraph.calibrate.board import APRILGRID, CHECKER, detect, read_board
 from tiegraph.calibrate.tuning import Tuning
 from tiegraph.errors import InputError
 from tiegraph.geometry import transforms

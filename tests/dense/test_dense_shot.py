@@ -9,8 +9,7 @@ from tiegraph.dense.depth import confirmed_map, depth_map
 from tiegraph.dense.neighbours import EPIPOLE, ONE_CENTRE
 from tiegraph.dense.plan import CameraModel, DepthRange, ViewPlan
 from tiegraph.dense.settings import DenseSettings
-from tiegraph.dense.shot import NO_OVERLAP, depth_range, plan_hanging, plan_shot
-from tiegraph.dense.shotscale import Seen, in_camera, shot_scale
+from tiegraph.dense.shot import NO_OVERLAP, Seen, depth_range, in_camera, plan_hanging, plan_shot, shot_scale
 from tiegraph.dense.tuning import Tuning
 from tiegraph.errors import InputError
 from tiegraph.geometry.transforms import apply, invert, rigid

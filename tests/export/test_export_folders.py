@@ -14,7 +14,7 @@ import tiegraph
 from export_world import FRAMES, LENSES, NOTHING, ORIGIN, SIZE, camera_of, finished, plane_depth, spot_near
 from tiegraph.errors import InputError, SettingsError
 from tiegraph.export import lens
-from tiegraph.export.nerf import in_thousandths
+from tiegraph.export.exporters import in_thousandths
 from tiegraph.export.survey import unique_names
 from tiegraph.geometry.transforms import apply, invert
 from tiegraph.scan.priors.startmodel import read_start
@@ -314,7 +314,7 @@ def test_a_full_disk_is_named_and_leaves_nothing(made, tmp_path, monkeypatch):
     def full(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("tiegraph.export.paths.write_tum", full)
+    monkeypatch.setattr("tiegraph.export.exporters.write_tum", full)
     with pytest.raises(InputError, match="No space left on device.*choose another output folder"):
         made.project.export(tmp_path / "a", "tum")
     assert not list(tmp_path.iterdir())

@@ -4,10 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
-from tiegraph.features.contrast import contrast, evened
 from tiegraph.features.preview import extract_preview
 from tiegraph.features.settings import FeaturesSettings, PreviewSettings
-from tiegraph.features.sift import extract_sift
+from tiegraph.features.sift import contrast, evened, extract_sift
 from tiegraph.features.tuning import Tuning
 
 TUNING = Tuning()

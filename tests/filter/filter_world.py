@@ -10,8 +10,7 @@ import numpy as np
 import pycolmap
 from scipy.spatial.transform import Rotation
 
-from tiegraph.filter.filter import Filtering, filter_pairs
-from tiegraph.filter.prior import Prior
+from tiegraph.filter.filter import Filtering, Prior, filter_pairs
 from tiegraph.filter.settings import FilterSettings
 from tiegraph.filter.tuning import Tuning
 from tiegraph.geometry import transforms

@@ -13,8 +13,7 @@ from filter_world import rig as ring_of
 from scipy.spatial.transform import Rotation
 
 from tiegraph.errors import InputError
-from tiegraph.filter.filter import filter_pairs
-from tiegraph.filter.prior import Prior, held_by_rig, off_course_deg
+from tiegraph.filter.filter import Prior, filter_pairs, held_by_rig, off_course_deg
 from tiegraph.filter.settings import FilterSettings
 from tiegraph.filter.tuning import PriorTuning, Tuning
 from tiegraph.geometry import transforms

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from masks_world import SHAPE, smooth, write
-from tiegraph.masks import EGO, NAMES, OVEREXPOSED, SKY, USE, WATER, appearance
+from tiegraph.masks import EGO, NAMES, OVEREXPOSED, SKY, USE, WATER, classification
 from tiegraph.masks.classification import classes_of
 from tiegraph.masks.learnt import learn
 from tiegraph.masks.matchability import Matchability, choose_pairs, pair_matchability
@@ -180,9 +180,9 @@ def test_waterline_is_the_best_line_and_spares_the_platform():
 def test_appearance_is_learnt_from_counts():
     blue, grey = np.full((8, 8, 3), (220, 150, 90), np.uint8), np.full((8, 8, 3), 120, np.uint8)
     own = TUNING.appearance
-    blue, grey = (appearance.bins(image, own) for image in (blue, grey))
+    blue, grey = (classification.bins(image, own) for image in (blue, grey))
     counts = {k: np.bincount(image.ravel(), minlength=own.bins) for k, image in ((SKY, blue), (USE, grey))}
-    look = appearance.learn(counts | {WATER: np.zeros(own.bins)}, own)
+    look = classification.learn_appearance(counts | {WATER: np.zeros(own.bins)}, own)
     assert look.ratio(blue, SKY, USE).min() > 2 and look.ratio(grey, SKY, USE).max() < -2
     assert not look.ratio(blue, WATER, USE).any()
 

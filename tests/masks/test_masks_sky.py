@@ -12,8 +12,7 @@ import pytest
 from masks_world import SHAPE, smooth, write
 from tiegraph.masks import SKY, USE, WATER
 from tiegraph.masks.classification import _snapped, classes_of, pooled, textureless_regions
-from tiegraph.masks.labels import Edges, _like_sky, _wide, edges_of, not_above
-from tiegraph.masks.learnt import learn, lowest_agreed
+from tiegraph.masks.learnt import Edges, _like_sky, _wide, edges_of, learn, lowest_agreed, not_above
 from tiegraph.masks.matchability import Matchability
 from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.skyline import border_sky, places, without_points

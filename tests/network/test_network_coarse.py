@@ -12,9 +12,8 @@ from boat_world import HALF_WIDTH_M, World, boat
 from boat_world import found as shares
 from network_steps import network_of as steps_of
 from tiegraph.geometry import transforms
-from tiegraph.network.coarse.model import CoarseModel
+from tiegraph.network.coarse.model import CoarseModel, with_surface
 from tiegraph.network.coarse.search import NO_MODEL, _judged, calibrated_rigs
-from tiegraph.network.coarse.surface import with_surface
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.network.tuning.coarse import TracksTuning

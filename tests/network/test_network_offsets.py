@@ -13,8 +13,17 @@ from tiegraph import papers
 from tiegraph.network.offsets.curves import curves_csv
 from tiegraph.network.offsets.offsets import OFFSETS, estimate_offsets
 from tiegraph.network.passes import MatchCache, find_passes, loose_images
-from tiegraph.network.rig.axes import angles_deg, vertical, yaw_between
-from tiegraph.network.rig.commonview import direction, in_words, strangers, votes, without_chance, yaw
+from tiegraph.network.rig.axes import (
+    angles_deg,
+    direction,
+    in_words,
+    strangers,
+    vertical,
+    votes,
+    without_chance,
+    yaw,
+    yaw_between,
+)
 from tiegraph.network.scorematrix import score_matrix
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning

@@ -8,9 +8,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import transforms
-from tiegraph.network.coarse import boxes, visible
-from tiegraph.network.coarse.pairshare import pair_share
-from tiegraph.network.coarse.visible import Overlap, Proxy, assumed_proxy, observed_proxy, shared_surface
+from tiegraph.network.coarse import proxy as proxies
+from tiegraph.network.coarse import visible
+from tiegraph.network.coarse.visible import Overlap, Proxy, assumed_proxy, observed_proxy, pair_share, shared_surface
 from tiegraph.network.tuning import Tuning
 
 TUNING = Tuning().coarse
@@ -186,11 +186,11 @@ def test_the_table_is_the_same_in_blocks_of_any_size(monkeypatch: pytest.MonkeyP
 
 
 def test_boxes_leave_out_only_points_that_no_cone_holds(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(boxes, "_LEAF", 4)
+    monkeypatch.setattr(proxies, "_LEAF", 4)
     rng = np.random.default_rng(4)
     points = np.column_stack([rng.uniform(0, 200, 3000), rng.normal(0, 8, 3000), rng.uniform(0, 6, 3000)])
     proxy = replace(points_proxy(points), reach=rng.uniform(5, 40, len(points)))
-    held = boxes.Boxes(proxy)
+    held = proxies.Boxes(proxy)
     fewest, most = len(points), 0
     for half in (0.2, 0.7, 1.4, 3.0):
         for _ in range(20):

@@ -6,11 +6,10 @@ from scipy.spatial.transform import Rotation
 
 from odometry.odometry_world import single, stereo, truth
 from tiegraph.geometry import transforms
-from tiegraph.odometry.adjust import adjust
 from tiegraph.odometry.covariance import keyframe_covariances, resection_covariance, wider
 from tiegraph.odometry.follow import Tracks
 from tiegraph.odometry.tuning import Tuning
-from tiegraph.odometry.worldmap import Keyframe, WorldMap
+from tiegraph.odometry.worldmap import Keyframe, WorldMap, adjust
 
 KEYFRAMES, POINTS, NOISE_PX, LOSS_PX = 7, 300, 0.4, 1.0
 

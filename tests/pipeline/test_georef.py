@@ -25,8 +25,7 @@ from tiegraph.scene.gcp import read_gcps
 from tiegraph.scene.tuning import ControlTuning
 from tiegraph.sfm.settings import GeorefSettings
 from tiegraph.sfm.tuning import Tuning
-from tiegraph.sfm.world.georeferencing import GeorefRequest
-from tiegraph.sfm.world.worldadjust import ConstantParameters
+from tiegraph.sfm.world.georeferencing import ConstantParameters, GeorefRequest
 
 EAST, NORTH = 386_000.0, 3_951_000.0  # of the world's zero, EPSG:32654
 

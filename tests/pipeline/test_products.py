@@ -11,8 +11,7 @@ import rasterio
 from tiegraph.errors import ReconstructionError
 from tiegraph.pipeline import products as glue
 from tiegraph.pipeline.files import world_origin
-from tiegraph.products.ortho import ortho_tile
-from tiegraph.products.visibility import draw
+from tiegraph.products.ortho import draw, ortho_tile
 from tiegraph.project.inputs import Inputs
 from tiegraph.project.run import Run
 from tiegraph.project.settings import merged

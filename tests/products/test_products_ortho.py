@@ -2,10 +2,9 @@ import numpy as np
 import pytest
 
 from products_world import BOX, CHECK, MAP, PIXEL, ROOF, SIZE, WALL, colour, height, in_box
-from tiegraph.products.ortho import Images, block_px, gains, ortho_margin, ortho_tile, patch
+from tiegraph.products.ortho import Images, block_px, draw, gains, ortho_margin, ortho_tile, patch
 from tiegraph.products.surface import Window, project
 from tiegraph.products.tuning import OrthoTuning
-from tiegraph.products.visibility import draw
 
 TUNING = OrthoTuning()
 

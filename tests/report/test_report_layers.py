@@ -19,8 +19,7 @@ from said import refused, says
 from tiegraph.errors import EngineMissing
 from tiegraph.report import accuracy, formatting, html, pdf, spatial, texts
 from tiegraph.report.formatting import without_folders
-from tiegraph.report.html import environment, write_report
-from tiegraph.report.reportjson import schema
+from tiegraph.report.html import environment, schema, write_report
 from tiegraph.report.runfolder import read_run
 from tiegraph.report.settings import ReportSettings
 from tiegraph.report.tables import about

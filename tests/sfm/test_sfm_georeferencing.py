@@ -27,13 +27,12 @@ from tiegraph.scene.scene import Scene
 from tiegraph.sfm.motion import let_go
 from tiegraph.sfm.settings import GeorefSettings
 from tiegraph.sfm.tuning import Tuning
-from tiegraph.sfm.world import georeferencing, worldadjust
+from tiegraph.sfm.world import georeferencing
 from tiegraph.sfm.world.fixes import Measurements, PositionRows, make_fixes
 from tiegraph.sfm.world.georef import georeference
-from tiegraph.sfm.world.georeferencing import georeference_model
+from tiegraph.sfm.world.georeferencing import ConstantParameters, georeference_model
 from tiegraph.sfm.world.placed import Model, NotPlaced, SimilarityFit
 from tiegraph.sfm.world.similarityfit import fit_to_world
-from tiegraph.sfm.world.worldadjust import ConstantParameters
 
 TUNING = Tuning()
 WORLD = TUNING.world
@@ -315,7 +314,7 @@ def bending(tmp_path_factory):
 def test_frames_go_where_they_are_sent(bending) -> None:
     truth, scene = bending
     step = np.outer(np.sin(np.pi * np.arange(scene.frames) / scene.frames), [0.0, 0.0, 0.4])
-    made = worldadjust.bent(truth, scene, (step, np.full_like(step, 0.001)), ConstantParameters(), TUNING)
+    made = georeferencing.bent_by(truth, scene, (step, np.full_like(step, 0.001)), ConstantParameters(), TUNING)
     gone = np.sum((frame_centres(made, scene) - frame_centres(truth, scene)) * step) / np.sum(step**2)
     assert 0.99 < gone < 1.01 and made.num_points3D() > 0.5 * truth.num_points3D()
 

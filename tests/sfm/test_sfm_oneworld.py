@@ -18,7 +18,7 @@ from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.verified import VerifiedMatches, read_verified
 from tiegraph.sfm.world.fixes import Measurements
 from tiegraph.sfm.world.georef import georeference
-from tiegraph.sfm.world.oneworld import ByPositions, OneWorld, one_world
+from tiegraph.sfm.world.oneworld import OneWorld, one_world
 
 TUNING = Tuning()
 NONE = VerifiedMatches(np.zeros((0, 2), int), (), {})
@@ -46,7 +46,7 @@ def _brought_together(models, scene, matches, tuning=TUNING) -> OneWorld:
         found = similarity(model, given)
         return found, found.apply(model)
 
-    return one_world(models, scene, matches, ByPositions(similarity, whole), Measurements(), tuning)
+    return one_world(models, scene, matches, similarity, whole, Measurements(), tuning)
 
 
 def _joined(survey, verified=None, scene=None, tuning=TUNING) -> OneWorld:

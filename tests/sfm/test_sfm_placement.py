@@ -15,10 +15,20 @@ from near import off_after_similarity
 from tiegraph.geometry import transforms
 from tiegraph.scene.colmapmodel import image_poses, matrix, rigid3d
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.placement.consistency import ConsistencyVotes, suspect_frames
-from tiegraph.sfm.placement.doubtful import Explained, MatchSource, PlacementCheck, explained, leave_out_doubtful
-from tiegraph.sfm.placement.parts import part_moves, placed_anew, steps_of_parts
-from tiegraph.sfm.placement.rival import rivals, told
+from tiegraph.sfm.placement import (
+    ConsistencyVotes,
+    Explained,
+    MatchSource,
+    PlacementCheck,
+    explained,
+    leave_out_doubtful,
+    part_moves,
+    placed_anew,
+    rivals,
+    rivals_told,
+    steps_of_parts,
+    suspect_frames,
+)
 from tiegraph.sfm.tuning.placement import PlacementTuning
 
 TUNING = PlacementTuning()
@@ -122,7 +132,7 @@ def test_where_else_a_frame_could_stand_is_found(world, tmp_path: Path, cameras:
     assert np.allclose(rival.step, (-0.5, 0, -3), atol=0.02)
     assert found.table()["rows"][0][0] == "cam0/006.jpg" and found.table()["rows"][0][2] < 20
     assert found.percent() == pytest.approx(percent, abs=3)
-    (said,) = told({6: rival}, scene)
+    (said,) = rivals_told({6: rival}, scene)
     assert f"cam0/006.jpg: {rival.here} matches agree with its place, {rival.there} with one 3.04 units" in said
 
 

@@ -18,7 +18,7 @@ from tiegraph.scan.rigfiles.rigspec import orient
 from tiegraph.scene.colmapmodel import rigid3d
 from tiegraph.scene.rig import Rig, Source
 from tiegraph.sfm.registrationreport import rig_doubts
-from tiegraph.sfm.rig.cameramatches import camera_matches, sentence, table
+from tiegraph.sfm.rig.diagnostics import camera_matches, matches_sentence, matches_table
 from tiegraph.sfm.rig.rig import derive_rig
 from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.tuning.placement import AgreementTuning
@@ -70,13 +70,13 @@ def test_two_cameras_that_fire_apart_are_told_by_their_matches(late_s: float, tm
     by = {(t.first, t.second): t for t in found}
     assert not by[0, 1].contradicted and by[0, 1].between > 0.95 and by[0, 1].own > 0.95
     assert by[0, 2].contradicted == (late_s > 0) and (by[0, 2].between < 0.7) == (late_s > 0)
-    (row,) = (row for row in table(found, scene)["rows"] if row[:2] == ["cam0", "cam2"])
+    (row,) = (row for row in matches_table(found, scene)["rows"] if row[:2] == ["cam0", "cam2"])
     assert row[5] == ("contradicts the model" if late_s else "")
-    said = sentence(found, scene)
+    said = matches_sentence(found, scene)
     assert len(said) == (late_s > 0)
     assert all("cam2" in line and "fire apart" in line for line in said)
     views = [replace(s, source=Source(panorama=True)) for s in scene.rigs[0].sensors]
-    assert sentence(found, replace(scene, rigs=(replace(scene.rigs[0], sensors=tuple(views)),))) == []
+    assert matches_sentence(found, replace(scene, rigs=(replace(scene.rigs[0], sensors=tuple(views)),))) == []
     alone = verified.where(scene.sensor[verified.pairs[:, 0]] == scene.sensor[verified.pairs[:, 1]])
     assert camera_matches(alone, seen, scene, CameraMatchesTuning()) == [], "without ties they have no opinion"
 

@@ -15,10 +15,9 @@ from tiegraph.geometry import transforms
 from tiegraph.scan.rigfiles.rigspec import orient
 from tiegraph.scene.rig import Rig, Sensor, Source
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.finish import FinishResult, finish_model
+from tiegraph.sfm.finish import FinishResult, Readout, find_readout, finish_model, rows_in_time
 from tiegraph.sfm.motion import Lateness, Motion, at_one_instant
 from tiegraph.sfm.rigcheck import FinishRequest, Held
-from tiegraph.sfm.shutter import Readout, find_readout, rows_in_time
 from tiegraph.sfm.tuning import ShutterTuning, Tuning
 
 FPS, FRAMES, READOUT_S = 10.0, 30, 0.02

@@ -18,13 +18,10 @@ from tiegraph.scene.colmapmodel import image_poses
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm import mapping
 from tiegraph.sfm.model import frame_poses
-from tiegraph.sfm.run import Fixed, MappingResult, Matches, Method, Request, run_mapper
-from tiegraph.sfm.start.pathscale import path_scale
-from tiegraph.sfm.start.poses import rig_of_poses, start_from
-from tiegraph.sfm.start.stagedadjustment import refusal
-from tiegraph.sfm.startcheck import StartCheck, check_start, told
+from tiegraph.sfm.run import Fixed, MappingResult, Matches, Method, Request, refusal, run_mapper
+from tiegraph.sfm.start import StartCheck, check_start, path_scale, rig_of_poses, start_from, start_told
 from tiegraph.sfm.tuning import StartCheckTuning, Tuning
-from tiegraph.sfm.tuning.start import StagedTuning, StartTuning
+from tiegraph.sfm.tuning.placement import StagedTuning, StartTuning
 from tiegraph.sfm.verified import read_verified
 
 TUNING = StartTuning()
@@ -289,7 +286,7 @@ def turned(poses: np.ndarray, rows: slice, deg: float) -> np.ndarray:
 def judged(given: np.ndarray) -> tuple[StartCheck, str, bool]:
     """A start model against that of the images: what is found, what is told, and whether it contradicts."""
     found = check_start(given, river(), REACH, CHECK)
-    return found, *told(found, lone_scene(COUNT), CHECK)
+    return found, *start_told(found, lone_scene(COUNT), CHECK)
 
 
 def test_a_model_of_another_world_and_unit_agrees() -> None:

@@ -23,9 +23,9 @@ from tiegraph.scene.weakties import WeaklyTied
 from tiegraph.sfm.database import ViewGraph
 from tiegraph.sfm.registrationreport import few_points, weakly_constrained
 from tiegraph.sfm.rig.support import place_as_given, ties_of, units_per_metre, unsupported_sensors
-from tiegraph.sfm.start.turning import no_base
 from tiegraph.sfm.tuning import MappingTuning, RegistrationTuning, Tuning
 from tiegraph.sfm.tuning.rig import SupportTuning
+from tiegraph.sfm.turning import no_base
 
 LOSSES = RegistrationTuning()
 TUNING = SupportTuning()

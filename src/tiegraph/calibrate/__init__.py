@@ -1,6 +1,6 @@
 """Pattern calibration: the cameras of a rig, or a single one, from images of a board.
 
-The method, in the order of ``pipeline/calibrate.py``: corners are detected (``detect``; the boards are in ``board``);
+The method, in the order of ``pipeline/calibrate.py``: corners are detected (``board``);
 start values come from resections, the focal length by a search over the field of view, so that every model of COLMAP
 starts alike (``start``); all images of all cameras are adjusted together by pycolmap's bundle adjustment (``adjust``).
 The board is the world, an instant is a frame of the rig, and the corners are points that are held: so nothing of the

@@ -16,7 +16,7 @@ from tiegraph.calibrate.tuning import AdjustTuning
 from tiegraph.errors import ReconstructionError
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import CAUCHY_SIGMAS, robust_sigma
-from tiegraph.scene.colmapmodel import add_rig, matrix, rigid3d
+from tiegraph.scene.colmapmodel import add_rig, matrix, rigid3d, sensor_id
 from tiegraph.scene.solver import all_images, options_of
 
 _RIG = 1
@@ -193,11 +193,6 @@ def problem(
     return pycolmap.create_default_ceres_bundle_adjuster(options, config, model)
 
 
-def sensor(camera: int) -> pycolmap.sensor_t:
-    """COLMAP's identity of a camera's number."""
-    return pycolmap.sensor_t(pycolmap.SensorType.CAMERA, camera + 1)
-
-
 def build(seen: Observations, state: State) -> pycolmap.Reconstruction:
     """COLMAP's model: the board is the world, an instant a frame of the rig."""
     model = pycolmap.Reconstruction()
@@ -237,7 +232,7 @@ def _images(seen: Observations, instant: int, frame: int, first: int) -> list[tu
 def _state(model: pycolmap.Reconstruction, start: State) -> State:
     cameras = tuple(deepcopy(model.camera(k + 1)) for k in range(len(start.cameras)))
     sensors = dict(model.rigs[_RIG].non_ref_sensors.items())
-    poses = [np.eye(4)] + [_matrix(sensors[sensor(k)]) for k in range(1, len(cameras))]
+    poses = [np.eye(4)] + [_matrix(sensors[sensor_id(k + 1)]) for k in range(1, len(cameras))]
     boards = {i: _matrix(model.frame(f).rig_from_world) for f, i in enumerate(sorted(start.rig_from_board), 1)}
     return State(cameras, np.stack(poses), boards)
 

@@ -6,7 +6,7 @@ from tiegraph.settings import Section
 
 
 class BoardTuning(Section):
-    """What a board can be, and when it counts as seen (`board.py`, `detect.py`)."""
+    """What a board can be, and when it counts as seen (`board.py`)."""
 
     least_corners: int = Field(8, ge=4)
     """Corners of a view: four hold a pose without telling anything of it."""

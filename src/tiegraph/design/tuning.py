@@ -65,7 +65,7 @@ class NetTuning(Section):
 
 
 class GrowthTuning(Section):
-    """The rounds in which pairs are chosen (`hybrid.py`)."""
+    """The rounds in which pairs are chosen (`design.py`)."""
 
     fine: float = Field(0.03, gt=0)
     """Growth of the network in a round. On simulated surveys of 150 and 200 images it gives the sigma of one pair at a

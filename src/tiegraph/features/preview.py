@@ -18,9 +18,8 @@ import numpy as np
 import pycolmap
 
 from tiegraph.features import nearest
-from tiegraph.features.contrast import contrast, evened
 from tiegraph.features.settings import PreviewSettings
-from tiegraph.features.sift import DESCRIPTOR_NORM, root_sift
+from tiegraph.features.sift import DESCRIPTOR_NORM, contrast, evened, root_sift
 from tiegraph.features.tuning import PreviewTuning, Tuning
 from tiegraph.limits import need_room
 from tiegraph.scene.colmaprows import DATABASE_BYTES, create_database, write_ties

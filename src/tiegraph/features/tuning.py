@@ -30,7 +30,7 @@ class PreviewTuning(Section):
 
 
 class ContrastTuning(Section):
-    """Images that show little contrast (`contrast.py`)."""
+    """Images that show little contrast (`sift.py`)."""
 
     enough: float = Field(10.0, ge=0)
     """Grey levels of local contrast that a tenth of an image shows, or it is evened: a sea floor shows 3 to 9, an up

@@ -6,7 +6,7 @@ from tiegraph.settings import Section
 
 
 class LoopTuning(Section):
-    """Rotations of pairs (`loops.py`), their average (`averaging.py`), and what contradicts it."""
+    """Rotations of pairs, their average, and what contradicts it (`loops.py`)."""
 
     least_matches: int = Field(8, ge=5)
     """Matches of a pair below which it tells no rotation."""
@@ -35,7 +35,7 @@ class LoopTuning(Section):
 
 
 class PriorTuning(Section):
-    """Matches against the coarse model (`prior.py`)."""
+    """Matches against the coarse model (`filter.py`)."""
 
     steps: int = Field(24, gt=1)
     """Distances between the nearest and the farthest at which a ray is followed."""

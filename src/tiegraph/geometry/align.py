@@ -35,6 +35,12 @@ class Similarity:
         shift = self.scale * self.rotation @ other.translation + self.translation
         return Similarity(self.scale * other.scale, turned, shift)
 
+    def stepped(self, step: np.ndarray, middle: np.ndarray) -> "Similarity":
+        """Followed by a turn, a shift and the logarithm of a growth (7,) about a middle (3,)."""
+        turn, scale = Rotation.from_rotvec(step[:3]).as_matrix(), float(np.exp(step[6]))
+        shift = scale * turn @ (self.translation - middle) + middle + step[3:6]
+        return Similarity(scale * self.scale, turn @ self.rotation, shift)
+
     def inverse(self) -> "Similarity":
         """source = scale * rotation @ target + translation."""
         turned = self.rotation.T / self.scale

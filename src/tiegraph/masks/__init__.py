@@ -8,12 +8,12 @@ labels or weights:
 3. Matchability: which features match in the neighbouring frame (``matchability``). Zones where none does are water if
    most level cameras show them (``water``). The border of the sky gives sky (``skyline``), below the black surround
    of a fisheye lens, which is masked as platform; but not where that area is narrow, for there the border was run
-   down a pale wall (``labels``).
+   down a pale wall (``learnt``).
 4. Labels of the static scene. What is as bright as the sky and connected to it is no label of the scene if it hardly
    matches, or if it ends above the horizon, the lowest row of sky that several images agree on: straight ahead a
    cloud matches as a wall does, but a wall stands on the ground.
-5. From these labels one table a camera over colour, brightness and texture (``appearance``), learnt twice. The labels
-   of a camera outweigh those of the others, whose clouds look like its walls.
+5. From these labels one table a camera over colour, brightness and texture, learnt twice. The labels of a camera
+   outweigh those of the others, whose clouds look like its walls.
 6. Classification of each image (``classification``): sky by pixel, by region without an edge inside and by place in the
    image, with its edge refined by a guided filter on brightness; water is what lies below the best line.
 
@@ -25,7 +25,7 @@ the COLMAP masks; the classes are for the report and ``refine``.
 **Tests before a class is masked** (``proof``). A platform needs frames that verify motion (a rig at rest has none). A
 sky whose verified matches are as near as the scene is refused, by all cameras together (``matchability``: two focal
 lengths are tried, and what is far by one of them is not near), and without a sky there is no water. A sky must lie
-above the rest (``labels``): its edges face down, those of a pale road seen from straight above face every way, and
+above the rest (``learnt``): its edges face down, those of a pale road seen from straight above face every way, and
 nothing in it matches that could refute it. Only rows where sky is sought count, so that snow or still water below say
 nothing; cameras of the role ``up`` are not tested. Wires and tree tops do not refute a sky: what refutes it is as
 dense as a fifth of the matches of a surface, and overexposed areas that match so densely are used.

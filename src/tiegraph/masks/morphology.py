@@ -9,7 +9,7 @@ def opened_closed(white: np.ndarray, size_px: int) -> np.ndarray:
     return closed(opened(white, size_px), size_px)
 
 
-def without_small(white: np.ndarray, min_area: int) -> np.ndarray:
+def without_small(white: np.ndarray, min_area: float) -> np.ndarray:
     """White areas (connected over edges and corners) of fewer than ``min_area`` pixels turned black."""
     _, labels, stats, _ = cv2.connectedComponentsWithStats(white.astype(np.uint8), connectivity=8)
     large = stats[:, cv2.CC_STAT_AREA] >= min_area

@@ -1,7 +1,6 @@
 """Images that are hardly worth keeping: blurred against their neighbours, or the same picture as the one before."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -13,25 +12,17 @@ from tiegraph.masks.platform import moved_share
 from tiegraph.masks.tuning import QualityTuning, Tuning
 
 
-@dataclass(frozen=True)
-class Quality:
-    """Figures of one image: ``sharpness`` is the share of the detail that is fine, ``moved`` the share of its texture
-    that moved since the image before; NaN where there is nothing to measure."""
-
-    sharpness: float
-    moved: float
-
-
-def image_quality(image: Path, before: Path | None, use: np.ndarray, tuning: Tuning) -> Quality:
-    """Quality of an image, on the pixels (h, w) bool that its mask uses, at any size; ``before`` is its predecessor."""
+def image_quality(image: Path, before: Path | None, use: np.ndarray, tuning: Tuning) -> tuple[float, float]:
+    """Sharpness of an image, the share of its detail that is fine, and the share of its texture that moved since the
+    one ``before``; on the pixels (h, w) bool that its mask uses, at any size. NaN where there is nothing to measure."""
     here = read_small(image, tuning.frames.work_px)
     keep = cv2.resize(use.astype(np.uint8), here.shape[1::-1], interpolation=cv2.INTER_NEAREST) > 0
     sharp = _sharpness(grey(here), keep, tuning.quality)
     if before is None:
-        return Quality(sharp, float("nan"))
+        return sharp, float("nan")
     other = read_small(before, tuning.frames.compare_px)
     same = cv2.resize(here, other.shape[1::-1], interpolation=cv2.INTER_AREA)
-    return Quality(sharp, moved_share(other, same, tuning.moved))
+    return sharp, moved_share(other, same, tuning.moved)
 
 
 def _sharpness(brightness: np.ndarray, use: np.ndarray, tuning: QualityTuning) -> float:
@@ -47,18 +38,19 @@ def _sharpness(brightness: np.ndarray, use: np.ndarray, tuning: QualityTuning) -
     return float(np.sqrt(np.mean(np.square(fine - medium)[inner]) / energy)) if energy > 0 else float("nan")
 
 
-def flags(quality: Sequence[Quality], tuning: QualityTuning) -> list[str]:
-    """For the images of one camera in order: why an image is hardly worth keeping, with its figure; "" if it is."""
-    sharp = np.array([q.sharpness for q in quality])
+def flags(quality: Sequence[tuple[float, float]], tuning: QualityTuning) -> list[str]:
+    """By ``image_quality`` of the images of a camera in order: why one is hardly worth keeping, with its figure; "" if
+    it is."""
+    sharp = np.array([sharpness for sharpness, _ in quality])
     found, reach = [], tuning.neighbours
-    for k, own in enumerate(quality):
+    for k, (sharpness, moved) in enumerate(quality):
         around = np.delete(sharp[max(0, k - reach) : k + reach + 1], min(k, reach))
         around = around[np.isfinite(around)]
-        relative = own.sharpness / np.median(around) if len(around) >= tuning.least_neighbours else float("nan")
+        relative = sharpness / np.median(around) if len(around) >= tuning.least_neighbours else float("nan")
         if relative < tuning.blurred:
             found.append(f"blurred: {relative:.2f} of its neighbours' sharpness")
-        elif own.moved < tuning.similar:
-            found.append(f"similar: {100 * own.moved:.0f} % of its texture moved since the image before")
+        elif moved < tuning.similar:
+            found.append(f"similar: {100 * moved:.0f} % of its texture moved since the image before")
         else:
             found.append("")
     return found

@@ -52,7 +52,7 @@ class ProofTuning(Section):
 
 
 class AppearanceTuning(Section):
-    """The table over colour, brightness and texture (`appearance.py`), at `frames.look_px`."""
+    """The table over colour, brightness and texture (`classification.py`), at `frames.look_px`."""
 
     light_bins: int = Field(16, gt=0, le=256)
     """Bins of L."""
@@ -93,7 +93,7 @@ class SkylineTuning(Section):
 
 
 class LabelTuning(Section):
-    """Seeds of sky, water and scene in single images, and whether a sky lies above what is not sky (`labels.py`), at
+    """Seeds of sky, water and scene in single images, and whether a sky lies above what is not sky (`learnt.py`), at
     `frames.look_px`."""
 
     images: int = Field(40, gt=0)

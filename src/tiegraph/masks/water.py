@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 
 from tiegraph.masks.matchability import Matchability
+from tiegraph.masks.morphology import without_small
 from tiegraph.masks.tuning_learnt import WaterTuning
 from tiegraph.scene.graph import best_line
 
@@ -40,7 +41,7 @@ def never_matching(evidence: Sequence[Matchability], ego: np.ndarray | None, tun
     says = cv2.GaussianBlur(exact, (0, 0), tuning.reach_cells) * cells * 0.25
     zone = below_waterline(says, platform, tuning, (1, 1))
     top = np.where(zone.any(axis=0), zone.argmax(axis=0), rows)
-    zone = _large(zone & (top >= tuning.highest * rows)[None], tuning)
+    zone = without_small(zone & (top >= tuning.highest * rows)[None], tuning.min_area * zone.size)
     prior = np.clip(says, -tuning.prior_clip, tuning.prior_clip)
     return Zone(zone, prior, float(exact[zone].sum()))
 
@@ -55,13 +56,6 @@ def _scene_rate(matched: np.ndarray, missed: np.ndarray, tuning: WaterTuning) ->
 def _shrunk(mask: np.ndarray, tuning: WaterTuning) -> np.ndarray:
     share = cv2.resize(mask.astype(np.float32), tuning.grid[::-1], interpolation=cv2.INTER_AREA)
     return share > 0.3
-
-
-def _large(zone: np.ndarray, tuning: WaterTuning) -> np.ndarray:
-    _, labels, stats, _ = cv2.connectedComponentsWithStats(zone.astype(np.uint8), connectivity=8)
-    large = stats[:, cv2.CC_STAT_AREA] >= tuning.min_area * zone.size
-    large[0] = False
-    return large[labels]
 
 
 def water_priors(zones: Mapping[int, Zone], asked: bool, tuning: WaterTuning) -> dict[int, np.ndarray]:

@@ -5,7 +5,7 @@ from where the predicted pose expects them, and back (``follow``). Points of kno
 camera or many, with a common view or none, by pycolmap's generalised absolute pose (``resect``). A frame in which the
 points have moved far enough is a keyframe (``worldmap``): the other cameras of the rig are asked for what they see of
 the corners at the same instant, new corners fill the image, points get places, and the last keyframes are adjusted
-together by pycolmap's bundle adjustment with cameras and rig held (``adjust``). A segment begins at one instant where
+together by pycolmap's bundle adjustment with cameras and rig held (``worldmap``). A segment begins at one instant where
 cameras see the same, else from two frames by their relative orientation (``resect``): of a single camera, whose path
 has no scale, or of the whole rig; of one that shares the edges of its views, what is seen there tells the length.
 

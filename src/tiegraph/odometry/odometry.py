@@ -6,13 +6,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tiegraph.geometry import transforms
-from tiegraph.odometry.adjust import adjust
 from tiegraph.odometry.cameras import FAR_BASELINES, Cameras
 from tiegraph.odometry.follow import Images, Tracks, corners, followed, in_partners
 from tiegraph.odometry.recall import Read, Recall, Recalled, scale_to, thumbnails
 from tiegraph.odometry.resect import errors_px, moved_share, relative_pose, resect, scaled
 from tiegraph.odometry.tuning import Tuning
-from tiegraph.odometry.worldmap import Keyframe, WorldMap
+from tiegraph.odometry.worldmap import Keyframe, WorldMap, adjust
 
 _LEAST_POINTS = 30  # with a place, from which a segment is begun
 _LONG = 60  # iterations of Ceres where the start is not the pose that was found a moment ago

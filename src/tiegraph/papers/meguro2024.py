@@ -26,14 +26,14 @@ from tiegraph.masks.tuning import Meguro2024Tuning
 from tiegraph.masks.tuning import Tuning as MasksTuning
 from tiegraph.network.offsets.curves import Proposal, curves_of, facing, votes_of
 from tiegraph.network.passes import MatchCache, Pass
-from tiegraph.network.rig import commonview
+from tiegraph.network.rig import axes
 from tiegraph.network.rig.axes import allowed_within
 from tiegraph.network.scorematrix import ScoreMatrix, score_matrix
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.papers import colmap_alone
 from tiegraph.scene.pairs import REASONS, Pairs
-from tiegraph.scene.sorting import evenly
+from tiegraph.scene.sorting import among_best, evenly
 
 
 def difference_mask(a: np.ndarray, b: np.ndarray, threshold: int, tuning: Meguro2024Tuning) -> np.ndarray:
@@ -124,9 +124,9 @@ def _vote_constant(
     if p is not q:  # a few frames show the heading, then the axes rule pairs of cameras out
         few = np.isin(np.arange(len(rows)), evenly(len(rows), tuning.offsets.constant.heading_frames))[:, None]
         scores = _measured_oblong(scores, wanted & few, cache)
-        excess = commonview.above(scores.inliers, settings.min_matches)
+        excess = axes.above(scores.inliers, settings.min_matches)
         allowed = facing(scores, excess, settings, tuning.rig)
-        said = commonview.in_words(scores, excess, tuning.rig)
+        said = axes.in_words(scores, excess, tuning.rig)
         notes = (said,) if said else ()
         scores = replace(scores, allowed=allowed)
     return _measured_oblong(scores, wanted, cache), notes
@@ -184,12 +184,7 @@ def _around(
     if settings.offset_best == 0:
         return Pairs.make(i, j, "offsets", score=cache.known(i, j))
     score = cache.measure(i, j)
-    order = np.lexsort((-score, i))
-    first = np.r_[True, np.diff(i[order]) != 0]
-    start = np.maximum.accumulate(np.where(first, np.arange(len(order)), 0))
-    rank = np.empty(len(order), int)
-    rank[order] = np.arange(len(order)) - start
-    keep = (rank < settings.offset_best) & (score >= settings.min_matches)
+    keep = among_best(i, score, settings.offset_best) & (score >= settings.min_matches)
     return Pairs.make(i, j, "offsets", score=score, dropped=np.where(keep, 0, REASONS.index("weak")))
 
 

@@ -15,8 +15,7 @@ import numpy as np
 import pycolmap
 
 from tiegraph.calibrate.adjust import Adjusted, adjust_robustly
-from tiegraph.calibrate.board import Board, read_board
-from tiegraph.calibrate.detect import Corners, detect
+from tiegraph.calibrate.board import Board, Corners, detect, read_board
 from tiegraph.calibrate.difference import Calibration, Difference, differences
 from tiegraph.calibrate.judge import Verdict, judge, relative_focal_sigma
 from tiegraph.calibrate.observations import CameraImages, Observations, View, check_count, check_one_camera, check_views

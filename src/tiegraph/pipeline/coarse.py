@@ -15,9 +15,8 @@ import pycolmap
 from tiegraph.errors import ReconstructionError
 from tiegraph.features.preview import write_preview_database
 from tiegraph.network.coarse.assembled import Assembled, assembled, is_whole
-from tiegraph.network.coarse.model import CoarseModel
+from tiegraph.network.coarse.model import CoarseModel, with_surface
 from tiegraph.network.coarse.search import Coarse, Search, worth_a_model
-from tiegraph.network.coarse.surface import with_surface
 from tiegraph.network.passes import MatchCache
 from tiegraph.pipeline.files import load_as, load_scene, pairs_of, save_npz, ties_of
 from tiegraph.pipeline.preview import Matcher, read_preview

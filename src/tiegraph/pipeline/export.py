@@ -12,8 +12,7 @@ import numpy as np
 from tiegraph.dense.plan import CameraModel, ViewPlan
 from tiegraph.dense.undistort import centred_pinhole, view_through
 from tiegraph.errors import InputError, TiegraphError, choose
-from tiegraph.export.exporters import EXPORTERS
-from tiegraph.export.nerf import depth_through, in_thousandths
+from tiegraph.export.exporters import EXPORTERS, depth_through, in_thousandths
 from tiegraph.export.survey import Exporter, Survey, unique_names
 from tiegraph.limits import explained
 from tiegraph.pipeline.dense import depth_path

@@ -3,8 +3,7 @@
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from tiegraph.filter.filter import filter_pairs
-from tiegraph.filter.prior import Prior
+from tiegraph.filter.filter import Prior, filter_pairs
 from tiegraph.pipeline.files import checked, pairs_of, save_npz, trusted_poses
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome

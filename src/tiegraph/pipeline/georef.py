@@ -30,9 +30,8 @@ from tiegraph.sfm.rig.rig import rig_modes
 from tiegraph.sfm.shape import SHAPE, Shape
 from tiegraph.sfm.world.fixes import Measurements, PositionRows
 from tiegraph.sfm.world.georef import Georeference
-from tiegraph.sfm.world.georeferencing import GeorefRequest, georeference_folders
+from tiegraph.sfm.world.georeferencing import ConstantParameters, GeorefRequest, georeference_folders
 from tiegraph.sfm.world.oneworld import OneWorld
-from tiegraph.sfm.world.worldadjust import ConstantParameters
 
 
 def georef(run: Run) -> Outcome:

@@ -11,7 +11,7 @@ from tiegraph import papers
 from tiegraph.errors import choose
 from tiegraph.masks import EGO, NAMES, USE
 from tiegraph.masks.frames import full_size, image_size
-from tiegraph.masks.quality import Quality, flags, image_quality
+from tiegraph.masks.quality import flags, image_quality
 from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.sources import SOURCES, Camera, MaskSource, explain_source
 from tiegraph.masks.tuning import Tuning
@@ -144,7 +144,7 @@ def _flagged(run: Run, scene: Scene) -> dict[str, str]:
     return dict(sorted(found.items()))
 
 
-def _quality(pair: tuple[str, str | None], folder: Path, tuning: Tuning) -> Quality:
+def _quality(pair: tuple[str, str | None], folder: Path, tuning: Tuning) -> tuple[float, float]:
     name, before = pair
     images = folder / "images"
     other = None if before is None else images / before

@@ -18,10 +18,20 @@ from tiegraph.pipeline.surfaces import OnSurface, Step
 from tiegraph.pipeline.terrain import TerrainWork, wanted
 from tiegraph.products.choose import Survey, choose
 from tiegraph.products.heights import height_tile, margin
-from tiegraph.products.ortho import Images, Patch, block_px, gains, ortho_margin, ortho_tile, patch
+from tiegraph.products.ortho import (
+    Buffer,
+    Images,
+    Patch,
+    block_px,
+    draw,
+    gains,
+    ortho_margin,
+    ortho_tile,
+    patch,
+    windows_met,
+)
 from tiegraph.products.raster import Place, hillshade, overview
 from tiegraph.products.surface import View, Window
-from tiegraph.products.visibility import Buffer, draw, windows_met
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, save_json, write_atomic
 from tiegraph.scene.cloudfile import shift_of

@@ -1,26 +1,52 @@
 """Glue of scan: what a user hands over becomes a scene and a folder of images."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from tiegraph.errors import InputError
 from tiegraph.odometry.cameras import cameras_of
 from tiegraph.pipeline.foundrig import rig_of_run
 from tiegraph.pipeline.inputs import check_against, control_file, target_marks
 from tiegraph.pipeline.odometry import followed
-from tiegraph.pipeline.videos import photographs
 from tiegraph.project.inputs import FOLLOW
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, write_atomic
 from tiegraph.scan.cameras import start_cameras
 from tiegraph.scan.priors.startmodel import read_start
+from tiegraph.scan.recording import Recording
+from tiegraph.scan.rigfiles.cameraread import FoundCamera
 from tiegraph.scan.scan import ScanInputs, build_scene, prepare_image, probe_image
-from tiegraph.scan.settings import ScanSettings
-from tiegraph.scene.bags import source_of
+from tiegraph.scan.settings import ScanSettings, video_offsets
+from tiegraph.scan.tuning import OffsetTuning, PicturesTuning, Tuning
+from tiegraph.scan.videos.bagfilms import BagFilm, bag_films, find_bags, fixes_notes
+from tiegraph.scan.videos.video import (
+    Pictures,
+    check_film,
+    find_videos,
+    is_of_lens,
+    nearest,
+    open_film,
+    picture_folders,
+    recordings_of,
+    sharpest,
+    take_pictures,
+)
+from tiegraph.scan.videos.videooffset import (
+    Film,
+    MotionCurve,
+    Offset,
+    films_together,
+    find_offset,
+    motion_curve,
+    offsets_given,
+)
+from tiegraph.scan.videos.videotime import VideoClock, video_clock
+from tiegraph.scene.bags import source_of, split_topics
 from tiegraph.scene.hanging import carrying
-from tiegraph.scene.images import search_images
+from tiegraph.scene.images import find_images, has_images, search_images
 from tiegraph.scene.names import clean_names
 from tiegraph.scene.rig import Sensor
 from tiegraph.text import acts, composed
@@ -103,3 +129,248 @@ def _prepare_item(
     for name, sensor in images:
         if not (target / name).exists():
             prepare_image(source / found, target / name, sensor, settings)
+
+
+@dataclass(frozen=True)
+class _Video:
+    """A recording as one look at it found it, and when it began."""
+
+    recording: Recording
+    folder: str
+    clock: VideoClock = VideoClock()
+    width: int = 0  # 0: cannot be decoded
+    height: int = 0
+    fps: float = 0.0
+    offset_s: float = 0.0  # to be added to its stamps to get those of its rig's first
+    camera: FoundCamera | None = None  # as a bag has it
+
+    @property
+    def name(self) -> str:
+        """As it may be shown."""
+        return self.recording.name
+
+
+@dataclass(frozen=True)
+class _Job:
+    """Pictures to take: the sharpest of each stretch, or those at numbered stamps."""
+
+    video: _Video
+    target: Path
+    numbers: tuple[int, ...] | None = None
+    stamps_s: tuple[float, ...] = ()
+
+
+def photographs(run: Run) -> tuple[Path, tuple[str, ...], dict[str, FoundCamera]]:
+    """The folder of images, the user's own or of the pictures taken from the videos and bags in it; notes on where they
+    come from; and cameras by the folder below it that they are of.
+
+    Raises InputError where videos of a rig do not tell when each began, where fewer than two pictures come of all, and
+    for bags as ``bag_films`` does.
+    """
+    images, asked = split_topics(run.inputs.images)
+    found = [images / v for v in find_videos(images)] if images.is_dir() and not asked else []
+    bags = find_bags(images)
+    if asked and not bags:
+        raise InputError(f"{run.inputs.images}: no bag there that could have topics")
+    if not found and not bags:
+        return images, (), {}
+    if has_images(images):
+        what = "videos and bags" if bags else "videos"
+        note = f"{len(found) + len(bags)} {what} beside the images are left out: give them in a folder of their own"
+        return images, (note,), {}
+    settings, tuning = run.settings.scan, run.settings.tuning.scan
+    folder = run.path("images") / ".video"
+    items, left_out = _films(found, bags, images, asked)
+    if run.inputs.gnss is None:
+        left_out += [note for bag in bags for note in fixes_notes(bag)]
+    run.reporter.total(2 * len(items))
+    videos = run.map(_look, items, settings, tuning)
+    videos, groups, said = _in_time(run, videos)
+    first = [_Job(videos[g[0]], folder / videos[g[0]].folder) for g in groups]
+    taken = run.map(_take, first, settings.video_fps, tuning.pictures)
+    others = [
+        _Job(
+            video=videos[k],
+            target=folder / videos[k].folder,
+            numbers=p.numbers,
+            stamps_s=tuple(s - videos[k].offset_s for s in p.stamps_s),
+        )
+        for g, p in zip(groups, taken)
+        for k in g[1:]
+    ]
+    beside = run.map(_take, others, settings.video_fps, tuning.pictures)
+    notes = [p.said for p in (*taken, *beside)] + said + [_apart(j, p) for j, p in zip(others, beside)]
+    if not has_images(folder) or len(find_images(folder)) < 2:
+        raise InputError(f"{images}: at least 2 pictures are needed: {'; '.join(notes)}")
+    clocks = list(dict.fromkeys(v.clock.note for v in videos if v.width))  # of several tracks, once
+    late = _at_once([(videos[g[0]], p) for g, p in zip(groups, taken) if p.stamps_s], tuning.pictures.creation_apart_s)
+    said = filter(None, left_out + notes + clocks + _unknown_starts(videos, groups) + late)
+    return folder, tuple(said), {v.folder: v.camera for v in videos if v.camera is not None}
+
+
+def _films(
+    videos: Sequence[Path], bags: Sequence[Path], root: Path, asked: Sequence[str]
+) -> tuple[list[tuple[Recording, str]], list[str]]:
+    """The recordings in videos and bags, each with the folder for its pictures; and notes on topics left out."""
+    names = [b.name if b == root else b.relative_to(root).as_posix() for b in (*videos, *bags)]
+    folders = picture_folders(names)
+    items, notes = [r for v, f in zip(videos, folders) for r in recordings_of(v, f)], []
+    for bag, folder in zip(bags, folders[len(videos) :]):
+        films, said = bag_films(bag, folder, asked)
+        items += films
+        notes += said
+    return items, notes
+
+
+def _at_once(recorded: Sequence[tuple[_Video, Pictures]], least_s: float) -> list[str]:
+    """A note if recordings of known clocks overlap in time, as chapters do that all have the time of the first."""
+    spans = sorted(
+        (v.clock.start_s + p.stamps_s[0], v.clock.start_s + p.stamps_s[-1], v.name, v.folder)
+        for v, p in recorded
+        if v.clock.known
+    )
+    for (_, end, name, _), (begin, _, later, folder) in zip(spans, spans[1:]):
+        if begin < end - least_s:
+            return [
+                f"{name} and {later} were recorded at the same time by their clocks, for {end - begin:.0f} s: if one "
+                f"camera took both, one of them is wrong: --scan.video-offset {folder}=SECONDS"
+            ]
+    return []
+
+
+def _unknown_starts(videos: Sequence[_Video], groups: Sequence[tuple[int, ...]]) -> list[str]:
+    """What to say of recordings one after another that all count from zero."""
+    lost = [videos[g[0]] for g in groups if videos[g[0]].width and not videos[g[0]].clock.known]
+    told = [v for v in lost if v.offset_s]
+    if len(lost) < 2 or len(told) >= len(lost) - 1:
+        return []
+    names = " and ".join(v.name for v in lost[:2])
+    return [
+        f"{len(lost)} videos, such as {names}, each count from their own start: positions by time would put them on "
+        f"top of each other; --scan.video-offset {lost[1].folder}=SECONDS says when each began, or --times"
+    ]
+
+
+def _look(item: tuple[Recording, str], settings: ScanSettings, tuning: Tuning) -> _Video:
+    recording, folder = item
+    try:
+        check_film(recording)
+    except OSError:
+        return _Video(recording, folder)
+    with open_film(recording) as opened:
+        frame = next(opened.frames(), None)
+        if frame is None:
+            return _Video(recording, folder)
+        height, width = frame[1].shape[:2]
+        camera, said = None, ""
+        if isinstance(opened, BagFilm):
+            clock = opened.clock(video_offsets(settings.video_offset).all_s)
+            camera, said = opened.camera((width, height), tuning.rig.camera)
+        else:
+            clock = video_clock(recording.file, settings, tuning.pictures)
+        clock = replace(clock, note="; ".join(filter(None, (clock.note, said))))
+        found = _Video(recording, folder, clock, width=width, height=height, fps=opened.fps)
+        return replace(found, camera=camera)
+
+
+def _in_time(run: Run, videos: Sequence[_Video]) -> tuple[list[_Video], list[tuple[int, ...]], list[str]]:
+    """The videos with their offsets, those of a rig on the clock of its first, the groups of them, and notes."""
+    tuning = run.settings.tuning.scan
+    groups = _groups(run, videos)
+    told = offsets_given([v.folder for v in videos], run.settings.scan)
+    out = [replace(v, offset_s=told.get(k, 0.0)) for k, v in enumerate(videos)]
+    lenses = {k for k, v in enumerate(videos) if is_of_lens(v.recording)} - told.keys()  # of one recording
+    stamped = {  # topics whose stamps are of one clock
+        k: videos[k].clock.start_s - videos[g[0]].clock.start_s
+        for g in groups
+        for k in g[1:]
+        if videos[g[0]].clock.shared and videos[k].clock.shared
+    }
+    asked = {k: g[0] for g in groups for k in g[1:] if k not in told.keys() | lenses | stamped.keys()}
+    moving = sorted({*asked, *asked.values()})
+    curves = dict(zip(moving, run.map(_curve, [videos[k] for k in moving], tuning)))
+    pairs = [(curves[first], curves[k]) for k, first in asked.items()]
+    offsets = dict(zip(asked, run.map(_offset_of, pairs, tuning.offset)))
+    notes = []
+    for group in groups:
+        first = out[group[0]]
+        for k in group[1:]:
+            how = "the lenses of one recording" if k in lenses else "as --scan.video-offset says"
+            if k in stamped and k not in told:
+                out[k], how = replace(out[k], offset_s=stamped[k]), "by the stamps of their messages"
+            if k in asked:
+                found = offsets[k]
+                if found.refused:
+                    raise InputError(
+                        f"{out[k].name}: the motion of its pictures does not tell when it began after {first.name}, "
+                        f"whose rig it is of: {found.refused}. Give --scan.video-offset {out[k].folder}=SECONDS (0 if "
+                        "they began together), or --scan.layout sequence if they are passes of one camera"
+                    )
+                out[k] = replace(out[k], offset_s=found.seconds)
+                sigma = f"{1e3 * found.sigma_s:.1f} ms"
+                how = f"sigma {sigma}, by the motion of the pictures in the {found.shared_s:.1f} s that both show"
+            notes.append(f"{out[k].name} begins {out[k].offset_s:+.4f} s after {first.name} ({how})")
+            if k not in lenses:  # the fixes that mend a clock stand in the file of one lens only
+                by_clock = out[k].clock.start_s - first.clock.start_s
+                apart = abs(by_clock - out[k].offset_s) > tuning.pictures.creation_apart_s
+                if first.clock.known and out[k].clock.known and apart:
+                    said = f"by its own clock it would begin {by_clock:+.0f} s after: that of the first is used"
+                    notes.append(f"{out[k].name}: {said}")
+        # The videos of a group go onto one clock: that of the first whose start is known.
+        first = out[group[0]]
+        lead = next((out[k] for k in group if out[k].clock.known), first)
+        begin = lead.clock.start_s - (0.0 if lead is first else lead.offset_s) + first.offset_s
+        for k in group:
+            late = 0.0 if k == group[0] else out[k].offset_s
+            clock = replace(out[k].clock, start_s=begin + late, known=lead.clock.known, utc=lead.clock.utc)
+            out[k] = replace(out[k], clock=clock)
+    return out, groups, notes
+
+
+def _groups(run: Run, videos: Sequence[_Video]) -> list[tuple[int, ...]]:
+    """Numbers of the videos that a rig recorded together; the first is the one of its first camera."""
+    good = [k for k, v in enumerate(videos) if v.width]
+    alone: list[tuple[int, ...]] = [(k,) for k, v in enumerate(videos) if not v.width]
+    if not good:
+        return alone
+    films = [Film(videos[k].folder, videos[k].width, videos[k].height) for k in good]
+    rig, known = run.inputs.rig, rig_of_run(run.inputs.rig)
+    text = None if known is None else known.text
+    try:
+        together = films_together(films, rig, text, run.settings.scan, run.settings.tuning.scan)
+    except InputError as error:
+        broken = ", ".join(v.name for v in videos if not v.width)
+        raise InputError(f"{error}" + (f"; {broken} cannot be decoded" if broken else "")) from None
+    return [tuple(good[f] for f in g) for g in together] + alone
+
+
+def _curve(video: _Video, tuning: Tuning) -> MotionCurve:
+    with open_film(video.recording) as opened:
+        return motion_curve(opened.frames(), tuning.motion)
+
+
+def _offset_of(curves: tuple[MotionCurve, MotionCurve], tuning: OffsetTuning) -> Offset:
+    return find_offset(*curves, tuning)
+
+
+def _take(job: _Job, per_second: float, tuning: PicturesTuning) -> Pictures:
+    video = job.video
+    if job.numbers is None:
+        choice = sharpest(per_second)
+    else:
+        choice = nearest(job.numbers, job.stamps_s, tuning.nearest_steps / video.fps)
+    return take_pictures(video.recording, job.target, choice, video.clock, tuning)
+
+
+def _apart(job: _Job, taken: Pictures) -> str:
+    """How far the pictures of another camera lie from the instants of the first's."""
+    if job.numbers is None or not taken.stamps_s:
+        return ""
+    wanted = dict(zip(job.numbers, job.stamps_s))
+    off = np.abs([s - wanted[n] for n, s in zip(taken.numbers, taken.stamps_s)])
+    lacking = len(job.numbers) - len(taken.numbers)
+    more = f"; {lacking} of {len(job.numbers)} instants are not in it" if lacking else ""
+    return (
+        f"{job.video.name}: its pictures lie {1e3 * np.median(off):.1f} ms from the instants of the first camera's, at "
+        f"most {1e3 * np.max(off):.1f} ms{more}"
+    )

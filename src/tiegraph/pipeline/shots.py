@@ -13,8 +13,7 @@ import numpy as np
 from tiegraph.cloud.fuse import Maps, fuse
 from tiegraph.dense.depth import confirmed_map, depth_map
 from tiegraph.dense.plan import CameraModel, DepthRange, ViewPlan
-from tiegraph.dense.shot import depth_range, plan_shot
-from tiegraph.dense.shotscale import Seen, ShotScale, in_camera, shot_scale
+from tiegraph.dense.shot import Seen, ShotScale, depth_range, in_camera, plan_shot, shot_scale
 from tiegraph.errors import InputError, ReconstructionError
 from tiegraph.pipeline.dense import coloured
 from tiegraph.pipeline.files import load_map, load_model, whole, world_origin, world_unit

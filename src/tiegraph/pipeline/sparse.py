@@ -20,7 +20,7 @@ from tiegraph.scan.priors.trajectory import images_by_name
 from tiegraph.scene.colmapmodel import image_poses, tracks
 from tiegraph.sfm.mapper import Source, reconstruct
 from tiegraph.sfm.shape import SHAPE
-from tiegraph.sfm.startcheck import check_start, told
+from tiegraph.sfm.start import check_start, start_told
 
 
 def sparse(run: Run) -> Outcome:
@@ -92,6 +92,6 @@ def _against_start(run: Run) -> Outcome:
     xyz, image, point = tracks(model, scene)
     reach = float(np.median(np.linalg.norm(xyz[point] - made[image, :3, 3], axis=1)))
     found = check_start(given, made, reach, tuning)
-    text, contradicts = told(found, scene, tuning)
+    text, contradicts = start_told(found, scene, tuning)
     counts = {"start_images": int(found.both.sum()), "start_disagrees": int(found.bad.sum())}
     return Outcome(counts, notes=() if contradicts else (text,), contradictions=(text,) if contradicts else ())

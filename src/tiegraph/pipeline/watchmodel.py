@@ -15,7 +15,7 @@ from tiegraph.design.surface import VERDICTS, SurfaceMap, WeakPlace, surface_map
 from tiegraph.errors import TiegraphError
 from tiegraph.features.preview import extract_preview, match_previews
 from tiegraph.geometry import transforms
-from tiegraph.network.coarse.surface import with_surface
+from tiegraph.network.coarse.model import with_surface
 from tiegraph.network.passes import MatchCache, find_passes, loose_images
 from tiegraph.network.retrieval.loose import supported
 from tiegraph.network.retrieval.retrieval import nearest_images

@@ -1,4 +1,6 @@
-"""True orthophotos: each pixel from the image that shows it best, exposures compensated, seams blended."""
+"""True orthophotos: each pixel from the image that shows it best, exposures compensated, seams blended.
+
+What an image sees of a surface: a buffer of depths, and a score for every pixel of the raster that it sees."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -8,10 +10,22 @@ import cv2
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
-from tiegraph.products.surface import Surface, View, Window, project
+from tiegraph.geometry import transforms
+from tiegraph.geometry.stereo import Pinhole
+from tiegraph.products.surface import Surface, View, Window, focal, project
 from tiegraph.products.tuning import OrthoTuning
-from tiegraph.products.visibility import Buffer, Ground, Heights, meets, score, windows_met
+from tiegraph.scene.results import DepthMap
 
+_NOTHING = np.float32(1e30)  # a depth
+_STEEPEST = 5.0  # tangent of the angle at which a surface is seen, for how far its depth may be off
+_SMOOTH_PX = 5  # raster pixels over which the slope of the surface is taken
+_COVER = 2.0  # raster pixels in one of the buffer, more than the square root of 2: none is left without any
+_AGREE_PX = 15  # raster pixels over which the share of those is taken whose depth the image confirms
+_LOOK = 16  # raster pixels between those that tell how near the surface is
+_TILE = 1024  # raster pixels along the edge of what is drawn at once
+
+Heights = Callable[[Window, int], np.ndarray]
+"""w (rows, columns) of a window, or of its blocks of so many pixels; NaN = not known."""
 _BLOCK, _FEW = 8, 500  # raster pixels along the edge of blocks whose colours tell exposures, of so many images ...
 _MOST = 10_000  # ... and images whose exposures are told at all: a matrix of them all is solved
 _FEEDS = 5  # times the exposures are compensated, each of what the one before has left: each is drawn to 1
@@ -19,6 +33,151 @@ _LARGEST_GAIN = 2.0  # of an exposure, either way
 
 Pictures = Callable[[int], np.ndarray]
 """RGB (H, W, 3) u1 of a view by its number."""
+
+
+@dataclass(frozen=True, eq=False)
+class Buffer:
+    """What an image sees: depth (h, w) f4 of the surface where it is nearest; own (h, w) f4 the image's own depth and
+    own_sigma (h, w) f2, NaN = not known; border (h, w) f2 the distance to the image border or mask as a share of the
+    image's shorter side, 0 = masked; ``scale`` (2,) image pixels, across and down, of one of the buffer's, and how many
+    image pixels a pixel of the raster has where it is nearest (``fine``)."""
+
+    depth: np.ndarray
+    own: np.ndarray
+    own_sigma: np.ndarray
+    border: np.ndarray
+    scale: np.ndarray
+    fine: float
+
+
+def meets(camera: Pinhole, surface: Surface, window: Window) -> bool:
+    """Whether a camera may see something of the box of a window: it lies not outside one side of its field of view."""
+    low, high = surface.box(window)
+    corners = np.array(np.meshgrid(*np.stack([low, high], 1))).reshape(3, 8).T
+    seen = transforms.apply(camera.cam_from_world, corners)
+    x, y, z = (seen @ camera.K.T).T
+    width, height = camera.size
+    outside = [z <= 0, x < 0, y < 0, x > width * z, y > height * z]
+    return not any(side.all() for side in outside)
+
+
+def windows_met(camera: Pinhole, surface: Surface) -> list[Window]:
+    """The tiles of a surface of which a camera may see something."""
+    return [t for t in surface.windows(_TILE) if meets(camera, surface, t)]
+
+
+def draw(
+    view: View, surface: Surface, heights: Heights, mask: np.ndarray, own: DepthMap | None, tuning: OrthoTuning
+) -> Buffer | None:
+    """The buffer of an image whose pixels may be used by ``mask`` (H, W) bool; ``own``: its depth map, if it has one.
+    None if it sees nothing of the surface."""
+    camera = view.camera
+    tiles = windows_met(camera, surface)
+    seen = [project(camera, _points(surface, t, heights(t, _LOOK), _LOOK))[2].ravel() for t in tiles]
+    depths = np.concatenate([s[np.isfinite(s)] for s in seen]) if seen else np.zeros(0)
+    if not len(depths):
+        return None
+    fine = max(1.0, surface.pixel_m * focal(camera) / float(np.percentile(depths, 1)))
+    size = tuple(int(np.ceil(s / (_COVER * fine))) for s in camera.size)
+    scale = np.array(camera.size) / size
+    depth = np.full(size[::-1], _NOTHING)
+    for tile in tiles:
+        around = Window(tile.row, tile.column, rows=tile.rows + 1, columns=tile.columns + 1)
+        for points in _drawn(surface, around, heights(around, 1)):
+            x, y, z = project(camera, points)
+            there = np.isfinite(z)
+            column = np.minimum((x[there] / scale[0]).astype(int), size[0] - 1)
+            row = np.minimum((y[there] / scale[1]).astype(int), size[1] - 1)
+            np.minimum.at(depth, (row, column), z[there].astype(np.float32))
+    depth = cv2.erode(depth, np.ones((3, 3), np.uint8))  # pixels at an edge show some of what lies before it
+    measured = np.full((2, *size[::-1]), np.nan, np.float32)
+    if own is not None:
+        for k, values in enumerate((own.depth_m, own.sigma_m)):
+            measured[k] = cv2.resize(values, size, interpolation=cv2.INTER_NEAREST)
+    usable = cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.999
+    padded = np.pad(usable.astype(np.uint8), 1)
+    away = cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
+    near = {"own": measured[0], "own_sigma": measured[1].astype(np.float16)}
+    border = (away / min(size)).astype(np.float16)
+    return Buffer(depth=depth, **near, border=border, scale=scale, fine=fine)
+
+
+def _points(surface: Surface, window: Window, w: np.ndarray, step: int) -> np.ndarray:
+    """World points (N, 3) of the known pixels of a window."""
+    u, v = np.meshgrid(*surface.places(window, step))
+    known = np.isfinite(w)
+    return surface.in_world(u[known], v[known], w[known])
+
+
+def _drawn(surface: Surface, window: Window, w: np.ndarray) -> list[np.ndarray]:
+    """World points (N, 3) of the pixels of a window and of the faces between neighbours that lie more than a pixel
+    apart in w, as dense as the pixels."""
+    u, v = np.meshgrid(*surface.places(window))
+    out = [_points(surface, window, w, 1)]
+    uvw = np.stack([u, v, w], axis=-1)
+    for a, b in ((uvw[:, :-1], uvw[:, 1:]), (uvw[:-1], uvw[1:])):
+        rise = np.abs(b[..., 2] - a[..., 2]) / surface.pixel_m
+        steps = np.where(rise > 1, np.ceil(np.nan_to_num(rise)), 0).astype(int)
+        at = np.nonzero(steps)
+        many = steps[at]
+        share = (np.arange(many.sum()) - np.repeat(np.cumsum(many) - many, many)) / np.repeat(many, many)
+        low, high = np.repeat(a[at], many, axis=0), np.repeat(b[at], many, axis=0)
+        out.append(surface.in_world(*(low + share[:, None] * (high - low)).T))
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class Ground:
+    """A window of a surface as images are asked for it: world points (rows, columns, 3), NaN = not known, normals
+    (rows, columns, 3) in the world, sigma (rows, columns) of w."""
+
+    xyz: np.ndarray
+    normal: np.ndarray
+    sigma: np.ndarray
+
+    @staticmethod
+    def of(surface: Surface, window: Window, w: np.ndarray, sigma: np.ndarray, step: int = 1) -> "Ground":
+        """Of heights and their sigmas (rows, columns), of the window's pixels or of blocks of ``step`` of them."""
+        u, v = np.meshgrid(*surface.places(window, step))
+        known = np.isfinite(w)
+        mean = cv2.blur(np.where(known, w, 0.0), (_SMOOTH_PX, _SMOOTH_PX), borderType=cv2.BORDER_REFLECT)
+        share = cv2.blur(known.astype(float), (_SMOOTH_PX, _SMOOTH_PX), borderType=cv2.BORDER_REFLECT)
+        smooth = np.where(known, mean / np.where(known, share, 1.0), 0.0)
+        gaps = cv2.erode(known.astype(np.uint8), np.ones((3, 3), np.uint8)) == 0
+        down, right = np.gradient(smooth, surface.pixel_m * step) if min(w.shape) > 1 else np.zeros((2, *w.shape))
+        slope = np.stack([np.where(gaps, 0, -right), np.where(gaps, 0, down), np.ones_like(w)], axis=-1)
+        normal = slope / np.linalg.norm(slope, axis=-1, keepdims=True)
+        return Ground(surface.in_world(u, v, w), normal @ surface.surface_from_world[:3, :3], np.nan_to_num(sigma))
+
+
+def score(view: View, buffer: Buffer, ground: Ground, surface: Surface, tuning: OrthoTuning) -> np.ndarray:
+    """How well an image shows each pixel (rows, columns), 0 = not at all, 1 = from straight in front, no coarser than
+    the raster and far from its border."""
+    camera = view.camera
+    x, y, z = project(camera, ground.xyz)
+    there = np.isfinite(z)
+    x, y, z = x[there], y[there], z[there]
+    high, wide = buffer.depth.shape
+    column = np.minimum(x / buffer.scale[0], wide - 1).astype(int)
+    row = np.minimum(y / buffer.scale[1], high - 1).astype(int)
+    towards = transforms.centre(camera.cam_from_world) - ground.xyz[there]
+    towards /= np.linalg.norm(towards, axis=-1, keepdims=True)
+    front = np.einsum("nk,nk->n", towards, ground.normal[there])
+    steep = np.minimum(np.sqrt(np.maximum(1 - front**2, 0)) / np.maximum(front, 1e-9), _STEEPEST)
+    size = z / focal(camera)
+    play = size * buffer.scale.max() * (1 + 2 * steep) + tuning.shade_sigmas * ground.sigma[there]
+    behind = z - buffer.own[row, column]  # NaN where the image has no depth, which neither hides nor confirms
+    close = play + tuning.shade_sigmas * buffer.own_sigma[row, column]
+    free = (front > 0) & (z <= buffer.depth[row, column] + play) & ~(behind > close)
+    free &= size < tuning.coarsest * surface.pixel_m
+    away = np.maximum(towards @ surface.surface_from_world[2, :3], 0)
+    good, seen, agrees = np.zeros(there.shape), np.zeros(there.shape, bool), np.zeros(there.shape, np.float32)
+    good[there] = np.minimum(1, surface.pixel_m / size) * away**tuning.angle_power
+    good[there] *= np.minimum(1, buffer.border[row, column] / tuning.border)
+    seen[there], agrees[there] = free, free & (np.abs(behind) <= close)
+    seen &= cv2.medianBlur((seen | ~there).astype(np.uint8), 5) > 0  # of what is hidden no specks are seen
+    share = cv2.blur(agrees, (_AGREE_PX, _AGREE_PX), borderType=cv2.BORDER_REFLECT)
+    return np.where(seen, good * (tuning.unconfirmed + share), 0.0).astype(np.float32)
 
 
 def ortho_margin(tuning: OrthoTuning) -> int:
@@ -52,14 +211,6 @@ def block_px(images: int) -> int:
     """Raster pixels along the edge of the blocks whose colours tell the exposures: larger for many images, whose blocks
     are in memory together."""
     return _BLOCK << max(0, math.ceil(math.log(max(images, 1) / _FEW, 4)))
-
-
-@dataclass(frozen=True, eq=False)
-class _Seen:
-    """Which pixels of a window an image sees, as packed bits, and its ``Buffer.fine``."""
-
-    pixels: np.ndarray
-    fine: float
 
 
 def patch(
@@ -123,7 +274,7 @@ def ortho_tile(
     wide = ortho_margin(tuning)
     ground = Ground.of(surface, window.grown(wide), heights, sigma)
     best, source = np.zeros(heights.shape, np.float32), np.zeros(heights.shape, np.uint16)
-    seen: dict[int, _Seen] = {}
+    seen: dict[int, tuple[np.ndarray, float]] = {}
     for k, view in enumerate(images.views):
         buffer = images.buffer(k) if meets(view.camera, surface, window.grown(wide)) else None
         if buffer is None:
@@ -131,7 +282,7 @@ def ortho_tile(
         found = score(view, buffer, ground, surface, tuning)
         better = found > best
         if better.any():
-            seen[k] = _Seen(np.packbits(found > 0), buffer.fine)
+            seen[k] = np.packbits(found > 0), buffer.fine
             best[better], source[better] = found[better], k + 1
     rgb = _blended(ground, source, seen, images, tuning)
     inner = slice(wide, wide + window.rows), slice(wide, wide + window.columns)
@@ -140,9 +291,10 @@ def ortho_tile(
 
 
 def _blended(
-    ground: Ground, source: np.ndarray, seen: dict[int, _Seen], images: Images, tuning: OrthoTuning
+    ground: Ground, source: np.ndarray, seen: dict[int, tuple[np.ndarray, float]], images: Images, tuning: OrthoTuning
 ) -> np.ndarray:
-    """RGB (rows, columns, 3) u1 by the sources (rows, columns), with blended seams.
+    """RGB (rows, columns, 3) u1 by the sources (rows, columns), with blended seams; ``seen``: by image which pixels it
+    sees, as packed bits, and its ``Buffer.fine``.
 
     Where an image does not see a pixel it has the colour of the one that does, lest what hides it shines through; where
     none does all have that of the nearest pixel, lest what is not there does.
@@ -150,7 +302,7 @@ def _blended(
     rgb = np.zeros((*source.shape, 3), np.uint8)
     warped: dict[int, np.ndarray] = {}
     for k in (int(s) - 1 for s in np.unique(source) if s):
-        colours = warp(images.views[k], images.picture(k), ground.xyz, seen[k].fine)
+        colours = warp(images.views[k], images.picture(k), ground.xyz, seen[k][1])
         warped[k] = np.clip(np.rint(colours * images.gains[k]), 0, 255).astype(np.uint8)
         rgb[source == k + 1] = warped[k][source == k + 1]
     if len(warped) < 2:
@@ -160,7 +312,7 @@ def _blended(
     blender = cv2.detail.MultiBandBlender(0, tuning.bands)
     blender.prepare((0, 0, source.shape[1], source.shape[0]))
     for k, colours in warped.items():
-        visible = np.unpackbits(seen[k].pixels, count=source.size).reshape(source.shape) > 0
+        visible = np.unpackbits(seen[k][0], count=source.size).reshape(source.shape) > 0
         filled = np.where((visible & (source > 0))[..., None], colours, around).astype(np.int16)
         blender.feed(filled, np.where(owner == k + 1, 255, 0).astype(np.uint8), (0, 0))
     blended, _ = blender.blend(None, None)  # type: ignore[call-overload]  # it makes them

@@ -100,7 +100,7 @@ class VolumeTuning(Section):
 
 
 class OrthoTuning(Section):
-    """True orthophoto (`visibility.py`, `ortho.py`)."""
+    """True orthophoto (`ortho.py`)."""
 
     coarsest: float = Field(4.0, ge=1)
     """Images whose pixels are this many times larger than the raster's, or more, are not taken there."""

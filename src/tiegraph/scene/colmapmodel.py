@@ -254,21 +254,26 @@ def tracks(reconstruction: pycolmap.Reconstruction, scene: Scene) -> tuple[np.nd
     return xyz, both[:, 0], both[:, 1]
 
 
+def sensor_id(camera_id: int) -> pycolmap.sensor_t:
+    """COLMAP's identity of a camera as a sensor of a rig."""
+    return pycolmap.sensor_t(pycolmap.SensorType.CAMERA, camera_id)
+
+
 def model_rigs(reconstruction: pycolmap.Reconstruction, scene: Scene) -> tuple[Rig, ...]:
     """The scene's rigs with the cameras and extrinsics of a model (its units); what it does not hold stays as given."""
-    out, key = [], 0
-    for index, rig in enumerate(scene.rigs):
+    out = []
+    for index, (first, rig) in enumerate(scene.keyed_rigs):
         sensors = [
-            replace(s, camera=_get(reconstruction.cameras, key + 1 + k, s.camera)) for k, s in enumerate(rig.sensors)
+            replace(s, camera=_get(reconstruction.cameras, key, s.camera))
+            for key, s in enumerate(rig.sensors, start=first + 1)
         ]
         held = _get(reconstruction.rigs, index + 1, None)
-        ids = [pycolmap.sensor_t(pycolmap.SensorType.CAMERA, key + 1 + k) for k in range(len(sensors))]
+        ids = [sensor_id(first + k + 1) for k in range(len(sensors))]
         if held is not None and held.is_ref_sensor(ids[0]):
             for k in range(1, len(sensors)):
                 if held.has_sensor_from_rig(ids[k]):
                     sensors[k] = replace(sensors[k], sensor_from_rig=matrix(held.sensor_from_rig(ids[k])))
         out.append(replace(rig, sensors=tuple(sensors)))
-        key += len(sensors)
     return tuple(out)
 
 

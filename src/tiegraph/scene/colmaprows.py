@@ -23,7 +23,7 @@ from tiegraph import limits
 from tiegraph.errors import InputError
 from tiegraph.scene.atomic import remove, replacing
 from tiegraph.scene.colmapdatabase import copy_verified, explained
-from tiegraph.scene.colmapmodel import rigid3d
+from tiegraph.scene.colmapmodel import rigid3d, sensor_id
 from tiegraph.scene.matches import PreviewMatches
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
@@ -107,17 +107,16 @@ def _write_frames(
 ) -> None:
     """One rig and its frames for each constrained rig; one rig a camera, one frame an image for everything else."""
     camera_of = {int(scene.sensor_key[k]): image.camera_id for k, image in images.items()}
-    first_key = np.cumsum([0] + [len(r.sensors) for r in scene.rigs])
     bound: set[int] = set()
     for index, rig in with_rig.items():
         known = [s for s, sensor in enumerate(rig.sensors) if not s or sensor.sensor_from_rig is not None]
-        cameras = {s: camera_of[key] for s in known if (key := int(first_key[index]) + s) in camera_of}
+        cameras = {s: camera_of[key] for s in known if (key := scene.first_sensor(index) + s) in camera_of}
         if cameras:
             database.write_rig(_colmap_rig(index + 1, rig, cameras), use_rig_id=True)
             bound |= set(cameras.values())
     for camera in sorted({image.camera_id for image in images.values()} - bound):
         row = pycolmap.Rig(rig_id=len(scene.rigs) + camera)  # ids above those of the constrained rigs
-        row.add_ref_sensor(_sensor_id(camera - 1))
+        row.add_ref_sensor(sensor_id(camera))
         database.write_rig(row, use_rig_id=True)
     members: dict[tuple[int, int], list[pycolmap.Image]] = {}
     for k, image in images.items():
@@ -137,11 +136,11 @@ def _colmap_rig(rig_id: int, rig: Rig, cameras: dict[int, int]) -> pycolmap.Rig:
     """COLMAP's rig of the sensors that have images; without images of the reference, the next sensor takes its part."""
     row = pycolmap.Rig(rig_id=rig_id)
     first, *others = sorted(cameras)
-    row.add_ref_sensor(_sensor_id(cameras[first] - 1))
+    row.add_ref_sensor(sensor_id(cameras[first]))
     reference = np.asarray(rig.sensors[first].sensor_from_rig) if first else np.eye(4)
     for s in others:
         extrinsics = np.asarray(rig.sensors[s].sensor_from_rig)
-        row.add_sensor(_sensor_id(cameras[s] - 1), rigid3d(extrinsics @ np.linalg.inv(reference)))
+        row.add_sensor(sensor_id(cameras[s]), rigid3d(extrinsics @ np.linalg.inv(reference)))
     return row
 
 
@@ -201,7 +200,3 @@ def writing(path: Path) -> Iterator[pycolmap.Database]:
     """A database, opened or made anew by COLMAP, in one transaction."""
     with pycolmap.Database.open(path) as database, pycolmap.DatabaseTransaction(database):
         yield database
-
-
-def _sensor_id(key: int) -> pycolmap.sensor_t:
-    return pycolmap.sensor_t(pycolmap.SensorType.CAMERA, key + 1)

@@ -2,7 +2,7 @@
 of a camera looks at: the only place where COLMAP's cameras are asked for it.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Annotated
 
@@ -10,6 +10,7 @@ import numpy as np
 import pycolmap
 from pydantic import PlainSerializer, PlainValidator, TypeAdapter
 
+from tiegraph.geometry import transforms
 from tiegraph.geometry.rays import unit_rays
 
 ROLES = ("side", "up", "wide")
@@ -144,6 +145,19 @@ class Rig:
         """(S, S) angles between the optical axes, NaN where unknown."""
         axes = np.stack([s.optical_axis() for s in self.sensors])
         return np.degrees(np.arccos(np.clip(axes @ axes.T, -1, 1)))
+
+    def scaled(self, factor: float) -> "Rig":
+        """With the lengths of its extrinsics times a factor."""
+        poses = [s.sensor_from_rig for s in self.sensors]
+        found = [None if p is None else transforms.rigid(p[:3, :3], factor * p[:3, 3]) for p in poses]
+        return replace(self, sensors=tuple(replace(s, sensor_from_rig=p) for s, p in zip(self.sensors, found)))
+
+    def units(self, given: "Rig") -> float:
+        """Its units in one of the same rig as given, by the median baseline."""
+        pairs = [(s.sensor_from_rig, g.sensor_from_rig) for s, g in zip(self.sensors, given.sensors)]
+        known = [(a, b) for a, b in pairs if a is not None and b is not None and np.linalg.norm(b[:3, 3]) > 0]
+        ratios = [np.linalg.norm(a[:3, 3]) / np.linalg.norm(b[:3, 3]) for a, b in known]
+        return float(np.median(ratios)) if ratios else 1.0
 
     def index(self, sensor_name: str) -> int:
         """Place of a sensor by name."""

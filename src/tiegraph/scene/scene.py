@@ -87,6 +87,11 @@ class Scene:
         return sum(len(r.sensors) for r in self.rigs[:rig])
 
     @property
+    def keyed_rigs(self) -> list[tuple[int, Rig]]:
+        """The rigs, each with the key of its first sensor."""
+        return [(self.first_sensor(k), rig) for k, rig in enumerate(self.rigs)]
+
+    @property
     def all_sensors(self) -> tuple[Sensor, ...]:
         """The sensors of all rigs, one after another."""
         return tuple(s for r in self.rigs for s in r.sensors)

@@ -1,31 +1,49 @@
-"""What a mapped model still needs, inside a child process: adjustment, rig diagnostics, colours, sigmas, files."""
+"""What a mapped model still needs, inside a child process: adjustment, rig diagnostics, colours, sigmas, files.
 
-from collections.abc import Callable, Mapping
+Rolling shutters: a row is seen ``readout`` x (row / height - 1/2) later than the middle one, whose time the pose is of
+(``motion``). The readout is one number, one more unknown of the normal equations with poses, points and all lenses
+eliminated. Distortion that a lens model leaves out looks alike where a vehicle drives straight on (KITTI, a global
+shutter: 3 ms with a sigma of 0.3), so what is too short for a real shutter or explains next to nothing is not believed.
+What is not seen here: motion faster than the frames of a pass, and images that were turned on their side (rows are then
+columns).
+"""
+
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 import pycolmap
+from scipy import sparse
 from scipy.spatial import KDTree
 
 from tiegraph.scene.atomic import claim
 from tiegraph.scene.colmapmodel import read_model
 from tiegraph.scene.evidence import table as statement_table
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm import shutter
+from tiegraph.sfm.adjustment import lens
 from tiegraph.sfm.adjustment.adjust import final_adjustment, free_cameras, robust_cost, without_outliers
+from tiegraph.sfm.adjustment.jacobians import Layout
 from tiegraph.sfm.adjustment.rigpriors import nominal_geometry, rig_priors
-from tiegraph.sfm.covariance import PositionSigma, position_sigma
+from tiegraph.sfm.covariance import Linearised, PositionSigma, position_sigma
 from tiegraph.sfm.motion import Lateness, Motion, at_one_instant, in_their_time
-from tiegraph.sfm.placement import rival
-from tiegraph.sfm.placement.doubtful import PlacementCheck, explained, frame_ids, leave_out_doubtful, named
-from tiegraph.sfm.placement.parts import steps_of_parts
-from tiegraph.sfm.rig import cameramatches
+from tiegraph.sfm.placement import (
+    PlacementCheck,
+    explained,
+    frame_ids,
+    leave_out_doubtful,
+    named,
+    rivals,
+    rivals_told,
+    steps_of_parts,
+)
+from tiegraph.sfm.rig.diagnostics import camera_matches, matches_sentence, matches_table
 from tiegraph.sfm.rig.priortest import times_open
 from tiegraph.sfm.rig.support import place_as_given, units_per_metre
 from tiegraph.sfm.rigcheck import Checked, FinishRequest, checked_rig
 from tiegraph.sfm.shape import Shape
-from tiegraph.sfm.tuning import SigmaTuning
+from tiegraph.sfm.systematic.mountings import of_time
+from tiegraph.sfm.tuning import ShutterTuning, SigmaTuning, Tuning
 from tiegraph.text import known_to, some
 
 _NAMED = 3  # frames that a sentence names
@@ -145,7 +163,7 @@ def _without_rolling(
         return checked
     if given is None:
         return _with_found(checked, anew, scene, request)
-    if shutter.rows_in_time(checked.model, scene, tuning) is None:
+    if rows_in_time(checked.model, scene, tuning) is None:
         checked.notes.append(
             f"sparse.readout_ms = {given:g} is not used: that needs frames of a pass with times (--times, video, EXIF) "
             "and images that are no views of panoramas or fisheye images"
@@ -163,7 +181,7 @@ def _with_found(
 ) -> Checked:
     """The same, or ``anew`` with the readout that explains the images best, if they show one."""
     fixed, tuning = [k + 1 for k in request.held.fixed], request.tuning
-    found = shutter.find_readout(checked.model, scene, fixed, tuning)
+    found = find_readout(checked.model, scene, fixed, tuning)
     if found is None or not found.there(tuning.shutter):
         return checked
     checked.notes.append(
@@ -176,7 +194,7 @@ def _with_found(
     for _ in range(tuning.shutter.rounds):
         seconds += found.step
         last = anew(last, seconds)
-        found = shutter.find_readout(last.model, scene, fixed, tuning)
+        found = find_readout(last.model, scene, fixed, tuning)
         if found is None or abs(found.seconds) < found.sigma:
             break
     cost, before = (robust_cost(c.model, tuning.adjust.robust_px) for c in (last, checked))
@@ -204,10 +222,10 @@ def _matches(
         return FinishResult(), {}
     try:
         found = explained(model, scene, request.matched.read(scene), request.tuning.placement)
-        other, parts = rival.rivals(found), steps_of_parts(found, request.tuning.placement)
+        other, parts = rivals(found), steps_of_parts(found, request.tuning.placement)
     except (RuntimeError, ValueError, np.linalg.LinAlgError) as error:
         return FinishResult([f"the matches could not be checked against the model: {error}"]), {}
-    tables, said = {"matches explained, the frames with the least": found.table()}, rival.told(other, scene)
+    tables, said = {"matches explained, the frames with the least": found.table()}, rivals_told(other, scene)
     if parts:
         away = float(np.median([np.linalg.norm(step) for step in parts.values()]))
         said.append(
@@ -220,9 +238,9 @@ def _matches(
             f"stated ({named(lost, scene)})"
         )
     if request.held.rigs:
-        between = cameramatches.camera_matches(found.verified, found.seen, scene, request.tuning.rig.camera_matches)
-        tables |= {"matches between cameras": cameramatches.table(between, scene)} if between else {}
-        said += cameramatches.sentence(between, scene)
+        between = camera_matches(found.verified, found.seen, scene, request.tuning.rig.camera_matches)
+        tables |= {"matches between cameras": matches_table(between, scene)} if between else {}
+        said += matches_sentence(between, scene)
     there = {f: r.step for f, r in other.items()} | parts
     steps = {k: step for f, step in there.items() for k in frame_ids(model, scene, f)}
     counts = {"matches_explained_percent": round(found.percent(), 1)}
@@ -286,3 +304,77 @@ def _open_places(shape: Shape | None, scene: Scene, tuning: SigmaTuning) -> list
     each = [f"{scene.frame_names[shape.index[k]]}: {size[k]:.2g}" for k in rows[np.argsort(-size[rows])]]
     said = f"{len(rows)} frames are placed far worse than the others (sigma {np.median(size):.2g} units of the model)"
     return [f"{said}: {some(each, _NAMED)}; too few points tie them to two other frames"] if each else []
+
+
+@dataclass(frozen=True)
+class Readout:
+    """Seconds from the first row of an image to the last (negative: from the last), and their sigma; ``gain``: by which
+    share it lowers the robust cost; ``step``: seconds that may be gone at once, for far from its minimum the robust
+    cost is less curved than there; ``gap_s``: between the images whose poses tell the motion, median."""
+
+    seconds: float
+    sigma: float
+    gain: float
+    step: float
+    gap_s: float
+
+    def there(self, tuning: ShutterTuning) -> bool:
+        """Whether it is a shutter's and not noise or a lens."""
+        least, most = tuning.range_s
+        sure = abs(self.seconds) > tuning.sigmas * self.sigma and self.gain > tuning.told_gain
+        return sure and least <= abs(self.seconds) <= most
+
+    def clear(self, tuning: ShutterTuning) -> bool:
+        """Whether it is used unasked."""
+        return self.gain > tuning.used_gain and self.gap_s <= tuning.used_gap_s
+
+    def __str__(self) -> str:
+        """In milliseconds."""
+        return f"{1000 * self.seconds:.1f} ms (sigma {1000 * self.sigma:.1f})"
+
+
+def rows_in_time(model: pycolmap.Reconstruction, scene: Scene, tuning: ShutterTuning) -> Motion | None:
+    """The ways of a model's images; None where frames have no times, where nothing moves on, and of views, whose rows
+    are not those of the camera."""
+    if any(s.source is not None and s.source.rendered for s in scene.all_sensors):
+        return None
+    motion = Motion(model, scene, tuning.max_gap_s)
+    return motion if motion.timed and len(motion.gaps) else None
+
+
+def find_readout(
+    model: pycolmap.Reconstruction, scene: Scene, fixed_rigs: Collection[int], tuning: Tuning
+) -> Readout | None:
+    """The readout of all cameras of a model by its residuals; None without times, motion or redundancy.
+
+    All lenses are unknowns, calibrated ones too.
+    """
+    motion = rows_in_time(model, scene, tuning.shutter)
+    if motion is None:
+        return None
+    free = free_cameras(model, tuning.adjust)
+    loose = lens.extended(model, lens.extensible(model, free, ("RADIAL", *lens.UNDISTORTED)))
+    layout = Layout(loose, free, set(model.rigs) - set(fixed_rigs))
+    try:
+        found = Linearised(loose, layout, {}, tuning, tuning.shutter.most_points)
+        seen = found.weighed.seen
+        ids, number = np.unique(seen.camera, return_inverse=True)
+        height = np.array([loose.camera(k).height for k in ids.tolist()])[number]
+        late = np.repeat(seen.xy[:, 1] / height - 0.5, 2)
+        told = found.weighed.score((sparse.diags(late) @ of_time(seen, motion, np.arange(len(seen.xy)))).tocsr())
+    except (ValueError, RuntimeError, np.linalg.LinAlgError):
+        return None
+    information = float(told.information[0, 0])
+    if information <= 0:
+        return None
+    square = np.sum(found.weighed.seen.residual.reshape(-1, 2) ** 2, axis=1)
+    cost = tuning.adjust.robust_px**2 * float(np.sum(np.log1p(square / tuning.adjust.robust_px**2)))
+    score = float(told.score[0])
+    first, second = found.weights
+    return Readout(
+        seconds=-score / information,
+        step=-score / information * float(second.sum() / first.sum()),
+        sigma=float(np.sqrt(max(told.noise[0, 0], 0.0))) / information,
+        gain=score**2 / information / max(cost, 1e-12),
+        gap_s=float(np.median(motion.gaps)),
+    )

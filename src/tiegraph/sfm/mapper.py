@@ -32,7 +32,7 @@ from tiegraph.sfm.mapping import (
     ran_off,
 )
 from tiegraph.sfm.model import registration_tables
-from tiegraph.sfm.placement.doubtful import MatchSource
+from tiegraph.sfm.placement import MatchSource
 from tiegraph.sfm.registrationreport import (
     camera_notes,
     camera_table,
@@ -48,10 +48,10 @@ from tiegraph.sfm.rig.support import ties_of, unsupported_sensors
 from tiegraph.sfm.rigcheck import FinishRequest, Held
 from tiegraph.sfm.settings import SparseSettings
 from tiegraph.sfm.shape import Shape
-from tiegraph.sfm.start.turning import no_base
 from tiegraph.sfm.ties import TEST_COLUMNS, Joining, TieTest, moved
 from tiegraph.sfm.tuning import MappingTuning, Tuning
 from tiegraph.sfm.tuning.rig import DeriveTuning
+from tiegraph.sfm.turning import no_base
 from tiegraph.sfm.verified import read_verified
 
 __all__ = ["Model", "Source", "SparseResult", "reconstruct"]

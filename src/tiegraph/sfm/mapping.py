@@ -34,7 +34,7 @@ from tiegraph.sfm.registrationreport import no_model_text
 from tiegraph.sfm.rig.rig import held_by_mapper
 from tiegraph.sfm.run import Fixed, MappingResult, Matches, Method, Request, run_mapper
 from tiegraph.sfm.settings import SparseSettings
-from tiegraph.sfm.start.poses import length_of_path
+from tiegraph.sfm.start import length_of_path
 from tiegraph.sfm.tuning import AdjustTuning, MappingTuning, Tuning
 from tiegraph.sfm.tuning.rig import RigTuning
 from tiegraph.sfm.verified import read_verified
@@ -148,10 +148,9 @@ def believed_cameras(scene: Scene, settings: SparseSettings) -> tuple[int, ...]:
     """
     if settings.refine_intrinsics == "yes":
         return ()
-    out, key = [], 0
-    for rig in scene.rigs:
-        for sensor in rig.sensors:
-            key += 1
+    out = []
+    for first, rig in scene.keyed_rigs:
+        for key, sensor in enumerate(rig.sensors, start=first + 1):
             camera = sensor.camera
             stated = camera is not None and rig.fixed and camera.has_prior_focal_length
             believed = (stated or (camera is not None and calibrated(camera))) and not sensor.camera_sigma_px

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation, RotationSpline
 
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import umeyama
-from tiegraph.scene.colmapmodel import registered_images, rigid3d
+from tiegraph.scene.colmapmodel import registered_images, rigid3d, sensor_id
 from tiegraph.scene.scene import Scene
 
 
@@ -144,7 +144,7 @@ def let_go(model: pycolmap.Reconstruction, cameras: set[int], scene: Scene) -> p
             frames.append(own)
     for camera in sorted(cameras):
         row = pycolmap.Rig(rig_id=len(scene.rigs) + camera)
-        row.add_ref_sensor(pycolmap.sensor_t(pycolmap.SensorType.CAMERA, camera))
+        row.add_ref_sensor(sensor_id(camera))
         rigs.append(row)
     out = pycolmap.Reconstruction(model)
     out.set_rigs_and_frames(rigs, [f for f in frames if f.data_ids])

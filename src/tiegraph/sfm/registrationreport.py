@@ -170,10 +170,8 @@ def rig_doubts(
             f"rig {names} was held as given, and only {placed} of {tied} images that are tied found a place: the given "
             f"extrinsics may contradict the images; {remedy}"
         )
-    key = 0
-    for index, rig in enumerate(scene.rigs):
-        for sensor in rig.sensors:
-            key += 1
+    for index, (first, rig) in enumerate(scene.keyed_rigs):
+        for key, sensor in enumerate(rig.sensors, start=first + 1):
             turned = _turned_deg(reconstruction.cameras, key, sensor.camera) if index in held else 0.0
             if turned > tuning.registration.max_turned_deg:
                 notes.append(

@@ -14,7 +14,7 @@ from tiegraph.sfm.adjustment.adjust import adjusted_to, final_adjustment
 from tiegraph.sfm.adjustment.fewpoints import take_poses
 from tiegraph.sfm.adjustment.rigpriors import rig_priors
 from tiegraph.sfm.motion import Lateness, Motion, at_one_instant, let_go
-from tiegraph.sfm.placement.doubtful import MatchSource
+from tiegraph.sfm.placement import MatchSource
 from tiegraph.sfm.rig.confront import in_units, lens_prior_test, mounting_errors, open_times, prior_test, refine
 from tiegraph.sfm.rig.diagnostics import RigDiagnostics, rig_diagnostics, torn_off
 from tiegraph.sfm.rig.priortest import PriorTest
@@ -166,10 +166,8 @@ def checked_rig(
 
 def _confront_single_lenses(out: Checked, scene: Scene, request: FinishRequest) -> None:
     """The calibrations of single cameras that were held."""
-    first = 0
-    for index, rig in enumerate(scene.rigs):
+    for index, (first, rig) in enumerate(scene.keyed_rigs):
         held = len(rig.sensors) == 1 and first + 1 in request.held.cameras
-        first += len(rig.sensors)
         try:
             test = lens_prior_test(out.model, scene, index, request.tuning) if held else None
         except (RuntimeError, ValueError) as error:

@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 import pycolmap
 import scipy
-from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity
@@ -194,9 +193,7 @@ def _refined(ties: Ties, start: Similarity, tolerance_rad: float) -> Similarity:
     reach = float(np.median(np.linalg.norm(ties.xyz[0] - ties.centre[0], axis=1)))
 
     def moved(step: np.ndarray) -> Similarity:
-        turn, factor = Rotation.from_rotvec(step[:3]).as_matrix(), float(np.exp(step[6]))
-        shift = factor * turn @ (start.translation - middle) + middle + reach * step[3:6]
-        return Similarity(factor * start.scale, turn @ start.rotation, shift)
+        return start.stepped(np.r_[step[:3], reach * step[3:6], step[6]], middle)
 
     def off(step: np.ndarray) -> np.ndarray:
         return ties.angles(moved(step)).ravel()

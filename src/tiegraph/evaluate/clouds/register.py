@@ -98,7 +98,7 @@ def register(
         for _ in range(_ROUNDS):
             found = met(reach)
             step = np.linalg.solve(found.matrix.sum(axis=0), found.vector.sum(axis=0))
-            fit = _moved(fit, np.r_[step * unit, np.zeros(7 - unknowns)], middle)
+            fit = fit.stepped(np.r_[step * unit, np.zeros(7 - unknowns)], middle)
             if np.abs(step).max() < _STILL * spacing:
                 break
     found = met(tuning.reach_spacings[-1])
@@ -160,10 +160,3 @@ def _equations(
         loose = _NAMES[int(np.argmax(np.abs(axes[:, 0])))]
         raise ValueError(f"the surfaces do not tell {loose}: they slide along each other; compare without registration")
     return _Equations(matrix=matrix, vector=vector, sigma=sigma, share=float(met.mean()))
-
-
-def _moved(fit: Similarity, step: np.ndarray, middle: np.ndarray) -> Similarity:
-    """The fit followed by a turn, shift and growth about the middle."""
-    turn, scale = Rotation.from_rotvec(step[:3]).as_matrix(), float(np.exp(step[6]))
-    shift = scale * turn @ (fit.translation - middle) + middle + step[3:6]
-    return Similarity(scale * fit.scale, turn @ fit.rotation, shift)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tiegraph.network.rig import commonview
+from tiegraph.network.rig import axes
 from tiegraph.network.rig.axes import angles_deg
 from tiegraph.network.scorematrix import ScoreMatrix
 from tiegraph.network.settings import CandidatesSettings
@@ -55,7 +55,7 @@ class Proposal:
 
 def facing(scores: ScoreMatrix, excess: np.ndarray, settings: CandidatesSettings, tuning: RigTuning) -> np.ndarray:
     """(S, T) bool: camera pairs whose axes permit a match at the heading of q against p; all, while that is unknown."""
-    yaw = commonview.yaw(scores, excess, tuning)
+    yaw = axes.yaw(scores, excess, tuning)
     if yaw is None:
         return np.ones(excess.shape[:2], bool)
     return angles_deg(scores.p.rig, yaw) <= settings.axes_deg

@@ -22,7 +22,7 @@ from tiegraph.errors import choose
 from tiegraph.network.offsets.background import corridor, noise_floor_away, noise_floor_within
 from tiegraph.network.offsets.curves import Proposal, curves_of, facing
 from tiegraph.network.passes import MatchCache, Pass
-from tiegraph.network.rig import commonview
+from tiegraph.network.rig import axes
 from tiegraph.network.rig.axes import allowed_within
 from tiegraph.network.scorematrix import NoiseFloor, ScoreMatrix, score_matrix
 from tiegraph.network.settings import CandidatesSettings
@@ -62,7 +62,7 @@ def estimate_offsets(
     else:
         estimate = cast(Estimate, choose("mode of offsets", settings.offsets, OFFSETS))
         parts = [estimate(p, q, cache, settings, tuning) for p, q in pass_pairs]
-    lost = commonview.strangers([r.stranger for r in parts if r.stranger])
+    lost = axes.strangers([r.stranger for r in parts if r.stranger])
     merged = reduce(or_, parts, Proposal(Pairs.empty()))
     return replace(merged, notes=(*merged.notes, *lost))
 
@@ -205,8 +205,8 @@ def _seed_across(
         centre = _minimum_cost_path(scores, least, tuning)
         beside = _beside(scores, centre, offsets.window_nodes + offsets.window_margin_nodes)
         scores = replace(scores, noise_floor=noise_floor_away(scores, beside, least, tuning))
-    excess = commonview.above(scores.smoothed(least, tuning), least) * beside
-    backwards, _ = commonview.direction(scores, excess, tuning.rig.common_view)
+    excess = axes.above(scores.smoothed(least, tuning), least) * beside
+    backwards, _ = axes.direction(scores, excess, tuning.rig.common_view)
     scores = replace(scores, allowed=facing(scores, excess, settings, tuning.rig))
     centre = _path(excess.sum(axis=(0, 1))) if centre is None else centre
     if centre is None:
@@ -248,7 +248,7 @@ def _local(survey: _Survey, settings: CandidatesSettings, tuning: Tuning) -> Pro
     """Pairs kept by the interpolated surface; measured pairs that were not kept, with the reason."""
     scores, least, counts = survey.scores, settings.min_matches, tuning.counts
     smooth = scores.confirmed(survey.smooth, least, tuning)
-    smooth = commonview.without_chance(scores, smooth, least, tuning)
+    smooth = axes.without_chance(scores, smooth, least, tuning)
     near = None
     if survey.path is not None:
         near = corridor(scores, survey.path, survey.reach, tuning)
@@ -279,10 +279,10 @@ def _said(scores: ScoreMatrix, smooth: np.ndarray, min_matches: int, tuning: Rig
     """How two passes lie to each other as a note, or their names if they have nothing in common."""
     if scores.same:
         return (), ""
-    excess = commonview.above(smooth, min_matches)
+    excess = axes.above(smooth, min_matches)
     if not excess.any():
         return (), f"{scores.p.name} - {scores.q.name}"
-    said = commonview.in_words(scores, excess, tuning)
+    said = axes.in_words(scores, excess, tuning)
     return ((said,) if said else ()), ""
 
 

@@ -24,7 +24,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tiegraph.geometry import transforms
-from tiegraph.network.coarse.pairshare import pair_share
+from tiegraph.network.coarse.visible import pair_share
 from tiegraph.network.passes import MatchCache, Pass
 from tiegraph.network.poses.poses import PoseResult, pose_pairs, prior_views, view_cameras, with_headings
 from tiegraph.network.settings import CandidatesSettings

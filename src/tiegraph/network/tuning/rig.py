@@ -55,7 +55,7 @@ class SynchronisationTuning(Section):
 
 
 class CommonViewTuning(Section):
-    """What two passes have in common (`commonview.py`)."""
+    """What two passes have in common (`axes.py`)."""
 
     least_votes: float = Field(4.0, ge=0)
     """Effective number of nodes that speak for a common view ..."""

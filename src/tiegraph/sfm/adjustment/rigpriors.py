@@ -23,12 +23,10 @@ def rig_priors(
     """
     sensors: list[SensorPrior] = []
     pairs: list[PairPrior] = []
-    first = 0
-    for index, rig in enumerate(scene.rigs):
+    for index, (first, rig) in enumerate(scene.keyed_rigs):
         if index in rigs and index + 1 in model.rigs:
             sensors += _sensors(model.rigs[index + 1], rig, index, first, tuning)
             pairs += _pairs(rig, index, first, tuning)
-        first += len(rig.sensors)
     return PoseConstraints(sensors=sensors, pairs=pairs, nominal=nominal_geometry(model, scene))
 
 
@@ -63,8 +61,7 @@ def of_one_shot(model: pycolmap.Reconstruction, scene: Scene, tuning: RigTuning)
 def nominal_geometry(model: pycolmap.Reconstruction, scene: Scene) -> dict[int, NominalGeometry]:
     """Centres that nominal rigs give, by rig id and camera id, in the frame of the model's reference, metres."""
     out: dict[int, NominalGeometry] = {}
-    first = 0
-    for index, rig in enumerate(scene.rigs):
+    for index, (first, rig) in enumerate(scene.keyed_rigs):
         if rig.nominal and index + 1 in model.rigs:
             reference = rig.sensors[model.rigs[index + 1].ref_sensor_id.id - 1 - first].sensor_from_rig
             out[index + 1] = {
@@ -72,7 +69,6 @@ def nominal_geometry(model: pycolmap.Reconstruction, scene: Scene) -> dict[int, 
                 for k, s in enumerate(rig.sensors)
                 if s.sensor_from_rig is not None and reference is not None
             }
-        first += len(rig.sensors)
     return out
 
 

@@ -7,7 +7,7 @@ under the open sky) is placed as given: with a few false ties it would run off, 
 rotations and lenses; frames and points are eliminated. Of all groups of unknowns the one that explains most for its
 number (Bayesian information criterion) is freed, then the next, until none explains more than chance. A step too large
 for one linearisation frees nothing and is reported without figures. What the mapper left out because the rig was held
-is not in the model, so the verified matches between cameras are tested too (``cameramatches``): two cameras that fire
+is not in the model, so the verified matches between cameras are tested too (``diagnostics``): two cameras that fire
 at different times fit to a tenth of a pixel, while half of their matches contradict the model. What the user orders is
 kept (``--sparse.rig fixed``, ``synchronised = true``); what contradicts it is reported.
 

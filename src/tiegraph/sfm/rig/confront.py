@@ -33,9 +33,8 @@ def prior_test(
     if measured:
         system = rig_system(model, scene, index, lenses, metres_per_unit, tuning)
     else:  # lengths of the model's rig are brought to metres, so that those of the system are
-        poses = (s.sensor_from_rig for s in model_rigs(model, scene)[index].sensors)
-        found = [None if p is None else _scaled(p, metres_per_unit) for p in poses]
-        sensors = tuple(replace(s, sensor_from_rig=p) for s, p in zip(rig.sensors, found))
+        found = model_rigs(model, scene)[index].scaled(metres_per_unit).sensors
+        sensors = tuple(replace(s, sensor_from_rig=f.sensor_from_rig) for s, f in zip(rig.sensors, found))
         rigs = tuple(replace(r, sensors=sensors) if k == index else r for k, r in enumerate(scene.rigs))
         system = rig_system(model, scene.with_(rigs=rigs), index, lenses, metres_per_unit, tuning)
     if system is None:
@@ -86,10 +85,6 @@ def open_times(test: PriorTest, scene: Scene, index: int) -> list[str]:
 def _measured(scene: Scene, index: int) -> bool:
     rig = scene.rigs[index]
     return rig.measured() or rig.soft()
-
-
-def _scaled(pose: np.ndarray, factor: float) -> np.ndarray:
-    return transforms.rigid(pose[:3, :3], factor * pose[:3, 3])
 
 
 def _calibrated(model: pycolmap.Reconstruction, scene: Scene, index: int) -> set[int]:
@@ -183,7 +178,7 @@ def _priors(scene: Scene, index: int, known: Expected, test: PriorTest) -> list[
     first = scene.first_sensor(index)
     every = ("mount", 0) in test.freed
     out = []
-    for k, sensor in enumerate(rig.sensors):
+    for k, sensor in enumerate(rig.scaled(units).sensors):
         if k == 0 or sensor.sensor_from_rig is None:
             continue
         free = every or ("mount", k) in test.freed
@@ -194,7 +189,7 @@ def _priors(scene: Scene, index: int, known: Expected, test: PriorTest) -> list[
             SensorPrior(
                 rig_id=index + 1,
                 camera_id=first + k + 1,
-                sensor_from_rig=_scaled(sensor.sensor_from_rig, units),
+                sensor_from_rig=sensor.sensor_from_rig,
                 covariance=covariance,
             )
         )

@@ -10,8 +10,7 @@ import numpy as np
 import pycolmap
 
 from tiegraph.geometry import transforms
-from tiegraph.scene.colmapmodel import image_poses, matrix, rigid3d
-from tiegraph.scene.rig import Rig
+from tiegraph.scene.colmapmodel import image_poses, matrix, rigid3d, sensor_id
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.database import ViewGraph
 from tiegraph.sfm.tuning import Tuning
@@ -23,14 +22,12 @@ def unsupported_sensors(
 ) -> tuple[int, ...]:
     """Keys of sensors of refined rigs most of whose images have fewer than two verified pairs; never a reference."""
     out = []
-    first = 0
-    for index, rig in enumerate(scene.rigs):
+    for index, (first, rig) in enumerate(scene.keyed_rigs):
         if modes.get(index) == "refined":
             for place in range(1, len(rig.sensors)):
                 degree = graph.degree[scene.sensor_key == first + place]
                 if len(degree) and np.mean(degree >= tuning.min_ties) < tuning.min_share:
                     out.append(first + place)
-        first += len(rig.sensors)
     return tuple(out)
 
 
@@ -44,16 +41,14 @@ def ties_of(scene: Scene, graph: ViewGraph, sensors: tuple[int, ...]) -> tuple[t
 def place_as_given(model: pycolmap.Reconstruction, scene: Scene, sensors: tuple[int, ...], tuning: Tuning) -> None:
     """Set the extrinsics of sensors without observations as given, lengths in the model's units."""
     scale = units_per_metre(model, scene, tuning)
-    key = 0
-    for index, rig in enumerate(scene.rigs):
+    for index, (first, rig) in enumerate(scene.keyed_rigs):
         held = model.rigs[index + 1] if index + 1 in model.rigs else None
         for place, sensor in enumerate(rig.sensors):
-            identity = pycolmap.sensor_t(pycolmap.SensorType.CAMERA, key + 1)
-            if key in sensors and place and held is not None and held.has_sensor_from_rig(identity):
+            identity = sensor_id(first + place + 1)
+            if first + place in sensors and place and held is not None and held.has_sensor_from_rig(identity):
                 extrinsics = np.array(sensor.sensor_from_rig, float)
                 extrinsics[:3, 3] *= scale
                 held.set_sensor_from_rig(identity, rigid3d(extrinsics))
-            key += 1
 
 
 def units_per_metre(model: pycolmap.Reconstruction, scene: Scene, tuning: Tuning) -> float:
@@ -70,20 +65,18 @@ def units_per_metre(model: pycolmap.Reconstruction, scene: Scene, tuning: Tuning
         far = apart > support.position_sigmas * np.maximum(sigma[a] + sigma[b], least.least_noise_m)
         if far.sum() >= least.least_distances:
             return float(np.median(np.linalg.norm(centre[a] - centre[b], axis=1)[far] / apart[far]))
-    return _by_baselines(model, scene.rigs)
+    return _by_baselines(model, scene)
 
 
-def _by_baselines(model: pycolmap.Reconstruction, rigs: tuple[Rig, ...]) -> float:
+def _by_baselines(model: pycolmap.Reconstruction, scene: Scene) -> float:
     ratios = []
-    key = 0
-    for index, rig in enumerate(rigs):
+    for index, (first, rig) in enumerate(scene.keyed_rigs):
         held = model.rigs[index + 1] if index + 1 in model.rigs else None
-        for sensor in rig.sensors:
-            identity = pycolmap.sensor_t(pycolmap.SensorType.CAMERA, key + 1)
+        for key, sensor in enumerate(rig.sensors, start=first + 1):
+            identity = sensor_id(key)
             found = held.sensor_from_rig(identity) if held and held.has_sensor_from_rig(identity) else None
             if found is not None and sensor.sensor_from_rig is not None:
                 given = np.linalg.norm(transforms.centre(sensor.sensor_from_rig))
                 if given > 0:
                     ratios.append(float(np.linalg.norm(matrix(found)[:3, 3]) / given))
-            key += 1
     return float(np.median(ratios)) if ratios else 1.0

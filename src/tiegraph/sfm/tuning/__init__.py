@@ -3,9 +3,8 @@
 from pydantic import Field
 
 from tiegraph.settings import Section
-from tiegraph.sfm.tuning.placement import PlacementTuning
+from tiegraph.sfm.tuning.placement import PlacementTuning, StartTuning
 from tiegraph.sfm.tuning.rig import LeverArmTuning, RigTuning
-from tiegraph.sfm.tuning.start import StartTuning
 from tiegraph.sfm.tuning.world import WorldTuning
 
 
@@ -27,7 +26,7 @@ class MappingTuning(Section):
     second_survey: int = Field(10, gt=0)
     """Images without any tie to the model that are mapped by themselves."""
     turned_share: float = Field(0.9, gt=0, le=1)
-    """Of pairs that turns alone explain, where there is no base to make a model of (`start/turning.py`). Views of one
+    """Of pairs that turns alone explain, where there is no base to make a model of (`turning.py`). Views of one
     panorama 0.99; thirty real surveys 0 to 0.06, a drone over the sea 0.33."""
     turned_off: float = Field(0.002, gt=0)
     """What a turn may leave of such a pair, in parts of the longer side: 0.0003 in those views, 0.003 to 0.06 in the
@@ -151,7 +150,7 @@ class SigmaTuning(Section):
 
 
 class ShutterTuning(Section):
-    """Whether the rows of images are read one after another (`shutter.py`)."""
+    """Whether the rows of images are read one after another (`finish.py`)."""
 
     max_gap_s: float = Field(3.0, gt=0)
     """Between neighbours of a pass: beyond, their difference is no velocity at either (`scan.max_gap_s`)."""
@@ -206,7 +205,7 @@ class TwoViewTuning(Section):
 
 
 class StartCheckTuning(Section):
-    """Whether a start model agrees with the model that the images made (`startcheck.py`)."""
+    """Whether a start model agrees with the model that the images made (`start.py`)."""
 
     least: int = Field(3, ge=3)
     """Images with both poses that tell something."""

@@ -121,7 +121,7 @@ class ConfrontTuning(Section):
 
 
 class CameraMatchesTuning(Section):
-    """Matches between two cameras of a rig against the model (`cameramatches.py`). Shares of disagreeing matches: of
+    """Matches between two cameras of a rig against the model (`diagnostics.py`). Shares of disagreeing matches: of
     cameras with themselves 0.7 to 12 %, between two up to 10 % where all is well (boat, canal_demo, KITTI, vehicle),
     19 to 79 % where they fire apart (pieces of PandaSet, vehicle 0.5 m apart along the way)."""
 

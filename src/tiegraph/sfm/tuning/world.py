@@ -170,7 +170,7 @@ class StatementTuning(Section):
 
 
 class AdjustmentTuning(Section):
-    """The bundle adjustment in the world, and whether it stands its check (`worldadjust.py`, `georeferencing.py`)."""
+    """The bundle adjustment in the world, and whether it stands its check (`georeferencing.py`)."""
 
     rounds: int = Field(3, gt=0)
     """Of bending the model and fitting it anew, at most."""

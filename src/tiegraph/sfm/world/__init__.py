@@ -15,7 +15,7 @@ to 3 deg or to what they lean from frame to frame.
 is reported: along a straight way the clock is the lever arm, and the height of an antenna is the height of the world.
 Positions of images by name are those of the cameras, unless they surely stand off by one lever arm.
 
-**Adjustment with positions** (``fit.by_errors``, ``worldadjust``). Positions, control points, antenna, clock,
+**Adjustment with positions** (``fit.by_errors``, ``georeferencing``). Positions, control points, antenna, clock,
 similarity and what the images leave open of the shape are unknowns of one block: its large eigenvectors
 (``sfm.shape``) stand for the images there. One bundle adjustment then brings the frames to where the block has them,
 and all else follows as the images have it; once more where that was far, for control points move as the frames that

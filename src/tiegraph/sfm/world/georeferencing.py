@@ -1,6 +1,8 @@
-"""From a model to the world: the similarity, then the adjustment with positions where it stands its check."""
+"""From a model to the world: the similarity, then the adjustment with positions where it stands its check.
 
-from collections.abc import Callable
+The model is bent to where its images, positions and control points have it together: they against drift and bending."""
+
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -8,13 +10,15 @@ from typing import Any
 import numpy as np
 import pycolmap
 
-from tiegraph.geometry.align import rms_length
-from tiegraph.scene.colmapmodel import image_poses, read_model
+from tiegraph.geometry import transforms
+from tiegraph.geometry.align import Similarity, rms_length, umeyama
+from tiegraph.scene.colmapmodel import image_poses, matrix, read_model
 from tiegraph.scene.evidence import CHANCE
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.solver import MOST_FRAMES
-from tiegraph.sfm.adjustment.adjust import free_cameras
-from tiegraph.sfm.adjustment.rigpriors import nominal_geometry
+from tiegraph.sfm.adjustment.adjust import adjusted_to, free_cameras
+from tiegraph.sfm.adjustment.constraints import PlacePrior
+from tiegraph.sfm.adjustment.rigpriors import nominal_geometry, of_one_shot, rig_priors
 from tiegraph.sfm.covariance import position_sigma
 from tiegraph.sfm.model import frame_poses
 from tiegraph.sfm.settings import GeorefSettings
@@ -23,24 +27,26 @@ from tiegraph.sfm.ties import moved
 from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.tuning.world import WorldTuning
 from tiegraph.sfm.verified import VerifiedMatches, read_verified
-from tiegraph.sfm.world import worldadjust
 from tiegraph.sfm.world.bars import bars_in
 from tiegraph.sfm.world.fixes import Measurements
-from tiegraph.sfm.world.georef import (
-    Georeference,
-    PointsFound,
-    applied_receiver,
-    bar_rows,
-    georeference,
-    residuals_of,
-)
+from tiegraph.sfm.world.georef import Georeference, PointsFound, applied_receiver, bar_rows, georeference, residuals_of
 from tiegraph.sfm.world.marks import Target, as_copy, by_chance, copy_of, marked, point_table, targets
-from tiegraph.sfm.world.oneworld import ByPositions, OneWorld, one_world
+from tiegraph.sfm.world.oneworld import OneWorld, one_world
 from tiegraph.sfm.world.placed import SimilarityFit
 from tiegraph.sfm.world.statements import with_statements
-from tiegraph.sfm.world.worldadjust import ConstantParameters
 
 _REFUSED = "the similarity stays, a bundle adjustment with the positions was refused: {}"
+_FIRM = 1e-6  # of the extent of the frames: a place held by less than that is no sum of squares that can be solved
+
+
+@dataclass(frozen=True)
+class ConstantParameters:
+    """What an adjustment must leave as it is: COLMAP ids of rigs with calibrated extrinsics, and of such cameras;
+    ``soft``: indices in the scene of rigs whose extrinsics are known with a sigma."""
+
+    rigs: Collection[int] = ()
+    cameras: Collection[int] = ()
+    soft: Collection[int] = ()
 
 
 def georeference_model(
@@ -104,7 +110,7 @@ def _georeferenced(
     adjusted = replace(
         first,
         uncertainty=replace(first.uncertainty, shape=shape.told(*placed.fit.bent)),
-        world_from_model=worldadjust.similarity_to(model, bent, first.world_from_model),
+        world_from_model=similarity_to(model, bent, first.world_from_model),
         residuals=residuals_of(placed, scene, blind),
         receiver=applied_receiver(placed.fit.arm.place, placed.fit.clock.offset_s),
         control=_control(first, bent, scene, given, tuning.world),
@@ -135,7 +141,7 @@ def _bent(
         step, sigma = shape.step(np.arange(scene.frames), placed.fit.bent[0])
         if rms_length(step) < least and not (always and placed is placing):
             break
-        bent = worldadjust.bent(bent, scene, (step, sigma), held, tuning)
+        bent = bent_by(bent, scene, (step, sigma), held, tuning)
         poses = _frames(bent, scene)
         places = np.array([t.place for t in _points(bent, scene, given, tuning.world)] if len(placing.points) else [])
         done = shape.coefficients(poses[:, :3, 3] - start)
@@ -180,11 +186,12 @@ def georeference_folders(request: GeorefRequest, send: Callable[[Any], None]) ->
     given, unfit = as_marked(models[0], scene, request.measurements, tuning.world)
     nothing = VerifiedMatches(np.zeros((0, 2), int), (), {})
     verified = read_verified(request.database, scene, request.refused) if len(models) > 1 else nothing
-    by_positions = ByPositions(
+    made = one_world(
+        models, scene, verified,
         similarity=lambda model, given: georeference(model, scene, settings, tuning.world, given),
         whole=lambda model, given: georeference_model(model, scene, settings, tuning, given, held),
-    )
-    made = one_world(models, scene, verified, by_positions, given, tuning)
+        given=given, tuning=tuning,
+    )  # fmt: skip
     assert made.model is not None
     request.target.mkdir(parents=True, exist_ok=True)
     made.model.write(str(request.target))
@@ -260,3 +267,42 @@ def _control(
 def _frames(model: pycolmap.Reconstruction, scene: Scene) -> np.ndarray:
     """(F, 4, 4) of the scene's frames in a metric model."""
     return frame_poses(image_poses(model, scene), scene)
+
+
+def bent_by(
+    world: pycolmap.Reconstruction,
+    scene: Scene,
+    steps: tuple[np.ndarray, np.ndarray],
+    held: ConstantParameters,
+    tuning: Tuning,
+) -> pycolmap.Reconstruction:
+    """A copy of a model whose frames of the scene have moved by ``steps`` (F, 3) and sigmas (F, 3) of these, in the
+    world, and all else has followed them as the images have it."""
+    step, sigma = steps[0], np.maximum(steps[1], _FIRM * _extent(world))
+    places: dict[int, PlacePrior] = {}
+    for index, name in enumerate(scene.names):
+        image, frame = world.find_image_with_name(name), scene.frame[index]
+        pose = None if image is None else world.frame(image.frame_id).rig_from_world
+        if image is None or pose is None or image.frame_id in places:
+            continue
+        centre = transforms.centre(matrix(pose))
+        places[image.frame_id] = PlacePrior(image=image.image_id, place=centre + step[frame], sigma=sigma[frame])
+    ties = of_one_shot(world, scene, tuning.rig)
+    known = rig_priors(world, scene, held.soft, tuning.rig.priors)
+    known = replace(known, relative_poses=ties, places=tuple(places.values()))
+    return adjusted_to(world, held.rigs, held.cameras, known, tuning=tuning.adjust)
+
+
+def _extent(model: pycolmap.Reconstruction) -> float:
+    """Root mean square distance of the images from their middle."""
+    centres = np.array([model.image(k).projection_center() for k in model.reg_image_ids()])
+    return rms_length(centres - centres.mean(axis=0))
+
+
+def similarity_to(before: pycolmap.Reconstruction, after: pycolmap.Reconstruction, first: Similarity) -> Similarity:
+    """The similarity from the model as mapped to the world that comes closest to the adjusted one."""
+    names = [i for i in before.reg_image_ids() if i in after.images and after.image(i).has_pose]
+    a = np.array([before.image(i).projection_center() for i in names])
+    b = np.array([after.image(i).projection_center() for i in names])
+    moved = umeyama(first(a), b)
+    return Similarity(moved.scale * first.scale, moved.rotation @ first.rotation, moved(first.translation[None])[0])

@@ -30,13 +30,7 @@ COLUMNS = [
     "why not",
 ]  # fmt: skip
 
-
-@dataclass(frozen=True)
-class ByPositions:
-    """How a model comes into the world by its own positions: the similarity alone, and with what follows it."""
-
-    similarity: Callable[[pycolmap.Reconstruction, Measurements], Georeference]
-    whole: Callable[[pycolmap.Reconstruction, Measurements], tuple[Georeference, pycolmap.Reconstruction]]
+Whole = Callable[[pycolmap.Reconstruction, Measurements], tuple[Georeference, pycolmap.Reconstruction]]
 
 
 @dataclass(frozen=True)
@@ -113,22 +107,26 @@ def one_world(
     models: Sequence[pycolmap.Reconstruction],
     scene: Scene,
     verified: VerifiedMatches,
-    place: ByPositions,
+    similarity: Callable[[pycolmap.Reconstruction, Measurements], Georeference],
+    whole: Whole,
     given: Measurements,
     tuning: Tuning,
 ) -> OneWorld:
     """Bring the largest model that its positions place into the world, then the others to it, one after another: by
-    matches, else by their own positions. ``given`` is of the first of ``models``."""
-    first, world = place.whole(models[0], given)
+    matches, else by their own positions. ``given`` is of the first of ``models``.
+
+    How a model comes there by its own positions: by the ``similarity`` alone, and as a ``whole`` with what follows it.
+    """
+    first, world = whole(models[0], given)
     if len(models) == 1:
         return OneWorld(first, world)
     blind = replace(given, shape=None, model_scale_sigma=float("nan"))
-    alone = {k: place.similarity(models[k], blind) if k else first for k in range(len(models))}
+    alone = {k: similarity(models[k], blind) if k else first for k in range(len(models))}
     carrier = next((k for k, found in alone.items() if found.placed), 0)
     if carrier:
-        first, world = place.whole(models[carrier], blind)
+        first, world = whole(models[carrier], blind)
     joining = Joining(scene, verified, tuning.placement, models, {carrier: world})
-    assembly = _Assembly(models, first, joining, place, blind, alone, tuning)
+    assembly = _Assembly(models, first, joining, whole, blind, alone, tuning)
     while left := assembly.left():
         if not (assembly.by_matches(left) or assembly.by_positions(left)):
             break
@@ -146,13 +144,13 @@ class _Assembly:
         models: Sequence[pycolmap.Reconstruction],
         first: Georeference,
         joining: Joining,
-        place: ByPositions,
+        whole: Whole,
         given: Measurements,
         alone: Mapping[int, Georeference],
         tuning: Tuning,
     ) -> None:
         self._models, self._first, self._joining, self._tuning = models, first, joining, tuning
-        self._whole = lambda number: place.whole(models[number], given)[1]
+        self._whole = lambda number: whole(models[number], given)[1]
         self._alone = {k: found for k, found in alone.items() if k not in joining.world}
         self._others: dict[int, Joined] = {}
         self._contradictions: list[str] = []

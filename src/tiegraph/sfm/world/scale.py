@@ -6,7 +6,7 @@ import numpy as np
 import pycolmap
 
 from tiegraph.geometry import transforms
-from tiegraph.scene.colmapmodel import matrix
+from tiegraph.scene.colmapmodel import matrix, sensor_id
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.tuning.world import ScaleTuning
 
@@ -87,7 +87,7 @@ def _baseline(
         if pose is None:
             return float("nan"), 0.0
         given.append(transforms.centre(pose))
-        identity = pycolmap.sensor_t(pycolmap.SensorType.CAMERA, int(scene.sensor_key[image]) + 1)
+        identity = sensor_id(int(scene.sensor_key[image]) + 1)
         if rig is not None and rig.is_ref_sensor(identity):
             mapped.append(np.zeros(3))
         elif rig is not None and (own := rig.non_ref_sensors.get(identity)) is not None:

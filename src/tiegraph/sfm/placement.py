@@ -1,0 +1,344 @@
+"""The place of every frame, tested before the final adjustment, and what is in doubt placed anew.
+
+A repeated wall holds a frame, a block or a whole pass at the wrong place with ties that agree among themselves, and a
+bad start lets it slide along a straight path. What gives it away are the verified matches that the mapper had to throw
+out: the points that others made of them are not where it sees them (``verified``). A place of whose matches the model
+leaves clearly more than it explains is in doubt, and left out with its reason.
+
+Frames are asked one by one and in the groups that their agreeing ties join: each of three frames that stand wrong
+together has most of its ties with the other two, which agree. How a pass goes on says nothing: who numbers photographs
+of a yard makes jumps too. Nor is more told by asking the neighbours on a pass first, by asking for two frames that
+agree or by counting whole pairs by the share that agrees (``slid.py`` in ``benchmarks/sfm/README.md``).
+
+A mapper's model and a start are asked too: a part that stands wrong as a whole is moved by one similarity, single
+frames in doubt, and frames without a place, are placed by their matches with the others (``run``), and only what is in
+doubt still is left out in the end. Of ``seneca`` (167 photographs from a wing) a coarse model had some at a wrong
+place, which drew others after them: 159 stood for 166. A section that slid, or a model that tore, is right within. Its
+matches with the others, of which either side has points of its own, tell how it stands to these. Placed frame by frame
+it would be lost beyond what the others see: of 90 frames of a corridor, torn in the middle, 18 found no place.
+
+Where matches speak for a second place so much that the first does not clearly win, people must hear of both, and the
+sigma of the frame must cover them.
+
+Guided matching and tying images that hang on their rig bought nothing and are gone.
+"""
+
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+from scipy.sparse import coo_array, csr_array, triu
+
+from tiegraph.geometry import transforms
+from tiegraph.geometry.align import Similarity
+from tiegraph.scene.colmapmodel import matrix, rigid3d
+from tiegraph.scene.registered import LEFT_OUT
+from tiegraph.scene.scene import Scene
+from tiegraph.scene.weakties import strongest_first
+from tiegraph.sfm.ties import find_ties, fit_ties, tested, together
+from tiegraph.sfm.tuning.placement import ConsistencyTuning, PlacementTuning
+from tiegraph.sfm.verified import (
+    ImageObservations,
+    VerifiedMatches,
+    agreement,
+    image_observations,
+    read_verified,
+    sightings,
+)
+from tiegraph.text import some
+
+_NAMED = 4  # frames that a remark names; the table has all
+_LEAST = 5  # frames that a table shows
+_NAMED_RIVALS = 3  # frames that a sentence names
+
+
+@dataclass(frozen=True)
+class ConsistencyVotes:
+    """Matches between frames that a model explains (``agree``) and that it does not (``against``), as the row's frame
+    tells (F, F)."""
+
+    agree: csr_array
+    against: csr_array
+
+
+def consistency_votes(verified: VerifiedMatches, agreed: np.ndarray, scene: Scene) -> ConsistencyVotes:
+    """Sum the image pairs (``verified.agreement``) over pairs of frames."""
+    first, second = scene.frame[verified.pairs].T
+    apart = first != second
+    at = np.concatenate([first, second]), np.concatenate([second, first])
+    agree, against = (
+        coo_array((np.tile(apart, 2) * v, at), (scene.frames, scene.frames)).tocsr()
+        for v in (agreed[:, :2].T.ravel(), (agreed[:, 2:] - agreed[:, :2]).T.ravel())
+    )
+    return ConsistencyVotes(agree, against)
+
+
+def contradiction(
+    frames: Collection[int], believed: np.ndarray, votes: ConsistencyVotes, tuning: ConsistencyTuning
+) -> tuple[float, str]:
+    """By how many matches frames and believed others (F,) bool contradict each other more than they agree, and why that
+    speaks against their place; "" if it does not, or not clearly."""
+    others, own = believed.astype(float), list(frames)
+    others[own] = 0
+    agree, against = (float((table[own] @ others).sum()) for table in (votes.agree, votes.against))
+    doubtful = against >= tuning.min_votes and against > tuning.loses * agree
+    why = f"most of its matches contradict its place ({against:.0f} to {agree:.0f})" if doubtful else ""
+    return against - agree, why
+
+
+def suspect_frames(
+    placed: Collection[int], votes: ConsistencyVotes, tuning: ConsistencyTuning
+) -> dict[tuple[int, ...], str]:
+    """Of the frames that have a place those whose matches contradict it, and why: by themselves, or together with those
+    they are tied to most, which agree among themselves. First those whose matches contradict most, for a pass at a
+    wrong place contradicts every frame of the others too; never the larger half."""
+    believed = np.zeros(votes.agree.shape[0], bool)
+    believed[list(placed)] = True
+    half = max(1, len(placed) // 2)
+    out: dict[tuple[int, ...], str] = {}
+    asked = [[frame] for frame in sorted(placed)] + list(_groups(votes, believed, half))
+    told = [(*contradiction(frames, believed, votes, tuning), frames) for frames in asked]
+    for _, why, frames in sorted(told, key=lambda one: -one[0]):
+        own = [f for f in frames if believed[f]]
+        if not why or not 0 < len(own) <= max(1, int(believed.sum()) // 2):
+            continue
+        if why := contradiction(own, believed, votes, tuning)[1]:
+            together = f", asked together with the {len(own) - 1} it is tied to most" if len(own) > 1 else ""
+            out[tuple(own)] = why + together
+            believed[own] = False
+    return out
+
+
+def _groups(votes: ConsistencyVotes, placed: np.ndarray, most: int) -> Iterator[list[int]]:
+    """Those that agreeing ties join, up to so many."""
+    strength = triu(votes.agree + votes.agree.T, 1, format="coo")
+    strength.eliminate_zeros()
+    for group in strongest_first(strength.row, strength.col, strength.data, len(placed)):
+        own = group[placed[group]].tolist()
+        if 1 < len(own) <= most:
+            yield own
+
+
+@dataclass(frozen=True)
+class MatchSource:
+    """Where the verified matches are: the database, and pairs (scene indices) that do not count."""
+
+    database: Path
+    refused: Sequence[tuple[int, int]] = ()
+
+    def read(self, scene: Scene) -> VerifiedMatches:
+        """These matches."""
+        return read_verified(self.database, scene, self.refused)
+
+
+@dataclass(frozen=True)
+class Explained:
+    """Which verified matches a model explains, by pair of images (``agreement``), and why frames stand in doubt:
+    single ones, and ``parts`` that stand wrong together."""
+
+    scene: Scene
+    verified: VerifiedMatches
+    seen: ImageObservations
+    agreed: np.ndarray
+    votes: ConsistencyVotes
+    parts: Mapping[tuple[int, ...], str]
+    tuning: ConsistencyTuning
+
+    @property
+    def doubts(self) -> dict[int, str]:
+        """By frame."""
+        return {f: why for frames, why in self.parts.items() for f in frames}
+
+    def percent(self) -> float:
+        """Of the matches that have an opinion."""
+        return float(50 * self.agreed[:, :2].sum() / max(self.agreed[:, 2].sum(), 1.0))
+
+    def of_frames(self) -> np.ndarray:
+        """(F, 2): matches of each frame with others that are explained, and all."""
+        agree, against = (np.asarray(table.sum(axis=1)) for table in (self.votes.agree, self.votes.against))
+        return np.column_stack([agree, agree + against])
+
+    def table(self) -> dict:
+        """The frames of whose matches with other frames the model explains least."""
+        matches = self.of_frames()
+        share = matches[:, 0] / np.maximum(matches[:, 1], 1)
+        least = [f for f in np.argsort(share, kind="stable").tolist() if matches[f, 1] > 0][:_LEAST]
+        rows = [[self.scene.frame_names[f], int(matches[f, 1]), round(100 * float(share[f]), 1)] for f in least]
+        return {"columns": ["frame", "matches", "explained %"], "rows": rows}
+
+
+def explained(
+    model: pycolmap.Reconstruction, scene: Scene, verified: VerifiedMatches, tuning: PlacementTuning
+) -> Explained:
+    """Ask a model for all its verified matches."""
+    seen = image_observations(model, scene, tuning.agreement)
+    agreed = agreement(verified, seen)
+    votes = consistency_votes(verified, agreed, scene)
+    parts = suspect_frames({int(scene.frame[k]) for k in seen.cameras}, votes, tuning.consistency)
+    return Explained(
+        scene=scene, verified=verified, seen=seen, agreed=agreed, votes=votes, parts=parts, tuning=tuning.consistency
+    )
+
+
+@dataclass(frozen=True)
+class PlacementCheck:
+    """What people should know, a table {"columns", "rows"} of the frames left out, and (image, reason) of each."""
+
+    notes: list[str] = field(default_factory=list)
+    table: dict | None = None
+    dropped: list[tuple[str, str]] = field(default_factory=list)
+
+
+def leave_out_doubtful(
+    model: pycolmap.Reconstruction, scene: Scene, source: MatchSource, tuning: PlacementTuning
+) -> PlacementCheck:
+    """Test the place of every frame and take the doubtful ones out of ``model``.
+
+    Where more than ``tuning.max_left_out`` of the frames stand in doubt the model fell apart: none is taken out, and it
+    is said.
+    """
+    why = explained(model, scene, source.read(scene), tuning).doubts
+    if not why:
+        return PlacementCheck()
+    notes: list[str] = []
+    if len(why) > tuning.max_left_out * scene.frames:
+        notes.append(f"{len(why)} of {scene.frames} frames stand in doubt: none is left out ({named(why, scene)})")
+        return PlacementCheck(notes)
+    notes.append(
+        f"{len(why)} of {scene.frames} frames stood at a doubtful place and were left out; see the table of placement"
+    )
+    rows: list[list[str]] = []
+    dropped: list[tuple[str, str]] = []
+    for frame, reason in sorted(why.items()):
+        names = [scene.names[k] for k in np.flatnonzero(scene.frame == frame)]
+        for frame_id in frame_ids(model, scene, frame):
+            model.deregister_frame(frame_id)
+        rows.append([names[0], reason])
+        dropped += [(name, f"{LEFT_OUT}{reason}") for name in names]
+    return PlacementCheck(notes, {"columns": ["frame", "left out because"], "rows": rows}, dropped)
+
+
+def frame_ids(model: pycolmap.Reconstruction, scene: Scene, frame: int) -> list[int]:
+    """Of a frame of the scene those of COLMAP that are in the model: without a rig one an image."""
+    names = [scene.names[k] for k in np.flatnonzero(scene.frame == frame)]
+    there = [image for name in names if (image := model.find_image_with_name(name)) is not None]
+    return sorted({image.frame_id for image in there if image.has_pose})
+
+
+def named(frames: Iterable[int], scene: Scene) -> str:
+    """The first of some frames."""
+    return some([scene.frame_names[f] for f in sorted(frames)], _NAMED)
+
+
+@dataclass(frozen=True)
+class Rival:
+    """Another place of a frame: the ``step`` (3,) there, model units, and the sightings that agree here and there."""
+
+    step: np.ndarray
+    here: int
+    there: int
+
+
+def rivals(found: Explained) -> dict[int, Rival]:
+    """By frame (scene index) those that matches speak for nearly as much as for where it stands, or more."""
+    out, least = {}, found.tuning.agrees
+    agree, all_ = found.of_frames().T
+    for frame in np.flatnonzero(all_ - agree > least * agree).tolist():
+        rival = _rival(found, frame)
+        if rival is not None and rival.there > least * rival.here:
+            out[frame] = rival
+    return out
+
+
+def rivals_told(found: Mapping[int, Rival], scene: Scene) -> list[str]:
+    """A sentence on them, if there are any."""
+    each = [
+        f"{scene.frame_names[f]}: {r.here} matches agree with its place, {r.there} with one "
+        f"{np.linalg.norm(r.step):.3g} units of the model away"
+        for f, r in found.items()
+    ]
+    said = f"by their matches {len(found)} frames could stand elsewhere too, and their sigmas cover both places"
+    return [f"{said} ({some(each, _NAMED_RIVALS)})"] if each else []
+
+
+def _rival(found: Explained, frame: int) -> Rival | None:
+    told, seen = sightings(found.verified, found.seen, frame), found.seen
+    off = ~told.there
+    images = sorted(set(told.image[off].tolist()))
+    if off.sum() < found.tuning.min_votes:
+        return None
+    poses = [seen.cam_from_world[k] for k in images]
+    cameras = [seen.cameras[k] for k in images]
+    options = pycolmap.RANSACOptions(random_seed=0)
+    options.max_error = seen.tuning.tolerance_rad * float(np.median([c.mean_focal_length() for c in cameras]))
+    made = pycolmap.estimate_generalized_absolute_pose(
+        told.xy[off], told.xyz[off], np.searchsorted(images, told.image[off]).tolist(),
+        [rigid3d(p @ transforms.invert(poses[0])) for p in poses], cameras, options,
+    )  # fmt: skip
+    if made is None or made["num_inliers"] < found.tuning.min_votes:
+        return None
+    step = transforms.centre(matrix(made["rig_from_world"])) - transforms.centre(poses[0])
+    return Rival(step, int(told.there.sum()), int(made["num_inliers"]))
+
+
+def placed_anew(
+    model: pycolmap.Reconstruction, scene: Scene, verified: VerifiedMatches, tuning: PlacementTuning
+) -> tuple[dict[int, pycolmap.Rigid3d], list[int]]:
+    """Of the frames in doubt, by COLMAP's ids, new poses of those that move, and those that have no place by which to
+    go. None is taken out if these are the larger half (a rig that is wrong): the others are nothing to lean on."""
+    found = explained(model, scene, verified, tuning)
+    moves = part_moves(found, tuning)
+    poses = {
+        k: _moved(pose, move)
+        for f, move in moves.items()
+        for k in frame_ids(model, scene, f)
+        if (pose := model.frame(k).rig_from_world) is not None
+    }
+    left = found.doubts.keys() - moves.keys()
+    few = 2 * len(left) <= len({int(scene.frame[k]) for k in found.seen.cameras})
+    return poses, [k for f in sorted(left) for k in frame_ids(model, scene, f)] if few else []
+
+
+def part_moves(found: Explained, tuning: PlacementTuning) -> dict[int, Similarity]:
+    """By frame (scene index) of parts in doubt the similarity that their matches to the others hold; the part that most
+    do first, and then others onto it."""
+    placed = {int(found.scene.frame[k]) for k in found.seen.cameras}
+    parts = [tuple(placed - found.doubts.keys()), *(part for part in found.parts if len(part) > 1)]
+    seen, move = [_alone(found.seen, part) for part in parts], {0: Similarity()}
+    while True:
+        fits = {}
+        for k in set(range(len(parts))) - move.keys():
+            ties = together([find_ties(seen[n], seen[k], found.verified, tuning).moved(s) for n, s in move.items()])
+            fit = fit_ties(ties, tuning)
+            if fit is not None and tested(ties, fit, tuning).holds(tuning):
+                fits[k] = fit
+        if not fits:
+            return {f: s for k, s in move.items() if k for f in parts[k]}
+        best = max(fits, key=lambda k: int(fits[k].agree.sum()))
+        move[best] = fits[best].first_from_second
+
+
+def steps_of_parts(found: Explained, tuning: PlacementTuning) -> dict[int, np.ndarray]:
+    """By frame (scene index) of parts in doubt how far away (3,) their matches to the others have them, model units."""
+    order = sorted(found.seen.cameras, key=lambda k: -int(found.scene.sensor[k]))  # the reference is written last
+    first = {int(found.scene.frame[k]): transforms.centre(found.seen.cam_from_world[k]) for k in order}
+    return {f: move(first[f][None])[0] - first[f] for f, move in part_moves(found, tuning).items()}
+
+
+def _alone(seen: ImageObservations, frames: tuple[int, ...]) -> ImageObservations:
+    """The images of some frames, with the points that no others see."""
+    inside = set(frames)
+    own = {k for k in seen.cameras if seen.frame[k] in inside}
+    shared = np.zeros(len(seen.xyz) + 1, bool)  # the last: no point
+    for k in seen.cameras.keys() - own:
+        shared[seen.point[k]] = True
+    shared[-1] = True
+    point = {k: np.where(shared[seen.point[k]], -1, seen.point[k]) for k in own}
+    return replace(seen, point=point, cam_from_world={k: seen.cam_from_world[k] for k in own})
+
+
+def _moved(rig_from_world: pycolmap.Rigid3d, move: Similarity) -> pycolmap.Rigid3d:
+    pose = transforms.invert(matrix(rig_from_world))
+    return rigid3d(transforms.invert(transforms.rigid(move.rotation @ pose[:3, :3], move(pose[None, :3, 3])[0])))

@@ -1,0 +1,345 @@
+"""A model started from poses that are roughly known, instead of mapped from nothing: what it needs of them.
+
+The start takes the poses of the coarse model; the rigs are brought to their units, and the full-resolution matches are
+triangulated from them and adjusted in rounds (``run``).
+
+Before that, the length of the path is checked against a rig that must not change (``path_scale``): the matches tell it,
+else the positions, else the start is refused. The same test follows every mapper. A model made of few ties can have
+both right but for their ratio: cameras that look away from each other hardly tell a mapper that length (PandaSet's
+previews: wrong by factors of 16 to 40 000, which no error shows and no adjustment corrects). The scale is one number,
+and every match between frames votes for it: by the angle of its ray to the other's epipolar plane, as a function of the
+scale. What is too long or too short by a quarter is mapped again from its own poses with the length corrected.
+
+In the end a model to start from that somebody gave is asked whether it agrees with the one that the images made
+(``check_start``): it may be bent, turned in one half, or of another survey. What of it agrees is found by its largest
+part: the turn between the two worlds that most images share, then the similarity of their places. An image disagrees
+that is turned against that part by more than the tuning allows, or stands off by more than a share of the distance to
+what it sees. World and unit of both are free, so that a model that is only of another size agrees.
+"""
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import cast
+
+import numpy as np
+import pycolmap
+
+from tiegraph.geometry import transforms
+from tiegraph.geometry.align import l1_mean_rotation, robust_umeyama
+from tiegraph.geometry.rays import cross, off_plane
+from tiegraph.geometry.transforms import angle_deg
+from tiegraph.scene.colmapmodel import rigid3d
+from tiegraph.scene.graph import parts
+from tiegraph.scene.rig import Rig, rays_or_axis
+from tiegraph.scene.scene import Scene
+from tiegraph.sfm.model import frame_poses, rig_from_sensor
+from tiegraph.sfm.tuning import StartCheckTuning
+from tiegraph.sfm.tuning.placement import ScaleTuning, StartTuning
+from tiegraph.sfm.verified import VerifiedMatches
+
+ONE_CENTRE = 1e-6  # metres: shorter baselines are none
+_SAMPLE = 300  # images whose turns are tried: bounds the time
+_NAMED = 3  # images that a sentence names
+
+
+@dataclass(frozen=True)
+class PathScale:
+    """``scale`` that the path needs (1 = as it is; NaN = nothing tells), and what tells it."""
+
+    scale: float
+    by: str
+
+
+def path_scale(
+    scene: Scene, cam_from_rig: np.ndarray, world_from_rig: np.ndarray, verified: VerifiedMatches, tuning: ScaleTuning
+) -> PathScale:
+    """Scale of the path of the frames (F, 4, 4) for rigs whose extrinsics (N, 4, 4), one an image, stay: by the matches
+    if they tell it, else by the prior positions, else unknown."""
+    rays = _rays(scene, cam_from_rig, world_from_rig, verified, tuning.matches_a_pair)
+    told = (_by_matches(rays, cap_rad, tuning) for cap_rad in tuning.caps_rad) if rays is not None else ()
+    for scale in told:
+        if scale is not None:
+            return PathScale(scale, "its matches")
+    placed = _by_positions(scene, world_from_rig[:, :3, 3], tuning)
+    if placed is not None:
+        return PathScale(placed, "the positions")
+    return PathScale(float("nan"), "nothing")
+
+
+@dataclass(frozen=True)
+class _Rays:
+    """Matches (M): rays a, b of both images in the world, their cross product, the way between the frames as the model
+    has it, and between their cameras within the rigs."""
+
+    a: np.ndarray
+    normal: np.ndarray
+    path: np.ndarray
+    lever: np.ndarray
+
+    def cost(self, scale: float, cap_rad: float) -> float:
+        """Mean angle between rays and epipolar planes, cut at a cap and in units of it."""
+        way = scale * self.path + self.lever
+        return float(np.minimum(off_plane(way, self.a, self.normal), cap_rad).mean() / cap_rad)
+
+
+def _rays(
+    scene: Scene, cam_from_rig: np.ndarray, world_from_rig: np.ndarray, verified: VerifiedMatches, most: int
+) -> _Rays | None:
+    """``most``: matches of a pair of images that vote."""
+    rng = np.random.default_rng(0)
+    known = np.all(np.isfinite(cam_from_rig) & np.isfinite(world_from_rig[scene.frame]), axis=(1, 2))
+    centre = transforms.centre(cam_from_rig)
+    rows: list[Sequence[np.ndarray]] = []
+    for (i, j), matches in zip(verified.pairs.tolist(), verified.matches):
+        if scene.frame[i] == scene.frame[j] or not (known[i] and known[j]) or len(matches) == 0:
+            continue
+        if len(matches) > most:
+            matches = matches[rng.choice(len(matches), most, replace=False)]
+        pose_i, pose_j = world_from_rig[scene.frame[i]], world_from_rig[scene.frame[j]]
+        a = _turned(scene, i, verified.xy[i][matches[:, 0]], pose_i, cam_from_rig[i])
+        b = _turned(scene, j, verified.xy[j][matches[:, 1]], pose_j, cam_from_rig[j])
+        lever = pose_j[:3, :3] @ centre[j] - pose_i[:3, :3] @ centre[i]
+        path = pose_j[:3, 3] - pose_i[:3, 3]
+        rows.append((a, cross(a, b), np.tile(path, (len(a), 1)), np.tile(lever, (len(a), 1))))
+    if not rows:
+        return None
+    return _Rays(*(np.concatenate(column) for column in zip(*rows)))
+
+
+def _turned(scene: Scene, image: int, xy: np.ndarray, pose: np.ndarray, cam_from_rig: np.ndarray) -> np.ndarray:
+    """Rays (M, 3) of pixels, unit length, in the world."""
+    camera = cast(pycolmap.Camera, scene.sensor_of(image).camera)  # the scan gave each sensor one
+    return rays_or_axis(camera, xy) @ (cam_from_rig[:3, :3] @ pose[:3, :3].T)
+
+
+def _by_matches(rays: _Rays, cap_rad: float, tuning: ScaleTuning) -> float | None:
+    grid = np.linspace(-np.log(tuning.range), np.log(tuning.range), tuning.grid)
+    for _ in range(2):
+        costs = np.array([rays.cost(float(np.exp(x)), cap_rad) for x in grid])
+        best = float(grid[np.argmin(costs)])
+        step = float(grid[1] - grid[0])
+        grid = np.linspace(best - step, best + step, tuning.fine_grid)
+    lowest = float(costs.min())
+    beside = min(rays.cost(float(np.exp(best + x)), cap_rad) for x in (-np.log(tuning.near), np.log(tuning.near)))
+    return float(np.exp(best)) if beside - lowest > tuning.dip * max(lowest, 1e-9) else None
+
+
+def _by_positions(scene: Scene, centre: np.ndarray, tuning: ScaleTuning) -> float | None:
+    """Scale that the positions ask for, 1 where they bear the length of the path out; None: both lie within the noise.
+
+    Its sigma is that of one long distance, for a receiver's errors go together. A vehicle that hardly moves has no
+    distance beyond the noise, and a path of a hundred times its length is refuted all the same.
+    """
+    position = scene.world_from_rig[:, :3, 3]
+    known = np.flatnonzero(np.isfinite(centre).all(axis=1) & np.isfinite(position).all(axis=1))
+    if len(known) < tuning.least_positions:
+        return None
+    sigma = np.nan_to_num(np.nanmax(scene.position_sigma_m[known], axis=1, initial=0.0))
+    a, b = np.random.default_rng(0).choice(len(known), (2, tuning.distances))
+    apart = np.linalg.norm(position[known[a]] - position[known[b]], axis=1)
+    own = np.linalg.norm(centre[known[a]] - centre[known[b]], axis=1)
+    noise = np.maximum(sigma[a] + sigma[b], tuning.least_noise_m)
+    far = (np.maximum(apart, own) > tuning.sigmas * noise) & (own > 0)
+    if far.sum() < tuning.least_distances:
+        return None
+    apart, own, noise = apart[far], own[far], noise[far]
+    scale = float(np.median(np.maximum(apart, noise / tuning.sigmas) / own))
+    known_to = float(np.median(noise / np.maximum(apart, own)))
+    clear = max(np.log(tuning.clear), tuning.clear_sigmas * known_to)
+    return scale if abs(np.log(scale)) > clear else 1.0
+
+
+@dataclass(frozen=True)
+class Start:
+    """Roughly known poses, made fit for a mapper.
+
+    ``rigs`` by index: those that may change have their extrinsics from the poses, those that must not have their own;
+    ``world_from_rig`` (F, 4, 4) and ``cam_from_world`` (N, 4, 4), for images without a rig, in one unit; NaN = unknown.
+    """
+
+    rigs: dict[int, Rig]
+    world_from_rig: np.ndarray
+    cam_from_world: np.ndarray
+    notes: tuple[str, ...] = ()
+
+
+def start_from(
+    cam_from_world: np.ndarray,
+    scene: Scene,
+    rigs: Mapping[int, Rig],
+    held: Collection[int],
+    verified: VerifiedMatches,
+    tuning: StartTuning,
+) -> Start | None:
+    """A start from poses (N, 4, 4) of the images, NaN = unknown; ``held``: indices of rigs whose extrinsics stay.
+
+    None if the length of the path against a held rig is not known: the poses may come from a model that did not see it.
+    """
+    most = tuning.max_lever_off
+    fitted = {k: rig if k in held else rig_of_poses(scene, k, rig, cam_from_world, most) for k, rig in rigs.items()}
+    scene = scene.with_(rigs=tuple(fitted.get(k, r) for k, r in enumerate(scene.rigs)))
+    frames = frame_poses(cam_from_world, scene)
+    found = length_of_path(frames, scene, held, verified, tuning.scale)
+    if found is None:
+        return Start(fitted, frames, cam_from_world)
+    if not np.isfinite(found.scale):
+        return None
+    frames[:, :3, 3] *= found.scale
+    images = cam_from_world.copy()
+    images[:, :3, 3] *= found.scale
+    note = f"its path made {found.scale:.3g} times as long, by {found.by}"
+    return Start(
+        rigs=fitted,
+        world_from_rig=frames,
+        cam_from_world=images,
+        notes=(note,) if abs(found.scale - 1) > tuning.told_change else (),
+    )
+
+
+def length_of_path(
+    world_from_rig: np.ndarray, scene: Scene, held: Collection[int], verified: VerifiedMatches, tuning: ScaleTuning
+) -> PathScale | None:
+    """What the path of frames (F, 4, 4) needs to be as long as the rigs (indices ``held``) that must not change say;
+    None where there is nothing to compare it with: panoramas, loose photographs."""
+    cam_from_rig = transforms.invert(rig_from_sensor(scene))
+    if not held or np.nanmax(np.linalg.norm(cam_from_rig[:, :3, 3], axis=1), initial=0.0) < ONE_CENTRE:
+        return None
+    return path_scale(scene, cam_from_rig, world_from_rig, verified, tuning)
+
+
+def largest_component(cam_from_world: np.ndarray, scene: Scene, rigs: Collection[int], pairs: np.ndarray) -> np.ndarray:
+    """(N,) bool: images of the piece with most known poses that verified pairs (P, 2) and rigs hold together. What
+    nothing ties to it would stay where a rough model had it, untested, and drift."""
+    bound = np.isin(scene.rig[scene.frame], list(rigs))
+    node = np.where(bound, scene.frame, scene.frames + np.arange(len(scene)))
+    label = parts(node[pairs[:, 0]], node[pairs[:, 1]], scene.frames + len(scene))[node]
+    known = np.isfinite(cam_from_world).all(axis=(1, 2))
+    largest = np.bincount(label[known]).argmax() if known.any() else -1
+    return label == largest
+
+
+def rig_of_poses(scene: Scene, index: int, rig: Rig, cam_from_world: np.ndarray, max_lever_off: float) -> Rig:
+    """The rig with the extrinsics that the poses show, averaged over the frames; a sensor that no frame shows beside
+    the reference keeps its own, in the units of the others.
+
+    ``max_lever_off``: share of a given lever arm that the poses may show it off; more, and it stays as given.
+    """
+    of = scene.rig[scene.frame] == index
+    known = of & np.isfinite(cam_from_world).all(axis=(1, 2))
+    reference = np.full(scene.frames, -1)
+    first = np.flatnonzero(known & (scene.sensor == 0))
+    reference[scene.frame[first]] = first
+    shown: dict[int, np.ndarray] = {}
+    for place in range(1, len(rig.sensors)):
+        rows = np.flatnonzero(known & (scene.sensor == place))
+        rows = rows[reference[scene.frame[rows]] >= 0]
+        if len(rows):
+            steps = cam_from_world[rows] @ transforms.invert(cam_from_world[reference[scene.frame[rows]]])
+            shift = np.median(steps[:, :3, 3], axis=0)
+            shown[place] = transforms.rigid(l1_mean_rotation(steps[:, :3, :3]), shift)
+    units = replace(
+        rig, sensors=tuple(replace(s, sensor_from_rig=shown.get(k)) for k, s in enumerate(rig.sensors))
+    ).units(rig)
+    sensors = list(rig.sensors)
+    for place, sensor in enumerate(rig.sensors):
+        own = sensor.sensor_from_rig
+        if place in shown and own is not None and _ran_off(shown[place], own, units, max_lever_off):
+            shown[place] = transforms.rigid(shown[place][:3, :3], units * own[:3, 3])
+        if place in shown:
+            sensors[place] = replace(sensor, sensor_from_rig=shown[place])
+        elif own is not None and place:
+            sensors[place] = replace(sensor, sensor_from_rig=transforms.rigid(own[:3, :3], units * own[:3, 3]))
+    return replace(rig, sensors=tuple(sensors))
+
+
+def _ran_off(found: np.ndarray, given: np.ndarray, units: float, most: float) -> bool:
+    """Whether a lever arm is unlike the given one: a camera with few ties (canal's up camera, three times too long)."""
+    length = units * float(np.linalg.norm(given[:3, 3]))
+    return length > 0 and float(np.linalg.norm(found[:3, 3] - units * given[:3, 3])) > most * length
+
+
+def place_frames(model: pycolmap.Reconstruction, scene: Scene, start: Start) -> int:
+    """Set and register the frames of a model without poses; how many images that places."""
+    first = np.cumsum([0] + [len(r.sensors) for r in scene.rigs])
+    for frame_id, frame in list(model.frames.items()):
+        names = [model.image(d.id).name for d in frame.image_ids]
+        rows = [scene.image_index[n] for n in names if n in scene.image_index]
+        if not rows:
+            continue
+        rig = model.rig(frame.rig_id)
+        index = frame.rig_id - 1
+        if index in start.rigs:
+            place = rig.ref_sensor_id.id - 1 - int(first[index])
+            extrinsics = start.rigs[index].sensors[place].sensor_from_rig
+            reference = np.eye(4) if extrinsics is None else extrinsics
+            pose = reference @ transforms.invert(start.world_from_rig[scene.frame[rows[0]]])
+        else:
+            pose = start.cam_from_world[rows[0]]
+        if np.isfinite(pose).all():
+            model.frame(frame_id).rig_from_world = rigid3d(pose)
+            model.register_frame(frame_id)
+    return int(model.num_reg_images())
+
+
+@dataclass(frozen=True)
+class StartCheck:
+    """Of N images: which have both poses, ``turned_deg`` (N,) against the part that agrees, ``off`` (N,) distance from
+    where that part puts them over the distance to what is seen (NaN = not told), ``bad`` (N,) those that disagree."""
+
+    both: np.ndarray
+    turned_deg: np.ndarray
+    off: np.ndarray
+    bad: np.ndarray
+
+    @property
+    def share(self) -> float:
+        """Of the images with both poses, those that disagree."""
+        return float(self.bad.sum()) / max(int(self.both.sum()), 1)
+
+
+def check_start(given: np.ndarray, made: np.ndarray, reach: float, tuning: StartCheckTuning) -> StartCheck:
+    """Poses ``given`` (N, 4, 4) against those of a model ``made`` (N, 4, 4), world_from_camera, NaN = none; ``reach``:
+    usual distance of the model's cameras to what they see, its units."""
+    both = np.all(np.isfinite(given[:, :3]) & np.isfinite(made[:, :3]), axis=(1, 2))
+    rows = np.flatnonzero(both)
+    turned, off = np.full(len(given), np.nan), np.full(len(given), np.nan)
+    if len(rows) < tuning.least:
+        return StartCheck(both=both, turned_deg=turned, off=off, bad=np.zeros(len(given), bool))
+    between = made[rows, :3, :3] @ np.swapaxes(given[rows, :3, :3], 1, 2)
+    tried = between[:: max(1, len(rows) // _SAMPLE)]
+    votes = [int(np.sum(angle_deg(between, one) <= tuning.turn_deg)) for one in tried]
+    first = angle_deg(between, tried[int(np.argmax(votes))]) <= tuning.turn_deg
+    turned[rows] = angle_deg(between, l1_mean_rotation(between[first]))
+    alike = rows[turned[rows] <= tuning.turn_deg]
+    if len(alike) >= tuning.least:
+        places = given[alike, :3, 3], made[alike, :3, 3]
+        fit, _ = robust_umeyama(*places, sigma=tuning.off / 3 * reach)  # which takes three sigmas
+        off[rows] = np.linalg.norm(fit(given[rows, :3, 3]) - made[rows, :3, 3], axis=1) / reach
+    bad = both & ~((turned <= tuning.turn_deg) & (off <= tuning.off))
+    return StartCheck(both=both, turned_deg=turned, off=off, bad=bad)
+
+
+def start_told(found: StartCheck, scene: Scene, tuning: StartCheckTuning) -> tuple[str, bool]:
+    """The agreement of a start model in a sentence, and whether it contradicts the images."""
+    count, bad = int(found.both.sum()), np.flatnonzero(found.bad)
+    if count < tuning.least:
+        return f"start model: {count} of its images are in the model, too few to test it", False
+    good = found.both & ~found.bad
+    agree = (
+        f"{good.sum()} of {count} images agree with it, to {np.median(found.turned_deg[good]):.2g} deg and "
+        f"{np.median(found.off[good]):.2g} of the distance to what is seen (median)"
+        if good.any()
+        else f"none of {count} images agrees with it"
+    )
+    if not len(bad):
+        return f"start model: {agree}", False
+    names = ", ".join(scene.names[k] for k in bad[:_NAMED]) + (" ..." if len(bad) > _NAMED else "")
+    turned, off = np.median(found.turned_deg[bad]), found.off[found.bad & np.isfinite(found.off)]
+    where = f" and {np.median(off):.2g} of that distance off" if len(off) else ""
+    text = f"{len(bad)} images do not: turned against the others by {turned:.2g} deg{where} (median), such as {names}"
+    why = (
+        "is it of another survey, or are images named otherwise?" if found.share > tuning.most else "is it bent there?"
+    )
+    contradicts = found.share > tuning.share
+    ending = f"; its poses chose pairs only: {why}" if contradicts else ""
+    return f"start model and images: {agree}; {text}{ending}", contradicts
