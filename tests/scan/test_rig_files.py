@@ -207,6 +207,8 @@ def test_ring_presets_are_nominal_common_centre_and_equally_spaced(
     angles = rig.axis_angles_deg()
     for k in range(sides):
         assert angles[k, (k + 1) % sides] == pytest.approx(360 / sides)
+        turn = 2 * np.pi * k / sides  # equation 3: clockwise seen from above, the first camera forward
+        assert rig.sensors[k].optical_axis() == pytest.approx([np.sin(turn), 0, np.cos(turn)], abs=1e-9)
     assert [s.role for s in rig.sensors] == ["side"] * sides + ["up"] * (cameras - sides)
     if up:
         assert rig.sensors[5].optical_axis() == pytest.approx([0, -1, 0])
