@@ -204,6 +204,8 @@ def test_ring_presets_are_nominal_common_centre_and_equally_spaced(
     sides = 5 if name == "ladybug5" else 4
     assert rig.nominal and not rig.fixed and rig.known() and len(rig.sensors) == cameras
     assert np.allclose(baselines_m(rig), 0)
+    first = preset(name, tuple(f"cam{k}" for k in range(cameras)), RIG).sensors[0]
+    assert first.body_from_sensor == pytest.approx(np.eye(4))  # the first camera looks forward
     angles = rig.axis_angles_deg()
     for k in range(sides):
         assert angles[k, (k + 1) % sides] == pytest.approx(360 / sides)
