@@ -63,7 +63,6 @@ _BY = tuple(
     Method(name, settings={"candidates": {"sources": [source]}, **_PLAIN}, until="cloud")
     for name, source in (("all pairs", "exhaustive"), ("by poses", "poses"))
 )
-_DEFAULT = Method("tiegraph", until="cloud")
 _FOLLOWED = Method("by odometry", settings=_BY[1].settings, until="cloud", trajectory="auto")
 _SECTIONS = ("canal_demo section 0", "canal_demo section 1")
 _TO_WORLD = {n: replace(m, until="georef") for n, m in {"tiegraph": _OURS, **_PAPERS}.items()}
@@ -82,8 +81,8 @@ RUNS: dict[str, tuple[tuple[str, tuple[Method, ...]], ...]] = {
     ),
     "002": (("kitchen 40", (*_DESIGNS, COLMAP)),),
     "003": (
-        *((name, (*_BY, _FOLLOWED, _DEFAULT, COLMAP)) for name in scenes.SIX[:3]),
-        *((name, (*_BY, _DEFAULT, COLMAP)) for name in scenes.SIX[3:]),
+        *((name, (*_BY, _FOLLOWED, COLMAP)) for name in scenes.SIX[:3]),
+        *((name, (*_BY, COLMAP)) for name in scenes.SIX[3:]),
     ),
     "004": (),
 }

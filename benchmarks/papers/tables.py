@@ -260,7 +260,7 @@ def _paper002(found: Mapping[tuple[str, str], Row]) -> list[str]:
 
 def _paper003(found: Mapping[tuple[str, str], Row]) -> list[str]:
     rows, ratios = [], []
-    for name, method in ((n, m) for n in SIX for m in ("by poses", "by odometry", "tiegraph")):
+    for name, method in ((n, m) for n in SIX for m in ("by poses", "by odometry")):
         both = _columns(found, name, ("all pairs", method))
         if len(both) < 2:
             continue
@@ -273,9 +273,9 @@ def _paper003(found: Mapping[tuple[str, str], Row]) -> list[str]:
     (printed,) = PRINTED["003"]
     theirs = [[r[0], *(_quotient(r[k]) for k in (1, 2, 3, 4, 7))] for r in printed.rows]
     return [
-        _table("the six scenes here, CPU s: all pairs / pairs by the trajectory, or tiegraph's defaults",
+        _table("the six scenes here, CPU s: all pairs / pairs by the trajectory",
                [*printed.columns, "images used", "COLMAP exhaustive: pairs, matching s, images"], rows),
-        _table("all pairs over pairs by the trajectory, or tiegraph's defaults, then the paper's",
+        _table("all pairs over pairs by the trajectory, then the paper's",
                ["scene", "pairs", "total", "feature detection", "image matching", "dense points"], [*ratios, *theirs]),
     ]  # fmt: skip
 
