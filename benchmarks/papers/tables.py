@@ -275,7 +275,7 @@ def _paper003(found: Mapping[tuple[str, str], Row]) -> list[str]:
     return [
         _table("the six scenes here, CPU s: all pairs / pairs by the trajectory",
                [*printed.columns, "images used", "COLMAP exhaustive: pairs, matching s, images"], rows),
-        _table("all pairs over pairs by the trajectory, then the paper's",
+        _table("all pairs over pairs by the trajectory: ours, then the paper's",
                ["scene", "pairs", "total", "feature detection", "image matching", "dense points"], [*ratios, *theirs]),
     ]  # fmt: skip
 
