@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyproj
 import rasterio
 
 from tiegraph.errors import InputError
@@ -126,11 +127,13 @@ def _in_crs(shapes: Shapes, path: Path, map_: MapFiles) -> list[np.ndarray]:
     """Vertices in the CRS of the survey. Raises InputError for those of another."""
     if shapes.crs is None:
         return shapes.parts
-    import pyproj
-
     theirs = pyproj.CRS.from_user_input(shapes.crs)
     place = map_.origin
-    if theirs.is_geographic and place is not None and theirs.to_2d().equals(_wgs84(), ignore_axis_order=True):
+    if (
+        theirs.is_geographic
+        and place is not None
+        and theirs.to_2d().equals(pyproj.CRS.from_epsg(4326), ignore_axis_order=True)
+    ):
         flat = np.full(1, place.height_m)
         degrees = (np.c_[p[:, ::-1], np.repeat(flat, len(p))] for p in shapes.parts)
         return [(world_from_geodetic(d, place) + map_.shift)[:, :2] for d in degrees]
@@ -144,12 +147,6 @@ def _in_crs(shapes: Shapes, path: Path, map_: MapFiles) -> list[np.ndarray]:
     if not theirs.equals(ours, ignore_axis_order=True):
         raise InputError(f"{path} is in {theirs.name}, the survey in {place.crs} ({ours.name}): save it in that CRS")
     return shapes.parts
-
-
-def _wgs84() -> Any:
-    import pyproj
-
-    return pyproj.CRS.from_epsg(4326)
 
 
 # --- profiles --------------------------------------------------------------------------------------------------------
