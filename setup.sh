@@ -23,5 +23,5 @@ fi
 if [ "${1:-}" = dev ]; then
     .venv/bin/python -m pip install --quiet --disable-pip-version-check -e '.[dev]'
 else
-    .venv/bin/python -m pip install --quiet --disable-pip-version-check .
+    .venv/bin/python -m pip install --quiet --disable-pip-version-check . ./examples/canal
 fi

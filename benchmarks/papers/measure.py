@@ -48,6 +48,7 @@ class Method:
 
 COLMAP = Method("COLMAP")
 _OURS = Method("tiegraph")
+_TO_CLOUD = Method("tiegraph", until="cloud")
 _PAPERS = {n: Method(n, n) for n in ("conventional", "meguro2024", "meguro2025")}
 WITHOUT = (
     Method("meguro2024, no list", "conventional", {"masks": {"source": "meguro2024"}}, "georef"),
@@ -81,8 +82,8 @@ RUNS: dict[str, tuple[tuple[str, tuple[Method, ...]], ...]] = {
     ),
     "002": (("kitchen 40", (*_DESIGNS, COLMAP)),),
     "003": (
-        *((name, (*_BY, _FOLLOWED, COLMAP)) for name in scenes.SIX[:3]),
-        *((name, (*_BY, COLMAP)) for name in scenes.SIX[3:]),
+        *((name, (_TO_CLOUD, *_BY, _FOLLOWED, COLMAP)) for name in scenes.SIX[:3]),
+        *((name, (_TO_CLOUD, *_BY, COLMAP)) for name in scenes.SIX[3:]),
     ),
     "004": (),
 }
@@ -116,9 +117,10 @@ def _scene(folder: Path) -> Scene:
 
 
 def one_run(dataset: datasets.Dataset, method: Method, out: Path, seed: int = 0) -> dict[str, Any]:
-    """A survey by a method; what was begun goes on. It starts from a copy of another method's run beside it: stages
-    that are the same in both are not made twice, and their times count in both. With another ``seed`` than 0 it is that
-    of the seed 0 mapped anew, up to the world."""
+    """A survey by a method; what was begun goes on. A method other than the defaults (whose folder would keep the
+    other's settings) starts from a copy of another's run beside it: stages that are the same in both are not made
+    twice, and their times count in both. With another ``seed`` than 0 it is that of the seed 0 mapped anew, up to the
+    world."""
     if method is COLMAP:
         return _colmap(dataset, out, seed)
     if seed:
@@ -129,7 +131,7 @@ def one_run(dataset: datasets.Dataset, method: Method, out: Path, seed: int = 0)
         error = variants.start(dataset, again, "georef", {**method.settings, "sparse": sparse}, method.preset)
         return {"status": error or "done", **figures(dataset, again)}
     others = sorted(p.parent for p in out.parent.glob("*/tiegraph.toml"))
-    if not out.exists() and others:
+    if not out.exists() and others and (method.settings or method.preset != "default"):
         shutil.copytree(others[0], out, symlinks=True)
     if method.trajectory is not None:
         dataset = replace(dataset, trajectory=Path(method.trajectory))

@@ -260,7 +260,7 @@ def _paper002(found: Mapping[tuple[str, str], Row]) -> list[str]:
 
 def _paper003(found: Mapping[tuple[str, str], Row]) -> list[str]:
     rows, ratios = [], []
-    for name, method in ((n, m) for n in SIX for m in ("by poses", "by odometry")):
+    for name, method in ((n, m) for n in SIX for m in ("by poses", "by odometry", "tiegraph")):
         both = _columns(found, name, ("all pairs", method))
         if len(both) < 2:
             continue

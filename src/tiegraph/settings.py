@@ -8,7 +8,7 @@ epsilons, seeds, bounds of memory, definitions and what nobody has a reason to t
 """
 
 from pathlib import Path
-from typing import Any
+from typing import Any, get_origin
 
 from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, field_validator, model_validator
 from pydantic_core import CoreSchema
@@ -26,7 +26,12 @@ class Section(BaseModel):
     def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         """Classes within it first: their validators are then built once and not again in each class around them."""
         for field in cls.model_fields.values():
-            if isinstance(field.annotation, type) and issubclass(field.annotation, Section):
+            # On Python 3.10 tuple[int, ...] is a type to isinstance, and no class to issubclass.
+            if (
+                get_origin(field.annotation) is None
+                and isinstance(field.annotation, type)
+                and issubclass(field.annotation, Section)
+            ):
                 field.annotation.model_rebuild()
         return handler(source)
 

@@ -1,6 +1,7 @@
 """`tiegraph demo`: the example survey that comes with the package, from images to the report."""
 
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
 
@@ -27,12 +28,18 @@ class _Demo(Common):
 
 
 def example() -> Path:
-    """The folder of the example survey. Raises InputError if the package was installed without it."""
-    package = Path(__file__).resolve().parents[1]
-    for folder in (package / "examples" / "canal", package.parents[1] / "examples" / "canal"):
+    """The folder of the example survey: that of the checkout, or the package `tiegraph-canal`. Raises InputError if
+    neither is there."""
+    installed = find_spec("tiegraph_canal")
+    folders = [Path(__file__).resolve().parents[3] / "examples" / "canal"]
+    folders += [Path(p) for p in (installed and installed.submodule_search_locations) or ()]
+    for folder in folders:
         if (folder / "images").is_dir():
             return folder
-    raise InputError("the example survey is not installed: run the demo from a checkout (examples/canal)")
+    raise InputError(
+        "the example survey is a package of its own, and it is not installed: `pip install tiegraph-canal` "
+        "(in a checkout of tiegraph: `pip install ./examples/canal`)"
+    )
 
 
 def main(arguments: list[str]) -> int:

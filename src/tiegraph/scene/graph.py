@@ -31,9 +31,10 @@ def forest(i: np.ndarray, j: np.ndarray, strength: np.ndarray, nodes: int) -> np
     if not len(best):
         return best
     cost = strength[best].max() + 1.0 - strength[best]  # positive: scipy takes zeros for missing links
-    tree = minimum_spanning_tree(coo_array((cost, (low[best], high[best])), shape=(nodes, nodes)).tocsr()).tocoo()
-    ends = np.minimum(*tree.coords).astype(np.int64) * nodes + np.maximum(*tree.coords)
-    return best[np.isin(low[best] * nodes + high[best], ends)]
+    ends = (low[best].astype(np.int32), high[best].astype(np.int32))  # csgraph before scipy 1.16 takes no others
+    tree = minimum_spanning_tree(coo_array((cost, ends), shape=(nodes, nodes)).tocsr()).tocoo()
+    kept = np.minimum(*tree.coords).astype(np.int64) * nodes + np.maximum(*tree.coords)
+    return best[np.isin(low[best] * nodes + high[best], kept)]
 
 
 def cheapest_cut(capacity: csr_array, a: int, b: int) -> np.ndarray:

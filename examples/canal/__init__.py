@@ -1,0 +1,1 @@
+"""The example survey of tiegraph. `tiegraph demo` reads it; it holds files only."""

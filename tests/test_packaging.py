@@ -1,0 +1,77 @@
+"""What is shipped beside the package: versions, container, workflows. As the tools read them."""
+
+import importlib.util
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+from packaging.requirements import Requirement
+from packaging.version import Version
+
+from tiegraph.cli import demo
+from tiegraph.errors import InputError
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+ROOT = Path(__file__).parents[1]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+_ALL = [Requirement(r) for r in PROJECT["project"]["dependencies"]]
+NEEDED = [r for r in _ALL if not r.marker or r.marker.evaluate({"python_version": "3.12"})]
+
+
+def test_every_dependency_has_a_tested_version_within_its_bounds():
+    lines = (ROOT / "packaging" / "constraints.txt").read_text().splitlines()[1:]
+    tested = {re.sub("[_.]", "-", n.lower()): Version(v) for n, v in (line.split("==") for line in lines)}
+    for needed in NEEDED:
+        assert needed.specifier.contains(tested[needed.name]), needed
+
+
+def test_the_lowest_versions_are_those_of_the_project():
+    spoken = subprocess.run([sys.executable, ROOT / "packaging" / "lowest.py"], capture_output=True, text=True)
+    lowest = dict(line.split("==") for line in spoken.stdout.split())
+    assert set(lowest) == {Requirement(r).name for r in PROJECT["project"]["dependencies"]}
+    for needed in NEEDED:
+        version = lowest[needed.name].removesuffix(".*")
+        assert f">={version}" in str(needed.specifier) and needed.specifier.contains(version)
+
+
+@pytest.mark.parametrize("path", [".github/workflows/ci.yml", ".github/workflows/wheels.yml", ".gitlab-ci.yml"])
+def test_workflows_can_be_read_and_call_what_is_there(path):
+    text = (ROOT / path).read_text()
+    assert yaml.safe_load(text)
+    for named in re.findall(r"(?:sh |python |- |cp )(\.?[\w/]+\.(?:sh|py|txt)|\.ci/run)", text):
+        assert (ROOT / named).exists() or named in ("lowest.txt", "newest.txt"), named
+
+
+def test_continuous_integration_calls_the_first_command_of_the_readme():
+    readme = (ROOT / "README.md").read_text()
+    assert (first := "sh setup.sh && .venv/bin/tiegraph demo") in readme
+    assert first in (ROOT / ".github" / "workflows" / "ci.yml").read_text()
+
+
+def test_the_container_is_given_all_that_its_build_reads():
+    let_in = [line[1:] for line in (ROOT / ".dockerignore").read_text().splitlines() if line.startswith("!")]
+    assert all((ROOT / name).exists() for name in let_in)
+    sources = [PROJECT["project"]["readme"], *PROJECT["project"]["license-files"], "pyproject.toml"]
+    sources.append(PROJECT["tool"]["scikit-build"]["cmake"]["source-dir"])
+    assert set(sources) <= set(let_in) and {"src", "packaging", "examples/canal"} <= set(let_in)
+
+
+def test_without_its_package_the_demo_says_what_to_install(monkeypatch):
+    assert (demo.example() / "rig.toml").exists()
+    monkeypatch.setattr(demo, "__file__", "/nowhere/site-packages/tiegraph/cli/demo.py")
+    monkeypatch.setattr(demo, "find_spec", lambda name: None)
+    with pytest.raises(InputError, match="pip install tiegraph-canal"):
+        demo.example()
+    example = ROOT / "examples" / "canal"
+    places = [str(example)]
+    found = importlib.util.spec_from_file_location("tiegraph_canal", example / "__init__.py",
+                                                   submodule_search_locations=places)  # fmt: skip
+    monkeypatch.setattr(demo, "find_spec", lambda name: found)
+    assert demo.example() == example
