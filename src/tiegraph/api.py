@@ -243,6 +243,14 @@ class Project:
 
         return read_cloud(self._needed("cloud.laz", "cloud"))
 
+    def products(self) -> dict[str, dict[str, Path]]:
+        """The files of each surface, by the names of the surface (map, elevation1, ...) and of the file without its
+        ending (dsm, sigma, ortho, dtm, contours, ...); pictures, which have the names of rasters, are left out."""
+        folder = self._needed("products", "products")
+        rasters = (".tif", ".gpkg", ".geojson")
+        there = {p.name: sorted(p.iterdir()) for p in sorted(folder.iterdir()) if (p / "frame.json").exists()}
+        return {name: {p.stem: p for p in files if p.suffix in rasters} for name, files in there.items()}
+
     def report(self) -> Path:
         """The HTML report."""
         return self._needed("report.html", "report")

@@ -241,6 +241,9 @@ def test_images_disk_and_time_are_said_and_nothing_is_made(images, capsys):
     row = json.loads(plan(images, capsys, "--json")[1].splitlines()[-1])
     assert row["images"] == 6 and 6 * 400 * 300 * 4 < row["dense_bytes"] < 6 * 400 * 300 * 9
     assert 6 * 150e3 < row["model_bytes"] < 6 * 500e3 and row["there_bytes"] == 0
+    bare = json.loads(plan(images, capsys, "--json", "--products.make", "none")[1].splitlines()[-1])
+    assert 6 * 400 * 300 * 3 < 1e6 * (row["dense_cpu_s"] - bare["dense_cpu_s"]) < 6 * 400 * 300 * 3.5
+    assert 0.3 < (row["dense_bytes"] - bare["dense_bytes"]) / (6 * 400 * 300) < 1.5
     more = json.loads(plan(images, capsys, "--json", "--features.max-features", "64")[1].splitlines()[-1])
     assert more["model_bytes"] < row["model_bytes"] and more["dense_bytes"] == row["dense_bytes"]
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import rasterio
 
+import tiegraph
 from tiegraph.errors import ReconstructionError
 from tiegraph.pipeline import products as glue
 from tiegraph.pipeline.files import world_origin
@@ -62,7 +63,8 @@ def test_a_whole_run_makes_elevations_of_its_walls(made):
         at, of = np.nonzero(near)
         assert np.median(np.abs(uvw[at, 2] - w[v, u][::50][of])) < 0.05
         names = {"dsm.tif", "sigma.tif", "hillshade.tif", "ortho.tif", "source.tif", "source.csv", "frame.json"} | {
-            "overview.jpg"
+            "overview.jpg",
+            "dsm.jpg",
         }
         assert {p.name for p in folder.iterdir()} == names
         with rasterio.open(folder / "ortho.tif") as raster:
@@ -74,6 +76,10 @@ def test_a_whole_run_makes_elevations_of_its_walls(made):
         used = {listed[str(k)] for k in np.unique(source) if k}
         assert len(used) > 1 and all((made / "images" / name).exists() for name in used)
     assert not (made / "products" / ".tiles").exists()
+    given = tiegraph.open(out=made).products()
+    assert sorted(given) == sorted(p.name for p in (made / "products").iterdir())
+    assert sorted(given["elevation1"]) == ["dsm", "hillshade", "ortho", "sigma", "source"]
+    assert all(path.suffix == ".tif" and path.is_file() for path in given["elevation1"].values())
 
 
 def test_the_pool_does_not_change_a_byte(made, tmp_path):

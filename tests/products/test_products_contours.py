@@ -1,5 +1,7 @@
 import json
+import sqlite3
 import sys
+import xml.etree.ElementTree as xml
 
 import numpy as np
 import pyproj
@@ -68,10 +70,15 @@ def drawn(folder):
 def test_a_geopackage_has_the_crs_and_heights(tmp_path):
     raw = pytest.importorskip("pyogrio.raw")
     name, lines = drawn(tmp_path)
-    meta, _, shapes, values = raw.read(tmp_path / name)
+    meta, _, shapes, values = raw.read(tmp_path / name, layer="contours")
     assert pyproj.CRS.from_user_input(meta["crs"]).to_epsg() == 32654
     assert meta["geometry_type"] == "LineString Z" and list(meta["fields"]) == ["elevation_m", "index", "sigma_m"]
     assert values[0].tolist() == [line.w for line in lines]
+    with sqlite3.connect(tmp_path / name) as data:
+        styled = data.execute("SELECT f_table_name, f_geometry_column, styleQML, useAsDefault FROM layer_styles")
+        (layer, column, style, default), *more = styled.fetchall()
+    assert (layer, column, default, more) == ("contours", "geom", 1, [])
+    assert xml.fromstring(style.split("\n", 1)[1]).find("renderer-v2/symbols/symbol/layer") is not None
     first = np.frombuffer(shapes[0][9:], "<f8").reshape(-1, 3)
     np.testing.assert_allclose(first, np.c_[lines[0].uv, np.full(len(lines[0].uv), lines[0].w)])
 

@@ -54,7 +54,7 @@ def test_tiles_do_not_change_the_terrain(town, tmp_path):
     np.testing.assert_allclose(whole[0], town[0], atol=1e-4)
     np.testing.assert_allclose(whole[1], town[1], atol=1e-5)
     again = made(tmp_path / "again")[2]
-    for name in ("dtm.tif", "dtm_sigma.tif", "contours.gpkg"):
+    for name in ("dtm.tif", "dtm_sigma.tif", "contours.gpkg", "dtm.jpg"):
         assert again.path(name).read_bytes() == town[2].path(name).read_bytes()
 
 

@@ -1,12 +1,10 @@
 """Maps for GIS: cameras, where they look, and the tie graph; GeoJSON in WGS84, GeoPackage in the CRS with styles.
 
-A GeoPackage is written by GDAL (pyogrio) from the same features. Its table ``layer_styles`` is QGIS's own: a layer with
-a row there, marked as default, is drawn that way when it is opened.
+A GeoPackage is written by GDAL (pyogrio) from the same features.
 """
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -15,58 +13,26 @@ from tiegraph.export.survey import Survey
 from tiegraph.geometry.geodesy import ENU, Origin, crs_coordinates, geodetic_from_world, parse_crs
 from tiegraph.geometry.transforms import invert
 from tiegraph.scene.colmapmodel import matrix
+from tiegraph.scene.qgis import style, write_styles
 from tiegraph.scene.vectors import Layer, collection, feature, gdal, write_layer
 
-_PAGE = """<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>
-<qgis version="3.22.0" styleCategories="Symbology">
- <renderer-v2 type="singleSymbol" symbollevels="0" enableorderby="0" forceraster="0">
-  <symbols>
-   <symbol type="{kind}" name="0" alpha="{alpha}" clip_to_extent="1" force_rhr="0">
-    <layer class="{drawn}" enabled="1" pass="0" locked="0">
-     <Option type="Map">
-{options}
-     </Option>
-     <data_defined_properties>
-      <Option type="Map">
-       <Option type="QString" name="name" value=""/>
-       {properties}
-       <Option type="QString" name="type" value="collection"/>
-      </Option>
-     </data_defined_properties>
-    </layer>
-   </symbol>
-  </symbols>
- </renderer-v2>
-</qgis>
-"""
-_BY_EXPRESSION = 3  # QgsProperty: an expression
 _WGS84 = "EPSG:4979"
 FILE = "survey.gpkg"
-
-
-def _style(drawn: str, alpha: float, options: dict[str, str], by: tuple[str, str] | None = None) -> str:
-    """A style of one symbol; ``by``: the property that an expression over the fields sets."""
-    lines = "\n".join(f'      <Option type="QString" name="{k}" value="{v}"/>' for k, v in options.items())
-    properties = '<Option name="properties"/>'
-    if by is not None:
-        inner = '<Option type="bool" name="active" value="true"/>'
-        inner += f'<Option type="QString" name="expression" value="{by[1]}"/>'
-        inner += f'<Option type="int" name="type" value="{_BY_EXPRESSION}"/>'
-        properties = f'<Option type="Map" name="properties"><Option type="Map" name="{by[0]}">{inner}</Option></Option>'
-    kind = "marker" if drawn == "SimpleMarker" else "line"
-    return _PAGE.format(kind=kind, alpha=alpha, drawn=drawn, options=lines, properties=properties)
-
-
-_MM = {"size_unit": "MM"}
 STYLES = {
-    "cameras": _style(
+    "cameras": style(
         "SimpleMarker",
         1.0,
-        {"name": "arrow", "color": "27,108,168,255", "outline_color": "255,255,255,255", "size": "4", **_MM},
+        {
+            "name": "arrow",
+            "color": "27,108,168,255",
+            "outline_color": "255,255,255,255",
+            "size": "4",
+            "size_unit": "MM",
+        },
         by=("angle", "&quot;heading_deg&quot;"),
     ),
-    "views": _style("SimpleLine", 0.5, {"line_color": "27,108,168,255", "line_width": "0.15", "line_width_unit": "MM"}),
-    "ties": _style(
+    "views": style("SimpleLine", 0.5, {"line_color": "27,108,168,255", "line_width": "0.15", "line_width_unit": "MM"}),
+    "ties": style(
         "SimpleLine",
         0.6,
         {"line_color": "242,166,90,255", "line_width": "0.3", "line_width_unit": "MM"},
@@ -97,21 +63,7 @@ def gpkg(survey: Survey, target: Path) -> int:
     for name, features in layers.items():
         if features:
             write_layer(raw, path, name, features, crs)
-    rows = {name: STYLES[name] for name, features in layers.items() if features}
-    style: dict[str, np.ndarray] = {
-        "f_table_catalog": _texts("" for _ in rows),
-        "f_table_schema": _texts("" for _ in rows),
-        "f_table_name": _texts(rows),
-        "f_geometry_column": _texts("geom" for _ in rows),
-        "styleName": _texts(rows),
-        "styleQML": _texts(rows.values()),
-        "styleSLD": _texts("" for _ in rows),
-        "useAsDefault": np.ones(len(rows), bool),
-        "description": _texts("tiegraph" for _ in rows),
-        "owner": _texts("" for _ in rows),
-    }
-    how = {"layer": "layer_styles", "geometry_type": None, "crs": None}
-    raw.write(path, None, [*style.values()], [*style], driver="GPKG", append=True, **how)
+    write_styles(raw, path, {name: STYLES[name] for name, features in layers.items() if features})
     return len(layers["cameras"])
 
 
@@ -120,10 +72,6 @@ def _on_earth(survey: Survey) -> Origin:
         text = "the world is not on the Earth, and a map needs that: give positions (--gnss) or control points (--gcp)"
         raise InputError(text)
     return survey.origin
-
-
-def _texts(values: Any) -> np.ndarray:
-    return np.array(list(values), object)
 
 
 def _degrees(xyz: np.ndarray, origin: Origin) -> np.ndarray:

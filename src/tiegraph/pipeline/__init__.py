@@ -74,11 +74,11 @@ STAGES = (
     _stage("dense", ("georef", "refine"), ("depth",), "image", version=5, passing=True),
     _stage("cloud", ("dense",), ("cloud.copc.laz", "cloud.laz", "cloud.ply", "passes"), version=6,
            scratch=(".tiles",), tuned=("evaluate",)),
-    _stage("products", ("georef", "refine", "dense", "cloud"), ("products",), "tile", version=2,
+    _stage("products", ("georef", "refine", "dense", "cloud"), ("products",), "tile", version=3,
            scratch=("products/.tiles",), tuned=("evaluate",)),
     _stage("evaluate", ("filter", "georef", "refine", "dense", "cloud"), ("metrics.json", "accuracy.csv", "evaluate"),
            version=10, scratch=("evaluate/.tiles",), tuned=("scene",), spares=("dense", "cloud")),
-    _stage("report", ("products", "evaluate"), ("report.html", "report.json"), version=14, alone=True),
+    _stage("report", ("products", "evaluate"), ("report.html", "report.json"), version=15, alone=True),
 )
 # fmt: on
 

@@ -223,11 +223,11 @@ class Forecast:
         verdict = "enough" if self.enough() else "NOT ENOUGH: give -o on another disk, or stop before dense by --until"
         return [
             f"images: {cost.images}",
-            f"disk: about {_gb(cost.model_bytes)} to georef, {_gb(cost.dense_bytes)} more with depth maps and cloud "
-            f"(0.7 to 2.1 times what five sets took), and {_gb(cost.scratch_bytes)} for a while during sparse; "
-            f"{_gb(self.there_bytes)} are there, {_gb(self.free_bytes)} free at {folder}: {verdict}",
-            f"CPU time: about {cpu[0]:.2g} h to georef, {cpu[1]:.2g} h more with depth maps and cloud, of one core of "
-            "an AMD EPYC (the larger part runs on all cores)",
+            f"disk: about {_gb(cost.model_bytes)} to georef, {_gb(cost.dense_bytes)} more with depth maps, cloud "
+            f"and products (0.7 to 2.1 times what five sets took), and {_gb(cost.scratch_bytes)} for a while during "
+            f"sparse; {_gb(self.there_bytes)} are there, {_gb(self.free_bytes)} free at {folder}: {verdict}",
+            f"CPU time: about {cpu[0]:.2g} h to georef, {cpu[1]:.2g} h more with depth maps, cloud and products, "
+            "of one core of an AMD EPYC (the larger part runs on all cores)",
         ]
 
 
@@ -247,6 +247,8 @@ def forecast(run: Run) -> Forecast | None:
     settings = run.settings
     most = most_features(megapixels, settings.features.max_features, settings.tuning.features.sift)
     tuning = EffortTuning(features_px=settings.features.max_image_size, dense_px=settings.dense.max_image_size)
+    if settings.products.make == "none":
+        tuning = tuning.model_copy(update={"products_megapixel_s": 0.0, "products_bytes": 0.0})
     count = len(names)
     cost = effort((sizes * (count // len(sizes) + 1))[:count], 1, 0.0, None, float(most.mean()), tuning)
     where = next(p for p in (run.folder, *run.folder.parents) if p.exists())

@@ -30,7 +30,8 @@ from tiegraph.products.ortho import (
     patch,
     windows_met,
 )
-from tiegraph.products.raster import Place, hillshade, overview
+from tiegraph.products.pictures import PICTURE_PX, overview, relief
+from tiegraph.products.raster import Place, hillshade
 from tiegraph.products.surface import View, Window
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, save_json, write_atomic
@@ -44,7 +45,6 @@ T = TypeVar("T")
 CLOUD = "cloud.copc.laz"
 TILE = 1024
 """Pixels along the edge of what is made at once."""
-_OVERVIEW = 1400  # pixels across of a picture of an orthophoto, as the report shows it
 _MOST_SOURCES = np.iinfo(np.uint16).max
 _SHARP = 20_000  # longest side of an undistorted image: as large as they come
 _SAMPLE = 100_000  # points of the cloud that tell which surfaces there are
@@ -118,7 +118,7 @@ class _Work(OnSurface):
         """All steps, in their order."""
         windows, images = self.windows, list(range(len(self.views)))
         return [
-            self.step(windows, "heights", self.make_heights, self.finish_heights, "hillshade.tif"),
+            self.step(windows, "heights", self.make_heights, self.finish_heights, "dsm.jpg"),
             self.step(images, "view", self.make_view, self.finish_views, "source.tif"),
             self.step(windows, "colours", self.make_colours, self.finish_colours, "source.tif"),
         ]
@@ -134,11 +134,12 @@ class _Work(OnSurface):
         save_npz(self.scratch("heights", window), dsm=w + np.float32(self.surface.offset[2]), sigma=sigma)
 
     def finish_heights(self) -> None:
-        """The rasters of heights, of their sigmas and of shades."""
+        """The rasters of heights, of their sigmas and of shades, and a picture of the heights."""
         self.write("dsm", self.tiles("heights", "dsm"))
         self.write("sigma", self.tiles("heights", "sigma"))
         shades = ((w, self.heights(w.grown(1))) for w in self.windows)
         self.write("hillshade", ((w, hillshade(h, self.surface.pixel_m)) for w, h in shades))
+        write_atomic(self.path("dsm.jpg"), relief(self.path("dsm.tif"), PICTURE_PX, self.place.unit))
 
     # --- what the images see ------------------------------------------------------------------------------------------
 
@@ -189,7 +190,7 @@ class _Work(OnSurface):
     def finish_colours(self) -> None:
         """The orthophoto, and which image each pixel is of."""
         self.write("ortho", self.tiles("colours", "ortho"))
-        write_atomic(self.path("overview.jpg"), overview(self.path("ortho.tif"), _OVERVIEW))
+        write_atomic(self.path("overview.jpg"), overview(self.path("ortho.tif"), PICTURE_PX))
         rows = [(k, view.name) for k, view in enumerate(self.views, 1)]
         write_atomic(self.path("source.csv"), csv_text(("source", "image"), rows))
         self.write("source", self.tiles("colours", "source"))

@@ -12,6 +12,7 @@ from tiegraph.geometry.geodesy import geodetic_from_world
 from tiegraph.pipeline.files import load_npz, save_npz
 from tiegraph.pipeline.surfaces import OnSurface, Step
 from tiegraph.products.contours import Line, contour_lines, equidistance
+from tiegraph.products.pictures import PICTURE_PX, relief
 from tiegraph.products.raster import Place
 from tiegraph.products.surface import MAP, Surface, Window
 from tiegraph.products.terrain import (
@@ -28,9 +29,16 @@ from tiegraph.products.terrain import (
 )
 from tiegraph.project.stages import write_atomic
 from tiegraph.scene.atomic import replacing
+from tiegraph.scene.qgis import style, write_styles
 from tiegraph.scene.vectors import Layer, collection, feature, gdal, write_layer
 
-_DONE = "dtm.tif"  # the last file
+_DONE = "dtm.jpg"  # the last file
+_STYLE = style(
+    "SimpleLine",
+    1.0,
+    {"line_color": "150,90,40,255", "line_width": "0.15", "line_width_unit": "MM"},
+    by=("outlineWidth", "if(&quot;index&quot;, 0.4, 0.15)"),
+)
 
 
 def wanted(surface: Surface, place: Place) -> bool:
@@ -113,12 +121,13 @@ class TerrainWork(OnSurface):
         return max(1, self.cell // 2)
 
     def finish_terrain(self) -> None:
-        """Contour lines, and the rasters of the terrain and its sigma."""
-        self._contours()
+        """Contour lines, the rasters of the terrain and its sigma, and a picture of both."""
+        lines = self._contours()
         self.write("dtm_sigma", self.tiles("terrain", "sigma"))
         self.write("dtm", self.tiles("terrain", "dtm"))
+        write_atomic(self.path(_DONE), relief(self.path("dtm.tif"), PICTURE_PX, self.place.unit, lines))
 
-    def _contours(self) -> None:
+    def _contours(self) -> list[Line]:
         step, surface, tuning = self._drawn, self.surface, self.tuning.contours
         w, sigma = (self._whole("terrain", name, step) for name in ("drawn", "drawn_sigma"))
         w = w + surface.offset[2]
@@ -129,6 +138,7 @@ class TerrainWork(OnSurface):
         written = _write_lines(self.path("contours.gpkg"), lines, surface, self.place) if lines else ""
         levels = len({line.w for line in lines})
         save_npz(self.scratch("contours", 0), every=every, lines=len(lines), levels=levels, written=written)
+        return lines
 
     def said(self) -> str:
         """What was drawn, in words."""
@@ -160,8 +170,8 @@ class TerrainWork(OnSurface):
 
 
 def _write_lines(path: Path, lines: list[Line], surface: Surface, place: Place) -> str:
-    """Write contour lines as a GeoPackage in the CRS of the map, or as GeoJSON in degrees where pyogrio is missing; the
-    name of the file, or why there is none."""
+    """Write contour lines as a GeoPackage in the CRS of the map with a style for QGIS, or as GeoJSON in degrees where
+    pyogrio is missing; the name of the file, or why there is none."""
     try:
         raw = gdal("contours.gpkg", "")
     except EngineMissing:
@@ -175,6 +185,7 @@ def _write_lines(path: Path, lines: list[Line], surface: Surface, place: Place) 
         return path.name
     with replacing(path) as temporary:
         write_layer(raw, temporary, "contours", _features(_placed(lines)), place.crs(surface).to_wkt())
+        write_styles(raw, temporary, {"contours": _STYLE})
     return path.name
 
 

@@ -182,10 +182,10 @@ class Effort:
     site_s: float | None
     image_bytes: float
     model_bytes: float  # of the run folder up to georef
-    dense_bytes: float  # depth maps and cloud on top
+    dense_bytes: float  # depth maps, cloud and products on top
     scratch_bytes: float  # while sparse works
     sparse_cpu_s: float  # from the images to the georeferenced model, one core
-    dense_cpu_s: float  # depth maps and cloud on top
+    dense_cpu_s: float  # depth maps, cloud and products on top
 
     @property
     def run_bytes(self) -> float:
@@ -216,12 +216,12 @@ def effort(
         site_s=None if speed_m_s is None else way_m / speed_m_s,
         image_bytes=tuning.image_bytes * pixels,
         model_bytes=tuning.room_bytes * images + tuning.feature_bytes * features,
-        dense_bytes=tuning.dense_bytes * matched,
+        dense_bytes=tuning.dense_bytes * matched + tuning.products_bytes * pixels,
         scratch_bytes=tuning.copied_bytes * features,
         sparse_cpu_s=tuning.start_s
         + tuning.image_s * images
         + tuning.megapixel_s * frames * _pixels(sizes, tuning.features_px) / 1e6,
-        dense_cpu_s=tuning.dense_megapixel_s * matched / 1e6,
+        dense_cpu_s=(tuning.dense_megapixel_s * matched + tuning.products_megapixel_s * pixels) / 1e6,
     )
 
 

@@ -35,6 +35,11 @@ class EffortTuning(Section):
     """... as `dense.max_image_size`: of a larger image only so much is worked on."""
     dense_bytes: float = Field(6.0, gt=0)
     """Of a matched pixel: depth maps and cloud, three files; canal_demo 7.0, kerry_park, half of it placed, 0.5."""
+    products_megapixel_s: float = Field(3.2, ge=0)
+    """Of a megapixel of the images in `products`, at their full size: canal_demo 3.1 (64 s), fountain-P11 3.2 (56 s);
+    and ..."""
+    products_bytes: float = Field(0.8, ge=0)
+    """... bytes of each of their pixels, for rasters and pictures: canal_demo 0.4, fountain-P11 1.2."""
 
 
 class StationTuning(Section):

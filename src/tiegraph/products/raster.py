@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import rasterio
 import rasterio.shutil
-from rasterio.enums import ColorInterp, Resampling
+from rasterio.enums import ColorInterp
 from rasterio.windows import Window as Part
 
 from tiegraph.geometry import transforms
@@ -143,16 +143,6 @@ def read_window(path: Path, window: Window, step: int = 1) -> np.ndarray:
             at = (top - window.row) // step, (left - window.column) // step
             out[at[0] : at[0] + shape[0], at[1] : at[1] + shape[1]] = np.where(found == NODATA, np.nan, found)
         return out
-
-
-def overview(path: Path, width: int) -> bytes:
-    """A JPEG file of an RGBA raster on white, at most so many pixels wide."""
-    with rasterio.open(path) as raster:
-        step = max(1.0, raster.width / width)
-        shape = 4, max(1, int(raster.height / step)), max(1, int(raster.width / step))
-        rgba = raster.read(out_shape=shape, resampling=Resampling.average).astype(float)
-    shown = np.rint(255 + (rgba[2::-1] - 255) * rgba[3] / 255).astype(np.uint8).transpose(1, 2, 0)
-    return cv2.imencode(".jpg", shown, [cv2.IMWRITE_JPEG_QUALITY, 85])[1].tobytes()
 
 
 def hillshade(w: np.ndarray, pixel_m: float) -> np.ndarray:

@@ -132,9 +132,15 @@ def views(run: RunFolder, seen: Scenery) -> list[tuple[str, str]]:
 
 
 def product_views(run: RunFolder) -> list[tuple[str, str]]:
-    """(name, data URI) of the orthophoto of each surface."""
-    found = [(p.parent.name, file_uri(p)) for p in sorted((run.path / "products").glob("*/overview.jpg"))]
-    return [(t("True orthophoto: {}", name), uri) for name, uri in found if uri is not None]
+    """(name, data URI) of the orthophoto, the surface model and the terrain of each surface."""
+    texts = {
+        "overview.jpg": "True orthophoto: {}",
+        "dsm.jpg": "Surface model: {}",
+        "dtm.jpg": "Terrain and contour lines: {}",
+    }
+    folders = sorted(p for p in (run.path / "products").glob("*") if p.is_dir())
+    found = [(t(text, p.name), file_uri(p / name)) for p in folders for name, text in texts.items()]
+    return [(text, uri) for text, uri in found if uri is not None]
 
 
 def viewer_part(run: RunFolder, seen: Scenery, settings: ReportSettings) -> dict[str, Any]:
